@@ -1,0 +1,73 @@
+"""The capture value type: rectified photos of one patch with their views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from torch import Tensor
+
+from .. import color
+from ..errors import CaptureError
+from ..views import Views
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Photos rectified to one frontal view: pixel (i, j) of each is the same point of the material.
+
+    Args:
+        photos: N x R x R x 3 float32, display values in [0, 1] as stored, row 0 at the top.
+        views: the N views.
+        transfer: how display values encode linear radiance.
+        index: the number of each photo in the capture it was read from (0-based), e.g. (0, 1, 2, 3, 5, 6, 8).
+        calibrated: whether the views were given; else they are the stated default geometry.
+        source: the folder it came from.
+        notes: what a user should know about how it was read (photos left out, default geometry, ...).
+    """
+
+    photos: Tensor
+    views: Views
+    transfer: color.Transfer = "gamma2.2"
+    index: tuple[int, ...] = ()
+    calibrated: bool = True
+    source: Path | None = None
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.photos.shape[0] != len(self.views):
+            raise CaptureError(f"a view for each of {self.photos.shape[0]} photos", f"{len(self.views)} views",
+                               "give one row of calibration a photo")
+        if not self.index:
+            object.__setattr__(self, "index", tuple(range(len(self.views))))
+
+    def __len__(self) -> int:
+        return self.photos.shape[0]
+
+    @property
+    def resolution(self) -> int:
+        """Pixels along a side of the square photos."""
+        return self.photos.shape[1]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Two-digit names of the photos: "00", "01", ..."""
+        return tuple(f"{i:02d}" for i in self.index)
+
+    @property
+    def linear(self) -> Tensor:
+        """The photos as linear radiance, N x R x R x 3 (clipped highlights stay at 1)."""
+        return color.decode(self.photos, self.transfer)
+
+    def pick(self, index: Sequence[int]) -> Capture:
+        """The photos with these numbers (as in :attr:`index`), in this order.
+
+        Raises:
+            CaptureError: a number that is not there, or none at all.
+        """
+        missing = [i for i in index if i not in self.index]
+        if missing or not index:
+            raise CaptureError(f"photo numbers out of {list(self.index)}", f"{missing or 'none'}", "check --views")
+        rows = [self.index.index(i) for i in index]
+        return replace(self, photos=self.photos[rows], views=self.views.pick(rows), index=tuple(index))

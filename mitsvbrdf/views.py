@@ -1,0 +1,146 @@
+"""Views: where the camera and the light stand, and how bright the light is.
+
+Conventions (docs/conventions.md): the patch lies in z = 0, x right, y up, centre at the origin, and spans ``size``;
+camera and light are at z > 0, all in one unit of length. Co-located camera and light is the special case
+``camera == light``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+import torch
+from torch import Tensor
+
+from .errors import CaptureError, ConfigError
+
+Falloff = Literal["inverse-square", "none"]
+
+
+@dataclass(frozen=True)
+class View:
+    """One photo's geometry: camera and light position (x, y, z) and radiant intensity (r, g, b)."""
+
+    camera: tuple[float, float, float]
+    light: tuple[float, float, float]
+    intensity: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Views:
+    """A set of views of one patch.
+
+    Args:
+        camera: N x 3, positions with z > 0.
+        light: N x 3, positions with z > 0.
+        intensity: N x 3, radiant intensity I of each light (rgb); irradiance is I cos / d^2.
+        size: side of the patch, in the unit of the positions.
+        falloff: ``inverse-square``, or ``none`` for the paper's light without attenuation: the light then gives
+            everywhere the irradiance factor it has at the patch centre, I / |light|^2.
+    """
+
+    camera: Tensor
+    light: Tensor
+    intensity: Tensor
+    size: float = 1.0
+    falloff: Falloff = "inverse-square"
+
+    def __post_init__(self) -> None:
+        for name in ("camera", "light", "intensity"):
+            value = getattr(self, name)
+            if value.ndim != 2 or value.shape[1] != 3 or value.shape[0] != self.camera.shape[0]:
+                raise CaptureError(f"{name} of N x 3 with N = {self.camera.shape[0]}", f"shape {tuple(value.shape)}",
+                                   "give one row of three numbers for each photo")
+        if self.falloff not in get_args(Falloff):
+            raise ConfigError(f"falloff of {get_args(Falloff)}", repr(self.falloff), "choose one of these")
+
+    @classmethod
+    def of(cls, camera, light=None, intensity=1.0, size: float = 1.0, falloff: Falloff = "inverse-square") -> Views:
+        """Views from anything array-like, checked: finite, z > 0, intensity >= 0 and not all black.
+
+        Args:
+            camera: N x 3.
+            light: N x 3; left out, the light is at the camera.
+            intensity: a number, 3 numbers, or N x 3.
+
+        Raises:
+            CaptureError: naming the first row that is wrong.
+        """
+        try:
+            camera = torch.as_tensor(camera, dtype=torch.float64).reshape(-1, 3)
+            light = camera.clone() if light is None else torch.as_tensor(light, dtype=torch.float64).reshape(-1, 3)
+            power = torch.as_tensor(intensity, dtype=torch.float64)
+            size = float(size)
+        except (TypeError, ValueError, RuntimeError) as error:
+            raise CaptureError("rows of three numbers", str(error), "check the calibration") from None
+        power = power.expand(len(camera), 3) if power.ndim < 2 else power.reshape(-1, 3)
+        power = power.expand(len(camera), 3) if len(power) == 1 else power
+        views = cls(camera, light, power.clone(), size, falloff)
+        views.check()
+        return views
+
+    def check(self) -> None:
+        """Raise CaptureError unless every number is finite and physically possible."""
+        if not (self.size > 0 and torch.isfinite(torch.tensor(self.size))):
+            raise CaptureError("a patch size > 0", str(self.size), "check im_size / image_size")
+        for name in ("camera", "light"):
+            for row, position in enumerate(getattr(self, name).tolist()):
+                if not all(map(_finite, position)):
+                    raise CaptureError("finite positions", f"{name} {row} at {position}", "check the calibration for NaN")
+                if position[2] <= 0:
+                    raise CaptureError("cameras and lights above the plane (z > 0)", f"{name} {row} at {position}",
+                                       "z points from the material toward the camera; check signs and column order")
+        for row, power in enumerate(self.intensity.tolist()):
+            if not all(map(_finite, power)) or min(power) < 0 or max(power) == 0:
+                raise CaptureError("a light intensity >= 0, not all 0", f"light {row} with {power}", "check light_pow")
+
+    def __len__(self) -> int:
+        return self.camera.shape[0]
+
+    def __iter__(self) -> Iterator[View]:
+        for camera, light, intensity in zip(self.camera.tolist(), self.light.tolist(), self.intensity.tolist()):
+            yield View(tuple(camera), tuple(light), tuple(intensity))
+
+    def pick(self, index: Sequence[int] | Tensor) -> Views:
+        """The views at these positions, in this order."""
+        index = torch.as_tensor(index, dtype=torch.long)
+        return replace(self, camera=self.camera[index], light=self.light[index], intensity=self.intensity[index])
+
+    def in_patch_sides(self) -> Views:
+        """The same views with the patch side as unit of length (size = 1): same radiance, better-scaled numbers."""
+        s = self.size
+        return replace(self, camera=self.camera / s, light=self.light / s, intensity=self.intensity / s**2, size=1.0)
+
+    def to(self, dtype: torch.dtype) -> Views:
+        """The same views with tensors of this dtype."""
+        return replace(self, camera=self.camera.to(dtype), light=self.light.to(dtype),
+                       intensity=self.intensity.to(dtype))
+
+    @property
+    def co_located(self) -> bool:
+        """Whether every light is exactly at its camera."""
+        return bool(torch.equal(self.camera, self.light))
+
+
+def _finite(x: float) -> bool:
+    return x == x and abs(x) != float("inf")
+
+
+def texel_positions(resolution: int, dtype: torch.dtype = torch.float64) -> Tensor:
+    """Centres of the texels of an R x R map on a patch of side 1: R x R x 3, row 0 at the top (largest y), z = 0."""
+    step = (torch.arange(resolution, dtype=dtype) + 0.5) / resolution - 0.5
+    y, x = torch.meshgrid(-step, step, indexing="ij")
+    return torch.stack((x, y, torch.zeros_like(x)), dim=-1)
+
+
+def nine_view_grid(distance: float = 2.0, spread: float = 0.4) -> Views:
+    """Nine co-located views on a 3 x 3 grid at one height, in patch sides: a plausible hand-held capture.
+
+    A white diffuse texel at the foot point of the light has radiance 1 (intensity = pi distance^2).
+    """
+    wobble = torch.tensor([[0.0, 0.0], [0.9, -0.8], [-0.8, 0.9], [-1.0, -0.9], [0.9, 1.0], [0.1, -0.9],
+                           [-0.1, 0.9], [-0.9, 0.1], [1.0, -0.1]], dtype=torch.float64)
+    camera = torch.cat((spread * wobble, torch.full((9, 1), distance, dtype=torch.float64)), dim=1)
+    return Views.of(camera, intensity=torch.pi * distance**2)
