@@ -1,0 +1,63 @@
+"""Three renderers behind one protocol, all from the same maps and views, linear and unclamped.
+
+========================  ==========================================================================
+``analytic``              torch, float32; the readable twin
+``analytic64``            the same in float64: the truth the others are held against
+``mitsuba``               Mitsuba's BSDF plugins evaluated at the texels: no rays, no texture look-ups
+``mitsuba-scene``         the traced Mitsuba scene: rectangle, point light, shifted perspective camera
+========================  ==========================================================================
+"""
+
+from __future__ import annotations
+
+from typing import Literal, Protocol, get_args
+
+import torch
+from torch import Tensor
+
+from ..errors import ConfigError
+from ..maps import SVBRDF
+from ..views import Views
+
+RendererName = Literal["mitsuba", "mitsuba-scene", "analytic", "analytic64"]
+
+
+class Renderer(Protocol):
+    """What every renderer offers."""
+
+    name: str
+    variant: str | None
+
+    def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
+        """Linear radiance of the patch as each view sees it, rectified: N x R x R x 3, row 0 at the top.
+
+        Differentiable with respect to the maps; ``analytic`` and ``mitsuba`` also with respect to camera, light and
+        intensity, for which ``mitsuba-scene`` refuses a gradient.
+        """
+        ...
+
+
+def make_renderer(name: RendererName = "mitsuba", variant: str = "llvm_ad_rgb") -> Renderer:
+    """A renderer by name; Mitsuba is loaded only for the two that need it.
+
+    Args:
+        name: one of the table above.
+        variant: the Mitsuba variant, ``llvm_ad_rgb`` or ``cuda_ad_rgb``.
+
+    Raises:
+        ConfigError: unknown name.
+        BackendError: Mitsuba or libLLVM is missing; the message says what to install.
+    """
+    if name not in get_args(RendererName):
+        raise ConfigError(f"a renderer of {get_args(RendererName)}", repr(name), "choose one of these")
+    if name == "mitsuba":
+        from .texels import TexelRenderer
+        return TexelRenderer(variant)
+    if name == "mitsuba-scene":
+        from .scene import SceneRenderer
+        return SceneRenderer(variant)
+    from .analytic import AnalyticRenderer
+    return AnalyticRenderer(torch.float64 if name == "analytic64" else torch.float32)
+
+
+__all__ = ["Renderer", "RendererName", "make_renderer"]

@@ -1,0 +1,161 @@
+"""The traced Mitsuba scene through ``dr.wrap``: rectangle, point light, and a camera whose frustum is shifted onto it.
+
+A rectified photo is what a perspective camera sees that looks straight down and whose image plane is parallel to the
+patch. With one unjittered sample a pixel and a box filter every ray hits its texel's centre, so the image has no noise.
+
+The replay trap: a Mitsuba scene is one mutable object, and the calls it makes per ray are traced again *as the scene is
+at backward time*. Moving the camera, or drawing a preview, between forward and backward then silently gives gradients of
+the wrong picture. :class:`_Traced` is the guard: a backward pass whose scene was touched since draws its own picture again
+first, from the maps and views it kept.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ..errors import ConfigError
+from ..maps import CHANNELS, SVBRDF
+from ..views import Views
+from .bsdf import plugin, slot_values
+from .llvm import mitsuba_module
+from .needs import scene_needs
+
+SLOT_CHANNELS = {"alpha": 1, "metallic": 1, "roughness": 1}
+
+
+class SceneRenderer:
+    """Traces the scene with Mitsuba's ``direct`` integrator; see :class:`mitsvbrdf.render.Renderer`.
+
+    Args:
+        variant: ``llvm_ad_rgb`` or ``cuda_ad_rgb``.
+
+    Raises:
+        BackendError: Mitsuba, the variant or libLLVM is missing.
+    """
+
+    name = "mitsuba-scene"
+
+    def __init__(self, variant: str = "llvm_ad_rgb") -> None:
+        self.variant = variant
+        self.mi = mitsuba_module(variant)
+        self.device = "cuda" if variant.startswith("cuda") else "cpu"
+        self._wrapped: dict[tuple, object] = {}
+        self.drawn = 0  # pictures drawn so far: tells a backward pass whether its scene is still as it left it
+
+    def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
+        """Linear radiance N x R x R x 3, float32; gradients to the maps.
+
+        Raises:
+            ConfigError: camera or light asks for a gradient, which emitters and sensors called by a ray do not carry.
+        """
+        if any(t.requires_grad for t in (views.camera, views.light, views.intensity)):
+            raise ConfigError("views held fixed", "a gradient asked of camera, light or intensity",
+                              "use the renderer 'mitsuba' or 'analytic' to fit these")
+        curve = scene_needs(svbrdf.bsdf, views, self.name).fresnel_curve
+        key = (svbrdf.bsdf, curve, svbrdf.resolution)
+        if key not in self._wrapped:
+            self._wrapped[key] = self._wrap(*key)
+        views = views.in_patch_sides()
+        place = {"dtype": torch.float32, "device": self.device}
+        maps = [svbrdf[name].to(**place).contiguous() for name in CHANNELS[svbrdf.bsdf]]
+        geometry = [getattr(views, n).to(**place).contiguous() for n in ("camera", "light", "intensity")]
+        images = _Traced.apply(self, key, geometry, *maps)
+        if views.falloff == "none":
+            images = images * _falloff_undone(views, svbrdf.resolution).to(images)
+        return images.to(svbrdf["normal"].device)
+
+    def _wrap(self, bsdf: str, curve: bool, resolution: int):
+        import drjit as dr
+
+        mi = self.mi
+        textures: dict[str, object] = {}
+        scene = mi.load_dict(patch_scene(mi, resolution, plugin(bsdf, curve, lambda slot: textures.setdefault(
+            slot, _blank_texture(mi, resolution, SLOT_CHANNELS.get(slot, 3))))))
+        held = {slot: mi.traverse(texture) for slot, texture in textures.items()}
+        params = mi.traverse(scene)
+        sensor, integrator = scene.sensors()[0], scene.integrator()
+
+        def at(rows, k):
+            return [dr.gather(mi.Float, rows.array, mi.UInt32(3 * k + axis)) for axis in range(3)]
+
+        @dr.wrap(source="torch", target="drjit")
+        def trace(camera, light, intensity, *tensors):
+            maps = dict(zip(CHANNELS[bsdf], tensors))
+            for slot, value in slot_values(bsdf, maps, curve).items():
+                held[slot]["data"] = value[::-1]  # texture row 0 is v = 0, the bottom
+                held[slot].update()
+            images = []
+            for k in range(camera.shape[0]):
+                x, y, z = at(camera, k)
+                params["sensor.to_world"] = mi.Transform4f().look_at(
+                    mi.Point3f(x, y, z), mi.Point3f(x, y, z - 1), mi.Vector3f(0, 1, 0))
+                params["sensor.x_fov"] = dr.rad2deg(2 * dr.atan(0.5 / z))
+                params["sensor.principal_point_offset_x"] = -x
+                params["sensor.principal_point_offset_y"] = y
+                params["light.position"] = mi.Point3f(*at(light, k))
+                params["light.intensity.value"] = mi.Color3f(*at(intensity, k))
+                params.update()
+                images.append(integrator.render(scene, sensor, seed=0, spp=1))
+            return images
+
+        return trace
+
+
+def _blank_texture(mi, resolution: int, channels: int):
+    """A bitmap texture to be filled, read at texel centres without filtering."""
+    import drjit as dr
+
+    data = mi.TensorXf(dr.full(mi.Float, 0.5, resolution * resolution * channels), (resolution, resolution, channels))
+    return mi.load_dict({"type": "bitmap", "data": data, "raw": True, "filter_type": "nearest", "wrap_mode": "clamp"})
+
+
+def patch_scene(mi, resolution: int, bsdf: dict) -> dict:
+    """The Mitsuba scene dictionary of a patch of side 1 under one point light, seen in R x R pixels."""
+    return {
+        "type": "scene",
+        "integrator": {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0},
+        "sensor": {"type": "perspective", "near_clip": 1e-4, "far_clip": 1e6,
+                   "film": {"type": "hdrfilm", "width": resolution, "height": resolution, "pixel_format": "rgb",
+                            "component_format": "float32", "rfilter": {"type": "box"}},
+                   "sampler": {"type": "stratified", "sample_count": 1, "jitter": False}},
+        "light": {"type": "point", "position": [0.0, 0.0, 1.0], "intensity": {"type": "rgb", "value": 1.0}},
+        "patch": {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(0.5),
+                  "bsdf": bsdf},
+    }
+
+
+class _Traced(torch.autograd.Function):
+    """A picture whose gradient belongs to it, whatever the renderer drew since (see the replay trap above)."""
+
+    @staticmethod
+    def forward(ctx, renderer: SceneRenderer, key: tuple, geometry: list[Tensor], *maps: Tensor) -> Tensor:
+        ctx.inputs = renderer, key, geometry, maps
+        ctx.wanted = ctx.needs_input_grad[3:]
+        ctx.recorded = _Traced._draw(*ctx.inputs, ctx.wanted)
+        ctx.drawn = renderer.drawn
+        return ctx.recorded[1].detach()
+
+    @staticmethod
+    def backward(ctx, cotangent: Tensor):
+        renderer = ctx.inputs[0]
+        if ctx.recorded is None or ctx.drawn != renderer.drawn:
+            ctx.recorded = _Traced._draw(*ctx.inputs, ctx.wanted)
+        (leaves, images), ctx.recorded = ctx.recorded, None
+        gradients = iter(torch.autograd.grad(images, [m for m in leaves if m.requires_grad], cotangent))
+        return None, None, None, *(next(gradients) if wanted else None for wanted in ctx.wanted)
+
+    @staticmethod
+    def _draw(renderer: SceneRenderer, key: tuple, geometry: list[Tensor], maps, wanted):
+        renderer.drawn += 1
+        leaves = [m.detach().requires_grad_(want) for m, want in zip(maps, wanted)]
+        with torch.set_grad_enabled(any(wanted)):
+            return leaves, torch.stack(renderer._wrapped[key](*geometry, *leaves))
+
+
+def _falloff_undone(views: Views, resolution: int) -> Tensor:
+    """d^2 of each texel over d^2 of the patch centre, N x R x R x 1: turns 1/d^2 into the paper's constant light."""
+    from ..views import texel_positions
+
+    to_light = views.light[:, None, None] - texel_positions(resolution).to(views.light)
+    return (to_light**2).sum(-1, keepdim=True) / (views.light**2).sum(-1)[:, None, None, None]

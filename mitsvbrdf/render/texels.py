@@ -1,0 +1,121 @@
+"""Mitsuba's BSDF plugins at known texels, through ``dr.wrap``: no rays, no film, no texture look-ups.
+
+The pixel of a rectified photo and the texel it shows are the same, so one thread serves one texel: it holds the
+texel's maps in registers, evaluates the plugin for each view, and adds up its own gradient. There is no scatter between
+threads, so gradients are the same bits in every run.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ..maps import CHANNELS, SVBRDF
+from ..views import Views
+from .bsdf import plugin, slot_values
+from .llvm import mitsuba_module
+from .needs import scene_needs
+
+VIEWS_PER_KERNEL = 9  # evaluations unrolled in one kernel; more views take several launches of at most this many
+
+
+class TexelRenderer:
+    """Evaluates Mitsuba's own plugin code at the texels; see :class:`mitsvbrdf.render.Renderer`.
+
+    Args:
+        variant: ``llvm_ad_rgb`` or ``cuda_ad_rgb``.
+
+    Raises:
+        BackendError: Mitsuba, the variant or libLLVM is missing.
+    """
+
+    name = "mitsuba"
+
+    def __init__(self, variant: str = "llvm_ad_rgb") -> None:
+        self.variant = variant
+        self.mi = mitsuba_module(variant)
+        self.device = "cuda" if variant.startswith("cuda") else "cpu"
+        self._wrapped: dict[tuple, object] = {}
+
+    def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
+        """Linear radiance N x R x R x 3, float32; gradients to maps, camera, light and intensity."""
+        curve = scene_needs(svbrdf.bsdf, views, self.name).fresnel_curve
+        key = (svbrdf.bsdf, curve, views.falloff)
+        if key not in self._wrapped:
+            self._wrapped[key] = self._wrap(*key)
+        views = views.in_patch_sides()
+        place = {"dtype": torch.float32, "device": self.device}
+        maps = [svbrdf[name].to(**place).contiguous() for name in CHANNELS[svbrdf.bsdf]]
+        # One row a view: camera, light, intensity. A plain tensor, so that it crosses dr.wrap with its gradient.
+        rows = torch.cat((views.camera, views.light, views.intensity), dim=1).to(**place)
+        images = []
+        for part in rows.split(VIEWS_PER_KERNEL):
+            images += self._wrapped[key](part.contiguous(), *maps)
+        return torch.stack(images).to(svbrdf["normal"].device)
+
+    def _wrap(self, bsdf: str, curve: bool, falloff: str):
+        import drjit as dr
+
+        mi = self.mi
+        held: dict[str, object] = {}  # slot name -> this texel's value
+
+        class Held(mi.Texture):
+            """A texture that answers with the value the thread holds, whatever the position."""
+
+            def __init__(self, props):
+                super().__init__(props)
+                self.slot = props["slot"]
+
+            def eval(self, si, active=True):
+                return held[self.slot]
+
+            eval_1 = eval
+            eval_3 = eval
+
+            def to_string(self):
+                return f"Held[{self.slot}]"
+
+        name = f"held_texel_{bsdf}_{int(curve)}_{falloff}_{id(held)}"
+        mi.register_texture(name, Held)
+        shader = mi.load_dict(plugin(bsdf, curve, lambda slot: {"type": name, "slot": slot}))
+        context = mi.BSDFContext()
+
+        @dr.wrap(source="torch", target="drjit")
+        def evaluate(rows, *tensors):
+            side = tensors[0].shape[0]
+            maps = {n: _columns(mi, dr, t) for n, t in zip(CHANNELS[bsdf], tensors)}
+            held.update(slot_values(bsdf, maps, curve))
+            index = dr.arange(mi.UInt32, side * side)
+            row = index // side
+            position = mi.Point3f((mi.Float(index - row * side) + 0.5) / side - 0.5, 0.5 - (mi.Float(row) + 0.5) / side, 0)
+            images = []
+            for k in range(rows.shape[0]):
+                camera, light, intensity = (mi.Vector3f(*(_number(mi, dr, rows, 9 * k + 3 * part + axis)
+                                                          for axis in range(3))) for part in range(3))
+                si = dr.zeros(mi.SurfaceInteraction3f, side * side)
+                si.p = position
+                si.n = mi.Normal3f(0, 0, 1)
+                si.sh_frame = mi.Frame3f(mi.Normal3f(0, 0, 1))
+                si.dp_du, si.dp_dv = mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0)
+                si.wi = dr.normalize(camera - position)
+                to_light = light - position
+                distance2 = dr.squared_norm(to_light)
+                value = shader.eval(context, si, to_light * dr.rsqrt(distance2))
+                if falloff == "none":
+                    distance2 = dr.squared_norm(light)
+                radiance = value * mi.Color3f(intensity) / distance2
+                images.append(mi.TensorXf(dr.ravel(radiance), (side, side, 3)))
+            held.clear()
+            return images
+
+        return evaluate
+
+
+def _columns(mi, dr, tensor):
+    """An R x R x C tensor as one value a texel: Float for one channel, Color3f for three."""
+    return mi.Float(tensor.array) if tensor.shape[2] == 1 else dr.unravel(mi.Color3f, tensor.array)
+
+
+def _number(mi, dr, tensor, index):
+    """One number of a tensor, as a value that may change without compiling a new kernel."""
+    return dr.gather(mi.Float, tensor.array, mi.UInt32(index))
