@@ -1,0 +1,128 @@
+"""Error measures: pure functions of tensors, no files and no rendering. All sums are float64."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from .. import color
+from ..errors import CaptureError, ConfigError, MapsError
+from ..maps import ENCODINGS, SVBRDF
+
+# Pixels darker than this share of the reference's mean are compared against the share instead of their own value.
+FLOOR = 1e-3
+
+
+def map_rmse(svbrdf: SVBRDF, reference: SVBRDF, encoding: str = "linear") -> dict[str, float]:
+    """RMSE of the maps as the field prints it: over all texels and channels of maps encoded to [0, 1].
+
+    Diffuse and specular are compared as linear^(1/2.2) and normals as (n + 1) / 2; roughness as r, or as r^(1/2.2)
+    where the reference is stored with gamma. Principled materials are compared by their diffuse and specular maps.
+    Where the resolutions differ, the larger is area-averaged to the smaller first (:meth:`SVBRDF.resized`).
+
+    Normals are compared as they are. Published numbers count the vectors in the files, off unit length by their 8 bits
+    or JPEG: the unit normals of ``load_maps`` give up to 0.001 less.
+
+    Args:
+        svbrdf: the estimate.
+        reference: the truth.
+        encoding: of the reference's files, as ``material.json`` says: ``linear``, ``gamma 2.2`` or ``srgb``.
+
+    Returns:
+        ``diffuse``, ``specular``, ``roughness``, ``normal`` and their ``mean``.
+
+    Raises:
+        ConfigError: an unknown encoding.
+
+    Source: tables 1 and 2 of the paper; MaterialGAN (Guo et al. 2020).
+    """
+    if encoding not in ENCODINGS:
+        raise ConfigError(f"an encoding of {list(ENCODINGS)}", repr(encoding), "choose one of these")
+    size = min(svbrdf.resolution, reference.resolution)
+    first, second = (_encoded(s.as_roughconductor().resized(size), ENCODINGS[encoding]["roughness"])
+                     for s in (svbrdf, reference))
+    errors = {name: math.sqrt((first[name] - second[name]).square().mean()) for name in first}
+    return errors | {"mean": sum(errors.values()) / len(errors)}
+
+
+def _encoded(svbrdf: SVBRDF, roughness: str) -> dict[str, Tensor]:
+    maps = {name: value.detach().double() for name, value in svbrdf.maps.items()}
+    return {"diffuse": color.encode(maps["diffuse"]), "specular": color.encode(maps["specular"]),
+            "roughness": color.encode(maps["roughness"]) if roughness == "gamma 2.2" else maps["roughness"],
+            "normal": (maps["normal"] + 1) / 2}
+
+
+def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "gamma2.2") -> tuple[float, list[float]]:
+    """RMSE of re-rendered photos, in display values clipped to [0, 1], over all pixels and channels.
+
+    Args:
+        rerendered: N x R x R x 3, linear radiance.
+        photos: N x R x R x 3, display values in [0, 1].
+        transfer: how the photos encode radiance.
+
+    Returns:
+        The error over all photos (the root of the mean of their squared errors), and one for each photo.
+
+    Raises:
+        CaptureError: shapes that differ, or no photo.
+    """
+    if rerendered.shape != photos.shape or photos.ndim != 4 or not len(photos):
+        shapes = f"{tuple(rerendered.shape)} and {tuple(photos.shape)}"
+        raise CaptureError("re-rendered and real photos of one shape N x R x R x 3", shapes, "render every view at the "
+                           "photos' resolution")
+    shown = color.to_display(rerendered.detach().double(), transfer)
+    squares = (shown - color.clip(photos.double())).square().mean(dim=(1, 2, 3))
+    return math.sqrt(squares.mean()), squares.sqrt().tolist()
+
+
+def image_error(image: Tensor, reference: Tensor, floor: float = FLOOR) -> dict[str, float]:
+    """How far an image is from a reference, value by value: |image - reference| / max(|reference|, floor mean).
+
+    Args:
+        image: any shape, linear.
+        reference: the same shape; best in float64.
+        floor: share of the reference's mean absolute value below which a value counts as that share.
+
+    Returns:
+        ``mean``, ``p99.9`` (99.9 % of the values are no worse), ``worst``, and ``bias``: the mean with its sign.
+
+    Raises:
+        MapsError: shapes that differ.
+    """
+    image, reference = _pair(image, reference)
+    least = max(floor * float(reference.abs().mean()), torch.finfo(torch.float64).tiny)
+    signed = (image - reference) / reference.abs().clamp_min(least)
+    size = signed.abs()
+    rank = math.ceil(0.999 * size.numel())
+    return {"mean": float(size.mean()), "p99.9": float(size.kthvalue(rank).values), "worst": float(size.max()),
+            "bias": float(signed.mean())}
+
+
+def gradient_error(gradient: Tensor, reference: Tensor) -> dict[str, float]:
+    """How far a gradient is from a reference gradient, as whole vectors.
+
+    Args:
+        gradient: any shape.
+        reference: the same shape, not all 0; best in float64.
+
+    Returns:
+        ``relative_l2``: |g - r| / |r|; ``cosine`` of the angle between them; ``worst``: the largest difference of one
+        entry over the largest entry of the reference. Where the reference is 0 everywhere they are infinite or NaN.
+
+    Raises:
+        MapsError: shapes that differ.
+    """
+    gradient, reference = _pair(gradient, reference)
+    off, length = gradient - reference, reference.norm()
+    cosine = gradient @ reference / (gradient.norm() * length)
+    return {"relative_l2": float(off.norm() / length), "cosine": float(cosine),
+            "worst": float(off.abs().max() / reference.abs().max())}
+
+
+def _pair(first: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:
+    if first.shape != second.shape or not first.numel():
+        raise MapsError("two tensors of one shape, not empty", f"{tuple(first.shape)} and {tuple(second.shape)}",
+                        "compare the same maps, views and resolution")
+    return first.detach().double().flatten(), second.detach().double().flatten()

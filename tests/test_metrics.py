@@ -1,0 +1,134 @@
+"""Error measures against independent numpy computations, closed forms and published numbers."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from mitsvbrdf import files
+from mitsvbrdf.errors import CaptureError, ConfigError, MapsError
+from mitsvbrdf.evaluate.metrics import gradient_error, image_error, map_rmse, photo_rmse
+from mitsvbrdf.maps import SVBRDF, flat, load_maps
+from mitsvbrdf.procedural import make_material
+
+MAPS = ("diffuse", "specular", "roughness", "normal")
+
+
+def rms(values):
+    return math.sqrt(np.mean(np.square(values)))
+
+
+@pytest.mark.parametrize("encoding", ["linear", "gamma 2.2"])
+def test_map_rmse_is_the_plain_formula(encoding):
+    first, second = make_material("leather", 32, seed=1), make_material("leather", 32, seed=2)
+    power = {"diffuse": 1 / 2.2, "specular": 1 / 2.2, "roughness": 1 if encoding == "linear" else 1 / 2.2}
+    wanted = {}
+    for name in MAPS:
+        a, b = first[name].numpy().astype(np.float64), second[name].numpy().astype(np.float64)
+        wanted[name] = rms((a - b) / 2 if name == "normal" else a ** power[name] - b ** power[name])
+    wanted["mean"] = sum(wanted.values()) / 4
+    assert map_rmse(first, second, encoding) == pytest.approx(wanted, rel=1e-12)
+
+
+def test_map_rmse_of_a_principled_estimate():
+    estimate = flat(8, "principled", base_color=0.8, metallic=0.25, roughness=0.5)
+    wanted = {"diffuse": 0, "specular": 0, "roughness": 0.1, "normal": 0, "mean": 0.025}
+    # Float32 maps: 1e-6.
+    assert map_rmse(estimate, flat(8, diffuse=0.6, specular=0.23, roughness=0.4)) == pytest.approx(wanted, abs=1e-6)
+
+
+def test_map_rmse_compares_at_the_smaller_resolution():
+    reference = make_material("inlay", 64)
+    assert map_rmse(reference.resized(32), reference) == pytest.approx(dict.fromkeys((*MAPS, "mean"), 0), abs=1e-12)
+    assert map_rmse(reference, reference.resized(32)) == pytest.approx(dict.fromkeys((*MAPS, "mean"), 0), abs=1e-12)
+
+
+def test_map_rmse_refuses_an_unknown_encoding():
+    with pytest.raises(ConfigError, match="gamma 2.2"):
+        map_rmse(flat(4), flat(4), "gamma")
+
+
+def test_photo_rmse_clips_and_weighs_all_pixels_alike():
+    generator = np.random.default_rng(0)
+    linear, photos = generator.uniform(0, 2, (3, 5, 5, 3)), generator.uniform(0, 1, (3, 5, 5, 3))
+    off = np.minimum(linear, 1) ** (1 / 2.2) - photos
+    total, each = photo_rmse(torch.tensor(linear), torch.tensor(photos))
+    assert total == pytest.approx(rms(off), rel=1e-12)
+    assert each == pytest.approx([rms(photo) for photo in off], rel=1e-12)
+
+
+def test_photo_rmse_of_the_same_photos_is_zero():
+    photos = torch.rand(2, 4, 4, 3, dtype=torch.float64)
+    assert photo_rmse(photos, photos, "linear") == (0.0, [0.0, 0.0])
+
+
+def test_photo_rmse_refuses_other_shapes():
+    with pytest.raises(CaptureError, match="N x R x R x 3"):
+        photo_rmse(torch.zeros(2, 4, 4, 3), torch.zeros(2, 8, 8, 3))
+
+
+def test_image_error_of_a_scaled_image():
+    reference = torch.rand(3, 50, 50, 3, dtype=torch.float64) + 0.5
+    brighter = {"mean": 0.01, "p99.9": 0.01, "worst": 0.01, "bias": 0.01}
+    assert image_error(1.01 * reference, reference) == pytest.approx(brighter, rel=1e-9)
+    assert image_error(0.99 * reference, reference)["bias"] == pytest.approx(-0.01, rel=1e-9)
+
+
+def test_image_error_statistics_and_floor():
+    reference, image = torch.ones(10000, dtype=torch.float64), torch.ones(10000, dtype=torch.float64)
+    image[:10] += 0.5
+    image[10] -= 0.25
+    stats = image_error(image, reference)
+    assert stats == pytest.approx({"mean": 5.25e-4, "p99.9": 0.25, "worst": 0.5, "bias": 4.75e-4}, rel=1e-9)
+    reference[0], image[0] = 0.0, 1e-3 * 0.9999  # a black pixel counts as 1e-3 of the mean
+    assert image_error(image, reference)["worst"] == pytest.approx(1.0, rel=1e-9)
+
+
+def test_gradient_error_of_known_vectors():
+    reference = torch.tensor([[3.0, 4.0], [0.0, 0.0]])
+    turned = torch.tensor([[3.0, 4.0], [5.0, 0.0]])
+    for gradient, l2, cosine, worst in ((reference, 0, 1, 0), (-reference, 2, -1, 2), (turned, 1, 0.5**0.5, 1.25)):
+        wanted = {"relative_l2": l2, "cosine": cosine, "worst": worst}
+        assert gradient_error(gradient, reference) == pytest.approx(wanted, rel=1e-12)
+
+
+def test_errors_refuse_other_shapes():
+    for error in (image_error, gradient_error):
+        with pytest.raises(MapsError, match="one shape"):
+            error(torch.zeros(3), torch.zeros(3, 1))
+
+
+def as_stored(folder):
+    """Maps with the normals of the files as they are, off unit length as 8 bits or JPEG left them."""
+    normal = files.read_image(folder / "normal.png", MapsError) * 2 - 1
+    return SVBRDF("roughconductor", dict(load_maps(folder, encoding="gamma 2.2").maps) | {"normal": normal})
+
+
+def test_published_map_errors_are_reproduced(data_folder):
+    compared = 0
+    for material, methods in json.loads((data_folder / "peers.json").read_text())["materials"].items():
+        folder = data_folder / "materials" / material
+        for method, published in methods.items():
+            peer = folder / "peers" / method
+            errors = map_rmse(as_stored(peer), as_stored(folder), "gamma 2.2")
+            assert {name: round(errors[name], 4) for name in MAPS} == published
+            unit = map_rmse(load_maps(peer, encoding="gamma 2.2"), load_maps(folder), "gamma 2.2")
+            assert errors["normal"] - 0.001 < unit["normal"] < errors["normal"]
+            compared += 1
+    assert compared == 5
+
+
+@pytest.mark.parametrize("name", ["cards-blue", "leather-brown", "book1"])
+def test_published_rerendering_errors_are_reproduced(data_folder, name):
+    folder = data_folder / "captures" / name
+    published = json.loads((data_folder / "peers.json").read_text())["captures"][name]
+
+    def averaged(photos):
+        images = [files.read_image(path, CaptureError).double().permute(2, 0, 1) for path in sorted(photos.iterdir())]
+        return torch.nn.functional.interpolate(torch.stack(images), (256, 256), mode="area").permute(0, 2, 3, 1)
+
+    total, each = photo_rmse(averaged(folder / "materialgan/rerendered"), averaged(folder / "target"), "linear")
+    assert round(total, 4) == published["materialgan_rerender_rmse_256"]
+    assert [round(value, 4) for value in each] == published["per_view"]
