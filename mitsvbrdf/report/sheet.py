@@ -1,0 +1,176 @@
+"""Pictures of a result: the sheet of maps and photos, and the error over time. They show numbers and compute none."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
+from torch import Tensor
+
+from .. import color, files
+from ..errors import CaptureError
+from ..maps import CHANNELS, COLOURS, SVBRDF
+
+# In pixels of the sheet. Between the margins 9, 5 and 4 squares with their gaps fit without a remainder.
+WIDTH, MARGIN, GAP, LABEL, HEADER = 1680, 34, 8, 34, 92
+LARGEST_MAP, LARGEST_PHOTO = 397, 264
+SHOWN = 9
+BACK, TEXT, QUIET, ACCENT = "#131519", "#eceef1", "#9198a3", "#f2b84b"
+TITLES = {"diffuse": "Diffuse", "specular": "Specular", "roughness": "Roughness", "normal": "Normal",
+          "base_color": "Base colour", "metallic": "Metallic"}
+
+
+def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Tensor, *, rmse: float,
+                per_photo: Sequence[float], guess: Tensor | None = None, names: Sequence[str] | None = None,
+                title: str = "Recovered material", note: str = "") -> None:
+    """One PNG, 1680 pixels wide: the maps, and under them each photo over its re-rendering over their difference.
+
+    Colour maps are shown in sRGB, the others as they are, normals as (n + 1) / 2. At most nine photos are shown.
+
+    Args:
+        path: the PNG to write or replace.
+        svbrdf: the material.
+        photos: N x R x R x 3, display values in [0, 1].
+        rerendered: the same shape, display values in [0, 1] (``color.to_display`` of the radiance).
+        rmse: the error over all photos, in display values.
+        per_photo: the error of each.
+        guess: guessed diffuse map, R x R x 3, linear, if there was one.
+        names: a name for each photo; left out: 00, 01, ...
+        title: the heading.
+        note: a quieter line under it, e.g. method, renderer and run time.
+
+    Raises:
+        CaptureError: photos, re-renderings, errors and names of different number or shape.
+        OutputError: the file cannot be written.
+    """
+    count = len(photos)
+    names = [f"{i:02d}" for i in range(count)] if names is None else names
+    if not count or photos.shape != rerendered.shape or not count == len(per_photo) == len(names):
+        raise CaptureError("a re-rendering, an error and a name for each photo",
+                           f"photos {tuple(photos.shape)}, re-rendered {tuple(rerendered.shape)}, {len(per_photo)} "
+                           f"errors, {len(names)} names", "give all of them for the same photos")
+    shown = min(count, SHOWN)
+    tiles = [(TITLES[name], _shown(name, svbrdf[name])) for name in CHANNELS[svbrdf.bsdf]]
+    tiles += [] if guess is None else [("Guessed diffuse", _shown("diffuse", guess))]
+    large, small = _side(len(tiles), LARGEST_MAP), _side(shown, LARGEST_PHOTO)
+    photo_top = HEADER + LABEL + large
+    sheet = _Sheet(photo_top + 3 * (LABEL + small) + LABEL + 20)
+
+    sheet.text(MARGIN, 52, title, 22, TEXT, weight="bold")
+    sheet.text(MARGIN, 80, note, 11, QUIET)
+    sheet.text(WIDTH - MARGIN, 52, f"{rmse:.4f}", 24, ACCENT, weight="bold", ha="right")
+    which = "1 photo" if count == 1 else f"{count} photos" + (f", {shown} of them shown" if shown < count else "")
+    sheet.text(WIDTH - MARGIN, 80, f"re-rendering RMSE, {which}", 11, QUIET, ha="right")
+
+    for i, (label, image) in enumerate(tiles):
+        x = MARGIN + i * (large + GAP)
+        sheet.text(x, HEADER + LABEL - 9, label, 11, TEXT)
+        sheet.image(x, HEADER + LABEL, large, image)
+    first, second = (images[:shown].detach().cpu().float() for images in (photos, rerendered))
+    for row, (label, images) in enumerate((("Photos", first), ("Re-rendered", second),
+                                           ("Difference × 4", 4 * (first - second).abs()))):
+        y = photo_top + row * (LABEL + small) + LABEL
+        sheet.text(MARGIN, y - 9, label, 11, TEXT)
+        for i, image in enumerate(images):
+            sheet.image(MARGIN + i * (small + GAP), y, small, image)
+    for i in range(shown):
+        x, y = MARGIN + i * (small + GAP), photo_top + 3 * (LABEL + small) + 20
+        sheet.text(x, y, names[i], 10, QUIET)
+        sheet.text(x + small, y, f"{per_photo[i]:.4f}", 10, TEXT, ha="right")
+    sheet.write(Path(path))
+
+
+def _side(count: int, largest: int) -> int:
+    """Side of each of ``count`` squares in one row."""
+    return min((WIDTH - 2 * MARGIN - (count - 1) * GAP) // count, largest)
+
+
+class _Sheet:
+    """A dark page addressed in pixels from its top left."""
+
+    def __init__(self, height: int) -> None:
+        self.height = height
+        self.figure = Figure(figsize=(WIDTH / 100, height / 100), dpi=100, facecolor=BACK)
+
+    def text(self, x: int, y: int, text: str, points: float, colour: str, **how) -> None:
+        self.figure.text(x / WIDTH, 1 - y / self.height, text, fontsize=points, color=colour, parse_math=False, **how)
+
+    def image(self, x: int, y: int, side: int, image: Tensor) -> None:
+        axes = self.figure.add_axes((x / WIDTH, 1 - (y + side) / self.height, side / WIDTH, side / self.height))
+        pixels = color.clip(image.detach().cpu().float()).numpy()
+        axes.imshow(np.broadcast_to(pixels, (*pixels.shape[:2], 3)), interpolation="antialiased", aspect="auto")
+        axes.set_axis_off()
+
+    def write(self, path: Path) -> None:
+        data = io.BytesIO()
+        FigureCanvasAgg(self.figure).print_png(data)
+        files.write_bytes(path, data.getvalue())
+
+
+def _shown(name: str, value: Tensor) -> Tensor:
+    if name == "normal":
+        return (value + 1) / 2
+    return color.to_display(value, "srgb") if name in COLOURS else value
+
+
+def loss_curve(path: str | Path, trace: Sequence[dict]) -> None:
+    """An SVG of the re-rendering error, and below it of each loss, against seconds; all axes logarithmic.
+
+    Points at 0 seconds and values that are not positive have no place on these axes and are left out.
+
+    Args:
+        path: the SVG to write or replace.
+        trace: one dict a measurement: ``seconds``, ``rerender_rmse``, and each loss under its name.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    losses = list(dict.fromkeys(name for row in trace for name in row))
+    losses = [name for name in losses if name not in ("seconds", "iteration", "rerender_rmse")]
+    figure = Figure(figsize=(6.4, 4.6 if losses else 2.8), layout="constrained")
+    panels = figure.subplots(2 if losses else 1, 1, sharex=True, squeeze=False)[:, 0]
+    _curves(panels[0], trace, {"rerender_rmse": "#c2571a"}, 1.8)
+    panels[0].set_title("Re-rendering RMSE", loc="left", fontsize=9)
+    if losses:
+        palette = matplotlib.colormaps["tab10"]
+        _curves(panels[1], trace, {name: palette(i % 10) for i, name in enumerate(losses)}, 1.1)
+        panels[1].set_title("Losses", loc="left", fontsize=9)
+        panels[1].legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
+    panels[-1].set_xlabel("seconds", fontsize=8)
+    data = io.BytesIO()
+    # Text stays text, and the same trace gives the same file.
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "mitsvbrdf"}):
+        FigureCanvasSVG(figure).print_svg(data, metadata={"Date": None})
+    files.write_bytes(Path(path), data.getvalue())
+
+
+class _Plain(LogFormatter):
+    """Numbers as 0.02, at the ticks that matplotlib would label."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return f"{x:g}" if super().__call__(x, pos) else ""
+
+
+def _curves(axes: Axes, rows: Sequence[dict], colours: dict, width: float) -> None:
+    drawn = 0
+    for name, colour in colours.items():
+        points = [(row["seconds"], row[name]) for row in rows if row["seconds"] > 0 and row.get(name, 0) > 0]
+        axes.plot([x for x, _ in points], [y for _, y in points], color=colour, linewidth=width, label=name,
+                  marker="o" if len(points) == 1 else None)
+        drawn += len(points)
+    if drawn:  # matplotlib refuses logarithmic axes without a point
+        axes.set(xscale="log", yscale="log")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter(_Plain())
+            axis.set_minor_formatter(_Plain())
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(True, which="major", color="#e3e5e8", linewidth=0.6)
+    axes.tick_params(labelsize=7, which="both", color="#9aa0a8")
