@@ -1,1 +1,33 @@
-"""Recover the maps of a material from a few flash photos, through a physically based differentiable renderer."""
+"""Recover the maps of a material from a few flash photos, through a physically based differentiable renderer.
+
+The public names below are loaded on first use: importing the package loads neither torch nor Mitsuba, and sets no variant.
+"""
+
+from __future__ import annotations
+
+import importlib
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "SVBRDF": "maps", "load_maps": "maps", "save_maps": "maps",
+    "View": "views", "Views": "views",
+    "Capture": "capture", "read_capture": "capture", "write_capture": "capture", "guess_diffuse": "capture",
+    "make_renderer": "render",
+    "HybridConfig": "fit", "GanConfig": "fit", "DirectConfig": "fit", "FitResult": "fit", "fit_svbrdf": "fit",
+    "evaluate_fit": "evaluate", "evaluate_maps": "evaluate", "evaluate_capture": "evaluate",
+    "write_fit": "report.folder", "write_scene": "report.export",
+    "make_material": "procedural",
+    "MitsvbrdfError": "errors",
+}
+__all__ = sorted(_HOME)
+
+
+def __getattr__(name: str):
+    if name in _HOME:
+        return getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

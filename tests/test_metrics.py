@@ -9,7 +9,7 @@ import torch
 
 from mitsvbrdf import files
 from mitsvbrdf.errors import CaptureError, ConfigError, MapsError
-from mitsvbrdf.evaluate.metrics import gradient_error, image_error, map_rmse, photo_rmse
+from mitsvbrdf.metrics import gradient_error, image_error, map_rmse, photo_rmse
 from mitsvbrdf.maps import SVBRDF, flat, load_maps
 from mitsvbrdf.procedural import make_material
 

@@ -1,0 +1,92 @@
+"""From a capture to a :class:`FitResult`: three methods behind one function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+from ..capture import Capture, guess_diffuse
+from ..errors import ConfigError
+from ..render import Renderer
+from ..render.needs import scene_needs
+from .config import DirectConfig, FitConfig, GanConfig, HybridConfig
+from .loop import Loop, rerender
+from .result import FitResult
+
+
+def make_method(capture: Capture, renderer: Renderer, guess, config: FitConfig):
+    """The method that a configuration belongs to, ready to step."""
+    if isinstance(config, HybridConfig):
+        from .hybrid import Hybrid
+        return Hybrid(capture, renderer, guess, config)
+    if isinstance(config, GanConfig):
+        from .gan import Gan
+        return Gan(capture, renderer, guess, config)
+    if isinstance(config, DirectConfig):
+        from .direct import Direct
+        return Direct(capture, renderer, guess, config)
+    raise ConfigError("a HybridConfig, GanConfig or DirectConfig", type(config).__name__, "use one of these")
+
+
+def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = None, *,
+               checkpoint: Path | None = None, resume: Path | None = None,
+               report: Callable[[dict, float], None] | None = None) -> FitResult:
+    """Recover a material from photos.
+
+    Args:
+        capture: photos and views.
+        renderer: carries the gradients and draws the comparison.
+        config: which method and its settings; left out, ``HybridConfig()``.
+        checkpoint: file (.safetensors) to keep the running state in.
+        resume: checkpoint to continue from; bit-equal to an uninterrupted run of the same options on a CPU.
+        report: called with (trace entry, share done) after each measurement.
+
+    Returns:
+        The result with the lowest re-rendering error met; Ctrl-C ends the fit early with the best so far.
+
+    Raises:
+        ConfigError: options out of range, or a checkpoint of another fit.
+    """
+    config = (config or HybridConfig()).limited()
+    config.check()
+    guess = guess_diffuse(capture, config.guess)
+    loop = Loop(make_method(capture, renderer, guess, config), capture, renderer, config, checkpoint, report)
+    if resume:
+        loop.resume(resume)
+    stopped = loop.run()
+    assert loop.best is not None
+    _, svbrdf, views = loop.best
+    images, total, each = rerender(renderer, svbrdf, views, capture)
+    offset = (views.light - capture.views.light)[0, :2].tolist() if getattr(loop.method, "fits_offset", False) else None
+    return FitResult(
+        svbrdf=svbrdf, views=views, guess=guess, rerendered=images, rerender_rmse=total, per_photo=each,
+        trace=loop.trace, config=config, renderer=renderer.name, variant=renderer.variant,
+        left_out=left_out(svbrdf.bsdf, views, renderer, config), stopped=stopped, undone_steps=loop.undone,
+        flash_offset=tuple(offset) if offset else None)
+
+
+def left_out(bsdf: str, views, renderer: Renderer, config: FitConfig) -> tuple[tuple[str, str], ...]:
+    """What this fit did not compute, with reasons: the renderer's list and the method's."""
+    items = scene_needs(bsdf, views, renderer.name).left_out
+    if getattr(config, "adversarial", 1.0) == 0:
+        items += (("discriminator", "the adversarial weight is 0"),)
+    return items
+
+
+def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint: Path,
+             report: Callable[[dict, float], None] | None = None) -> None:
+    """The paper's first stage (III.F): train the generator on one picture and keep its weights in ``checkpoint``.
+
+    Args:
+        capture: its first photo is used.
+        config: ``iterations`` defaults to the paper's 10,000.
+    """
+    config = replace(config, preset="paper-one-stage", pretrained=None,
+                     iterations=config.iterations or (None if config.budget else 10_000))
+    one = capture.pick(capture.index[:1])
+    guess = guess_diffuse(one, config.guess)
+    Loop(make_method(one, renderer, guess, config), one, renderer, config, checkpoint, report).run()
+
+
+__all__ = ["DirectConfig", "FitConfig", "FitResult", "GanConfig", "HybridConfig", "fit_svbrdf", "pretrain"]

@@ -7,9 +7,9 @@ import math
 import torch
 from torch import Tensor
 
-from .. import color
-from ..errors import CaptureError, ConfigError, MapsError
-from ..maps import ENCODINGS, SVBRDF
+from . import color
+from .errors import CaptureError, ConfigError, MapsError
+from .maps import ENCODINGS, SVBRDF
 
 # Pixels darker than this share of the reference's mean are compared against the share instead of their own value.
 FLOOR = 1e-3

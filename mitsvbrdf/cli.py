@@ -1,0 +1,308 @@
+"""The command line: parse, call, print, exit code. 0 is success, 2 a mistake the caller can mend, 130 Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+# Sleeping instead of spinning idle threads: torch and Dr.Jit have a pool each and take turns. Read when torch loads.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+import torch  # noqa: E402
+import tyro  # noqa: E402
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg  # noqa: E402
+
+from . import color, files  # noqa: E402
+from .capture import Capture, guess_diffuse, read_capture, write_capture  # noqa: E402
+from .errors import CaptureError, ConfigError, MitsvbrdfError  # noqa: E402
+from .fit import fit_svbrdf, pretrain  # noqa: E402
+from .fit.config import DirectConfig, GanConfig, GuessMethod, HybridConfig  # noqa: E402
+from .maps import load_maps, read_material_json  # noqa: E402
+from .progress import Progress, print_numbers, say  # noqa: E402
+from .render import RendererName, make_renderer  # noqa: E402
+from .views import Falloff, nine_view_grid  # noqa: E402
+
+Out = Annotated[Path, arg(aliases=["-o"], help="Folder (or file) to write.")]
+Overwrite = Annotated[bool, arg(help="Replace results that are there already.")]
+Variant = Annotated[Literal["llvm_ad_rgb", "cuda_ad_rgb"], arg(help="Mitsuba variant.")]
+ViewList = Annotated[str | None, arg(metavar="0,1,2,...", help="Which photos to use, by number; left out: all.")]
+Material = Annotated[str, arg(help="A folder of maps, or builtin:NAME (inlay, tiles, leather, plates).")]
+ViewSource = Annotated[str, arg(help="A capture whose views to use, or builtin:grid (nine views from two sides away).")]
+TransferOption = Annotated[color.Transfer | None, arg(help="How photos encode light; left out: gamma2.2 for calibrated "
+                                                           "captures, srgb for plain photos.")]
+
+
+def fit_command(method: str) -> Callable:
+    """The ``fit`` command with the settings of one method as its options."""
+    config_type = {"hybrid": HybridConfig, "gan": GanConfig, "direct": DirectConfig}[method]
+
+    def fit(
+        capture: Positional[Path],
+        out: Out,
+        config: OmitArgPrefixes[config_type],  # type: ignore[valid-type]
+        method: Annotated[Literal["hybrid", "gan", "direct"], arg(help="How to fit; `fit --method gan --help` shows "
+                                                                       "that method's own options.")] = method,  # type: ignore[assignment]
+        renderer: Annotated[RendererName, arg(help="What renders the maps and carries the gradients.")] = "mitsuba",
+        resolution: Annotated[int, arg(help="Side of the maps in texels; photos are area-averaged down to it.")] = 256,
+        views: ViewList = None,
+        falloff: Annotated[Falloff | None, arg(help="Light falloff; none is the paper's light. Left out: inverse-square, "
+                                                    "and none for --method gan.")] = None,
+        transfer: TransferOption = None,
+        variant: Variant = "llvm_ad_rgb",
+        resume: Annotated[bool, arg(help="Go on from the checkpoint in OUT (or in OUT.partial, after a crash).")] = False,
+        overwrite: Overwrite = False,
+    ) -> int:
+        """Recover the maps of a material from photos.
+
+        Examples:
+            mitsvbrdf fit photos/ -o out --budget 120
+            mitsvbrdf fit photos/ -o out --views 0,1,2,3,5,6,8 --bsdf principled
+            mitsvbrdf fit photos/ -o out --method gan --preset paper-one-stage --iterations 500
+
+        Ctrl-C ends the fit and keeps its best result. OUT then holds maps/, guess/, rerendered/, sheet.png, curve.svg,
+        scene.xml (for plain Mitsuba), fit.json and the checkpoint that --resume goes on from.
+        """
+        from .report.folder import write_fit
+
+        config.check()
+        shots = _read(capture, resolution, views, transfer, falloff or ("none" if method == "gan" else "inverse-square"))
+        engine = make_renderer(renderer, variant)
+        partial = files.partial_folder(Path(os.path.abspath(out)))
+        earlier = next((p for p in (partial / CHECKPOINT, out / CHECKPOINT) if p.is_file()), None)
+        if resume and earlier is None:
+            raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
+        if not (resume or overwrite) and (partial / CHECKPOINT).is_file():
+            raise ConfigError("no unfinished fit", f"the one in {partial}", "--resume goes on, --overwrite starts anew")
+        with files.output_folder(out, overwrite or resume, keep_partial=resume) as folder:
+            with Progress(f"fit {shots.source.name if shots.source else ''} · {method} · {engine.name}") as progress:
+                result = fit_svbrdf(shots, engine, config, checkpoint=folder / CHECKPOINT,
+                                    resume=earlier if resume else None, report=progress)
+            write_fit(result, shots, folder, command={
+                "renderer": renderer, "resolution": resolution, "views": views, "falloff": shots.views.falloff,
+                "transfer": transfer, "variant": variant})
+        print_numbers("Re-rendering RMSE (display values)",
+                      dict(zip(shots.names, result.per_photo)) | {"all photos": result.rerender_rmse})
+        if result.stopped == "interrupted":
+            say(f"interrupted: the best result so far was kept; mitsvbrdf fit {shlex.quote(str(capture))} "
+                f"-o {shlex.quote(str(out))} --resume ... goes on")
+        if result.undone_steps:
+            say(f"{result.undone_steps} steps were not finite and were undone")
+        say(f"wrote {out}/sheet.png, maps/, rerendered/, scene.xml, fit.json")
+        return 0
+
+    return fit
+
+
+CHECKPOINT = "checkpoint.safetensors"
+
+
+def guess(capture: Positional[Path], out: Out, method: GuessMethod = "robust", resolution: int = 256,
+          views: ViewList = None, transfer: TransferOption = None, overwrite: Overwrite = False) -> int:
+    """Make the guessed diffuse map only: OUT/diffuse.exr and .png.
+
+    Methods: min is the paper's per-pixel minimum; mean-blur the older baseline; robust undoes falloff and highlights.
+    """
+    from .report.folder import write_linear
+
+    shots = _read(capture, resolution, views, transfer, "inverse-square")
+    with files.output_folder(out, overwrite) as folder:
+        write_linear(folder / "diffuse", guess_diffuse(shots, method), "srgb")
+    say(f"wrote {out}/diffuse.exr, diffuse.png")
+    return 0
+
+
+def render(maps: Positional[Material], out: Out, views: ViewSource = "builtin:grid", renderer: RendererName = "mitsuba",
+           falloff: Falloff = "inverse-square", transfer: color.Transfer = "gamma2.2",
+           diffuse: Annotated[Literal["fitted", "guessed"], arg(help="guessed: show the guessed diffuse map of the fit "
+                                                                     "instead of its own (paper IV.B).")] = "fitted",
+           variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
+    """Render maps for the views of a capture: OUT/NN.png (display values) and NN.exr (linear)."""
+    from .report.folder import write_linear
+
+    svbrdf, names_views = _material(maps), _views(views, falloff)
+    if diffuse == "guessed":
+        svbrdf = _with_guessed_diffuse(svbrdf, Path(maps))
+    names, lit = names_views
+    images = make_renderer(renderer, variant).render(svbrdf, lit)
+    with files.output_folder(out, overwrite) as folder:
+        for name, image in zip(names, images):
+            write_linear(folder / name, image, transfer)
+    say(f"wrote {len(names)} images to {out}")
+    return 0
+
+
+def evaluate(maps: Positional[Material],
+             reference: Annotated[str | None, arg(help="Known maps: a folder or builtin:NAME.")] = None,
+             capture: Annotated[Path | None, arg(help="Photos to compare re-renderings with.")] = None,
+             views: ViewList = None,
+             resolution: Annotated[int | None, arg(help="Side of the photos; left out: that of the maps.")] = None,
+             renderer: RendererName = "mitsuba", transfer: TransferOption = None,
+             falloff: Annotated[Falloff | None, arg(help="Left out: as in the fit.")] = None,
+             flash_offset: Annotated[Literal["fitted", "none"],
+                                     arg(help="fitted: use the flash offset that the fit found.")] = "fitted",
+             json_file: Annotated[Path | None, arg(name="json", help="Write the figures to this file.")] = None,
+             variant: Variant = "llvm_ad_rgb") -> int:
+    """Measure maps: against known maps (--reference) or against photos (--capture).
+
+    Map RMSE is counted as in the field: diffuse and specular gamma-encoded, roughness as stored, normal as (n + 1) / 2.
+    Re-rendering RMSE is in display values clipped to [0, 1], over all pixels and photos.
+    """
+    from .evaluate import evaluate_capture, evaluate_maps, fit_record_of
+    from .metrics import map_rmse
+
+    if (reference is None) == (capture is None):
+        raise ConfigError("either --reference or --capture", "both" if reference else "neither", "give one of them")
+    svbrdf = _material(maps)
+    if reference is not None:
+        found = map_rmse(svbrdf, _material(reference)) if reference.startswith("builtin:") else evaluate_maps(
+            svbrdf, reference)
+        print_numbers("Map RMSE", found)
+    else:
+        record = {} if maps.startswith("builtin:") else fit_record_of(maps)
+        falloff = falloff or record.get("views", {}).get("falloff", "inverse-square")
+        offset = record.get("flash_offset") if flash_offset == "fitted" else None
+        shots = _read(capture, resolution or svbrdf.resolution, views, transfer, falloff)
+        found = evaluate_capture(svbrdf, shots, make_renderer(renderer, variant), offset and (offset["x"], offset["y"]))
+        print_numbers("Re-rendering RMSE (display values)", found["per_photo"] | {"all photos": found["rerender_rmse"]})
+    if json_file:
+        files.write_json(json_file, found)
+    return 0
+
+
+def synth(material: Positional[Material], out: Out, views: ViewSource = "builtin:grid", resolution: int = 256,
+          noise: Annotated[float, arg(help="Standard deviation of sensor noise in linear radiance.")] = 0.0,
+          seed: int = 0, renderer: RendererName = "mitsuba", transfer: color.Transfer = "gamma2.2",
+          variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
+    """Take photos of known maps: 8-bit, clipped, optionally noisy; a capture to test fits on."""
+    if noise < 0:
+        raise ConfigError("--noise >= 0", str(noise), "give the standard deviation, e.g. 0.003")
+    svbrdf, (names, lit) = _material(material, resolution), _views(views, "inverse-square")
+    if svbrdf.resolution < resolution:
+        say(f"the maps have {svbrdf.resolution} px, so have the photos")
+    radiance = make_renderer(renderer, variant).render(svbrdf.resized(min(resolution, svbrdf.resolution)), lit)
+    grain = torch.randn(radiance.shape, generator=torch.Generator().manual_seed(seed))
+    photos = color.to_display((radiance + noise * grain).clamp_min(0), transfer)
+    with files.output_folder(out, overwrite) as folder:
+        write_capture(Capture(photos, lit, transfer), folder)
+    say(f"wrote {len(names)} photos and capture.json to {out}")
+    return 0
+
+
+def pretrain_command(picture: Positional[Path], out: Out, config: OmitArgPrefixes[GanConfig], resolution: int = 256,
+                     renderer: RendererName = "mitsuba", falloff: Falloff = "none", variant: Variant = "llvm_ad_rgb",
+                     overwrite: Overwrite = False) -> int:
+    """First stage of the paper's two-stage training: the generator learns from one picture with global features.
+
+    PICTURE is a capture (its first photo is used) or a folder with one photo; OUT a .safetensors file, for
+    `fit --method gan --preset paper-two-stage --pretrained OUT`.
+    """
+    config.check()
+    if out.exists() and not overwrite:
+        raise ConfigError("a new checkpoint file", f"{out}, which exists", "add --overwrite, or choose another name")
+    shots = _read(picture, resolution, None, None, falloff)
+    engine = make_renderer(renderer, variant)
+    with Progress(f"pretrain · {engine.name}") as progress:
+        pretrain(shots, engine, config, out, progress)
+    say(f"wrote {out}")
+    return 0
+
+
+def doctor(variant: Variant = "llvm_ad_rgb", json: bool = False) -> int:
+    """Show what is installed, prove libLLVM in a child process, and say what is missing and how to get it."""
+    from .doctor import doctor as examine
+
+    return examine(variant=variant, json=json)
+
+
+def demo(out: Out = Path("out/demo"), budget: float = 75.0, overwrite: Overwrite = True) -> int:
+    """Photograph a made material, recover it, and compare with the truth; about two minutes."""
+    from .evaluate import evaluate_maps
+    from .maps import save_maps
+    from .procedural import make_material
+
+    truth, photos, result = out / "material", out / "capture", out / "fit"
+    with files.output_folder(truth, overwrite) as folder:
+        save_maps(make_material("inlay", 256), folder)
+    synth(str(truth), photos, noise=0.003, overwrite=overwrite)
+    fit_command("hybrid")(photos, result, HybridConfig(budget=budget), overwrite=overwrite)
+    print_numbers("Map RMSE against the truth", evaluate_maps(load_maps(result), truth))
+    say(f"look at {result}/sheet.png")
+    return 0
+
+
+def _read(capture: Path, resolution: int, views: str | None, transfer, falloff: Falloff) -> Capture:
+    if resolution < 8:
+        raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
+    index = None
+    if views is not None:
+        try:
+            index = [int(part) for part in views.split(",")]
+        except ValueError:
+            raise ConfigError("photo numbers like 0,1,2,5", repr(views), "separate them by commas") from None
+    shots = read_capture(capture, resolution=resolution, index=index, transfer=transfer, falloff=falloff)
+    for note in shots.notes:
+        say(note)
+    return shots
+
+
+def _material(name: str, resolution: int = 256):
+    if name.startswith("builtin:"):
+        from .procedural import make_material
+        return make_material(name.removeprefix("builtin:"), resolution)
+    return load_maps(name)
+
+
+def _views(source: str, falloff: Falloff):
+    if source == "builtin:grid":
+        views = replace(nine_view_grid(), falloff=falloff)
+        return [f"{i:02d}" for i in range(len(views))], views
+    if source.startswith("builtin:"):
+        raise CaptureError("a capture folder or builtin:grid", source, "check --views")
+    shots = read_capture(Path(source), falloff=falloff)
+    return list(shots.names), shots.views
+
+
+def _with_guessed_diffuse(svbrdf, maps: Path):
+    from .errors import MapsError
+    from .maps import SVBRDF
+
+    folder = maps.parent if maps.name == "maps" else maps
+    guessed = files.read_image(folder / "guess" / "diffuse.exr", MapsError)
+    name = "diffuse" if svbrdf.bsdf == "roughconductor" else "base_color"
+    return SVBRDF(svbrdf.bsdf, dict(svbrdf.maps) | {name: guessed})
+
+
+def _method_of(arguments: list[str]) -> str:
+    for here, after in zip(arguments, [*arguments[1:], ""]):
+        name = after if here == "--method" else here.removeprefix("--method=") if here.startswith("--method=") else None
+        if name in ("hybrid", "gan", "direct"):
+            return name
+    return "hybrid"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run a command; returns the exit code."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    commands = {"fit": fit_command(_method_of(arguments)), "guess": guess, "render": render, "evaluate": evaluate,
+                "synth": synth, "pretrain": pretrain_command, "doctor": doctor, "demo": demo}
+    try:
+        return tyro.extras.subcommand_cli_from_dict(
+            commands, prog="mitsvbrdf", args=arguments, config=(FlagCreatePairsOff,),
+            description="Recover the maps of a material (diffuse, specular, roughness, normal) from a few flash photos, "
+                        "fitted through Mitsuba 3, without any training data.")
+    except MitsvbrdfError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

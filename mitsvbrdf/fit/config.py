@@ -1,0 +1,121 @@
+"""Settings of the fits: frozen dataclasses, the only home of each default; a field's docstring is its --help."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal, get_args
+
+from ..errors import ConfigError
+from ..maps import Bsdf
+
+GuessMethod = Literal["robust", "min", "mean-blur"]
+Preset = Literal["paper-one-stage", "paper-two-stage"]
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """What all methods share."""
+
+    bsdf: Bsdf = "roughconductor"
+    """Which maps to recover: roughconductor (diffuse, specular) or principled (base colour, metallic)."""
+    guess: GuessMethod = "robust"
+    """How the guessed diffuse map is made: robust (ours), min (the paper's), mean-blur (Zhao 2020)."""
+    budget: float | None = None
+    """Stop after this many seconds."""
+    iterations: int | None = None
+    """Stop after this many iterations (with --budget: whichever comes first)."""
+    seed: int = 0
+    """Seed of every random choice."""
+
+    def check(self) -> None:
+        """Raise ConfigError for limits that cannot be met."""
+        for name in ("budget", "iterations"):
+            value = getattr(self, name)
+            if value is not None and not value > 0:
+                raise ConfigError(f"{name} > 0", str(value), "give a positive number")
+
+    def limited(self) -> FitConfig:
+        """Itself with the method's default limit filled in where none was given."""
+        return self if self.budget or self.iterations else replace(self, **self.default_limit)
+
+    @property
+    def default_limit(self) -> dict:
+        """The limit used when neither seconds nor iterations are given."""
+        return {"budget": 120.0}
+
+
+@dataclass(frozen=True)
+class HybridConfig(FitConfig):
+    """The default method: a generator that sees all photos, trained through the renderer against all of them."""
+
+    width: int = 16
+    """Channels of the generator's finest level."""
+    learning_rate: float = 2e-3
+    """Adam's step size at the start; it falls to 2 % along a cosine."""
+    photometric: float = 1.0
+    """Weight of the re-rendering error over all photos (L1 in display values)."""
+    diffuse: float = 0.05
+    """Weight of the distance of the diffuse map to the guess (the paper's diffuse loss)."""
+    adversarial: float = 0.002
+    """Weight of the discriminator's verdict (the paper's adversarial loss); 0 leaves the discriminator out."""
+    smooth: float = 0.01
+    """Weight of the roughness of the specular and roughness maps (total variation)."""
+    flat: float = 0.005
+    """Weight of the tilt of the normals."""
+    flash_offset: bool = True
+    """Fit the sideways distance between lens and flash, one for all photos (calibrations put both in one place)."""
+
+
+@dataclass(frozen=True)
+class DirectConfig(FitConfig):
+    """The baseline: every texel on its own, from a robust start."""
+
+    learning_rate: float = 0.05
+    """Adam's step size at the start, in logits; it falls to 2 % along a cosine."""
+    photometric: float = 1.0
+    """Weight of the re-rendering error over all photos (L1 in display values)."""
+    smooth: float = 0.01
+    """Weight of the roughness of the specular and roughness maps (total variation)."""
+    flat: float = 0.005
+    """Weight of the tilt of the normals."""
+
+    @property
+    def default_limit(self) -> dict:
+        return {"budget": 60.0}
+
+
+@dataclass(frozen=True)
+class GanConfig(FitConfig):
+    """The paper's method: adversarial and diffuse loss only, one photo or a blend of two as input (III.D, III.F)."""
+
+    guess: GuessMethod = "min"
+    preset: Preset = "paper-one-stage"
+    """paper-one-stage: 20,000 iterations; paper-two-stage: 10,000 on one picture, then 15,000 on the photos."""
+    pretrained: str | None = None
+    """A checkpoint of `mitsvbrdf pretrain`, to start the second stage from."""
+    width: int = 64
+    """Channels of the first convolution."""
+    learning_rate: float = 2e-5
+    """Adam's step size (III.F)."""
+    normal_roughness_steps: int = 5
+    """Gradient steps of the normal/roughness decoder per step of the diffuse/specular decoder (III.F)."""
+    diffuse: float = 10.0
+    """Weight of the diffuse loss beside the adversarial loss (the paper prints none)."""
+
+    def check(self) -> None:
+        super().check()
+        if self.preset not in get_args(Preset):
+            raise ConfigError(f"a preset of {get_args(Preset)}", repr(self.preset), "choose one of these")
+        if self.pretrained and self.preset != "paper-two-stage":
+            raise ConfigError("--preset paper-two-stage beside a pretrained checkpoint", f"--preset {self.preset}",
+                              "add --preset paper-two-stage")
+
+    @property
+    def stages(self) -> tuple[int, int]:
+        """The paper's iterations (on one picture, on the target photos)."""
+        return (0, 20_000) if self.preset == "paper-one-stage" else (10_000, 15_000)
+
+    @property
+    def default_limit(self) -> dict:
+        first, second = self.stages
+        return {"iterations": second if self.pretrained else first + second}

@@ -1,0 +1,60 @@
+"""``direct``, the baseline: each texel optimised on its own through the renderer, from a robust start."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ..capture import Capture
+from ..maps import SVBRDF
+from ..render import Renderer
+from ..views import Views
+from . import losses
+from .config import DirectConfig
+from .loop import cosine, load_optimizer_state, optimizer_state
+from .parameters import to_raw, to_svbrdf
+from .start import robust_start
+
+
+class Direct:
+    """Steps of per-texel optimisation with Adam; see :class:`mitsvbrdf.fit.loop.Method`."""
+
+    def __init__(self, capture: Capture, renderer: Renderer, guess: Tensor, config: DirectConfig) -> None:
+        self.capture, self.renderer, self.config = capture, renderer, config
+        self.views = capture.views
+        self.raw = {k: v.requires_grad_() for k, v in to_raw(robust_start(capture, guess, config.bsdf)).items()}
+        self.edges = losses.edge_weights(guess)
+        self.peak = config.learning_rate
+        self.optimizer = torch.optim.Adam(list(self.raw.values()), lr=self.peak)
+
+    def step(self, progress: float) -> dict[str, float]:
+        """One Adam step on all photos."""
+        self.optimizer.param_groups[0]["lr"] = self.peak * cosine(progress)
+        svbrdf = to_svbrdf(self.config.bsdf, self.raw)
+        rendered = self.renderer.render(svbrdf, self.views)
+        terms = {"photometric": losses.photometric(rendered, self.capture.photos, self.capture.transfer),
+                 "smooth": losses.total_variation(svbrdf, self.edges), "flat": losses.tilt(svbrdf)}
+        total = sum(getattr(self.config, name) * value for name, value in terms.items())
+        self.optimizer.zero_grad(set_to_none=True)
+        total.backward()
+        self.optimizer.step()
+        return {name: float(value.detach()) for name, value in terms.items()}
+
+    def estimate(self) -> tuple[SVBRDF, Views]:
+        with torch.no_grad():
+            return to_svbrdf(self.config.bsdf, self.raw).map(Tensor.contiguous), self.views
+
+    def cut_step(self) -> None:
+        self.peak /= 2
+
+    def state(self) -> dict[str, Tensor]:
+        return {f"raw.{k}": v.detach().clone() for k, v in self.raw.items()} | {
+            k: v.clone() for k, v in optimizer_state("optimizer", self.optimizer).items()} | {
+            "peak": torch.tensor(self.peak, dtype=torch.float64)}
+
+    def load_state(self, state: dict[str, Tensor]) -> None:
+        with torch.no_grad():
+            for name, value in self.raw.items():
+                value.copy_(state[f"raw.{name}"])
+        load_optimizer_state("optimizer", self.optimizer, state)
+        self.peak = float(state["peak"])

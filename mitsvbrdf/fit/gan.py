@@ -1,0 +1,160 @@
+"""``gan``: the paper's method. A two-stream generator turns one photo into maps; their rendering under that photo's view
+has to pass for the photo (adversarial loss) and the diffuse map has to look like the guessed one (diffuse loss).
+
+What the paper leaves open, and what is done here: the encoder moves with the diffuse/specular decoder, once an iteration;
+blends are made in linear light, and the same blend of the same views is rendered; the maps reported are those generated
+from the first photo; of the first stage only the generator's weights are kept.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from .. import color
+from ..capture import Capture
+from ..errors import ConfigError
+from ..maps import SVBRDF
+from ..render import Renderer
+from ..views import Views
+from . import losses
+from .config import GanConfig
+from .loop import load_module_state, load_optimizer_state, load_tensors, module_state, optimizer_state
+from .networks import PatchDiscriminator, TwoStreamGenerator
+from .parameters import from_units
+
+
+class Gan:
+    """Steps of the paper's training (III.F); see :class:`mitsvbrdf.fit.loop.Method`.
+
+    Args:
+        capture: photos and views.
+        renderer: carries the gradients.
+        guess: guessed diffuse map, R x R x 3 linear.
+        config: preset and weights.
+
+    Raises:
+        ConfigError: the pretrained checkpoint is of another size or kind.
+    """
+
+    def __init__(self, capture: Capture, renderer: Renderer, guess: Tensor, config: GanConfig) -> None:
+        self.capture, self.renderer, self.guess, self.config = capture, renderer, guess, config
+        self.views = capture.views
+        self.random = torch.Generator().manual_seed(config.seed)
+        torch.manual_seed(config.seed)
+        self.generator = TwoStreamGenerator(config.bsdf, config.width)
+        self.learning_rate = config.learning_rate
+        if config.pretrained:
+            load_generator(self.generator, config)
+        first, second = config.stages
+        self.first_share = 0.0 if config.pretrained else first / (first + second)
+        self.stage = 1 if self.first_share > 0 else 2
+        self._new_stage()
+
+    def _new_stage(self) -> None:
+        """A new discriminator and new optimisers; the generator's weights stay."""
+        g = self.generator
+        self.discriminator = PatchDiscriminator(self.config.width)
+        options = {"lr": self.learning_rate, "betas": (0.5, 0.999)}
+        self.slow = torch.optim.Adam([*g.encoder.parameters(), *g.diffuse_specular.parameters()], **options)
+        self.fast = torch.optim.Adam(g.normal_roughness.parameters(), **options)
+        self.judge = torch.optim.Adam(self.discriminator.parameters(), **options)
+
+    def step(self, progress: float) -> dict[str, float]:
+        """One iteration: discriminator once, diffuse/specular and encoder once, normal/roughness several times."""
+        if self.stage == 1 and progress >= self.first_share:
+            self.stage = 2
+            torch.manual_seed(self.config.seed + 1)
+            self._new_stage()
+        photo, views, weights = self._draw_input()
+        size = photo.shape[-1]
+        code = self.generator.encode(photo)
+        lower = self.generator.decode(1, code, size)
+        logged: dict[str, float] = {}
+        for substep in range(self.config.normal_roughness_steps):
+            first = substep == 0
+            if not first:
+                code, lower = code.detach(), {k: v.detach() for k, v in lower.items()}
+            svbrdf = from_units(self.config.bsdf, self.generator.decode(0, code, size) | lower)
+            fake = self._picture(svbrdf, views, weights)
+            if first:
+                logged["discriminator"] = self._teach_discriminator(photo, fake.detach())
+            adversarial = losses.adversarial(self.discriminator(fake))
+            diffuse = losses.diffuse(svbrdf, self.guess)
+            for optimizer in (self.slow, self.fast):
+                optimizer.zero_grad(set_to_none=True)
+            (adversarial + self.config.diffuse * diffuse).backward()
+            self.fast.step()
+            if first:
+                self.slow.step()
+            logged |= {"adversarial": float(adversarial.detach()), "diffuse": float(diffuse.detach())}
+        return logged | {"stage": float(self.stage)}
+
+    def _draw_input(self) -> tuple[Tensor, Views, Tensor]:
+        """With equal chance one photo, or two blended with a random weight: display values, views, weights (III.F)."""
+        count = 1 if self.stage == 1 else len(self.capture)
+        order = torch.randperm(count, generator=self.random)
+        coin, weight = torch.rand(2, generator=self.random).tolist()
+        picked = order[:1] if coin < 0.5 or count == 1 else order[:2]
+        weights = torch.tensor([1.0] if len(picked) == 1 else [weight, 1 - weight]).reshape(-1, 1, 1, 1)
+        linear = color.decode(self.capture.photos[picked], self.capture.transfer)
+        blend = (weights * linear).sum(dim=0)
+        return color.encode(blend, self.capture.transfer).permute(2, 0, 1)[None], self.views.pick(picked), weights
+
+    def _picture(self, svbrdf: SVBRDF, views: Views, weights: Tensor) -> Tensor:
+        # Each view is clipped as its photo was before it is blended, so that input and rendering show the same physics.
+        rendered = self.renderer.render(svbrdf, views).clamp(0, 1)
+        blend = (weights * rendered).sum(dim=0)
+        return color.to_display(blend, self.capture.transfer).permute(2, 0, 1)[None]
+
+    def _teach_discriminator(self, real: Tensor, fake: Tensor) -> float:
+        loss = losses.discriminator(self.discriminator(real), self.discriminator(fake))
+        self.judge.zero_grad(set_to_none=True)
+        loss.backward()
+        self.judge.step()
+        return float(loss.detach())
+
+    def estimate(self) -> tuple[SVBRDF, Views]:
+        with torch.no_grad():
+            units = self.generator(self.capture.photos[:1].permute(0, 3, 1, 2))
+            return from_units(self.config.bsdf, units).map(Tensor.contiguous), self.views
+
+    def cut_step(self) -> None:
+        self.learning_rate /= 2
+        for optimizer in (self.slow, self.fast, self.judge):
+            optimizer.param_groups[0]["lr"] = self.learning_rate
+
+    def state(self) -> dict[str, Tensor]:
+        state = {"random": self.random.get_state(), "stage": torch.tensor(self.stage),
+                 "learning_rate": torch.tensor(self.learning_rate, dtype=torch.float64)}
+        for name in ("generator", "discriminator"):
+            state |= module_state(name, getattr(self, name))
+        for name in ("slow", "fast", "judge"):
+            state |= {key: value.clone() for key, value in optimizer_state(name, getattr(self, name)).items()}
+        return state
+
+    def load_state(self, state: dict[str, Tensor]) -> None:
+        self.stage = int(state["stage"])
+        self.learning_rate = float(state["learning_rate"])
+        self._new_stage()
+        self.random.set_state(state["random"])
+        for name in ("generator", "discriminator"):
+            load_module_state(name, getattr(self, name), state)
+        for name in ("slow", "fast", "judge"):
+            load_optimizer_state(name, getattr(self, name), state)
+
+
+def load_generator(generator: TwoStreamGenerator, config: GanConfig) -> None:
+    """Fill a generator from a checkpoint of ``mitsvbrdf pretrain`` or of a ``gan`` fit.
+
+    Raises:
+        ConfigError: no checkpoint, or one of another width or parameter set.
+    """
+    tensors, note = load_tensors(config.pretrained)
+    weights = {k.removeprefix("method."): v for k, v in tensors.items() if k.startswith("method.generator.")}
+    try:
+        load_module_state("generator", generator, weights)
+    except RuntimeError:
+        raise ConfigError(f"a generator of width {config.width} for {config.bsdf}",
+                          f"another one in {config.pretrained} (bsdf {note.get('bsdf')})",
+                          "use the --gan.width and --bsdf it was pretrained with") from None

@@ -1,0 +1,237 @@
+"""The loop all methods share: limits, trace, best result, checkpoints, undoing bad steps, Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import math
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from ..capture import Capture
+from ..errors import ConfigError, MitsvbrdfError
+from ..files import beside
+from ..maps import SVBRDF
+from ..metrics import photo_rmse
+from ..render import Renderer
+from ..views import Views
+from .config import FitConfig
+
+EVALUATE_EVERY = 10  # iterations; a fixed count, so that a resumed run keeps the same best result
+CHECKPOINT_SECONDS = 30.0
+MAX_UNDONE = 20
+
+
+class Method(Protocol):
+    """One way to fit, advanced step by step. Its whole running state is named tensors."""
+
+    views: Views
+
+    def step(self, progress: float) -> dict[str, float]:
+        """One iteration at this share (0 to 1) of the run; returns each loss, unweighted."""
+        ...
+
+    def estimate(self) -> tuple[SVBRDF, Views]:
+        """The present material and views, detached."""
+        ...
+
+    def state(self) -> dict[str, Tensor]:
+        """Everything a later :meth:`load_state` needs to go on bit by bit."""
+        ...
+
+    def load_state(self, state: dict[str, Tensor]) -> None:
+        """Continue from a saved state."""
+        ...
+
+    def cut_step(self) -> None:
+        """Halve the step size, after a step was undone."""
+        ...
+
+
+class Loop:
+    """Runs a method within its limits.
+
+    Args:
+        method: what to advance.
+        capture: the photos to compare with.
+        renderer: renders the comparison.
+        config: limits and seed.
+        checkpoint: file to save the state to now and then, and at the end; None saves nothing.
+        report: called after each measurement with the trace entry and the share done (0 to 1).
+    """
+
+    def __init__(self, method: Method, capture: Capture, renderer: Renderer, config: FitConfig,
+                 checkpoint: Path | None = None, report: Callable[[dict, float], None] | None = None) -> None:
+        self.method, self.capture, self.renderer, self.config = method, capture, renderer, config.limited()
+        self.checkpoint, self.report = checkpoint, report
+        self.iteration, self.seconds, self.undone = 0, 0.0, 0
+        self.trace: list[dict] = []
+        self.best: tuple[float, SVBRDF, Views] | None = None
+
+    def run(self) -> str:
+        """Advance until a limit or Ctrl-C; returns "budget", "iterations" or "interrupted"."""
+        stop: list[int] = []
+        in_main = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        if in_main:
+            signal.signal(signal.SIGINT, lambda *_: stop.append(1))
+        started, saved = time.perf_counter() - self.seconds, time.perf_counter()
+        good = None
+        try:
+            if self.iteration == 0:
+                self._measure({})
+            while True:
+                self.seconds = time.perf_counter() - started
+                why = "interrupted" if stop else self._limit_reached()
+                if why:
+                    break
+                if self.iteration % EVALUATE_EVERY == 0:
+                    good = self.method.state()
+                losses = self.method.step(self.progress)
+                if not all(map(math.isfinite, losses.values())):
+                    self._undo(good)
+                    continue
+                self.iteration += 1
+                if self.iteration % EVALUATE_EVERY == 0:
+                    self.seconds = time.perf_counter() - started
+                    self._measure(losses)
+                if self.checkpoint and time.perf_counter() - saved > CHECKPOINT_SECONDS:
+                    self.save()
+                    saved = time.perf_counter()
+        finally:
+            if in_main:
+                signal.signal(signal.SIGINT, signal.default_int_handler)
+        if self.checkpoint:
+            self.save()
+        if self.iteration % EVALUATE_EVERY:
+            self._measure(losses)
+        return why
+
+    @property
+    def progress(self) -> float:
+        """Share of the run that is done, by whichever limit is nearer."""
+        shares = [self.iteration / self.config.iterations] if self.config.iterations else []
+        shares += [self.seconds / self.config.budget] if self.config.budget else []
+        return min(max(shares), 1.0)
+
+    def _limit_reached(self) -> str | None:
+        if self.config.iterations and self.iteration >= self.config.iterations:
+            return "iterations"
+        return "budget" if self.config.budget and self.seconds >= self.config.budget else None
+
+    def _undo(self, good: dict[str, Tensor] | None) -> None:
+        self.undone += 1
+        if good is None or self.undone > MAX_UNDONE:
+            raise ConfigError("a fit that stays finite", f"{self.undone} steps that did not",
+                              "lower the learning rate or check the photos and their calibration")
+        self.method.load_state(good)
+        self.method.cut_step()
+
+    def _measure(self, losses: dict[str, float]) -> None:
+        svbrdf, views = self.method.estimate()
+        rmse = rerender(self.renderer, svbrdf, views, self.capture)[1]
+        if self.best is None or rmse < self.best[0]:
+            self.best = rmse, svbrdf, views
+        entry = {"seconds": round(self.seconds, 3), "iteration": self.iteration, **losses, "rerender_rmse": rmse}
+        self.trace.append(entry)
+        if self.report:
+            self.report(entry, self.progress)
+
+    def save(self) -> None:
+        """Write the checkpoint: tensors only, with the trace as text in its header."""
+        assert self.checkpoint is not None
+        rmse, svbrdf, views = self.best or (math.inf, *self.method.estimate())
+        tensors = {f"method.{k}": v for k, v in self.method.state().items()}
+        tensors |= {f"best.{k}": v for k, v in svbrdf.maps.items()}
+        tensors |= {"best_views.camera": views.camera, "best_views.light": views.light}
+        note = {"iteration": self.iteration, "seconds": self.seconds, "undone": self.undone, "best_rmse": rmse,
+                "trace": self.trace, "method": type(self.method).__name__, "bsdf": svbrdf.bsdf}
+        save_tensors(self.checkpoint, tensors, note)
+
+    def resume(self, path: Path) -> None:
+        """Continue from a checkpoint of the same method and size.
+
+        Raises:
+            ConfigError: it is none, or of another kind of fit.
+        """
+        tensors, note = load_tensors(path)
+        if note.get("method") != type(self.method).__name__ or note.get("bsdf") != self.config.bsdf:
+            raise ConfigError(f"a checkpoint of {type(self.method).__name__} / {self.config.bsdf}",
+                              f"{note.get('method')} / {note.get('bsdf')} in {path}", "resume with the same options")
+        try:
+            self.method.load_state({k[7:]: v for k, v in tensors.items() if k.startswith("method.")})
+        except (KeyError, RuntimeError, ValueError) as reason:
+            raise ConfigError("a checkpoint of the same options", f"{path}: {str(reason).splitlines()[0]}",
+                              "resume with the options of the first run") from None
+        maps = {k[5:]: v for k, v in tensors.items() if k.startswith("best.")}
+        views = self.method.views
+        views = type(views)(tensors["best_views.camera"], tensors["best_views.light"], views.intensity, views.size,
+                            views.falloff)
+        self.best = note["best_rmse"], SVBRDF(self.config.bsdf, maps), views
+        self.iteration, self.seconds, self.undone = note["iteration"], note["seconds"], note["undone"]
+        self.trace = note["trace"]
+
+
+def rerender(renderer: Renderer, svbrdf: SVBRDF, views: Views, capture: Capture) -> tuple[Tensor, float, list[float]]:
+    """The material rendered for the capture's photos: linear images, RMSE over all, RMSE of each (display values)."""
+    with torch.no_grad():
+        images = renderer.render(svbrdf, views)
+    return images, *photo_rmse(images, capture.photos, capture.transfer)
+
+
+def save_tensors(path: Path, tensors: dict[str, Tensor], note: dict) -> None:
+    """A safetensors file: plain tensors, and a note as JSON text. Loading it runs no code."""
+    with beside(path) as temporary:
+        save_file({k: v.detach().contiguous().clone() for k, v in tensors.items()}, temporary,
+                  metadata={"mitsvbrdf": json.dumps(note)})
+
+
+def load_tensors(path: Path, error: type[MitsvbrdfError] = ConfigError) -> tuple[dict[str, Tensor], dict]:
+    """What :func:`save_tensors` wrote.
+
+    Raises:
+        ConfigError: no such file, or not a checkpoint of this package.
+    """
+    try:
+        with safe_open(str(path), "pt") as file:
+            note = json.loads(file.metadata()["mitsvbrdf"])
+            return {key: file.get_tensor(key) for key in file.keys()}, note
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as reason:
+        raise error("a checkpoint of mitsvbrdf (.safetensors)", f"{path}: {reason}", "check the path") from None
+
+
+def optimizer_state(name: str, optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
+    """An optimiser's running averages as named tensors."""
+    return {f"{name}.{i}.{key}": value for i, entry in optimizer.state_dict()["state"].items()
+            for key, value in entry.items()}
+
+
+def load_optimizer_state(name: str, optimizer: torch.optim.Optimizer, state: dict[str, Tensor]) -> None:
+    """The inverse of :func:`optimizer_state`; step sizes stay as they are."""
+    entries: dict[int, dict[str, Tensor]] = {}
+    for key, value in state.items():
+        if key.startswith(name + "."):
+            index, field = key[len(name) + 1:].split(".", 1)
+            entries.setdefault(int(index), {})[field] = value.clone()
+    optimizer.load_state_dict({"state": entries, "param_groups": optimizer.state_dict()["param_groups"]})
+
+
+def module_state(name: str, module: torch.nn.Module) -> dict[str, Tensor]:
+    """A network's weights as named tensors."""
+    return {f"{name}.{key}": value.detach().clone() for key, value in module.state_dict().items()}
+
+
+def load_module_state(name: str, module: torch.nn.Module, state: dict[str, Tensor]) -> None:
+    """The inverse of :func:`module_state`."""
+    module.load_state_dict({k[len(name) + 1:]: v for k, v in state.items() if k.startswith(name + ".")})
+
+
+def cosine(progress: float, floor: float = 0.02) -> float:
+    """Falls from 1 to ``floor`` along half a cosine."""
+    return floor + (1 - floor) * (1 + math.cos(math.pi * progress)) / 2

@@ -1,0 +1,68 @@
+"""The losses, each a plain function of tensors, unweighted."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from .. import color
+from ..maps import SVBRDF
+
+CLIPPED = 0.995  # photo values from here on are cut highlights: they only say "at least this bright"
+
+
+def photometric(rendered: Tensor, photos: Tensor, transfer: color.Transfer) -> Tensor:
+    """Mean absolute error in display values; a clipped photo pixel only asks for at least its value (ours).
+
+    Args:
+        rendered: linear radiance N x R x R x 3, unclamped.
+        photos: display values in [0, 1], the same shape.
+    """
+    error = color.encode(rendered, transfer) - photos
+    return torch.where(photos >= CLIPPED, error.clamp_max(0), error).abs().mean()
+
+
+def diffuse(svbrdf: SVBRDF, guess: Tensor) -> Tensor:
+    """Mean absolute distance of the diffuse map to the guessed one, gamma 2.2 encoded (paper III.A, III.F)."""
+    return F.l1_loss(color.encode(svbrdf.as_roughconductor()["diffuse"]), color.encode(guess))
+
+
+def total_variation(svbrdf: SVBRDF, edges: Tensor) -> Tensor:
+    """Mean absolute step of the specular/metallic and roughness maps, less where the guess itself has an edge (ours).
+
+    Args:
+        edges: the two R x R x 1 weights of :func:`edge_weights`, for steps down and to the right.
+    """
+    down, right = edges
+    loss = torch.zeros(())
+    for name in ("specular", "metallic", "roughness"):
+        if name in svbrdf.maps:
+            m = svbrdf[name]
+            loss = loss + ((m[1:] - m[:-1]).abs() * down[:-1]).mean() + ((m[:, 1:] - m[:, :-1]).abs() * right[:, :-1]).mean()
+    return loss
+
+
+def edge_weights(guess: Tensor, sharpness: float = 10.0) -> Tensor:
+    """Weights 2 x R x R x 1 in (0, 1]: exp(-sharpness * step of the encoded guess) downward and to the right."""
+    g = color.encode(guess)
+    down = F.pad((g[1:] - g[:-1]).abs().amax(-1, keepdim=True), (0, 0, 0, 0, 0, 1))
+    right = F.pad((g[:, 1:] - g[:, :-1]).abs().amax(-1, keepdim=True), (0, 0, 0, 1, 0, 0))
+    return torch.exp(-sharpness * torch.stack((down, right)))
+
+
+def tilt(svbrdf: SVBRDF) -> Tensor:
+    """Mean of the sine of the normals' tilt: flat unless the photos pay for relief (ours)."""
+    x, y = svbrdf["normal"][..., 0], svbrdf["normal"][..., 1]
+    return torch.sqrt(x**2 + y**2 + 1e-8).mean()
+
+
+def discriminator(real: Tensor, fake: Tensor) -> Tensor:
+    """Binary cross entropy of the discriminator's probabilities: photos are 1, renderings 0 (Goodfellow 2014)."""
+    return (F.binary_cross_entropy(real, torch.ones_like(real))
+            + F.binary_cross_entropy(fake, torch.zeros_like(fake))) / 2
+
+
+def adversarial(fake: Tensor) -> Tensor:
+    """What the generator minimises: -log of the probability that its rendering is a photo (non-saturating form)."""
+    return F.binary_cross_entropy(fake, torch.ones_like(fake))

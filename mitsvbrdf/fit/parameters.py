@@ -1,0 +1,52 @@
+"""From unbounded numbers to a valid material and back: every output is in range by construction."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ..maps import CHANNELS, SVBRDF, Bsdf
+
+ROUGHNESS_RANGE = (0.05, 1.0)
+MAX_SLOPE = 1.5  # of the normal's x and y over z: 56 degrees along an axis
+
+# Channels the raw numbers take, in this order; a normal is two slopes. Grouped as the paper's two streams (III.D).
+STREAMS: dict[str, tuple[dict[str, int], dict[str, int]]] = {
+    "roughconductor": ({"normal": 2, "roughness": 1}, {"diffuse": 3, "specular": 3}),
+    "principled": ({"normal": 2, "roughness": 1}, {"base_color": 3, "metallic": 1}),
+}
+
+
+def to_svbrdf(bsdf: Bsdf, raw: dict[str, Tensor]) -> SVBRDF:
+    """A material from raw maps C x R x R of unbounded numbers (normal: 2 x R x R)."""
+    return from_units(bsdf, {name: torch.tanh(x if name == "normal" else x / 2) for name, x in raw.items()})
+
+
+def from_units(bsdf: Bsdf, units: dict[str, Tensor]) -> SVBRDF:
+    """A material from maps C x R x R of numbers in (-1, 1), as the paper's Tanh gives them (normal: 2 x R x R)."""
+    maps = {}
+    for name in CHANNELS[bsdf]:
+        x = units[name].permute(1, 2, 0)
+        if name == "normal":
+            steep = torch.cat((MAX_SLOPE * x, torch.ones_like(x[..., :1])), dim=-1)
+            maps[name] = torch.nn.functional.normalize(steep, dim=-1)
+        else:
+            low, high = ROUGHNESS_RANGE if name == "roughness" else (0.0, 1.0)
+            maps[name] = low + (high - low) * (x + 1) / 2
+    return SVBRDF(bsdf, maps)
+
+
+def to_raw(svbrdf: SVBRDF) -> dict[str, Tensor]:
+    """The inverse of :func:`to_svbrdf`, with values cut just inside their ranges: name -> C x R x R."""
+    raw = {}
+    for name, value in svbrdf.maps.items():
+        if name == "normal":
+            slopes = (value[..., :2] / value[..., 2:].clamp_min(0.1) / MAX_SLOPE).clamp(-0.99, 0.99)
+            x = torch.atanh(slopes)
+        elif name == "roughness":
+            low, high = ROUGHNESS_RANGE
+            x = torch.logit(((value - low) / (high - low)).clamp(0.01, 0.99))
+        else:
+            x = torch.logit(value.clamp(0.002, 0.998))
+        raw[name] = x.permute(2, 0, 1).contiguous()
+    return raw

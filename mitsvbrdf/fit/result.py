@@ -1,0 +1,48 @@
+"""What every fit ends in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from torch import Tensor
+
+from ..maps import SVBRDF
+from ..views import Views
+from .config import FitConfig
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """A fitted material and how it came about.
+
+    Args:
+        svbrdf: the recovered material: the state with the lowest re-rendering error over the photos used.
+        views: the views it was fitted with (the flash offset found is in ``light``).
+        guess: guessed diffuse map, R x R x 3 linear.
+        rerendered: linear radiance N x R x R x 3 of the photos used.
+        rerender_rmse: over these photos, in display values clipped to [0, 1].
+        per_photo: the same for each photo.
+        trace: one dict a measurement: seconds, iteration, each loss, rerender_rmse.
+        config: the settings.
+        renderer: the name of the renderer; ``variant`` its Mitsuba variant or None.
+        left_out: (what, why) of each thing the scene did not need.
+        stopped: why the fit ended: "budget", "iterations" or "interrupted".
+        undone_steps: steps that made something non-finite and were taken back.
+        flash_offset: fitted (x, y) of the flash beside the lens, in the unit of the views, or None.
+    """
+
+    svbrdf: SVBRDF
+    views: Views
+    guess: Tensor
+    rerendered: Tensor
+    rerender_rmse: float
+    per_photo: list[float]
+    trace: list[dict]
+    config: FitConfig
+    renderer: str
+    variant: str | None
+    left_out: tuple[tuple[str, str], ...]
+    stopped: str
+    undone_steps: int = 0
+    flash_offset: tuple[float, float] | None = None
+    stages: dict = field(default_factory=dict)

@@ -1,0 +1,63 @@
+"""What a user sees in the terminal: one live line while a fit runs, small tables, plain notes."""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+from rich.text import Text
+
+console = Console(stderr=False, highlight=False)
+
+
+class Progress:
+    """A live line with error, losses, speed and time left; without a terminal, a plain line every ten seconds.
+
+    Called with (trace entry, share done); use as a context manager.
+    """
+
+    def __init__(self, title: str) -> None:
+        self.title, self.started, self.last = title, time.perf_counter(), 0.0
+        self.first: tuple[int, float] | None = None
+        self.live = Live(Text(title), console=console, refresh_per_second=4, transient=False) if sys.stdout.isatty() else None
+
+    def __enter__(self) -> Progress:
+        if self.live:
+            self.live.start()
+        else:
+            say(self.title)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.live:
+            self.live.stop()
+
+    def __call__(self, entry: dict, share: float) -> None:
+        now = time.perf_counter()
+        first_iteration, first_time = self.first = self.first or (entry["iteration"], now)
+        speed = (entry["iteration"] - first_iteration) / max(now - first_time, 1e-9)
+        left = (now - self.started) * (1 / share - 1) if share > 0 else 0.0
+        losses = "  ".join(f"{k} {v:.4f}" for k, v in entry.items() if k not in ("seconds", "iteration", "rerender_rmse"))
+        line = (f"{share:4.0%}  {entry['seconds']:6.1f} s  iteration {entry['iteration']}  rmse {entry['rerender_rmse']:.4f}  "
+                f"{losses}  {speed:.1f} it/s  {left:.0f} s left")
+        if self.live:
+            self.live.update(Text(f"{self.title}\n{line}"))
+        elif now - self.last > 10 or share >= 1:
+            self.last = now
+            say(line)
+
+
+def say(text: str) -> None:
+    """A plain line."""
+    print(text, flush=True)
+
+
+def print_numbers(title: str, numbers: dict[str, float]) -> None:
+    """A small table of named numbers."""
+    table = Table(title=title, title_justify="left", show_header=False)
+    for name, value in numbers.items():
+        table.add_row(name, f"{value:.4f}")
+    console.print(table)

@@ -1,0 +1,80 @@
+"""The fitted material as a Mitsuba scene file: ``scenes/patch.xml`` with the material and one view filled in."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import torch
+
+from .. import files
+from ..maps import SVBRDF
+from ..render.bsdf import plugin, slot_values
+from ..views import Views
+
+# Beside the package in a checkout, inside it when installed from a wheel.
+SCENES = next((p for p in (Path(__file__).parents[1] / "scenes", Path(__file__).parents[2] / "scenes") if p.is_dir()),
+              Path("scenes"))
+
+
+def write_scene(out: Path, svbrdf: SVBRDF, views: Views) -> Path:
+    """Write ``out/scene.xml`` and its float textures ``out/scene/*.exr``; plain Mitsuba loads it in any RGB variant.
+
+    The scene shows the first view, in units of the patch side, one unjittered sample a pixel. A ``roughconductor``
+    material gets its real Fresnel curve, so that it may be lit from anywhere. The light falls off with 1 / d^2.
+
+    Args:
+        out: folder; made when missing.
+        svbrdf: the material.
+        views: at least one view.
+    """
+    svbrdf = svbrdf.detach().to(torch.float32)
+    slots = slot_values(svbrdf.bsdf, dict(svbrdf.maps), fresnel_curve=True)
+    for slot, value in slots.items():
+        files.write_exr(out / "scene" / f"{slot}.exr", value)
+
+    def texture(slot: str) -> dict:
+        return {"type": "bitmap", "filename": f"scene/{slot}.exr", "raw": True, "filter_type": "nearest",
+                "wrap_mode": "clamp"}
+
+    comments = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
+    tree = ET.parse(SCENES / "patch.xml", comments)
+    root = tree.getroot()
+    for default in root.iter("default"):
+        default.set("value", _defaults(views, svbrdf.resolution)[default.get("name")])
+    material = root.find("bsdf[@id='material']")
+    material.attrib.clear()
+    material.attrib.update(type="normalmap", id="material")
+    _fill(material, plugin(svbrdf.bsdf, True, texture))
+    ET.indent(tree, space="    ")
+    path = out / "scene.xml"
+    files.write_bytes(path, ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
+    return path
+
+
+def _defaults(views: Views, resolution: int) -> dict[str, str]:
+    view = next(iter(views.in_patch_sides().pick([0])))
+    (x, y, z), light = view.camera, view.light
+    values = {"camera_x": x, "camera_y": y, "camera_z": z, "field_of_view": math.degrees(2 * math.atan(0.5 / z)),
+              "shift_x": -x, "shift_y": y, "light_x": light[0], "light_y": light[1], "light_z": light[2]}
+    return {k: repr(v) for k, v in values.items()} | {
+        "resolution": str(resolution), "intensity": ", ".join(map(repr, view.intensity))}
+
+
+def _fill(element: ET.Element, description: dict) -> None:
+    """Mitsuba's plugin dictionary as XML children of an element."""
+    kinds = {bool: "boolean", int: "integer", float: "float", str: "string"}
+    for name, value in description.items():
+        if name == "type":
+            element.set("type", value)
+        elif isinstance(value, dict):
+            tag = {"bitmap": "texture", "uniform": "spectrum"}.get(value["type"], "bsdf")
+            if tag == "spectrum":
+                ET.SubElement(element, tag, name=name, type="uniform").append(
+                    ET.Element("float", name="value", value=repr(value["value"])))
+            else:
+                _fill(ET.SubElement(element, tag, name=name), value)
+        else:
+            text = str(value).lower() if isinstance(value, bool) else str(value)
+            ET.SubElement(element, kinds[type(value)], name=name, value=text)

@@ -1,0 +1,89 @@
+"""What a fit leaves on disk."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+from dataclasses import asdict
+from pathlib import Path
+
+from torch import Tensor
+
+from .. import color, files
+from ..capture import Capture
+from ..fit.result import FitResult
+from ..maps import save_maps
+from .export import write_scene
+from .sheet import loss_curve, write_sheet
+
+SCHEMA_VERSION = 1
+METHODS = {"HybridConfig": "hybrid", "GanConfig": "gan", "DirectConfig": "direct"}
+
+
+def write_fit(result: FitResult, capture: Capture, out: Path, command: dict | None = None) -> None:
+    """Write a fit: maps, guess, rerendered photos, sheet, error curve, Mitsuba scene and ``fit.json``.
+
+    Args:
+        result: what :func:`mitsvbrdf.fit.fit_svbrdf` gave.
+        capture: the photos it was fitted to.
+        out: the folder, made when missing.
+        command: options of the command line, kept in ``fit.json``.
+    """
+    save_maps(result.svbrdf, out / "maps")
+    write_linear(out / "guess" / "diffuse", result.guess, "srgb")
+    for name, image in zip(capture.names, result.rerendered):
+        write_linear(out / "rerendered" / name, image, capture.transfer)
+    method = METHODS[type(result.config).__name__]
+    title = f"{capture.source.name if capture.source else 'capture'}: {method}, {result.svbrdf.bsdf}"
+    write_sheet(out / "sheet.png", result.svbrdf, capture.photos,
+                color.to_display(result.rerendered, capture.transfer), rmse=result.rerender_rmse,
+                per_photo=result.per_photo, guess=result.guess, names=capture.names, title=title)
+    loss_curve(out / "curve.svg", result.trace)
+    write_scene(out, result.svbrdf, result.views)
+    files.write_json(out / "fit.json", fit_record(result, capture, command or {}))
+
+
+def write_linear(stem: Path, image: Tensor, transfer: color.Transfer) -> None:
+    """A linear image as ``stem.exr`` (float32) and as ``stem.png`` (8-bit display values)."""
+    files.write_exr(stem.with_suffix(".exr"), image)
+    files.write_png(stem.with_suffix(".png"), color.to_display(image, transfer))
+
+
+def fit_record(result: FitResult, capture: Capture, command: dict) -> dict:
+    """Everything about a fit that fits into JSON; ``docs/formats.md`` explains each field."""
+    views = result.views
+    offset = result.flash_offset
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "method": METHODS[type(result.config).__name__],
+        "renderer": result.renderer, "variant": result.variant, "bsdf": result.svbrdf.bsdf,
+        "rerender_rmse": result.rerender_rmse,
+        "per_photo": dict(zip(capture.names, result.per_photo)),
+        "stopped": result.stopped, "undone_steps": result.undone_steps,
+        "seconds": result.trace[-1]["seconds"], "iterations": result.trace[-1]["iteration"],
+        "seed": result.config.seed, "config": asdict(result.config), "command": command,
+        "left_out": [{"what": what, "why": why} for what, why in result.left_out],
+        "capture": {"name": capture.source.name if capture.source else None, "photos": list(capture.index),
+                    "resolution": capture.resolution, "transfer": capture.transfer,
+                    "calibrated": capture.calibrated, "notes": list(capture.notes)},
+        "views": {"size": views.size, "falloff": views.falloff, "camera": views.camera.tolist(),
+                  "light": views.light.tolist(), "intensity": views.intensity.tolist()},
+        "flash_offset": None if offset is None else {"x": offset[0] / views.size, "y": offset[1] / views.size,
+                                                     "unit": "patch sides"},
+        "versions": versions(),
+        "machine": {"system": platform.system(), "cpu": platform.machine(), "cores": os.cpu_count(),
+                    "libllvm": os.path.basename(os.environ.get("DRJIT_LIBLLVM_PATH", "")) or None},
+        "trace": result.trace,
+    }
+
+
+def versions() -> dict[str, str | None]:
+    """Versions of Python and of the packages that a result depends on."""
+    found: dict[str, str | None] = {"python": platform.python_version()}
+    for name in ("mitsvbrdf", "mitsuba", "drjit", "torch", "numpy", "opencv-contrib-python-headless", "OpenEXR"):
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            found[name] = None
+    return found
