@@ -1,0 +1,120 @@
+"""What is installed here, whether it suffices for fits through Mitsuba, and how to get what is missing.
+
+Nothing is imported before it is known to be safe: an unsuitable libLLVM is met in a child process only.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import os
+import platform
+import sys
+from dataclasses import asdict, dataclass
+from json import dumps
+from pathlib import Path
+
+from .errors import BackendError
+
+PACKAGES = {"torch": "torch", "numpy": "numpy", "opencv": "cv2", "OpenEXR": "OpenEXR", "safetensors": "safetensors",
+            "matplotlib": "matplotlib", "tyro": "tyro", "rich": "rich"}
+DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless"}
+
+
+@dataclass(frozen=True)
+class Row:
+    """One finding.
+
+    Args:
+        name: what was looked at.
+        value: what was found.
+        ok: whether it serves; None for plain information.
+        fix: the exact line that mends it.
+    """
+
+    name: str
+    value: str
+    ok: bool | None = None
+    fix: str = ""
+
+
+def diagnose(variant: str = "llvm_ad_rgb") -> list[Row]:
+    """All findings, from the interpreter up to a Mitsuba variant that renders."""
+    python = f"{platform.python_version()} ({sys.executable})"
+    fresh = sys.version_info >= (3, 11)
+    return [Row("Python", python, fresh, "" if fresh else "install Python 3.11 or newer"),
+            Row("mitsvbrdf", _version("mitsvbrdf") or "not installed, run from its folder"),
+            *(_package(name, module) for name, module in PACKAGES.items()),
+            *_mitsuba(variant), Row("threads", _threads()), Row("memory", _memory())]
+
+
+def doctor(json: bool = False, variant: str = "llvm_ad_rgb") -> int:
+    """Print the findings, as text or as JSON; 0 when fits through Mitsuba can run here, else 1."""
+    rows = diagnose(variant)
+    well = all(row.ok is not False for row in rows)
+    if json:
+        print(dumps({"ok": well, "rows": [asdict(row) for row in rows]}, indent=1))
+        return 0 if well else 1
+    for row in rows:  # plain text: it must print where rich is what is missing, and pastes well into a bug report
+        print(f"{ {True: 'ok', False: 'NO', None: ''}[row.ok]:3}{row.name:22}{row.value}")
+        if row.fix:
+            print(f"{'':25}-> {row.fix}")
+    print("Ready for fits through Mitsuba." if well else "Not ready for fits through Mitsuba: see the lines with NO.")
+    return 0 if well else 1
+
+
+def _version(distribution: str) -> str:
+    try:
+        return importlib.metadata.version(distribution)
+    except importlib.metadata.PackageNotFoundError:
+        return ""
+
+
+def _package(name: str, module: str) -> Row:
+    distribution = DISTRIBUTIONS.get(module, module)
+    try:
+        found = importlib.import_module(module)
+    except Exception as reason:  # a broken binary raises OSError and others; all mean that it cannot be used
+        return Row(name, f"cannot be imported: {reason}", False, f"pip install {distribution}")
+    return Row(name, _version(distribution) or str(getattr(found, "__version__", "version unknown")), True)
+
+
+def _mitsuba(variant: str) -> list[Row]:
+    """Rows of Mitsuba, Dr.Jit, each libLLVM, and the variant; Mitsuba is imported once a libLLVM is proved."""
+    versions = {name: _version(name) for name in ("mitsuba", "drjit")}
+    rows = [Row(name, version, True) if version else Row(name, "not installed", False, "pip install mitsuba")
+            for name, version in versions.items()]
+    try:
+        from .render import llvm
+    except ImportError as reason:
+        return [*rows, Row(variant, f"not tried: {reason}", False)]
+    rows += [Row("libLLVM", f"{found.version or '?'} {found.path}: {found.message or 'proved in a child process'}",
+                 found.proved or None) for found in llvm.examine()]
+    try:
+        mi = llvm.mitsuba_module(variant)
+    except BackendError as reason:
+        return [*rows, Row(variant, f"not available: {reason.got}", False, reason.fix)]
+    import drjit as dr
+    gpu = "yes" if dr.has_backend(dr.JitBackend.CUDA) else "no"
+    return [*rows, Row(variant, f"{float(mi.Float(1)[0] + 1):.0f} = 1 + 1, Dr.Jit threads: {dr.thread_count()}", True),
+            Row("CUDA for cuda_ad_rgb", gpu)]
+
+
+def _threads() -> str:
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    torch = sys.modules.get("torch")
+    return f"{os.cpu_count()} CPUs, {usable} usable" + (f", torch uses {torch.get_num_threads()}" if torch else "")
+
+
+def _memory() -> str:
+    """Total and available memory, where the system tells."""
+    try:
+        told = dict(line.split(":") for line in Path("/proc/meminfo").read_text().splitlines())
+        total, free = (int(told[name].split()[0]) / 2**20 for name in ("MemTotal", "MemAvailable"))
+        return f"{total:.1f} GiB, {free:.1f} GiB available"
+    except (OSError, KeyError, ValueError):
+        return "unknown"
+
+
+if __name__ == "__main__":
+    raise SystemExit(doctor("--json" in sys.argv))

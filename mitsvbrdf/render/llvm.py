@@ -1,0 +1,277 @@
+"""Find a libLLVM that Dr.Jit works with, prove it in a child process, and load Mitsuba with it.
+
+Dr.Jit takes any libLLVM it comes across, fixes its choice when it is first imported, and an unsuitable one (15 or 16 on
+a CPU with AVX-512, say) aborts the whole process at the first kernel. So a small kernel is tried in a child process
+first, a good answer is remembered in a cache file, and ``DRJIT_LIBLLVM_PATH`` is set before Dr.Jit loads. Importing
+this module loads neither Dr.Jit nor Mitsuba; ``python -m mitsvbrdf.render.llvm`` prints the library's path or, with
+exit code 1, what to install.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import importlib.metadata
+import importlib.util
+import json
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from glob import glob
+from pathlib import Path
+from types import ModuleType
+
+from ..errors import BackendError
+
+VARIABLE = "DRJIT_LIBLLVM_PATH"
+OLDEST = 19
+MEASURED = (19, 22)  # versions this package was developed with; the first to be tried
+
+# fmaximum (what LLVM 15 and 16 cannot select), gather, scatter_reduce, a loop and a gradient, each with a known result.
+PROOF = """
+import drjit as dr
+from drjit.llvm.ad import Float, UInt32
+print(".".join(map(str, dr.detail.llvm_version())), flush=True)
+i = dr.arange(UInt32, 64)
+x = Float(i)
+dr.enable_grad(x)
+y = dr.maximum(dr.gather(Float, x, 63 - i), 31.5)
+sums = dr.zeros(Float, 2)
+dr.scatter_reduce(dr.ReduceOp.Add, sums, y, i & 1)
+dr.backward(dr.sum(sums))
+count, doubled = dr.while_loop((UInt32(0), dr.detach(sums)), lambda n, s: n < 3, lambda n, s: (n + 1, s * 2))
+got = list(doubled), dr.sum(dr.grad(x))[0], dr.fmin(dr.fmax(Float(-1), 0), 2)[0]
+want = [8 * sum(max(63 - n, 31.5) for n in range(start, 64, 2)) for start in (0, 1)], 32, 0
+if got != want:
+    raise SystemExit(f"wrong results: {got}, not {want}")
+"""
+
+
+@dataclass(frozen=True)
+class LLVM:
+    """A libLLVM and the verdict on it.
+
+    Args:
+        path: the library file; empty for the one Dr.Jit found by itself.
+        version: as the library tells it, e.g. ``19.1.7``; the major number alone, or nothing, when it was not loaded.
+        proved: whether Dr.Jit's kernels gave the right numbers with it.
+        message: why it was refused; empty when proved.
+    """
+
+    path: str
+    version: str
+    proved: bool
+    message: str = ""
+
+
+def use_llvm() -> LLVM:
+    """The libLLVM for this process, proved; sets ``DRJIT_LIBLLVM_PATH`` unless Dr.Jit is loaded already.
+
+    Raises:
+        BackendError: none works; the message says what to install.
+    """
+    if importlib.util.find_spec("drjit") is None:
+        raise BackendError("Dr.Jit and Mitsuba 3", "no drjit in this Python", "pip install mitsuba")
+    if "drjit" in sys.modules:
+        return _loaded()
+    verdicts = []
+    for llvm in examine():
+        if llvm.proved:
+            os.environ[VARIABLE] = llvm.path
+            return llvm
+        verdicts.append(f"{llvm.path} ({llvm.message})")
+    if os.environ.get(VARIABLE):
+        raise BackendError(f"{VARIABLE} to name a libLLVM that works with Dr.Jit", verdicts[0],
+                           f"unset {VARIABLE} to have one searched for, or install one: {install_hint()}")
+    raise BackendError(f"a libLLVM of version {OLDEST} or newer", "; ".join(verdicts) or "none",
+                       f"install one: {install_hint()} (the renderer 'analytic' needs none)")
+
+
+def find_llvm() -> LLVM | None:
+    """The first libLLVM that is proved to work, or None; changes nothing."""
+    return next((llvm for llvm in examine() if llvm.proved), None)
+
+
+def examine() -> Iterator[LLVM]:
+    """The verdict on each libLLVM, in the order of preference; on the user's alone where the variable is set."""
+    if os.environ.get(VARIABLE):
+        yield prove(os.environ[VARIABLE])
+        return
+    for path in candidates():
+        major = named_version(path)
+        if 0 < major < OLDEST:
+            yield LLVM(path, str(major), False, f"older than {OLDEST}")
+            continue
+        llvm = prove(path)
+        if llvm.proved and int(llvm.version.split(".")[0]) < OLDEST:
+            llvm = LLVM(path, llvm.version, False, f"older than {OLDEST}")
+        yield llvm
+
+
+def candidates() -> list[str]:
+    """Real paths of the libLLVM files here: measured versions first, then the newest, unnamed versions last."""
+    found = {os.path.realpath(path) for folder in _folders() for path in glob(f"{folder}/*LLVM[-.]*")
+             if re.fullmatch(r"libLLVM([-.][\w.-]+)?\.(so[\d.]*|dylib)|LLVM-C\.dll", os.path.basename(path))}
+
+    def rank(path: str) -> tuple:
+        major = named_version(path)
+        return MEASURED.index(major) if major in MEASURED else len(MEASURED), -major, path
+
+    return sorted(found, key=rank)
+
+
+def named_version(path: str) -> int:
+    """The major version that a path tells (libLLVM-19.so, libLLVM.so.19.1, llvm@19/..., llvm/19.1.7/...), else 0."""
+    name = re.search(r"LLVM(?:-|\.so\.)(\d+)", os.path.basename(path))
+    folder = re.search(r"llvm[@/-]?(\d+)", os.path.dirname(path))
+    match = name or folder
+    return int(match[1]) if match else 0
+
+
+def _folders() -> list[str]:
+    """Where libLLVM usually lies, as glob patterns."""
+    prefixes = {sys.prefix, os.environ.get("CONDA_PREFIX", sys.prefix)}
+    return [*filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep)),
+            *(f"{prefix}/{lib}" for prefix in sorted(prefixes) for lib in ("lib", "Library/bin")),
+            "/usr/lib/*-linux-gnu", "/usr/lib/llvm-*/lib", "/usr/lib/llvm*/lib", "/usr/lib", "/usr/lib64",
+            "/usr/lib64/llvm*/lib*", "/usr/local/lib", "/opt/homebrew/opt/llvm*/lib", "/usr/local/opt/llvm*/lib",
+            "C:/Program Files/LLVM/bin"]
+
+
+def prove(path: str) -> LLVM:
+    """Run Dr.Jit's kernels with this library in a child process, unless an earlier run proved it.
+
+    Args:
+        path: the library; empty to let Dr.Jit choose, as it does without ``DRJIT_LIBLLVM_PATH``.
+    """
+    if importlib.util.find_spec("drjit") is None:
+        return LLVM(path, "", False, "no drjit in this Python to try it with")
+    key, known = _key(path), _read_cache()
+    if key in known:
+        return LLVM(path, known[key], True)
+    environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
+    with tempfile.TemporaryDirectory() as kernels:  # no kernel compiled earlier may stand in for this library's
+        environment |= {"DRJIT_CACHE_DIR": kernels} | ({VARIABLE: path} if path else {})
+        try:
+            child = subprocess.run([sys.executable, "-P", "-c", PROOF], env=environment, stdin=subprocess.DEVNULL,
+                                   capture_output=True, text=True, errors="replace", timeout=120)
+        except (OSError, subprocess.TimeoutExpired) as reason:
+            return LLVM(path, "", False, f"the trial did not run: {reason}")
+    version = child.stdout.strip().removeprefix("-1.-1.-1")
+    if child.returncode:
+        return LLVM(path, version, False, _reason(child))
+    if key:
+        with contextlib.suppress(OSError):  # without a cache the trial is run again next time
+            _write_cache(_read_cache() | {key: version})
+    return LLVM(path, version, True)
+
+
+def _reason(child: subprocess.CompletedProcess[str]) -> str:
+    lines = [line.strip() for line in child.stderr.splitlines() if line.strip()]
+    telling = [line for line in lines if line.startswith(("LLVM ERROR", "jit_find_library", "jit_llvm_init"))]
+    words = (telling or lines[-1:] or ["no message"])[0][:200]
+    return f"the trial process died: {words}" if child.returncode < 0 else words
+
+
+def _key(path: str) -> str:
+    """What the verdict depends on: the file, Dr.Jit, the CPU. Empty where it is not known which file will be loaded."""
+    if not os.path.isfile(path):
+        return ""
+    real, stat = os.path.realpath(path), os.stat(path)
+    try:
+        cpu = sorted({line for line in Path("/proc/cpuinfo").read_text().splitlines()
+                      if line.startswith(("model name", "flags", "Features"))})
+    except OSError:
+        cpu = [platform.processor()]
+    facts = [real, stat.st_mtime_ns, stat.st_size, importlib.metadata.version("drjit"), cpu]
+    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
+
+
+def _cache() -> Path:
+    return Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "mitsvbrdf" / "llvm.json"
+
+
+def _read_cache() -> dict[str, str]:
+    try:
+        known = json.loads(_cache().read_text())
+    except (OSError, ValueError):
+        return {}
+    return known if isinstance(known, dict) else {}
+
+
+def _write_cache(known: dict[str, str]) -> None:
+    _cache().parent.mkdir(parents=True, exist_ok=True)
+    temporary = _cache().with_suffix(f".{os.getpid()}")
+    temporary.write_text(json.dumps(known, indent=1))
+    os.replace(temporary, _cache())
+
+
+def _loaded() -> LLVM:
+    """The libLLVM of a Dr.Jit that somebody imported before: too late to choose another, so it is taken if it works."""
+    import drjit
+
+    version = drjit.detail.llvm_version()
+    path = os.environ.get(VARIABLE, "")
+    if version[0] >= OLDEST:
+        return LLVM(path, ".".join(map(str, version)), True)
+    llvm = prove(path)
+    if not llvm.proved or version[0] < 0:
+        raise BackendError("Dr.Jit with a libLLVM that works", f"drjit imported earlier, without ({llvm.message})",
+                           f"call mitsvbrdf before importing drjit or mitsuba, or set {VARIABLE}; "
+                           f"where no LLVM of version {OLDEST} or newer is installed: {install_hint()}")
+    return llvm
+
+
+def install_hint() -> str:
+    """The line to type on this machine to install a libLLVM that works."""
+    if os.environ.get("CONDA_PREFIX"):
+        return f"conda install -c conda-forge libllvm{OLDEST}"
+    if sys.platform == "darwin":
+        return "brew install llvm"
+    if sys.platform == "win32":
+        return "winget install LLVM.LLVM"
+    if shutil.which("apt-get"):
+        return f"sudo apt-get update && sudo apt-get install -y libllvm{OLDEST}"
+    if shutil.which("dnf"):
+        return "sudo dnf install -y llvm-libs"
+    return f"conda install -c conda-forge libllvm{OLDEST}"
+
+
+def mitsuba_module(variant: str = "llvm_ad_rgb") -> ModuleType:
+    """The ``mitsuba`` module with this variant set.
+
+    Raises:
+        BackendError: Mitsuba, the variant, a GPU or libLLVM is missing.
+    """
+    try:
+        use_llvm()
+    except BackendError:  # a CUDA variant does without, yet an LLVM variant may be wanted later in the same process
+        if not variant.startswith("cuda"):
+            raise
+    try:
+        import mitsuba as mi
+    except ImportError as reason:
+        raise BackendError("Mitsuba 3", f"{reason}", "pip install mitsuba") from None
+    fitting = [name for name in mi.variants() if name.endswith("_ad_rgb")]
+    if variant not in fitting:
+        raise BackendError(f"a Mitsuba variant of {fitting}", repr(variant), "choose one of these")
+    if mi.variant() != variant:
+        try:
+            mi.set_variant(variant)
+        except (ImportError, RuntimeError) as reason:
+            raise BackendError(f"{variant} to work here", str(reason), "use llvm_ad_rgb, which needs no GPU"
+                               if variant.startswith("cuda") else f"install libLLVM: {install_hint()}") from None
+    return mi
+
+
+if __name__ == "__main__":
+    try:
+        print(use_llvm().path)
+    except BackendError as error:
+        raise SystemExit(str(error)) from None
