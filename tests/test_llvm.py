@@ -46,7 +46,7 @@ def python(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
 def test_versions_are_read_from_paths():
     told = {"/usr/lib/x86_64-linux-gnu/libLLVM-15.so.1": 15, "/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1": 19,
             "/usr/lib/libLLVM-14.0.6.so": 14, "/opt/homebrew/Cellar/llvm/21.1.0/lib/libLLVM.dylib": 21,
-            "/opt/homebrew/opt/llvm@20/lib/libLLVM.dylib": 20, "/usr/lib/llvm-19/lib/libLLVM.so.1": 19,
+            "/opt/homebrew/opt/llvm@20/lib/libLLVM.dylib": 20, "/usr/lib/llvm-19/lib/libLLVM.so": 19,
             "/usr/lib64/libLLVM.so": 0, "C:/Program Files/LLVM/bin/LLVM-C.dll": 0}
     assert {path: llvm.named_version(path) for path in told} == told
 
@@ -75,14 +75,140 @@ def test_an_old_version_is_refused_without_a_trial(searched, monkeypatch):
 
 @pytest.mark.skipif(not OLD, reason="no old libLLVM here")
 @pytest.mark.parametrize("path", OLD, ids=lambda path: Path(path).name)
-def test_an_old_library_under_a_new_or_no_name_is_found_out(searched, path):
-    """14 is refused by Dr.Jit; 15 aborts the child on AVX-512 and is too old elsewhere. Neither harms this process."""
-    for name in ("libLLVM-19.so", "libLLVM.so"):
-        (searched / name).unlink(missing_ok=True)
-        os.link(path, searched / name) if os.access(path, os.W_OK) and _same_disk(path, searched) else (
-            searched / name).write_bytes(Path(path).read_bytes())
-    assert [verdict.proved for verdict in llvm.examine()] == [False, False]
+def test_an_old_library_whose_name_does_not_tell_is_found_out(searched, monkeypatch, path):
+    """Dr.Jit refuses 14; 15 aborts the child on AVX-512 and is too old elsewhere. Neither harms this process."""
+    monkeypatch.setattr(llvm, "candidates", lambda: [path])
+    monkeypatch.setattr(llvm, "named_version", lambda path: 0)
+    (verdict,) = llvm.examine()
+    assert not verdict.proved and verdict.message
 
 
-def _same_disk(path: str, folder: Path) -> bool:
-    return os.stat(path).st_dev == os.stat(folder).st_dev
+def test_a_missing_library_is_refused(tmp_path):
+    assert not llvm.prove(str(tmp_path / "libLLVM-19.so")).proved
+
+
+@pytest.mark.parametrize("value", ["/nowhere/libLLVM-19.so", *OLD[:1]])
+def test_the_users_own_choice_is_never_replaced(monkeypatch, no_drjit_yet, value):
+    monkeypatch.setenv(llvm.VARIABLE, value)
+    with pytest.raises(BackendError, match=llvm.VARIABLE) as error:
+        llvm.use_llvm()
+    assert value in error.value.got and f"unset {llvm.VARIABLE}" in error.value.fix
+    assert os.environ[llvm.VARIABLE] == value
+
+
+def test_without_any_the_line_to_type_is_told(searched, monkeypatch, no_drjit_yet):
+    monkeypatch.delenv("CONDA_PREFIX", raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.setattr(llvm.shutil, "which", lambda name: "/usr/bin/apt-get" if name == "apt-get" else None)
+    with pytest.raises(BackendError, match="sudo apt-get update && sudo apt-get install -y libllvm19"):
+        llvm.use_llvm()
+    assert llvm.VARIABLE not in os.environ
+
+
+@pytest.mark.parametrize("platform, tool, prefix, line", [
+    ("linux", "dnf", "", "sudo dnf install -y llvm-libs"), ("darwin", "brew", "", "brew install llvm"),
+    ("linux", "apt-get", "/opt/conda", "conda install -c conda-forge libllvm19")])
+def test_the_line_fits_the_platform(monkeypatch, platform, tool, prefix, line):
+    monkeypatch.setenv("CONDA_PREFIX", prefix)
+    monkeypatch.setattr(sys, "platform", platform)
+    monkeypatch.setattr(llvm.shutil, "which", lambda name: f"/usr/bin/{name}" if name == tool else None)
+    assert llvm.install_hint() == line
+
+
+def test_without_drjit_its_install_line_is_told(monkeypatch, no_drjit_yet):
+    monkeypatch.setattr(llvm.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(BackendError, match="pip install mitsuba"):
+        llvm.use_llvm()
+    assert not llvm.prove("/any").proved
+
+
+def test_an_unknown_variant_is_refused():
+    with pytest.raises(BackendError, match="llvm_ad_rgb"):
+        llvm.mitsuba_module("llvm_ad_rbg")
+
+
+def test_a_fresh_process_gets_a_proved_library_and_the_variant():
+    child = python("import os, sys; from mitsvbrdf.render.llvm import mitsuba_module\n"
+                   "assert not {'drjit', 'mitsuba'} & set(sys.modules)\n"
+                   "before = dict(os.environ); mi = mitsuba_module(); assert mitsuba_module() is mi\n"
+                   "print({n for n in os.environ if os.environ[n] != before.get(n)}, mi.variant(), mi.Float(2) * 2)",
+                   DRJIT_LIBLLVM_PATH="")
+    assert child.stdout.strip() == "{'DRJIT_LIBLLVM_PATH'} llvm_ad_rgb [4]", child.stderr
+
+
+def test_a_drjit_imported_before_is_not_fought():
+    found = llvm.find_llvm()
+    child = python("import os, drjit; from mitsvbrdf.render.llvm import use_llvm; llvm = use_llvm()\n"
+                   "print(llvm.proved, llvm.path, llvm.version)", DRJIT_LIBLLVM_PATH=found.path)
+    assert child.stdout.split() == ["True", found.path, found.version], child.stderr
+
+
+def test_a_drjit_imported_before_without_llvm_is_reported():
+    child = python("import drjit; from mitsvbrdf.render.llvm import use_llvm; use_llvm()",
+                   DRJIT_LIBLLVM_PATH="/nowhere")
+    assert child.returncode == 1 and "BackendError" in child.stderr and "imported earlier" in child.stderr
+
+
+def test_the_analytic_renderer_needs_no_library():
+    child = python("from mitsvbrdf.render import make_renderer; print(make_renderer('analytic').name)",
+                   DRJIT_LIBLLVM_PATH="/nowhere")
+    assert child.stdout.strip() == "analytic", child.stderr
+
+
+def test_a_good_answer_is_remembered_until_the_file_or_drjit_changes(searched, monkeypatch):
+    library = searched / "libLLVM-19.so"
+    library.touch()
+    trials = []
+
+    def trial(*arguments, **options):
+        trials.append(arguments)
+        return subprocess.CompletedProcess([], 0, "19.1.7\n", "")
+
+    monkeypatch.setattr(llvm.subprocess, "run", trial)
+    good = llvm.LLVM(str(library), "19.1.7", True)
+    assert llvm.prove(str(library)) == llvm.prove(str(library)) == good and len(trials) == 1
+    library.write_text("another")
+    assert llvm.prove(str(library)) == good and len(trials) == 2
+    monkeypatch.setattr(importlib.metadata, "version", lambda name: "99")
+    assert llvm.prove(str(library)) == good and len(trials) == 3
+
+
+@pytest.mark.parametrize("content", ["", "[]", '{"a": '])
+def test_a_broken_or_unwritable_cache_costs_a_trial_only(searched, monkeypatch, content):
+    library, cache = searched / "libLLVM-19.so", searched / "cache" / "mitsvbrdf" / "llvm.json"
+    library.touch()
+    cache.parent.mkdir(parents=True)
+    cache.write_text(content)
+    monkeypatch.setattr(llvm.subprocess, "run", lambda *a, **o: subprocess.CompletedProcess([], 0, "19.1.7\n", ""))
+    assert llvm.prove(str(library)).proved
+    assert list(json.loads(cache.read_text()).values()) == ["19.1.7"]
+    monkeypatch.setenv("XDG_CACHE_HOME", str(library))  # a file: no folder can be made in it
+    assert llvm.prove(str(library)).proved
+
+
+def test_a_bad_answer_is_tried_again(searched, monkeypatch):
+    library = searched / "libLLVM-19.so"
+    library.touch()
+    answers = iter([subprocess.CompletedProcess([], -6, "", "LLVM ERROR: out of memory"),
+                    subprocess.CompletedProcess([], 0, "19.1.7\n", "")])
+    monkeypatch.setattr(llvm.subprocess, "run", lambda *a, **o: next(answers))
+    first, second = llvm.prove(str(library)), llvm.prove(str(library))
+    assert not first.proved and "LLVM ERROR: out of memory" in first.message and second.proved
+
+
+def test_wrong_numbers_are_no_proof(monkeypatch):
+    """The trial compares: with one number changed, the library that works is refused."""
+    path = llvm.find_llvm().path
+    monkeypatch.setattr(llvm, "PROOF", llvm.PROOF.replace("31.5) for", "30.5) for"))
+    monkeypatch.setenv("XDG_CACHE_HOME", "/dev/null")
+    verdict = llvm.prove(path)
+    assert not verdict.proved and "wrong results" in verdict.message
+
+
+def test_as_a_program_it_prints_the_path_or_the_hint():
+    program = [sys.executable, "-m", "mitsvbrdf.render.llvm"]
+    good = subprocess.run(program, capture_output=True, text=True, timeout=60)
+    assert good.returncode == 0 and os.path.isfile(good.stdout.strip())
+    bad = subprocess.run(program, capture_output=True, text=True, timeout=60,
+                         env=os.environ | {llvm.VARIABLE: "/nowhere"})
+    assert bad.returncode == 1 and llvm.install_hint() in bad.stderr and not bad.stdout

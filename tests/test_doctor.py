@@ -1,0 +1,97 @@
+"""The doctor's findings, with everything there and with things missing or harmful."""
+
+from __future__ import annotations
+
+import builtins
+import importlib.metadata
+import json
+
+import pytest
+
+from mitsvbrdf import doctor
+from mitsvbrdf.errors import BackendError
+from mitsvbrdf.render import llvm
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+
+
+def test_here_everything_is_there(capsys):
+    assert doctor.doctor(json=True) == 0
+    report = json.loads(capsys.readouterr().out)
+    rows = {row["name"]: row for row in report["rows"]}
+    assert report["ok"] and rows["llvm_ad_rgb"]["ok"] and rows["libLLVM"]["ok"] is not False
+    assert rows["torch"]["value"] == importlib.metadata.version("torch")
+    assert rows["opencv"]["value"] == importlib.metadata.version("opencv-contrib-python-headless")
+    assert "GiB" in rows["memory"]["value"] or rows["memory"]["value"] == "unknown"
+
+
+def test_the_text_tells_the_same(capsys):
+    assert doctor.doctor() == 0
+    shown = capsys.readouterr().out
+    assert "proved in a child process" in shown and shown.endswith("Ready for fits through Mitsuba.\n")
+    assert "NO " not in shown
+
+
+@pytest.mark.parametrize("module, line", [("cv2", "pip install opencv-contrib-python-headless"),
+                                          ("torch", "pip install torch"), ("safetensors", "pip install safetensors")])
+def test_a_missing_package_is_named_with_the_line_to_type(monkeypatch, capsys, module, line):
+    real = doctor.importlib.import_module
+
+    def without(name, *rest):
+        if name == module:
+            raise ModuleNotFoundError(f"No module named {name!r}")
+        return real(name, *rest)
+
+    monkeypatch.setattr(doctor.importlib, "import_module", without)
+    assert doctor.doctor() == 1
+    shown = capsys.readouterr().out
+    assert f"-> {line}\n" in shown and shown.endswith("see the lines with NO.\n")
+
+
+def test_it_works_where_nothing_is_installed(monkeypatch, capsys):
+    real = builtins.__import__
+
+    def bare(name, globals=None, locals=None, fromlist=(), level=0):
+        if level and "llvm" in (fromlist or ()):
+            raise ModuleNotFoundError("No module named 'torch'")
+        return real(name, globals, locals, fromlist, level)
+
+    def missing(name):
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    def nothing(name):
+        raise ModuleNotFoundError(name)
+
+    monkeypatch.setattr(builtins, "__import__", bare)
+    monkeypatch.setattr(doctor.importlib.metadata, "version", missing)
+    monkeypatch.setattr(doctor.importlib, "import_module", nothing)
+    assert doctor.doctor() == 1
+    shown = capsys.readouterr().out
+    assert "-> pip install mitsuba" in shown and "not tried: No module named 'torch'" in shown
+
+
+def test_refused_libraries_are_listed_with_the_reason(monkeypatch):
+    old = llvm.LLVM("/a/libLLVM-15.so", "15", False, "older than 19")
+    new = llvm.LLVM("/a/libLLVM-19.so", "19.1.7", True)
+    monkeypatch.setattr(llvm, "examine", lambda: iter([old, new]))
+    found = [(row.value, row.ok) for row in doctor.diagnose() if row.name == "libLLVM"]
+    assert found == [("15 /a/libLLVM-15.so: older than 19", None),
+                     ("19.1.7 /a/libLLVM-19.so: proved in a child process", True)]
+
+
+def test_without_a_library_the_hint_is_the_fix(monkeypatch):
+    def none(variant):
+        raise BackendError("a libLLVM", "none", "type this line")
+
+    monkeypatch.setattr(llvm, "examine", lambda: iter([]))
+    monkeypatch.setattr(llvm, "mitsuba_module", none)
+    (row,) = [row for row in doctor.diagnose() if row.name == "llvm_ad_rgb"]
+    assert (row.ok, row.fix) == (False, "type this line")
+
+
+def test_an_unusable_gpu_is_no_crash():
+    (row,) = [row for row in doctor.diagnose("cuda_ad_rgb") if row.name == "cuda_ad_rgb"]
+    assert row.ok or "llvm_ad_rgb" in row.fix

@@ -1,0 +1,86 @@
+"""The script that sets everything up: clean POSIX sh, a help that exits sensibly, and no work once all is there."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+RUN = ROOT / "run"
+
+
+def sh(*arguments: object, **options) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([str(a) for a in arguments], capture_output=True, text=True, timeout=20, **options)
+
+
+@pytest.mark.parametrize("shell", [s for s in ("sh", "dash", "bash", "busybox") if shutil.which(s)])
+def test_every_shell_reads_it(shell):
+    extra = ["sh"] if shell == "busybox" else ["--posix"] if shell == "bash" else []
+    assert sh(shell, *extra, "-n", RUN).stderr == ""
+    assert sh(shell, *extra, RUN, "help").returncode == 0
+
+
+def test_help_names_the_commands():
+    shown = sh(RUN, "help").stdout
+    assert all(f"./run {command}" in shown for command in ("demo", "test", "slow", "setup"))
+
+
+@pytest.mark.parametrize("arguments", [[], ["tset"]])
+def test_no_or_an_unknown_command_is_an_error_with_the_help_on_stderr(arguments):
+    done = sh(RUN, *arguments)
+    assert done.returncode == 2 and "usage:" in done.stderr and not done.stdout
+
+
+@pytest.fixture
+def checkout(tmp_path):
+    """A checkout under a name with a space, its set-up done by a stand-in that prints how it is called."""
+    root = tmp_path / "a checkout"
+    (root / ".venv" / "bin").mkdir(parents=True)
+    for name in ("run", "pyproject.toml", "constraints.txt"):
+        shutil.copy(ROOT / name, root / name)
+    for name in ("python", "mitsvbrdf"):
+        program = root / ".venv" / "bin" / name
+        program.write_text('#!/bin/sh\nprintf "%s|" "$PWD" "${0##*/}" "$@"\n')
+        program.chmod(0o755)
+    (root / ".venv" / "stamp").write_text(stamp(root))
+    return root
+
+
+def stamp(root: Path) -> str:
+    facts = (root / "pyproject.toml").read_text() + (root / "constraints.txt").read_text() + str(root)
+    return sh("cksum", input=facts).stdout
+
+
+def test_a_set_up_checkout_runs_at_once_from_anywhere(checkout, tmp_path):
+    """PATH has no pip, apt or Python here and HOME is unset, so anything but starting the program would fail."""
+    environment = {"PATH": "/usr/bin:/bin", "LC_ALL": "C"}
+    demo = sh(checkout / "run", "demo", "--out", "my maps", cwd=tmp_path, env=environment)
+    assert demo.stdout == f"{tmp_path}|mitsvbrdf|demo|--out|my maps|", demo.stderr
+    tests = sh(checkout / "run", "test", "-k", "one two", cwd=tmp_path, env=environment)
+    assert tests.stdout == f"{checkout}|python|-m|pytest|-k|one two|", tests.stderr
+    slow = sh(checkout / "run", "slow", cwd=tmp_path, env=environment)
+    assert slow.stdout == f"{checkout}|python|-m|pytest|-m|slow|", slow.stderr
+
+
+def test_changed_requirements_are_set_up_again(checkout):
+    with open(checkout / "constraints.txt", "a") as file:
+        file.write("another==1\n")
+    done = sh(checkout / "run", "setup", env={"PATH": "/usr/bin:/bin"})
+    assert "installing the Python packages" in done.stderr
+    assert (checkout / ".venv" / "stamp").read_text() == stamp(checkout)
+
+
+def test_without_a_fitting_python_it_says_so(tmp_path):
+    shutil.copy(RUN, tmp_path / "run")
+    for name in ("pyproject.toml", "constraints.txt"):
+        shutil.copy(ROOT / name, tmp_path)
+    tools = tmp_path / "tools"
+    tools.mkdir()
+    for tool in ("sh", "dirname", "cat", "cksum"):
+        (tools / tool).symlink_to(shutil.which(tool))
+    done = sh(tmp_path / "run", "setup", env={"PATH": str(tools)})
+    assert done.returncode == 1 and "Python 3.11 or newer" in done.stderr
+    assert not (tmp_path / ".venv").exists()
