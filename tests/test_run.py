@@ -13,7 +13,7 @@ RUN = ROOT / "run"
 
 
 def sh(*arguments: object, **options) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([str(a) for a in arguments], capture_output=True, text=True, timeout=20, **options)
+    return subprocess.run([str(a) for a in arguments], capture_output=True, encoding="utf-8", timeout=20, **options)
 
 
 @pytest.mark.parametrize("shell", [s for s in ("sh", "dash", "bash", "busybox") if shutil.which(s)])
@@ -36,8 +36,8 @@ def test_no_or_an_unknown_command_is_an_error_with_the_help_on_stderr(arguments)
 
 @pytest.fixture
 def checkout(tmp_path):
-    """A checkout under a name with a space, its set-up done by a stand-in that prints how it is called."""
-    root = tmp_path / "a checkout"
+    """A checkout under an awkward name, its set-up done by a stand-in that prints how it is called."""
+    root = tmp_path / "a chéckout"
     (root / ".venv" / "bin").mkdir(parents=True)
     for name in ("run", "pyproject.toml", "constraints.txt"):
         shutil.copy(ROOT / name, root / name)
@@ -63,6 +63,12 @@ def test_a_set_up_checkout_runs_at_once_from_anywhere(checkout, tmp_path):
     assert tests.stdout == f"{checkout}|python|-m|pytest|-k|one two|", tests.stderr
     slow = sh(checkout / "run", "slow", cwd=tmp_path, env=environment)
     assert slow.stdout == f"{checkout}|python|-m|pytest|-m|slow|", slow.stderr
+
+
+@pytest.mark.parametrize("given, used", [({"LC_ALL": "C"}, "C.UTF-8"), ({}, "C.UTF-8"), ({"LANG": "de_DE.utf8"}, "")])
+def test_python_gets_a_locale_that_can_spell_the_path(checkout, given, used):
+    (checkout / ".venv" / "bin" / "python").write_text('#!/bin/sh\nprintf "%s" "${LC_ALL-}"\n')
+    assert sh(checkout / "run", "test", env={"PATH": "/usr/bin:/bin"} | given).stdout == used
 
 
 def test_changed_requirements_are_set_up_again(checkout):
