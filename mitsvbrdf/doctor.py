@@ -95,9 +95,8 @@ def _mitsuba(variant: str) -> list[Row]:
     except BackendError as reason:
         return [*rows, Row(variant, f"not available: {reason.got}", False, reason.fix)]
     import drjit as dr
-    gpu = "yes" if dr.has_backend(dr.JitBackend.CUDA) else "no"
     return [*rows, Row(variant, f"{float(mi.Float(1)[0] + 1):.0f} = 1 + 1, Dr.Jit threads: {dr.thread_count()}", True),
-            Row("CUDA for cuda_ad_rgb", gpu)]
+            Row("CUDA for cuda_ad_rgb", "yes" if dr.has_backend(dr.JitBackend.CUDA) else "no")]
 
 
 def _threads() -> str:

@@ -166,7 +166,7 @@ def prove(path: str) -> LLVM:
     version = child.stdout.strip().removeprefix("-1.-1.-1")
     if child.returncode:
         return LLVM(path, version, False, _reason(child))
-    if key:
+    if key and _cache().is_absolute():  # not so where a user without a home would get a folder named "~"
         with contextlib.suppress(OSError):  # without a cache the trial is run again next time
             _write_cache(_read_cache() | {key: version})
     return LLVM(path, version, True)
