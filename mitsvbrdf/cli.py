@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shlex
 import sys
@@ -11,22 +10,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
-# Sleeping instead of spinning idle threads: torch and Dr.Jit have a pool each and take turns. Read when torch loads.
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+import torch
+import tyro
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 
-import torch  # noqa: E402
-import tyro  # noqa: E402
-from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg  # noqa: E402
-
-from . import color, files  # noqa: E402
-from .capture import Capture, guess_diffuse, read_capture, write_capture  # noqa: E402
-from .errors import CaptureError, ConfigError, MitsvbrdfError  # noqa: E402
-from .fit import fit_svbrdf, pretrain  # noqa: E402
-from .fit.config import DirectConfig, GanConfig, GuessMethod, HybridConfig  # noqa: E402
-from .maps import load_maps, read_material_json  # noqa: E402
-from .progress import Progress, print_numbers, say  # noqa: E402
-from .render import RendererName, make_renderer  # noqa: E402
-from .views import Falloff, nine_view_grid  # noqa: E402
+from . import color, files
+from .capture import Capture, guess_diffuse, read_capture, write_capture
+from .errors import CaptureError, ConfigError, MitsvbrdfError
+from .fit import fit_svbrdf, pretrain
+from .fit.config import DirectConfig, GanConfig, GuessMethod, HybridConfig
+from .maps import load_maps
+from .progress import Progress, print_numbers, say
+from .render import RendererName, make_renderer
+from .views import Falloff, nine_view_grid
 
 Out = Annotated[Path, arg(aliases=["-o"], help="Folder (or file) to write.")]
 Overwrite = Annotated[bool, arg(help="Replace results that are there already.")]
@@ -303,6 +299,3 @@ def main(arguments: list[str] | None = None) -> int:
         print("interrupted", file=sys.stderr)
         return 130
 
-
-if __name__ == "__main__":
-    sys.exit(main())

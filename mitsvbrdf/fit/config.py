@@ -50,7 +50,7 @@ class HybridConfig(FitConfig):
 
     width: int = 16
     """Channels of the generator's finest level."""
-    learning_rate: float = 2e-3
+    learning_rate: float = 5e-3
     """Adam's step size at the start; it falls to 2 % along a cosine."""
     photometric: float = 1.0
     """Weight of the re-rendering error over all photos (L1 in display values)."""

@@ -88,6 +88,8 @@ class Hybrid:
 
     def _material(self) -> SVBRDF:
         change = self.generator(self.condition)
+        # The patch is flat as a whole (it lies in z = 0): without this a common tilt would hide the flash offset.
+        change["normal"] = change["normal"] - change["normal"].mean(dim=(1, 2), keepdim=True)
         return to_svbrdf(self.config.bsdf, {name: self.start[name] + change[name] for name in self.start})
 
     def _views(self) -> Views:

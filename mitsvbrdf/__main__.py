@@ -1,0 +1,25 @@
+"""Entry point: prepares the process, then hands over to the command line; ``doctor`` works even where packages miss."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+
+def main() -> int:
+    """Run ``mitsvbrdf`` with the arguments of the process; returns the exit code."""
+    # Idle threads sleep instead of spinning: torch and Dr.Jit have a pool each and take turns. Read when torch loads.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    try:
+        from .cli import main as run
+    except ImportError as missing:
+        if sys.argv[1:2] == ["doctor"]:
+            from .doctor import doctor
+            return doctor(json="--json" in sys.argv)
+        print(f"error: expected all packages installed, got: {missing}; type ./run setup, or mitsvbrdf doctor", file=sys.stderr)
+        return 2
+    return run()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
