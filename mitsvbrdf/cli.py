@@ -18,7 +18,7 @@ from . import color, files
 from .capture import Capture, guess_diffuse, read_capture, write_capture
 from .errors import CaptureError, ConfigError, MitsvbrdfError
 from .fit import fit_svbrdf, pretrain
-from .fit.config import DirectConfig, GanConfig, GuessMethod, HybridConfig
+from .fit.config import DirectConfig, FitConfig, GanConfig, GuessMethod, HybridConfig
 from .maps import load_maps
 from .progress import Progress, print_numbers, say
 from .render import RendererName, make_renderer
@@ -33,15 +33,16 @@ ViewSource = Annotated[str, arg(help="A capture whose views to use, or builtin:g
 TransferOption = Annotated[color.Transfer | None, arg(help="How photos encode light; left out: gamma2.2 for calibrated "
                                                            "captures, srgb for plain photos.")]
 
+CONFIGS: dict[str, type[FitConfig]] = {"hybrid": HybridConfig, "gan": GanConfig, "direct": DirectConfig}
+CHECKPOINT = "checkpoint.safetensors"
+
 
 def fit_command(method: str) -> Callable:
     """The ``fit`` command with the settings of one method as its options."""
-    config_type = {"hybrid": HybridConfig, "gan": GanConfig, "direct": DirectConfig}[method]
-
     def fit(
         capture: Positional[Path],
         out: Out,
-        config: OmitArgPrefixes[config_type],  # type: ignore[valid-type]
+        config: FitConfig,
         method: Annotated[Literal["hybrid", "gan", "direct"], arg(help="How to fit; `fit --method gan --help` shows "
                                                                        "that method's own options.")] = method,  # type: ignore[assignment]
         renderer: Annotated[RendererName, arg(help="What renders the maps and carries the gradients.")] = "mitsuba",
@@ -92,10 +93,8 @@ def fit_command(method: str) -> Callable:
         say(f"wrote {out}/sheet.png, maps/, rerendered/, scene.xml, fit.json")
         return 0
 
+    fit.__annotations__["config"] = OmitArgPrefixes[CONFIGS[method]]  # one flat set of options, those of the method
     return fit
-
-
-CHECKPOINT = "checkpoint.safetensors"
 
 
 def guess(capture: Positional[Path], out: Out, method: GuessMethod = "robust", resolution: int = 256,
@@ -277,7 +276,7 @@ def _with_guessed_diffuse(svbrdf, maps: Path):
 def _method_of(arguments: list[str]) -> str:
     for here, after in zip(arguments, [*arguments[1:], ""]):
         name = after if here == "--method" else here.removeprefix("--method=") if here.startswith("--method=") else None
-        if name in ("hybrid", "gan", "direct"):
+        if name in CONFIGS:
             return name
     return "hybrid"
 

@@ -1,5 +1,6 @@
 """Pins docs/conventions.md, line by line, with closed forms and files made elsewhere."""
 
+import functools
 import math
 import re
 from pathlib import Path
@@ -13,11 +14,13 @@ from mitsvbrdf import color
 from mitsvbrdf.capture import read_capture, write_capture
 from mitsvbrdf.capture.capture import Capture
 from mitsvbrdf.errors import CaptureError, MapsError
-from mitsvbrdf.maps import SVBRDF, flat, load_maps, save_maps
+from mitsvbrdf.maps import SVBRDF, load_maps, save_maps
+from mitsvbrdf.maps import flat as flat_of
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.views import Views, nine_view_grid, texel_positions
 
 EXACT = make_renderer("analytic64")
+flat = functools.partial(flat_of, dtype=torch.float64)
 
 
 def one(svbrdf, camera, light=None, intensity=1.0, **options):

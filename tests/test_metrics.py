@@ -9,8 +9,8 @@ import torch
 
 from mitsvbrdf import files
 from mitsvbrdf.errors import CaptureError, ConfigError, MapsError
-from mitsvbrdf.metrics import gradient_error, image_error, map_rmse, photo_rmse
 from mitsvbrdf.maps import SVBRDF, flat, load_maps
+from mitsvbrdf.metrics import gradient_error, image_error, map_rmse, photo_rmse
 from mitsvbrdf.procedural import make_material
 
 MAPS = ("diffuse", "specular", "roughness", "normal")

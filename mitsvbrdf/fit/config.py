@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Literal, get_args
 
 from ..errors import ConfigError
@@ -10,6 +10,8 @@ from ..maps import Bsdf
 
 GuessMethod = Literal["robust", "min", "mean-blur"]
 Preset = Literal["paper-one-stage", "paper-two-stage"]
+
+POSITIVE = ("budget", "iterations", "width", "learning_rate", "normal_roughness_steps")
 
 
 @dataclass(frozen=True)
@@ -28,11 +30,14 @@ class FitConfig:
     """Seed of every random choice."""
 
     def check(self) -> None:
-        """Raise ConfigError for limits that cannot be met."""
-        for name in ("budget", "iterations"):
-            value = getattr(self, name)
-            if value is not None and not value > 0:
-                raise ConfigError(f"{name} > 0", str(value), "give a positive number")
+        """Raise ConfigError for numbers out of range."""
+        for field in fields(self):
+            value, name = getattr(self, field.name), field.name
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or name == "seed":
+                continue
+            least = "> 0" if name in POSITIVE else ">= 0"
+            if not (value > 0 or value == 0 and name not in POSITIVE) or value == float("inf"):
+                raise ConfigError(f"{name} {least}", str(value), "give such a number")
 
     def limited(self) -> FitConfig:
         """Itself with the method's default limit filled in where none was given."""

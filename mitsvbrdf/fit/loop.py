@@ -82,7 +82,7 @@ class Loop:
         if in_main:
             signal.signal(signal.SIGINT, lambda *_: stop.append(1))
         started, saved = time.perf_counter() - self.seconds, time.perf_counter()
-        good = None
+        good, losses = None, dict[str, float]()
         try:
             if self.iteration == 0:
                 self._measure({})

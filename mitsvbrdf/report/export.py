@@ -74,7 +74,12 @@ def _fill(element: ET.Element, description: dict) -> None:
                 ET.SubElement(element, tag, name=name, type="uniform").append(
                     ET.Element("float", name="value", value=repr(value["value"])))
             else:
-                _fill(ET.SubElement(element, tag, name=name), value)
+                child = ET.SubElement(element, tag, name=name)
+                _fill(child, value)
+                if tag == "texture":  # image row 0 is the top, while the rectangle's v grows upward from 0
+                    flip = ET.SubElement(child, "transform", name="to_uv")
+                    ET.SubElement(flip, "scale", x="1", y="-1")
+                    ET.SubElement(flip, "translate", x="0", y="1")
         else:
             text = str(value).lower() if isinstance(value, bool) else str(value)
             ET.SubElement(element, kinds[type(value)], name=name, value=text)
