@@ -1,0 +1,305 @@
+"""Reading a folder of photos, with or without calibration, and writing a capture back."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .. import color, files
+from ..errors import CaptureError, ConfigError
+from ..views import Falloff, Views
+from .align import FIELD_OF_VIEW, align_photos, default_views, field_of_view, read_exif
+from .capture import Capture
+
+PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
+LEAST_SIDE = 8  # pixels
+MOST_SIDE = 2048  # pixels of the short side at which plain photos are aligned
+
+
+def read_capture(
+    folder: str | Path,
+    resolution: int | None = None,
+    index: Sequence[int] | None = None,
+    transfer: color.Transfer | None = None,
+    falloff: Falloff = "inverse-square",
+    log: Callable[[str], None] | None = None,
+) -> Capture:
+    """Read photos of one patch. Three kinds of folder are understood, in this order:
+
+    - ``capture.json`` as svbrdf-diff-renderer has it: ``camera_pos`` (rows x, y, z), ``light_pow`` (a number, r g b, or
+      one row a photo), ``im_size``, ``target_dir``, and where given ``light_pos`` (else the light is at the camera),
+      ``idx`` (which rows and photos ``NN.png|jpg`` are used, else all) and our own ``transfer`` and ``calibrated``;
+    - ``camera_pos.txt``, ``image_size.txt``, ``light_power.txt`` and where given ``light_pos.txt`` beside the photos
+      ``00.png|jpg``, ... (MaterialGAN);
+    - photos alone: aligned to the first by name, with the stated default geometry.
+
+    Args:
+        folder: the folder, or the JSON file itself.
+        resolution: pixels a side to shrink to, by area averages of display values; never enlarged. None: as they are.
+        index: numbers of the photos to use; None: all.
+        transfer: how display values encode radiance; None: what the capture states, else ``gamma2.2`` for calibrated
+            captures (the field's habit) and ``srgb`` for plain photos.
+        falloff: see :class:`~mitsvbrdf.views.Views`.
+        log: called with each note of the capture.
+
+    Returns:
+        The capture, in the unit of length of its calibration.
+
+    Raises:
+        CaptureError: photos or calibration that cannot be used, naming the file or row.
+        ConfigError: options out of range.
+    """
+    path = Path(folder)
+    if resolution is not None and resolution < LEAST_SIDE:
+        raise ConfigError(f"a resolution of {LEAST_SIDE} or more", str(resolution), "choose a larger one")
+    if transfer is not None and transfer not in get_args(color.Transfer):
+        raise ConfigError(f"a transfer function of {get_args(color.Transfer)}", repr(transfer), "choose one of these")
+    if path.is_file() and path.suffix.lower() == ".json":
+        capture = _from_json(path, falloff)
+    elif not path.is_dir():
+        raise CaptureError("a folder of photos", f"no folder at {path}", "check the name")
+    elif (path / "capture.json").is_file():
+        capture = _from_json(path / "capture.json", falloff)
+    elif (path / "camera_pos.txt").is_file():
+        capture = _from_text(path, falloff)
+    else:
+        capture = _from_plain(path, falloff)
+    capture = capture if index is None else capture.pick(index)
+    capture = _shrunk(replace(capture, transfer=transfer or capture.transfer), resolution)
+    for note in capture.notes if log else ():
+        log(note)
+    return capture
+
+
+def write_capture(capture: Capture, folder: str | Path) -> None:
+    """Write ``capture.json`` and ``target/NN.png`` (8 bit), so that :func:`read_capture` gives the same back.
+
+    Photos are numbered anew from 0; lengths stay in the capture's unit.
+
+    Raises:
+        OutputError: the folder cannot be written to.
+    """
+    folder, views = Path(folder), capture.views
+    for i, photo in enumerate(capture.photos):
+        files.write_png(folder / "target" / f"{i:02d}.png", photo)
+    power = views.intensity.tolist()
+    files.write_json(folder / "capture.json", {
+        "target_dir": "target", "im_size": views.size, "idx": list(range(len(capture))),
+        "camera_pos": views.camera.tolist(), "light_pos": views.light.tolist(),
+        "light_pow": power[0] if all(row == power[0] for row in power) else power,
+        "transfer": capture.transfer, "calibrated": capture.calibrated})
+
+
+def _from_json(path: Path, falloff: Falloff) -> Capture:
+    try:
+        stated = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as reason:
+        raise CaptureError("a valid JSON file", f"{path}: {reason}", "mend it or export it again") from None
+    if not isinstance(stated, dict):
+        raise CaptureError("a JSON object", f"a {type(stated).__name__} in {path}", "see the format of capture.json")
+    for key in ("target_dir", "im_size", "camera_pos", "light_pow"):
+        if key not in stated:
+            raise CaptureError(f"the key {key!r}", f"{path} with {sorted(stated)}", "add it")
+    if not isinstance(stated["target_dir"], str):
+        raise CaptureError("target_dir as text", f"{stated['target_dir']!r} in {path}", "name the photos' folder")
+    transfer = stated.get("transfer", "gamma2.2")
+    if transfer not in get_args(color.Transfer):
+        raise CaptureError(f"a transfer of {get_args(color.Transfer)}", f"{transfer!r} in {path}",
+                           "choose one of these")
+
+    size = _number(stated["im_size"], f"im_size in {path}")
+    camera = _rows(stated["camera_pos"], f"camera_pos in {path}")
+    light = _rows(stated["light_pos"], f"light_pos in {path}") if "light_pos" in stated else camera
+    photos = _numbered(path.parent / stated["target_dir"])
+    index = stated.get("idx")
+    if index is None:
+        index = list(photos)
+        _same_count(f"camera_pos in {path}", len(camera), len(photos))
+    elif not isinstance(index, list) or not index or not all(type(i) is int and i >= 0 for i in index):
+        raise CaptureError("idx as a list of photo numbers", f"{index!r} in {path}", "write for example [0, 1, 2]")
+    elif max(index) >= len(camera):
+        raise CaptureError(f"a row of camera_pos for each of {len(index)} photos in idx (the last is {max(index)})",
+                           f"{len(camera)} rows in {path}", "give one row a photo, or shorten idx")
+    missing = [i for i in index if i not in photos]
+    if missing:
+        raise CaptureError(f"photo {missing[0]:02d}.png or .jpg, which idx names", "no such file in "
+                           f"{path.parent / stated['target_dir']}", "add the photo or take it out of idx")
+    views = _views(camera, light, stated["light_pow"], size, falloff, str(path)).pick(index)
+    return _calibrated([photos[i] for i in index], views, transfer, index, path.parent,
+                       stated.get("calibrated", True) is not False)
+
+
+def _from_text(folder: Path, falloff: Falloff) -> Capture:
+    photos = _numbered(folder)
+    camera = _rows(_table(folder / "camera_pos.txt"), str(folder / "camera_pos.txt"))
+    _same_count(str(folder / "camera_pos.txt"), len(camera), len(photos))
+    light = camera
+    if (folder / "light_pos.txt").is_file():
+        light = _rows(_table(folder / "light_pos.txt"), str(folder / "light_pos.txt"))
+    sizes = [number for row in _table(folder / "image_size.txt") for number in row]
+    if len(set(sizes)) != 1:
+        raise CaptureError("one side length", f"{sizes} in {folder / 'image_size.txt'}", "the patch must be square")
+    power = _table(folder / "light_power.txt")
+    views = _views(camera, light, power[0][0] if power == [power[0][:1]] else power, sizes[0], falloff, str(folder))
+    return _calibrated(list(photos.values()), views, "gamma2.2", list(photos), folder)
+
+
+def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index: list[int], source: Path,
+                calibrated: bool = True) -> Capture:
+    photos = [_photo(path) for path in paths]
+    for path, photo in zip(paths, photos):
+        if photo.shape != photos[0].shape:
+            raise CaptureError("photos of one size", f"{paths[0].name} of {_size(photos[0])} and {path.name} of "
+                               f"{_size(photo)} in {source}", "rectify them to one size")
+        if photo.shape[0] != photo.shape[1]:
+            raise CaptureError("square photos, rectified to the patch", f"{path} of {_size(photo)}",
+                               "rectify it, or remove the calibration to read plain photos")
+    return Capture(torch.stack(photos), views, transfer, tuple(index), calibrated, source)
+
+
+def _from_plain(folder: Path, falloff: Falloff) -> Capture:
+    paths = sorted(_photos_in(folder))
+    if not paths:
+        raise CaptureError("photos (png, jpg)", f"none in {folder}",
+                           "give the folder that holds them or its capture.json")
+    names, exif, notes = [path.name for path in paths], [read_exif(path) for path in paths], []
+    for what in ("ISO", "exposure time", "focal length"):
+        values = {e[what]: name for name, e in zip(names, exif) if what in e}
+        if len(values) > 1:
+            (low, one), (high, other) = min(values.items()), max(values.items())
+            notes.append(f"{what} differs: {low:g} in {one}, {high:g} in {other}; lock it for comparable photos")
+    photos = [_photo(path, MOST_SIDE) for path in paths]
+    squares, kept, rejected = align_photos(photos, names)
+
+    height, width = photos[0].shape[:2]
+    focal = exif[0].get("35 mm focal length")
+    angle = field_of_view(focal, width, height) if focal else FIELD_OF_VIEW
+    views = replace(default_views(len(kept), angle, squares.shape[1] / max(width, height)), falloff=falloff)
+    notes.append(
+        f"no calibration: camera and light are taken to be together, {views.camera[0, 2]:.2f} patch sides above the "
+        f"centre, in every photo (field of view {angle:.0f} degrees, {'from EXIF' if focal else 'assumed'}); a white "
+        "diffuse texel at the centre has radiance 1")
+    return Capture(squares, views, "srgb", tuple(kept), False, folder, tuple(notes[:-1] + rejected + notes[-1:]))
+
+
+def _shrunk(capture: Capture, resolution: int | None) -> Capture:
+    import cv2
+
+    if resolution is None or resolution == capture.resolution:
+        return capture
+    if resolution > capture.resolution:
+        note = f"the photos have {capture.resolution} pixels a side, so they are not enlarged to {resolution}"
+        return replace(capture, notes=(*capture.notes, note))
+    size = (resolution, resolution)
+    photos = [cv2.resize(p.numpy(), size, interpolation=cv2.INTER_AREA) for p in capture.photos]
+    return replace(capture, photos=torch.from_numpy(np.stack(photos)))
+
+
+def _photo(path: Path, most: int | None = None) -> Tensor:
+    """A photo as H x W x 3 display values, EXIF orientation applied, its short side at most ``most``."""
+    import cv2
+
+    try:
+        photo = files.read_image(path, CaptureError)
+    except (OSError, cv2.error) as reason:
+        raise CaptureError("a readable photo", f"{path}: {reason}", "check the file") from None
+    short = min(photo.shape[:2])
+    if short < LEAST_SIDE:
+        raise CaptureError(f"photos of {LEAST_SIDE} pixels or more a side", f"{path} of {_size(photo)}",
+                           "use the original photo")
+    if most and short > most:
+        size = tuple(round(side * most / short) for side in (photo.shape[1], photo.shape[0]))
+        photo = torch.from_numpy(cv2.resize(photo.numpy(), size, interpolation=cv2.INTER_AREA))
+    return photo
+
+
+def _photos_in(folder: Path) -> list[Path]:
+    """Image files in a folder, hidden ones aside."""
+    if not folder.is_dir():
+        raise CaptureError("a folder of photos", f"no folder at {folder}", "check target_dir")
+    return [p for p in folder.iterdir() if p.suffix.lower() in PHOTO_SUFFIXES and p.name[0] != "." and p.is_file()]
+
+
+def _numbered(folder: Path) -> dict[int, Path]:
+    """The photos NN.png or NN.jpg of a folder by their number, in order."""
+    paths: dict[int, Path] = {}
+    for path in sorted(p for p in _photos_in(folder) if p.stem.isdecimal()):
+        if int(path.stem) in paths:
+            raise CaptureError("one photo of each number", f"{paths[int(path.stem)].name} and {path.name} in {folder}",
+                               "remove one of them")
+        paths[int(path.stem)] = path
+    if not paths:
+        raise CaptureError("photos 00.png or 00.jpg, ...", f"none in {folder}", "add them or check target_dir")
+    return dict(sorted(paths.items()))
+
+
+def _views(camera: list, light: list, power: Any, size: float, falloff: Falloff, where: str) -> Views:
+    """Views with the counts checked and the file named in each error."""
+    power = _power(power, len(camera), f"light_pow in {where}")
+    if len(light) != len(camera):
+        raise CaptureError(f"light_pos of {len(camera)} rows, as camera_pos", f"{len(light)} rows in {where}",
+                           "give one row a photo")
+    try:
+        return Views.of(camera, light, power, size, falloff)
+    except CaptureError as error:
+        raise CaptureError(error.expected, f"{error.got} in {where}", error.fix) from None
+
+
+def _power(value: Any, count: int, where: str) -> float | list:
+    """A light's intensity as a number, three numbers, or ``count`` rows of three."""
+    if not isinstance(value, list):
+        return _number(value, where)
+    if not value or not isinstance(value[0], list):
+        return _row(value, where)
+    rows = _rows(value, where)
+    if len(rows) not in (1, count):
+        raise CaptureError(f"1 or {count} rows of {where}", f"{len(rows)} rows", "give one row a photo")
+    return rows
+
+
+def _same_count(what: str, rows: int, photos: int) -> None:
+    if rows != photos:
+        raise CaptureError(f"a row of {what} for each of {photos} photos", f"{rows} rows", "give one row a photo")
+
+
+def _number(value: Any, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or abs(value) > 1e300:
+        raise CaptureError("a finite number", f"{value!r} as {where}", "check the calibration")
+    return float(value)
+
+
+def _row(value: Any, where: str) -> list[float]:
+    if not isinstance(value, list) or len(value) != 3:
+        raise CaptureError("three numbers", f"{value!r} in {where}", "check the calibration")
+    return [_number(x, where) for x in value]
+
+
+def _rows(value: Any, where: str) -> list[list[float]]:
+    if not isinstance(value, list) or not value:
+        raise CaptureError("rows of three numbers", f"{value!r} as {where}", "give one row a photo")
+    return [_row(row, where) for row in value]
+
+
+def _table(path: Path) -> list[list[float]]:
+    """The numbers of a text file, row by row, separated by commas or blanks."""
+    if not path.is_file():
+        raise CaptureError(path.name, f"no such file in {path.parent}", "add it, or remove camera_pos.txt")
+    try:
+        lines = path.read_text(encoding="utf-8").replace(",", " ").splitlines()
+        rows = [[float(x) for x in line.split()] for line in lines if line.strip()]
+    except (OSError, ValueError) as reason:
+        raise CaptureError("rows of numbers", f"{path}: {reason}", "check the calibration") from None
+    if not rows:
+        raise CaptureError("rows of numbers", f"{path}, which is empty", "check the calibration")
+    return rows
+
+
+def _size(photo: Tensor) -> str:
+    return f"{photo.shape[1]} x {photo.shape[0]}"

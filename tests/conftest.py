@@ -1,0 +1,21 @@
+"""Fixtures for all tests."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def data_folder() -> Path:
+    """The folder of real captures and known materials (``captures/``, ``materials/``); not in the repository.
+
+    The environment variable MITSVBRDF_DATA names it, else ``../shared/data`` beside the repository is looked at.
+    """
+    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
+    folder = Path(os.environ.get("MITSVBRDF_DATA") or beside)
+    if not (folder / "captures").is_dir():
+        pytest.skip(f"needs the real captures: none at {folder}; name their folder in MITSVBRDF_DATA")
+    return folder

@@ -1,0 +1,282 @@
+"""Reading and writing captures: the three formats, and a clear error for each mistake."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from mitsvbrdf import color
+from mitsvbrdf.capture import Capture, read_capture, write_capture
+from mitsvbrdf.errors import CaptureError, ConfigError, MitsvbrdfError
+from mitsvbrdf.views import Views
+
+CAMERA = [[0.5, 0.25, 17.0], [-1.5, 2.0, 16.5], [0.125, -3.0, 18.0]]
+LIGHT = [[0.5, 0.5, 17.0], [-1.5, 2.25, 16.5], [0.125, -2.75, 18.0]]
+
+
+def photos(count=3, side=16, seed=0):
+    return np.random.default_rng(seed).integers(0, 256, (count, side, side, 3), dtype=np.uint8)
+
+
+def save(folder, images, suffix=".png"):
+    folder.mkdir(parents=True, exist_ok=True)
+    for i, image in enumerate(images):
+        assert cv2.imwrite(str(folder / f"{i:02d}{suffix}"), image[..., ::-1])
+
+
+def json_capture(folder, images=None, **changes):
+    save(folder / "target", photos() if images is None else images)
+    stated = {"target_dir": "target", "im_size": 6.848, "idx": [0, 1, 2], "camera_pos": CAMERA, "light_pos": LIGHT,
+              "light_pow": [1500.0, 1400.0, 1300.0]} | changes
+    stated = {key: value for key, value in stated.items() if value is not ...}
+    (folder / "capture.json").write_text(json.dumps(stated))
+    return folder
+
+
+def text_capture(folder, images=None, separator=",", **files):
+    save(folder, photos() if images is None else images)
+    texts = {"camera_pos": "\n".join(separator.join(map(str, row)) for row in CAMERA),
+             "light_pos": "\n".join(separator.join(map(str, row)) for row in LIGHT),
+             "image_size": "6.848", "light_power": separator.join(["1500", "1400", "1300"])} | files
+    for name, text in texts.items():
+        if text is not None:
+            (folder / f"{name}.txt").write_text(text)
+    return folder
+
+
+def fails(folder, *culprits, **options):
+    with pytest.raises(CaptureError) as caught:
+        read_capture(folder, **options)
+    for culprit in culprits:
+        assert culprit in str(caught.value)
+
+
+def same_views(a: Views, b: Views) -> bool:
+    return (torch.equal(a.camera, b.camera) and torch.equal(a.light, b.light)
+            and torch.equal(a.intensity, b.intensity) and a.size == b.size and a.falloff == b.falloff)
+
+
+# ---------------------------------------------------------------- what is read
+
+def test_json_capture(tmp_path):
+    images = photos()
+    capture = read_capture(json_capture(tmp_path, images), falloff="none")
+    assert np.array_equal((capture.photos * 255).round().numpy(), images)
+    assert capture.photos.dtype == torch.float32
+    assert capture.views.camera.tolist() == CAMERA and capture.views.light.tolist() == LIGHT
+    assert capture.views.intensity.tolist() == [[1500.0, 1400.0, 1300.0]] * 3
+    assert (capture.views.size, capture.views.falloff, capture.transfer) == (6.848, "none", "gamma2.2")
+    assert (capture.index, capture.calibrated, capture.source, capture.notes) == ((0, 1, 2), True, tmp_path, ())
+    assert same_views(read_capture(tmp_path / "capture.json", falloff="none").views, capture.views)
+
+
+def test_json_idx_picks_rows_and_photos(tmp_path):
+    images = photos()
+    capture = read_capture(json_capture(tmp_path, images, idx=[2, 0], light_pos=..., light_pow=7))
+    assert capture.index == (2, 0) and capture.views.camera.tolist() == [CAMERA[2], CAMERA[0]]
+    assert capture.views.co_located and capture.views.intensity.tolist() == [[7.0] * 3] * 2
+    assert np.array_equal((capture.photos * 255).round().numpy(), images[[2, 0]])
+
+
+@pytest.mark.parametrize("separator", [",", ", ", " ", "\t"])
+def test_text_capture_agrees_with_json(tmp_path, separator):
+    a = read_capture(json_capture(tmp_path / "a"))
+    b = read_capture(text_capture(tmp_path / "b", separator=separator))
+    assert torch.equal(a.photos, b.photos) and same_views(a.views, b.views) and a.transfer == b.transfer
+
+
+def test_text_capture_without_light_pos_and_with_power_rows(tmp_path):
+    capture = read_capture(text_capture(tmp_path, light_pos=None, light_power="1,2,3\n4,5,6\n7,8,9"))
+    assert capture.views.co_located
+    assert capture.views.intensity.tolist() == [[1, 2, 3], [4, 5, 6], [7, 8, 9]]
+
+
+def test_jpeg_photos_and_other_images_beside(tmp_path):
+    text_capture(tmp_path, images=photos()[:0])
+    save(tmp_path, photos(), ".jpg")
+    cv2.imwrite(str(tmp_path / "tex.png"), photos()[0])
+    assert len(read_capture(tmp_path)) == 3
+
+
+def test_transfer_explicit_wins_over_stated_over_default(tmp_path):
+    json_capture(tmp_path / "a", transfer="srgb")
+    assert read_capture(tmp_path / "a").transfer == "srgb"
+    assert read_capture(tmp_path / "a", transfer="linear").transfer == "linear"
+    save(tmp_path / "b", photos(1))
+    assert read_capture(tmp_path / "b").transfer == "srgb"
+
+
+def test_photos_shrink_by_area_average_and_never_grow(tmp_path):
+    images = photos()
+    json_capture(tmp_path, images)
+    small = read_capture(tmp_path, resolution=8)
+    mean = images.reshape(3, 8, 2, 8, 2, 3).mean(axis=(2, 4)) / 255
+    assert np.abs(small.photos.numpy() - mean).max() < 1e-6  # float32 sums of four
+    heard = []
+    own = read_capture(tmp_path, resolution=64, log=heard.append)
+    assert own.resolution == 16 and "not enlarged to 64" in own.notes[0] and heard == list(own.notes)
+
+
+def test_index_picks_photos(tmp_path):
+    json_capture(tmp_path)
+    assert read_capture(tmp_path, index=(2, 1)).index == (2, 1)
+    fails(tmp_path, "[5]", index=(0, 5))
+
+
+@pytest.mark.parametrize("side", [8, 33])
+def test_one_photo_of_any_size(tmp_path, side):
+    save(tmp_path, photos(1, side))
+    capture = read_capture(tmp_path)
+    assert capture.photos.shape == (1, side, side, 3) and not capture.calibrated
+
+
+def test_round_trip(tmp_path):
+    intensity = torch.tensor([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 1 / 3]])
+    views = Views.of(CAMERA, LIGHT, intensity, 6.848)
+    shots = torch.from_numpy(photos()).float() / 255
+    capture = Capture(shots, views, "srgb", (4, 0, 7))
+    write_capture(capture, tmp_path / "out")
+    back = read_capture(tmp_path / "out")
+    assert torch.equal(back.photos, shots) and same_views(back.views, views) and back.transfer == "srgb"
+    assert back.index == (0, 1, 2) and back.calibrated
+    assert len(json.loads((tmp_path / "out" / "capture.json").read_text())["light_pow"]) == 3
+
+
+def test_round_trip_of_equal_lights_and_of_the_default_geometry(tmp_path):
+    write_capture(read_capture(json_capture(tmp_path / "a")), tmp_path / "b")
+    assert json.loads((tmp_path / "b" / "capture.json").read_text())["light_pow"] == [1500.0, 1400.0, 1300.0]
+    save(tmp_path / "c", photos(1))
+    plain = read_capture(tmp_path / "c")
+    write_capture(plain, tmp_path / "d")
+    back = read_capture(tmp_path / "d")
+    assert not back.calibrated and torch.equal(back.photos, plain.photos) and same_views(back.views, plain.views)
+
+
+def test_real_capture(data_folder):
+    capture = read_capture(data_folder / "captures" / "cards-blue", resolution=64)
+    assert capture.photos.shape == (9, 64, 64, 3) and capture.views.size == 6.848 and capture.views.co_located
+    assert color.decode(capture.photos[:1]).isfinite().all()
+
+
+# ---------------------------------------------------------------- mistakes
+
+def test_no_folder_and_no_photos(tmp_path):
+    fails(tmp_path / "nowhere", "nowhere")
+    fails(tmp_path, "none in", str(tmp_path))
+    (tmp_path / "note.txt").write_text("x")
+    fails(tmp_path / "note.txt", "note.txt")
+
+
+def test_text_named_jpg(tmp_path):
+    save(tmp_path, photos(2))
+    (tmp_path / "02.jpg").write_text("not a photo")
+    fails(tmp_path, "02.jpg")
+    (tmp_path / "02.jpg").write_bytes(b"")
+    fails(tmp_path, "02.jpg")
+
+
+@pytest.mark.parametrize("make", [json_capture, text_capture])
+def test_photos_of_different_sizes(tmp_path, make):
+    fails(make(tmp_path, [*photos(2), photos(1, 20)[0]]), "00.png", "16 x 16", "02.png", "20 x 20")
+
+
+def test_photos_that_are_not_square(tmp_path):
+    fails(json_capture(tmp_path, photos()[:, :12]), "00.png", "16 x 12")
+
+
+@pytest.mark.parametrize("make", [json_capture, text_capture, lambda path, images: save(path, images) or path])
+def test_one_pixel_photo(tmp_path, make):
+    fails(make(tmp_path, photos(3, 1)), "00.png", "1 x 1")
+
+
+def test_counts_of_rows_and_photos(tmp_path):
+    images = photos(9)
+    rows = [[0.0, 0.0, 9.0]] * 8
+    text = "\n".join("0,0,9" for _ in range(8))
+    fails(json_capture(tmp_path / "a", images, camera_pos=rows, light_pos=..., idx=list(range(9))), "9", "8 rows")
+    fails(json_capture(tmp_path / "b", images, camera_pos=rows, light_pos=..., idx=...), "9 photos", "8 rows")
+    fails(text_capture(tmp_path / "c", images, camera_pos=text, light_pos=None), "9 photos", "8 rows", "camera_pos.txt")
+    fails(text_capture(tmp_path / "d", photos(4)), "4 photos", "3 rows")
+    fails(json_capture(tmp_path / "e", light_pos=LIGHT[:2]), "light_pos", "3 rows", "2 rows")
+    fails(text_capture(tmp_path / "f", light_pos="0 0 1"), "light_pos", "1 rows")
+    fails(json_capture(tmp_path / "g", light_pow=[[1, 1, 1]] * 2), "light_pow", "2 rows")
+
+
+def test_idx_decides_over_extra_photos(tmp_path):
+    assert len(read_capture(json_capture(tmp_path, photos(4)))) == 3
+
+
+def test_photo_named_by_idx_is_missing(tmp_path):
+    fails(json_capture(tmp_path, photos(2)), "02.png")
+    fails(json_capture(tmp_path, target_dir="elsewhere"), "elsewhere")
+
+
+def test_one_number_twice(tmp_path):
+    json_capture(tmp_path)
+    cv2.imwrite(str(tmp_path / "target" / "00.jpg"), photos()[0])
+    fails(tmp_path, "00.jpg", "00.png")
+
+
+def test_nan_and_camera_below_the_plane(tmp_path):
+    nan = [0, 0, float("nan")]
+    fails(json_capture(tmp_path / "a", camera_pos=[nan, *CAMERA[1:]]), "camera 0", "nan", "capture.json")
+    fails(text_capture(tmp_path / "b", camera_pos="0,0,9\n0,nan,9\n0,0,9"), "camera 1", "nan")
+    fails(json_capture(tmp_path / "c", camera_pos=[*CAMERA[:2], [0, 0, -17]]), "camera 2", "-17")
+    fails(text_capture(tmp_path / "d", light_pos="0,0,9\n0,0,0\n0,0,9"), "light 1")
+    fails(json_capture(tmp_path / "e", im_size=0), "size")
+    fails(json_capture(tmp_path / "f", light_pow=-1), "light 0")
+
+
+@pytest.mark.parametrize("key", ["target_dir", "im_size", "camera_pos", "light_pow"])
+def test_missing_key(tmp_path, key):
+    fails(json_capture(tmp_path, **{key: ...}), repr(key), "capture.json")
+
+
+@pytest.mark.parametrize(("key", "value"), [
+    ("target_dir", 3), ("im_size", "6"), ("im_size", None), ("im_size", [1]), ("idx", "0"), ("idx", []), ("idx", [0.5]),
+    ("idx", [-1]), ("idx", [True]), ("camera_pos", 3), ("camera_pos", []), ("camera_pos", [[1, 2]] * 3),
+    ("camera_pos", [[1, 2, "3"]] * 3), ("camera_pos", {"0": [1, 2, 3]}), ("light_pos", None), ("light_pow", [1, 2]),
+    ("light_pow", [[1, 2]]), ("light_pow", "bright"), ("light_pow", []), ("light_pow", 10**400), ("transfer", "log"),
+    ("transfer", ["srgb"])])
+def test_value_of_the_wrong_type(tmp_path, key, value):
+    fails(json_capture(tmp_path, **{key: value}), key, "capture.json")
+
+
+@pytest.mark.parametrize("data", [b"", b"{", b"[]", b"3", b"\xff\xfe\x00", b"[" * 100_000])
+def test_broken_json(tmp_path, data):
+    (json_capture(tmp_path) / "capture.json").write_bytes(data)
+    fails(tmp_path, "capture.json")
+
+
+@pytest.mark.parametrize(("name", "text"), [
+    ("camera_pos", "a,b,c"), ("camera_pos", ""), ("camera_pos", "1,2\n3,4\n5,6"), ("light_pos", "x"),
+    ("image_size", "1 2"), ("image_size", "wide"), ("image_size", None), ("light_power", None), ("light_power", "1,2")])
+def test_broken_text(tmp_path, name, text):
+    folder = text_capture(tmp_path, **{name: text})
+    fails(folder, str(tmp_path), {"light_power": "light_pow"}.get(name, name))
+
+
+def test_options_out_of_range(tmp_path):
+    json_capture(tmp_path)
+    for wrong in ({"resolution": 4}, {"transfer": "log"}, {"falloff": "linear"}):
+        with pytest.raises(ConfigError, match=str(next(iter(wrong.values())))):
+            read_capture(tmp_path, **wrong)
+
+
+def test_any_broken_input_gives_our_own_error(tmp_path):
+    """Bytes flipped at random in the calibration: read, or an error of ours, nothing else."""
+    whole = (json_capture(tmp_path) / "capture.json").read_bytes()
+    rng = np.random.default_rng(0)
+    for _ in range(150):
+        data = bytearray(whole)
+        for at in rng.integers(0, len(data), 3):
+            data[at] = rng.integers(0, 256)
+        (tmp_path / "capture.json").write_bytes(bytes(data))
+        try:
+            read_capture(tmp_path)
+        except MitsvbrdfError:
+            pass
