@@ -58,14 +58,14 @@ class HybridConfig(FitConfig):
     learning_rate: float = 5e-3
     """Adam's step size at the start; it falls to 2 % along a cosine."""
     photometric: float = 1.0
-    """Weight of the re-rendering error over all photos (L1 in display values)."""
+    """Weight of the re-rendering error over all photos (|e| + 5 e^2 in display values)."""
     diffuse: float = 0.05
     """Weight of the distance of the diffuse map to the guess (the paper's diffuse loss)."""
     adversarial: float = 0.002
     """Weight of the discriminator's verdict (the paper's adversarial loss); 0 leaves the discriminator out."""
     smooth: float = 0.01
     """Weight of the roughness of the specular and roughness maps (total variation)."""
-    flat: float = 0.005
+    flat: float = 0.02
     """Weight of the tilt of the normals."""
     flash_offset: bool = True
     """Fit the sideways distance between lens and flash, one for all photos (calibrations put both in one place)."""
@@ -78,10 +78,10 @@ class DirectConfig(FitConfig):
     learning_rate: float = 0.05
     """Adam's step size at the start, in logits; it falls to 2 % along a cosine."""
     photometric: float = 1.0
-    """Weight of the re-rendering error over all photos (L1 in display values)."""
+    """Weight of the re-rendering error over all photos (|e| + 5 e^2 in display values)."""
     smooth: float = 0.01
     """Weight of the roughness of the specular and roughness maps (total variation)."""
-    flat: float = 0.005
+    flat: float = 0.02
     """Weight of the tilt of the normals."""
 
     @property

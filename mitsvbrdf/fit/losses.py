@@ -13,14 +13,18 @@ CLIPPED = 0.995  # photo values from here on are cut highlights: they only say "
 
 
 def photometric(rendered: Tensor, photos: Tensor, transfer: color.Transfer) -> Tensor:
-    """Mean absolute error in display values; a clipped photo pixel only asks for at least its value (ours).
+    """Mean of |e| + 5 e^2 of the error e in display values; a clipped photo pixel only asks for at least its value (ours).
+
+    The absolute part is robust, the squared part keeps highlights, few and bright, from being given up. Measured on
+    `cards-blue` at equal time, against the absolute part alone: photos seen 0.0369 -> 0.0342, left out 0.0628 -> 0.0616.
 
     Args:
         rendered: linear radiance N x R x R x 3, unclamped.
         photos: display values in [0, 1], the same shape.
     """
     error = color.encode(rendered, transfer) - photos
-    return torch.where(photos >= CLIPPED, error.clamp_max(0), error).abs().mean()
+    size = torch.where(photos >= CLIPPED, error.clamp_max(0), error).abs()
+    return (size + 5 * size**2).mean()
 
 
 def diffuse(svbrdf: SVBRDF, guess: Tensor) -> Tensor:

@@ -46,11 +46,11 @@ class TexelRenderer:
         views = views.in_patch_sides()
         place = {"dtype": torch.float32, "device": self.device}
         maps = [svbrdf[name].to(**place).contiguous() for name in CHANNELS[svbrdf.bsdf]]
-        # One row a view: camera, light, intensity. A plain tensor, so that it crosses dr.wrap with its gradient.
-        rows = torch.cat((views.camera, views.light, views.intensity), dim=1).to(**place)
+        # Plain tensors, so that they cross dr.wrap, each with its gradient if it wants one.
+        geometry = [t.to(**place).split(VIEWS_PER_KERNEL) for t in (views.camera, views.light, views.intensity)]
         images = []
-        for part in rows.split(VIEWS_PER_KERNEL):
-            images += self._wrapped[key](part.contiguous(), *maps)
+        for camera, light, intensity in zip(*geometry):
+            images += self._wrapped[key](camera.contiguous(), light.contiguous(), intensity.contiguous(), *maps)
         return torch.stack(images).to(svbrdf["normal"].device)
 
     def _wrap(self, bsdf: str, curve: bool, falloff: str):
@@ -81,7 +81,7 @@ class TexelRenderer:
         context = mi.BSDFContext()
 
         @dr.wrap(source="torch", target="drjit")
-        def evaluate(rows, *tensors):
+        def evaluate(cameras, lights, intensities, *tensors):
             side = tensors[0].shape[0]
             maps = {n: _columns(mi, dr, t) for n, t in zip(CHANNELS[bsdf], tensors)}
             held.update(slot_values(bsdf, maps, curve))
@@ -89,9 +89,8 @@ class TexelRenderer:
             row = index // side
             position = mi.Point3f((mi.Float(index - row * side) + 0.5) / side - 0.5, 0.5 - (mi.Float(row) + 0.5) / side, 0)
             images = []
-            for k in range(rows.shape[0]):
-                camera, light, intensity = (mi.Vector3f(*(_number(mi, dr, rows, 9 * k + 3 * part + axis)
-                                                          for axis in range(3))) for part in range(3))
+            for k in range(cameras.shape[0]):
+                camera, light, intensity = (_row(mi, dr, rows, k) for rows in (cameras, lights, intensities))
                 si = dr.zeros(mi.SurfaceInteraction3f, side * side)
                 si.p = position
                 si.n = mi.Normal3f(0, 0, 1)
@@ -116,6 +115,6 @@ def _columns(mi, dr, tensor):
     return mi.Float(tensor.array) if tensor.shape[2] == 1 else dr.unravel(mi.Color3f, tensor.array)
 
 
-def _number(mi, dr, tensor, index):
-    """One number of a tensor, as a value that may change without compiling a new kernel."""
-    return dr.gather(mi.Float, tensor.array, mi.UInt32(index))
+def _row(mi, dr, tensor, k):
+    """Row k of an N x 3 tensor, as values that may change without compiling a new kernel."""
+    return mi.Vector3f(*(dr.gather(mi.Float, tensor.array, mi.UInt32(3 * k + axis)) for axis in range(3)))
