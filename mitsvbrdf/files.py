@@ -69,7 +69,10 @@ def write_exr(path: Path, image: Tensor) -> None:
     channels = {"RGB": pixels} if pixels.shape[2] == 3 else {"Y": np.ascontiguousarray(pixels[..., 0])}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with beside(path) as temporary:
-        OpenEXR.File(header, channels).write(str(temporary))
+        try:
+            OpenEXR.File(header, channels).write(str(temporary))
+        except RuntimeError as reason:  # what OpenEXR makes of a full disk
+            raise OSError(str(reason)) from None
 
 
 def write_png(path: Path, image: Tensor, bits: int = 8) -> None:

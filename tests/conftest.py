@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as the command does (mitsvbrdf.__main__), before torch loads
+
 from pathlib import Path
 
 import pytest

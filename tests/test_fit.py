@@ -12,7 +12,8 @@ from mitsvbrdf import color
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import DirectConfig, GanConfig, HybridConfig, fit_svbrdf, losses, make_method, pretrain
-from mitsvbrdf.fit.loop import Loop, load_tensors
+from mitsvbrdf.fit.checkpoint import load_tensors
+from mitsvbrdf.fit.loop import Loop, descend
 from mitsvbrdf.fit.networks import AllPhotosGenerator, PatchDiscriminator, TwoStreamGenerator
 from mitsvbrdf.fit.parameters import STREAMS, to_raw, to_svbrdf
 from mitsvbrdf.fit.start import robust_start
@@ -197,6 +198,22 @@ def test_a_step_that_goes_wrong_is_undone(capture):
     loop.run()
     assert loop.undone == 1 and loop.iteration == 30 and loop.method.peak == peak / 2
     loop.best[1].check()
+
+
+def test_no_step_is_made_along_a_gradient_that_is_not_finite():
+    parameter = torch.zeros(3, requires_grad=True)
+    optimizer = torch.optim.Adam([parameter])
+    assert math.isnan(descend(torch.sqrt(parameter).sum(), optimizer))  # the value is 0, its slope infinite
+    assert torch.equal(parameter.detach(), torch.zeros(3))
+    assert descend((parameter - 1).square().sum(), optimizer) == 0 and (parameter > 0).all()
+
+
+def test_a_fit_that_stays_broken_ends_with_one_error(capture):
+    renderer, config = make_renderer("analytic"), DirectConfig(iterations=30)
+    loop = Loop(make_method(capture, renderer, torch.full((32, 32, 3), 0.3), config), capture, renderer, config)
+    loop.method.step = lambda progress: {"photometric": math.nan}
+    with pytest.raises(ConfigError, match="stays finite"):
+        loop.run()
 
 
 def test_pretrained_generator_is_taken_over(capture, tmp_path):

@@ -10,8 +10,9 @@ from ..maps import SVBRDF
 from ..render import Renderer
 from ..views import Views
 from . import losses
+from .checkpoint import load_optimizer_state, optimizer_state
 from .config import DirectConfig
-from .loop import cosine, load_optimizer_state, optimizer_state
+from .loop import cosine, descend
 from .parameters import to_raw, to_svbrdf
 from .start import robust_start
 
@@ -35,10 +36,8 @@ class Direct:
         terms = {"photometric": losses.photometric(rendered, self.capture.photos, self.capture.transfer),
                  "smooth": losses.total_variation(svbrdf, self.edges), "flat": losses.tilt(svbrdf)}
         total = sum(getattr(self.config, name) * value for name, value in terms.items())
-        self.optimizer.zero_grad(set_to_none=True)
-        total.backward()
-        self.optimizer.step()
-        return {name: float(value.detach()) for name, value in terms.items()}
+        gradient = descend(total, self.optimizer)
+        return {name: float(value.detach()) for name, value in terms.items()} | {"gradient": gradient}
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         with torch.no_grad():

@@ -18,8 +18,9 @@ from ..maps import SVBRDF
 from ..render import Renderer
 from ..views import Views
 from . import losses
+from .checkpoint import load_module_state, load_optimizer_state, load_tensors, module_state, optimizer_state
 from .config import GanConfig
-from .loop import load_module_state, load_optimizer_state, load_tensors, module_state, optimizer_state
+from .loop import descend
 from .networks import PatchDiscriminator, TwoStreamGenerator
 from .parameters import from_units
 
@@ -81,13 +82,9 @@ class Gan:
                 logged["discriminator"] = self._teach_discriminator(photo, fake.detach())
             adversarial = losses.adversarial(self.discriminator(fake))
             diffuse = losses.diffuse(svbrdf, self.guess)
-            for optimizer in (self.slow, self.fast):
-                optimizer.zero_grad(set_to_none=True)
-            (adversarial + self.config.diffuse * diffuse).backward()
-            self.fast.step()
-            if first:
-                self.slow.step()
-            logged |= {"adversarial": float(adversarial.detach()), "diffuse": float(diffuse.detach())}
+            moving = (self.fast, self.slow) if first else (self.fast,)
+            gradient = descend(adversarial + self.config.diffuse * diffuse, *moving)
+            logged |= {"adversarial": float(adversarial.detach()) + gradient, "diffuse": float(diffuse.detach())}
         return logged | {"stage": float(self.stage)}
 
     def _draw_input(self) -> tuple[Tensor, Views, Tensor]:
@@ -109,10 +106,7 @@ class Gan:
 
     def _teach_discriminator(self, real: Tensor, fake: Tensor) -> float:
         loss = losses.discriminator(self.discriminator(real), self.discriminator(fake))
-        self.judge.zero_grad(set_to_none=True)
-        loss.backward()
-        self.judge.step()
-        return float(loss.detach())
+        return float(loss.detach()) + descend(loss, self.judge)
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         with torch.no_grad():

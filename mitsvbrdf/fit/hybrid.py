@@ -18,8 +18,9 @@ from ..maps import SVBRDF
 from ..render import Renderer
 from ..views import Views
 from . import losses
+from .checkpoint import load_module_state, load_optimizer_state, module_state, optimizer_state
 from .config import HybridConfig
-from .loop import cosine, load_module_state, load_optimizer_state, module_state, optimizer_state
+from .loop import cosine, descend
 from .networks import AllPhotosGenerator, PatchDiscriminator
 from .parameters import to_raw, to_svbrdf
 from .start import robust_start
@@ -77,9 +78,7 @@ class Hybrid:
             logged["discriminator"] = self._teach_discriminator(real, fake.detach())
             terms["adversarial"] = losses.adversarial(self.discriminator(fake))
         total = sum(getattr(c, name) * value for name, value in terms.items())
-        self.optimizer.zero_grad(set_to_none=True)
-        total.backward()
-        self.optimizer.step()
+        logged["gradient"] = descend(total, self.optimizer)
         return {name: float(value.detach()) for name, value in terms.items()} | logged
 
     def estimate(self) -> tuple[SVBRDF, Views]:
@@ -108,10 +107,7 @@ class Hybrid:
 
     def _teach_discriminator(self, real: Tensor, fake: Tensor) -> float:
         loss = losses.discriminator(self.discriminator(real), self.discriminator(fake))
-        self.judge.zero_grad(set_to_none=True)
-        loss.backward()
-        self.judge.step()
-        return float(loss.detach())
+        return float(loss.detach()) + descend(loss, self.judge)
 
     def cut_step(self) -> None:
         self.peaks = [peak / 2 for peak in self.peaks]

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import json
 import math
 import signal
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
 import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
 from ..capture import Capture
-from ..errors import ConfigError, MitsvbrdfError
-from ..files import beside
+from ..errors import ConfigError
 from ..maps import SVBRDF
 from ..metrics import photo_rmse
 from ..render import Renderer
 from ..views import Views
+from .checkpoint import load_tensors, save_tensors
 from .config import FitConfig
 
 EVALUATE_EVERY = 10  # iterations; a fixed count, so that a resumed run keeps the same best result
@@ -78,9 +76,16 @@ class Loop:
     def run(self) -> str:
         """Advance until a limit or Ctrl-C; returns "budget", "iterations" or "interrupted"."""
         stop: list[int] = []
-        in_main = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-        if in_main:
-            signal.signal(signal.SIGINT, lambda *_: stop.append(1))
+
+        def asked_to_stop(*_: object) -> None:
+            if stop:
+                raise KeyboardInterrupt  # asked twice: at once
+            stop.append(1)
+
+        listens = (threading.current_thread() is threading.main_thread()
+                   and signal.getsignal(signal.SIGINT) is signal.default_int_handler)
+        if listens:
+            signal.signal(signal.SIGINT, asked_to_stop)
         started, saved = time.perf_counter() - self.seconds, time.perf_counter()
         good, losses = None, dict[str, float]()
         try:
@@ -97,6 +102,7 @@ class Loop:
                 if not all(map(math.isfinite, losses.values())):
                     self._undo(good)
                     continue
+                losses.pop("gradient", None)
                 self.iteration += 1
                 if self.iteration % EVALUATE_EVERY == 0:
                     self.seconds = time.perf_counter() - started
@@ -105,7 +111,7 @@ class Loop:
                     self.save()
                     saved = time.perf_counter()
         finally:
-            if in_main:
+            if listens:
                 signal.signal(signal.SIGINT, signal.default_int_handler)
         if self.checkpoint:
             self.save()
@@ -185,51 +191,21 @@ def rerender(renderer: Renderer, svbrdf: SVBRDF, views: Views, capture: Capture)
     return images, *photo_rmse(images, capture.photos, capture.transfer)
 
 
-def save_tensors(path: Path, tensors: dict[str, Tensor], note: dict) -> None:
-    """A safetensors file: plain tensors, and a note as JSON text. Loading it runs no code."""
-    with beside(path) as temporary:
-        save_file({k: v.detach().contiguous().clone() for k, v in tensors.items()}, temporary,
-                  metadata={"mitsvbrdf": json.dumps(note)})
+def descend(total: Tensor, *optimizers: torch.optim.Optimizer) -> float:
+    """One step of each optimiser down the gradient of ``total``, unless that gradient is not finite.
 
-
-def load_tensors(path: Path, error: type[MitsvbrdfError] = ConfigError) -> tuple[dict[str, Tensor], dict]:
-    """What :func:`save_tensors` wrote.
-
-    Raises:
-        ConfigError: no such file, or not a checkpoint of this package.
+    Returns:
+        0, or NaN where no step was made: logged as a loss, it makes the loop undo.
     """
-    try:
-        with safe_open(str(path), "pt") as file:
-            note = json.loads(file.metadata()["mitsvbrdf"])
-            return {key: file.get_tensor(key) for key in file.keys()}, note
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as reason:
-        raise error("a checkpoint of mitsvbrdf (.safetensors)", f"{path}: {reason}", "check the path") from None
-
-
-def optimizer_state(name: str, optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
-    """An optimiser's running averages as named tensors."""
-    return {f"{name}.{i}.{key}": value for i, entry in optimizer.state_dict()["state"].items()
-            for key, value in entry.items()}
-
-
-def load_optimizer_state(name: str, optimizer: torch.optim.Optimizer, state: dict[str, Tensor]) -> None:
-    """The inverse of :func:`optimizer_state`; step sizes stay as they are."""
-    entries: dict[int, dict[str, Tensor]] = {}
-    for key, value in state.items():
-        if key.startswith(name + "."):
-            index, field = key[len(name) + 1:].split(".", 1)
-            entries.setdefault(int(index), {})[field] = value.clone()
-    optimizer.load_state_dict({"state": entries, "param_groups": optimizer.state_dict()["param_groups"]})
-
-
-def module_state(name: str, module: torch.nn.Module) -> dict[str, Tensor]:
-    """A network's weights as named tensors."""
-    return {f"{name}.{key}": value.detach().clone() for key, value in module.state_dict().items()}
-
-
-def load_module_state(name: str, module: torch.nn.Module, state: dict[str, Tensor]) -> None:
-    """The inverse of :func:`module_state`."""
-    module.load_state_dict({k[len(name) + 1:]: v for k, v in state.items() if k.startswith(name + ".")})
+    for optimizer in optimizers:
+        optimizer.zero_grad(set_to_none=True)
+    total.backward()
+    gradients = [p.grad for o in optimizers for group in o.param_groups for p in group["params"] if p.grad is not None]
+    if not math.isfinite(sum(float(g.sum()) for g in gradients)):
+        return math.nan
+    for optimizer in optimizers:
+        optimizer.step()
+    return 0.0
 
 
 def cosine(progress: float, floor: float = 0.02) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from torch import Tensor
 
@@ -45,4 +45,3 @@ class FitResult:
     stopped: str
     undone_steps: int = 0
     flash_offset: tuple[float, float] | None = None
-    stages: dict = field(default_factory=dict)

@@ -1,0 +1,58 @@
+"""What README and docs say is run, in the order it stands there, on made photos and shortened."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from mitsvbrdf import cli
+
+ROOT = Path(__file__).parents[1]
+SHORTER = [(r"--budget \d+", "--iterations 3"), (r"budget=\d+", "iterations=3"), (r"resolution=\d+", "resolution=32")]
+
+
+def shortened(text):
+    for long, short in SHORTER:
+        text = re.sub(long, short, text)
+    return text
+
+
+@pytest.fixture
+def photos(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("photos", "other-capture"):
+        assert cli.main(["synth", "builtin:inlay", "-o", name, "--resolution", "32"]) == 0
+
+
+def test_readme_commands(photos):
+    lines = re.findall(r"^    mitsvbrdf (.*?)(?: {2,}#.*)?$", (ROOT / "README.md").read_text(), re.M)
+    assert len(lines) >= 8
+    for line in lines:
+        arguments = shlex.split(shortened(line))
+        if arguments[0] in ("fit", "render", "synth", "guess"):
+            arguments.append("--overwrite")
+        if arguments[0] == "fit" and "--iterations" not in arguments:
+            arguments += ["--iterations", "3"]
+        assert cli.main(arguments) == 0, line
+
+
+def test_readme_python(photos):
+    (block,) = re.findall(r"^The same in Python:\n\n((?:    .*\n)+)", (ROOT / "README.md").read_text(), re.M)
+    exec(shortened("".join(line[4:] + "\n" for line in block.splitlines())), {})  # noqa: S102  (our own text)
+    assert Path("out/fit.json").is_file()
+
+
+def test_links_lead_somewhere():
+    for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
+        for target in re.findall(r"\]\((?!http)([^)#]+)", page.read_text()):
+            assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_formats_page_names_every_field_of_fit_json(photos):
+    import json
+
+    assert cli.main(["fit", "photos", "-o", "out", "--method", "direct", "--iterations", "1", "--renderer", "analytic"]) == 0
+    page = (ROOT / "docs/formats.md").read_text()
+    for field in json.loads(Path("out/fit.json").read_text()):
+        assert f"`{field}`" in page, field
