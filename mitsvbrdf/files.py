@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import shutil
+import tempfile
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,7 +17,7 @@ from torch import Tensor
 
 from .errors import MitsvbrdfError, OutputError
 
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".exr")
+MANIFEST = ".mitsvbrdf"  # in each folder we make: the names we put there
 
 
 def read_image(path: Path, error: type[MitsvbrdfError]) -> Tensor:
@@ -127,12 +128,13 @@ def partial_folder(out: Path) -> Path:
 def output_folder(out: Path, overwrite: bool, keep_partial: bool = False) -> Iterator[Path]:
     """Make a result folder whole or not at all.
 
-    Yields the folder to write into (:func:`partial_folder`); when the block ends well it takes the place of ``out`` in
-    one rename, else it is removed, unless it holds a checkpoint to resume from.
+    Yields the folder to write into (:func:`partial_folder`). When the block ends well it becomes ``out``; where ``out``
+    exists, what an earlier run wrote there is replaced and all else is left alone. When the block fails the partial folder
+    is removed, unless it holds a checkpoint to resume from.
 
     Args:
         out: the folder the caller asked for.
-        overwrite: whether an existing non-empty ``out`` may be replaced.
+        overwrite: whether results in an existing ``out`` may be replaced.
         keep_partial: start from the partial folder that an interrupted run left.
 
     Raises:
@@ -141,28 +143,46 @@ def output_folder(out: Path, overwrite: bool, keep_partial: bool = False) -> Ite
     out = Path(os.path.abspath(out))
     if out.exists() and not out.is_dir():
         raise OutputError("a folder for the output", f"the file {out}", "choose another name")
-    if out.is_dir() and any(out.iterdir()) and not overwrite:
-        raise OutputError("an empty or new output folder", f"{out}, which has results",
-                          "add --overwrite to replace it, or choose another folder")
     partial = partial_folder(out)
     try:
+        if out.is_dir() and any(out.iterdir()) and not overwrite:
+            raise OutputError("an empty or new output folder", f"{out}, which has results",
+                              "add --overwrite to replace them, or choose another folder")
         if partial.exists() and not keep_partial:
             shutil.rmtree(partial)
         partial.mkdir(parents=True, exist_ok=True)
-        (partial / ".probe").write_bytes(b"x")
-        (partial / ".probe").unlink()
+        (partial / MANIFEST).write_text("[]")
     except OSError as reason:
         raise OutputError(f"a place to write at {out}", reason.strerror or str(reason),
                           "free space, or choose a folder you may write to") from None
     try:
         yield partial
-        old = out.with_name(f".{out.name}-{uuid.uuid4().hex[:8]}")
-        if out.exists():
-            os.replace(out, old)
-        os.replace(partial, out)
-        shutil.rmtree(old, ignore_errors=True)
+        _put_in_place(partial, out)
     except OSError as reason:
         raise OutputError(f"to write {out}", reason.strerror or str(reason), "free space or choose another place") from None
     finally:
         if partial.exists() and not (partial / "checkpoint.safetensors").exists():
             shutil.rmtree(partial, ignore_errors=True)
+
+
+def _put_in_place(partial: Path, out: Path) -> None:
+    """Rename the partial folder to ``out``, or its entries into it, in place of those that the manifest there lists."""
+    names = sorted(entry.name for entry in partial.iterdir())
+    (partial / MANIFEST).write_text(json.dumps(names))
+    if not out.exists():
+        os.replace(partial, out)
+        return
+    try:
+        earlier = {str(name) for name in json.loads((out / MANIFEST).read_text())}
+    except (OSError, ValueError):
+        earlier = set()
+    trash = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out))
+    try:
+        for name in sorted(earlier | set(names)):
+            if os.path.basename(name) == name and os.path.lexists(out / name):
+                os.replace(out / name, trash / name)
+        for name in names:
+            os.replace(partial / name, out / name)
+    finally:
+        shutil.rmtree(trash, ignore_errors=True)
+    partial.rmdir()

@@ -1,0 +1,82 @@
+"""Files are replaced whole or not at all, and nothing that is not ours is touched."""
+
+import os
+
+import pytest
+import torch
+
+from mitsvbrdf import files
+from mitsvbrdf.errors import OutputError
+
+
+def make(out, names, **options):
+    with files.output_folder(out, **({"overwrite": True} | options)) as folder:
+        for name in names:
+            files.write_bytes(folder / name, b"new")
+
+
+def names_in(folder):
+    return sorted(p.name for p in folder.iterdir() if p.name != files.MANIFEST)
+
+
+def test_a_new_folder_appears_whole(tmp_path):
+    make(tmp_path / "a/out", ["one", "two/three"])
+    assert names_in(tmp_path / "a") == ["out"] and names_in(tmp_path / "a/out") == ["one", "two"]
+
+
+def test_a_failing_block_leaves_nothing_behind_and_the_old_results_alone(tmp_path):
+    make(tmp_path / "out", ["one"])
+    with pytest.raises(ZeroDivisionError), files.output_folder(tmp_path / "out", overwrite=True) as folder:
+        files.write_bytes(folder / "one", b"newer")
+        raise ZeroDivisionError
+    assert names_in(tmp_path) == ["out"] and (tmp_path / "out/one").read_bytes() == b"new"
+
+
+def test_overwriting_replaces_earlier_results_only(tmp_path):
+    out = tmp_path / "out"
+    make(out, ["00.png", "01.png"])
+    (out / "thesis.txt").write_text("mine")
+    make(out, ["00.png"])
+    assert names_in(out) == ["00.png", "thesis.txt"] and (out / "thesis.txt").read_text() == "mine"
+
+
+def test_results_are_not_replaced_unasked(tmp_path):
+    make(tmp_path / "out", ["one"])
+    with pytest.raises(OutputError, match="--overwrite"):
+        make(tmp_path / "out", ["two"], overwrite=False)
+    assert names_in(tmp_path) == ["out"] and names_in(tmp_path / "out") == ["one"]
+
+
+def test_a_link_to_a_folder_stays_a_link(tmp_path):
+    (tmp_path / "real").mkdir()
+    (tmp_path / "out").symlink_to("real")
+    make(tmp_path / "out", ["one"])
+    assert (tmp_path / "out").is_symlink() and names_in(tmp_path / "real") == ["one"]
+
+
+def test_an_unfinished_run_with_a_checkpoint_is_kept(tmp_path):
+    with pytest.raises(ZeroDivisionError), files.output_folder(tmp_path / "out", overwrite=False) as folder:
+        files.write_bytes(folder / "checkpoint.safetensors", b"state")
+        raise ZeroDivisionError
+    assert names_in(files.partial_folder(tmp_path / "out")) == ["checkpoint.safetensors"]
+
+
+def test_a_write_that_fails_keeps_the_old_file(tmp_path, monkeypatch):
+    path = tmp_path / "image.exr"
+    files.write_exr(path, torch.zeros(4, 4, 3))
+    before = path.read_bytes()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(OutputError, match="No space left"):
+        files.write_exr(path, torch.ones(4, 4, 3))
+    assert path.read_bytes() == before and names_in(tmp_path) == ["image.exr"]
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_exr_holds_every_bit_of_float32(tmp_path, channels):
+    image = torch.randn(5, 7, channels) * 1e4
+    files.write_exr(tmp_path / "a.exr", image)
+    assert torch.equal(files.read_image(tmp_path / "a.exr", ValueError), image)
