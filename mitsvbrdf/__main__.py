@@ -18,7 +18,11 @@ def main() -> int:
             return doctor(json="--json" in sys.argv)
         print(f"error: expected all packages installed, got: {missing}; type ./run setup, or mitsvbrdf doctor", file=sys.stderr)
         return 2
-    return run()
+    try:
+        return run()
+    except BrokenPipeError:  # the reader, `head` say, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
 
 
 if __name__ == "__main__":

@@ -28,10 +28,13 @@ Out = Annotated[Path, arg(aliases=["-o"], help="Folder (or file) to write.")]
 Overwrite = Annotated[bool, arg(help="Replace results that are there already.")]
 Variant = Annotated[Literal["llvm_ad_rgb", "cuda_ad_rgb"], arg(help="Mitsuba variant.")]
 ViewList = Annotated[str | None, arg(metavar="0,1,2,...", help="Which photos to use, by number; left out: all.")]
-Material = Annotated[str, arg(help="A folder of maps, or builtin:NAME (inlay, tiles, leather, plates).")]
+Material = Annotated[str, arg(metavar="MAPS", help="A folder of maps, or builtin:NAME (inlay, tiles, leather, plates).")]
 ViewSource = Annotated[str, arg(help="A capture whose views to use, or builtin:grid (nine views from two sides away).")]
-TransferOption = Annotated[color.Transfer | None, arg(help="How photos encode light; left out: gamma2.2 for calibrated "
-                                                           "captures, srgb for plain photos.")]
+Photos = Annotated[Path, arg(metavar="CAPTURE", help="A folder of photos, calibrated or plain; see docs/formats.md.")]
+TransferOption = Annotated[Literal["auto", "gamma2.2", "srgb", "linear"],
+                           arg(help="How photos encode light; auto: as the capture states, else gamma2.2 for calibrated "
+                                    "captures and srgb for plain photos.")]
+FalloffOption = Literal["auto", "inverse-square", "none"]
 
 CONFIGS: dict[str, type[FitConfig]] = {"hybrid": HybridConfig, "gan": GanConfig, "direct": DirectConfig}
 CHECKPOINT = "checkpoint.safetensors"
@@ -40,7 +43,7 @@ CHECKPOINT = "checkpoint.safetensors"
 def fit_command(method: str) -> Callable:
     """The ``fit`` command with the settings of one method as its options."""
     def fit(
-        capture: Positional[Path],
+        capture: Positional[Photos],
         out: Out,
         config: FitConfig,
         method: Annotated[Literal["hybrid", "gan", "direct"], arg(help="How to fit; `fit --method gan --help` shows "
@@ -48,19 +51,18 @@ def fit_command(method: str) -> Callable:
         renderer: Annotated[RendererName, arg(help="What renders the maps and carries the gradients.")] = "mitsuba",
         resolution: Annotated[int, arg(help="Side of the maps in texels; photos are area-averaged down to it.")] = 256,
         views: ViewList = None,
-        falloff: Annotated[Falloff | None, arg(help="Light falloff; none is the paper's light. Left out: inverse-square, "
-                                                    "and none for --method gan.")] = None,
-        transfer: TransferOption = None,
+        falloff: Annotated[FalloffOption, arg(help="Light falloff; none is the paper's light. auto: inverse-square, but "
+                                                   "none for --method gan.")] = "auto",
+        transfer: TransferOption = "auto",
         variant: Variant = "llvm_ad_rgb",
         resume: Annotated[bool, arg(help="Go on from the checkpoint in OUT (or in OUT.partial, after a crash).")] = False,
         overwrite: Overwrite = False,
     ) -> int:
         """Recover the maps of a material from photos.
 
-        Examples:
-            mitsvbrdf fit photos/ -o out --budget 120
-            mitsvbrdf fit photos/ -o out --views 0,1,2,3,5,6,8 --bsdf principled
-            mitsvbrdf fit photos/ -o out --method gan --preset paper-one-stage --iterations 500
+        `mitsvbrdf fit photos/ -o out --budget 120` is all it takes. Leave photos out with --views 0,1,2,3,5,6,8 and predict
+        them with `mitsvbrdf evaluate out --capture photos/ --views 4,7`: the honest test of a fit. The paper's method is
+        --method gan --preset paper-one-stage, shortened by --iterations 500.
 
         Ctrl-C ends the fit and keeps its best result. OUT then holds maps/, guess/, rerendered/, sheet.png, curve.svg,
         scene.xml (for plain Mitsuba), fit.json and the checkpoint that --resume goes on from.
@@ -68,7 +70,9 @@ def fit_command(method: str) -> Callable:
         from .report.folder import write_fit
 
         config.check()
-        shots = _read(capture, resolution, views, transfer, falloff or ("none" if method == "gan" else "inverse-square"))
+        if falloff == "auto":
+            falloff = "none" if method == "gan" else "inverse-square"
+        shots = _read(capture, resolution, views, transfer, falloff)
         engine = make_renderer(renderer, variant)
         partial = files.partial_folder(Path(os.path.abspath(out)))
         earlier = next((p for p in (partial / CHECKPOINT, out / CHECKPOINT) if p.is_file()), None)
@@ -97,8 +101,8 @@ def fit_command(method: str) -> Callable:
     return fit
 
 
-def guess(capture: Positional[Path], out: Out, method: GuessMethod = "robust", resolution: int = 256,
-          views: ViewList = None, transfer: TransferOption = None, overwrite: Overwrite = False) -> int:
+def guess(capture: Positional[Photos], out: Out, method: GuessMethod = "robust", resolution: int = 256,
+          views: ViewList = None, transfer: TransferOption = "auto", overwrite: Overwrite = False) -> int:
     """Make the guessed diffuse map only: OUT/diffuse.exr and .png.
 
     Methods: min is the paper's per-pixel minimum; mean-blur the older baseline; robust undoes falloff and highlights.
@@ -134,11 +138,11 @@ def render(maps: Positional[Material], out: Out, views: ViewSource = "builtin:gr
 
 def evaluate(maps: Positional[Material],
              reference: Annotated[str | None, arg(help="Known maps: a folder or builtin:NAME.")] = None,
-             capture: Annotated[Path | None, arg(help="Photos to compare re-renderings with.")] = None,
+             capture: Annotated[Path | None, arg(metavar="CAPTURE", help="Photos to compare re-renderings with.")] = None,
              views: ViewList = None,
              resolution: Annotated[int | None, arg(help="Side of the photos; left out: that of the maps.")] = None,
-             renderer: RendererName = "mitsuba", transfer: TransferOption = None,
-             falloff: Annotated[Falloff | None, arg(help="Left out: as in the fit.")] = None,
+             renderer: RendererName = "mitsuba", transfer: TransferOption = "auto",
+             falloff: Annotated[FalloffOption, arg(help="auto: as in the fit.")] = "auto",
              flash_offset: Annotated[Literal["fitted", "none"],
                                      arg(help="fitted: use the flash offset that the fit found.")] = "fitted",
              json_file: Annotated[Path | None, arg(name="json", help="Write the figures to this file.")] = None,
@@ -160,7 +164,8 @@ def evaluate(maps: Positional[Material],
         print_numbers("Map RMSE", found)
     else:
         record = {} if maps.startswith("builtin:") else fit_record_of(maps)
-        falloff = falloff or record.get("views", {}).get("falloff", "inverse-square")
+        if falloff == "auto":
+            falloff = record.get("views", {}).get("falloff", "inverse-square")
         offset = record.get("flash_offset") if flash_offset == "fitted" else None
         shots = _read(capture, resolution or svbrdf.resolution, views, transfer, falloff)
         found = evaluate_capture(svbrdf, shots, make_renderer(renderer, variant), offset and (offset["x"], offset["y"]))
@@ -189,18 +194,18 @@ def synth(material: Positional[Material], out: Out, views: ViewSource = "builtin
     return 0
 
 
-def pretrain_command(picture: Positional[Path], out: Out, config: OmitArgPrefixes[GanConfig], resolution: int = 256,
+def pretrain_command(picture: Positional[Photos], out: Out, config: OmitArgPrefixes[GanConfig], resolution: int = 256,
                      renderer: RendererName = "mitsuba", falloff: Falloff = "none", variant: Variant = "llvm_ad_rgb",
                      overwrite: Overwrite = False) -> int:
     """First stage of the paper's two-stage training: the generator learns from one picture with global features.
 
-    PICTURE is a capture (its first photo is used) or a folder with one photo; OUT a .safetensors file, for
+    CAPTURE's first photo is used; a folder with one plain photo will do. OUT is a .safetensors file, for
     `fit --method gan --preset paper-two-stage --pretrained OUT`.
     """
     config.check()
     if out.exists() and not overwrite:
         raise ConfigError("a new checkpoint file", f"{out}, which exists", "add --overwrite, or choose another name")
-    shots = _read(picture, resolution, None, None, falloff)
+    shots = _read(picture, resolution, None, "auto", falloff)
     engine = make_renderer(renderer, variant)
     with Progress(f"pretrain · {engine.name}") as progress:
         pretrain(shots, engine, config, out, progress)
@@ -240,7 +245,8 @@ def _read(capture: Path, resolution: int, views: str | None, transfer, falloff: 
             index = [int(part) for part in views.split(",")]
         except ValueError:
             raise ConfigError("photo numbers like 0,1,2,5", repr(views), "separate them by commas") from None
-    shots = read_capture(capture, resolution=resolution, index=index, transfer=transfer, falloff=falloff)
+    shots = read_capture(capture, resolution=resolution, index=index, falloff=falloff,
+                         transfer=None if transfer == "auto" else transfer)
     for note in shots.notes:
         say(note)
     return shots
