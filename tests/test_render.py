@@ -154,6 +154,16 @@ def test_made_material_with_global_structure(name):
     assert_agree(make_renderer(name), make_material("inlay", 64), GRID)
 
 
+@pytest.mark.parametrize("name", ["mitsuba", "mitsuba-scene"])
+def test_another_variant_set_in_between_does_no_harm(name):
+    import mitsuba as mi
+
+    renderer, material = make_renderer(name), random_material("roughconductor")
+    before = renderer.render(material, GRID.pick([0]))
+    mi.set_variant("scalar_rgb")
+    assert torch.equal(renderer.render(material, GRID.pick([0])), before)
+
+
 def test_needs():
     together, apart = (scene_needs("roughconductor", v, "mitsuba") for v in (GRID, APART))
     assert not together.fresnel_curve and apart.fresnel_curve

@@ -52,6 +52,7 @@ class SceneRenderer:
         if any(t.requires_grad for t in (views.camera, views.light, views.intensity)):
             raise ConfigError("views held fixed", "a gradient asked of camera, light or intensity",
                               "use the renderer 'mitsuba' or 'analytic' to fit these")
+        mitsuba_module(self.variant)  # somebody may have set another variant since
         curve = scene_needs(svbrdf.bsdf, views, self.name).fresnel_curve
         key = (svbrdf.bsdf, curve, svbrdf.resolution)
         if key not in self._wrapped:

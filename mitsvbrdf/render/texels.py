@@ -39,6 +39,7 @@ class TexelRenderer:
 
     def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
         """Linear radiance N x R x R x 3, float32; gradients to maps, camera, light and intensity."""
+        mitsuba_module(self.variant)  # somebody may have set another variant since
         curve = scene_needs(svbrdf.bsdf, views, self.name).fresnel_curve
         key = (svbrdf.bsdf, curve, views.falloff)
         if key not in self._wrapped:
