@@ -167,6 +167,9 @@ def evaluate(maps: Positional[Material],
         if falloff == "auto":
             falloff = record.get("views", {}).get("falloff", "inverse-square")
         offset = record.get("flash_offset") if flash_offset == "fitted" else None
+        if offset:
+            say(f"with the flash offset of the fit, ({offset['x']:.3f}, {offset['y']:.3f}) patch sides; "
+                "--flash-offset none leaves the views as calibrated")
         shots = _read(capture, resolution or svbrdf.resolution, views, transfer, falloff)
         found = evaluate_capture(svbrdf, shots, make_renderer(renderer, variant), offset and (offset["x"], offset["y"]))
         print_numbers("Re-rendering RMSE (display values)", found["per_photo"] | {"all photos": found["rerender_rmse"]})
