@@ -45,7 +45,11 @@ def robust_start(capture: Capture, guess: Tensor, bsdf: Bsdf) -> SVBRDF:
     _, level, roughness = best
     size = capture.resolution
     if bsdf == "principled":
-        start = flat(size, "principled", roughness=roughness, metallic=0.1)
-        return SVBRDF("principled", dict(start.maps) | {"base_color": (guess / 0.9).clamp(0, 1)})
+        # The same two lobes: base colour (1 - metallic) is the guess, base colour metallic what F0 exceeds a dielectric's.
+        metal = max(level - DIELECTRIC_F0, 0.0)
+        base = (guess + metal).clamp(0.01, 1)
+        metallic = (metal / base.mean(dim=2, keepdim=True)).clamp(0.05, 0.95)
+        start = flat(size, "principled", roughness=roughness)
+        return SVBRDF("principled", dict(start.maps) | {"base_color": base, "metallic": metallic})
     start = flat(size, specular=level, roughness=roughness)
     return SVBRDF("roughconductor", dict(start.maps) | {"diffuse": guess})
