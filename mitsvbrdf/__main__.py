@@ -10,8 +10,11 @@ def main() -> int:
     """Run ``mitsvbrdf`` with the arguments of the process; returns the exit code."""
     # Idle threads sleep instead of spinning: torch and Dr.Jit have a pool each and take turns. Read when torch loads.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    sys.stdout.reconfigure(errors="replace")  # a terminal that lacks a letter gets a question mark
     try:
         from .cli import main as run
+    except KeyboardInterrupt:
+        return 130
     except ImportError as missing:
         if sys.argv[1:2] == ["doctor"]:
             from .doctor import doctor

@@ -1,4 +1,7 @@
-"""The command line: parse, call, print, exit code. 0 is success, 2 a mistake the caller can mend, 130 Ctrl-C."""
+"""The command line: parse, call, print, exit code.
+
+0 is success, and a fit that Ctrl-C ended early; 2 a mistake the caller can mend; 130 Ctrl-C without a result.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ from . import color, files
 from .capture import Capture, guess_diffuse, read_capture, write_capture
 from .errors import CaptureError, ConfigError, MitsvbrdfError
 from .fit import fit_svbrdf, pretrain
-from .fit.config import DirectConfig, FitConfig, GanConfig, GuessMethod, HybridConfig
+from .fit.config import DirectConfig, FitConfig, GanConfig, GuessMethod, HybridConfig, check_seed
 from .maps import load_maps
 from .progress import Progress, print_numbers, say
 from .render import RendererName, make_renderer
@@ -37,7 +40,6 @@ TransferOption = Annotated[Literal["auto", "gamma2.2", "srgb", "linear"],
 FalloffOption = Literal["auto", "inverse-square", "none"]
 
 CONFIGS: dict[str, type[FitConfig]] = {"hybrid": HybridConfig, "gan": GanConfig, "direct": DirectConfig}
-CHECKPOINT = "checkpoint.safetensors"
 
 
 def fit_command(method: str) -> Callable:
@@ -55,7 +57,7 @@ def fit_command(method: str) -> Callable:
                                                    "none for --method gan.")] = "auto",
         transfer: TransferOption = "auto",
         variant: Variant = "llvm_ad_rgb",
-        resume: Annotated[bool, arg(help="Go on from the checkpoint in OUT (or in OUT.partial, after a crash).")] = False,
+        resume: Annotated[bool, arg(help="Go on from the checkpoint in OUT, same options, more --iterations.")] = False,
         overwrite: Overwrite = False,
     ) -> int:
         """Recover the maps of a material from photos.
@@ -74,19 +76,18 @@ def fit_command(method: str) -> Callable:
             falloff = "none" if method == "gan" else "inverse-square"
         shots = _read(capture, resolution, views, transfer, falloff)
         engine = make_renderer(renderer, variant)
-        partial = files.partial_folder(Path(os.path.abspath(out)))
-        earlier = next((p for p in (partial / CHECKPOINT, out / CHECKPOINT) if p.is_file()), None)
+        _apart(capture, out)
+        earlier = next((p for p in (files.partial_folder(out) / files.CHECKPOINT, out / files.CHECKPOINT) if p.is_file()), None)
         if resume and earlier is None:
             raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
-        if not (resume or overwrite) and (partial / CHECKPOINT).is_file():
-            raise ConfigError("no unfinished fit", f"the one in {partial}", "--resume goes on, --overwrite starts anew")
-        with files.output_folder(out, overwrite or resume, keep_partial=resume) as folder:
+        with files.output_folder(out, overwrite or resume, resume) as folder:
             with Progress(f"fit {shots.source.name if shots.source else ''} · {method} · {engine.name}") as progress:
-                result = fit_svbrdf(shots, engine, config, checkpoint=folder / CHECKPOINT,
+                result = fit_svbrdf(shots, engine, config, checkpoint=folder / files.CHECKPOINT,
                                     resume=earlier if resume else None, report=progress)
-            write_fit(result, shots, folder, command={
-                "renderer": renderer, "resolution": resolution, "views": views, "falloff": shots.views.falloff,
-                "transfer": transfer, "variant": variant})
+            with files.undisturbed():
+                write_fit(result, shots, folder, command={
+                    "renderer": renderer, "resolution": resolution, "views": views, "falloff": shots.views.falloff,
+                    "transfer": transfer, "variant": variant})
         print_numbers("Re-rendering RMSE (display values)",
                       dict(zip(shots.names, result.per_photo)) | {"all photos": result.rerender_rmse})
         if result.stopped == "interrupted":
@@ -109,6 +110,7 @@ def guess(capture: Positional[Photos], out: Out, method: GuessMethod = "robust",
     """
     from .report.folder import write_linear
 
+    _apart(capture, out)
     shots = _read(capture, resolution, views, transfer, "inverse-square")
     with files.output_folder(out, overwrite) as folder:
         write_linear(folder / "diffuse", guess_diffuse(shots, method), "srgb")
@@ -117,17 +119,24 @@ def guess(capture: Positional[Photos], out: Out, method: GuessMethod = "robust",
 
 
 def render(maps: Positional[Material], out: Out, views: ViewSource = "builtin:grid", renderer: RendererName = "mitsuba",
-           falloff: Falloff = "inverse-square", transfer: color.Transfer = "gamma2.2",
+           falloff: Annotated[FalloffOption, arg(help="auto: as in the fit.")] = "auto",
+           transfer: Annotated[TransferOption, arg(help="How the PNGs encode light; auto: as in the fit.")] = "auto",
+           flash_offset: Annotated[Literal["fitted", "none"],
+                                   arg(help="fitted: the light stands beside the camera as the fit found it.")] = "none",
            diffuse: Annotated[Literal["fitted", "guessed"], arg(help="guessed: show the guessed diffuse map of the fit "
                                                                      "instead of its own (paper IV.B).")] = "fitted",
            variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
     """Render maps for the views of a capture: OUT/NN.png (display values) and NN.exr (linear)."""
+    from .evaluate import shift_lights
     from .report.folder import write_linear
 
-    svbrdf, names_views = _material(maps), _views(views, falloff)
+    svbrdf, fit = _material(maps), _fit_of(maps)
     if diffuse == "guessed":
         svbrdf = _with_guessed_diffuse(svbrdf, Path(maps))
-    names, lit = names_views
+    names, lit = _views(views, fit.falloff if falloff == "auto" else falloff)
+    lit = shift_lights(lit, fit.flash_offset if flash_offset == "fitted" else None)
+    transfer = (fit.transfer or "gamma2.2") if transfer == "auto" else transfer
+    _apart(Path(views), out)
     images = make_renderer(renderer, variant).render(svbrdf, lit)
     with files.output_folder(out, overwrite) as folder:
         for name, image in zip(names, images):
@@ -152,7 +161,7 @@ def evaluate(maps: Positional[Material],
     Map RMSE is counted as in the field: diffuse and specular gamma-encoded, roughness as stored, normal as (n + 1) / 2.
     Re-rendering RMSE is in display values clipped to [0, 1], over all pixels and photos.
     """
-    from .evaluate import evaluate_capture, evaluate_maps, fit_record_of
+    from .evaluate import evaluate_capture, evaluate_maps
     from .metrics import map_rmse
 
     if (reference is None) == (capture is None):
@@ -163,15 +172,14 @@ def evaluate(maps: Positional[Material],
             svbrdf, reference)
         print_numbers("Map RMSE", found)
     else:
-        record = {} if maps.startswith("builtin:") else fit_record_of(maps)
-        if falloff == "auto":
-            falloff = record.get("views", {}).get("falloff", "inverse-square")
-        offset = record.get("flash_offset") if flash_offset == "fitted" else None
+        fit = _fit_of(maps)
+        offset = fit.flash_offset if flash_offset == "fitted" else None
         if offset:
-            say(f"with the flash offset of the fit, ({offset['x']:.3f}, {offset['y']:.3f}) patch sides; "
+            say(f"with the flash offset of the fit, ({offset[0]:.3f}, {offset[1]:.3f}) patch sides; "
                 "--flash-offset none leaves the views as calibrated")
-        shots = _read(capture, resolution or svbrdf.resolution, views, transfer, falloff)
-        found = evaluate_capture(svbrdf, shots, make_renderer(renderer, variant), offset and (offset["x"], offset["y"]))
+        transfer = fit.transfer or "auto" if transfer == "auto" else transfer
+        shots = _read(capture, resolution or svbrdf.resolution, views, transfer, fit.falloff if falloff == "auto" else falloff)
+        found = evaluate_capture(svbrdf, shots, make_renderer(renderer, variant), offset)
         print_numbers("Re-rendering RMSE (display values)", found["per_photo"] | {"all photos": found["rerender_rmse"]})
     if json_file:
         files.write_json(json_file, found)
@@ -183,8 +191,10 @@ def synth(material: Positional[Material], out: Out, views: ViewSource = "builtin
           seed: int = 0, renderer: RendererName = "mitsuba", transfer: color.Transfer = "gamma2.2",
           variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
     """Take photos of known maps: 8-bit, clipped, optionally noisy; a capture to test fits on."""
-    if noise < 0:
-        raise ConfigError("--noise >= 0", str(noise), "give the standard deviation, e.g. 0.003")
+    if not 0 <= noise <= 1:
+        raise ConfigError("--noise from 0 to 1", str(noise), "give the standard deviation, e.g. 0.003")
+    check_seed(seed)
+    _apart(Path(views), out)
     svbrdf, (names, lit) = _material(material, resolution), _views(views, "inverse-square")
     if svbrdf.resolution < resolution:
         say(f"the maps have {svbrdf.resolution} px, so have the photos")
@@ -206,7 +216,7 @@ def pretrain_command(picture: Positional[Photos], out: Out, config: OmitArgPrefi
     `fit --method gan --preset paper-two-stage --pretrained OUT`.
     """
     config.check()
-    if out.exists() and not overwrite:
+    if out.is_dir() or out.exists() and not overwrite:
         raise ConfigError("a new checkpoint file", f"{out}, which exists", "add --overwrite, or choose another name")
     shots = _read(picture, resolution, None, "auto", falloff)
     engine = make_renderer(renderer, variant)
@@ -237,6 +247,18 @@ def demo(out: Out = Path("out/demo"), budget: float = 75.0, overwrite: Overwrite
     print_numbers("Map RMSE against the truth", evaluate_maps(load_maps(result), truth))
     say(f"look at {result}/sheet.png")
     return 0
+
+
+def _fit_of(maps: str):
+    from .evaluate import Fit, fit_of
+
+    return Fit() if maps.startswith("builtin:") else fit_of(maps)
+
+
+def _apart(capture: Path, out: Path) -> None:
+    """Results among photos would be read as photos the next time."""
+    if os.path.realpath(out) in (os.path.realpath(capture), os.path.realpath(capture / "target")):
+        raise ConfigError("an output folder of its own", f"{out}, which holds the photos", "choose another folder")
 
 
 def _read(capture: Path, resolution: int, views: str | None, transfer, falloff: Falloff) -> Capture:
@@ -283,11 +305,11 @@ def _with_guessed_diffuse(svbrdf, maps: Path):
 
 
 def _method_of(arguments: list[str]) -> str:
+    method = "hybrid"
     for here, after in zip(arguments, [*arguments[1:], ""]):
         name = after if here == "--method" else here.removeprefix("--method=") if here.startswith("--method=") else None
-        if name in CONFIGS:
-            return name
-    return "hybrid"
+        method = name if name in CONFIGS else method
+    return method  # the last one counts, as for every option
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -303,7 +325,13 @@ def main(arguments: list[str] | None = None) -> int:
     except MitsvbrdfError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        print(f"error: expected to read or write {error.filename or 'a file'}, got {error.strerror or error}; check the name "
+              "and your rights to it", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+        print("interrupted; an unfinished fit goes on with --resume", file=sys.stderr)
         return 130
 

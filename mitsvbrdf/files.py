@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import shutil
-import tempfile
+import signal
+import threading
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 import torch
@@ -17,7 +20,9 @@ from torch import Tensor
 
 from .errors import MitsvbrdfError, OutputError
 
-MANIFEST = ".mitsvbrdf"  # in each folder we make: the names we put there
+MANIFEST = ".mitsvbrdf"  # in each folder we make: the files we put there
+CHECKPOINT = "checkpoint.safetensors"
+LOCK = ".lock"
 
 
 def read_image(path: Path, error: type[MitsvbrdfError]) -> Tensor:
@@ -120,69 +125,124 @@ def beside(path: Path) -> Iterator[Path]:
 
 
 def partial_folder(out: Path) -> Path:
-    """Where a result lies while it is being made: beside ``out``, with ``.partial`` added."""
-    return out.with_name(out.name + ".partial")
+    """Where a result lies while it is being made: inside ``out``, so that putting it in place is a rename."""
+    return Path(out) / ".partial"
 
 
 @contextlib.contextmanager
-def output_folder(out: Path, overwrite: bool, keep_partial: bool = False) -> Iterator[Path]:
-    """Make a result folder whole or not at all.
+def output_folder(out: Path, overwrite: bool, resume: bool = False) -> Iterator[Path]:
+    """Make the files of a result folder all or not at all.
 
-    Yields the folder to write into (:func:`partial_folder`). When the block ends well it becomes ``out``; where ``out``
-    exists, what an earlier run wrote there is replaced and all else is left alone. When the block fails the partial folder
-    is removed, unless it holds a checkpoint to resume from.
+    Yields the folder to write into (:func:`partial_folder`). When the block ends well its files move to ``out``, those that
+    an earlier run put there (the manifest lists them) go, and files of anybody else stay: one that is in the way gets
+    ``.old`` behind its name. When the block fails only a checkpoint to resume from is kept.
 
     Args:
         out: the folder the caller asked for.
-        overwrite: whether results in an existing ``out`` may be replaced.
-        keep_partial: start from the partial folder that an interrupted run left.
+        overwrite: whether earlier results, or an unfinished run, may be replaced.
+        resume: go on in the partial folder that an interrupted run left.
 
     Raises:
-        OutputError: ``out`` has results, is no folder, or cannot be written.
+        OutputError: ``out`` has results, is no folder, is in use by another run, or cannot be written.
     """
-    out = Path(os.path.abspath(out))
-    if out.exists() and not out.is_dir():
-        raise OutputError("a folder for the output", f"the file {out}", "choose another name")
+    out = Path(os.path.realpath(out))
     partial = partial_folder(out)
     try:
-        if out.is_dir() and any(out.iterdir()) and not overwrite:
+        if out.exists() and not out.is_dir():
+            raise OutputError("a folder for the output", f"the file {out}", "choose another name")
+        if out.is_dir() and not overwrite and any(entry != partial for entry in out.iterdir()):
             raise OutputError("an empty or new output folder", f"{out}, which has results",
                               "add --overwrite to replace them, or choose another folder")
-        if partial.exists() and not keep_partial:
-            shutil.rmtree(partial)
+        if (partial / CHECKPOINT).exists() and not (overwrite or resume):
+            raise OutputError("no unfinished fit", f"the one in {out}", "--resume goes on, --overwrite starts anew")
+        made = not out.exists()
         partial.mkdir(parents=True, exist_ok=True)
-        (partial / MANIFEST).write_text("[]")
+        lock = _locked(partial)
+        if not resume:
+            _empty(partial, keep=(LOCK,))
     except OSError as reason:
         raise OutputError(f"a place to write at {out}", reason.strerror or str(reason),
                           "free space, or choose a folder you may write to") from None
+    done = False
     try:
         yield partial
-        _put_in_place(partial, out)
+        with undisturbed():
+            _put_in_place(partial, out)
+        done = True
     except OSError as reason:
         raise OutputError(f"to write {out}", reason.strerror or str(reason), "free space or choose another place") from None
     finally:
-        if partial.exists() and not (partial / "checkpoint.safetensors").exists():
+        lock.close()
+        if done or not (partial / CHECKPOINT).exists():
             shutil.rmtree(partial, ignore_errors=True)
+            if made and not done:
+                with contextlib.suppress(OSError):
+                    out.rmdir()
+        else:
+            _empty(partial, keep=(CHECKPOINT,))
+
+
+def _locked(partial: Path) -> IO:
+    """An open file in the partial folder that no other process has locked."""
+    lock = (partial / LOCK).open("w")
+    with contextlib.suppress(ImportError):  # no fcntl on Windows
+        import fcntl
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.close()
+            raise OutputError("an output folder of its own for each run", f"{partial.parent}, in use by another run",
+                              "wait for it, or choose another folder") from None
+    return lock
+
+
+def _empty(folder: Path, keep: tuple[str, ...]) -> None:
+    for entry in folder.iterdir():
+        if entry.name not in keep:
+            shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
 
 
 def _put_in_place(partial: Path, out: Path) -> None:
-    """Rename the partial folder to ``out``, or its entries into it, in place of those that the manifest there lists."""
-    names = sorted(entry.name for entry in partial.iterdir())
-    (partial / MANIFEST).write_text(json.dumps(names))
-    if not out.exists():
-        os.replace(partial, out)
+    """Move the files of the partial folder to ``out`` and take away what the manifest there lists; undone if it fails."""
+    new = sorted(str(p.relative_to(partial)) for p in partial.rglob("*") if p.is_file() and p.name != LOCK)
+    try:
+        earlier = [str(name) for name in json.loads((out / MANIFEST).read_text())]
+    except (OSError, ValueError, TypeError):
+        earlier = []
+    earlier = [name for name in (*earlier, MANIFEST) if (out / name).is_file() and ".." not in Path(name).parts]
+    moves = [(out / name, partial / ".earlier" / name) for name in dict.fromkeys(earlier)]
+    moves += [(out / name, _spare_name(out / name)) for name in new if name not in earlier and os.path.lexists(out / name)]
+    (partial / MANIFEST).write_text(json.dumps(new))
+    moves += [(partial / name, out / name) for name in (*new, MANIFEST)]
+    undo: list[tuple[Path, Path]] = []
+    try:
+        for source, target in moves:
+            target.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(source, target)
+            undo.append((target, source))
+    except BaseException:
+        for target, source in reversed(undo):
+            source.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(target, source)
+        raise
+    for folder in sorted({(out / name).parent for name in earlier} - {out}, reverse=True):
+        with contextlib.suppress(OSError):
+            folder.rmdir()  # only where nothing is left in it
+
+
+def _spare_name(path: Path) -> Path:
+    names = (path.with_name(f"{path.name}.old{count or ''}") for count in itertools.count())
+    return next(name for name in names if not os.path.lexists(name))
+
+
+@contextlib.contextmanager
+def undisturbed() -> Iterator[None]:
+    """Ctrl-C has to wait until the block is done."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
         return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        earlier = {str(name) for name in json.loads((out / MANIFEST).read_text())}
-    except (OSError, ValueError):
-        earlier = set()
-    trash = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out))
-    try:
-        for name in sorted(earlier | set(names)):
-            if os.path.basename(name) == name and os.path.lexists(out / name):
-                os.replace(out / name, trash / name)
-        for name in names:
-            os.replace(partial / name, out / name)
+        yield
     finally:
-        shutil.rmtree(trash, ignore_errors=True)
-    partial.rmdir()
+        signal.signal(signal.SIGINT, before)

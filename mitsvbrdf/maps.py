@@ -167,8 +167,7 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
         folder = folder / "maps"
     if not folder.is_dir():
         raise MapsError("a folder of maps", f"no folder at {folder}", "give the folder that holds diffuse, specular, ...")
-    stated = read_material_json(folder)
-    codes = _encodings(stated, encoding)
+    stated, codes = read_material_json(folder), encodings(folder, encoding)
     if bsdf is None:
         principled = _find(folder, "base_color") and _find(folder, "metallic")
         bsdf = stated.get("bsdf") or ("principled" if principled else "roughconductor")
@@ -195,14 +194,20 @@ def read_material_json(folder: Path) -> dict:
         return {}
     try:
         stated = json.loads(path.read_text())
-        if not isinstance(stated, dict) or not isinstance(stated.get("encoding", {}), dict):
-            raise ValueError("not an object with an 'encoding' object")
-    except (ValueError, UnicodeDecodeError) as reason:
-        raise MapsError("a valid material.json", f"{path}: {reason}", "mend it, or delete it and state --encoding") from None
+        if not isinstance(stated, dict) or stated.get("bsdf", "principled") not in list(CHANNELS):
+            raise ValueError(f"not an object, or its bsdf is none of {list(CHANNELS)}")
+        codes = stated.get("encoding", {})
+        if not isinstance(codes, dict) or not all(isinstance(code, str) for code in codes.values()):
+            raise ValueError("its encoding is no object of texts")
+    except ValueError as reason:
+        raise MapsError("a valid material.json", f"{path}: {reason}", "mend it, or delete it for gamma 2.2") from None
     return stated
 
 
-def _encodings(stated: dict, encoding: str | None) -> dict[str, str]:
+def encodings(folder: str | Path, encoding: str | None = None) -> dict[str, str]:
+    """How the 8- and 16-bit files of a map folder are encoded, by map; see :func:`load_maps`."""
+    folder = Path(folder)
+    stated = read_material_json(folder / "maps" if (folder / "maps").is_dir() else folder)
     if encoding is not None and encoding not in ENCODINGS:
         raise ConfigError(f"an encoding of {list(ENCODINGS)}", repr(encoding), "choose one of these")
     codes = ENCODINGS[encoding or "gamma 2.2"]
@@ -210,11 +215,9 @@ def _encodings(stated: dict, encoding: str | None) -> dict[str, str]:
 
 
 def _find(folder: Path, name: str) -> Path | None:
-    for stem in (name, SHORT_NAMES.get(name)):
-        for suffix in (".exr", ".png", ".jpg", ".jpeg"):
-            if stem and (folder / (stem + suffix)).is_file():
-                return folder / (stem + suffix)
-    return None
+    there = {entry.name.lower(): entry for entry in folder.iterdir() if entry.is_file()}
+    wanted = [stem + suffix for stem in (name, SHORT_NAMES.get(name)) if stem for suffix in (".exr", ".png", ".jpg", ".jpeg")]
+    return next((there[file] for file in wanted if file in there), None)
 
 
 def _decoded(path: Path, name: str, channels: int, codes: dict[str, str]) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import time
 
@@ -51,8 +52,9 @@ class Progress:
 
 
 def say(text: str) -> None:
-    """A plain line."""
-    print(text, flush=True)
+    """A plain line; when nobody reads any more the work goes on without."""
+    with contextlib.suppress(BrokenPipeError):
+        print(text, flush=True)
 
 
 def print_numbers(title: str, numbers: dict[str, float]) -> None:
@@ -60,4 +62,5 @@ def print_numbers(title: str, numbers: dict[str, float]) -> None:
     table = Table(title=title, title_justify="left", show_header=False)
     for name, value in numbers.items():
         table.add_row(name, f"{value:.4f}")
-    console.print(table)
+    with contextlib.suppress(BrokenPipeError):
+        console.print(table)

@@ -127,11 +127,13 @@ def test_resume_goes_on_and_needs_a_checkpoint(shots, tmp_path, capsys):
 def test_an_unfinished_fit_is_not_thrown_away(shots, tmp_path, capsys):
     out = tmp_path / "out"
     partial = files.partial_folder(out)
-    assert cli.main(["fit", str(shots), "-o", str(out), *FAST]) == 0
-    out.rename(partial)
-    fails(capsys, tmp_path, ["fit", shots, "-o", out, *FAST], "--resume")
+    assert cli.main(["fit", str(shots), "-o", str(tmp_path / "done"), *FAST]) == 0
+    partial.mkdir(parents=True)
+    (tmp_path / "done" / files.CHECKPOINT).rename(partial / files.CHECKPOINT)
+    for command in (["fit", shots, "-o", out, *FAST], ["guess", shots, "-o", out]):
+        fails(capsys, tmp_path, command, "--resume")
     assert cli.main(["fit", str(shots), "-o", str(out), *FAST, "--resume"]) == 0
-    assert not partial.exists()
+    assert not partial.exists() and (out / "fit.json").is_file()
 
 
 def test_results_are_only_replaced_when_asked(shots, tmp_path, capsys):
@@ -141,6 +143,64 @@ def test_results_are_only_replaced_when_asked(shots, tmp_path, capsys):
                     ["synth", "builtin:tiles", "-o", out]):
         fails(capsys, tmp_path, command, "--overwrite")
     assert cli.main(["guess", str(shots), "-o", str(out), "--overwrite"]) == 0
+
+
+def test_results_do_not_go_among_the_photos(shots, tmp_path, capsys):
+    for out in (shots, shots / "target"):
+        fails(capsys, tmp_path, ["fit", shots, "-o", out, "--overwrite", *FAST], "photos")
+
+
+def test_the_last_method_counts(shots, tmp_path):
+    out = tmp_path / "out"
+    assert cli.main(["fit", str(shots), "-o", str(out), "--method", "gan", *FAST]) == 0
+    record = json.loads((out / "fit.json").read_text())
+    assert record["method"] == "direct" and record["views"]["falloff"] == "inverse-square"
+
+
+def test_evaluate_and_render_remember_how_the_fit_saw_its_photos(shots, tmp_path):
+    out, relit, figures = tmp_path / "out", tmp_path / "relit", tmp_path / "e.json"
+    command = ["fit", str(shots), "-o", str(out), *FAST, "--falloff", "none", "--transfer", "srgb", "--resolution", "48"]
+    assert cli.main(command) == 0
+    assert cli.main(["render", str(out / "maps"), "--views", str(shots), "-o", str(relit), "--renderer", "analytic"]) == 0
+    for kind in ("exr", "png"):
+        a, b = (files.read_image(folder / f"05.{kind}", ValueError) for folder in (relit, out / "rerendered"))
+        assert (a - b).abs().max() < (1e-4 * b.max() if kind == "exr" else 1.5 / 255)
+    assert cli.main(["evaluate", str(out), "--capture", str(shots), "--json", str(figures)]) == 0
+    expected = json.loads((out / "fit.json").read_text())["rerender_rmse"]
+    assert json.loads(figures.read_text())["rerender_rmse"] == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize("place", ["", "maps"])
+@pytest.mark.parametrize("stated", [None, "gamma 2.2", "gamma2.2", "linear"])
+def test_roughness_is_counted_as_the_reference_stores_it(place, stated, tmp_path):
+    # 8-bit 128 is r = 0.2195 under gamma 2.2 and 0.502 as it is; against r = 0.5 stored values differ by the same 0.2278 or 0.
+    folder = tmp_path / "reference" / place
+    folder.mkdir(parents=True)
+    for name in ("diffuse", "specular", "roughness"):
+        cv2.imwrite(str(folder / f"{name}.png"), np.full((8, 8, 3), 128, np.uint8))
+    cv2.imwrite(str(folder / "normal.png"), np.full((8, 8, 3), (255, 128, 128), np.uint8))
+    if stated:
+        (folder / "material.json").write_text(json.dumps({"encoding": {"roughness": stated}}))
+    save_maps(flat(8, roughness=0.5), tmp_path / "mine")
+    figures = tmp_path / "e.json"
+    mine, reference = str(tmp_path / "mine"), str(tmp_path / "reference")
+    assert cli.main(["evaluate", mine, "--reference", reference, "--json", str(figures)]) == 0
+    expected = abs(128 / 255 - (0.5 if stated == "linear" else 0.5 ** (1 / 2.2)))
+    assert json.loads(figures.read_text())["roughness"] == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.parametrize("text", ['{"bsdf": "gold"}', '{"bsdf": ["x"]}', '{"encoding": {"diffuse": 5}}', "[]", "{"])
+def test_bad_material_json(text, tmp_path, capsys):
+    save_maps(flat(8), tmp_path / "maps")
+    (tmp_path / "maps/material.json").write_text(text)
+    fails(capsys, tmp_path, ["render", tmp_path / "maps", "-o", tmp_path / "out"], "material.json")
+
+
+@pytest.mark.parametrize("text", ["[1]", '{"views": []}', "{"])
+def test_bad_fit_json(text, shots, tmp_path, capsys):
+    save_maps(flat(8), tmp_path / "maps")
+    (tmp_path / "fit.json").write_text(text)
+    fails(capsys, tmp_path, ["evaluate", tmp_path / "maps", "--capture", shots, "--renderer", "analytic"], "fit.json")
 
 
 def spoil_text(folder, stated):
@@ -210,12 +270,23 @@ def test_bad_maps(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("wrong, word", [
-    (["--views", "0,1,77"], "77"), (["--views", "one"], "one"), (["--resolution", "2"], "2"),
+    (["--views", "0,1,77"], "77"), (["--views", "0,0,1"], "once"), (["--seed", "99999999999999"], "seed"),
+    (["--views", "one"], "one"), (["--resolution", "2"], "2"),
     (["--iterations", "0"], "iterations"), (["--budget", "-5"], "budget"), (["--learning-rate", "-1"], "learning_rate"),
 ])
 def test_bad_options(shots, wrong, word, tmp_path, capsys):
     command = ["fit", shots, "-o", tmp_path / "out", "--method", "direct", "--renderer", "analytic", *wrong]
     fails(capsys, tmp_path, command, word)
+
+
+def test_noise_that_is_no_number(tmp_path, capsys):
+    for noise in ("nan", "inf", "-1"):
+        fails(capsys, tmp_path, ["synth", "builtin:tiles", "-o", tmp_path / "out", "--noise", noise], "noise")
+
+
+def test_names_the_system_refuses(shots, tmp_path, capsys):
+    fails(capsys, tmp_path, ["fit", shots, "-o", tmp_path / ("n" * 300), *FAST], "nnn")
+    fails(capsys, tmp_path, ["fit", tmp_path / ("n" * 300), "-o", tmp_path / "out", *FAST], "nnn")
 
 
 def test_unknown_builtin_and_neither_reference_nor_capture(tmp_path, capsys):

@@ -16,7 +16,7 @@ def make(out, names, **options):
 
 
 def names_in(folder):
-    return sorted(p.name for p in folder.iterdir() if p.name != files.MANIFEST)
+    return sorted(p.name for p in folder.iterdir() if p.name not in (files.MANIFEST, '.partial'))
 
 
 def test_a_new_folder_appears_whole(tmp_path):
@@ -45,6 +45,43 @@ def test_results_are_not_replaced_unasked(tmp_path):
     with pytest.raises(OutputError, match="--overwrite"):
         make(tmp_path / "out", ["two"], overwrite=False)
     assert names_in(tmp_path) == ["out"] and names_in(tmp_path / "out") == ["one"]
+
+
+def test_overwriting_never_loses_a_file_of_somebody_else(tmp_path):
+    out = tmp_path / "out"
+    (out / "maps").mkdir(parents=True)
+    (out / "maps/mine.psd").write_text("mine")
+    (out / "one").write_text("mine")
+    make(out, ["one", "maps/two"])
+    assert (out / "maps/mine.psd").read_text() == "mine" and (out / "one.old").read_text() == "mine"
+    make(out, ["three"])
+    assert names_in(out) == ["maps", "one.old", "three"] and names_in(out / "maps") == ["mine.psd"]
+
+
+@pytest.mark.parametrize("failing", range(1, 8))
+def test_moving_into_place_is_undone_when_it_fails(tmp_path, monkeypatch, failing):
+    out = tmp_path / "out"
+    make(out, ["one", "two"])
+    replace, calls = os.replace, iter(range(1, 100))
+
+    def failing_once(source, target):
+        if next(calls) == failing:
+            raise OSError(18, "Invalid cross-device link")
+        replace(source, target)
+
+    with pytest.raises(OutputError, match="cross-device"), files.output_folder(out, overwrite=True) as folder:
+        for name in ("one", "two", "three"):
+            (folder / name).write_bytes(b"newer")
+        monkeypatch.setattr(os, "replace", failing_once)
+    monkeypatch.undo()
+    assert names_in(out) == ["one", "two"] and (out / "one").read_bytes() == (out / "two").read_bytes() == b"new"
+    assert not files.partial_folder(out).exists()
+
+
+def test_two_runs_do_not_share_a_folder(tmp_path):
+    with files.output_folder(tmp_path / "out", overwrite=False):
+        with pytest.raises(OutputError, match="in use"):
+            make(tmp_path / "out", ["one"])
 
 
 def test_a_link_to_a_folder_stays_a_link(tmp_path):

@@ -1,5 +1,6 @@
 """The fits: they find a known material, stay in range, resume bit by bit, survive Ctrl-C and steps that go wrong."""
 
+import dataclasses
 import json
 import math
 import os
@@ -200,6 +201,29 @@ def test_a_step_that_goes_wrong_is_undone(capture):
     loop.best[1].check()
 
 
+@pytest.mark.parametrize("method", ["hybrid", "direct", "gan"])
+def test_step_sizes_are_cut_until_the_fit_stays_finite(method, capture):
+    # Steps fail until the step size is below an eighth: it has to be cut four times, also when resumed off the beat.
+    renderer, config = make_renderer("analytic"), with_limits(SMALL[method], iterations=3)
+    loop = Loop(make_method(capture, renderer, torch.full((32, 32, 3), 0.3), config), capture, renderer, config)
+    loop.iteration = 1
+    step, cut, cuts = loop.method.step, loop.method.cut_step, []
+    loop.method.cut_step = lambda: (cut(), cuts.append(1))
+    sizes = {"hybrid": lambda m: m.peaks[0], "direct": lambda m: m.peak, "gan": lambda m: m.learning_rate}[method]
+    first = sizes(loop.method)
+    loop.method.step = lambda p: step(p) if sizes(loop.method) < first / 8 else {"photometric": math.nan}
+    loop.run()
+    assert len(cuts) == loop.undone == 4 and sizes(loop.method) == first / 16
+
+
+def test_torchs_own_random_numbers_are_left_alone(capture):
+    torch.manual_seed(3)
+    expected = torch.rand(4)
+    torch.manual_seed(3)
+    fit_svbrdf(capture, make_renderer("analytic"), HybridConfig(width=8, iterations=1))
+    assert torch.equal(torch.rand(4), expected)
+
+
 def test_no_step_is_made_along_a_gradient_that_is_not_finite():
     parameter = torch.zeros(3, requires_grad=True)
     optimizer = torch.optim.Adam([parameter])
@@ -244,6 +268,13 @@ def test_checkpoints_hold_tensors_only(capture, tmp_path):
 def test_resume_refuses_another_fit(capture, tmp_path):
     path, renderer = tmp_path / "c.safetensors", make_renderer("analytic")
     fit_svbrdf(capture, renderer, DirectConfig(iterations=2), checkpoint=path)
+    others = [(photographed(make_material("tiles", 32)), {}), (capture.pick([1, 0, *range(2, 9)]), {}),
+              (capture.pick([0, 1]), {}), (dataclasses.replace(capture, transfer="srgb"), {}), (capture, {"seed": 1}),
+              (capture, {"smooth": 0.5})]
+    for shots, change in others:
+        with pytest.raises(ConfigError, match="resume with the same"):
+            fit_svbrdf(shots, renderer, DirectConfig(iterations=4, **change), resume=path)
+    fit_svbrdf(capture, renderer, DirectConfig(iterations=4), resume=path)
     with pytest.raises(ConfigError, match="Hybrid"):
         fit_svbrdf(capture, renderer, HybridConfig(iterations=4), resume=path)
 

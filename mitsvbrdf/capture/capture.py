@@ -69,5 +69,7 @@ class Capture:
         missing = [i for i in index if i not in self.index]
         if missing or not index:
             raise CaptureError(f"photo numbers out of {list(self.index)}", f"{missing or 'none'}", "check --views")
+        if len(set(index)) < len(index):
+            raise CaptureError("each photo once", f"photos {list(index)}", "take the repeated number out")
         rows = [self.index.index(i) for i in index]
         return replace(self, photos=self.photos[rows], views=self.views.pick(rows), index=tuple(index))

@@ -124,6 +124,8 @@ def _from_json(path: Path, falloff: Falloff) -> Capture:
         _same_count(f"camera_pos in {path}", len(camera), len(photos))
     elif not isinstance(index, list) or not index or not all(type(i) is int and i >= 0 for i in index):
         raise CaptureError("idx as a list of photo numbers", f"{index!r} in {path}", "write for example [0, 1, 2]")
+    elif len(set(index)) < len(index):
+        raise CaptureError("idx with each photo once", f"{index} in {path}", "take the repeated number out")
     elif max(index) >= len(camera):
         raise CaptureError(f"a row of camera_pos for each of {len(index)} photos in idx (the last is {max(index)})",
                            f"{len(camera)} rows in {path}", "give one row a photo, or shorten idx")

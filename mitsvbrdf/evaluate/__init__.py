@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+import os
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 import torch
 
+from .. import color
 from ..capture import Capture
 from ..errors import MapsError
 from ..fit.loop import rerender
 from ..fit.result import FitResult
-from ..maps import SVBRDF, load_maps, read_material_json
+from ..maps import SVBRDF, encodings, load_maps
 from ..metrics import map_rmse
 from ..render import Renderer, make_renderer
-from ..views import Views
+from ..views import Falloff, Views
 
 
 def evaluate_maps(svbrdf: SVBRDF, material: str | Path) -> dict[str, float]:
@@ -24,8 +27,8 @@ def evaluate_maps(svbrdf: SVBRDF, material: str | Path) -> dict[str, float]:
     Returns:
         ``diffuse``, ``specular``, ``roughness``, ``normal`` and their ``mean``.
     """
-    encoding = read_material_json(Path(material)).get("encoding", {}).get("roughness", "linear")
-    return map_rmse(svbrdf, load_maps(material), "gamma 2.2" if encoding == "gamma 2.2" else "linear")
+    encoded = encodings(material).get("roughness", "linear").replace(" ", "") == "gamma2.2"
+    return map_rmse(svbrdf, load_maps(material), "gamma 2.2" if encoded else "linear")
 
 
 def evaluate_capture(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
@@ -59,17 +62,38 @@ def shift_lights(views: Views, flash_offset: tuple[float, float] | None) -> View
     return replace(views, light=views.light + torch.tensor([*flash_offset, 0.0], dtype=torch.float64) * views.size)
 
 
-def fit_record_of(folder: str | Path) -> dict:
-    """The ``fit.json`` of a fit's folder or of the ``maps`` folder inside it; empty where there is none.
+@dataclass(frozen=True)
+class Fit:
+    """What has to be known of a fit to show or measure its maps as it did.
+
+    Args:
+        falloff: of its light.
+        transfer: of its photos; None when unknown.
+        flash_offset: (x, y) of the flash beside the lens in patch sides, or None.
+    """
+
+    falloff: Falloff = "inverse-square"
+    transfer: color.Transfer | None = None
+    flash_offset: tuple[float, float] | None = None
+
+
+def fit_of(maps: str | Path) -> Fit:
+    """What ``fit.json`` says, in a fit's folder or beside the ``maps`` folder inside it; defaults where there is none.
 
     Raises:
-        MapsError: it is there but cannot be read.
+        MapsError: it is there but cannot be understood.
     """
-    folder = Path(folder)
-    for path in (folder / "fit.json", folder.parent / "fit.json"):
-        if path.is_file() and (path.parent == folder or folder.name == "maps"):
-            try:
-                return json.loads(path.read_text())
-            except ValueError as reason:
-                raise MapsError("a valid fit.json", f"{path}: {reason}", "mend or remove it") from None
-    return {}
+    folder = Path(os.path.abspath(maps))
+    path = (folder.parent if folder.name == "maps" else folder) / "fit.json"
+    if not path.is_file():
+        return Fit()
+    try:
+        record = json.loads(path.read_text())
+        offset = record["flash_offset"]
+        fit = Fit(record["views"]["falloff"], record["capture"]["transfer"],
+                  None if offset is None else (float(offset["x"]), float(offset["y"])))
+        if fit.falloff not in get_args(Falloff) or fit.transfer not in get_args(color.Transfer):
+            raise ValueError("unknown falloff or transfer")
+    except (ValueError, KeyError, TypeError) as reason:
+        raise MapsError("a fit.json of this package", f"{path}: {reason!r}", "move it away to read the maps alone") from None
+    return fit

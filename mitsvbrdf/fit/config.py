@@ -14,6 +14,12 @@ Preset = Literal["paper-one-stage", "paper-two-stage"]
 POSITIVE = ("budget", "iterations", "width", "learning_rate", "normal_roughness_steps")
 
 
+def check_seed(seed: int) -> None:
+    """Raise ConfigError for a seed that torch would not take."""
+    if not 0 <= seed < 2**32:
+        raise ConfigError("a seed from 0 to 4294967295", str(seed), "choose a smaller one")
+
+
 @dataclass(frozen=True)
 class FitConfig:
     """What all methods share."""
@@ -31,6 +37,7 @@ class FitConfig:
 
     def check(self) -> None:
         """Raise ConfigError for numbers out of range."""
+        check_seed(self.seed)
         for field in fields(self):
             value, name = getattr(self, field.name), field.name
             if isinstance(value, bool) or not isinstance(value, (int, float)) or name == "seed":

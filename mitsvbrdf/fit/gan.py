@@ -21,7 +21,7 @@ from . import losses
 from .checkpoint import load_module_state, load_optimizer_state, load_tensors, module_state, optimizer_state
 from .config import GanConfig
 from .loop import descend
-from .networks import PatchDiscriminator, TwoStreamGenerator
+from .networks import PatchDiscriminator, TwoStreamGenerator, seeded
 from .parameters import from_units
 
 
@@ -42,8 +42,8 @@ class Gan:
         self.capture, self.renderer, self.guess, self.config = capture, renderer, guess, config
         self.views = capture.views
         self.random = torch.Generator().manual_seed(config.seed)
-        torch.manual_seed(config.seed)
-        self.generator = TwoStreamGenerator(config.bsdf, config.width)
+        with seeded(config.seed):
+            self.generator = TwoStreamGenerator(config.bsdf, config.width)
         self.learning_rate = config.learning_rate
         if config.pretrained:
             load_generator(self.generator, config)
@@ -55,7 +55,8 @@ class Gan:
     def _new_stage(self) -> None:
         """A new discriminator and new optimisers; the generator's weights stay."""
         g = self.generator
-        self.discriminator = PatchDiscriminator(self.config.width)
+        with seeded(self.config.seed + self.stage):
+            self.discriminator = PatchDiscriminator(self.config.width)
         options = {"lr": self.learning_rate, "betas": (0.5, 0.999)}
         self.slow = torch.optim.Adam([*g.encoder.parameters(), *g.diffuse_specular.parameters()], **options)
         self.fast = torch.optim.Adam(g.normal_roughness.parameters(), **options)
@@ -65,7 +66,6 @@ class Gan:
         """One iteration: discriminator once, diffuse/specular and encoder once, normal/roughness several times."""
         if self.stage == 1 and progress >= self.first_share:
             self.stage = 2
-            torch.manual_seed(self.config.seed + 1)
             self._new_stage()
         photo, views, weights = self._draw_input()
         size = photo.shape[-1]
@@ -151,4 +151,4 @@ def load_generator(generator: TwoStreamGenerator, config: GanConfig) -> None:
     except RuntimeError:
         raise ConfigError(f"a generator of width {config.width} for {config.bsdf}",
                           f"another one in {config.pretrained} (bsdf {note.get('bsdf')})",
-                          "use the --gan.width and --bsdf it was pretrained with") from None
+                          "use the --width and --bsdf it was pretrained with") from None

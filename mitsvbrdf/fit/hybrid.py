@@ -21,7 +21,7 @@ from . import losses
 from .checkpoint import load_module_state, load_optimizer_state, module_state, optimizer_state
 from .config import HybridConfig
 from .loop import cosine, descend
-from .networks import AllPhotosGenerator, PatchDiscriminator
+from .networks import AllPhotosGenerator, PatchDiscriminator, seeded
 from .parameters import to_raw, to_svbrdf
 from .start import robust_start
 
@@ -42,15 +42,15 @@ class Hybrid:
         self.capture, self.renderer, self.guess, self.config = capture, renderer, guess, config
         self.views = capture.views
         self.random = torch.Generator().manual_seed(config.seed)
-        torch.manual_seed(config.seed)
         self.start = to_raw(robust_start(capture, guess, config.bsdf))
         self.edges = losses.edge_weights(guess)
         photos = capture.photos.permute(0, 3, 1, 2)
         clipped = (photos >= losses.CLIPPED).any(dim=1).float()
         condition = torch.cat((photos.flatten(0, 1), clipped, color.encode(guess).permute(2, 0, 1)))
         self.condition = (condition[None] * 2 - 1).contiguous(memory_format=torch.channels_last)
-        self.generator = AllPhotosGenerator(condition.shape[0], config.bsdf, config.width).to(
-            memory_format=torch.channels_last)
+        with seeded(config.seed):
+            self.generator = AllPhotosGenerator(condition.shape[0], config.bsdf, config.width).to(
+                memory_format=torch.channels_last)
         self.offset = torch.zeros(2, dtype=torch.float64, requires_grad=True)  # patch sides
         self.fits_offset = config.flash_offset and capture.calibrated and renderer.name != "mitsuba-scene"
         groups = [{"params": list(self.generator.parameters()), "lr": config.learning_rate}]
@@ -59,7 +59,8 @@ class Hybrid:
         self.optimizer = torch.optim.Adam(groups)
         self.peaks = [group["lr"] for group in groups]
         if config.adversarial > 0:
-            self.discriminator = PatchDiscriminator(max(8, config.width))
+            with seeded(config.seed + 1):
+                self.discriminator = PatchDiscriminator(max(8, config.width))
             self.judge = torch.optim.Adam(self.discriminator.parameters(), lr=2e-4, betas=(0.5, 0.999))
 
     def step(self, progress: float) -> dict[str, float]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import signal
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Protocol
 
@@ -78,14 +80,15 @@ class Loop:
         stop: list[int] = []
 
         def asked_to_stop(*_: object) -> None:
-            if stop:
-                raise KeyboardInterrupt  # asked twice: at once
+            if len(stop) > 1:
+                raise KeyboardInterrupt  # asked three times: at once
             stop.append(1)
 
         listens = (threading.current_thread() is threading.main_thread()
                    and signal.getsignal(signal.SIGINT) is signal.default_int_handler)
         if listens:
             signal.signal(signal.SIGINT, asked_to_stop)
+            terminate = signal.signal(signal.SIGTERM, asked_to_stop)
         started, saved = time.perf_counter() - self.seconds, time.perf_counter()
         good, losses = None, dict[str, float]()
         try:
@@ -96,11 +99,11 @@ class Loop:
                 why = "interrupted" if stop else self._limit_reached()
                 if why:
                     break
-                if self.iteration % EVALUATE_EVERY == 0:
+                if good is None or self.iteration % EVALUATE_EVERY == 0:
                     good = self.method.state()
                 losses = self.method.step(self.progress)
                 if not all(map(math.isfinite, losses.values())):
-                    self._undo(good)
+                    good = self._undo(good)
                     continue
                 losses.pop("gradient", None)
                 self.iteration += 1
@@ -113,6 +116,7 @@ class Loop:
         finally:
             if listens:
                 signal.signal(signal.SIGINT, signal.default_int_handler)
+                signal.signal(signal.SIGTERM, terminate)
         if self.checkpoint:
             self.save()
         if self.iteration % EVALUATE_EVERY:
@@ -131,13 +135,14 @@ class Loop:
             return "iterations"
         return "budget" if self.config.budget and self.seconds >= self.config.budget else None
 
-    def _undo(self, good: dict[str, Tensor] | None) -> None:
+    def _undo(self, good: dict[str, Tensor]) -> dict[str, Tensor]:
         self.undone += 1
-        if good is None or self.undone > MAX_UNDONE:
+        if self.undone > MAX_UNDONE:
             raise ConfigError("a fit that stays finite", f"{self.undone} steps that did not",
                               "lower the learning rate or check the photos and their calibration")
         self.method.load_state(good)
         self.method.cut_step()
+        return self.method.state()  # with the smaller step, in case it has to be cut again
 
     def _measure(self, losses: dict[str, float]) -> None:
         svbrdf, views = self.method.estimate()
@@ -149,6 +154,15 @@ class Loop:
         if self.report:
             self.report(entry, self.progress)
 
+    def _task(self) -> str:
+        """A fingerprint of everything that shapes the fit but its limits."""
+        settings = {k: v for k, v in asdict(self.config).items() if k not in ("iterations", "budget")}
+        views = self.capture.views
+        digest = hashlib.sha256(repr((settings, self.renderer.name, self.capture.transfer, views.size, views.falloff)).encode())
+        for tensor in (self.capture.photos, views.camera, views.light, views.intensity):
+            digest.update(tensor.numpy().tobytes())
+        return digest.hexdigest()
+
     def save(self) -> None:
         """Write the checkpoint: tensors only, with the trace as text in its header."""
         assert self.checkpoint is not None
@@ -157,7 +171,8 @@ class Loop:
         tensors |= {f"best.{k}": v for k, v in svbrdf.maps.items()}
         tensors |= {"best_views.camera": views.camera, "best_views.light": views.light}
         note = {"iteration": self.iteration, "seconds": self.seconds, "undone": self.undone, "best_rmse": rmse,
-                "trace": self.trace, "method": type(self.method).__name__, "bsdf": svbrdf.bsdf}
+                "trace": self.trace, "method": type(self.method).__name__, "bsdf": svbrdf.bsdf,
+                "task": self._task()}
         save_tensors(self.checkpoint, tensors, note)
 
     def resume(self, path: Path) -> None:
@@ -170,6 +185,9 @@ class Loop:
         if note.get("method") != type(self.method).__name__ or note.get("bsdf") != self.config.bsdf:
             raise ConfigError(f"a checkpoint of {type(self.method).__name__} / {self.config.bsdf}",
                               f"{note.get('method')} / {note.get('bsdf')} in {path}", "resume with the same options")
+        if note.get("task") != self._task():
+            raise ConfigError("the photos, views, renderer and options of the first run", f"others than {path} was made with",
+                              "resume with the same ones; only --iterations and --budget may change")
         try:
             self.method.load_state({k[7:]: v for k, v in tensors.items() if k.startswith("method.")})
         except (KeyError, RuntimeError, ValueError) as reason:

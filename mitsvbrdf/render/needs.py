@@ -10,8 +10,8 @@ import torch.nn.functional as F
 from ..views import Views
 
 # Up to this half angle between camera and light the unpolarised Fresnel reflectance stays within 1e-6 of F0, relative:
-# it grows with the fourth power, by 0.5 theta^4 for F0 = 0.04 and less for higher F0 (0.5 * (2 deg)^4 = 7.4e-7).
-CONSTANT_FRESNEL_DEGREES = 2.0
+# it grows with the fourth power, by 0.5 theta^4 for F0 = 0.04 (3e-7) and at most by 0.85 theta^4 for F0 -> 0 (8e-7).
+CONSTANT_FRESNEL_DEGREES = 1.8
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,11 @@ def scene_needs(bsdf: str, views: Views, renderer: str) -> Needs:
 
 
 def largest_half_angle(views: Views) -> float:
-    """Largest angle in degrees between the half vector and the light, over views and patch corners and centre."""
+    """Largest angle in degrees between the half vector and the light, over views; on each the nearest patch point."""
     v = views.in_patch_sides().to(torch.float64)
-    spots = torch.tensor([[x, y, 0.0] for x, y in ((0, 0), (-.5, -.5), (-.5, .5), (.5, -.5), (.5, .5))],
-                         dtype=torch.float64)
-    camera = F.normalize(v.camera.detach()[:, None] - spots, dim=-1)
-    light = F.normalize(v.light.detach()[:, None] - spots, dim=-1)
+    camera, light = v.camera.detach(), v.light.detach()
+    spots = ((camera + light) / 2).clamp(-0.5, 0.5) * torch.tensor([1.0, 1.0, 0.0])
+    camera, light = F.normalize(camera - spots, dim=-1), F.normalize(light - spots, dim=-1)
     half = F.normalize(camera + light, dim=-1)
     sine = torch.linalg.cross(half, light).norm(dim=-1)
     return float(torch.rad2deg(torch.asin(sine.clamp(0, 1))).max())

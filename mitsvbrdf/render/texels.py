@@ -67,10 +67,13 @@ class TexelRenderer:
                 super().__init__(props)
                 self.slot = props["slot"]
 
+            # Nothing is held while another renderer is at work: Dr.Jit may then trace this texture along with its own.
             def eval(self, si, active=True):
-                return held[self.slot]
+                return held.get(self.slot, mi.Color3f(0))
 
-            eval_1 = eval
+            def eval_1(self, si, active=True):
+                return held.get(self.slot, mi.Float(0))
+
             eval_3 = eval
 
             def to_string(self):
