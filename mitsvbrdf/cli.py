@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import os
-import shlex
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,10 +16,11 @@ import torch
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 
-from . import color, files
+from . import __version__, color, files
 from .capture import Capture, guess_diffuse, read_capture, write_capture
 from .errors import CaptureError, ConfigError, MitsvbrdfError
 from .fit import fit_svbrdf, pretrain
+from .fit.checkpoint import load_tensors
 from .fit.config import DirectConfig, FitConfig, GanConfig, GuessMethod, HybridConfig, check_seed
 from .maps import load_maps
 from .progress import Progress, print_numbers, say
@@ -80,6 +80,7 @@ def fit_command(method: str) -> Callable:
         earlier = next((p for p in (files.partial_folder(out) / files.CHECKPOINT, out / files.CHECKPOINT) if p.is_file()), None)
         if resume and earlier is None:
             raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
+        before = load_tensors(earlier)[1].get("iteration") if resume else None
         with files.output_folder(out, overwrite or resume, resume) as folder:
             with Progress(f"fit {shots.source.name if shots.source else ''} · {method} · {engine.name}") as progress:
                 result = fit_svbrdf(shots, engine, config, checkpoint=folder / files.CHECKPOINT,
@@ -88,11 +89,14 @@ def fit_command(method: str) -> Callable:
                 write_fit(result, shots, folder, command={
                     "renderer": renderer, "resolution": resolution, "views": views, "falloff": shots.views.falloff,
                     "transfer": transfer, "variant": variant})
-        print_numbers("Re-rendering RMSE (display values)",
-                      dict(zip(shots.names, result.per_photo)) | {"all photos": result.rerender_rmse})
+        print_numbers("Re-rendering RMSE", dict(zip(shots.names, result.per_photo)) | {"all": result.rerender_rmse})
         if result.stopped == "interrupted":
-            say(f"interrupted: the best result so far was kept; mitsvbrdf fit {shlex.quote(str(capture))} "
-                f"-o {shlex.quote(str(out))} --resume ... goes on")
+            say("interrupted: the best result so far was kept; the same command with --resume goes on")
+        elif resume and result.trace[-1]["iteration"] == before:
+            say(f"nothing was left to do after {before} iterations and {result.trace[-1]['seconds']:.0f} s; "
+                "raise --iterations or --budget")
+        if shots.views.falloff == "none":
+            say("scene.xml has a light that falls off with the distance; this fit's did not")
         if result.undone_steps:
             say(f"{result.undone_steps} steps were not finite and were undone")
         say(f"wrote {out}/sheet.png, maps/, rerendered/, scene.xml, fit.json")
@@ -180,7 +184,8 @@ def evaluate(maps: Positional[Material],
         transfer = fit.transfer or "auto" if transfer == "auto" else transfer
         shots = _read(capture, resolution or svbrdf.resolution, views, transfer, fit.falloff if falloff == "auto" else falloff)
         found = evaluate_capture(svbrdf, shots, make_renderer(renderer, variant), offset)
-        print_numbers("Re-rendering RMSE (display values)", found["per_photo"] | {"all photos": found["rerender_rmse"]})
+        labels = [fit.label(shots, number) for number in shots.index]
+        print_numbers("Re-rendering RMSE", dict(zip(labels, found["per_photo"].values())) | {"all": found["rerender_rmse"]})
     if json_file:
         files.write_json(json_file, found)
     return 0
@@ -240,11 +245,13 @@ def demo(out: Out = Path("out/demo"), budget: float = 75.0, overwrite: Overwrite
     from .procedural import make_material
 
     truth, photos, result = out / "material", out / "capture", out / "fit"
+    if result.exists():
+        say(f"replacing the earlier demo in {out}")
     with files.output_folder(truth, overwrite) as folder:
         save_maps(make_material("inlay", 256), folder)
     synth(str(truth), photos, noise=0.003, overwrite=overwrite)
     fit_command("hybrid")(photos, result, HybridConfig(budget=budget), overwrite=overwrite)
-    print_numbers("Map RMSE against the truth", evaluate_maps(load_maps(result), truth))
+    print_numbers("Map RMSE", evaluate_maps(load_maps(result), truth))
     say(f"look at {result}/sheet.png")
     return 0
 
@@ -317,6 +324,9 @@ def main(arguments: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else arguments
     commands = {"fit": fit_command(_method_of(arguments)), "guess": guess, "render": render, "evaluate": evaluate,
                 "synth": synth, "pretrain": pretrain_command, "doctor": doctor, "demo": demo}
+    if arguments == ["--version"]:
+        say(f"mitsvbrdf {__version__}")
+        return 0
     try:
         return tyro.extras.subcommand_cli_from_dict(
             commands, prog="mitsvbrdf", args=arguments, config=(FlagCreatePairsOff,),

@@ -70,11 +70,21 @@ class Fit:
         falloff: of its light.
         transfer: of its photos; None when unknown.
         flash_offset: (x, y) of the flash beside the lens in patch sides, or None.
+        capture: name of the folder of its photos; None when unknown.
+        seen: numbers of the photos it used.
     """
 
     falloff: Falloff = "inverse-square"
     transfer: color.Transfer | None = None
     flash_offset: tuple[float, float] | None = None
+    capture: str | None = None
+    seen: tuple[int, ...] = ()
+
+    def label(self, capture: Capture, number: int) -> str:
+        """Name of a photo, and whether the fit saw it, where it was fitted to this capture."""
+        if self.capture is None or capture.source is None or self.capture != capture.source.name:
+            return f"{number:02d}"
+        return f"{number:02d} ({'seen' if number in self.seen else 'left out'})"
 
 
 def fit_of(maps: str | Path) -> Fit:
@@ -91,7 +101,8 @@ def fit_of(maps: str | Path) -> Fit:
         record = json.loads(path.read_text())
         offset = record["flash_offset"]
         fit = Fit(record["views"]["falloff"], record["capture"]["transfer"],
-                  None if offset is None else (float(offset["x"]), float(offset["y"])))
+                  None if offset is None else (float(offset["x"]), float(offset["y"])),
+                  record["capture"]["name"], tuple(record["capture"]["photos"]))
         if fit.falloff not in get_args(Falloff) or fit.transfer not in get_args(color.Transfer):
             raise ValueError("unknown falloff or transfer")
     except (ValueError, KeyError, TypeError) as reason:

@@ -18,7 +18,7 @@ SCENES = next((p for p in (Path(__file__).parents[1] / "scenes", Path(__file__).
               Path("scenes"))
 
 
-def write_scene(out: Path, svbrdf: SVBRDF, views: Views) -> Path:
+def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
     """Write ``out/scene.xml`` and its float textures ``out/scene/*.exr``; plain Mitsuba loads it in any RGB variant.
 
     The scene shows the first view, in units of the patch side, one unjittered sample a pixel. A ``roughconductor``
@@ -29,7 +29,7 @@ def write_scene(out: Path, svbrdf: SVBRDF, views: Views) -> Path:
         svbrdf: the material.
         views: at least one view.
     """
-    svbrdf = svbrdf.detach().to(torch.float32)
+    out, svbrdf = Path(out), svbrdf.detach().to(torch.float32)
     slots = slot_values(svbrdf.bsdf, dict(svbrdf.maps), fresnel_curve=True)
     for slot, value in slots.items():
         files.write_exr(out / "scene" / f"{slot}.exr", value)

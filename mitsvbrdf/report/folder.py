@@ -21,7 +21,7 @@ SCHEMA_VERSION = 1
 METHODS = {"HybridConfig": "hybrid", "GanConfig": "gan", "DirectConfig": "direct"}
 
 
-def write_fit(result: FitResult, capture: Capture, out: Path, command: dict | None = None) -> None:
+def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dict | None = None) -> None:
     """Write a fit: maps, guess, rerendered photos, sheet, error curve, Mitsuba scene and ``fit.json``.
 
     Args:
@@ -30,6 +30,7 @@ def write_fit(result: FitResult, capture: Capture, out: Path, command: dict | No
         out: the folder, made when missing.
         command: options of the command line, kept in ``fit.json``.
     """
+    out = Path(out)
     save_maps(result.svbrdf, out / "maps")
     write_linear(out / "guess" / "diffuse", result.guess, "srgb")
     for name, image in zip(capture.names, result.rerendered):
