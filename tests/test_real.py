@@ -44,15 +44,16 @@ def test_mitsuba_agrees_with_float64_on_fitted_maps(fitted, name, data_folder):
     assert max(figures.values()) <= 1e-5, figures
 
 
-def test_photos_left_out_are_predicted(fitted, data_folder, tmp_path):
+def test_photos_left_out_are_predicted(fitted, data_folder, tmp_path, request):
     bsdf, out = fitted
+    if bsdf == "principled":  # strict: the day it is met, this has to go
+        request.applymarker(pytest.mark.xfail(reason="misses the goal: measured 0.085", strict=True))
     figures = tmp_path / "e.json"
     capture = str(data_folder / "captures/cards-blue")
     assert cli.main(["evaluate", str(out), "--capture", capture, "--views", "4,7", "--json", str(figures)]) == 0
     error = json.loads(figures.read_text())["rerender_rmse"]
     print(bsdf, "photos 4 and 7:", error)
-    # The goal is 0.08. Measured: roughconductor 0.068; principled misses it with 0.085 (one colour for both lobes), kept here.
-    assert error <= {"roughconductor": 0.08, "principled": 0.09}[bsdf]
+    assert error <= 0.08  # measured with roughconductor: 0.068
 
 
 def test_robust_guess_on_known_materials(data_folder):

@@ -10,7 +10,7 @@ from mitsvbrdf.maps import CHANNELS, SVBRDF, flat
 from mitsvbrdf.metrics import gradient_error, image_error
 from mitsvbrdf.procedural import make_material
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.render.needs import largest_half_angle, scene_needs
+from mitsvbrdf.render.needs import CONSTANT_FRESNEL_DEGREES, largest_half_angle, scene_needs
 from mitsvbrdf.views import Views, nine_view_grid
 
 GRID = nine_view_grid()
@@ -188,9 +188,10 @@ def test_needs():
 
 
 def test_leaving_out_the_fresnel_curve_costs_less_than_it_says():
-    # Just under 1.8 degrees between light and half vector at worst; F0 down to where the refractive index is cut.
-    views = Views.of([[0.0, 0.0, 2.0]], [[0.125, 0.0, 2.0]])
-    assert 1.75 < largest_half_angle(views) < 1.8
+    # Just under the stated half angle, wherever that lies; F0 down to where the refractive index is cut.
+    apart = 4 * math.tan(math.radians(0.99 * CONSTANT_FRESNEL_DEGREES))  # seen from 2 sides above the point between them
+    views = Views.of([[0.0, 0.0, 2.0]], [[apart, 0.0, 2.0]])
+    assert largest_half_angle(views) == pytest.approx(0.99 * CONSTANT_FRESNEL_DEGREES, rel=1e-6)
     assert not scene_needs("roughconductor", views, "analytic64").fresnel_curve
     from mitsvbrdf.render import analytic
     for f0 in (1e-4, 0.001, 0.02, 0.04, 0.2, 0.6, 0.95):
