@@ -72,6 +72,26 @@ def test_clipped_pixels_only_ask_for_at_least_their_value():
     assert gradient.flatten()[0] == 0 and gradient.flatten()[1] < 0
 
 
+def test_adversarial_losses_are_cross_entropies():
+    real, fake = torch.tensor([0.9, 0.6]), torch.tensor([0.2, 0.3])
+    expected = -(math.log(0.9) + math.log(0.6) + math.log(0.8) + math.log(0.7)) / 4
+    assert losses.discriminator(real, fake).item() == pytest.approx(expected, rel=1e-5)
+    assert losses.adversarial(fake).item() == pytest.approx(-(math.log(0.2) + math.log(0.3)) / 2, rel=1e-5)
+
+
+def test_input_and_rendering_of_the_gan_show_the_same_blend():
+    # Were the generator right, its picture would be the input itself, for one photo and for blends of two.
+    truth, views = make_material("inlay", 16), nine_view_grid()
+    photos = color.to_display(make_renderer("analytic").render(truth, views))
+    gan = make_method(Capture(photos, views), make_renderer("analytic"), truth["diffuse"], GanConfig(width=8))
+    seen = set()
+    for _ in range(20):
+        photo, picked, weights = gan._draw_input()
+        seen.add(len(picked))
+        assert torch.allclose(gan._picture(truth, picked, weights), photo, atol=1e-4)
+    assert seen == {1, 2}
+
+
 def test_networks_have_the_papers_layers():
     def layers(module, kind):
         return sum(isinstance(m, kind) for m in module.modules())
