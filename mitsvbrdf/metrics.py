@@ -100,6 +100,31 @@ def image_error(image: Tensor, reference: Tensor, floor: float = FLOOR) -> dict[
             "bias": float(signed.mean())}
 
 
+def flip(image: Tensor, reference: Tensor, transfer: color.Transfer = "gamma2.2") -> Tensor:
+    """How different two pictures look: FLIP error in [0, 1] of each pixel, at 67 pixels a degree.
+
+    Args:
+        image: H x W x 3, linear radiance; both are encoded by ``transfer`` and clipped, as a screen shows them.
+        reference: the same shape.
+        transfer: how the screen encodes light.
+
+    Returns:
+        H x W, float32.
+
+    Raises:
+        MapsError: shapes that differ or are not H x W x 3.
+
+    Source: Andersson et al. 2020, "FLIP: A Difference Evaluator for Alternating Images".
+    """
+    import flip_evaluator
+
+    if image.shape != reference.shape or image.ndim != 3 or image.shape[2] != 3:
+        raise MapsError("two pictures of one shape H x W x 3", f"{tuple(image.shape)} and {tuple(reference.shape)}",
+                        "compare one view at a time")
+    shown = (color.to_display(x.detach().float(), transfer).contiguous().numpy() for x in (reference, image))
+    return torch.as_tensor(flip_evaluator.evaluate(*shown, "LDR", applyMagma=False, computeMeanError=False)[0])[..., 0]
+
+
 def gradient_error(gradient: Tensor, reference: Tensor) -> dict[str, float]:
     """How far a gradient is from a reference gradient, as whole vectors.
 

@@ -5,10 +5,8 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,28 +14,31 @@ import torch
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
 
-from . import __version__, color, files
-from .capture import Capture, guess_diffuse, read_capture, write_capture
-from .errors import CaptureError, ConfigError, MitsvbrdfError
-from .fit import fit_svbrdf, pretrain
-from .fit.checkpoint import load_tensors
-from .fit.config import DirectConfig, FitConfig, GanConfig, GuessMethod, HybridConfig, check_seed
-from .maps import load_maps
-from .progress import Progress, print_numbers, say
-from .render import RendererName, make_renderer
-from .views import Falloff, nine_view_grid
-
-Out = Annotated[Path, arg(aliases=["-o"], help="Folder (or file) to write.")]
-Overwrite = Annotated[bool, arg(help="Replace results that are there already.")]
-Variant = Annotated[Literal["llvm_ad_rgb", "cuda_ad_rgb"], arg(help="Mitsuba variant.")]
-ViewList = Annotated[str | None, arg(metavar="0,1,2,...", help="Which photos to use, by number; left out: all.")]
-Material = Annotated[str, arg(metavar="MAPS", help="A folder of maps, or builtin:NAME (inlay, tiles, leather, plates).")]
-ViewSource = Annotated[str, arg(help="A capture whose views to use, or builtin:grid (nine views from two sides away).")]
-Photos = Annotated[Path, arg(metavar="CAPTURE", help="A folder of photos, calibrated or plain; see docs/formats.md.")]
-TransferOption = Annotated[Literal["auto", "gamma2.2", "srgb", "linear"],
-                           arg(help="How photos encode light; auto: as the capture states, else gamma2.2 for calibrated "
-                                    "captures and srgb for plain photos.")]
-FalloffOption = Literal["auto", "inverse-square", "none"]
+from .. import __version__, color, files
+from ..capture import Capture, guess_diffuse, write_capture
+from ..errors import ConfigError, MitsvbrdfError
+from ..fit import fit_svbrdf, pretrain
+from ..fit.checkpoint import load_tensors
+from ..fit.config import DirectConfig, FitConfig, GanConfig, GuessMethod, HybridConfig, check_seed
+from ..maps import load_maps
+from ..progress import Progress, print_numbers, say
+from ..render import RendererName, make_renderer
+from ..views import Falloff
+from .options import (
+    FalloffOption,
+    Material,
+    Out,
+    Overwrite,
+    Photos,
+    TransferOption,
+    Variant,
+    ViewList,
+    ViewSource,
+    keep_apart,
+    material_of,
+    read_photos,
+    views_of,
+)
 
 CONFIGS: dict[str, type[FitConfig]] = {"hybrid": HybridConfig, "gan": GanConfig, "direct": DirectConfig}
 
@@ -69,14 +70,14 @@ def fit_command(method: str) -> Callable:
         Ctrl-C ends the fit and keeps its best result. OUT then holds maps/, guess/, rerendered/, sheet.png, curve.svg,
         scene.xml (for plain Mitsuba), fit.json and the checkpoint that --resume goes on from.
         """
-        from .report.folder import write_fit
+        from ..report.folder import write_fit
 
         config.check()
         if falloff == "auto":
             falloff = "none" if method == "gan" else "inverse-square"
-        shots = _read(capture, resolution, views, transfer, falloff)
+        shots = read_photos(capture, resolution, views, transfer, falloff)
         engine = make_renderer(renderer, variant)
-        _apart(capture, out)
+        keep_apart(capture, out)
         earlier = next((p for p in (files.partial_folder(out) / files.CHECKPOINT, out / files.CHECKPOINT) if p.is_file()), None)
         if resume and earlier is None:
             raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
@@ -112,10 +113,10 @@ def guess(capture: Positional[Photos], out: Out, method: GuessMethod = "robust",
 
     Methods: min is the paper's per-pixel minimum; mean-blur the older baseline; robust undoes falloff and highlights.
     """
-    from .report.folder import write_linear
+    from ..report.folder import write_linear
 
-    _apart(capture, out)
-    shots = _read(capture, resolution, views, transfer, "inverse-square")
+    keep_apart(capture, out)
+    shots = read_photos(capture, resolution, views, transfer, "inverse-square")
     with files.output_folder(out, overwrite) as folder:
         write_linear(folder / "diffuse", guess_diffuse(shots, method), "srgb")
     say(f"wrote {out}/diffuse.exr, diffuse.png")
@@ -131,16 +132,16 @@ def render(maps: Positional[Material], out: Out, views: ViewSource = "builtin:gr
                                                                      "instead of its own (paper IV.B).")] = "fitted",
            variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
     """Render maps for the views of a capture: OUT/NN.png (display values) and NN.exr (linear)."""
-    from .evaluate import shift_lights
-    from .report.folder import write_linear
+    from ..evaluate import shift_lights
+    from ..report.folder import write_linear
 
-    svbrdf, fit = _material(maps), _fit_of(maps)
+    svbrdf, fit = material_of(maps), _fit_of(maps)
     if diffuse == "guessed":
         svbrdf = _with_guessed_diffuse(svbrdf, Path(maps))
-    names, lit = _views(views, fit.falloff if falloff == "auto" else falloff)
+    names, lit = views_of(views, fit.falloff if falloff == "auto" else falloff)
     lit = shift_lights(lit, fit.flash_offset if flash_offset == "fitted" else None)
     transfer = (fit.transfer or "gamma2.2") if transfer == "auto" else transfer
-    _apart(Path(views), out)
+    keep_apart(Path(views), out)
     images = make_renderer(renderer, variant).render(svbrdf, lit)
     with files.output_folder(out, overwrite) as folder:
         for name, image in zip(names, images):
@@ -165,14 +166,14 @@ def evaluate(maps: Positional[Material],
     Map RMSE is counted as in the field: diffuse and specular gamma-encoded, roughness as stored, normal as (n + 1) / 2.
     Re-rendering RMSE is in display values clipped to [0, 1], over all pixels and photos.
     """
-    from .evaluate import evaluate_capture, evaluate_maps
-    from .metrics import map_rmse
+    from ..evaluate import evaluate_capture, evaluate_maps
+    from ..metrics import map_rmse
 
     if (reference is None) == (capture is None):
         raise ConfigError("either --reference or --capture", "both" if reference else "neither", "give one of them")
-    svbrdf = _material(maps)
+    svbrdf = material_of(maps)
     if reference is not None:
-        found = map_rmse(svbrdf, _material(reference)) if reference.startswith("builtin:") else evaluate_maps(
+        found = map_rmse(svbrdf, material_of(reference)) if reference.startswith("builtin:") else evaluate_maps(
             svbrdf, reference)
         print_numbers("Map RMSE", found)
     else:
@@ -182,7 +183,8 @@ def evaluate(maps: Positional[Material],
             say(f"with the flash offset of the fit, ({offset[0]:.3f}, {offset[1]:.3f}) patch sides; "
                 "--flash-offset none leaves the views as calibrated")
         transfer = fit.transfer or "auto" if transfer == "auto" else transfer
-        shots = _read(capture, resolution or svbrdf.resolution, views, transfer, fit.falloff if falloff == "auto" else falloff)
+        shots = read_photos(capture, resolution or svbrdf.resolution, views, transfer,
+                            fit.falloff if falloff == "auto" else falloff)
         found = evaluate_capture(svbrdf, shots, make_renderer(renderer, variant), offset)
         labels = [fit.label(shots, number) for number in shots.index]
         print_numbers("Re-rendering RMSE", dict(zip(labels, found["per_photo"].values())) | {"all": found["rerender_rmse"]})
@@ -199,8 +201,8 @@ def synth(material: Positional[Material], out: Out, views: ViewSource = "builtin
     if not 0 <= noise <= 1:
         raise ConfigError("--noise from 0 to 1", str(noise), "give the standard deviation, e.g. 0.003")
     check_seed(seed)
-    _apart(Path(views), out)
-    svbrdf, (names, lit) = _material(material, resolution), _views(views, "inverse-square")
+    keep_apart(Path(views), out)
+    svbrdf, (names, lit) = material_of(material, resolution), views_of(views, "inverse-square")
     if svbrdf.resolution < resolution:
         say(f"the maps have {svbrdf.resolution} px, so have the photos")
     radiance = make_renderer(renderer, variant).render(svbrdf.resized(min(resolution, svbrdf.resolution)), lit)
@@ -223,7 +225,7 @@ def pretrain_command(picture: Positional[Photos], out: Out, config: OmitArgPrefi
     config.check()
     if out.is_dir() or out.exists() and not overwrite:
         raise ConfigError("a new checkpoint file", f"{out}, which exists", "add --overwrite, or choose another name")
-    shots = _read(picture, resolution, None, "auto", falloff)
+    shots = read_photos(picture, resolution, None, "auto", falloff)
     engine = make_renderer(renderer, variant)
     with Progress(f"pretrain · {engine.name}") as progress:
         pretrain(shots, engine, config, out, progress)
@@ -233,16 +235,16 @@ def pretrain_command(picture: Positional[Photos], out: Out, config: OmitArgPrefi
 
 def doctor(variant: Variant = "llvm_ad_rgb", json: bool = False) -> int:
     """Show what is installed, prove libLLVM in a child process, and say what is missing and how to get it."""
-    from .doctor import doctor as examine
+    from ..doctor import doctor as examine
 
     return examine(variant=variant, json=json)
 
 
 def demo(out: Out = Path("out/demo"), budget: float = 75.0, overwrite: Overwrite = True) -> int:
     """Photograph a made material, recover it, and compare with the truth; about two minutes."""
-    from .evaluate import evaluate_maps
-    from .maps import save_maps
-    from .procedural import make_material
+    from ..evaluate import evaluate_maps
+    from ..maps import save_maps
+    from ..procedural import make_material
 
     truth, photos, result = out / "material", out / "capture", out / "fit"
     if result.exists():
@@ -257,53 +259,14 @@ def demo(out: Out = Path("out/demo"), budget: float = 75.0, overwrite: Overwrite
 
 
 def _fit_of(maps: str):
-    from .evaluate import Fit, fit_of
+    from ..evaluate import Fit, fit_of
 
     return Fit() if maps.startswith("builtin:") else fit_of(maps)
 
 
-def _apart(capture: Path, out: Path) -> None:
-    """Results among photos would be read as photos the next time."""
-    if os.path.realpath(out) in (os.path.realpath(capture), os.path.realpath(capture / "target")):
-        raise ConfigError("an output folder of its own", f"{out}, which holds the photos", "choose another folder")
-
-
-def _read(capture: Path, resolution: int, views: str | None, transfer, falloff: Falloff) -> Capture:
-    if resolution < 8:
-        raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
-    index = None
-    if views is not None:
-        try:
-            index = [int(part) for part in views.split(",")]
-        except ValueError:
-            raise ConfigError("photo numbers like 0,1,2,5", repr(views), "separate them by commas") from None
-    shots = read_capture(capture, resolution=resolution, index=index, falloff=falloff,
-                         transfer=None if transfer == "auto" else transfer)
-    for note in shots.notes:
-        say(note)
-    return shots
-
-
-def _material(name: str, resolution: int = 256):
-    if name.startswith("builtin:"):
-        from .procedural import make_material
-        return make_material(name.removeprefix("builtin:"), resolution)
-    return load_maps(name)
-
-
-def _views(source: str, falloff: Falloff):
-    if source == "builtin:grid":
-        views = replace(nine_view_grid(), falloff=falloff)
-        return [f"{i:02d}" for i in range(len(views))], views
-    if source.startswith("builtin:"):
-        raise CaptureError("a capture folder or builtin:grid", source, "check --views")
-    shots = read_capture(Path(source), falloff=falloff)
-    return list(shots.names), shots.views
-
-
 def _with_guessed_diffuse(svbrdf, maps: Path):
-    from .errors import MapsError
-    from .maps import SVBRDF
+    from ..errors import MapsError
+    from ..maps import SVBRDF
 
     folder = maps.parent if maps.name == "maps" else maps
     guessed = files.read_image(folder / "guess" / "diffuse.exr", MapsError)

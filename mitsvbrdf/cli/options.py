@@ -1,0 +1,70 @@
+"""What the commands share: option types, and what a name on the command line stands for."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import arg
+
+from ..capture import Capture, read_capture
+from ..errors import CaptureError, ConfigError
+from ..maps import SVBRDF, load_maps
+from ..progress import say
+from ..views import Falloff, Views, nine_view_grid
+
+Out = Annotated[Path, arg(aliases=["-o"], help="Folder (or file) to write.")]
+Overwrite = Annotated[bool, arg(help="Replace results that are there already.")]
+Variant = Annotated[Literal["llvm_ad_rgb", "cuda_ad_rgb"], arg(help="Mitsuba variant.")]
+ViewList = Annotated[str | None, arg(metavar="0,1,2,...", help="Which photos to use, by number; left out: all.")]
+Material = Annotated[str, arg(metavar="MAPS", help="A folder of maps, or builtin:NAME (inlay, tiles, leather, plates).")]
+ViewSource = Annotated[str, arg(help="A capture whose views to use, or builtin:grid (nine views from two sides away).")]
+Photos = Annotated[Path, arg(metavar="CAPTURE", help="A folder of photos, calibrated or plain; see docs/formats.md.")]
+TransferOption = Annotated[Literal["auto", "gamma2.2", "srgb", "linear"],
+                           arg(help="How photos encode light; auto: as the capture states, else gamma2.2 for calibrated "
+                                    "captures and srgb for plain photos.")]
+FalloffOption = Literal["auto", "inverse-square", "none"]
+
+
+def keep_apart(capture: Path, out: Path) -> None:
+    """Results among photos would be read as photos the next time."""
+    if os.path.realpath(out) in (os.path.realpath(capture), os.path.realpath(capture / "target")):
+        raise ConfigError("an output folder of its own", f"{out}, which holds the photos", "choose another folder")
+
+
+def read_photos(capture: Path, resolution: int, views: str | None, transfer, falloff: Falloff) -> Capture:
+    """The photos as asked for, with what was noticed about them said."""
+    if resolution < 8:
+        raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
+    index = None
+    if views is not None:
+        try:
+            index = [int(part) for part in views.split(",")]
+        except ValueError:
+            raise ConfigError("photo numbers like 0,1,2,5", repr(views), "separate them by commas") from None
+    shots = read_capture(capture, resolution=resolution, index=index, falloff=falloff,
+                         transfer=None if transfer == "auto" else transfer)
+    for note in shots.notes:
+        say(note)
+    return shots
+
+
+def material_of(name: str, resolution: int = 256) -> SVBRDF:
+    """Maps from a folder, or ``builtin:NAME`` made at this resolution."""
+    if name.startswith("builtin:"):
+        from ..procedural import make_material
+        return make_material(name.removeprefix("builtin:"), resolution)
+    return load_maps(name)
+
+
+def views_of(source: str, falloff: Falloff) -> tuple[list[str], Views]:
+    """Names and views of a capture, or of ``builtin:grid``."""
+    if source == "builtin:grid":
+        views = replace(nine_view_grid(), falloff=falloff)
+        return [f"{i:02d}" for i in range(len(views))], views
+    if source.startswith("builtin:"):
+        raise CaptureError("a capture folder or builtin:grid", source, "check --views")
+    shots = read_capture(Path(source), falloff=falloff)
+    return list(shots.names), shots.views

@@ -1,0 +1,84 @@
+"""Self-contained HTML pages: one file that opens from disk, in light and dark, with no network request.
+
+A page computes nothing: it gets numbers that stand in a JSON, and pictures that are made here from tensors or by
+matplotlib. ``templates/base.html`` holds the look they share.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+from pathlib import Path
+
+import cv2
+import jinja2
+import matplotlib
+import torch
+from matplotlib.figure import Figure
+from torch import Tensor
+
+from .. import color, files
+
+
+def write_page(path: str | Path, template: str, **context: object) -> None:
+    """Render ``templates/TEMPLATE`` (which extends ``base.html``) into one file, beside first, then renamed.
+
+    Args:
+        path: the file to write.
+        template: file name in ``mitsvbrdf/report/templates``.
+        context: what the template asks for; text is escaped.
+    """
+    environment = jinja2.Environment(loader=jinja2.PackageLoader("mitsvbrdf", "report/templates"), autoescape=True,
+                                     undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters |= {"figure": figure, "seconds": seconds}
+    text = environment.get_template(template).render(context)
+    with files.beside(Path(path)) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def figure(value: float | None) -> str:
+    """A number as people read it: 3.2e-07, 0.0123, 12.3; a dash for None."""
+    if value is None:
+        return "–"
+    if not math.isfinite(value):
+        return str(value)
+    return f"{value:.1e}" if value and not 1e-3 <= abs(value) < 1e4 else f"{value:.3g}"
+
+
+def seconds(value: float) -> str:
+    """Seconds as people read them: 31 ms, 2.4 s."""
+    return f"{value * 1e3:.3g} ms" if value < 1 else f"{value:.3g} s"
+
+
+def png_uri(display: Tensor) -> str:
+    """A picture for ``<img src>``.
+
+    Args:
+        display: H x W x 3 (or x 1), display values; clipped to [0, 1].
+    """
+    pixels = (color.clip(display.detach().float()) * 255).round().to(torch.uint8)
+    pixels = pixels.expand(*pixels.shape[:2], 3).flip(-1).contiguous().numpy()  # OpenCV writes BGR
+    return "data:image/png;base64," + base64.b64encode(cv2.imencode(".png", pixels)[1].tobytes()).decode()
+
+
+def error_picture(error: Tensor, high: float, low: float | None = None) -> Tensor:
+    """Sizes of an error in the colours of matplotlib's ``magma``, log scale, H x W x 3 display values.
+
+    Args:
+        error: H x W, not negative.
+        high: the value shown brightest.
+        low: the value shown black; left out: ``high`` / 1e4.
+    """
+    low = low or high / 1e4
+    share = (torch.log(error.double().clamp_min(1e-300) / low) / math.log(high / low)).clamp(0, 1)
+    share = torch.where(torch.isfinite(error), share, torch.ones_like(share))
+    return torch.as_tensor(matplotlib.colormaps["magma"](share.numpy())[..., :3], dtype=torch.float32)
+
+
+def svg(drawing: Figure) -> str:
+    """A matplotlib figure as inline SVG text, transparent, to be marked ``|safe`` in a template."""
+    text = io.StringIO()
+    with matplotlib.rc_context({"svg.hashsalt": "mitsvbrdf", "svg.fonttype": "none"}):
+        drawing.savefig(text, format="svg", transparent=True, metadata={"Date": None})
+    return text.getvalue()[text.getvalue().index("<svg"):]
