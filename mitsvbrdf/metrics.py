@@ -78,23 +78,30 @@ def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "g
 
 
 def image_error(image: Tensor, reference: Tensor, floor: float = FLOOR) -> dict[str, float]:
-    """How far an image is from a reference, value by value: |image - reference| / max(|reference|, floor mean).
+    """How far an image is from a reference, value by value: :func:`relative_error` and :func:`error_statistics`.
 
     Args:
         image: any shape, linear.
         reference: the same shape; best in float64.
         floor: share of the reference's mean absolute value below which a value counts as that share.
 
-    Returns:
-        ``mean``, ``p99.9`` (99.9 % of the values are no worse), ``worst``, and ``bias``: the mean with its sign.
-
     Raises:
         MapsError: shapes that differ.
     """
-    image, reference = _pair(image, reference)
-    least = max(floor * float(reference.abs().mean()), torch.finfo(torch.float64).tiny)
-    signed = (image - reference) / reference.abs().clamp_min(least)
-    size = signed.abs()
+    return error_statistics(relative_error(image, reference, floor))
+
+
+def relative_error(image: Tensor, reference: Tensor, floor: float = FLOOR) -> Tensor:
+    """(image - reference) / max(|reference|, floor mean |reference|), of the same shape, float64; see :func:`image_error`."""
+    flat_image, flat_reference = _pair(image, reference)
+    size = flat_reference.abs()
+    least = max(floor * float(size.mean()), torch.finfo(torch.float64).tiny)
+    return ((flat_image - flat_reference) / size.clamp_min(least)).reshape(reference.shape)
+
+
+def error_statistics(signed: Tensor) -> dict[str, float]:
+    """Of signed errors, any shape: ``mean`` size, ``p99.9`` (99.9 % are no larger), ``worst``, ``bias`` (the signed mean)."""
+    size = signed.abs().flatten()
     rank = math.ceil(0.999 * size.numel())
     return {"mean": float(size.mean()), "p99.9": float(size.kthvalue(rank).values), "worst": float(size.max()),
             "bias": float(signed.mean())}
@@ -134,7 +141,8 @@ def gradient_error(gradient: Tensor, reference: Tensor) -> dict[str, float]:
 
     Returns:
         ``relative_l2``: |g - r| / |r|; ``cosine`` of the angle between them; ``worst``: the largest difference of one
-        entry over the largest entry of the reference. Where the reference is 0 everywhere they are infinite or NaN.
+        entry over the largest entry of the reference; ``bias``: (g - r) r / |r|^2, by how much the gradient is too long
+        along the reference. Where the reference is 0 everywhere they are infinite or NaN.
 
     Raises:
         MapsError: shapes that differ.
@@ -143,7 +151,7 @@ def gradient_error(gradient: Tensor, reference: Tensor) -> dict[str, float]:
     off, length = gradient - reference, reference.norm()
     cosine = gradient @ reference / (gradient.norm() * length)
     return {"relative_l2": float(off.norm() / length), "cosine": float(cosine),
-            "worst": float(off.abs().max() / reference.abs().max())}
+            "worst": float(off.abs().max() / reference.abs().max()), "bias": float(off @ reference / length**2)}
 
 
 def _pair(first: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:

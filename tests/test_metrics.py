@@ -10,7 +10,7 @@ import torch
 from mitsvbrdf import files
 from mitsvbrdf.errors import CaptureError, ConfigError, MapsError
 from mitsvbrdf.maps import SVBRDF, flat, load_maps
-from mitsvbrdf.metrics import gradient_error, image_error, map_rmse, photo_rmse
+from mitsvbrdf.metrics import gradient_error, image_error, map_rmse, photo_rmse, relative_error
 from mitsvbrdf.procedural import make_material
 
 MAPS = ("diffuse", "specular", "roughness", "normal")
@@ -86,11 +86,19 @@ def test_image_error_statistics_and_floor():
     assert image_error(image, reference)["worst"] == pytest.approx(1.0, rel=1e-9)
 
 
+def test_relative_error_keeps_shape_and_sign():
+    reference = torch.tensor([[1.0, 2.0], [4.0, 1e-9]])
+    assert torch.equal(relative_error(reference * 0.5, reference)[:, 0], torch.tensor([-0.5, -0.5], dtype=torch.float64))
+    assert relative_error(reference, reference).shape == (2, 2)
+    assert float(relative_error(torch.zeros(2, 2), reference)[1, 1]) == pytest.approx(-1e-9 / (1e-3 * 1.75), rel=1e-6)
+
+
 def test_gradient_error_of_known_vectors():
     reference = torch.tensor([[3.0, 4.0], [0.0, 0.0]])
     turned = torch.tensor([[3.0, 4.0], [5.0, 0.0]])
-    for gradient, l2, cosine, worst in ((reference, 0, 1, 0), (-reference, 2, -1, 2), (turned, 1, 0.5**0.5, 1.25)):
-        wanted = {"relative_l2": l2, "cosine": cosine, "worst": worst}
+    for gradient, l2, cosine, worst, bias in (
+            (reference, 0, 1, 0, 0), (-reference, 2, -1, 2, -2), (turned, 1, 0.5**0.5, 1.25, 0)):
+        wanted = {"relative_l2": l2, "cosine": cosine, "worst": worst, "bias": bias}
         assert gradient_error(gradient, reference) == pytest.approx(wanted, rel=1e-12)
 
 

@@ -6,6 +6,7 @@ import statistics
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 import torch
 from torch import Tensor
@@ -13,6 +14,8 @@ from torch import Tensor
 from ..maps import SVBRDF
 from ..render import Renderer
 from ..views import Views
+
+K, T = TypeVar("K"), TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,7 @@ def spread(seconds: list[float]) -> dict[str, float]:
 
 
 def side_by_side(jobs: Mapping[str, Callable[[], object]], repeats: int = 5) -> dict[str, dict[str, float]]:
-    """Time several jobs fairly: each once unmeasured, then in turn, again and again, so that drift hits all alike.
+    """Time several jobs fairly, in turn (:func:`in_turns`).
 
     Args:
         jobs: what to run, by name.
@@ -75,12 +78,31 @@ def side_by_side(jobs: Mapping[str, Callable[[], object]], repeats: int = 5) -> 
     Returns:
         :func:`spread` of the seconds of each job.
     """
-    for job in jobs.values():
-        job()
-    seconds: dict[str, list[float]] = {name: [] for name in jobs}
-    for _ in range(repeats):
-        for name, job in jobs.items():
+    def timed(job: Callable[[], object]) -> Callable[[], float]:
+        def run() -> float:
             started = time.perf_counter()
             job()
-            seconds[name].append(time.perf_counter() - started)
-    return {name: spread(each) for name, each in seconds.items()}
+            return time.perf_counter() - started
+        return run
+
+    return {name: spread(each) for name, each in in_turns({name: timed(job) for name, job in jobs.items()}, repeats).items()}
+
+
+def in_turns(jobs: Mapping[K, Callable[[], T]], repeats: int = 5, report: Callable[[float], object] = lambda share: None,
+             ) -> dict[K, list[T]]:
+    """Run each job once for nothing, then all in turn, again and again, so that drift of the machine hits all alike.
+
+    Args:
+        jobs: what to run, by name.
+        repeats: turns that count.
+        report: told the share done after each run.
+
+    Returns:
+        What each job returned in the turns that count.
+    """
+    found: dict[K, list[T]] = {name: [] for name in jobs}
+    for turn in range(repeats + 1):
+        for number, (name, job) in enumerate(jobs.items(), 1):
+            found[name].append(job())
+            report((turn + number / len(jobs)) / (repeats + 1))
+    return {name: each[1:] for name, each in found.items()}

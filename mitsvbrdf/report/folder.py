@@ -73,10 +73,15 @@ def fit_record(result: FitResult, capture: Capture, command: dict) -> dict:
         "flash_offset": None if offset is None else {"x": offset[0] / views.size, "y": offset[1] / views.size,
                                                      "unit": "patch sides"},
         "versions": versions(),
-        "machine": {"system": platform.system(), "cpu": platform.machine(), "cores": os.cpu_count(),
-                    "libllvm": os.path.basename(os.environ.get("DRJIT_LIBLLVM_PATH", "")) or None},
+        "machine": machine(),
         "trace": result.trace,
     }
+
+
+def machine() -> dict[str, str | int | None]:
+    """What a run time depends on: system, kind of CPU, cores, and the libLLVM in use."""
+    return {"system": platform.system(), "cpu": platform.machine(), "cores": os.cpu_count(),
+            "libllvm": os.path.basename(os.environ.get("DRJIT_LIBLLVM_PATH", "")) or None}
 
 
 def versions() -> dict[str, str | None]:
