@@ -10,7 +10,7 @@ from mitsvbrdf.maps import CHANNELS, SVBRDF, flat
 from mitsvbrdf.metrics import gradient_error, image_error
 from mitsvbrdf.procedural import make_material
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.render.needs import CONSTANT_FRESNEL_DEGREES, largest_half_angle, scene_needs
+from mitsvbrdf.render.needs import CONSTANT_FRESNEL_DEGREES, Needs, largest_half_angle, scene_needs
 from mitsvbrdf.views import Views, nine_view_grid
 
 GRID = nine_view_grid()
@@ -115,7 +115,7 @@ def test_replay_trap_is_real():
     renderer, material = make_renderer("mitsuba-scene"), random_material("roughconductor")
     renderer.render(material, GRID.pick([0]))  # compiles the wrapped function
     (unguarded,) = renderer._wrapped.values()
-    geometry = {i: [t[i:i + 1].float() for t in (GRID.camera, GRID.light, GRID.intensity)] for i in (0, 4)}
+    geometry = {i: [t[i:i + 1] for t in (GRID.camera, GRID.light, GRID.intensity)] for i in (0, 4)}
 
     def gradient(disturbed):
         leaves = [m.clone().requires_grad_() for m in material.maps.values()]
@@ -181,10 +181,11 @@ def test_largest_half_angle_is_below_the_pair_when_they_stand_over_the_patch():
 
 
 def test_needs():
-    together, apart = (scene_needs("roughconductor", v, "mitsuba") for v in (GRID, APART))
+    material = random_material("roughconductor")
+    together, apart = (scene_needs(material, v, "mitsuba") for v in (GRID, APART))
     assert not together.fresnel_curve and apart.fresnel_curve
     assert "Fresnel curve" in dict(together.left_out) and "Fresnel curve" not in dict(apart.left_out)
-    assert "ray tracing" not in dict(scene_needs("roughconductor", GRID, "mitsuba-scene").left_out)
+    assert "ray tracing" not in dict(scene_needs(material, GRID, "mitsuba-scene").left_out)
 
 
 def test_leaving_out_the_fresnel_curve_costs_less_than_it_says():
@@ -192,12 +193,9 @@ def test_leaving_out_the_fresnel_curve_costs_less_than_it_says():
     apart = 4 * math.tan(math.radians(0.99 * CONSTANT_FRESNEL_DEGREES))  # seen from 2 sides above the point between them
     views = Views.of([[0.0, 0.0, 2.0]], [[apart, 0.0, 2.0]])
     assert largest_half_angle(views) == pytest.approx(0.99 * CONSTANT_FRESNEL_DEGREES, rel=1e-6)
-    assert not scene_needs("roughconductor", views, "analytic64").fresnel_curve
-    from mitsvbrdf.render import analytic
+    assert not scene_needs(random_material("roughconductor"), views, "analytic64").fresnel_curve
     for f0 in (1e-4, 0.001, 0.02, 0.04, 0.2, 0.6, 0.95):
         material = flat(8, diffuse=0.0, specular=f0, dtype=torch.float64)
         constant = make_renderer("analytic64").render(material, views)
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(analytic, "scene_needs", lambda *_: type("Needs", (), {"fresnel_curve": True}))
-            full = make_renderer("analytic64").render(material, views)
+        full = make_renderer("analytic64", needs=Needs()).render(material, views)
         assert image_error(constant, full)["worst"] < 1e-6

@@ -18,6 +18,7 @@ from torch import Tensor
 from ..errors import ConfigError
 from ..maps import SVBRDF
 from ..views import Views
+from .needs import Needs
 
 RendererName = Literal["mitsuba", "mitsuba-scene", "analytic", "analytic64"]
 
@@ -37,12 +38,13 @@ class Renderer(Protocol):
         ...
 
 
-def make_renderer(name: RendererName = "mitsuba", variant: str = "llvm_ad_rgb") -> Renderer:
+def make_renderer(name: RendererName = "mitsuba", variant: str = "llvm_ad_rgb", needs: Needs | None = None) -> Renderer:
     """A renderer by name; Mitsuba is loaded only for the two that need it.
 
     Args:
         name: one of the table above.
         variant: the Mitsuba variant, ``llvm_ad_rgb`` or ``cuda_ad_rgb``.
+        needs: what to compute, to measure what leaving out costs and saves; left out: what each scene needs.
 
     Raises:
         ConfigError: unknown name.
@@ -52,12 +54,12 @@ def make_renderer(name: RendererName = "mitsuba", variant: str = "llvm_ad_rgb") 
         raise ConfigError(f"a renderer of {get_args(RendererName)}", repr(name), "choose one of these")
     if name == "mitsuba":
         from .texels import TexelRenderer
-        return TexelRenderer(variant)
+        return TexelRenderer(variant, needs)
     if name == "mitsuba-scene":
         from .scene import SceneRenderer
-        return SceneRenderer(variant)
+        return SceneRenderer(variant, needs)
     from .analytic import AnalyticRenderer
-    return AnalyticRenderer(torch.float64 if name == "analytic64" else torch.float32)
+    return AnalyticRenderer(torch.float64 if name == "analytic64" else torch.float32, needs)
 
 
 __all__ = ["Renderer", "RendererName", "make_renderer"]

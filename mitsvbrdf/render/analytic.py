@@ -4,6 +4,9 @@ Cook-Torrance as the paper (III.E): f = rho_d / pi + D(alpha, n.h) G(n.l, n.v) F
 G. Radiance L = f (n.l) I / d^2. F is F0 where camera and light coincide (h = l, so it is exact); elsewhere the
 unpolarised Fresnel reflectance of the refractive index that has F0 at normal incidence, which is what Mitsuba's
 ``roughconductor`` computes (the paper's Schlick curve is not among its options).
+
+Each formula is written so that nothing cancels, overflows or divides by zero on valid input, in float32 and in its
+derivatives; docs/stability.md lists what each form mended and by how much.
 """
 
 from __future__ import annotations
@@ -12,10 +15,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..maps import SVBRDF
+from ..maps import DIELECTRIC_F0, SVBRDF
 from ..views import Views, texel_positions
-from .bsdf import MIN_ALPHA_PRINCIPLED, index_from_f0
-from .needs import scene_needs
+from .bsdf import F0_RANGE, MIN_ALPHA_PRINCIPLED, needed_maps
+from .needs import Needs, scene_needs
+
+MIN_ALPHA = {"roughconductor": 1e-4, "principled": MIN_ALPHA_PRINCIPLED}  # Mitsuba's microfacets are never smoother
 
 
 class AnalyticRenderer:
@@ -23,46 +28,61 @@ class AnalyticRenderer:
 
     Args:
         dtype: float32 or float64 (the truth).
+        needs: what to compute; left out: what the scene needs.
     """
 
     variant = None
 
-    def __init__(self, dtype: torch.dtype = torch.float32) -> None:
-        self.dtype = dtype
+    def __init__(self, dtype: torch.dtype = torch.float32, needs: Needs | None = None) -> None:
+        self.dtype, self.needs = dtype, needs
         self.name = "analytic64" if dtype == torch.float64 else "analytic"
 
     def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
         """Linear radiance N x R x R x 3 of this renderer's dtype; gradients to maps, camera, light and intensity."""
-        curve = scene_needs(svbrdf.bsdf, views, self.name).fresnel_curve
-        maps = {name: value.to(self.dtype) for name, value in svbrdf.maps.items()}
-        views = views.in_patch_sides().to(self.dtype)
-        position = texel_positions(svbrdf.resolution, self.dtype)
-        normal = F.normalize(maps["normal"], dim=-1)
-
-        to_camera = views.camera[:, None, None] - position
-        to_light = views.light[:, None, None] - position
-        v = F.normalize(to_camera, dim=-1)
-        l = F.normalize(to_light, dim=-1)  # noqa: E741  (the field's symbol)
-        h = F.normalize(l + v, dim=-1)
+        needs = self.needs or scene_needs(svbrdf, views, self.name)
+        maps = {name: value.to(self.dtype) for name, value in needed_maps(svbrdf, needs).items()}
+        l, v, h, irradiance = (x.to(self.dtype) for x in _geometry(views, svbrdf.resolution))  # noqa: E741  (as in the field)
+        normal = F.normalize(maps["normal"], dim=-1) if needs.normal_map else h.new_tensor([0.0, 0.0, 1.0])
         n_l, n_v = _dot(normal, l), _dot(normal, v)
         lit = (n_l > 0) & (n_v > 0)
         # Where the surface turns away the result is 0; a harmless 1 keeps the gradient of the rest finite.
         n_l, n_v = torch.where(lit, n_l, 1.0), torch.where(lit, n_v, 1.0)
 
         if svbrdf.bsdf == "roughconductor":
-            alpha = maps["roughness"] ** 2
-            fresnel = _fresnel(index_from_f0(maps["specular"]), _dot(h, l)) if curve else maps["specular"]
-            value = maps["diffuse"] / torch.pi * n_l + _specular(alpha, normal, h, n_l, n_v) * fresnel
+            value = maps["diffuse"] / torch.pi * n_l if needs.diffuse_lobe else 0.0
+            if needs.specular_lobe:
+                f0 = maps["specular"]
+                fresnel = _fresnel(f0, _dot(h, l)) if needs.fresnel_curve else f0
+                value = value + _specular(_alpha(svbrdf.bsdf, maps["roughness"]), normal, h, n_l, n_v) * fresnel
         else:
             value = _principled(maps, normal, l, h, n_l, n_v)
 
-        distance2 = _dot(to_light, to_light) if views.falloff == "inverse-square" else _dot(
-            views.light, views.light)[:, None, None]
-        return torch.where(lit, value, 0.0) * views.intensity[:, None, None] / distance2
+        return torch.where(lit, value, 0.0) * irradiance
+
+
+def _geometry(views: Views, resolution: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Unit vectors to light, camera and half way, N x R x R x 3, and I / d^2; in float64, whatever comes after.
+
+    l + v cancels where light and camera stand low on opposite sides: from 100 sides away at 0.01 above the plane, float32
+    lost all but one digit of h. And d^2 of a light 1e20 units away is no float32.
+    """
+    views = views.in_patch_sides().to(torch.float64)
+    position = texel_positions(resolution)
+    to_camera = views.camera[:, None, None] - position
+    to_light = views.light[:, None, None] - position
+    v, l = F.normalize(to_camera, dim=-1), F.normalize(to_light, dim=-1)  # noqa: E741
+    reach = to_light if views.falloff == "inverse-square" else views.light[:, None, None]
+    return l, v, F.normalize(l + v, dim=-1), views.intensity[:, None, None] / _dot(reach, reach)
 
 
 def _dot(a: Tensor, b: Tensor) -> Tensor:
     return (a * b).sum(dim=-1, keepdim=True)
+
+
+def _alpha(bsdf: str, roughness: Tensor) -> Tensor:
+    """GGX alpha, never below :data:`MIN_ALPHA`, with gradient 0 there and at the limit itself, as in Mitsuba."""
+    alpha, least = roughness**2, MIN_ALPHA[bsdf]
+    return torch.where(alpha > least, alpha, least)
 
 
 def _specular(alpha: Tensor, normal: Tensor, h: Tensor, n_l: Tensor, n_v: Tensor) -> Tensor:
@@ -72,30 +92,40 @@ def _specular(alpha: Tensor, normal: Tensor, h: Tensor, n_l: Tensor, n_v: Tensor
     across = torch.linalg.cross(normal.expand_as(h), h)
     # a2 c^2 + (1 - c^2) with 1 - c^2 as |n x h|^2: c^2 (a2 - 1) + 1 would cancel near the highlight.
     d = a2 / (torch.pi * (a2 * n_h**2 + _dot(across, across)) ** 2)
-    return d * _smith(a2, n_l) * _smith(a2, n_v) / (4 * n_v)
+    # G has a factor 4 n.l n.v, which goes against the one below it before it can become 0 / 0.
+    return d * n_l / (_smith(a2, n_l) * _smith(a2, n_v))
 
 
 def _smith(a2: Tensor, cosine: Tensor) -> Tensor:
-    """GGX masking of one direction (Walter et al. 2007, eq. 34)."""
-    return 2 * cosine / (cosine + torch.sqrt(a2 + (1 - a2) * cosine**2))
+    """2 cos / G1 of GGX masking, one direction (Walter et al. 2007, eq. 34)."""
+    return cosine + torch.sqrt(a2 + (1 - a2) * cosine**2)
 
 
-def _fresnel(eta: Tensor, cosine: Tensor) -> Tensor:
-    """Unpolarised reflectance of a real refractive index eta >= 1 at this cosine."""
-    cosine_t = torch.sqrt(1 - (1 - cosine**2) / eta**2)
-    s = (cosine - eta * cosine_t) / (cosine + eta * cosine_t)
-    p = (eta * cosine - cosine_t) / (eta * cosine + cosine_t)
-    return (s**2 + p**2) / 2
+def _fresnel(f0: Tensor, cosine: Tensor) -> Tensor:
+    """Unpolarised reflectance at this cosine of the real refractive index (1 + s) / (1 - s), s = sqrt F0.
+
+    With a = 1 - s, b = 1 + s and g = sqrt(4 s + a^2 c^2) the two amplitudes r_s = (a c - g) / (a c + g) and
+    r_p = (b^2 c - a g) / (b^2 c + a g) both carry a factor 4 s, taken out here: what is left has no difference of equal
+    numbers, at F0 = 0 or at 1. The index is infinite at 1, and F has no bounded slope at 0 towards grazing angles; only
+    there, below F0_RANGE, F is a straight line to 0.
+    """
+    safe = f0.clamp(*F0_RANGE)
+    s = safe.sqrt()
+    a, b2 = (1 - safe) / (1 + s), (1 + s) ** 2
+    ac = a * cosine
+    g = torch.sqrt(4 * s + ac**2)
+    s_wave = 1 / (ac + g) ** 2
+    p_wave = (2 * cosine**2 * (1 + safe) - a**2) / (b2 * cosine + a * g) ** 2
+    return 8 * safe * (s_wave**2 + p_wave**2)
 
 
 def _principled(maps: dict[str, Tensor], normal: Tensor, l: Tensor, h: Tensor, n_l: Tensor, n_v: Tensor) -> Tensor:  # noqa: E741
     """Mitsuba's ``principled`` with base colour, metallic and roughness, times n.l (Burley 2012 and 2015)."""
-    base, metallic, roughness = maps["base_color"], maps["metallic"], maps["roughness"]
-    alpha = (roughness**2).clamp_min(MIN_ALPHA_PRINCIPLED)
+    base, metallic, roughness = maps["base_color"], maps.get("metallic", 0.0), maps["roughness"]
     h_l = _dot(h, l)
     metal = base + (1 - base) * (1 - h_l) ** 5
-    glass = _fresnel(torch.tensor(1.5, dtype=base.dtype), h_l)
-    specular = _specular(alpha, normal, h, n_l, n_v) * (metallic * metal + (1 - metallic) * glass)
+    glass = _fresnel(base.new_tensor(DIELECTRIC_F0), h_l)
+    specular = _specular(_alpha("principled", roughness), normal, h, n_l, n_v) * (metallic * metal + (1 - metallic) * glass)
 
     w_l, w_v = (1 - n_l) ** 5, (1 - n_v) ** 5
     retro = 2 * roughness * h_l**2

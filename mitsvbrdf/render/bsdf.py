@@ -8,6 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from torch import Tensor
+
+from ..maps import CHANNELS, SVBRDF
+from .needs import Needs
+
 MIN_ALPHA_PRINCIPLED = 0.001  # Mitsuba's `principled` never goes below; its gradient in roughness is 0 there
 
 # The refractive index grows without bound as F0 -> 1, and its slope in F0 as F0 -> 0; both ends are cut.
@@ -29,38 +34,66 @@ def index_from_f0(f0: Any) -> Any:
     return (1 + root) / (1 - root)
 
 
-def slot_values(bsdf: str, maps: dict[str, Any], fresnel_curve: bool) -> dict[str, Any]:
+def needed_maps(svbrdf: SVBRDF, needs: Needs) -> dict[str, Tensor]:
+    """The maps that are read at all, by name; a specular map that needs no colour as its first channel."""
+    unread = {"diffuse": not needs.diffuse_lobe, "specular": not needs.specular_lobe, "metallic": not needs.metallic,
+              "roughness": svbrdf.bsdf == "roughconductor" and not needs.specular_lobe, "normal": not needs.normal_map}
+    maps = {name: svbrdf[name] for name in CHANNELS[svbrdf.bsdf] if not unread.get(name)}
+    if "specular" in maps and not needs.coloured_specular:
+        maps["specular"] = maps["specular"][..., :1]
+    return maps
+
+
+def slot_values(bsdf: str, maps: dict[str, Any], needs: Needs) -> dict[str, Any]:
     """What the plugin's texture slots hold for these maps (torch or Dr.Jit arrays, same layout as the maps).
 
-    The two lobes of ``roughconductor`` are summed by a ``blendbsdf`` of weight 0.5, so both carry a factor 2.
+    Two lobes of ``roughconductor`` are summed by a ``blendbsdf`` of weight 0.5, so both carry a factor 2.
     """
-    slots = {"normal": maps["normal"] * 0.5 + 0.5}
+    slots = {"normal": maps["normal"] * 0.5 + 0.5} if needs.normal_map else {}
     if bsdf == "principled":
-        return slots | {name: maps[name] for name in ("base_color", "metallic", "roughness")}
-    slots |= {"diffuse_x2": maps["diffuse"] * 2, "alpha": maps["roughness"] * maps["roughness"]}
-    return slots | ({"eta": index_from_f0(maps["specular"])} if fresnel_curve else {"specular_x2": maps["specular"] * 2})
+        names = ("base_color", "metallic", "roughness") if needs.metallic else ("base_color", "roughness")
+        return slots | {name: maps[name] for name in names}
+    if needs.diffuse_lobe:
+        slots[f"diffuse_x{needs.lobes}"] = maps["diffuse"] * needs.lobes
+    if needs.specular_lobe:
+        slots["alpha"] = maps["roughness"] * maps["roughness"]
+        if needs.fresnel_curve:
+            slots["eta"] = index_from_f0(maps["specular"])
+        else:
+            slots[f"specular_x{needs.lobes}"] = maps["specular"] * needs.lobes
+    return slots
 
 
-def plugin(bsdf: str, fresnel_curve: bool, texture: Callable[[str], Any]) -> dict:
+def plugin(bsdf: str, needs: Needs, texture: Callable[[str], Any]) -> dict:
     """The Mitsuba plugin dictionary of a material.
 
     Args:
         bsdf: ``roughconductor`` or ``principled``.
-        fresnel_curve: real Fresnel reflectance (needed away from co-located views) instead of constant F0.
+        needs: which lobes to sum, whether there is a normal map, and whether reflectance follows the angle (real Fresnel
+            reflectance, needed away from co-located views) or is constant.
         texture: makes the texture of a slot, by its name in :func:`slot_values`.
     """
     if bsdf == "principled":
-        shading = {"type": "principled", "base_color": texture("base_color"), "metallic": texture("metallic"),
-                   "roughness": texture("roughness")}
+        shading = {"type": "principled", "base_color": texture("base_color"), "roughness": texture("roughness")}
+        if needs.metallic:
+            shading["metallic"] = texture("metallic")
     else:
-        lobe = {"type": "roughconductor", "distribution": "ggx", "alpha": texture("alpha")}  # the default is Beckmann
-        if fresnel_curve:
-            lobe |= {"eta": texture("eta"), "k": {"type": "uniform", "value": 0.0},
-                     "specular_reflectance": {"type": "uniform", "value": 2.0}}
-        else:
-            lobe |= {"material": "none", "specular_reflectance": texture("specular_x2")}
-        shading = {"type": "blendbsdf", "weight": 0.5,
-                   "diffuse": {"type": "diffuse", "reflectance": texture("diffuse_x2")}, "specular": lobe}
+        shading = _lobes(needs, texture)
+    if not needs.normal_map:
+        return shading
     # Both flags default to true and would change the image: the model has no normal flipping and no extra shadowing.
     return {"type": "normalmap", "flip_invalid_normals": False, "use_shadowing_function": False,
             "normalmap": texture("normal"), "bsdf": shading}
+
+
+def _lobes(needs: Needs, texture: Callable[[str], Any]) -> dict:
+    diffuse = {"type": "diffuse", "reflectance": texture(f"diffuse_x{needs.lobes}")} if needs.diffuse_lobe else None
+    if not needs.specular_lobe:
+        return diffuse
+    lobe = {"type": "roughconductor", "distribution": "ggx", "alpha": texture("alpha")}  # the default is Beckmann
+    if needs.fresnel_curve:
+        lobe |= {"eta": texture("eta"), "k": {"type": "uniform", "value": 0.0},
+                 "specular_reflectance": {"type": "uniform", "value": float(needs.lobes)}}
+    else:
+        lobe |= {"material": "none", "specular_reflectance": texture(f"specular_x{needs.lobes}")}
+    return {"type": "blendbsdf", "weight": 0.5, "diffuse": diffuse, "specular": lobe} if diffuse else lobe

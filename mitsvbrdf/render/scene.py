@@ -1,7 +1,6 @@
-"""The traced Mitsuba scene through ``dr.wrap``: rectangle, point light, and a camera whose frustum is shifted onto it.
+"""The traced Mitsuba scene through ``dr.wrap``: rectangle, point light, and the camera of a rectified photo.
 
-A rectified photo is what a perspective camera sees that looks straight down and whose image plane is parallel to the
-patch. With one unjittered sample a pixel and a box filter every ray hits its texel's centre, so the image has no noise.
+With one unjittered sample a pixel and a box filter every ray hits its texel's centre, so the image has no noise.
 
 The replay trap: a Mitsuba scene is one mutable object, and the calls it makes per ray are traced again *as the scene is
 at backward time*. Moving the camera, or drawing a preview, between forward and backward then silently gives gradients of
@@ -11,24 +10,28 @@ first, from the maps and views it kept.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
 from ..errors import ConfigError
-from ..maps import CHANNELS, SVBRDF
+from ..maps import SVBRDF
 from ..views import Views
-from .bsdf import plugin, slot_values
+from .bsdf import needed_maps, plugin, slot_values
 from .llvm import mitsuba_module
-from .needs import scene_needs
+from .needs import Needs, scene_needs
+from .rectified import CAMERA, INTEGRATOR, NORMAL_MAP, register
 
-SLOT_CHANNELS = {"alpha": 1, "metallic": 1, "roughness": 1}
+GREY = ("alpha", "metallic", "roughness")
 
 
 class SceneRenderer:
-    """Traces the scene with Mitsuba's ``direct`` integrator; see :class:`mitsvbrdf.render.Renderer`.
+    """Traces rays from the camera to the patch and on to the light; see :class:`mitsvbrdf.render.Renderer`.
 
     Args:
         variant: ``llvm_ad_rgb`` or ``cuda_ad_rgb``.
+        needs: what to compute; left out: what the scene needs.
 
     Raises:
         BackendError: Mitsuba, the variant or libLLVM is missing.
@@ -36,9 +39,10 @@ class SceneRenderer:
 
     name = "mitsuba-scene"
 
-    def __init__(self, variant: str = "llvm_ad_rgb") -> None:
-        self.variant = variant
+    def __init__(self, variant: str = "llvm_ad_rgb", needs: Needs | None = None) -> None:
+        self.variant, self.needs = variant, needs
         self.mi = mitsuba_module(variant)
+        register(self.mi)
         self.device = "cuda" if variant.startswith("cuda") else "cpu"
         self._wrapped: dict[tuple, object] = {}
         self.drawn = 0  # pictures drawn so far: tells a backward pass whether its scene is still as it left it
@@ -53,49 +57,55 @@ class SceneRenderer:
             raise ConfigError("views held fixed", "a gradient asked of camera, light or intensity",
                               "use the renderer 'mitsuba' or 'analytic' to fit these")
         mitsuba_module(self.variant)  # somebody may have set another variant since
-        curve = scene_needs(svbrdf.bsdf, views, self.name).fresnel_curve
-        key = (svbrdf.bsdf, curve, svbrdf.resolution)
+        needs = self.needs or scene_needs(svbrdf, views, self.name)
+        maps = needed_maps(svbrdf, needs)
+        key = (svbrdf.bsdf, needs, svbrdf.resolution, tuple(maps))
         if key not in self._wrapped:
             self._wrapped[key] = self._wrap(*key)
         views = views.in_patch_sides()
         place = {"dtype": torch.float32, "device": self.device}
-        maps = [svbrdf[name].to(**place).contiguous() for name in CHANNELS[svbrdf.bsdf]]
-        geometry = [getattr(views, n).to(**place).contiguous() for n in ("camera", "light", "intensity")]
-        images = _Traced.apply(self, key, geometry, *maps)
+        geometry = [t.to(torch.float64).to(self.device).contiguous() for t in (views.camera, views.light, views.intensity)]
+        images = _Traced.apply(self, key, geometry, *(t.to(**place).contiguous() for t in maps.values()))
         if views.falloff == "none":
             images = images * _falloff_undone(views, svbrdf.resolution).to(images)
         return images.to(svbrdf["normal"].device)
 
-    def _wrap(self, bsdf: str, curve: bool, resolution: int):
+    def _wrap(self, bsdf: str, needs: Needs, resolution: int, names: tuple[str, ...]):
         import drjit as dr
 
         mi = self.mi
         textures: dict[str, object] = {}
-        scene = mi.load_dict(patch_scene(mi, resolution, plugin(bsdf, curve, lambda slot: textures.setdefault(
-            slot, _blank_texture(mi, resolution, SLOT_CHANNELS.get(slot, 3))))))
+        grey = GREY if needs.coloured_specular else (*GREY, "eta", f"specular_x{needs.lobes}")
+        flat = replace(needs, normal_map=False)
+
+        def texture(slot: str):
+            return textures.setdefault(slot, _blank_texture(mi, resolution, 1 if slot in grey else 3))
+
+        material = plugin(bsdf, flat, texture)
+        if needs.normal_map:
+            material = {"type": NORMAL_MAP, "normals": texture("normal"), "shading": material}
+        scene = mi.load_dict(patch_scene(mi, resolution, needs, material))
         held = {slot: mi.traverse(texture) for slot, texture in textures.items()}
         params = mi.traverse(scene)
         sensor, integrator = scene.sensors()[0], scene.integrator()
 
+        Float64, Vector64 = dr.float64_array_t(mi.Float), dr.float64_array_t(mi.Vector3f)
+
         def at(rows, k):
-            return [dr.gather(mi.Float, rows.array, mi.UInt32(3 * k + axis)) for axis in range(3)]
+            return Vector64(*(dr.gather(Float64, rows.array, mi.UInt32(3 * k + axis)) for axis in range(3)))
 
         @dr.wrap(source="torch", target="drjit")
         def trace(camera, light, intensity, *tensors):
-            maps = dict(zip(CHANNELS[bsdf], tensors))
-            for slot, value in slot_values(bsdf, maps, curve).items():
+            maps = dict(zip(names, tensors))
+            slots = slot_values(bsdf, maps, flat) | ({"normal": maps["normal"]} if needs.normal_map else {})
+            for slot, value in slots.items():
                 held[slot]["data"] = value[::-1]  # texture row 0 is v = 0, the bottom
                 held[slot].update()
             images = []
             for k in range(camera.shape[0]):
-                x, y, z = at(camera, k)
-                params["sensor.to_world"] = mi.Transform4f().look_at(
-                    mi.Point3f(x, y, z), mi.Point3f(x, y, z - 1), mi.Vector3f(0, 1, 0))
-                params["sensor.x_fov"] = dr.rad2deg(2 * dr.atan(0.5 / z))
-                params["sensor.principal_point_offset_x"] = -x
-                params["sensor.principal_point_offset_y"] = y
-                params["light.position"] = mi.Point3f(*at(light, k))
-                params["light.intensity.value"] = mi.Color3f(*at(intensity, k))
+                sensor.position = at(camera, k)
+                params["light.position"] = mi.Point3f(at(light, k))
+                params["light.intensity.value"] = mi.Color3f(at(intensity, k))
                 params.update()
                 images.append(integrator.render(scene, sensor, seed=0, spp=1))
             return images
@@ -111,19 +121,21 @@ def _blank_texture(mi, resolution: int, channels: int):
     return mi.load_dict({"type": "bitmap", "data": data, "raw": True, "filter_type": "nearest", "wrap_mode": "clamp"})
 
 
-def patch_scene(mi, resolution: int, bsdf: dict) -> dict:
+def patch_scene(mi, resolution: int, needs: Needs, bsdf: dict) -> dict:
     """The Mitsuba scene dictionary of a patch of side 1 under one point light, seen in R x R pixels."""
+    environment = {"environment": {"type": "constant", "radiance": {"type": "rgb", "value": 0.0}, "sampling_weight": 0.0}}
     return {
         "type": "scene",
-        "integrator": {"type": "direct", "emitter_samples": 1, "bsdf_samples": 0},
-        "sensor": {"type": "perspective", "near_clip": 1e-4, "far_clip": 1e6,
+        "integrator": {"type": INTEGRATOR, "shadow_rays": needs.shadow_rays, "bounces": int(needs.path_depth),
+                       "environment": needs.environment},
+        "sensor": {"type": CAMERA,
                    "film": {"type": "hdrfilm", "width": resolution, "height": resolution, "pixel_format": "rgb",
                             "component_format": "float32", "rfilter": {"type": "box"}},
                    "sampler": {"type": "stratified", "sample_count": 1, "jitter": False}},
         "light": {"type": "point", "position": [0.0, 0.0, 1.0], "intensity": {"type": "rgb", "value": 1.0}},
         "patch": {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(0.5),
                   "bsdf": bsdf},
-    }
+    } | (environment if needs.environment else {})
 
 
 class _Traced(torch.autograd.Function):

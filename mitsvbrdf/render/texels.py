@@ -3,18 +3,25 @@
 The pixel of a rectified photo and the texel it shows are the same, so one thread serves one texel: it holds the
 texel's maps in registers, evaluates the plugin for each view, and adds up its own gradient. There is no scatter between
 threads, so gradients are the same bits in every run.
+
+Directions are worked out in float64, in the texel's own shading frame, and rounded once, to what the plugin takes. In
+float32 the half vector of a narrow highlight keeps few of its digits across the normal; measured at roughness 0.1 with random
+normals, gradients against float64: 8e-6 -> 3e-7, for a sixth more time.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
-from ..maps import CHANNELS, SVBRDF
+from ..maps import SVBRDF
 from ..views import Views
-from .bsdf import plugin, slot_values
+from .bsdf import needed_maps, plugin, slot_values
 from .llvm import mitsuba_module
-from .needs import scene_needs
+from .needs import Needs, scene_needs
+from .rectified import shading_axes, to_shading
 
 VIEWS_PER_KERNEL = 9  # evaluations unrolled in one kernel; more views take several launches of at most this many
 
@@ -24,6 +31,7 @@ class TexelRenderer:
 
     Args:
         variant: ``llvm_ad_rgb`` or ``cuda_ad_rgb``.
+        needs: what to compute; left out: what the scene needs.
 
     Raises:
         BackendError: Mitsuba, the variant or libLLVM is missing.
@@ -31,8 +39,8 @@ class TexelRenderer:
 
     name = "mitsuba"
 
-    def __init__(self, variant: str = "llvm_ad_rgb") -> None:
-        self.variant = variant
+    def __init__(self, variant: str = "llvm_ad_rgb", needs: Needs | None = None) -> None:
+        self.variant, self.needs = variant, needs
         self.mi = mitsuba_module(variant)
         self.device = "cuda" if variant.startswith("cuda") else "cpu"
         self._wrapped: dict[tuple, object] = {}
@@ -40,24 +48,26 @@ class TexelRenderer:
     def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
         """Linear radiance N x R x R x 3, float32; gradients to maps, camera, light and intensity."""
         mitsuba_module(self.variant)  # somebody may have set another variant since
-        curve = scene_needs(svbrdf.bsdf, views, self.name).fresnel_curve
-        key = (svbrdf.bsdf, curve, views.falloff)
+        needs = self.needs or scene_needs(svbrdf, views, self.name)
+        maps = needed_maps(svbrdf, needs)
+        key = (svbrdf.bsdf, needs, svbrdf.resolution, views.falloff, tuple(maps))
         if key not in self._wrapped:
             self._wrapped[key] = self._wrap(*key)
         views = views.in_patch_sides()
-        place = {"dtype": torch.float32, "device": self.device}
-        maps = [svbrdf[name].to(**place).contiguous() for name in CHANNELS[svbrdf.bsdf]]
+        tensors = [t.to(torch.float32).to(self.device).contiguous() for t in maps.values()]
         # Plain tensors, so that they cross dr.wrap, each with its gradient if it wants one.
-        geometry = [t.to(**place).split(VIEWS_PER_KERNEL) for t in (views.camera, views.light, views.intensity)]
+        geometry = [t.to(torch.float64).to(self.device).split(VIEWS_PER_KERNEL)
+                    for t in (views.camera, views.light, views.intensity)]
         images = []
         for camera, light, intensity in zip(*geometry):
-            images += self._wrapped[key](camera.contiguous(), light.contiguous(), intensity.contiguous(), *maps)
+            images += self._wrapped[key](camera.contiguous(), light.contiguous(), intensity.contiguous(), *tensors)
         return torch.stack(images).to(svbrdf["normal"].device)
 
-    def _wrap(self, bsdf: str, curve: bool, falloff: str):
+    def _wrap(self, bsdf: str, needs: Needs, side: int, falloff: str, names: tuple[str, ...]):
         import drjit as dr
 
         mi = self.mi
+        Vector = dr.float64_array_t(mi.Vector3f)
         held: dict[str, object] = {}  # slot name -> this texel's value
 
         class Held(mi.Texture):
@@ -69,44 +79,48 @@ class TexelRenderer:
 
             # Nothing is held while another renderer is at work: Dr.Jit may then trace this texture along with its own.
             def eval(self, si, active=True):
-                return held.get(self.slot, mi.Color3f(0))
+                return mi.Color3f(held.get(self.slot, 0))
 
             def eval_1(self, si, active=True):
-                return held.get(self.slot, mi.Float(0))
+                return mi.Float(held.get(self.slot, 0))
 
             eval_3 = eval
 
             def to_string(self):
                 return f"Held[{self.slot}]"
 
-        name = f"held_texel_{bsdf}_{int(curve)}_{falloff}_{id(held)}"
+        name = f"held_texel_{id(held)}"
         mi.register_texture(name, Held)
-        shader = mi.load_dict(plugin(bsdf, curve, lambda slot: {"type": name, "slot": slot}))
+        flat = replace(needs, normal_map=False)  # the shading frame is worked out here
+        shader = mi.load_dict(plugin(bsdf, flat, lambda slot: {"type": name, "slot": slot}))
         context = mi.BSDFContext()
 
         @dr.wrap(source="torch", target="drjit")
         def evaluate(cameras, lights, intensities, *tensors):
-            side = tensors[0].shape[0]
-            maps = {n: _columns(mi, dr, t) for n, t in zip(CHANNELS[bsdf], tensors)}
-            held.update(slot_values(bsdf, maps, curve))
+            maps = {n: _columns(mi, dr, t) for n, t in zip(names, tensors)}
+            held.update(slot_values(bsdf, maps, flat))
             index = dr.arange(mi.UInt32, side * side)
             row = index // side
-            position = mi.Point3f((mi.Float(index - row * side) + 0.5) / side - 0.5, 0.5 - (mi.Float(row) + 0.5) / side, 0)
+            position = (Vector(index - row * side, row, 0) + 0.5) / side - 0.5
+            position = Vector(position.x, -position.y, 0)
+            axes = shading_axes(Vector(maps["normal"])) if needs.normal_map else None
+
+            def local(direction):
+                return mi.Vector3f(to_shading(axes, direction) if axes else direction)
+
+            si = dr.zeros(mi.SurfaceInteraction3f, side * side)
+            si.n = mi.Normal3f(0, 0, 1)
+            si.sh_frame = mi.Frame3f(si.n)
             images = []
             for k in range(cameras.shape[0]):
                 camera, light, intensity = (_row(mi, dr, rows, k) for rows in (cameras, lights, intensities))
-                si = dr.zeros(mi.SurfaceInteraction3f, side * side)
-                si.p = position
-                si.n = mi.Normal3f(0, 0, 1)
-                si.sh_frame = mi.Frame3f(mi.Normal3f(0, 0, 1))
-                si.dp_du, si.dp_dv = mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0)
-                si.wi = dr.normalize(camera - position)
                 to_light = light - position
                 distance2 = dr.squared_norm(to_light)
-                value = shader.eval(context, si, to_light * dr.rsqrt(distance2))
+                si.wi = local(dr.normalize(camera - position))
+                value = shader.eval(context, si, local(to_light / dr.sqrt(distance2)))
                 if falloff == "none":
                     distance2 = dr.squared_norm(light)
-                radiance = value * mi.Color3f(intensity) / distance2
+                radiance = value * mi.Color3f(intensity / distance2)
                 images.append(mi.TensorXf(dr.ravel(radiance), (side, side, 3)))
             held.clear()
             return images
@@ -120,5 +134,6 @@ def _columns(mi, dr, tensor):
 
 
 def _row(mi, dr, tensor, k):
-    """Row k of an N x 3 tensor, as values that may change without compiling a new kernel."""
-    return mi.Vector3f(*(dr.gather(mi.Float, tensor.array, mi.UInt32(3 * k + axis)) for axis in range(3)))
+    """Row k of an N x 3 float64 tensor, as values that may change without compiling a new kernel."""
+    return dr.float64_array_t(mi.Vector3f)(*(dr.gather(dr.float64_array_t(mi.Float), tensor.array, mi.UInt32(3 * k + axis))
+                                             for axis in range(3)))
