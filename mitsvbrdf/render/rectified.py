@@ -4,7 +4,6 @@ highlights, and an integrator that asks no more than a scene needs. The rest of 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 from typing import Any
 

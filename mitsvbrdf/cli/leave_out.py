@@ -1,0 +1,43 @@
+"""``mitsvbrdf leave-out``: what leaving out saves."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import arg
+
+from .. import files
+from ..errors import ConfigError
+from ..progress import console, say
+
+
+def leave_out(resolution: Annotated[int, arg(help="Side of the maps in texels.")] = 256,
+              repeats: Annotated[int, arg(help="Measured turns of each pair.")] = 9,
+              json_file: Annotated[Path | None, arg(name="json", help="Write the figures to this file.")] = None,
+              md: Annotated[Path | None, arg(help="Write the table to this file, as Markdown.")] = None) -> int:
+    """Measure what is left out of a scene that does not need it: image difference, and time with and without.
+
+    Each item is rendered forward and backward through nine co-located views, with it and without it in turn.
+    """
+    from rich.table import Table
+
+    from ..evaluate.leave_out import measure_leave_out
+    from ..report.leave_out import leave_out_rows, write_leave_out_markdown
+
+    if resolution < 8 or repeats < 1:
+        raise ConfigError("--resolution of 8 or more and --repeats of 1 or more", f"{resolution} and {repeats}", "try 64 and 3")
+    record = measure_leave_out(resolution, repeats, lambda what: say(f"measuring: {what}"))
+    table = Table(title="Left out", title_justify="left")
+    for heading in ("what", "where", "when", "largest difference", "mean", "errors to float64", "full", "lean", "full / lean"):
+        table.add_column(heading, justify="left" if heading in ("what", "where", "when") else "right")
+    for row in leave_out_rows(record):
+        table.add_row(*row)
+    with contextlib.suppress(BrokenPipeError):
+        console.print(table)
+    if json_file:
+        files.write_json(json_file, record)
+    if md:
+        write_leave_out_markdown(md, record)
+    return 0
