@@ -180,7 +180,7 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
         if path is None:
             raise MapsError(f"{name}.exr, {name}.png or {name}.jpg", f"none in {folder}",
                             f"a {bsdf} material needs {', '.join(CHANNELS[bsdf])}")
-        maps[name] = _decoded(path, name, channels, codes)
+        maps[name] = read_map(path, name, channels, codes)
     sizes = {tuple(m.shape[:2]) for m in maps.values()}
     if len(sizes) > 1 or len(set(*sizes)) > 1:
         raise MapsError("square maps of one size", f"sizes {sorted(sizes)} in {folder}", "resize them to one square size")
@@ -220,7 +220,12 @@ def _find(folder: Path, name: str) -> Path | None:
     return next((there[file] for file in wanted if file in there), None)
 
 
-def _decoded(path: Path, name: str, channels: int, codes: dict[str, str]) -> Tensor:
+def read_map(path: Path, name: str, channels: int, codes: dict[str, str]) -> Tensor:
+    """One map from its file, linear, H x W x ``channels``; ``codes`` as :func:`encodings` gives them.
+
+    Raises:
+        MapsError: no image, or one that is not finite.
+    """
     image = files.read_image(path, MapsError)
     if not torch.isfinite(image).all():
         raise MapsError("finite values", f"NaN or infinity in {path}", "mend or re-export the map")

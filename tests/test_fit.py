@@ -14,7 +14,8 @@ from mitsvbrdf.capture import Capture
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import DirectConfig, GanConfig, HybridConfig, fit_svbrdf, losses, make_method, pretrain
 from mitsvbrdf.fit.checkpoint import load_tensors
-from mitsvbrdf.fit.loop import Loop, descend
+from mitsvbrdf.fit.loop import Loop
+from mitsvbrdf.fit.method import descend
 from mitsvbrdf.fit.networks import AllPhotosGenerator, PatchDiscriminator, TwoStreamGenerator
 from mitsvbrdf.fit.parameters import STREAMS, to_raw, to_svbrdf
 from mitsvbrdf.fit.start import robust_start
@@ -219,7 +220,7 @@ def test_a_step_that_goes_wrong_is_undone(capture):
 
     loop.method.step, peak = poisoned, loop.method.peak
     loop.run()
-    assert loop.undone == 1 and loop.iteration == 30 and loop.method.peak == peak / 2
+    assert len(loop.undone) == 1 and loop.iteration == 30 and loop.method.peak == peak / 2
     loop.best[1].check()
 
 
@@ -235,7 +236,7 @@ def test_step_sizes_are_cut_until_the_fit_stays_finite(method, capture):
     first = sizes(loop.method)
     loop.method.step = lambda p: step(p) if sizes(loop.method) < first / 8 else {"photometric": math.nan}
     loop.run()
-    assert len(cuts) == loop.undone == 4 and sizes(loop.method) == first / 16
+    assert len(cuts) == len(loop.undone) == 4 and sizes(loop.method) == first / 16
 
 
 def test_torchs_own_random_numbers_are_left_alone(capture):

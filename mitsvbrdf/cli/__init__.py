@@ -10,15 +10,15 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Literal
 
-import torch
 import tyro
-from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, arg
+from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from .. import __version__, color, files
-from ..capture import Capture, guess_diffuse, write_capture
+from ..capture import guess_diffuse, photograph, write_capture
 from ..errors import ConfigError, MitsvbrdfError
-from ..fit import fit_svbrdf, pretrain
+from ..fit import fit_svbrdf, left_out, pretrain
 from ..fit.checkpoint import load_tensors
+from ..fit.confidence import confidence
 from ..fit.config import DirectConfig, FitConfig, GanConfig, GuessMethod, HybridConfig, check_seed
 from ..maps import load_maps
 from ..progress import Progress, print_numbers, say
@@ -58,6 +58,7 @@ def fit_command(method: str) -> Callable:
                                                    "none for --method gan.")] = "auto",
         transfer: TransferOption = "auto",
         variant: Variant = "llvm_ad_rgb",
+        explain: Annotated[bool, arg(help="Print what this fit would leave out, and why, and end without fitting.")] = False,
         resume: Annotated[bool, arg(help="Go on from the checkpoint in OUT, same options, more --iterations.")] = False,
         overwrite: Overwrite = False,
     ) -> int:
@@ -65,7 +66,8 @@ def fit_command(method: str) -> Callable:
 
         `mitsvbrdf fit photos/ -o out --budget 120` is all it takes. Leave photos out with --views 0,1,2,3,5,6,8 and predict
         them with `mitsvbrdf evaluate out --capture photos/ --views 4,7`: the honest test of a fit. The paper's method is
-        --method gan --preset paper-one-stage, shortened by --iterations 500.
+        --method gan --preset paper-one-stage, shortened by --iterations 500. Known maps are held fixed with
+        --fix normal=flat --fix specular=0.04 --fix diffuse=map.exr, and cost nothing then.
 
         Ctrl-C ends the fit and keeps its best result. OUT then holds maps/, guess/, rerendered/, sheet.png, curve.svg,
         scene.xml (for plain Mitsuba), fit.json and the checkpoint that --resume goes on from.
@@ -78,6 +80,10 @@ def fit_command(method: str) -> Callable:
         shots = read_photos(capture, resolution, views, transfer, falloff)
         engine = make_renderer(renderer, variant)
         keep_apart(capture, out)
+        if explain:
+            for what, why in left_out(shots, engine, config):
+                say(f"left out: {what} ({why})")
+            return 0
         earlier = next((p for p in (files.partial_folder(out) / files.CHECKPOINT, out / files.CHECKPOINT) if p.is_file()), None)
         if resume and earlier is None:
             raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
@@ -98,12 +104,16 @@ def fit_command(method: str) -> Callable:
                 "raise --iterations or --budget")
         if shots.views.falloff == "none":
             say("scene.xml has a light that falls off with the distance; this fit's did not")
-        if result.undone_steps:
-            say(f"{result.undone_steps} steps were not finite and were undone")
+        sure = confidence(result.deviations).items()
+        say("how sure: " + ", ".join(f"{name} ±{c['median_sd']:.3f} ({c['determined_share']:.0%} determined)"
+                                     for name, c in sure))
+        for warning in result.warnings:
+            say(f"warning: {warning}")
         say(f"wrote {out}/sheet.png, maps/, rerendered/, scene.xml, fit.json")
         return 0
 
-    fit.__annotations__["config"] = OmitArgPrefixes[CONFIGS[method]]  # one flat set of options, those of the method
+    # One flat set of options, those of the method; --fix may be repeated.
+    fit.__annotations__["config"] = UseAppendAction[OmitArgPrefixes[CONFIGS[method]]]
     return fit
 
 
@@ -205,18 +215,17 @@ def synth(material: Positional[Material], out: Out, views: ViewSource = "builtin
     svbrdf, (names, lit) = material_of(material, resolution), views_of(views, "inverse-square")
     if svbrdf.resolution < resolution:
         say(f"the maps have {svbrdf.resolution} px, so have the photos")
-    radiance = make_renderer(renderer, variant).render(svbrdf.resized(min(resolution, svbrdf.resolution)), lit)
-    grain = torch.randn(radiance.shape, generator=torch.Generator().manual_seed(seed))
-    photos = color.to_display((radiance + noise * grain).clamp_min(0), transfer)
+    svbrdf = svbrdf.resized(min(resolution, svbrdf.resolution))
+    shots = photograph(svbrdf, lit, make_renderer(renderer, variant), noise, seed, transfer)
     with files.output_folder(out, overwrite) as folder:
-        write_capture(Capture(photos, lit, transfer), folder)
+        write_capture(shots, folder)
     say(f"wrote {len(names)} photos and capture.json to {out}")
     return 0
 
 
-def pretrain_command(picture: Positional[Photos], out: Out, config: OmitArgPrefixes[GanConfig], resolution: int = 256,
-                     renderer: RendererName = "mitsuba", falloff: Falloff = "none", variant: Variant = "llvm_ad_rgb",
-                     overwrite: Overwrite = False) -> int:
+def pretrain_command(picture: Positional[Photos], out: Out, config: UseAppendAction[OmitArgPrefixes[GanConfig]],
+                     resolution: int = 256, renderer: RendererName = "mitsuba", falloff: Falloff = "none",
+                     variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
     """First stage of the paper's two-stage training: the generator learns from one picture with global features.
 
     CAPTURE's first photo is used; a folder with one plain photo will do. OUT is a .safetensors file, for

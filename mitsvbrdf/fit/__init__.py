@@ -6,12 +6,17 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from torch import Tensor
+
 from ..capture import Capture, guess_diffuse
 from ..errors import ConfigError
 from ..render import Renderer
-from ..render.needs import scene_needs
+from .confidence import deviations
 from .config import DirectConfig, FitConfig, GanConfig, HybridConfig
+from .doubts import doubts
+from .held import held_maps
 from .loop import Loop, rerender
+from .needs import left_out
 from .result import FitResult
 
 
@@ -50,7 +55,7 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     """
     config = (config or HybridConfig()).limited()
     config.check()
-    guess = guess_diffuse(capture, config.guess)
+    guess = first_guess(capture, config)
     loop = Loop(make_method(capture, renderer, guess, config), capture, renderer, config, checkpoint, report)
     if resume:
         loop.resume(resume)
@@ -59,19 +64,19 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     _, svbrdf, views = loop.best
     images, total, each = rerender(renderer, svbrdf, views, capture)
     offset = (views.light - capture.views.light)[0, :2].tolist() if getattr(loop.method, "fits_offset", False) else None
-    return FitResult(
+    result = FitResult(
         svbrdf=svbrdf, views=views, guess=guess, rerendered=images, rerender_rmse=total, per_photo=each,
         trace=loop.trace, config=config, renderer=renderer.name, variant=renderer.variant,
-        left_out=left_out(svbrdf.bsdf, views, renderer, config), stopped=stopped, undone_steps=loop.undone,
+        left_out=tuple(left_out(capture, renderer, config, views)), stopped=stopped, undone=tuple(loop.undone),
+        restarts=tuple(loop.restarts), deviations=deviations(svbrdf, views, images, capture, config),
         flash_offset=tuple(offset) if offset else None)
+    return replace(result, warnings=tuple(doubts(result, capture)))
 
 
-def left_out(bsdf: str, views, renderer: Renderer, config: FitConfig) -> tuple[tuple[str, str], ...]:
-    """What this fit did not compute, with reasons: the renderer's list and the method's."""
-    items = scene_needs(bsdf, views, renderer.name).left_out
-    if getattr(config, "adversarial", 1.0) == 0:
-        items += (("discriminator", "the adversarial weight is 0"),)
-    return items
+def first_guess(capture: Capture, config: FitConfig) -> Tensor:
+    """The guessed diffuse map, R x R x 3; or the diffuse map itself where it is held fixed."""
+    held = held_maps(config.fix, config.bsdf, capture.resolution)
+    return held["diffuse"].contiguous() if "diffuse" in held else guess_diffuse(capture, config.guess)
 
 
 def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint: Path,
@@ -85,8 +90,7 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
     config = replace(config, preset="paper-one-stage", pretrained=None,
                      iterations=config.iterations or (None if config.budget else 10_000))
     one = capture.pick(capture.index[:1])
-    guess = guess_diffuse(one, config.guess)
-    Loop(make_method(one, renderer, guess, config), one, renderer, config, checkpoint, report).run()
+    Loop(make_method(one, renderer, first_guess(one, config), config), one, renderer, config, checkpoint, report).run()
 
 
-__all__ = ["DirectConfig", "FitConfig", "FitResult", "GanConfig", "HybridConfig", "fit_svbrdf", "pretrain"]
+__all__ = ["DirectConfig", "FitConfig", "FitResult", "GanConfig", "HybridConfig", "fit_svbrdf", "left_out", "pretrain"]

@@ -7,6 +7,7 @@ from typing import Literal, get_args
 
 from ..errors import ConfigError
 from ..maps import Bsdf
+from .held import stated_maps
 
 GuessMethod = Literal["robust", "min", "mean-blur"]
 Preset = Literal["paper-one-stage", "paper-two-stage"]
@@ -34,10 +35,18 @@ class FitConfig:
     """Stop after this many iterations (with --budget: whichever comes first)."""
     seed: int = 0
     """Seed of every random choice."""
+    fix: tuple[str, ...] = ()
+    """Hold a map fixed: NAME=VALUE with a number, r,g,b, an image file, or normal=flat. Repeat it for several."""
+    grey_specular: bool = False
+    """One grey specular level a texel instead of three channels."""
 
     def check(self) -> None:
         """Raise ConfigError for numbers out of range."""
         check_seed(self.seed)
+        stated_maps(self.fix, self.bsdf, self.grey_specular)
+        if getattr(self, "photometric", 1.0) == 0 and getattr(self, "adversarial", 0.0) == 0:
+            raise ConfigError("a fit that looks at the photos", "--photometric 0 and no adversarial weight",
+                              "give one of them a weight > 0")
         for field in fields(self):
             value, name = getattr(self, field.name), field.name
             if isinstance(value, bool) or not isinstance(value, (int, float)) or name == "seed":

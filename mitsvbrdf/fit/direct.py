@@ -12,18 +12,23 @@ from ..views import Views
 from . import losses
 from .checkpoint import load_optimizer_state, optimizer_state
 from .config import DirectConfig
-from .loop import cosine, descend
-from .parameters import to_raw, to_svbrdf
+from .held import held_maps
+from .method import cosine, descend
+from .parameters import streams_of, to_raw, to_svbrdf
 from .start import robust_start
 
 
 class Direct:
-    """Steps of per-texel optimisation with Adam; see :class:`mitsvbrdf.fit.loop.Method`."""
+    """Steps of per-texel optimisation with Adam; see :class:`mitsvbrdf.fit.method.Method`."""
 
     def __init__(self, capture: Capture, renderer: Renderer, guess: Tensor, config: DirectConfig) -> None:
         self.capture, self.renderer, self.config = capture, renderer, config
         self.views = capture.views
-        self.raw = {k: v.requires_grad_() for k, v in to_raw(robust_start(capture, guess, config.bsdf)).items()}
+        self.held = held_maps(config.fix, config.bsdf, capture.resolution)
+        self.unused = losses.unused(config, self.held)
+        streams = streams_of(config.bsdf, self.held, config.grey_specular)
+        start = robust_start(capture, guess, config.bsdf, self.held)
+        self.raw = {k: v.requires_grad_() for k, v in to_raw(start, streams).items()}
         self.edges = losses.edge_weights(guess)
         self.peak = config.learning_rate
         self.optimizer = torch.optim.Adam(list(self.raw.values()), lr=self.peak)
@@ -31,17 +36,20 @@ class Direct:
     def step(self, progress: float) -> dict[str, float]:
         """One Adam step on all photos."""
         self.optimizer.param_groups[0]["lr"] = self.peak * cosine(progress)
-        svbrdf = to_svbrdf(self.config.bsdf, self.raw)
+        svbrdf = to_svbrdf(self.config.bsdf, self.raw, self.held)
         rendered = self.renderer.render(svbrdf, self.views)
-        terms = {"photometric": losses.photometric(rendered, self.capture.photos, self.capture.transfer),
-                 "smooth": losses.total_variation(svbrdf, self.edges), "flat": losses.tilt(svbrdf)}
+        terms = {"photometric": losses.photometric(rendered, self.capture.photos, self.capture.transfer)}
+        if "smooth" not in self.unused:
+            terms["smooth"] = losses.total_variation(svbrdf, self.edges, self.held)
+        if "flat" not in self.unused:
+            terms["flat"] = losses.tilt(svbrdf)
         total = sum(getattr(self.config, name) * value for name, value in terms.items())
         gradient = descend(total, self.optimizer)
         return {name: float(value.detach()) for name, value in terms.items()} | {"gradient": gradient}
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         with torch.no_grad():
-            return to_svbrdf(self.config.bsdf, self.raw).map(Tensor.contiguous), self.views
+            return to_svbrdf(self.config.bsdf, self.raw, self.held).map(Tensor.contiguous), self.views
 
     def cut_step(self) -> None:
         self.peak /= 2

@@ -20,13 +20,14 @@ from ..views import Views
 from . import losses
 from .checkpoint import load_module_state, load_optimizer_state, load_tensors, module_state, optimizer_state
 from .config import GanConfig
-from .loop import descend
+from .held import held_maps
+from .method import descend
 from .networks import PatchDiscriminator, TwoStreamGenerator, seeded
-from .parameters import from_units
+from .parameters import from_units, streams_of
 
 
 class Gan:
-    """Steps of the paper's training (III.F); see :class:`mitsvbrdf.fit.loop.Method`.
+    """Steps of the paper's training (III.F); see :class:`mitsvbrdf.fit.method.Method`.
 
     Args:
         capture: photos and views.
@@ -41,9 +42,12 @@ class Gan:
     def __init__(self, capture: Capture, renderer: Renderer, guess: Tensor, config: GanConfig) -> None:
         self.capture, self.renderer, self.guess, self.config = capture, renderer, guess, config
         self.views = capture.views
+        self.held = held_maps(config.fix, config.bsdf, capture.resolution)
+        self.unused = losses.unused(config, self.held)
         self.random = torch.Generator().manual_seed(config.seed)
         with seeded(config.seed):
-            self.generator = TwoStreamGenerator(config.bsdf, config.width)
+            streams = streams_of(config.bsdf, self.held, config.grey_specular)
+            self.generator = TwoStreamGenerator(streams, config.width)
         self.learning_rate = config.learning_rate
         if config.pretrained:
             load_generator(self.generator, config)
@@ -57,10 +61,11 @@ class Gan:
         g = self.generator
         with seeded(self.config.seed + self.stage):
             self.discriminator = PatchDiscriminator(self.config.width)
-        options = {"lr": self.learning_rate, "betas": (0.5, 0.999)}
-        self.slow = torch.optim.Adam([*g.encoder.parameters(), *g.diffuse_specular.parameters()], **options)
-        self.fast = torch.optim.Adam(g.normal_roughness.parameters(), **options)
-        self.judge = torch.optim.Adam(self.discriminator.parameters(), **options)
+        decoders = {"slow": [g.encoder, g.diffuse_specular], "fast": [g.normal_roughness], "judge": [self.discriminator]}
+        parameters = {name: [p for module in modules if module is not None for p in module.parameters()]
+                      for name, modules in decoders.items()}
+        self.optimizers = {name: torch.optim.Adam(some, lr=self.learning_rate, betas=(0.5, 0.999))
+                           for name, some in parameters.items() if some}
 
     def step(self, progress: float) -> dict[str, float]:
         """One iteration: discriminator once, diffuse/specular and encoder once, normal/roughness several times."""
@@ -72,19 +77,23 @@ class Gan:
         code = self.generator.encode(photo)
         lower = self.generator.decode(1, code, size)
         logged: dict[str, float] = {}
-        for substep in range(self.config.normal_roughness_steps):
+        fast = [self.optimizers["fast"]] if "fast" in self.optimizers else []
+        for substep in range(self.config.normal_roughness_steps if fast else 1):
             first = substep == 0
             if not first:
                 code, lower = code.detach(), {k: v.detach() for k, v in lower.items()}
-            svbrdf = from_units(self.config.bsdf, self.generator.decode(0, code, size) | lower)
+            svbrdf = from_units(self.config.bsdf, self.generator.decode(0, code, size) | lower, self.held)
             fake = self._picture(svbrdf, views, weights)
             if first:
                 logged["discriminator"] = self._teach_discriminator(photo, fake.detach())
             adversarial = losses.adversarial(self.discriminator(fake))
-            diffuse = losses.diffuse(svbrdf, self.guess)
-            moving = (self.fast, self.slow) if first else (self.fast,)
-            gradient = descend(adversarial + self.config.diffuse * diffuse, *moving)
-            logged |= {"adversarial": float(adversarial.detach()) + gradient, "diffuse": float(diffuse.detach())}
+            total = adversarial
+            if "diffuse" not in self.unused:
+                diffuse = losses.diffuse(svbrdf, self.guess)
+                logged["diffuse"] = float(diffuse.detach())
+                total = total + self.config.diffuse * diffuse
+            gradient = descend(total, *fast, *([self.optimizers["slow"]] if first else []))
+            logged |= {"adversarial": float(adversarial.detach()), "gradient": logged.get("gradient", 0.0) + gradient}
         return logged | {"stage": float(self.stage)}
 
     def _draw_input(self) -> tuple[Tensor, Views, Tensor]:
@@ -106,16 +115,16 @@ class Gan:
 
     def _teach_discriminator(self, real: Tensor, fake: Tensor) -> float:
         loss = losses.discriminator(self.discriminator(real), self.discriminator(fake))
-        return float(loss.detach()) + descend(loss, self.judge)
+        return float(loss.detach()) + descend(loss, self.optimizers["judge"])
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         with torch.no_grad():
             units = self.generator(self.capture.photos[:1].permute(0, 3, 1, 2))
-            return from_units(self.config.bsdf, units).map(Tensor.contiguous), self.views
+            return from_units(self.config.bsdf, units, self.held).map(Tensor.contiguous), self.views
 
     def cut_step(self) -> None:
         self.learning_rate /= 2
-        for optimizer in (self.slow, self.fast, self.judge):
+        for optimizer in self.optimizers.values():
             optimizer.param_groups[0]["lr"] = self.learning_rate
 
     def state(self) -> dict[str, Tensor]:
@@ -123,8 +132,8 @@ class Gan:
                  "learning_rate": torch.tensor(self.learning_rate, dtype=torch.float64)}
         for name in ("generator", "discriminator"):
             state |= module_state(name, getattr(self, name))
-        for name in ("slow", "fast", "judge"):
-            state |= {key: value.clone() for key, value in optimizer_state(name, getattr(self, name)).items()}
+        for name, optimizer in self.optimizers.items():
+            state |= {key: value.clone() for key, value in optimizer_state(name, optimizer).items()}
         return state
 
     def load_state(self, state: dict[str, Tensor]) -> None:
@@ -134,8 +143,8 @@ class Gan:
         self.random.set_state(state["random"])
         for name in ("generator", "discriminator"):
             load_module_state(name, getattr(self, name), state)
-        for name in ("slow", "fast", "judge"):
-            load_optimizer_state(name, getattr(self, name), state)
+        for name, optimizer in self.optimizers.items():
+            load_optimizer_state(name, optimizer, state)
 
 
 def load_generator(generator: TwoStreamGenerator, config: GanConfig) -> None:
@@ -151,4 +160,4 @@ def load_generator(generator: TwoStreamGenerator, config: GanConfig) -> None:
     except RuntimeError:
         raise ConfigError(f"a generator of width {config.width} for {config.bsdf}",
                           f"another one in {config.pretrained} (bsdf {note.get('bsdf')})",
-                          "use the --width and --bsdf it was pretrained with") from None
+                          "use the --width, --bsdf, --fix and --grey-specular it was pretrained with") from None

@@ -20,16 +20,18 @@ from ..views import Views
 from . import losses
 from .checkpoint import load_module_state, load_optimizer_state, module_state, optimizer_state
 from .config import HybridConfig
-from .loop import cosine, descend
+from .held import held_maps
+from .method import cosine, descend
+from .needs import no_flash_offset
 from .networks import AllPhotosGenerator, PatchDiscriminator, seeded
-from .parameters import to_raw, to_svbrdf
+from .parameters import streams_of, to_raw, to_svbrdf
 from .start import robust_start
 
 PATCH = 128  # side of the crops the discriminator compares
 
 
 class Hybrid:
-    """Steps of the hybrid method; see :class:`mitsvbrdf.fit.loop.Method`.
+    """Steps of the hybrid method; see :class:`mitsvbrdf.fit.method.Method`.
 
     Args:
         capture: photos and views.
@@ -42,23 +44,26 @@ class Hybrid:
         self.capture, self.renderer, self.guess, self.config = capture, renderer, guess, config
         self.views = capture.views
         self.random = torch.Generator().manual_seed(config.seed)
-        self.start = to_raw(robust_start(capture, guess, config.bsdf))
+        self.held = held_maps(config.fix, config.bsdf, capture.resolution)
+        self.unused = losses.unused(config, self.held)
+        streams = streams_of(config.bsdf, self.held, config.grey_specular)
+        self.start = to_raw(robust_start(capture, guess, config.bsdf, self.held), streams)
         self.edges = losses.edge_weights(guess)
         photos = capture.photos.permute(0, 3, 1, 2)
         clipped = (photos >= losses.CLIPPED).any(dim=1).float()
         condition = torch.cat((photos.flatten(0, 1), clipped, color.encode(guess).permute(2, 0, 1)))
         self.condition = (condition[None] * 2 - 1).contiguous(memory_format=torch.channels_last)
         with seeded(config.seed):
-            self.generator = AllPhotosGenerator(condition.shape[0], config.bsdf, config.width).to(
+            self.generator = AllPhotosGenerator(condition.shape[0], streams, config.width).to(
                 memory_format=torch.channels_last)
         self.offset = torch.zeros(2, dtype=torch.float64, requires_grad=True)  # patch sides
-        self.fits_offset = config.flash_offset and capture.calibrated and renderer.name != "mitsuba-scene"
+        self.fits_offset = no_flash_offset(capture, renderer, config) is None
         groups = [{"params": list(self.generator.parameters()), "lr": config.learning_rate}]
         if self.fits_offset:
             groups.append({"params": [self.offset], "lr": 0.5 * config.learning_rate})
         self.optimizer = torch.optim.Adam(groups)
         self.peaks = [group["lr"] for group in groups]
-        if config.adversarial > 0:
+        if "adversarial" not in self.unused:
             with seeded(config.seed + 1):
                 self.discriminator = PatchDiscriminator(max(8, config.width))
             self.judge = torch.optim.Adam(self.discriminator.parameters(), lr=2e-4, betas=(0.5, 0.999))
@@ -70,14 +75,18 @@ class Hybrid:
             group["lr"] = peak * cosine(progress)
         svbrdf, views = self._material(), self._views()
         rendered = self.renderer.render(svbrdf, views)
-        terms = {"photometric": losses.photometric(rendered, self.capture.photos, self.capture.transfer),
-                 "diffuse": losses.diffuse(svbrdf, self.guess),
-                 "smooth": losses.total_variation(svbrdf, self.edges), "flat": losses.tilt(svbrdf)}
-        logged = {}
-        if c.adversarial > 0:
+        logged: dict[str, float] = {}
+
+        def adversarial() -> Tensor:
             real, fake = self._patches(rendered)
             logged["discriminator"] = self._teach_discriminator(real, fake.detach())
-            terms["adversarial"] = losses.adversarial(self.discriminator(fake))
+            return losses.adversarial(self.discriminator(fake))
+
+        terms = {"photometric": lambda: losses.photometric(rendered, self.capture.photos, self.capture.transfer),
+                 "diffuse": lambda: losses.diffuse(svbrdf, self.guess),
+                 "smooth": lambda: losses.total_variation(svbrdf, self.edges, self.held),
+                 "flat": lambda: losses.tilt(svbrdf), "adversarial": adversarial}
+        terms = {name: term() for name, term in terms.items() if name not in self.unused}
         total = sum(getattr(c, name) * value for name, value in terms.items())
         logged["gradient"] = descend(total, self.optimizer)
         return {name: float(value.detach()) for name, value in terms.items()} | logged
@@ -89,8 +98,9 @@ class Hybrid:
     def _material(self) -> SVBRDF:
         change = self.generator(self.condition)
         # The patch is flat as a whole (it lies in z = 0): without this a common tilt would hide the flash offset.
-        change["normal"] = change["normal"] - change["normal"].mean(dim=(1, 2), keepdim=True)
-        return to_svbrdf(self.config.bsdf, {name: self.start[name] + change[name] for name in self.start})
+        if "normal" in change:
+            change["normal"] = change["normal"] - change["normal"].mean(dim=(1, 2), keepdim=True)
+        return to_svbrdf(self.config.bsdf, {name: self.start[name] + change[name] for name in self.start}, self.held)
 
     def _views(self) -> Views:
         if not self.fits_offset:
@@ -117,7 +127,7 @@ class Hybrid:
         state = module_state("generator", self.generator) | optimizer_state("optimizer", self.optimizer) | {
             "offset": self.offset.detach().clone(), "random": self.random.get_state(),
             "peaks": torch.tensor(self.peaks, dtype=torch.float64)}
-        if self.config.adversarial > 0:
+        if "adversarial" not in self.unused:
             state |= module_state("discriminator", self.discriminator) | optimizer_state("judge", self.judge)
         return {key: value.clone() for key, value in state.items()}
 
@@ -128,6 +138,6 @@ class Hybrid:
             self.offset.copy_(state["offset"])
         self.random.set_state(state["random"])
         self.peaks = state["peaks"].tolist()
-        if self.config.adversarial > 0:
+        if "adversarial" not in self.unused:
             load_module_state("discriminator", self.discriminator, state)
             load_optimizer_state("judge", self.judge, state)

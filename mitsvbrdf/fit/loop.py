@@ -1,16 +1,16 @@
-"""The loop all methods share: limits, trace, best result, checkpoints, undoing bad steps, Ctrl-C."""
+"""The loop all methods share: limits, trace, best result, checkpoints, taking bad steps back, Ctrl-C."""
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import math
 import signal
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -23,36 +23,16 @@ from ..render import Renderer
 from ..views import Views
 from .checkpoint import load_tensors, save_tensors
 from .config import FitConfig
+from .method import Method, finite
 
 EVALUATE_EVERY = 10  # iterations; a fixed count, so that a resumed run keeps the same best result
 CHECKPOINT_SECONDS = 30.0
 MAX_UNDONE = 20
+# A loss this many times its lowest, at so many measurements running, is that of a fit that diverges.
+DIVERGED, PATIENCE = 2.0, 5
+FALLING = ("photometric", "diffuse", "smooth", "flat")  # losses that a fit lowers; adversarial ones move the goal
 
-
-class Method(Protocol):
-    """One way to fit, advanced step by step. Its whole running state is named tensors."""
-
-    views: Views
-
-    def step(self, progress: float) -> dict[str, float]:
-        """One iteration at this share (0 to 1) of the run; returns each loss, unweighted."""
-        ...
-
-    def estimate(self) -> tuple[SVBRDF, Views]:
-        """The present material and views, detached."""
-        ...
-
-    def state(self) -> dict[str, Tensor]:
-        """Everything a later :meth:`load_state` needs to go on bit by bit."""
-        ...
-
-    def load_state(self, state: dict[str, Tensor]) -> None:
-        """Continue from a saved state."""
-        ...
-
-    def cut_step(self) -> None:
-        """Halve the step size, after a step was undone."""
-        ...
+Seen = tuple[float, SVBRDF, Views]  # re-rendering error, material and views of a state
 
 
 class Loop:
@@ -71,57 +51,115 @@ class Loop:
                  checkpoint: Path | None = None, report: Callable[[dict, float], None] | None = None) -> None:
         self.method, self.capture, self.renderer, self.config = method, capture, renderer, config.limited()
         self.checkpoint, self.report = checkpoint, report
-        self.iteration, self.seconds, self.undone = 0, 0.0, 0
+        self.iteration, self.seconds = 0, 0.0
+        self.undone: list[dict] = []  # iteration and reason of each step taken back
+        self.restarts: list[dict] = []  # and of each return to the state of the lowest loss
         self.trace: list[dict] = []
-        self.best: tuple[float, SVBRDF, Views] | None = None
+        self.best: Seen | None = None
+        self.lowest: tuple[float, dict[str, Tensor]] = (math.inf, {})  # loss, and the state that had it
+        self.rising = 0  # measurements running at which the loss was DIVERGED times the lowest
 
     def run(self) -> str:
-        """Advance until a limit or Ctrl-C; returns "budget", "iterations" or "interrupted"."""
-        stop: list[int] = []
-
-        def asked_to_stop(*_: object) -> None:
-            if len(stop) > 1:
-                raise KeyboardInterrupt  # asked three times: at once
-            stop.append(1)
-
-        listens = (threading.current_thread() is threading.main_thread()
-                   and signal.getsignal(signal.SIGINT) is signal.default_int_handler)
-        if listens:
-            signal.signal(signal.SIGINT, asked_to_stop)
-            terminate = signal.signal(signal.SIGTERM, asked_to_stop)
-        started, saved = time.perf_counter() - self.seconds, time.perf_counter()
-        good, losses = None, dict[str, float]()
-        try:
+        """Advance until a limit or Ctrl-C; returns "budget", "iterations", "interrupted" or "unstable"."""
+        with _stop_signals() as stop:
+            self.started, saved = time.perf_counter() - self.seconds, time.perf_counter()
             if self.iteration == 0:
-                self._measure({})
+                self._begin()
+            good, losses = self.method.state(), dict[str, float]()
             while True:
-                self.seconds = time.perf_counter() - started
+                self.seconds = time.perf_counter() - self.started
                 why = "interrupted" if stop else self._limit_reached()
                 if why:
                     break
-                if good is None or self.iteration % EVALUATE_EVERY == 0:
-                    good = self.method.state()
-                losses = self.method.step(self.progress)
-                if not all(map(math.isfinite, losses.values())):
-                    good = self._undo(good)
-                    continue
-                losses.pop("gradient", None)
-                self.iteration += 1
-                if self.iteration % EVALUATE_EVERY == 0:
-                    self.seconds = time.perf_counter() - started
-                    self._measure(losses)
+                good, losses = self._advance(good)
                 if self.checkpoint and time.perf_counter() - saved > CHECKPOINT_SECONDS:
                     self.save()
                     saved = time.perf_counter()
-        finally:
-            if listens:
-                signal.signal(signal.SIGINT, signal.default_int_handler)
-                signal.signal(signal.SIGTERM, terminate)
+        off_beat = self.iteration % EVALUATE_EVERY > 0
+        if off_beat:
+            good, losses, seen = self._checked(good, losses)
         if self.checkpoint:
             self.save()
-        if self.iteration % EVALUATE_EVERY:
-            self._measure(losses)
+        if off_beat:
+            self._record(seen, losses)
         return why
+
+    def _begin(self) -> None:
+        seen = self._look()
+        if isinstance(seen, str):
+            raise ConfigError("photos and views that give a finite start", seen, "check the photos and their calibration")
+        self._record(seen, {})
+
+    def _advance(self, good: dict[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, float]]:
+        """One step, taken back where it or the photos rendered after it are not finite, or where the fit diverges.
+
+        Args:
+            good: a sound state to go back to; the present one where a measurement was just made.
+
+        Returns:
+            The state to go back to next time, and the losses.
+        """
+        losses = self.method.step(self.progress)
+        broken = [name for name, value in losses.items() if not math.isfinite(value)]
+        if broken:
+            return self._undo(good, f"{broken[-1]} not finite"), {}
+        losses.pop("gradient", None)
+        if self.iteration % EVALUATE_EVERY == 0 and self._diverges(losses, good):
+            return self._restart(), {}
+        self.iteration += 1
+        if self.iteration % EVALUATE_EVERY == 0:
+            self.seconds = time.perf_counter() - self.started
+            good, losses, seen = self._checked(good, losses)
+            self._record(seen, losses)
+        return good, losses
+
+    def _checked(self, good: dict[str, Tensor], losses: dict[str, float]) -> tuple[dict[str, Tensor], dict[str, float], Seen]:
+        """The present state, what it looks like and its losses; the one before, without losses, where it is not finite."""
+        seen = self._look()
+        if not isinstance(seen, str):
+            return self.method.state(), losses, seen
+        good = self._undo(good, seen)
+        seen = self._look()
+        return good, {}, self.best if isinstance(seen, str) else seen  # a state resumed from need not render well
+
+    def _look(self) -> Seen | str:
+        """What the present state looks like; or what of it is not finite: parameters, averages of Adam, photos."""
+        for name, value in self.method.state().items():
+            if not finite(value):
+                return f"{name} not finite"
+        svbrdf, views = self.method.estimate()
+        images, rmse, _ = rerender(self.renderer, svbrdf, views, self.capture)
+        return (rmse, svbrdf, views) if finite(images) else "a re-rendered photo not finite"
+
+    def _diverges(self, losses: dict[str, float], state: dict[str, Tensor]) -> bool:
+        """Whether the loss, which is that of ``state``, has been far above its lowest for long."""
+        if "photometric" not in losses:
+            return False  # a game between two networks has no loss that must fall
+        loss = sum(getattr(self.config, name) * losses[name] for name in FALLING if name in losses)
+        if loss < self.lowest[0]:
+            self.lowest = loss, state
+        self.rising = self.rising + 1 if loss > DIVERGED * self.lowest[0] else 0
+        return self.rising >= PATIENCE
+
+    def _restart(self) -> dict[str, Tensor]:
+        loss, state = self.lowest
+        self.restarts.append({"iteration": self.iteration, "reason": (
+            f"loss above {DIVERGED:g} times its lowest, {loss:.3g}, for {PATIENCE * EVALUATE_EVERY} iterations")})
+        self.lowest, self.rising = (loss, self._go_back(state)), 0
+        return self.lowest[1]
+
+    def _undo(self, good: dict[str, Tensor], why: str) -> dict[str, Tensor]:
+        self.undone.append({"iteration": self.iteration, "reason": why})
+        if len(self.undone) > MAX_UNDONE and self.iteration == 0:
+            raise ConfigError("a fit that stays finite", f"{len(self.undone)} steps that did not ({why})",
+                              "lower the learning rate or check the photos and their calibration")
+        return self._go_back(good)
+
+    def _go_back(self, state: dict[str, Tensor]) -> dict[str, Tensor]:
+        """Load an earlier state; returns it with its smaller step, in case that has to be cut again."""
+        self.method.load_state(state)
+        self.method.cut_step()
+        return self.method.state()
 
     @property
     def progress(self) -> float:
@@ -133,46 +171,43 @@ class Loop:
     def _limit_reached(self) -> str | None:
         if self.config.iterations and self.iteration >= self.config.iterations:
             return "iterations"
+        if len(self.undone) > MAX_UNDONE:
+            return "unstable"
         return "budget" if self.config.budget and self.seconds >= self.config.budget else None
 
-    def _undo(self, good: dict[str, Tensor]) -> dict[str, Tensor]:
-        self.undone += 1
-        if self.undone > MAX_UNDONE:
-            raise ConfigError("a fit that stays finite", f"{self.undone} steps that did not",
-                              "lower the learning rate or check the photos and their calibration")
-        self.method.load_state(good)
-        self.method.cut_step()
-        return self.method.state()  # with the smaller step, in case it has to be cut again
-
-    def _measure(self, losses: dict[str, float]) -> None:
-        svbrdf, views = self.method.estimate()
-        rmse = rerender(self.renderer, svbrdf, views, self.capture)[1]
-        if self.best is None or rmse < self.best[0]:
-            self.best = rmse, svbrdf, views
-        entry = {"seconds": round(self.seconds, 3), "iteration": self.iteration, **losses, "rerender_rmse": rmse}
+    def _record(self, seen: Seen, losses: dict[str, float]) -> None:
+        if self.best is None or seen[0] < self.best[0]:
+            self.best = seen
+        entry = {"seconds": round(self.seconds, 3), "iteration": self.iteration, **losses, "rerender_rmse": seen[0]}
         self.trace.append(entry)
         if self.report:
             self.report(entry, self.progress)
 
     def _task(self) -> str:
         """A fingerprint of everything that shapes the fit but its limits."""
-        settings = {k: v for k, v in asdict(self.config).items() if k not in ("iterations", "budget")}
+        # Maps held fixed count by their values: the same file name may stand for others by now.
+        settings = {k: v for k, v in asdict(self.config).items() if k not in ("iterations", "budget", "fix")}
         views = self.capture.views
         digest = hashlib.sha256(repr((settings, self.renderer.name, self.capture.transfer, views.size, views.falloff)).encode())
         for tensor in (self.capture.photos, views.camera, views.light, views.intensity):
             digest.update(tensor.numpy().tobytes())
+        for name, value in sorted(self.method.held.items()):
+            digest.update(name.encode() + value.numpy().tobytes())
         return digest.hexdigest()
 
     def save(self) -> None:
-        """Write the checkpoint: tensors only, with the trace as text in its header."""
+        """Write the checkpoint: tensors only, with the trace as text in its header. A broken state is not worth one."""
         assert self.checkpoint is not None
+        state = self.method.state()
+        if not all(map(finite, state.values())):
+            return
         rmse, svbrdf, views = self.best or (math.inf, *self.method.estimate())
-        tensors = {f"method.{k}": v for k, v in self.method.state().items()}
+        tensors = {f"method.{k}": v for k, v in state.items()} | {f"lowest.{k}": v for k, v in self.lowest[1].items()}
         tensors |= {f"best.{k}": v for k, v in svbrdf.maps.items()}
         tensors |= {"best_views.camera": views.camera, "best_views.light": views.light}
-        note = {"iteration": self.iteration, "seconds": self.seconds, "undone": self.undone, "best_rmse": rmse,
-                "trace": self.trace, "method": type(self.method).__name__, "bsdf": svbrdf.bsdf,
-                "task": self._task()}
+        note = {"iteration": self.iteration, "seconds": self.seconds, "undone": self.undone, "restarts": self.restarts,
+                "lowest_loss": self.lowest[0], "rising": self.rising, "best_rmse": rmse, "trace": self.trace,
+                "method": type(self.method).__name__, "bsdf": svbrdf.bsdf, "task": self._task()}
         save_tensors(self.checkpoint, tensors, note)
 
     def resume(self, path: Path) -> None:
@@ -188,18 +223,45 @@ class Loop:
         if note.get("task") != self._task():
             raise ConfigError("the photos, views, renderer and options of the first run", f"others than {path} was made with",
                               "resume with the same ones; only --iterations and --budget may change")
+
+        def part(prefix: str) -> dict[str, Tensor]:
+            return {key.removeprefix(prefix): value for key, value in tensors.items() if key.startswith(prefix)}
+
         try:
-            self.method.load_state({k[7:]: v for k, v in tensors.items() if k.startswith("method.")})
+            self.method.load_state(part("method."))
         except (KeyError, RuntimeError, ValueError) as reason:
             raise ConfigError("a checkpoint of the same options", f"{path}: {str(reason).splitlines()[0]}",
                               "resume with the options of the first run") from None
-        maps = {k[5:]: v for k, v in tensors.items() if k.startswith("best.")}
         views = self.method.views
         views = type(views)(tensors["best_views.camera"], tensors["best_views.light"], views.intensity, views.size,
                             views.falloff)
-        self.best = note["best_rmse"], SVBRDF(self.config.bsdf, maps), views
-        self.iteration, self.seconds, self.undone = note["iteration"], note["seconds"], note["undone"]
-        self.trace = note["trace"]
+        self.best = note["best_rmse"], SVBRDF(self.config.bsdf, part("best.")), views
+        self.iteration, self.seconds, self.trace = note["iteration"], note["seconds"], note["trace"]
+        self.undone, self.restarts, self.rising = note["undone"], note["restarts"], note["rising"]
+        self.lowest = note["lowest_loss"], part("lowest.")
+
+
+@contextlib.contextmanager
+def _stop_signals() -> Iterator[list[int]]:
+    """A list that gets an entry when Ctrl-C or SIGTERM asks to stop; the third time raises KeyboardInterrupt."""
+    stop: list[int] = []
+
+    def asked_to_stop(*_: object) -> None:
+        if len(stop) > 1:
+            raise KeyboardInterrupt
+        stop.append(1)
+
+    if (threading.current_thread() is not threading.main_thread()
+            or signal.getsignal(signal.SIGINT) is not signal.default_int_handler):
+        yield stop  # somebody else listens
+        return
+    signal.signal(signal.SIGINT, asked_to_stop)
+    terminate = signal.signal(signal.SIGTERM, asked_to_stop)
+    try:
+        yield stop
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGTERM, terminate)
 
 
 def rerender(renderer: Renderer, svbrdf: SVBRDF, views: Views, capture: Capture) -> tuple[Tensor, float, list[float]]:
@@ -207,25 +269,3 @@ def rerender(renderer: Renderer, svbrdf: SVBRDF, views: Views, capture: Capture)
     with torch.no_grad():
         images = renderer.render(svbrdf, views)
     return images, *photo_rmse(images, capture.photos, capture.transfer)
-
-
-def descend(total: Tensor, *optimizers: torch.optim.Optimizer) -> float:
-    """One step of each optimiser down the gradient of ``total``, unless that gradient is not finite.
-
-    Returns:
-        0, or NaN where no step was made: logged as a loss, it makes the loop undo.
-    """
-    for optimizer in optimizers:
-        optimizer.zero_grad(set_to_none=True)
-    total.backward()
-    gradients = [p.grad for o in optimizers for group in o.param_groups for p in group["params"] if p.grad is not None]
-    if not math.isfinite(sum(float(g.sum()) for g in gradients)):
-        return math.nan
-    for optimizer in optimizers:
-        optimizer.step()
-    return 0.0
-
-
-def cosine(progress: float, floor: float = 0.02) -> float:
-    """Falls from 1 to ``floor`` along half a cosine."""
-    return floor + (1 - floor) * (1 + math.cos(math.pi * progress)) / 2

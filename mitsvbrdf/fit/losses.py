@@ -2,14 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from .. import color
-from ..maps import SVBRDF
+from ..maps import CHANNELS, SVBRDF
 
 CLIPPED = 0.995  # photo values from here on are cut highlights: they only say "at least this bright"
+
+# The losses with a weight, what a user calls them, and the maps they speak about (none: those speak about the photos).
+NAMES = {"photometric": "photometric loss", "diffuse": "diffuse loss", "smooth": "smoothness of specular and roughness",
+         "flat": "price on tilted normals", "adversarial": "discriminator"}
+ABOUT = {"diffuse": ("diffuse", "base_color", "metallic"), "smooth": ("specular", "metallic", "roughness"), "flat": ("normal",)}
+
+
+def unused(config, held: Collection[str]) -> dict[str, str]:
+    """The losses that a fit does not compute, and why: their weight is 0, or the maps they speak about are held fixed.
+
+    Args:
+        config: a :class:`mitsvbrdf.fit.FitConfig`; its fields of the names in :data:`NAMES` are weights.
+        held: names of the maps held fixed.
+    """
+    reasons = {}
+    for name in NAMES:
+        about = [m for m in ABOUT.get(name, ()) if m in CHANNELS[config.bsdf]]
+        if getattr(config, name, 1.0) == 0:
+            reasons[name] = "its weight is 0"
+        elif about and set(about) <= set(held):
+            reasons[name] = f"{' and '.join(about)} held fixed"
+    return reasons
 
 
 def photometric(rendered: Tensor, photos: Tensor, transfer: color.Transfer) -> Tensor:
@@ -32,16 +56,17 @@ def diffuse(svbrdf: SVBRDF, guess: Tensor) -> Tensor:
     return F.l1_loss(color.encode(svbrdf.as_roughconductor()["diffuse"]), color.encode(guess))
 
 
-def total_variation(svbrdf: SVBRDF, edges: Tensor) -> Tensor:
+def total_variation(svbrdf: SVBRDF, edges: Tensor, held: Collection[str] = ()) -> Tensor:
     """Mean absolute step of the specular/metallic and roughness maps, less where the guess itself has an edge (ours).
 
     Args:
+        held: maps that are held fixed and not counted.
         edges: the two R x R x 1 weights of :func:`edge_weights`, for steps down and to the right.
     """
     down, right = edges
     loss = torch.zeros(())
-    for name in ("specular", "metallic", "roughness"):
-        if name in svbrdf.maps:
+    for name in ABOUT["smooth"]:
+        if name in svbrdf.maps and name not in held:
             m = svbrdf[name]
             loss = loss + ((m[1:] - m[:-1]).abs() * down[:-1]).mean() + ((m[:, 1:] - m[:, :-1]).abs() * right[:, :-1]).mean()
     return loss

@@ -9,8 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ..maps import Bsdf
-from .parameters import STREAMS
+from .parameters import STREAMS, Streams
 
 
 @contextlib.contextmanager
@@ -34,14 +33,14 @@ class TwoStreamGenerator(nn.Module):
     leaky ReLU; the last by Tanh. Ours: three specular channels (the paper names its one channel a fault).
 
     Args:
-        bsdf: which maps come out.
+        streams: which maps come out of which decoder, with how many channels; one without maps is not built.
         width: channels of the first convolution (64 in full size).
     """
 
-    def __init__(self, bsdf: Bsdf = "roughconductor", width: int = 64) -> None:
+    def __init__(self, streams: Streams = STREAMS["roughconductor"], width: int = 64) -> None:
         super().__init__()
         w = width
-        self.streams = STREAMS[bsdf]
+        self.streams = streams
         self.encoder = nn.Sequential(
             _block(nn.Conv2d(3, w, 7, padding=3, padding_mode="reflect"), w),
             _block(nn.Conv2d(w, 2 * w, 4, stride=2, padding=1), 2 * w),
@@ -50,8 +49,8 @@ class TwoStreamGenerator(nn.Module):
             _block(nn.Conv2d(8 * w, 8 * w, 3, padding=1), 8 * w))
         first, second = (sum(s.values()) for s in self.streams)
         self.normal_roughness = nn.Sequential(
-            _block(nn.Conv2d(8 * w, 8 * w, 3, padding=1), 8 * w), *self._upward(w, first))
-        self.diffuse_specular = nn.Sequential(*self._upward(w, second))
+            _block(nn.Conv2d(8 * w, 8 * w, 3, padding=1), 8 * w), *self._upward(w, first)) if first else None
+        self.diffuse_specular = nn.Sequential(*self._upward(w, second)) if second else None
 
     @staticmethod
     def _upward(w: int, channels: int) -> list[nn.Module]:
@@ -71,6 +70,8 @@ class TwoStreamGenerator(nn.Module):
     def decode(self, stream: int, code: Tensor, size: int) -> dict[str, Tensor]:
         """The maps of one stream (0: normal and roughness, 1: diffuse and specular), cut to ``size``."""
         decoder = (self.normal_roughness, self.diffuse_specular)[stream]
+        if decoder is None:
+            return {}
         maps = decoder(code)[0, :, :size, :size]
         return dict(zip(self.streams[stream], maps.split(list(self.streams[stream].values()))))
 
@@ -103,13 +104,13 @@ class AllPhotosGenerator(nn.Module):
 
     Args:
         inputs: channels of the conditioning image.
-        bsdf: which maps come out.
+        streams: which maps come out of which decoder, with how many channels; one without maps is not built.
         width: channels of the finest level.
     """
 
-    def __init__(self, inputs: int, bsdf: Bsdf = "roughconductor", width: int = 16) -> None:
+    def __init__(self, inputs: int, streams: Streams = STREAMS["roughconductor"], width: int = 16) -> None:
         super().__init__()
-        self.streams = STREAMS[bsdf]
+        self.streams = [stream for stream in streams if stream]
         widths = [width, 2 * width, 4 * width, 6 * width, 6 * width]
         self.down = nn.ModuleList([_block(nn.Conv2d(inputs, width, 3, padding=1), width)] + [
             _block(nn.Conv2d(a, b, 4, stride=2, padding=1), b) for a, b in zip(widths, widths[1:])])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 from torch import Tensor
 
@@ -17,29 +19,50 @@ STREAMS: dict[str, tuple[dict[str, int], dict[str, int]]] = {
 }
 
 
-def to_svbrdf(bsdf: Bsdf, raw: dict[str, Tensor]) -> SVBRDF:
-    """A material from raw maps C x R x R of unbounded numbers (normal: 2 x R x R)."""
-    return from_units(bsdf, {name: torch.tanh(x if name == "normal" else x / 2) for name, x in raw.items()})
+Streams = tuple[dict[str, int], dict[str, int]]
 
 
-def from_units(bsdf: Bsdf, units: dict[str, Tensor]) -> SVBRDF:
-    """A material from maps C x R x R of numbers in (-1, 1), as the paper's Tanh gives them (normal: 2 x R x R)."""
-    maps = {}
-    for name in CHANNELS[bsdf]:
-        x = units[name].permute(1, 2, 0)
+def streams_of(bsdf: str, held: Mapping[str, Tensor], grey_specular: bool = False) -> Streams:
+    """The channels of the maps to fit: :data:`STREAMS` without those held, and one channel of a grey specular map."""
+    first, second = ({name: 1 if grey_specular and name == "specular" else channels for name, channels in stream.items()
+                      if name not in held} for stream in STREAMS[bsdf])
+    return first, second
+
+
+def to_svbrdf(bsdf: Bsdf, raw: Mapping[str, Tensor], held: Mapping[str, Tensor] | None = None) -> SVBRDF:
+    """A material from raw maps C x R x R of unbounded numbers (normal: 2 x R x R), and maps held fixed R x R x C.
+
+    A grey specular map, 1 x R x R, is expanded to three channels: its last stride is 0, which renderers look at.
+    """
+    return from_units(bsdf, {name: torch.tanh(x if name == "normal" else x / 2) for name, x in raw.items()}, held)
+
+
+def from_units(bsdf: Bsdf, units: Mapping[str, Tensor], held: Mapping[str, Tensor] | None = None) -> SVBRDF:
+    """As :func:`to_svbrdf`, from numbers in (-1, 1), as the paper's Tanh gives them."""
+    maps = dict(held or {})
+    for name, x in units.items():
+        x = x.permute(1, 2, 0)
         if name == "normal":
             steep = torch.cat((MAX_SLOPE * x, torch.ones_like(x[..., :1])), dim=-1)
             maps[name] = torch.nn.functional.normalize(steep, dim=-1)
         else:
             low, high = ROUGHNESS_RANGE if name == "roughness" else (0.0, 1.0)
-            maps[name] = low + (high - low) * (x + 1) / 2
-    return SVBRDF(bsdf, maps)
+            maps[name] = (low + (high - low) * (x + 1) / 2).expand(*x.shape[:2], CHANNELS[bsdf][name])
+    return SVBRDF(bsdf, {name: maps[name] for name in CHANNELS[bsdf]})
 
 
-def to_raw(svbrdf: SVBRDF) -> dict[str, Tensor]:
-    """The inverse of :func:`to_svbrdf`, with values cut just inside their ranges: name -> C x R x R."""
+def to_raw(svbrdf: SVBRDF, streams: Streams | None = None) -> dict[str, Tensor]:
+    """The inverse of :func:`to_svbrdf`, with values cut just inside their ranges: name -> C x R x R.
+
+    Args:
+        svbrdf: the material.
+        streams: which maps and channels; left out: all.
+    """
+    first, second = streams or STREAMS[svbrdf.bsdf]
     raw = {}
     for name, value in svbrdf.maps.items():
+        if name not in first | second:
+            continue
         if name == "normal":
             slopes = (value[..., :2] / value[..., 2:].clamp_min(0.1) / MAX_SLOPE).clamp(-0.99, 0.99)
             x = torch.atanh(slopes)
@@ -47,6 +70,8 @@ def to_raw(svbrdf: SVBRDF) -> dict[str, Tensor]:
             low, high = ROUGHNESS_RANGE
             x = torch.logit(((value - low) / (high - low)).clamp(0.01, 0.99))
         else:
+            if (first | second)[name] < value.shape[-1]:
+                value = value.mean(dim=-1, keepdim=True)
             x = torch.logit(value.clamp(0.002, 0.998))
         raw[name] = x.permute(2, 0, 1).contiguous()
     return raw

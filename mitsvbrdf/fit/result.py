@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from torch import Tensor
 
@@ -26,8 +27,12 @@ class FitResult:
         config: the settings.
         renderer: the name of the renderer; ``variant`` its Mitsuba variant or None.
         left_out: (what, why) of each thing the scene did not need.
-        stopped: why the fit ended: "budget", "iterations" or "interrupted".
-        undone_steps: steps that made something non-finite and were taken back.
+        stopped: why the fit ended: "budget", "iterations", "interrupted" or "unstable" (too many steps undone).
+        undone: ``iteration`` and ``reason`` of each step that made something non-finite and was taken back.
+        restarts: the same of each return to the state of the lowest loss, from which the fit had diverged.
+        deviations: standard deviation of each fitted map, by name, r x r x C with r <= 64, in the numbers in which map
+            errors are counted; see :mod:`mitsvbrdf.fit.confidence`.
+        warnings: what a user should doubt, in sentences; see :mod:`mitsvbrdf.fit.doubts`.
         flash_offset: fitted (x, y) of the flash beside the lens, in the unit of the views, or None.
     """
 
@@ -43,5 +48,8 @@ class FitResult:
     variant: str | None
     left_out: tuple[tuple[str, str], ...]
     stopped: str
-    undone_steps: int = 0
+    undone: tuple[dict, ...] = ()
+    restarts: tuple[dict, ...] = ()
+    deviations: Mapping[str, Tensor] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
     flash_offset: tuple[float, float] | None = None

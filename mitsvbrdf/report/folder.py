@@ -12,6 +12,7 @@ from torch import Tensor
 
 from .. import color, files
 from ..capture import Capture
+from ..fit.confidence import confidence
 from ..fit.result import FitResult
 from ..maps import save_maps
 from .export import write_scene
@@ -22,7 +23,7 @@ METHODS = {"HybridConfig": "hybrid", "GanConfig": "gan", "DirectConfig": "direct
 
 
 def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dict | None = None) -> None:
-    """Write a fit: maps, guess, rerendered photos, sheet, error curve, Mitsuba scene and ``fit.json``.
+    """Write a fit: maps, their uncertainty, guess, rerendered photos, sheet, curve, Mitsuba scene and ``fit.json``.
 
     Args:
         result: what :func:`mitsvbrdf.fit.fit_svbrdf` gave.
@@ -33,6 +34,8 @@ def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dic
     out = Path(out)
     save_maps(result.svbrdf, out / "maps")
     write_linear(out / "guess" / "diffuse", result.guess, "srgb")
+    for name, spread in result.deviations.items():
+        files.write_exr(out / "uncertainty" / f"{name}.exr", spread.square().mean(dim=-1, keepdim=True).sqrt())
     for name, image in zip(capture.names, result.rerendered):
         write_linear(out / "rerendered" / name, image, capture.transfer)
     method = METHODS[type(result.config).__name__]
@@ -61,7 +64,9 @@ def fit_record(result: FitResult, capture: Capture, command: dict) -> dict:
         "renderer": result.renderer, "variant": result.variant, "bsdf": result.svbrdf.bsdf,
         "rerender_rmse": result.rerender_rmse,
         "per_photo": dict(zip(capture.names, result.per_photo)),
-        "stopped": result.stopped, "undone_steps": result.undone_steps,
+        "confidence": confidence(result.deviations), "warnings": list(result.warnings),
+        "stopped": result.stopped, "undone_steps": len(result.undone), "undone": list(result.undone),
+        "restarts": list(result.restarts),
         "seconds": result.trace[-1]["seconds"], "iterations": result.trace[-1]["iteration"],
         "seed": result.config.seed, "config": asdict(result.config), "command": command,
         "left_out": [{"what": what, "why": why} for what, why in result.left_out],

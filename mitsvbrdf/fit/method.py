@@ -1,0 +1,67 @@
+"""What the loop asks of a method, and what methods share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from ..maps import SVBRDF
+from ..views import Views
+
+
+class Method(Protocol):
+    """One way to fit, advanced step by step. Its whole running state is named tensors."""
+
+    views: Views
+    held: Mapping[str, Tensor]  # maps held fixed, by name
+
+    def step(self, progress: float) -> dict[str, float]:
+        """One iteration at this share (0 to 1) of the run; returns each loss of the state before it, unweighted."""
+        ...
+
+    def estimate(self) -> tuple[SVBRDF, Views]:
+        """The present material and views, detached."""
+        ...
+
+    def state(self) -> dict[str, Tensor]:
+        """Everything a later :meth:`load_state` needs to go on bit by bit."""
+        ...
+
+    def load_state(self, state: dict[str, Tensor]) -> None:
+        """Continue from a saved state."""
+        ...
+
+    def cut_step(self) -> None:
+        """Halve the step size, after a step was undone."""
+        ...
+
+
+def descend(total: Tensor, *optimizers: torch.optim.Optimizer) -> float:
+    """One step of each optimiser down the gradient of ``total``, unless that gradient is not finite.
+
+    Returns:
+        0, or NaN where no step was made: logged as a loss, it makes the loop undo.
+    """
+    for optimizer in optimizers:
+        optimizer.zero_grad(set_to_none=True)
+    total.backward()
+    gradients = [p.grad for o in optimizers for group in o.param_groups for p in group["params"] if p.grad is not None]
+    if not math.isfinite(sum(float(g.sum()) for g in gradients)):
+        return math.nan
+    for optimizer in optimizers:
+        optimizer.step()
+    return 0.0
+
+
+def cosine(progress: float, floor: float = 0.02) -> float:
+    """Falls from 1 to ``floor`` along half a cosine."""
+    return floor + (1 - floor) * (1 + math.cos(math.pi * progress)) / 2
+
+
+def finite(value: Tensor) -> bool:
+    """Whether a tensor holds no NaN and no infinity."""
+    return not value.is_floating_point() or bool(torch.isfinite(value).all())
