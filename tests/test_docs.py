@@ -34,6 +34,8 @@ def test_readme_commands(tmp_path, monkeypatch):
             arguments += ["--resolution", "32"]
         if arguments[0] == "fit" and "--iterations" not in arguments:
             arguments += ["--iterations", "3"]
+        if arguments[0] == "crosscheck":
+            arguments += ["--repeats", "1", "--bsdf", "roughconductor"]
         assert cli.main(arguments) == 0, line
 
 

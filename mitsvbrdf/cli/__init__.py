@@ -1,6 +1,7 @@
 """The command line: parse, call, print, exit code.
 
-0 is success, and a fit that Ctrl-C ended early; 2 a mistake the caller can mend; 130 Ctrl-C without a result.
+0 is success, and a fit that Ctrl-C ended early; 1 a check that does not hold; 2 a mistake the caller can mend; 130 Ctrl-C
+without a result.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from ..maps import load_maps
 from ..progress import Progress, print_numbers, say
 from ..render import RendererName, make_renderer
 from ..views import Falloff
+from .crosscheck import crosscheck
+from .leave_out import leave_out
 from .options import (
     FalloffOption,
     Material,
@@ -295,7 +298,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     commands = {"fit": fit_command(_method_of(arguments)), "guess": guess, "render": render, "evaluate": evaluate,
-                "synth": synth, "pretrain": pretrain_command, "doctor": doctor, "demo": demo}
+                "crosscheck": crosscheck, "leave-out": leave_out, "synth": synth, "pretrain": pretrain_command,
+                "doctor": doctor, "demo": demo}
     if arguments == ["--version"]:
         say(f"mitsvbrdf {__version__}")
         return 0

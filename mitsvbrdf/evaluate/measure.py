@@ -69,7 +69,7 @@ def spread(seconds: list[float]) -> dict[str, float]:
 
 
 def side_by_side(jobs: Mapping[str, Callable[[], object]], repeats: int = 5) -> dict[str, dict[str, float]]:
-    """Time several jobs fairly, in turn (:func:`in_turns`).
+    """Time several jobs fairly: each once unmeasured, then in turn (:func:`in_turns`).
 
     Args:
         jobs: what to run, by name.
@@ -88,21 +88,22 @@ def side_by_side(jobs: Mapping[str, Callable[[], object]], repeats: int = 5) -> 
     return {name: spread(each) for name, each in in_turns({name: timed(job) for name, job in jobs.items()}, repeats).items()}
 
 
-def in_turns(jobs: Mapping[K, Callable[[], T]], repeats: int = 5, report: Callable[[float], object] = lambda share: None,
-             ) -> dict[K, list[T]]:
-    """Run each job once for nothing, then all in turn, again and again, so that drift of the machine hits all alike.
+def in_turns(jobs: Mapping[K, Callable[[], T]], repeats: int = 5, unmeasured: int = 1,
+             report: Callable[[float], object] = lambda share: None) -> dict[K, list[T]]:
+    """Run all jobs in turn, again and again, so that drift of the machine hits all alike.
 
     Args:
         jobs: what to run, by name.
         repeats: turns that count.
+        unmeasured: turns before these, which compile and warm up; 0 where the jobs have run already.
         report: told the share done after each run.
 
     Returns:
         What each job returned in the turns that count.
     """
     found: dict[K, list[T]] = {name: [] for name in jobs}
-    for turn in range(repeats + 1):
+    for turn in range(unmeasured + repeats):
         for number, (name, job) in enumerate(jobs.items(), 1):
             found[name].append(job())
-            report((turn + number / len(jobs)) / (repeats + 1))
-    return {name: each[1:] for name, each in found.items()}
+            report((turn + number / len(jobs)) / (unmeasured + repeats))
+    return {name: each[unmeasured:] for name, each in found.items()}

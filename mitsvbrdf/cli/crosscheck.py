@@ -1,0 +1,183 @@
+"""``mitsvbrdf crosscheck``: every renderer against the float64 twin, as tables, JSON and a page."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, Literal
+
+from rich.box import SIMPLE_HEAD
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+from rich.table import Table
+from tyro.conf import Positional, arg
+
+from .. import files
+from ..errors import ConfigError
+from ..maps import CHANNELS
+from ..progress import console, say
+from ..render import make_renderer
+from .options import Variant, ViewSource, material_of, views_of
+
+RENDERERS = ("mitsuba", "mitsuba-scene", "analytic")
+
+
+def crosscheck(
+    maps: Positional[Annotated[str | None, arg(metavar="MAPS", help="A folder of maps, the OUT of a fit, or builtin:NAME; left "
+                                                                    "out: made materials and corner cases.")]] = None,
+    views: ViewSource = "builtin:grid",
+    bsdf: Annotated[Literal["all", "roughconductor", "principled"],
+                    arg(help="The maps are converted to the one that they are not.")] = "all",
+    renderer: Annotated[Literal["all", "mitsuba", "mitsuba-scene", "analytic"], arg(help="What to compare.")] = "all",
+    json_file: Annotated[Path | None, arg(name="json", help="Write all figures to this file.")] = None,
+    html_file: Annotated[Path | None, arg(name="html", help="Write a page with figures, plot and error maps.")] = None,
+    repeats: Annotated[int, arg(help="Timed passes of each configuration, in turn with all others.")] = 5,
+    resolution: Annotated[int | None, arg(help="Side of the maps, which are area-averaged down to it; left out: 256, or 128 "
+                                               "for the built-in set.")] = None,
+    variant: Variant = "llvm_ad_rgb",
+) -> int:
+    """Hold every renderer and BSDF against the float64 twin: images, gradients, run time.
+
+    Exit code 1 when a stated tolerance does not hold; docs/evaluation.md says what is compared and how to read it.
+    """
+    from ..evaluate import crosscheck as checks
+
+    _check_options(repeats, resolution, json_file, html_file)
+    materials, falloff, offset, transfer = _materials(maps, resolution)
+    names, lit = views_of(views, falloff)
+    lit = _with_offset(lit, offset)
+    bsdfs = list(CHANNELS) if bsdf == "all" else [bsdf]
+    renderers = [make_renderer(name, variant) for name in (RENDERERS if renderer == "all" else (renderer,))]
+    error_maps: dict = {}
+    with _progress("crosscheck") as report:
+        record = checks.crosscheck(materials, lit, bsdfs, renderers, repeats, names=names, transfer=transfer,
+                                   error_maps=error_maps, report=report,
+                                   command={"maps": maps, "views": views, "resolution": resolution, "variant": variant})
+    _print(record)
+    if json_file:
+        files.write_json(json_file, record)
+    if html_file:
+        from ..report.crosscheck import write_crosscheck_page
+        write_crosscheck_page(html_file, record, error_maps)
+    return _verdict(record)
+
+
+def _check_options(repeats: int, resolution: int | None, *outputs: Path | None) -> None:
+    if repeats < 1:
+        raise ConfigError("--repeats of 1 or more", str(repeats), "try 5")
+    if resolution is not None and resolution < 8:
+        raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
+    for path in outputs:
+        if path and path.is_dir():
+            raise ConfigError("a file to write", f"the folder {path}", "give a name in it")
+
+
+def _materials(maps: str | None, resolution: int | None):
+    """Materials by name, and falloff, flash offset and transfer of the fit they come from (or the defaults)."""
+    from ..evaluate import Fit, fit_of
+    from ..evaluate.corners import builtin_materials
+
+    fit = Fit() if maps is None or maps.startswith("builtin:") else fit_of(maps)
+    if maps is None:
+        materials = builtin_materials(resolution or 128)
+    else:
+        svbrdf = material_of(maps, resolution or 256)
+        materials = {_name(maps): svbrdf.resized(min(resolution or 256, svbrdf.resolution))}
+    return materials, fit.falloff, fit.flash_offset, fit.transfer or "gamma2.2"
+
+
+def _name(maps: str) -> str:
+    if maps.startswith("builtin:"):
+        return maps.removeprefix("builtin:")
+    folder = Path(os.path.abspath(maps))
+    return folder.parent.name if folder.name == "maps" else folder.name
+
+
+def _with_offset(views, offset: tuple[float, float] | None):
+    from ..evaluate import shift_lights
+
+    if offset:
+        say(f"with the flash offset of the fit, ({offset[0]:.3f}, {offset[1]:.3f}) patch sides")
+    return shift_lights(views, offset)
+
+
+@contextlib.contextmanager
+def _progress(title: str) -> Iterator[Callable[[str, float], None]]:
+    """What to tell (text, share done): a bar on a terminal, else a line every ten seconds."""
+    if sys.stdout.isatty():
+        columns = TextColumn("{task.description}"), BarColumn(), TaskProgressColumn()
+        with Progress(*columns, console=console, transient=True) as bar:
+            task = bar.add_task(title, total=1.0)
+            yield lambda text, share: bar.update(task, description=f"{title}: {text}", completed=share)
+        return
+    last = time.perf_counter()
+
+    def line(text: str, share: float) -> None:
+        nonlocal last
+        if time.perf_counter() - last > 10:
+            last = time.perf_counter()
+            say(f"{share:4.0%}  {text}")
+
+    say(title)
+    yield line
+
+
+def _print(record: dict) -> None:
+    from ..evaluate.crosscheck import left_out
+
+    for bsdf, how in dict.fromkeys(pair for m in record["materials"].values() for pair in m["converted"].items()):
+        say(f"as {bsdf}: {how}")
+    groups = dict.fromkeys((row["texels"], row["bsdf"]) for row in record["summary"])
+    with contextlib.suppress(BrokenPipeError):
+        for texels, bsdf in groups:
+            rows = [row for row in record["summary"] if (row["texels"], row["bsdf"]) == (texels, bsdf)]
+            console.print(_table(record, texels, bsdf, rows))
+    for each in left_out(record):
+        say(f"left out by {each['by']}: {each['what']} ({each['why']})")
+
+
+def _table(record: dict, texels: str, bsdf: str, rows: list[dict]) -> Table:
+    """The summary of one BSDF: a row for each figure, a column for each renderer."""
+    from ..report.page import figure, seconds
+
+    count = rows[0]["materials"]
+    bound = f"{'>=' if texels == 'rough' else '<'} {record['rough_from']}"
+    table = Table(title=f"{bsdf}, texels of roughness {bound}" + (f", worst of {count} materials" if count > 1 else ""),
+                  title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column("", no_wrap=True)
+    for heading in ("tolerance", "float32", *(row["renderer"] for row in rows)):
+        table.add_column(heading, justify="right", no_wrap=True)
+    stated = record["tolerances"] if texels == "rough" else {"image": {}, "gradients": {}}
+
+    def add(label: str, tolerance: float | None, limit: float | None, values: Sequence[float | None], form=figure) -> None:
+        cells = [f"[red]{form(v)}[/]" if tolerance and v is not None and v > tolerance else form(v) for v in values]
+        table.add_row(label, form(tolerance) if tolerance else "", form(limit) if limit else "", *cells)
+
+    limit = rows[0]["limit"]  # it hangs on materials and views alone
+    for name in ("mean", "p99.9", "worst", "bias"):
+        add(f"image, {name}", stated["image"].get(name), limit.get(name), [row["image"][name] for row in rows])
+    add("gradient, L2", stated["gradients"].get("relative_l2"), limit["relative_l2"],
+        [row["gradients"]["relative_l2"] for row in rows])
+    add("1 - cosine", stated["gradients"].get("1 - cosine"), None,
+        [None if row["gradients"]["cosine"] is None else 1 - row["gradients"]["cosine"] for row in rows])
+    if texels == "rough" or all(row["texels"] == "smooth" for row in record["summary"]):
+        add("display, worst", None, None, [row["display"] for row in rows])
+        add("FLIP, worst", None, None, [row["flip"] for row in rows])
+        for way in ("forward", "backward"):
+            add(way, None, None, [row["seconds"][way] for row in rows], seconds)
+    return table
+
+
+def _verdict(record: dict) -> int:
+    from ..report.page import figure
+
+    for found in record["violations"]:
+        limit = f" (float32 limit {figure(found['limit'])})" if found["limit"] else ""
+        say(f"exceeded: {found['material']} · {found['bsdf']} · {found['renderer']}: {found['what']} "
+            f"{figure(found['value'])} > {figure(found['tolerance'])}{limit}")
+    count = len(record["violations"])
+    say(f"{count} figures exceed the stated tolerances" if count else "all stated tolerances hold")
+    return 1 if count else 0

@@ -1,0 +1,84 @@
+"""The materials of a cross-check: made ones, corner cases, and the same maps as the other BSDF."""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ..maps import DIELECTRIC_F0, SVBRDF, Bsdf, flat
+from ..procedural import MATERIALS, make_material
+from ..views import texel_positions
+
+# How the maps of one BSDF become those of the other, as it stands in the output.
+CONVERSION: dict[str, str] = {
+    "roughconductor": "diffuse = base_color (1 - metallic), specular = base_color metallic + 0.04 (1 - metallic)",
+    "principled": "metallic from mean diffuse and specular, base_color = diffuse + specular - 0.04 (1 - metallic)",
+}
+
+
+def builtin_materials(resolution: int = 128) -> dict[str, SVBRDF]:
+    """The made materials (:mod:`mitsvbrdf.procedural`) and :func:`corner_materials`, by name."""
+    return {name: make_material(name, resolution) for name in MATERIALS} | corner_materials(resolution)
+
+
+def corner_materials(resolution: int = 128) -> dict[str, SVBRDF]:
+    """Materials at the ends of their ranges, ``roughconductor``, R x R x C, float32; the first is the only one without relief.
+
+    ``polished`` goes below roughness 0.1, where no tolerance is stated, down to the 0.02 that ``principled`` cuts.
+    """
+    waves = _waves(resolution, 8.5)
+    return {
+        "flat": flat(resolution),
+        "roughness 0.1": _material(waves, roughness=0.1),
+        "polished": _material(waves, roughness=_ramp(resolution, 0.02, 0.1)),
+        "black diffuse": _material(waves, diffuse=0.0, roughness=0.3),
+        "white": _material(waves, diffuse=1.0, specular=1.0, roughness=1.0),
+        "coloured F0": _material(waves, diffuse=0.02, specular=(1.0, 0.6, 0.0), roughness=_ramp(resolution, 0.2, 0.8)),
+        "steep normals": _material(_waves(resolution, 65.0), roughness=0.4),
+    }
+
+
+def _material(normal: Tensor, **values: float | tuple[float, ...] | Tensor) -> SVBRDF:
+    start = flat(normal.shape[0])
+    maps = {name: torch.as_tensor(value, dtype=torch.float32).expand_as(start[name]).clone() for name, value in values.items()}
+    return SVBRDF("roughconductor", {**start.maps, "normal": normal, **maps})
+
+
+def _waves(resolution: int, degrees: float) -> Tensor:
+    """Normals of crossed waves, three and four over the patch, tilted by up to ``degrees`` along either axis."""
+    x, y, _ = texel_positions(resolution).unbind(-1)
+    steep = torch.tan(torch.deg2rad(torch.tensor(degrees, dtype=torch.float64)))
+    normal = torch.stack((steep * torch.sin(6 * torch.pi * x), steep * torch.sin(8 * torch.pi * y + 1), torch.ones_like(x)), -1)
+    return F.normalize(normal, dim=-1).float()
+
+
+def _ramp(resolution: int, low: float, high: float) -> Tensor:
+    """From ``low`` at the left edge to ``high`` at the right, R x R x 1."""
+    return low + (high - low) * (texel_positions(resolution)[..., :1] + 0.5)
+
+
+def as_bsdf(svbrdf: SVBRDF, bsdf: Bsdf) -> SVBRDF:
+    """The material as this BSDF, converted where it is the other (:data:`CONVERSION`)."""
+    return svbrdf if svbrdf.bsdf == bsdf else svbrdf.as_roughconductor() if bsdf == "roughconductor" else as_principled(svbrdf)
+
+
+def as_principled(svbrdf: SVBRDF) -> SVBRDF:
+    """Base colour and metallic of a diffuse and specular material: :meth:`SVBRDF.as_roughconductor` the other way round.
+
+    With d and s the means over the channels of diffuse and specular, metallic m solves d = b (1 - m) and
+    s = b m + 0.04 (1 - m); the base colour then keeps diffuse + specular in each channel, cut to [0, 1]. So a grey
+    material comes back from ``as_roughconductor`` as it was, and a coloured one with the same sum; specular below 0.04,
+    which no ``principled`` material has, counts as 0.04. Burley's diffuse lobe stays a little different from Lambert's.
+    """
+    if svbrdf.bsdf == "principled":
+        return svbrdf
+    diffuse, specular = svbrdf["diffuse"].double(), svbrdf["specular"].double()
+    d, s = diffuse.mean(-1, keepdim=True), specular.mean(-1, keepdim=True).clamp_min(DIELECTRIC_F0)
+    # 0.04 q^2 - (d + s) q + d = 0 for q = 1 - m; the smaller root, in the form that does not cancel.
+    total = d + s
+    plastic = (2 * d / (total + (total**2 - 4 * DIELECTRIC_F0 * d).clamp_min(0).sqrt())).clamp(0, 1)
+    base = (diffuse + specular - DIELECTRIC_F0 * plastic).clamp(0, 1)
+    made = {"base_color": base, "metallic": 1 - plastic}
+    return SVBRDF("principled", {**{name: value.to(svbrdf["normal"].dtype) for name, value in made.items()},
+                                 "roughness": svbrdf["roughness"], "normal": svbrdf["normal"]})
