@@ -177,7 +177,7 @@ def _verdict(record: dict) -> int:
     for found in record["violations"]:
         limit = f" (float32 limit {figure(found['limit'])})" if found["limit"] else ""
         say(f"exceeded: {found['material']} · {found['bsdf']} · {found['renderer']}: {found['what']} "
-            f"{figure(found['value'])} > {figure(found['tolerance'])}{limit}")
+            f"{found['value']:.3g} > {figure(found['tolerance'])}{limit}")
     count = len(record["violations"])
     say(f"{count} figures exceed the stated tolerances" if count else "all stated tolerances hold")
     return 1 if count else 0
