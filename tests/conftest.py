@@ -10,6 +10,9 @@ from pathlib import Path
 
 import pytest
 
+# The plugin under test also comes through its entry point where the package is installed; pytest then loads it once.
+pytest_plugins = ["mitsvbrdf.testing.plugin", "pytester"]
+
 
 @pytest.fixture(scope="session")
 def data_folder() -> Path:

@@ -1,0 +1,23 @@
+"""For other people's test suites: renderers that must agree, golden images, and a Z-test for noisy pictures.
+
+A pytest plugin comes along (:mod:`mitsvbrdf.testing.plugin`); ``docs/testing.md`` shows how to use all of it. The names
+below are loaded on first use, so that a suite that needs none of them pays for neither torch nor Mitsuba.
+"""
+
+from __future__ import annotations
+
+import importlib
+
+_HOME = {"assert_renderers_agree": "agreement", "LIMITS": "agreement", "Limits": "agreement", "random_material": "agreement",
+         "assert_matches_golden": "golden", "assert_z_test": "noise", "z_test": "noise", "ZTest": "noise"}
+__all__ = sorted(_HOME)
+
+
+def __getattr__(name: str):
+    if name in _HOME:
+        return getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -1,0 +1,129 @@
+"""Renderers that must agree: images and gradients against the float64 twin."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ..errors import ConfigError
+from ..evaluate.measure import Measured, render_and_gradients
+from ..maps import CHANNELS, SVBRDF, Bsdf
+from ..metrics import gradient_error, image_error
+from ..render import Renderer, RendererName, make_renderer
+from ..views import Views
+from .page import Figure, Row, failure, gradient_row, view_rows
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How far a renderer may be off; ``math.inf`` leaves a comparison out.
+
+    Args:
+        image_mean: mean relative error of the image (:func:`mitsvbrdf.metrics.image_error`).
+        image_p999: what 99.9 % of its values keep within.
+        gradients: relative L2 error of the gradient of each map; infinite: no gradient is asked for.
+    """
+
+    image_mean: float
+    image_p999: float
+    gradients: float
+
+
+# Measured on random materials of both BSDFs (co-located, apart, without falloff) and the made ones, worst of all: analytic
+# 1.2e-7, 7.2e-7 and 9.6e-7; mitsuba 1.1e-7, 6.9e-7 and 2.2e-6; mitsuba-scene 1.6e-7, 1.1e-6 and 2.5e-6. About a factor of
+# two is left for other processors.
+LIMITS: dict[str, Limits] = {
+    "analytic": Limits(2.5e-7, 1.5e-6, 2e-6),
+    "mitsuba": Limits(2.5e-7, 1.5e-6, 5e-6),
+    "mitsuba-scene": Limits(3.5e-7, 2.2e-6, 5e-6),
+}
+
+
+def assert_renderers_agree(maps: SVBRDF, views: Views, renderers: Sequence[RendererName | Renderer] = ("mitsuba",), *,
+                           image_mean: float | None = None, image_p999: float | None = None, gradients: float | None = None,
+                           reference: RendererName | Renderer = "analytic64") -> None:
+    """Fail unless renderers draw the same picture, with the same gradients, as a reference.
+
+    The gradients are those of the product of the image with fixed random numbers with respect to every map
+    (:func:`mitsvbrdf.evaluate.measure.render_and_gradients`).
+
+    Args:
+        maps: the material, float32; :func:`random_material` is a hard one.
+        views: camera and light positions.
+        renderers: names, or objects with ``name`` and ``render(svbrdf, views)`` like :class:`mitsvbrdf.render.Renderer`.
+        image_mean: see :class:`Limits`; left out: what :data:`LIMITS` says of the renderer, as for the next two.
+        image_p999: see :class:`Limits`.
+        gradients: see :class:`Limits`.
+        reference: what to compare with.
+
+    Raises:
+        AssertionError: naming renderer, image or map, figure, limit, and a page that shows where.
+        ConfigError: limits left out for a renderer that is not ours.
+    """
+    __tracebackhide__ = True
+    engines = [make_renderer(r) if isinstance(r, str) else r for r in (reference, *renderers)]
+    limits = [_limits(r.name, image_mean, image_p999, gradients) for r in engines[1:]]
+    wanted = any(math.isfinite(limit.gradients) for limit in limits)
+    truth = _measured(engines[0], maps, views, wanted)
+    figures, rows = [], []
+    for renderer, limit in zip(engines[1:], limits):
+        found = _measured(renderer, maps, views, math.isfinite(limit.gradients))
+        measured = _figures(renderer.name, found, truth, limit)
+        figures += measured
+        if any(f.missed for f in measured):
+            rows.append(lambda name=renderer.name, found=found: _rows(name, found, truth))
+    if rows:
+        names = sorted({f.name.split(":")[0] for f in figures if f.missed})
+        raise failure(f"{' and '.join(names)} differ{'s' * (len(names) == 1)} from {engines[0].name}", figures,
+                      lambda: [row for each in rows for row in each()])
+
+
+def random_material(bsdf: Bsdf, resolution: int = 48, seed: int = 0) -> SVBRDF:
+    """A material harder than any real one, float32: random colours, normals tilted by 0.15 a texel, roughness from 0.15."""
+    g = torch.Generator().manual_seed(seed)
+    maps = {name: torch.rand(resolution, resolution, channels, generator=g) for name, channels in CHANNELS[bsdf].items()}
+    slopes = 0.15 * torch.randn(resolution, resolution, 2, generator=g)
+    maps["normal"] = F.normalize(torch.cat((slopes, torch.ones(resolution, resolution, 1)), -1), dim=-1)
+    maps["roughness"] = 0.15 + 0.8 * maps["roughness"]
+    return SVBRDF(bsdf, maps)
+
+
+def _limits(name: str, *given: float | None) -> Limits:
+    if name in LIMITS:
+        known = astuple(LIMITS[name])
+        return Limits(*(usual if value is None else value for usual, value in zip(known, given)))
+    if None in given:
+        raise ConfigError(f"limits for the renderer {name!r}, which is none of {list(LIMITS)}", "some left out",
+                          "give image_mean, image_p999 and gradients")
+    return Limits(*given)  # type: ignore[arg-type]
+
+
+def _measured(renderer: Renderer, maps: SVBRDF, views: Views, gradients: bool) -> Measured:
+    if gradients:
+        return render_and_gradients(renderer, maps, views)
+    with torch.no_grad():
+        return Measured(renderer.render(maps, views), {}, 0.0, 0.0)
+
+
+def _figures(name: str, found: Measured, truth: Measured, limit: Limits) -> list[Figure]:
+    image = image_error(found.image, truth.image)
+    figures = [Figure(f"{name}: image, mean relative error", image["mean"], limit.image_mean),
+               Figure(f"{name}: image, 99.9 % of the values within", image["p99.9"], limit.image_p999)]
+    return figures + [Figure(f"{name}: gradient of {map_}, relative L2", _off(gradient, truth.gradients[map_]), limit.gradients)
+                      for map_, gradient in found.gradients.items()]
+
+
+def _off(gradient: Tensor, truth: Tensor) -> float:
+    """Relative L2 error; 0 where both gradients are 0 everywhere."""
+    return gradient_error(gradient, truth)["relative_l2"] if truth.any() or gradient.any() else 0.0
+
+
+def _rows(name: str, found: Measured, truth: Measured) -> list[Row]:
+    return view_rows(found.image, truth.image, name) + [
+        gradient_row(f"{name}, gradient of {map_}", gradient, truth.gradients[map_])
+        for map_, gradient in found.gradients.items()]

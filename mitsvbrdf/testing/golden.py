@@ -1,0 +1,168 @@
+"""Golden files: a result accepted once, kept beside the test, and compared with ever after.
+
+``tests/test_a.py`` keeps its golden files in ``tests/golden/test_a/NAME.exr``: float32, ZIP-compressed, one EXR file for a
+picture, a stack of views or all maps of a material (as layers). They are linear.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import shlex
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .. import color, files
+from ..errors import ConfigError, MapsError
+from ..maps import SVBRDF
+from ..metrics import flip as flip_error
+from .page import Figure, Row, failure, left_behind, row
+from .running import Caller, current
+
+Layers = dict[str, Tensor]  # H x W x C by name; a lone picture has the name ""
+
+
+def assert_matches_golden(result: Tensor | SVBRDF, name: str, *, rtol: float = 1e-4, atol: float = 1e-6,
+                          flip: float = 1.0) -> None:
+    """Fail unless a result is what it was when ``pytest --mitsvbrdf-update`` accepted it.
+
+    With that option a missing golden file is written and one that no longer matches is replaced; one that matches stays
+    as it is. Without it no golden file is ever touched.
+
+    Args:
+        result: a linear picture H x W x 3, views N x H x W x 3, or a material.
+        name: of the golden file, without suffix: letters, digits, ``-``, ``_`` and ``.``; unique within the test file.
+        rtol: a value may be off by ``atol + rtol |golden value|``. The defaults fit float32 renderers on one machine or
+            another; ``math.inf`` leaves the decision to ``flip``.
+        atol: see ``rtol``; linear units.
+        flip: largest mean FLIP error (:func:`mitsvbrdf.metrics.flip`) of a view or map as a screen shows it.
+
+    Raises:
+        AssertionError: it differs, has another shape, is not finite, or there is no golden file; the message names the
+            page, the new EXR file and the way to accept it.
+        ConfigError: a bad name, one used twice in this run, or a call outside a test.
+    """
+    __tracebackhide__ = True
+    caller, layers = current(), _layers(result)
+    path = _golden_path(caller, name)
+    if not all(torch.isfinite(layer).all() for layer in layers.values()):
+        raise AssertionError(f"{name} has values that are not finite: it was neither compared nor written")
+    golden = _read(path) if path.exists() else {}
+    title, figures, notes = _compared(name, layers, golden, rtol, atol, flip)
+    if not title:
+        return
+    if caller.run.update:
+        _write(path, layers)
+        caller.run.written.append(path)
+        return
+    notes += [f"golden file: {path}", f"new result: {left_behind(f'-{name}.exr', lambda file: _write(file, layers))}",
+              f"to accept it: pytest --mitsvbrdf-update {shlex.quote(caller.id)}"]
+    raise failure(title, figures, lambda: _rows(layers, golden), notes, f"-{name}.html")
+
+
+def _golden_path(caller: Caller, name: str) -> Path:
+    if caller.file is None:
+        raise ConfigError("a running test", "a call outside of one, or without the pytest plugin",
+                          "install mitsvbrdf, or run pytest -p mitsvbrdf.testing.plugin")
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", name):
+        raise ConfigError("a name of letters, digits, '-', '_' and '.'", repr(name), "it becomes a file name")
+    path = caller.file.parent / "golden" / caller.file.stem / f"{name}.exr"
+    user = caller.run.names.get(str(path).lower())
+    if user:
+        raise ConfigError("each golden name once in a run", f"{name!r} again, in {caller.id} after {user}",
+                          "put the parameters of the test into the name")
+    caller.run.names[str(path).lower()] = caller.id
+    return path
+
+
+def _layers(result: Tensor | SVBRDF) -> Layers:
+    if isinstance(result, SVBRDF):
+        return {name: value.detach().float() for name, value in result.maps.items()}
+    result = torch.as_tensor(result).detach().float()
+    if result.ndim not in (3, 4) or result.shape[-1] != 3 or not result.numel():
+        raise MapsError("H x W x 3, N x H x W x 3, or an SVBRDF", f"shape {tuple(result.shape)}", "give linear colours")
+    return {"": result} if result.ndim == 3 else {f"view{k:03d}": view for k, view in enumerate(result)}
+
+
+def _compared(name: str, layers: Layers, golden: Layers, rtol: float, atol: float, flip: float,
+              ) -> tuple[str, list[Figure], list[str]]:
+    """What is wrong (empty: nothing), the figures, and more about it."""
+    if not golden:
+        return f"{name} has no golden file yet", [], []
+    if _shapes(layers) != _shapes(golden):
+        return f"{name} has another shape than its golden file: {_told(layers)} instead of {_told(golden)}", [], []
+    figures, notes = [], []
+    for layer, value in layers.items():
+        label = f"{layer}: " if layer else ""
+        if math.isfinite(rtol):
+            excess = _excess(value, golden[layer], rtol, atol)
+            figures.append(Figure(f"{label}largest difference, in tolerances", float(excess.max()), 1.0))
+            if figures[-1].missed:
+                worst = torch.unravel_index(excess.argmax(), excess.shape)
+                notes.append(f"{label}{int((excess > 1).sum())} of {excess.numel()} values are off, worst at (row, column, "
+                             f"channel) {tuple(map(int, worst))}: {value[worst]:.7g}, golden {golden[layer][worst]:.7g}")
+        if flip < 1:
+            look = flip_error(_shown(layer, value), _shown(layer, golden[layer]), "linear")
+            figures.append(Figure(f"{label}mean FLIP error", float(look.mean()), flip))
+    return f"{name} does not match its golden file" * any(f.missed for f in figures), figures, notes
+
+
+def _excess(value: Tensor, golden: Tensor, rtol: float, atol: float) -> Tensor:
+    """Differences over what is allowed, float64; 0 where there is none."""
+    off = (value.double() - golden.double()).abs()
+    return torch.where(off > 0, off / (atol + rtol * golden.double().abs()), 0.0)
+
+
+def _shapes(layers: Layers) -> dict[str, tuple[int, ...]]:
+    return {layer: tuple(value.shape) for layer, value in layers.items()}
+
+
+def _told(layers: Layers) -> str:
+    return ", ".join(f"{layer} {' x '.join(map(str, shape))}".strip() for layer, shape in _shapes(layers).items())
+
+
+def _shown(layer: str, value: Tensor) -> Tensor:
+    """A layer as display values H x W x 3."""
+    if layer == "normal":
+        return (value + 1) / 2
+    if layer in ("roughness", "metallic"):
+        return value.expand(-1, -1, 3)
+    return color.to_display(value)
+
+
+def _rows(layers: Layers, golden: Layers) -> list[Row]:
+    if _shapes(layers) != _shapes(golden):
+        golden = {}
+    return [row(layer or "picture", value, golden.get(layer), partial(_shown, layer)) for layer, value in layers.items()]
+
+
+def _read(path: Path) -> Layers:
+    import OpenEXR
+
+    try:
+        channels = OpenEXR.File(str(path), separate_channels=True).channels()
+    except Exception as reason:  # OpenEXR raises plain RuntimeError and others
+        raise MapsError("a golden EXR file", f"{path}: {reason}", "fetch it anew, or accept a new one") from None
+    layers: dict[str, dict[str, np.ndarray]] = {}
+    for name, channel in channels.items():
+        layer, _, letter = name.rpartition(".")
+        layers.setdefault(layer, {})[letter] = channel.pixels
+    return {layer: torch.from_numpy(np.stack([parts[c] for c in ("RGB" if "R" in parts else "Y")], axis=-1))
+            for layer, parts in layers.items()}
+
+
+def _write(path: Path, layers: Layers) -> None:
+    import OpenEXR
+
+    channels = {f"{layer}.{letter}".lstrip("."): value[..., k].contiguous().numpy()
+                for layer, value in layers.items() for k, letter in enumerate("RGB" if value.shape[-1] == 3 else "Y")}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with files.beside(path) as temporary:
+        try:
+            OpenEXR.File(header, channels).write(str(temporary))
+        except RuntimeError as reason:  # what OpenEXR makes of a full disk
+            raise OSError(str(reason)) from None

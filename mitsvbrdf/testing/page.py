@@ -1,0 +1,156 @@
+"""What a failed comparison leaves behind: a message that says what is off by how much, and a page that shows where."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from .. import color, files
+from ..errors import OutputError
+from ..metrics import FLOOR, flip
+from ..report.page import error_picture, png_uri, write_page
+from .running import current
+
+LARGEST = 256  # pixels along a side of the pictures in a page
+ROWS = 3  # views shown, the worst first
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One measured number and its limit.
+
+    Args:
+        name: what was measured.
+        value: the number; NaN misses every limit.
+        limit: the largest value that passes.
+    """
+
+    name: str
+    value: float
+    limit: float
+
+    @property
+    def missed(self) -> bool:
+        """Whether the comparison fails by this figure."""
+        return not self.value <= self.limit
+
+
+@dataclass(frozen=True)
+class Row:
+    """Pictures that belong together: (caption, ``data:`` URI) each."""
+
+    title: str
+    pictures: list[tuple[str, str]]
+
+
+def failure(title: str, figures: Sequence[Figure], rows: Callable[[], list[Row]], notes: Sequence[str] = (),
+            suffix: str = ".html") -> AssertionError:
+    """The error to raise, with the page written.
+
+    Args:
+        title: what differs from what.
+        figures: all that was measured; the message names those that miss their limit.
+        rows: makes the pictures.
+        notes: more lines for message and page, such as the way out.
+        suffix: of the page's file name.
+    """
+    lines = [title, *(f"  {f.name}: {f.value:.3g}, limit {f.limit:.3g}" for f in figures if f.missed),
+             *(f"  {note}" for note in notes)]
+    page = left_behind(suffix, lambda path: write_page(path, "comparison.html", title=title, test=current().id,
+                                                       figures=figures, rows=rows(), notes=notes))
+    return AssertionError("\n".join([*lines, f"  page: {page}"]))
+
+
+def left_behind(suffix: str, write: Callable[[Path], None]) -> str:
+    """Write a file of the running test, e.g. ``DIR/tests-test_a.py-test_b-1a2b3c4d.html``; its path, or why there is none."""
+    caller = current()
+    name = re.sub(r"[^\w.]+", "-", caller.id)[-100:].strip("-.")
+    folder = caller.run.report.resolve()
+    path = folder / f"{name}-{hashlib.sha256(caller.id.encode()).hexdigest()[:8]}{suffix}"
+    try:
+        if not folder.exists():  # nothing in it is to be committed, as in .pytest_cache
+            files.write_bytes(folder / ".gitignore", b"*\n")
+        write(path)
+    except OutputError as reason:  # a full disk must not hide what the test found
+        return f"none ({reason})"
+    return str(path)
+
+
+def view_rows(new: Tensor, reference: Tensor, whose: str) -> list[Row]:
+    """The views N x H x W x 3 (linear) that differ most, the worst first; ``whose`` they are stands in the title."""
+    error = relative_difference(new, reference).flatten(1).mean(1)
+    worst = error.nan_to_num(nan=torch.inf).argsort(descending=True)[:ROWS].tolist()
+    return [row(f"{whose}, view {k}" if len(new) > 1 else whose, new[k], reference[k], color.to_display) for k in worst]
+
+
+def row(title: str, new: Tensor, reference: Tensor | None, show: Callable[[Tensor], Tensor]) -> Row:
+    """New, reference, where they differ, and how that looks.
+
+    Args:
+        title: of the row.
+        new: H x W x C, linear.
+        reference: the same shape; None where there is none: then the new one alone is shown.
+        show: turns H x W x C into display values H x W x 3.
+    """
+    if reference is None:
+        return Row(title, [("new", png_uri(_small(_marked(show(new), new))))])
+    first, second = (_marked(show(x.float()), x) for x in (new, reference))
+    look = flip(first, second, "linear")
+    return Row(title, [
+        ("new", png_uri(_small(first))), ("reference", png_uri(_small(second))),
+        heat("relative difference", relative_difference(new[None], reference[None])[0]),
+        (f"FLIP: mean {float(look.mean()):.2g}, worst {float(look.max()):.2g}, bright 1", png_uri(_magma(_peaks(look))))])
+
+
+def gradient_row(title: str, new: Tensor, reference: Tensor) -> Row:
+    """Lengths of the gradients of a map (H x W x C) over its channels, and of their difference."""
+    return Row(title, [heat(name, gradient.double().norm(dim=-1)) for name, gradient in (
+        ("new", new), ("reference", reference), ("difference", new.double() - reference))])
+
+
+def heat(name: str, size: Tensor) -> tuple[str, str]:
+    """Caption and picture of sizes H x W: log scale over four decades up to the largest; not finite is brightest."""
+    high = float(size[torch.isfinite(size)].max()) if torch.isfinite(size).any() else 1.0
+    return f"{name}, bright {high:.2g}, black {high / 1e4:.1g}", png_uri(error_picture(_peaks(size), high or 1.0))
+
+
+def relative_difference(new: Tensor, reference: Tensor) -> Tensor:
+    """N x H x W: |new - reference| / max(|reference|, floor mean), of the worst channel; the floor of ``metrics``."""
+    new, reference = new.double(), reference.double()
+    least = max(FLOOR * float(reference.abs().mean()), torch.finfo(torch.float64).tiny)
+    return ((new - reference).abs() / reference.abs().clamp_min(least)).amax(dim=-1)
+
+
+def _marked(display: Tensor, linear: Tensor) -> Tensor:
+    """Display values with magenta where the linear ones are not finite."""
+    return torch.where(torch.isfinite(linear).all(dim=-1, keepdim=True), display, torch.tensor([1.0, 0.0, 1.0]))
+
+
+def _magma(share: Tensor) -> Tensor:
+    return torch.as_tensor(matplotlib.colormaps["magma"](share.numpy())[..., :3], dtype=torch.float32)
+
+
+def _small(display: Tensor) -> Tensor:
+    if max(display.shape[:2]) <= LARGEST:
+        return display
+    return F.adaptive_avg_pool2d(display.permute(2, 0, 1), _fitting(display)).permute(1, 2, 0)
+
+
+def _peaks(size: Tensor) -> Tensor:
+    """Shrunk so that a single bad pixel stays visible."""
+    if max(size.shape) <= LARGEST:
+        return size
+    return F.adaptive_max_pool2d(size[None], _fitting(size))[0]
+
+
+def _fitting(picture: Tensor) -> tuple[int, int]:
+    height, width = picture.shape[:2]
+    return tuple(max(1, side * LARGEST // max(height, width)) for side in (height, width))  # type: ignore[return-value]

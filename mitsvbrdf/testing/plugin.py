@@ -1,0 +1,52 @@
+"""The pytest plugin: two options, and the calling test's file for golden images.
+
+pytest loads it in every project of an environment where this package is installed, so it imports nothing heavy. Its entry
+point has the module's name: pytest then loads it once, whether through the entry point, ``-p`` or ``pytest_plugins``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from . import running
+
+RUN = pytest.StashKey[running.Run]()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """``--mitsvbrdf-update`` and ``--mitsvbrdf-report DIR``."""
+    group = parser.getgroup("mitsvbrdf", "golden images and pages of failed comparisons (mitsvbrdf)")
+    group.addoption("--mitsvbrdf-update", action="store_true",
+                    help="Write new results over golden files that are missing or no longer match.")
+    group.addoption("--mitsvbrdf-report", metavar="DIR", type=Path,
+                    help="Folder for the pages of failed comparisons; left out: .mitsvbrdf-report in pytest's rootdir.")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Resolve the options."""
+    report = config.getoption("mitsvbrdf_report")
+    folder = config.rootpath / ".mitsvbrdf-report" if report is None else config.invocation_params.dir / report
+    config.stash[RUN] = running.Run(config.getoption("mitsvbrdf_update"), folder)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item):
+    """Let the assertions know which test calls them."""
+    with running.running(running.Caller(item.nodeid, item.path, item.config.stash[RUN])):
+        return (yield)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """A test that is run once more, by a plugin that repeats failures say, may use its golden files again."""
+    names = item.config.stash[RUN].names
+    for path in [path for path, user in names.items() if user == item.nodeid]:
+        del names[path]
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Name the golden files that were written: they want a look before they are committed."""
+    for path in config.stash[RUN].written:
+        terminalreporter.write_line(f"mitsvbrdf: wrote {path}")
