@@ -25,7 +25,7 @@ def test_every_shell_reads_it(shell):
 
 def test_help_names_the_commands():
     shown = sh(RUN, "help").stdout
-    assert all(f"./run {command}" in shown for command in ("demo", "test", "slow", "setup"))
+    assert all(f"./run {command}" in shown for command in ("demo", "test", "slow", "soak", "setup"))
 
 
 @pytest.mark.parametrize("arguments", [[], ["tset"]])
@@ -63,6 +63,8 @@ def test_a_set_up_checkout_runs_at_once_from_anywhere(checkout, tmp_path):
     assert tests.stdout == f"{checkout}|python|-m|pytest|-k|one two|", tests.stderr
     slow = sh(checkout / "run", "slow", cwd=tmp_path, env=environment)
     assert slow.stdout == f"{checkout}|python|-m|pytest|-m|slow|", slow.stderr
+    soak = sh(checkout / "run", "soak", "--steps", "40", cwd=tmp_path, env=environment)
+    assert soak.stdout == f"{tmp_path}|python|-P|-m|mitsvbrdf.evaluate.soak|--steps|40|", soak.stderr
 
 
 @pytest.mark.parametrize("given, used", [({"LC_ALL": "C"}, "C.UTF-8"), ({}, "C.UTF-8"), ({"LANG": "de_DE.utf8"}, "")])
