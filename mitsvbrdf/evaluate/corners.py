@@ -69,7 +69,8 @@ def as_principled(svbrdf: SVBRDF) -> SVBRDF:
     With d and s the means over the channels of diffuse and specular, metallic m solves d = b (1 - m) and
     s = b m + 0.04 (1 - m); the base colour then keeps diffuse + specular in each channel, cut to [0, 1]. So a grey
     material comes back from ``as_roughconductor`` as it was, and a coloured one with the same sum; specular below 0.04,
-    which no ``principled`` material has, counts as 0.04. Burley's diffuse lobe stays a little different from Lambert's.
+    which no ``principled`` material has, counts as 0.04. Metallic stays one rounding below 1, where the plugin's slope
+    ends. Burley's diffuse lobe stays a little different from Lambert's.
     """
     if svbrdf.bsdf == "principled":
         return svbrdf
@@ -79,6 +80,6 @@ def as_principled(svbrdf: SVBRDF) -> SVBRDF:
     total = d + s
     plastic = (2 * d / (total + (total**2 - 4 * DIELECTRIC_F0 * d).clamp_min(0).sqrt())).clamp(0, 1)
     base = (diffuse + specular - DIELECTRIC_F0 * plastic).clamp(0, 1)
-    made = {"base_color": base, "metallic": 1 - plastic}
+    made = {"base_color": base, "metallic": (1 - plastic).clamp_max(1 - 2**-24)}
     return SVBRDF("principled", {**{name: value.to(svbrdf["normal"].dtype) for name, value in made.items()},
                                  "roughness": svbrdf["roughness"], "normal": svbrdf["normal"]})

@@ -15,6 +15,8 @@ from .needs import Needs
 
 MIN_ALPHA_PRINCIPLED = 0.001  # Mitsuba's `principled` never goes below; its gradient in roughness is 0 there
 
+BELOW_ONE = 2.0**-24  # from 1 to the next float32 below
+
 # The refractive index grows without bound as F0 -> 1, and its slope in F0 as F0 -> 0; both ends are cut.
 F0_RANGE = (1e-6, 0.999)
 
@@ -44,6 +46,18 @@ def needed_maps(svbrdf: SVBRDF, needs: Needs) -> dict[str, Tensor]:
     return maps
 
 
+def _with_slope(metallic: Any) -> Any:
+    """Metallic as it is, but where it is exactly 1 and wants a gradient one rounding below.
+
+    Mitsuba's ``principled`` skips its diffuse lobe where metallic is 1, and with it the lobe's slope in metallic: the gradient
+    was 161 instead of 70.6 for a base colour of 0.5.
+    """
+    if hasattr(metallic, "clamp"):  # a torch tensor, to be written to a file
+        return metallic
+    import drjit
+    return metallic - drjit.select(metallic == 1, BELOW_ONE, 0) if drjit.grad_enabled(metallic) else metallic
+
+
 def slot_values(bsdf: str, maps: dict[str, Any], needs: Needs) -> dict[str, Any]:
     """What the plugin's texture slots hold for these maps (torch or Dr.Jit arrays, same layout as the maps).
 
@@ -51,8 +65,8 @@ def slot_values(bsdf: str, maps: dict[str, Any], needs: Needs) -> dict[str, Any]
     """
     slots = {"normal": maps["normal"] * 0.5 + 0.5} if needs.normal_map else {}
     if bsdf == "principled":
-        names = ("base_color", "metallic", "roughness") if needs.metallic else ("base_color", "roughness")
-        return slots | {name: maps[name] for name in names}
+        slots |= {"base_color": maps["base_color"], "roughness": maps["roughness"]}
+        return slots | ({"metallic": _with_slope(maps["metallic"])} if needs.metallic else {})
     if needs.diffuse_lobe:
         slots[f"diffuse_x{needs.lobes}"] = maps["diffuse"] * needs.lobes
     if needs.specular_lobe:

@@ -42,6 +42,11 @@ def _register(variant: str) -> None:
 
     Vector64 = dr.float64_array_t(mi.Vector3f)
 
+    def hit(ray, si):
+        """Where the ray meets the surface, in float64: the tangent plane at the point found, which is rounded."""
+        origin, direction, normal = Vector64(ray.o), Vector64(ray.d), Vector64(si.n)
+        return origin + direction * (dr.dot(normal, Vector64(si.p) - origin) / dr.dot(normal, direction))
+
     class RectifiedCamera(mi.Sensor):
         """Sends each pixel's ray to its texel: film position (u, v) sees (u - 1/2, 1/2 - v, 0) of the patch.
 
@@ -74,7 +79,7 @@ def _register(variant: str) -> None:
 
         ``normalmap`` reads (n + 1) / 2, where the 1 pushes digits of a small x or y out, and multiplies in float32, where
         what remains near the highlight is the difference of larger numbers. Measured on gradients at roughness 0.1 with
-        random normals, camera in float64 too: 9e-6 -> 2e-6.
+        waves of normals, with camera and hits in float64 as well: 2.4e-6 -> 1.0e-6.
         """
 
         def __init__(self, props):
@@ -139,7 +144,8 @@ def _register(variant: str) -> None:
                 seen = active if seen is None else seen
                 bsdf = si.bsdf(ray)
                 towards, power = scene.sample_emitter_direction(si, sampler.next_2d(active), self.shadow_rays, active)
-                value = bsdf.eval(context, si, si.to_local(towards.d), active)
+                to_light = mi.Vector3f(dr.normalize(Vector64(towards.p) - hit(ray, si)))
+                value = bsdf.eval(context, si, si.to_local(to_light), active)
                 radiance += dr.select(active, weight * value * power, 0)
                 if depth < self.bounces:
                     sample, value = bsdf.sample(context, si, sampler.next_1d(active), sampler.next_2d(active), active)
