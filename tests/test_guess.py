@@ -93,6 +93,18 @@ def test_finite_for_constant_black_and_white_photos(method, value, count):
         assert found.max() < 1e-3
 
 
+@pytest.mark.parametrize("strength", [1e-9, 1e9])
+@pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
+def test_light_far_too_weak_or_strong(value, strength):
+    # The albedo is cut to what it can be; from grazing lights too, where the falloff is largest.
+    for views in (nine_view_grid(), Views.of([[5, 0, 0.01], [-5, 0, 0.01]], [[-5, 0, 0.01], [5, 0, 0.01]])):
+        views = Views(views.camera, views.light, views.intensity * strength)
+        found = guess_diffuse(Capture(torch.full((len(views), 8, 8, 3), value), views))
+        assert torch.isfinite(found).all() and 0 <= found.min() and found.max() <= 1
+        if value == 0.5 and views.co_located:
+            assert (found > 0.99).all() if strength < 1 else (found < 1e-6).all()
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_a_light_without_blue(method):
     views = Views.of([[0, 0, 2.0], [0.5, 0, 2.0]], intensity=[10.0, 10.0, 0.0])

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from ..errors import ConfigError
-from ..maps import CHANNELS, SVBRDF, encodings, flat, read_map
+from ..maps import CHANNELS, ENCODINGS, SVBRDF, flat, read_map, read_material_json
 
 LEAST_ROUGHNESS = 1 / 512  # what half a step of an 8-bit file is read as; a mirror of roughness 0 shows no light at a point
 
@@ -98,7 +98,8 @@ def _tensor(name: str, value: str, bsdf: str, resolution: int) -> Tensor:
     path = Path(value)
     if not path.is_file():
         raise ConfigError(f"a number or an image file for {name}", f"{value!r}, which is neither", "check the path")
-    image = read_map(path, name, channels, encodings(path.parent))
+    codes = ENCODINGS["gamma 2.2"] | read_material_json(path.parent).get("encoding", {})
+    image = read_map(path, name, channels, codes)
     # Checked and resized as a part of a material, so that both are done as for any other map.
     others: Mapping[str, Tensor] = flat(image.shape[0], bsdf).maps
     return SVBRDF(bsdf, dict(others) | {name: image}).check().resized(resolution)[name].contiguous()

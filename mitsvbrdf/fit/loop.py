@@ -28,8 +28,9 @@ from .method import Method, finite
 EVALUATE_EVERY = 10  # iterations; a fixed count, so that a resumed run keeps the same best result
 CHECKPOINT_SECONDS = 30.0
 MAX_UNDONE = 20
-# A loss this many times its lowest, at so many measurements running, is that of a fit that diverges.
-DIVERGED, PATIENCE = 2.0, 5
+# A loss this many times its lowest, at so many measurements running, is that of a fit that diverges. Measured on twelve
+# real captures, `hybrid` and `direct`: at no measurement was the loss above its lowest at all.
+DIVERGED, PATIENCE = 1.5, 5
 FALLING = ("photometric", "diffuse", "smooth", "flat")  # losses that a fit lowers; adversarial ones move the goal
 
 Seen = tuple[float, SVBRDF, Views]  # re-rendering error, material and views of a state
@@ -145,7 +146,10 @@ class Loop:
         loss, state = self.lowest
         self.restarts.append({"iteration": self.iteration, "reason": (
             f"loss above {DIVERGED:g} times its lowest, {loss:.3g}, for {PATIENCE * EVALUATE_EVERY} iterations")})
-        self.lowest, self.rising = (loss, self._go_back(state)), 0
+        self.method.load_state(state)
+        for _ in self.restarts:  # each time by more: a step size far too large is found in a few rounds
+            self.method.cut_step()
+        self.lowest, self.rising = (loss, self.method.state()), 0
         return self.lowest[1]
 
     def _undo(self, good: dict[str, Tensor], why: str) -> dict[str, Tensor]:
@@ -153,13 +157,9 @@ class Loop:
         if len(self.undone) > MAX_UNDONE and self.iteration == 0:
             raise ConfigError("a fit that stays finite", f"{len(self.undone)} steps that did not ({why})",
                               "lower the learning rate or check the photos and their calibration")
-        return self._go_back(good)
-
-    def _go_back(self, state: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Load an earlier state; returns it with its smaller step, in case that has to be cut again."""
-        self.method.load_state(state)
+        self.method.load_state(good)
         self.method.cut_step()
-        return self.method.state()
+        return self.method.state()  # with the smaller step, in case it has to be cut again
 
     @property
     def progress(self) -> float:

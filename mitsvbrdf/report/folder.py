@@ -40,9 +40,13 @@ def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dic
         write_linear(out / "rerendered" / name, image, capture.transfer)
     method = METHODS[type(result.config).__name__]
     title = f"{capture.source.name if capture.source else 'capture'}: {method}, {result.svbrdf.bsdf}"
+    sure = confidence(result.deviations)
+    remarks = {name: f"{sure[name]['determined_share']:.0%} determined" if name in sure else "held fixed"
+               for name in result.svbrdf.maps}
     write_sheet(out / "sheet.png", result.svbrdf, capture.photos,
                 color.to_display(result.rerendered, capture.transfer), rmse=result.rerender_rmse,
-                per_photo=result.per_photo, guess=result.guess, names=capture.names, title=title)
+                per_photo=result.per_photo, guess=result.guess, names=capture.names, title=title,
+                remarks=remarks)
     loss_curve(out / "curve.svg", result.trace)
     write_scene(out, result.svbrdf, result.views)
     files.write_json(out / "fit.json", fit_record(result, capture, command or {}))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -30,7 +30,7 @@ TITLES = {"diffuse": "Diffuse", "specular": "Specular", "roughness": "Roughness"
 
 def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Tensor, *, rmse: float,
                 per_photo: Sequence[float], guess: Tensor | None = None, names: Sequence[str] | None = None,
-                title: str = "Recovered material", note: str = "") -> None:
+                title: str = "Recovered material", note: str = "", remarks: Mapping[str, str] | None = None) -> None:
     """One PNG, 1680 pixels wide: the maps, and under them each photo over its re-rendering over their difference.
 
     Colour maps are shown in sRGB, the others as they are, normals as (n + 1) / 2. At most nine photos are shown.
@@ -46,6 +46,7 @@ def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Te
         names: a name for each photo; left out: 00, 01, ...
         title: the heading.
         note: a quieter line under it, e.g. method, renderer and run time.
+        remarks: a few words beside the name of some maps, by map.
 
     Raises:
         CaptureError: photos, re-renderings, errors and names of different number or shape.
@@ -58,7 +59,8 @@ def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Te
                            f"photos {tuple(photos.shape)}, re-rendered {tuple(rerendered.shape)}, {len(per_photo)} "
                            f"errors, {len(names)} names", "give all of them for the same photos")
     shown = min(count, SHOWN)
-    tiles = [(TITLES[name], _shown(name, svbrdf[name])) for name in CHANNELS[svbrdf.bsdf]]
+    behind = {name: f"  ·  {remark}" for name, remark in (remarks or {}).items()}
+    tiles = [(TITLES[name] + behind.get(name, ""), _shown(name, svbrdf[name])) for name in CHANNELS[svbrdf.bsdf]]
     tiles += [] if guess is None else [("Guessed diffuse", _shown("diffuse", guess))]
     large, small = _side(len(tiles), LARGEST_MAP), _side(shown, LARGEST_PHOTO)
     photo_top = HEADER + LABEL + large
