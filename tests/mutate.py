@@ -38,7 +38,8 @@ MUTATIONS = [
              'maps["roughness"] * maps["roughness"]', '(maps["roughness"] * maps["roughness"]) ** 2'),
     Mutation("drop the 0.5 of the blend", "render/bsdf.py", 'maps["diffuse"] * needs.lobes', 'maps["diffuse"]'),
     Mutation("flip a row", "render/scene.py", 'held[slot]["data"] = value[::-1]', 'held[slot]["data"] = value'),
-    Mutation("swap G", "render/analytic.py", "_smith(a2, n_l) * _smith(a2, n_v)", "_smith(a2, n_l) * _smith(a2, n_l)"),
+    Mutation("swap G", "render/analytic.py", "_smith(a2, c.n_l) * _smith(a2, c.n_v)",
+             "_smith(a2, c.n_l) * _smith(a2, c.n_l)"),
     Mutation("turn use_shadowing_function on", "render/bsdf.py",
              '"use_shadowing_function": False', '"use_shadowing_function": True'),
     Mutation("stale light", "render/scene.py", 'params["light.position"] = mi.Point3f(at(light, k))',
@@ -51,7 +52,7 @@ MUTATIONS = [
              '__import__("drjit").maximum(maps["roughness"] * maps["roughness"], 0.05)'),
     Mutation("gamma in the wrong place", "render/texels.py", "radiance = value *", "radiance = value ** (1 / 2.2) *"),
     Mutation("cancelling form of the distribution", "render/analytic.py",
-             "a2 * n_h**2 + _dot(across, across)", "n_h**2 * (a2 - 1) + 1"),
+             "a2 * c.n_h**2 + c.across2", "c.n_h**2 * (a2 - 1) + 1"),
 ]
 
 
