@@ -49,7 +49,8 @@ def soak(renderers: Sequence[Renderer], bsdf: Bsdf, work: str, steps: int, resol
 
     Returns:
         What ran, and ``memory`` (MiB), ``kernels`` (new ones after each was asked for twice), ``drjit`` (growth after
-        warm-up; None where it is not loaded), ``step`` (milliseconds, medians) and ``failures`` (limits missed).
+        warm-up; None where it is not loaded), ``step`` (milliseconds of a mean step of a turn, medians over the first and the
+        last tenth) and ``failures`` (limits missed).
 
     Raises:
         ConfigError: too few steps, or no ``/proc`` to read the memory from.
@@ -70,7 +71,8 @@ def soak(renderers: Sequence[Renderer], bsdf: Bsdf, work: str, steps: int, resol
         memory.append(resident())
         kernels.append(kernels_made())
     growth = {name: after - before.get(name, 0) for name, after in drjit_state().items()}
-    first, last = (statistics.median(part) * 1e3 for part in ends(seconds[warm:]))
+    turns = [statistics.mean(seconds[k:k + turn]) for k in range(warm, steps - turn + 1, turn)]
+    first, last = (statistics.median(part) * 1e3 for part in ends(turns))
     late = [step for step in range(2 * turn, steps) if kernels[step + 1] > kernels[step]]
     record = {
         "renderers": [renderer.name for renderer in renderers], "bsdf": bsdf, "work": work, "steps": steps,
@@ -115,7 +117,7 @@ def with_preview(renderer: Renderer, material: SVBRDF, views: Views) -> None:
 
 
 WORK: dict[str, Callable[[Renderer, SVBRDF, Views], None]] = {
-    "gradients": with_gradients, "images": without_gradients, "preview between": with_preview}
+    "gradients": with_gradients, "images": without_gradients, "preview": with_preview}
 
 
 def moving_views(rng: torch.Generator, apart: bool) -> Views:
@@ -160,23 +162,22 @@ def ends(values: Sequence[float]) -> tuple[Sequence[float], Sequence[float]]:
 
 
 def show(records: Sequence[dict]) -> None:
-    """The records as a table, limits missed below it."""
-    table = Table(title="soak: growth after warm-up", title_justify="left")
-    table.add_column("case")
-    for column in ("MiB/100", "MiB", "late", "pools", "vars", "ms", "drift"):
+    """The records as a table of growth after warm-up, limits missed below it."""
+    table = Table(box=None, padding=(0, 1, 0, 0))
+    table.add_column("case", no_wrap=True)
+    for column in ("MiB/100", "MiB", "late", "pools", "ms", "drift"):
         table.add_column(column, justify="right", no_wrap=True)
     for record in records:
-        memory, step, drjit = record["memory"], record["step"], record["drjit"] or {}
-        table.add_row(
-            label(record), f"{memory['slope']:+.3f}", f"{memory['last']:.0f}", str(record["kernels"]["late"]),
-            f"{drjit['pools']:+.2f}" if drjit else "–", f"{drjit['variables']:+d}" if drjit else "–", f"{step['last']:.1f}",
-            f"{step['drift']:+.0%}", style="red" if record["failures"] else None)
+        memory, step, drjit = record["memory"], record["step"], record["drjit"]
+        table.add_row(label(record), f"{memory['slope']:+.3f}", f"{memory['last']:.0f}", str(record["kernels"]["late"]),
+                      f"{drjit['pools']:+.2f}" if drjit else "–", f"{step['last']:.1f}", f"{step['drift']:+.0%}",
+                      style="red" if record["failures"] else None)
     console.print(table)
     for record in records:
         for text in record["failures"]:
             say(f"{label(record)}: {text}")
-    say("MiB/100: growth of resident memory per 100 steps; late: kernels made after each was asked for twice; pools, vars: "
-        "growth of Dr.Jit's memory (MiB) and live variables; ms: median of the last tenth, drift: against the first")
+    say("MiB/100: growth of resident memory per 100 steps; MiB: at the end; late: kernels made after each was asked for\n"
+        "twice; pools: growth of Dr.Jit's memory, MiB; ms: median step of the last tenth; drift: against the first tenth")
 
 
 def label(record: dict) -> str:
