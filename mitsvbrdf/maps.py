@@ -27,6 +27,9 @@ CHANNELS: dict[str, dict[str, int]] = {
 }
 COLOURS = ("diffuse", "specular", "base_color")
 
+UNIT = 1e-3  # how far a normal's length may be from 1
+LOWEST_Z = 1e-5  # 89.9994 degrees; 16-bit files reach 1.5e-5. Closer to the plane, float32 shading frames have no digits left
+
 # F0 of Mitsuba's `principled` dielectric part with its default `specular` = 0.5 (eta = 1.5).
 DIELECTRIC_F0 = 0.04
 
@@ -95,6 +98,13 @@ class SVBRDF:
                 if (value[..., 2] <= 0).any():
                     raise MapsError("normals with z > 0", "normals that point into the surface",
                                     "check that blue is z and the map is +Y up, tangent space")
+                length = value.norm(dim=-1)
+                if not bool(((length - 1).abs() <= UNIT).all()):
+                    raise MapsError("unit normals", f"lengths from {float(length.min()):.4g} to {float(length.max()):.4g}",
+                                    "normalise them")
+                if value[..., 2].min() < LOWEST_Z:
+                    raise MapsError(f"normals with z >= {LOWEST_Z:g}", f"z = {float(value[..., 2].min()):.3g}",
+                                    "such a texel can hardly be seen: tilt it less, or leave it out")
             elif value.min() < 0 or value.max() > 1:
                 raise MapsError(f"{name} in [0, 1]", f"[{value.min():.4g}, {value.max():.4g}]", "check its encoding")
         if self.maps["roughness"].min() <= 0:

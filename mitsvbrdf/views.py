@@ -18,6 +18,11 @@ from .errors import CaptureError, ConfigError
 
 Falloff = Literal["inverse-square", "none"]
 
+# What float32 and a traced ray can still cope with, in patch sides; beyond, a size in another unit is the likely cause. At
+# 1e12 for I / d^2 the steepest highlight (alpha 1e-4) and its gradients stay below 1e30.
+NEAREST, FARTHEST = 1e-3, 1e6
+BRIGHTEST = 1e12
+
 
 @dataclass(frozen=True)
 class View:
@@ -82,7 +87,11 @@ class Views:
         return views
 
     def check(self) -> None:
-        """Raise CaptureError unless every number is finite and physically possible."""
+        """Raise CaptureError unless every number is finite and physically possible, and all lengths go together.
+
+        Cameras and lights stand at least :data:`NEAREST` patch sides above the plane and no coordinate is above
+        :data:`FARTHEST` sides; the I / d^2 of a light at the nearest point of the patch is at most :data:`BRIGHTEST`.
+        """
         if not (self.size > 0 and torch.isfinite(torch.tensor(self.size))):
             raise CaptureError("a patch size > 0", str(self.size), "check im_size / image_size")
         for name in ("camera", "light"):
@@ -95,6 +104,23 @@ class Views:
         for row, power in enumerate(self.intensity.tolist()):
             if not all(map(_finite, power)) or min(power) < 0 or max(power) == 0:
                 raise CaptureError("a light intensity >= 0, not all 0", f"light {row} with {power}", "check light_pow")
+        self._check_scale()
+
+    def _check_scale(self) -> None:
+        """Distances beside the patch, and light beside distances: both are plain numbers, whatever the unit of length."""
+        sides = self.to(torch.float64).in_patch_sides()
+        for name in ("camera", "light"):
+            for row, position in enumerate(getattr(sides, name).tolist()):
+                if position[2] < NEAREST or max(map(abs, position)) > FARTHEST:
+                    at = ", ".join(f"{x:.3g}" for x in position)
+                    raise CaptureError(f"cameras and lights {NEAREST:g} to {FARTHEST:g} patch sides away",
+                                       f"{name} {row} at ({at}) sides", "give the patch size in the unit of the positions")
+        beside = torch.cat(((sides.light[:, :2].abs() - 0.5).clamp_min(0), sides.light[:, 2:]), dim=1)
+        brightness = sides.intensity.amax(dim=1) / beside.square().sum(dim=1)
+        if not bool((brightness <= BRIGHTEST).all()):
+            raise CaptureError(f"a light of at most {BRIGHTEST:g} times its squared distance to the patch",
+                               f"light {int(brightness.argmax())} with {float(brightness.max()):.3g}",
+                               "check light_pow and the patch size")
 
     def __len__(self) -> int:
         return self.camera.shape[0]

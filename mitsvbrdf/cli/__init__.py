@@ -42,6 +42,7 @@ from .options import (
     read_photos,
     views_of,
 )
+from .stability import stability
 
 CONFIGS: dict[str, type[FitConfig]] = {"hybrid": HybridConfig, "gan": GanConfig, "direct": DirectConfig}
 
@@ -298,8 +299,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     commands = {"fit": fit_command(_method_of(arguments)), "guess": guess, "render": render, "evaluate": evaluate,
-                "crosscheck": crosscheck, "leave-out": leave_out, "synth": synth, "pretrain": pretrain_command,
-                "doctor": doctor, "demo": demo}
+                "crosscheck": crosscheck, "leave-out": leave_out, "stability": stability, "synth": synth,
+                "pretrain": pretrain_command, "doctor": doctor, "demo": demo}
     if arguments == ["--version"]:
         say(f"mitsvbrdf {__version__}")
         return 0

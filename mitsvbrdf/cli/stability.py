@@ -1,0 +1,82 @@
+"""``mitsvbrdf stability``: the renderers at the ends of every range, as tables, JSON, a page and Markdown."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from typing import Annotated, Literal
+
+from rich.box import SIMPLE_HEAD
+from rich.table import Table
+from tyro.conf import arg
+
+from .. import files
+from ..errors import ConfigError
+from ..progress import console, say
+from ..render import make_renderer
+from .crosscheck import RENDERERS, _progress
+from .options import Variant
+
+Sweep = Literal["roughness", "tilt", "distance", "colour", "intensity", "clipped", "flat", "resolution", "views", "stiff"]
+COLOURS = {"exact": "green", "clamped": "dim", "degraded": "yellow", "limited": "yellow", "refused": "dim",
+           "wrong": "bold red", "not finite": "bold red"}
+
+
+def stability(
+    renderer: Annotated[Literal["all", "analytic", "mitsuba", "mitsuba-scene"], arg(help="What to examine.")] = "all",
+    only: Annotated[tuple[Sweep, ...], arg(help="Some sweeps alone.")] = (),
+    json_file: Annotated[Path | None, arg(name="json", help="Write all figures to this file.")] = None,
+    html_file: Annotated[Path | None, arg(name="html", help="Write a page with verdicts, figures and plots.")] = None,
+    md: Annotated[Path | None, arg(help="Write the tables into this Markdown file, between its marks if it has them.")] = None,
+    variant: Variant = "llvm_ad_rgb",
+) -> int:
+    """Sweep every parameter to its ends: errors, gradients, conditioning, step sizes, and a verdict on each renderer.
+
+    About two minutes for everything. Exit code 1 when a value that is not finite came out of a public function, or a verdict
+    is worse than expected; docs/stability.md explains the verdicts and every clamp.
+    """
+    from ..evaluate.stability import SWEEPS
+    from ..evaluate.stability import stability as run
+
+    for path in (json_file, html_file, md):
+        if path and path.is_dir():
+            raise ConfigError("a file to write", f"the folder {path}", "give a name in it")
+    renderers = [make_renderer(name, variant) for name in (RENDERERS if renderer == "all" else (renderer,))]
+    with _progress("stability") as report:
+        record = run(renderers, only or tuple(SWEEPS), report)
+    with contextlib.suppress(BrokenPipeError):
+        for key, title in record["sweeps"].items():
+            console.print(_table(title, [row for row in record["rows"] if row["sweep"] == key], record["renderers"]))
+    if json_file:
+        files.write_json(json_file, record)
+    if html_file or md:
+        from ..report.stability import write_stability_markdown, write_stability_page
+        if html_file:
+            write_stability_page(html_file, record)
+        if md:
+            write_stability_markdown(md, record)
+    for found in record["violations"]:
+        where = ", ".join(filter(None, (found["sweep"], found["label"], found["renderer"])))
+        say(f"worse than expected: {where}: {found['what']}")
+    count = len(record["violations"])
+    say(f"{count} worse than expected" if count else "everything finite, and no verdict worse than expected")
+    return 1 if count else 0
+
+
+def _table(title: str, rows: list[dict], renderers: list[str]) -> Table:
+    """Verdict and largest error of each renderer, beside what one rounding of the normals makes; fits 80 columns."""
+    from ..report.stability import largest
+
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    table.add_column("")
+    for name in (*renderers, "rounding"):
+        table.add_column(name, justify="right", no_wrap=True)
+    for row in rows:
+        cells = [f"[{COLOURS[figures['verdict']]}]{figures['verdict']}[/]{_figure(largest(figures.get('errors', {}), None))}"
+                 for figures in row["renderers"].values()]
+        table.add_row(row["label"], *cells, _figure(largest(row["limit"], None)))
+    return table
+
+
+def _figure(value: float | None) -> str:
+    return "" if value is None else f" {value:.0e}"
