@@ -71,7 +71,7 @@ def test_resident_memory_counts_what_is_written_to():
 
 def test_a_leak_is_found():
     record = soak.soak([Leaking()], "principled", "images", 40, resolution=8)
-    assert record["memory"]["slope"] == pytest.approx(400, rel=0.25)  # MiB per 100 steps; what others free meanwhile counts against it
+    assert record["memory"]["slope"] == pytest.approx(400, rel=0.25)  # less what is freed meanwhile
     (failure,) = record["failures"]
     assert "MiB per 100 steps, limit 0.5" in failure
 
