@@ -78,8 +78,9 @@ def scene_needs(svbrdf: SVBRDF, views: Views, renderer: str) -> Needs:
         if specular and not coloured:
             left_out.append(("colour of the specular map", "its three channels are one"))
         if specular and not curve:
-            left_out.append(("Fresnel curve", f"camera and light at most {angle:.2g} degrees from the half vector: F = F0 "
-                                              "within 1e-6"))
+            together = "in one place: F = F0"
+            near = f"at most {angle:.2g} degrees from the half vector: F = F0 within 1e-6"
+            left_out.append(("Fresnel curve", f"camera and light {near if angle > 1e-6 else together}"))
     else:
         metallic = not _is_zero(svbrdf["metallic"])
         if not metallic:
