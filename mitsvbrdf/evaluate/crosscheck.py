@@ -16,6 +16,7 @@ from torch import Tensor
 from .. import color
 from ..maps import SVBRDF, Bsdf
 from ..metrics import error_statistics, flip, gradient_error, relative_error
+from ..provenance import machine, versions
 from ..render import Renderer, make_renderer
 from ..render.needs import scene_needs
 from ..views import Views
@@ -54,8 +55,6 @@ def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequen
     Returns:
         A record for JSON, without NaN; docs/evaluation.md explains each field.
     """
-    from ..report.folder import machine, versions
-
     names = list(names or (f"{i:02d}" for i in range(len(views))))
     twin, found, jobs = make_renderer("analytic64"), [], {}
     pairs = [(name, bsdf) for name in svbrdf_by_name for bsdf in bsdfs]

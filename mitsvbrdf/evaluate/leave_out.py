@@ -18,9 +18,9 @@ from ..fit.config import HybridConfig
 from ..maps import SVBRDF
 from ..metrics import image_error
 from ..procedural import make_material
+from ..provenance import machine, versions
 from ..render import make_renderer
 from ..render.needs import Needs, scene_needs
-from ..report.folder import machine, versions
 from ..views import Views, nine_view_grid
 from .measure import fixed_cotangent, side_by_side
 

@@ -27,8 +27,8 @@ from ..maps import SVBRDF
 from ..metrics import map_rmse
 from ..procedural import GOLD, make_material
 from ..progress import Progress, say
+from ..provenance import machine, versions
 from ..render import Renderer, RendererName, make_renderer
-from ..report.folder import machine, versions
 from ..views import Views, nine_view_grid
 
 NOISE = 0.003  # of the made photos, linear

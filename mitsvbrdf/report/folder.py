@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.metadata
-import os
-import platform
 from dataclasses import asdict
 from pathlib import Path
 
@@ -15,6 +12,7 @@ from ..capture import Capture
 from ..fit.confidence import confidence
 from ..fit.result import FitResult
 from ..maps import save_maps
+from ..provenance import machine, versions
 from .export import write_scene
 from .sheet import loss_curve, write_sheet
 
@@ -85,20 +83,3 @@ def fit_record(result: FitResult, capture: Capture, command: dict) -> dict:
         "machine": machine(),
         "trace": result.trace,
     }
-
-
-def machine() -> dict[str, str | int | None]:
-    """What a run time depends on: system, kind of CPU, cores, and the libLLVM in use."""
-    return {"system": platform.system(), "cpu": platform.machine(), "cores": os.cpu_count(),
-            "libllvm": os.path.basename(os.environ.get("DRJIT_LIBLLVM_PATH", "")) or None}
-
-
-def versions() -> dict[str, str | None]:
-    """Versions of Python and of the packages that a result depends on."""
-    found: dict[str, str | None] = {"python": platform.python_version()}
-    for name in ("mitsvbrdf", "mitsuba", "drjit", "torch", "numpy", "opencv-contrib-python-headless", "OpenEXR"):
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            found[name] = None
-    return found

@@ -12,6 +12,7 @@ from ... import color
 from ...errors import MitsvbrdfError
 from ...fit.losses import photometric
 from ...metrics import image_error
+from ...provenance import machine, versions
 from ...render import Renderer, make_renderer
 from ..limits import ROUNDING, float32_limit
 from ..measure import Measured, fixed_cotangent, render_and_gradients
@@ -40,8 +41,6 @@ def stability(renderers: Sequence[Renderer], sweeps: Sequence[str] = tuple(SWEEP
     Returns:
         A record for JSON, without NaN; docs/stability.md explains it. ``violations`` says what came out worse than expected.
     """
-    from ...report.folder import machine, versions
-
     cases = [case for key in sweeps for case in SWEEPS[key][1]()]
     rows = []
     for number, case in enumerate(cases):
