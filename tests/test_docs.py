@@ -12,6 +12,10 @@ ROOT = Path(__file__).parents[1]
 SHORTER = [(r"--budget \d+", "--iterations 3"), (r"budget=\d+", "iterations=3"), (r"resolution=\d+", "resolution=32")]
 
 
+QUICK = {"crosscheck": ["--repeats", "1", "--bsdf", "roughconductor"], "leave-out": ["--resolution", "16", "--repeats", "1"],
+         "stability": ["--only", "clipped", "--renderer", "analytic"]}
+
+
 def shortened(text):
     for long, short in SHORTER:
         text = re.sub(long, short, text)
@@ -34,8 +38,7 @@ def test_readme_commands(tmp_path, monkeypatch):
             arguments += ["--resolution", "32"]
         if arguments[0] == "fit" and "--iterations" not in arguments:
             arguments += ["--iterations", "3"]
-        if arguments[0] == "crosscheck":
-            arguments += ["--repeats", "1", "--bsdf", "roughconductor"]
+        arguments += QUICK.get(arguments[0], [])
         assert cli.main(arguments) == 0, line
 
 
