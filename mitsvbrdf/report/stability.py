@@ -146,9 +146,11 @@ def condition_text(row: dict) -> str:
 
 
 def step_text(row: dict) -> str:
-    """The largest step of float64, and by which factor the renderers' differ."""
+    """The largest step of float64, and by which factor the renderers' differ; a dash where it was not looked for."""
+    if not any("step" in figures for figures in row["renderers"].values()):
+        return "–"
     if row["step"] is None:
-        return "–" if all(figures.get("step") is None for figures in row["renderers"].values()) else "∞"
+        return "∞"
     factors = sorted({figures["step"] / row["step"] for figures in row["renderers"].values() if figures.get("step")} - {1.0}
                      if row["step"] else ())
     return figure(row["step"]) + (f" (x {', '.join(f'{f:g}' for f in factors)})" if factors else "")
