@@ -93,7 +93,7 @@ def measured(case: Case, renderers: Sequence[Renderer]) -> dict:
         limit = _limit(twin, case, exact, cotangent)
         about |= {"condition": condition(jacobian(twin, case.svbrdf, case.views, _display(case))),
                   "fifty_digits": _fifty_digits(case, exact, cotangent),
-                  "functions": not_finite(case.svbrdf, case.views, exact.image, case.transfer or "gamma2.2"),
+                  "functions": not_finite(case.svbrdf, case.views, exact.image, case.encoding),
                   "step": _step(twin, case) if case.walked else None}
     found = {}
     for renderer in renderers:
@@ -106,7 +106,7 @@ def measured(case: Case, renderers: Sequence[Renderer]) -> dict:
 
 def _display(case: Case) -> Callable[[Tensor], Tensor]:
     """What a fit sees: display values, burnt out in photos whose exposure is swept."""
-    return color.encode if case.transfer is None else lambda radiance: color.to_display(radiance, case.transfer)
+    return color.encode if case.transfer is None else lambda radiance: color.to_display(radiance, case.encoding)
 
 
 def _photos(twin: Renderer, case: Case) -> Tensor | None:
@@ -114,7 +114,7 @@ def _photos(twin: Renderer, case: Case) -> Tensor | None:
     if case.transfer is None:
         return None
     with torch.no_grad():
-        return color.to_display(twin.render(disturbed(case.svbrdf), case.views), case.transfer)
+        return color.to_display(twin.render(disturbed(case.svbrdf), case.views), case.encoding)
 
 
 def _cotangent(twin: Renderer, case: Case, photos: Tensor | None) -> Tensor:
@@ -123,7 +123,7 @@ def _cotangent(twin: Renderer, case: Case, photos: Tensor | None) -> Tensor:
     with torch.no_grad():
         image = twin.render(case.svbrdf, case.views)
     image.requires_grad_()
-    return torch.autograd.grad(photometric(image, photos, case.transfer), image)[0]
+    return torch.autograd.grad(photometric(image, photos, case.encoding), image)[0]
 
 
 def _figures(renderer: Renderer, case: Case, exact: Measured, photos: Tensor | None) -> dict:
@@ -149,7 +149,7 @@ def _loss_gradients(renderer: Renderer, case: Case, photos: Tensor) -> Measured:
     """As :func:`render_and_gradients`, of the photometric loss in the renderer's own precision."""
     leaves = case.svbrdf.map(lambda t: t.detach().clone().requires_grad_())
     image = renderer.render(leaves, case.views)
-    gradients = torch.autograd.grad(photometric(image, photos.to(image), case.transfer), list(leaves.maps.values()))
+    gradients = torch.autograd.grad(photometric(image, photos.to(image), case.encoding), list(leaves.maps.values()))
     return Measured(image.detach(), dict(zip(leaves.maps, gradients)), 0.0, 0.0)
 
 
@@ -183,7 +183,7 @@ def _limit(twin: Renderer, case: Case, exact: Measured, cotangent: Tensor) -> di
 
 
 def _step(renderer: Renderer, case: Case, first: float | None = None) -> float | None:
-    return _finite(largest_step(renderer, case.svbrdf, case.views, case.transfer or "gamma2.2", first))
+    return _finite(largest_step(renderer, case.svbrdf, case.views, case.encoding, first))
 
 
 def _fifty_digits(case: Case, exact: Measured, cotangent: Tensor) -> dict[str, float]:

@@ -72,6 +72,11 @@ class Case:
     known: Known = field(default_factory=dict)
 
     @property
+    def encoding(self) -> color.Transfer:
+        """The transfer function of its photos."""
+        return self.transfer or "gamma2.2"
+
+    @property
     def small(self) -> bool:
         """Whether conditioning and fifty digits are looked at too."""
         return self.svbrdf.resolution <= SMALL
