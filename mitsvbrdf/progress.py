@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 import sys
 import time
+from collections.abc import Callable, Iterator
 
+import rich.progress
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
@@ -49,6 +51,27 @@ class Progress:
         elif now - self.last > 10 or share >= 1:
             self.last = now
             say(line)
+
+
+@contextlib.contextmanager
+def progress_bar(title: str) -> Iterator[Callable[[str, float], None]]:
+    """What to tell (text, share done): a bar on a terminal, else a line every ten seconds."""
+    if sys.stdout.isatty():
+        columns = rich.progress.TextColumn("{task.description}"), rich.progress.BarColumn(), rich.progress.TaskProgressColumn()
+        with rich.progress.Progress(*columns, console=console, transient=True) as bar:
+            task = bar.add_task(title, total=1.0)
+            yield lambda text, share: bar.update(task, description=f"{title}: {text}", completed=share)
+        return
+    last = time.perf_counter()
+
+    def line(text: str, share: float) -> None:
+        nonlocal last
+        if time.perf_counter() - last > 10:
+            last = time.perf_counter()
+            say(f"{share:4.0%}  {text}")
+
+    say(title)
+    yield line
 
 
 def say(text: str) -> None:

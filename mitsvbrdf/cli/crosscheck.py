@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import os
-import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
 from rich.box import SIMPLE_HEAD
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 from rich.table import Table
 from tyro.conf import Positional, arg
 
 from .. import files
 from ..errors import ConfigError
 from ..maps import CHANNELS
-from ..progress import console, say
+from ..progress import console, progress_bar, say
 from ..render import make_renderer
 from .options import Variant, ViewSource, material_of, views_of
 
@@ -52,7 +49,7 @@ def crosscheck(
     bsdfs = list(CHANNELS) if bsdf == "all" else [bsdf]
     renderers = [make_renderer(name, variant) for name in (RENDERERS if renderer == "all" else (renderer,))]
     error_maps: dict = {}
-    with _progress("crosscheck") as report:
+    with progress_bar("crosscheck") as report:
         record = checks.crosscheck(materials, lit, bsdfs, renderers, repeats, names=names, transfer=transfer,
                                    error_maps=error_maps, report=report,
                                    command={"maps": maps, "views": views, "resolution": resolution, "variant": variant})
@@ -102,27 +99,6 @@ def _with_offset(views, offset: tuple[float, float] | None):
     if offset:
         say(f"with the flash offset of the fit, ({offset[0]:.3f}, {offset[1]:.3f}) patch sides")
     return shift_lights(views, offset)
-
-
-@contextlib.contextmanager
-def _progress(title: str) -> Iterator[Callable[[str, float], None]]:
-    """What to tell (text, share done): a bar on a terminal, else a line every ten seconds."""
-    if sys.stdout.isatty():
-        columns = TextColumn("{task.description}"), BarColumn(), TaskProgressColumn()
-        with Progress(*columns, console=console, transient=True) as bar:
-            task = bar.add_task(title, total=1.0)
-            yield lambda text, share: bar.update(task, description=f"{title}: {text}", completed=share)
-        return
-    last = time.perf_counter()
-
-    def line(text: str, share: float) -> None:
-        nonlocal last
-        if time.perf_counter() - last > 10:
-            last = time.perf_counter()
-            say(f"{share:4.0%}  {text}")
-
-    say(title)
-    yield line
 
 
 def _print(record: dict) -> None:

@@ -12,9 +12,9 @@ from tyro.conf import arg
 
 from .. import files
 from ..errors import ConfigError
-from ..progress import console, say
+from ..progress import console, progress_bar, say
 from ..render import make_renderer
-from .crosscheck import RENDERERS, _progress
+from .crosscheck import RENDERERS
 from .options import Variant
 
 Sweep = Literal["roughness", "tilt", "distance", "colour", "intensity", "clipped", "flat", "resolution", "views", "stiff"]
@@ -42,7 +42,7 @@ def stability(
         if path and path.is_dir():
             raise ConfigError("a file to write", f"the folder {path}", "give a name in it")
     renderers = [make_renderer(name, variant) for name in (RENDERERS if renderer == "all" else (renderer,))]
-    with _progress("stability") as report:
+    with progress_bar("stability") as report:
         record = run(renderers, only or tuple(SWEEPS), report)
     with contextlib.suppress(BrokenPipeError):
         for key, title in record["sweeps"].items():

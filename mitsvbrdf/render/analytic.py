@@ -123,17 +123,17 @@ def _fresnel(f0: Tensor, cosine: Tensor) -> Tensor:
 
     With a = 1 - s, b = 1 + s and g = sqrt(4 s + a^2 c^2) the two amplitudes r_s = (a c - g) / (a c + g) and
     r_p = (b^2 c - a g) / (b^2 c + a g) both carry a factor 4 s, taken out here: what is left has no difference of equal
-    numbers, at F0 = 0 or at 1. By the index itself F lost 6e-8 / F0 of its digits. F0 is cut as it is for Mitsuba, which
-    needs the index.
+    numbers, at F0 = 0 or at 1. By the index itself F lost 6e-8 / F0 of its digits. Beyond F0_RANGE F is proportional to
+    F0, as it is for Mitsuba, which needs the index.
     """
     low, high = F0_RANGE
-    f0 = torch.where(f0 > low, torch.where(f0 < high, f0, high), low)  # slope 0 at the ends themselves, in any precision
-    s = f0.sqrt()
-    a, b2 = (1 - f0) / (1 + s), (1 + s) ** 2
+    cut = torch.where(f0 > low, torch.where(f0 < high, f0, high), low)  # slope 0 at the ends themselves, in any precision
+    s = cut.sqrt()
+    a, b2 = (1 - cut) / (1 + s), (1 + s) ** 2
     ac = a * cosine
     g = torch.sqrt(4 * s + ac**2)
     s_wave = 1 / (ac + g) ** 2
-    p_wave = (2 * cosine**2 * (1 + f0) - a**2) / (b2 * cosine + a * g) ** 2
+    p_wave = (2 * cosine**2 * (1 + cut) - a**2) / (b2 * cosine + a * g) ** 2
     return 8 * f0 * (s_wave**2 + p_wave**2)
 
 

@@ -17,23 +17,23 @@ MIN_ALPHA_PRINCIPLED = 0.001  # Mitsuba's `principled` never goes below; its gra
 
 BELOW_ONE = 2.0**-24  # from 1 to the next float32 below
 
-# The refractive index grows without bound as F0 -> 1, and its slope in F0 as F0 -> 0; both ends are cut.
+# The refractive index grows without bound as F0 -> 1, and its slope in F0 as F0 -> 0; both ends are cut. Beyond them the
+# reflectance is proportional to F0: it still ends in 0, and keeps a slope.
 F0_RANGE = (1e-6, 0.999)
 
 
 def index_from_f0(f0: Any) -> Any:
-    """Real refractive index with reflectance F0 at normal incidence, (1 + sqrt F0) / (1 - sqrt F0).
-
-    Works on torch and Dr.Jit arrays. F0 is cut to :data:`F0_RANGE` (with zero slope outside).
-    """
-    low, high = F0_RANGE
-    if hasattr(f0, "clamp"):
-        f0 = f0.clamp(low, high)
-    else:
-        import drjit
-        f0 = drjit.clip(f0, low, high)
+    """Real refractive index with reflectance F0 at normal incidence, (1 + sqrt F0) / (1 - sqrt F0), F0 within its range."""
     root = f0**0.5
     return (1 + root) / (1 - root)
+
+
+def _in_range(f0: Any) -> Any:
+    """F0 cut to :data:`F0_RANGE`, zero slope outside; torch or Dr.Jit."""
+    if hasattr(f0, "clamp"):
+        return f0.clamp(*F0_RANGE)
+    import drjit
+    return drjit.clip(f0, *F0_RANGE)
 
 
 def needed_maps(svbrdf: SVBRDF, needs: Needs) -> dict[str, Tensor]:
@@ -71,10 +71,11 @@ def slot_values(bsdf: str, maps: dict[str, Any], needs: Needs) -> dict[str, Any]
         slots[f"diffuse_x{needs.lobes}"] = maps["diffuse"] * needs.lobes
     if needs.specular_lobe:
         slots["alpha"] = maps["roughness"] * maps["roughness"]
+        f0 = maps["specular"]
         if needs.fresnel_curve:
-            slots["eta"] = index_from_f0(maps["specular"])
-        else:
-            slots[f"specular_x{needs.lobes}"] = maps["specular"] * needs.lobes
+            slots["eta"] = index_from_f0(_in_range(f0))
+            f0 = f0 / _in_range(f0)
+        slots[f"specular_x{needs.lobes}"] = f0 * needs.lobes
     return slots
 
 
@@ -104,10 +105,7 @@ def _lobes(needs: Needs, texture: Callable[[str], Any]) -> dict:
     diffuse = {"type": "diffuse", "reflectance": texture(f"diffuse_x{needs.lobes}")} if needs.diffuse_lobe else None
     if not needs.specular_lobe:
         return diffuse
-    lobe = {"type": "roughconductor", "distribution": "ggx", "alpha": texture("alpha")}  # the default is Beckmann
-    if needs.fresnel_curve:
-        lobe |= {"eta": texture("eta"), "k": {"type": "uniform", "value": 0.0},
-                 "specular_reflectance": {"type": "uniform", "value": float(needs.lobes)}}
-    else:
-        lobe |= {"material": "none", "specular_reflectance": texture(f"specular_x{needs.lobes}")}
+    lobe = {"type": "roughconductor", "distribution": "ggx", "alpha": texture("alpha"),  # the default is Beckmann
+            "specular_reflectance": texture(f"specular_x{needs.lobes}")}
+    lobe |= {"eta": texture("eta"), "k": {"type": "uniform", "value": 0.0}} if needs.fresnel_curve else {"material": "none"}
     return {"type": "blendbsdf", "weight": 0.5, "diffuse": diffuse, "specular": lobe} if diffuse else lobe

@@ -55,9 +55,10 @@ CLAMPS = (
     Clamp(f"alpha >= {MIN_ALPHA['principled']:g}", "`render/bsdf.py`, `MIN_ALPHA_PRINCIPLED`; Mitsuba's `principled`",
           f"The plugin's own end, above the other. Below r = {MIN_ALPHA['principled'] ** 0.5:.4f} only the diffuse lobe still "
           "answers to roughness.", _smoother_than("principled")),
-    Clamp(f"F0 in [{F0_RANGE[0]:g}, {F0_RANGE[1]:g}]", "`render/bsdf.py`, `F0_RANGE`",
+    Clamp(f"index for F0 in [{F0_RANGE[0]:g}, {F0_RANGE[1]:g}]", "`render/bsdf.py`, `F0_RANGE`",
           "Away from the camera Mitsuba takes a refractive index, which is infinite at F0 = 1, and whose slope is infinite at "
-          "F0 = 0. Where the light is at the camera F is F0 and nothing is cut.", _index_cut),
+          "F0 = 0. Beyond these ends F is proportional to F0, and keeps a slope. Where the light is at the camera F is F0 "
+          "and nothing is cut.", _index_cut),
     Clamp("toe of gamma 2.2", "`color.py`, `TOE`",
           f"The power curve is vertical at 0. Below {TOE:g} (2/3 of an 8-bit step) it is its chord: the slope is at most 1282.",
           lambda case, radiance: case.transfer == "gamma2.2" and bool((radiance < TOE).any())),

@@ -100,12 +100,12 @@ def _smith(a2, cosine):
 def _fresnel(f0, cosine):
     """Mean of the s- and p-polarised reflectance, by refractive index and both angles."""
     low, high = map(mpf, F0_RANGE)
-    f0 = min(max(f0, low), high)
-    eta = (1 + mp.sqrt(f0)) / (1 - mp.sqrt(f0))
+    cut = min(max(f0, low), high)
+    eta = (1 + mp.sqrt(cut)) / (1 - mp.sqrt(cut))
     inside = mp.sqrt(1 - (1 - cosine**2) / eta**2)
     s = (cosine - eta * inside) / (cosine + eta * inside)
     p = (eta * cosine - inside) / (eta * cosine + inside)
-    return (s**2 + p**2) / 2
+    return f0 / cut * (s**2 + p**2) / 2
 
 
 def _dot(a: list, b: list):
