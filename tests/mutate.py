@@ -51,6 +51,8 @@ MUTATIONS = [
     Mutation("clamp alpha at 0.05", "render/bsdf.py", 'maps["roughness"] * maps["roughness"]',
              '__import__("drjit").maximum(maps["roughness"] * maps["roughness"], 0.05)'),
     Mutation("gamma in the wrong place", "render/texels.py", "radiance = value *", "radiance = value ** (1 / 2.2) *"),
+    Mutation("leave out the Fresnel curve too early", "render/needs.py", "CONSTANT_FRESNEL_DEGREES = 1.5",
+             "CONSTANT_FRESNEL_DEGREES = 12.0"),
     Mutation("cancelling form of the distribution", "render/analytic.py",
              "a2 * c.n_h**2 + c.across2", "c.n_h**2 * (a2 - 1) + 1"),
 ]

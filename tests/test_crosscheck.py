@@ -19,6 +19,7 @@ from mitsvbrdf.metrics import image_error
 from mitsvbrdf.procedural import make_material
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.report.crosscheck import write_crosscheck_page
+from mitsvbrdf.testing import random_material
 from mitsvbrdf.views import Views, nine_view_grid
 
 command = importlib.import_module("mitsvbrdf.cli.crosscheck")  # the package has the function under this name
@@ -405,3 +406,11 @@ def test_a_real_material_holds(data_folder, tmp_path):
     views = ["--views", str(data_folder / "captures/cards-blue")]
     assert cli.main(["crosscheck", str(data_folder / "materials/metal-plating"), *views, "--bsdf", "roughconductor",
                      "--resolution", "32", "--repeats", "1"]) == 0
+
+
+def test_a_metal_meets_the_tolerances():
+    # Metallic exactly 1, narrow highlights on black: nothing but the specular lobe, down to 1e-3 of the mean.
+    metal = random_material("principled", 32)
+    metal = SVBRDF("principled", {**metal.maps, "metallic": torch.ones(32, 32, 1)})
+    record = crosscheck({"metal": metal}, GRID, ["principled"], [make_renderer("mitsuba")], repeats=1)
+    assert record["violations"] == []

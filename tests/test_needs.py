@@ -6,6 +6,7 @@ from dataclasses import fields, replace
 import pytest
 import torch
 
+from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.evaluate.measure import fixed_cotangent
 from mitsvbrdf.maps import CHANNELS, SVBRDF, flat
 from mitsvbrdf.metrics import gradient_error, image_error
@@ -144,3 +145,24 @@ def test_length_of_normals_does_not_matter(name):
     svbrdf = make_material("leather", 24)
     long = SVBRDF("roughconductor", dict(svbrdf.maps) | {"normal": svbrdf["normal"] * 3})
     assert image_error(make_renderer(name).render(long, GRID), make_renderer(name).render(svbrdf, GRID))["worst"] < SAME
+
+
+@pytest.mark.parametrize("name", RENDERERS)
+def test_a_black_specular_map_keeps_the_lobe_for_a_roughness_that_wants_a_gradient(name):
+    svbrdf = lean_material("roughconductor")
+    leaf = svbrdf["roughness"].clone().requires_grad_()
+    image = make_renderer(name).render(SVBRDF("roughconductor", dict(svbrdf.maps) | {"roughness": leaf}), GRID)
+    assert torch.autograd.grad(image.sum(), leaf)[0].abs().max() == 0  # an answer, and the right one
+
+
+@pytest.mark.parametrize("name", ("mitsuba", "analytic"))
+def test_an_expanded_leaf_gets_the_gradient_of_each_channel(name):
+    leaf = torch.full((24, 24, 1), 0.3).expand(24, 24, 3).requires_grad_()
+    material = SVBRDF("roughconductor", dict(lean_material("roughconductor").maps) | {"specular": leaf})
+    gradient = torch.autograd.grad(make_renderer(name).render(material, GRID).sum(), leaf)[0]
+    assert torch.allclose(gradient[..., 0], gradient[..., 2]) and gradient.abs().min() > 0
+
+
+def test_a_scene_without_any_lobe_is_refused():
+    with pytest.raises(ConfigError, match="a lobe"):
+        Needs(diffuse_lobe=False, specular_lobe=False)

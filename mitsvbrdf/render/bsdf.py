@@ -50,7 +50,8 @@ def _with_slope(metallic: Any) -> Any:
     """Metallic as it is, but where it is exactly 1 and wants a gradient one rounding below.
 
     Mitsuba's ``principled`` skips its diffuse lobe where metallic is 1, and with it the lobe's slope in metallic: the gradient
-    was 161 instead of 70.6 for a base colour of 0.5.
+    was 161 instead of 70.6 for a base colour of 0.5. The image then holds 6e-8 of the diffuse lobe, as long as the map wants
+    a gradient.
     """
     if hasattr(metallic, "clamp"):  # a torch tensor, to be written to a file
         return metallic

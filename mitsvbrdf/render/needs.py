@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
+from ..errors import ConfigError
 from ..maps import SVBRDF
 from ..views import Views
 
-# Up to this half angle between camera and light the unpolarised Fresnel reflectance stays within 1e-6 of F0, relative:
-# it grows with the fourth power, by 0.5 theta^4 for F0 = 0.04 (3e-7) and at most by 0.85 theta^4 for F0 -> 0 (8e-7).
-CONSTANT_FRESNEL_DEGREES = 1.8
+# Up to this half angle between camera and light the unpolarised Fresnel reflectance stays within 4e-7 of F0, relative:
+# it grows with the fourth power, by 0.5 theta^4 for F0 = 0.04 (2.3e-7) and at most by 0.85 theta^4 for F0 -> 0 (4e-7).
+CONSTANT_FRESNEL_DEGREES = 1.5
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,10 @@ class Needs:
     environment: bool = True
     left_out: tuple[tuple[str, str], ...] = field(default=(), compare=False)
 
+    def __post_init__(self) -> None:
+        if not self.lobes:
+            raise ConfigError("a lobe", "neither the diffuse nor the specular one", "keep the diffuse lobe: it may be black")
+
     @property
     def lobes(self) -> int:
         """How many lobes of a ``roughconductor`` material are summed: 1 or 2."""
@@ -55,19 +59,21 @@ def scene_needs(svbrdf: SVBRDF, views: Views, renderer: str) -> Needs:
 
     A lobe, a colour or a normal map is left out where the map's values say that it changes nothing, unless the map wants a
     gradient: one at 0 has a slope. A grey specular map may want one if it is a single channel expanded to three
-    (``Tensor.expand``).
+    (``Tensor.expand``); that gradient belongs to the channel, not to the expanded tensor.
+
+    ``analytic64``, the truth of comparisons, leaves the Fresnel curve out only where camera and light are in one place.
 
     Args:
         svbrdf: the material.
         views: camera and light positions.
         renderer: name of the renderer in use.
     """
-    angle = largest_half_angle(views)
-    curve = svbrdf.bsdf == "roughconductor" and angle > CONSTANT_FRESNEL_DEGREES
+    angle = half_angle_bound(views)
+    curve = svbrdf.bsdf == "roughconductor" and angle > (0 if renderer == "analytic64" else CONSTANT_FRESNEL_DEGREES)
     diffuse = specular = coloured = metallic = True
     left_out = []
     if svbrdf.bsdf == "roughconductor":
-        specular = not _is_zero(svbrdf["specular"])
+        specular = not _is_zero(svbrdf["specular"]) or svbrdf["roughness"].requires_grad
         diffuse = not specular or not _is_zero(svbrdf["diffuse"])
         coloured = specular and not _is_grey(svbrdf["specular"])
         metallic = False
@@ -79,7 +85,7 @@ def scene_needs(svbrdf: SVBRDF, views: Views, renderer: str) -> Needs:
             left_out.append(("colour of the specular map", "its three channels are one"))
         if specular and not curve:
             together = "in one place: F = F0"
-            near = f"at most {angle:.2g} degrees from the half vector: F = F0 within 1e-6"
+            near = f"at most {angle:.2g} degrees from the half vector: F = F0 within 4e-7"
             left_out.append(("Fresnel curve", f"camera and light {near if angle > 1e-6 else together}"))
     else:
         metallic = not _is_zero(svbrdf["metallic"])
@@ -101,15 +107,19 @@ def scene_needs(svbrdf: SVBRDF, views: Views, renderer: str) -> Needs:
                  tuple(left_out))
 
 
-def largest_half_angle(views: Views) -> float:
-    """Largest angle in degrees between the half vector and the light, over views; on each the nearest patch point."""
+def half_angle_bound(views: Views) -> float:
+    """An upper bound, in degrees, of the angle between half vector and light, over all views and points of the patch.
+
+    A segment of length d, here from camera to light, looks largest from the side: at distance r it spans at most
+    2 atan(d / (2 r)). No point of the segment is nearer to the patch than its middle by more than d / 2, or than its lower end
+    is high.
+    """
     v = views.in_patch_sides().to(torch.float64)
     camera, light = v.camera.detach(), v.light.detach()
-    spots = ((camera + light) / 2).clamp(-0.5, 0.5) * torch.tensor([1.0, 1.0, 0.0])
-    camera, light = F.normalize(camera - spots, dim=-1), F.normalize(light - spots, dim=-1)
-    half = F.normalize(camera + light, dim=-1)
-    sine = torch.linalg.cross(half, light).norm(dim=-1)
-    return float(torch.rad2deg(torch.asin(sine.clamp(0, 1))).max())
+    middle, half = (camera + light) / 2, (camera - light).norm(dim=-1) / 2
+    outside = torch.cat(((middle[:, :2].abs() - 0.5).clamp_min(0), middle[:, 2:]), dim=-1)
+    nearest = torch.maximum(outside.norm(dim=-1) - half, torch.minimum(camera[:, 2], light[:, 2]))
+    return float(torch.rad2deg(torch.atan2(half, nearest)).max())
 
 
 def _is_zero(value: Tensor) -> bool:
@@ -117,7 +127,8 @@ def _is_zero(value: Tensor) -> bool:
 
 
 def _is_grey(value: Tensor) -> bool:
-    return value.stride(-1) == 0 or not value.requires_grad and bool((value == value[..., :1]).all())
+    expanded = value.stride(-1) == 0 and not (value.is_leaf and value.requires_grad)
+    return expanded or not value.requires_grad and bool((value == value[..., :1]).all())
 
 
 def _is_flat(normal: Tensor) -> bool:

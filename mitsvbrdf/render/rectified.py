@@ -37,7 +37,7 @@ def to_shading(axes: tuple[Any, Any, Any], direction: Any) -> Any:
 
 
 def register(mi) -> None:
-    """Make both known to the Mitsuba variant in use."""
+    """Make them known to the Mitsuba variant in use."""
     _register(mi.variant())
 
 

@@ -152,6 +152,7 @@ class _Traced(torch.autograd.Function):
     @staticmethod
     def backward(ctx, cotangent: Tensor):
         renderer = ctx.inputs[0]
+        mitsuba_module(renderer.variant)  # calls are traced again here, in whatever variant is set
         if ctx.recorded is None or ctx.drawn != renderer.drawn:
             ctx.recorded = _Traced._draw(*ctx.inputs, ctx.wanted)
         (leaves, images), ctx.recorded = ctx.recorded, None

@@ -22,7 +22,7 @@ gradient is never left out.
 {rows}
 
 Two results in float32 may differ by the rounding of both; the sixth column shows the largest error of each against the float64
-twin. Where the difference exceeds 1e-6 (rays, the Fresnel formula), the lean result is the closer one.
+twin.
 """
 
 

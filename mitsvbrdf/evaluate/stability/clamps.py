@@ -12,7 +12,7 @@ from ...fit.losses import CLIPPED
 from ...fit.parameters import MAX_SLOPE, ROUGHNESS_RANGE
 from ...render.analytic import MIN_ALPHA
 from ...render.bsdf import F0_RANGE
-from ...render.needs import CONSTANT_FRESNEL_DEGREES, largest_half_angle
+from ...render.needs import CONSTANT_FRESNEL_DEGREES, half_angle_bound
 from ...views import BRIGHTEST, FARTHEST, NEAREST
 from .sweeps import Case
 
@@ -41,7 +41,7 @@ def _smoother_than(bsdf: str) -> Callable[[Case, Tensor], bool]:
 
 
 def _index_cut(case: Case, radiance: Tensor) -> bool:
-    if case.svbrdf.bsdf != "roughconductor" or largest_half_angle(case.views) <= CONSTANT_FRESNEL_DEGREES:
+    if case.svbrdf.bsdf != "roughconductor" or half_angle_bound(case.views) <= CONSTANT_FRESNEL_DEGREES:
         return False
     f0 = case.svbrdf["specular"]
     return bool(((f0 < F0_RANGE[0]) | (f0 > F0_RANGE[1])).any())
@@ -69,7 +69,7 @@ CLAMPS = (
           "A texel whose normal points away from camera or light is black with gradient 0. Where n.v = 0 the radiance jumps; "
           "where n.l = 0 it does not."),
     Clamp("constant F", "`render/needs.py`, `CONSTANT_FRESNEL_DEGREES`",
-          f"Up to {CONSTANT_FRESNEL_DEGREES} degrees of half angle F is F0, which changes it by less than 1e-6."),
+          f"Up to {CONSTANT_FRESNEL_DEGREES} degrees of half angle F is F0, which changes it by less than 4e-7."),
     Clamp("D cos below 1e-20", "Mitsuba's microfacet distribution",
           "Counts as 0, with gradient 0: far below what an image shows."),
     Clamp("views that are taken", "`views.py`, `NEAREST`, `FARTHEST`, `BRIGHTEST`",

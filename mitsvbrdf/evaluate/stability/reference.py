@@ -14,7 +14,7 @@ from mpmath import mp, mpf
 from ...maps import CHANNELS, DIELECTRIC_F0, SVBRDF
 from ...render.analytic import MIN_ALPHA
 from ...render.bsdf import F0_RANGE
-from ...render.needs import CONSTANT_FRESNEL_DEGREES, largest_half_angle
+from ...render.needs import half_angle_bound
 from ...views import Views
 
 DIGITS = 50
@@ -38,7 +38,7 @@ def texel_sum(svbrdf: SVBRDF, views: Views, row: int, column: int, cotangent: li
     """
     with mp.workdps(DIGITS):
         maps = {name: [mpf(x) for x in value[row, column].tolist()] for name, value in svbrdf.maps.items()}
-        curve = largest_half_angle(views) > CONSTANT_FRESNEL_DEGREES
+        curve = half_angle_bound(views) > 0
         x, y = (mpf(2 * column + 1) / (2 * svbrdf.resolution) - mpf(1) / 2,
                 mpf(1) / 2 - mpf(2 * row + 1) / (2 * svbrdf.resolution))
 
