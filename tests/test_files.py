@@ -1,6 +1,7 @@
 """Files are replaced whole or not at all, and nothing that is not ours is touched."""
 
 import os
+from pathlib import Path
 
 import pytest
 import torch
@@ -96,6 +97,42 @@ def test_an_unfinished_run_with_a_checkpoint_is_kept(tmp_path):
         files.write_bytes(folder / "checkpoint.safetensors", b"state")
         raise ZeroDivisionError
     assert names_in(files.partial_folder(tmp_path / "out")) == ["checkpoint.safetensors"]
+
+
+def test_a_link_to_a_file_stays_a_link(tmp_path):
+    for name, target in (("there", "real/there.json"), ("missing", "real/missing.json")):
+        (tmp_path / "real").mkdir(exist_ok=True)
+        (tmp_path / name).symlink_to(target)
+        files.write_bytes(tmp_path / name, b"old")
+        files.write_bytes(tmp_path / name, b"new")
+        assert (tmp_path / name).is_symlink() and (tmp_path / target).read_bytes() == b"new"
+    assert names_in(tmp_path / "real") == ["missing.json", "there.json"]
+
+
+def test_only_files_are_replaced(tmp_path):
+    # A pipe stands for all devices: a rename would put a file in its place.
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("pipe")
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "folder").mkdir()
+    for name in ("pipe", "link", "loop", "folder"):
+        for write in (files.check_output, lambda path: files.write_bytes(path, b"new")):
+            with pytest.raises(OutputError, match="a file to write"):
+                write(tmp_path / name)
+    assert (tmp_path / "pipe").is_fifo() and names_in(tmp_path) == ["folder", "link", "loop", "pipe"]
+
+
+def test_what_cannot_be_written_is_known_before(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    bad = [tmp_path / "file/record.json", tmp_path / ("n" * 300), tmp_path / ("n" * 250)]
+    bad += [path for path in (Path("/proc/record.json"), Path("/proc/new/record.json")) if path.parents[-2].is_dir()]
+    for path in bad:
+        with pytest.raises(OutputError, match=path.name):
+            files.check_output(None, path)
+        with pytest.raises(OutputError, match=path.name):  # the check says what writing would have said
+            files.write_bytes(path, b"new")
+    files.check_output(None, tmp_path / "file", tmp_path / "a/b/new.json")
+    assert names_in(tmp_path) == ["file"] and (tmp_path / "file").read_text() == "mine"
 
 
 def test_a_write_that_fails_keeps_the_old_file(tmp_path, monkeypatch):

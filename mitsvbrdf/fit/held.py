@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -95,11 +96,10 @@ def _tensor(name: str, value: str, bsdf: str, resolution: int) -> Tensor:
     channels, numbers = CHANNELS[bsdf][name], [0.0, 0.0, 1.0] if value == "flat" else _numbers(value)
     if numbers is not None:
         return torch.tensor(numbers).expand(resolution, resolution, channels)
-    path = Path(value)
-    if not path.is_file():
+    if not os.path.isfile(value):  # unlike Path.is_file, False for a name the system refuses
         raise ConfigError(f"a number or an image file for {name}", f"{value!r}, which is neither", "check the path")
-    codes = ENCODINGS["gamma 2.2"] | read_material_json(path.parent).get("encoding", {})
-    image = read_map(path, name, channels, codes)
+    codes = ENCODINGS["gamma 2.2"] | read_material_json(Path(value).parent).get("encoding", {})
+    image = read_map(Path(value), name, channels, codes)
     # Checked and resized as a part of a material, so that both are done as for any other map.
     others: Mapping[str, Tensor] = flat(image.shape[0], bsdf).maps
     return SVBRDF(bsdf, dict(others) | {name: image}).check().resized(resolution)[name].contiguous()
