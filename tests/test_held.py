@@ -170,6 +170,26 @@ def test_losses_without_weight_or_subject_are_not_computed(settings, unused, cap
     assert {losses.NAMES[names[loss]] for loss in unused} == set(losses.NAMES.values()) & set(said)
 
 
+@pytest.mark.parametrize("config, wanted", [
+    (DirectConfig(fix=("diffuse=0.5", "normal=flat")), {"price on tilted normals"}),
+    (GanConfig(fix=("diffuse=0.5", "normal=flat")), {"diffuse loss"}),
+    (HybridConfig(fix=("diffuse=0.5", "normal=flat")), {"diffuse loss", "price on tilted normals"})])
+def test_only_losses_of_the_method_are_left_out(config, wanted, capture):
+    said = dict(left_out(capture, make_renderer("analytic"), config))
+    assert set(losses.NAMES.values()) & set(said) == wanted
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_kept_state_does_not_move(method, capture):
+    made = make_method(capture, make_renderer("analytic"), torch.full((SIDE, SIDE, 3), 0.2), config_of(method))
+    made.step(0.0)
+    kept = made.state()
+    before = {name: value.clone() for name, value in kept.items()}
+    made.step(0.0)
+    assert all(torch.equal(kept[name], before[name]) for name in before)
+    assert sum(not torch.equal(value, before[name]) for name, value in made.state().items()) > len(before) / 2
+
+
 def test_smoothness_counts_only_what_is_fitted():
     svbrdf, edges = make_material("plates", SIDE), losses.edge_weights(torch.full((SIDE, SIDE, 3), 0.2))
     roughness, specular = (float(losses.total_variation(svbrdf, edges, [held])) for held in ("specular", "roughness"))

@@ -39,8 +39,8 @@ def load_tensors(path: Path | str) -> tuple[dict[str, Tensor], dict]:
 
 
 def optimizer_state(name: str, optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
-    """An optimiser's running averages as named tensors."""
-    return {f"{name}.{i}.{key}": value for i, entry in optimizer.state_dict()["state"].items()
+    """A copy of an optimiser's running averages, as named tensors."""
+    return {f"{name}.{i}.{key}": value.clone() for i, entry in optimizer.state_dict()["state"].items()
             for key, value in entry.items()}
 
 
@@ -55,7 +55,7 @@ def load_optimizer_state(name: str, optimizer: torch.optim.Optimizer, state: dic
 
 
 def module_state(name: str, module: torch.nn.Module) -> dict[str, Tensor]:
-    """A network's weights as named tensors."""
+    """A copy of a network's weights, as named tensors."""
     return {f"{name}.{key}": value.detach().clone() for key, value in module.state_dict().items()}
 
 

@@ -55,8 +55,7 @@ class Direct:
         self.peak /= 2
 
     def state(self) -> dict[str, Tensor]:
-        return {f"raw.{k}": v.detach().clone() for k, v in self.raw.items()} | {
-            k: v.clone() for k, v in optimizer_state("optimizer", self.optimizer).items()} | {
+        return {f"raw.{k}": v.detach().clone() for k, v in self.raw.items()} | optimizer_state("optimizer", self.optimizer) | {
             "peak": torch.tensor(self.peak, dtype=torch.float64)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:

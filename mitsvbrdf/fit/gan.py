@@ -133,7 +133,7 @@ class Gan:
         for name in ("generator", "discriminator"):
             state |= module_state(name, getattr(self, name))
         for name, optimizer in self.optimizers.items():
-            state |= {key: value.clone() for key, value in optimizer_state(name, optimizer).items()}
+            state |= optimizer_state(name, optimizer)
         return state
 
     def load_state(self, state: dict[str, Tensor]) -> None:

@@ -129,7 +129,7 @@ class Hybrid:
             "peaks": torch.tensor(self.peaks, dtype=torch.float64)}
         if "adversarial" not in self.unused:
             state |= module_state("discriminator", self.discriminator) | optimizer_state("judge", self.judge)
-        return {key: value.clone() for key, value in state.items()}
+        return state
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         load_module_state("generator", self.generator, state)

@@ -20,7 +20,7 @@ ABOUT = {"diffuse": ("diffuse", "base_color", "metallic"), "smooth": ("specular"
 
 
 def unused(config, held: Collection[str]) -> dict[str, str]:
-    """The losses that a fit does not compute, and why: their weight is 0, or the maps they speak about are held fixed.
+    """The method's losses that a fit does not compute, and why: their weight is 0, or the maps they speak about are held.
 
     Args:
         config: a :class:`mitsvbrdf.fit.FitConfig`; its fields of the names in :data:`NAMES` are weights.
@@ -28,8 +28,10 @@ def unused(config, held: Collection[str]) -> dict[str, str]:
     """
     reasons = {}
     for name in NAMES:
+        if not hasattr(config, name):  # the method has no such loss
+            continue
         about = [m for m in ABOUT.get(name, ()) if m in CHANNELS[config.bsdf]]
-        if getattr(config, name, 1.0) == 0:
+        if getattr(config, name) == 0:
             reasons[name] = "its weight is 0"
         elif about and set(about) <= set(held):
             reasons[name] = f"{' and '.join(about)} held fixed"
