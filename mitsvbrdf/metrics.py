@@ -95,7 +95,7 @@ def relative_error(image: Tensor, reference: Tensor, floor: float = FLOOR) -> Te
     """(image - reference) / max(|reference|, floor mean |reference|), of the same shape, float64; see :func:`image_error`."""
     flat_image, flat_reference = _pair(image, reference)
     size = flat_reference.abs()
-    least = max(floor * float(size.mean()), torch.finfo(torch.float64).tiny)
+    least = max(floor * float(size.mean()), torch.finfo(torch.float64).tiny)  # not 0 where all is black
     return ((flat_image - flat_reference) / size.clamp_min(least)).reshape(reference.shape)
 
 

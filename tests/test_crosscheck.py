@@ -392,6 +392,14 @@ def test_command_on_a_fit(tmp_path, capsys):
     assert "all stated tolerances hold" in printed and "left out by analytic: light falloff" in printed and page.is_file()
 
 
+def test_a_black_material_has_figures_too():
+    record = crosscheck({"black": flat(8, diffuse=0.0, specular=0.0)}, GRID, BOTH,
+                        [make_renderer("analytic")], repeats=1)
+    json.dumps(record, allow_nan=False)
+    texels = [texel for c in record["configurations"] for texel in c["worst_texels"] if not texel["reference"]]
+    assert texels and all(texel["relative_error"] == 0 for texel in texels) and not record["violations"]
+
+
 @pytest.mark.parametrize("options, word", [
     (["--repeats", "0"], "--repeats"), (["--resolution", "4"], "--resolution"), (["--html", "."], "file to write"),
     (["--views", "builtin:sphere"], "builtin:grid"), (["nowhere"], "folder of maps")])

@@ -26,7 +26,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..maps import SVBRDF
-from ..metrics import FLOOR, relative_error
+from ..metrics import relative_error
 from ..render import Renderer
 from ..views import Views, texel_positions
 from .measure import Measured, render_and_gradients
@@ -126,19 +126,19 @@ def worst_texels(truth: Truth, image: Tensor, among: Tensor, count: int = 3) -> 
         among: R x R, bool: which texels to look at.
         count: how many, each texel once.
     """
-    size = torch.nan_to_num(relative_error(image, truth.image).abs(), nan=torch.inf)
-    size, channel = torch.where(among[..., None], size, -1.0).max(dim=-1)
+    error = torch.nan_to_num(relative_error(image, truth.image).abs(), nan=torch.inf)
+    size, channel = torch.where(among[..., None], error, -1.0).max(dim=-1)
     size, view = size.max(dim=0)
     found = []
     for place in size.flatten().topk(min(count, int(among.sum()))).indices.tolist():
         row, column = divmod(place, size.shape[1])
         k = int(view[row, column])
-        found.append(_texel(truth, image, k, row, column, int(channel[k, row, column])))
+        found.append(_texel(truth, image, error, (k, row, column, int(channel[k, row, column]))))
     return found
 
 
-def _texel(truth: Truth, image: Tensor, view: int, row: int, column: int, channel: int) -> dict:
-    at = (view, row, column, channel)
+def _texel(truth: Truth, image: Tensor, error: Tensor, at: tuple[int, int, int, int]) -> dict:
+    view, row, column, channel = at
     reference, mean = float(truth.image[at]), float(truth.image.abs().mean())
     value = float(image[at])
     finite = abs(value) != float("inf") and value == value
@@ -146,7 +146,7 @@ def _texel(truth: Truth, image: Tensor, view: int, row: int, column: int, channe
     texel = {
         "view": truth.names[view], "row": row, "column": column, "channel": "rgb"[channel],
         "value": value if finite else None, "reference": reference,
-        "relative_error": abs(value - reference) / max(abs(reference), FLOOR * mean) if finite else None,
+        "relative_error": float(error[at]) if finite else None,
         "share_of_mean": reference / mean if mean else 0.0, "roughness": float(truth.svbrdf["roughness"][row, column]),
         **angles,
         "specular_share": 1 - float(truth.diffuse[at]) / reference if reference else 0.0,

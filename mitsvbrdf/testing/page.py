@@ -15,7 +15,7 @@ from torch import Tensor
 
 from .. import color, files
 from ..errors import OutputError
-from ..metrics import FLOOR, flip
+from ..metrics import flip, relative_error
 from ..report.page import error_picture, png_uri, write_page
 from .running import current
 
@@ -123,10 +123,8 @@ def heat(name: str, size: Tensor) -> tuple[str, str]:
 
 
 def relative_difference(new: Tensor, reference: Tensor) -> Tensor:
-    """N x H x W: |new - reference| / max(|reference|, floor mean), of the worst channel; the floor of ``metrics``."""
-    new, reference = new.double(), reference.double()
-    least = max(FLOOR * float(reference.abs().mean()), torch.finfo(torch.float64).tiny)
-    return ((new - reference).abs() / reference.abs().clamp_min(least)).amax(dim=-1)
+    """N x H x W: size of the relative error (:func:`mitsvbrdf.metrics.relative_error`) of the worst channel."""
+    return relative_error(new, reference).abs().amax(dim=-1)
 
 
 def _marked(display: Tensor, linear: Tensor) -> Tensor:
