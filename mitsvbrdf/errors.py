@@ -6,6 +6,9 @@ message and exit code 2.
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
+
 
 class MitsvbrdfError(Exception):
     """A mistake the caller can mend.
@@ -39,3 +42,26 @@ class ConfigError(MitsvbrdfError):
 
 class BackendError(MitsvbrdfError):
     """Mitsuba, Dr.Jit or libLLVM is missing or does not work here."""
+
+
+def exit_code(command: Callable[[], int], interrupted: str = "interrupted") -> int:
+    """Run a command; mistakes and Ctrl-C become one line and an exit code, 2 and 130.
+
+    Args:
+        command: returns its own exit code.
+        interrupted: what to say after Ctrl-C.
+    """
+    try:
+        return command()
+    except MitsvbrdfError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:  # nobody reads any more: no mistake
+        raise
+    except OSError as error:
+        print(f"error: expected to read or write {error.filename or 'a file'}, got {error.strerror or error}; check the name "
+              "and your rights to it", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print(interrupted, file=sys.stderr)
+        return 130

@@ -288,6 +288,7 @@ def test_noise_that_is_no_number(tmp_path, capsys):
 def test_names_the_system_refuses(shots, tmp_path, capsys):
     fails(capsys, tmp_path, ["fit", shots, "-o", tmp_path / ("n" * 300), *FAST], "nnn")
     fails(capsys, tmp_path, ["fit", tmp_path / ("n" * 300), "-o", tmp_path / "out", *FAST], "nnn")
+    fails(capsys, tmp_path, ["fit", shots, "-o", tmp_path / "out", *FAST, "--fix", "diffuse=" + "n" * 300], "diffuse", "nnn")
 
 
 def test_unknown_builtin_and_neither_reference_nor_capture(tmp_path, capsys):
@@ -331,3 +332,28 @@ def test_help_shows_the_options_of_the_method(capsys):
         cli.main(["fit", "--method", "gan", "--help"])
     text = capsys.readouterr().out
     assert "--preset" in text and "--flash-offset" not in text
+
+
+@pytest.mark.parametrize("command", [
+    ["crosscheck", "--json"], ["crosscheck", "--html"], ["leave-out", "--json"], ["leave-out", "--md"], ["stability", "--json"],
+    ["stability", "--html"], ["stability", "--md"], ["evaluate", "builtin:tiles", "--reference", "builtin:tiles", "--json"]])
+def test_bad_outputs_are_found_before_the_work(command, tmp_path, monkeypatch, capsys):
+    for name in ("crosscheck.crosscheck", "leave_out.measure_leave_out", "stability.stability"):
+        monkeypatch.setattr(f"mitsvbrdf.evaluate.{name}", lambda *_, **__: pytest.fail("worked first"))
+    monkeypatch.setattr(cli, "material_of", lambda *_: pytest.fail("worked first"))
+    (tmp_path / "file").write_text("mine")
+    fails(capsys, tmp_path, [*command, tmp_path], "a file to write")
+    fails(capsys, tmp_path, [*command, tmp_path / "file/record"], "file/record")
+    if command[:2] == ["stability", "--md"]:
+        fails(capsys, tmp_path, [*command, tmp_path / "file"], "without them")
+
+
+@pytest.mark.parametrize("command, resumes", [("fit", True), ("crosscheck", False), ("leave-out", False), ("stability", False)])
+def test_only_a_fit_goes_on_after_ctrl_c(command, resumes, monkeypatch, capsys):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli.tyro.extras, "subcommand_cli_from_dict", interrupted)
+    assert cli.main([command]) == 130
+    said = capsys.readouterr().err
+    assert said.startswith("interrupted") and said.count("\n") == 1 and ("--resume" in said) == resumes

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import mmap
+import runpy
+import sys
 from pathlib import Path
 
 import pytest
@@ -128,6 +130,27 @@ def test_renderers_alone_then_in_turn(tmp_path, monkeypatch):
         "kernels": {"late": 0}, "step": {"last": 1.0, "drift": 0.0}, "failures": []})
     assert soak.main(renderer=("analytic", "analytic64"), bsdf=("principled",), json=tmp_path / "soak.json") == 0
     assert seen == [(1, "principled")] * 6 + [(2, "principled")] * 3
+
+
+def test_the_entry_ends_with_one_line(tmp_path, monkeypatch, capsys):
+    def entry(*options):
+        monkeypatch.setattr(sys, "argv", ["soak", "--renderer", "analytic", "--json", *map(str, options)])
+        with pytest.warns(RuntimeWarning, match="found in sys.modules"), pytest.raises(SystemExit) as ended:
+            runpy.run_module("mitsvbrdf.evaluate.soak", run_name="__main__")
+        said = capsys.readouterr().err
+        assert said.count("\n") == 1 and not list(tmp_path.iterdir())
+        return ended.value.code, said
+
+    assert entry(tmp_path, "--steps", 20)[0] == 2  # a folder: refused before any work
+    code, said = entry(tmp_path / "soak.json", "--steps", 19)
+    assert code == 2 and said.startswith("error: expected 20 steps")
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mitsvbrdf.testing.random_material", interrupted)
+    code, said = entry(tmp_path / "soak.json", "--steps", 20)
+    assert code == 130 and said.startswith("interrupted")
 
 
 def test_too_few_steps():

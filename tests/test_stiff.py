@@ -9,7 +9,7 @@ import torch
 
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture, photograph
-from mitsvbrdf.errors import ConfigError
+from mitsvbrdf.errors import ConfigError, exit_code
 from mitsvbrdf.evaluate import stiff
 from mitsvbrdf.fit import DirectConfig, GanConfig, HybridConfig, fit_svbrdf, make_method
 from mitsvbrdf.fit.confidence import UNKNOWN, _map, _numbers, confidence, deviations, jacobian
@@ -70,6 +70,25 @@ def test_the_table_and_its_record(tmp_path, monkeypatch, capsys):
     assert single["case"] == "a single photo" and single["rerender_rmse"] >= 0 and single["map_rmse"]["mean"] > 0
     assert "finite" in broken["error"]  # photos of NaN: an error that says so, not a table of NaN
     assert "a single photo, direct: one photo" in capsys.readouterr().out
+
+
+def test_ctrl_c_ends_the_table_and_keeps_what_is_finished(tmp_path, monkeypatch, capsys):
+    fits, fit = iter(range(9)), stiff.fit_svbrdf
+
+    def second_interrupted(*given, **options):
+        if next(fits) == 0:
+            return fit(*given, **options)
+        return dataclasses.replace(fit(*given, **options), stopped="interrupted")  # as the loop says after Ctrl-C
+
+    def run():
+        return stiff.main(tmp_path / "s.json", budget=0.2, resolution=SIDE, methods=("direct",), renderer="analytic")
+
+    monkeypatch.setattr(stiff, "fit_svbrdf", second_interrupted)
+    assert exit_code(run, "interrupted") == 130
+    (row,) = json.loads((tmp_path / "s.json").read_text())["rows"]
+    assert row["stopped"] == "budget" and next(fits) == 2
+    assert capsys.readouterr().err == "interrupted\n"
+    assert exit_code(lambda: stiff.main(tmp_path)) == 2 and "a file to write" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("strength", [1e-9, 1e9])

@@ -16,7 +16,7 @@ from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, UseAppend
 
 from .. import __version__, color, files
 from ..capture import guess_diffuse, photograph, write_capture
-from ..errors import ConfigError, MitsvbrdfError
+from ..errors import ConfigError, exit_code
 from ..fit import fit_svbrdf, left_out, pretrain
 from ..fit.checkpoint import load_tensors
 from ..fit.confidence import confidence
@@ -185,6 +185,7 @@ def evaluate(maps: Positional[Material],
 
     if (reference is None) == (capture is None):
         raise ConfigError("either --reference or --capture", "both" if reference else "neither", "give one of them")
+    files.check_output(json_file)
     svbrdf = material_of(maps)
     if reference is not None:
         found = map_rmse(svbrdf, material_of(reference)) if reference.startswith("builtin:") else evaluate_maps(
@@ -238,6 +239,7 @@ def pretrain_command(picture: Positional[Photos], out: Out, config: UseAppendAct
     config.check()
     if out.is_dir() or out.exists() and not overwrite:
         raise ConfigError("a new checkpoint file", f"{out}, which exists", "add --overwrite, or choose another name")
+    files.check_output(out)
     shots = read_photos(picture, resolution, None, "auto", falloff)
     engine = make_renderer(renderer, variant)
     with Progress(f"pretrain · {engine.name}") as progress:
@@ -304,21 +306,9 @@ def main(arguments: list[str] | None = None) -> int:
     if arguments == ["--version"]:
         say(f"mitsvbrdf {__version__}")
         return 0
-    try:
-        return tyro.extras.subcommand_cli_from_dict(
+    return exit_code(
+        lambda: tyro.extras.subcommand_cli_from_dict(
             commands, prog="mitsvbrdf", args=arguments, config=(FlagCreatePairsOff,),
             description="Recover the maps of a material (diffuse, specular, roughness, normal) from a few flash photos, "
-                        "fitted through Mitsuba 3, without any training data.")
-    except MitsvbrdfError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except BrokenPipeError:
-        raise
-    except OSError as error:
-        print(f"error: expected to read or write {error.filename or 'a file'}, got {error.strerror or error}; check the name "
-              "and your rights to it", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("interrupted; an unfinished fit goes on with --resume", file=sys.stderr)
-        return 130
-
+                        "fitted through Mitsuba 3, without any training data."),
+        "interrupted; an unfinished fit goes on with --resume" if arguments[:1] == ["fit"] else "interrupted")

@@ -42,7 +42,8 @@ def crosscheck(
     """
     from ..evaluate import crosscheck as checks
 
-    _check_options(repeats, resolution, json_file, html_file)
+    _check_options(repeats, resolution)
+    files.check_output(json_file, html_file)
     materials, falloff, offset, transfer = _materials(maps, resolution)
     names, lit = views_of(views, falloff)
     lit = _with_offset(lit, offset)
@@ -62,14 +63,11 @@ def crosscheck(
     return _verdict(record)
 
 
-def _check_options(repeats: int, resolution: int | None, *outputs: Path | None) -> None:
+def _check_options(repeats: int, resolution: int | None) -> None:
     if repeats < 1:
         raise ConfigError("--repeats of 1 or more", str(repeats), "try 5")
     if resolution is not None and resolution < 8:
         raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
-    for path in outputs:
-        if path and path.is_dir():
-            raise ConfigError("a file to write", f"the folder {path}", "give a name in it")
 
 
 def _materials(maps: str | None, resolution: int | None):

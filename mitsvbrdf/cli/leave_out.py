@@ -28,6 +28,7 @@ def leave_out(resolution: Annotated[int, arg(help="Side of the maps in texels.")
 
     if resolution < 8 or repeats < 1:
         raise ConfigError("--resolution of 8 or more and --repeats of 1 or more", f"{resolution} and {repeats}", "try 64 and 3")
+    files.check_output(json_file, md)
     record = measure_leave_out(resolution, repeats, lambda what: say(f"measuring: {what}"))
     table = Table(title="Left out: largest relative difference, median seconds forward and backward", title_justify="left")
     for heading in ("what", "where", "difference", "full", "lean", "full / lean"):

@@ -11,7 +11,6 @@ from rich.table import Table
 from tyro.conf import arg
 
 from .. import files
-from ..errors import ConfigError
 from ..progress import console, progress_bar, say
 from ..render import make_renderer
 from .crosscheck import RENDERERS
@@ -38,9 +37,10 @@ def stability(
     from ..evaluate.stability import SWEEPS
     from ..evaluate.stability import stability as run
 
-    for path in (json_file, html_file, md):
-        if path and path.is_dir():
-            raise ConfigError("a file to write", f"the folder {path}", "give a name in it")
+    files.check_output(json_file, html_file, md)
+    if md:
+        from ..report.stability import around_tables
+        around_tables(md)  # refused now rather than after the work
     renderers = [make_renderer(name, variant) for name in (RENDERERS if renderer == "all" else (renderer,))]
     with progress_bar("stability") as report:
         record = run(renderers, only or tuple(SWEEPS), report)

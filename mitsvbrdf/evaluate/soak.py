@@ -6,6 +6,7 @@ work, prints a table and keeps the record as JSON. A fit of an hour depends on w
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import re
@@ -22,7 +23,7 @@ import tyro
 from rich.table import Table
 
 from .. import files
-from ..errors import ConfigError, MitsvbrdfError
+from ..errors import ConfigError, exit_code
 from ..maps import SVBRDF, Bsdf
 from ..progress import console, say
 from ..render import Renderer, RendererName, make_renderer
@@ -172,7 +173,8 @@ def show(records: Sequence[dict]) -> None:
         table.add_row(label(record), f"{memory['slope']:+.3f}", f"{memory['last']:.0f}", str(record["kernels"]["late"]),
                       f"{drjit['pools']:+.2f}" if drjit else "–", f"{step['last']:.1f}", f"{step['drift']:+.0%}",
                       style="red" if record["failures"] else None)
-    console.print(table)
+    with contextlib.suppress(BrokenPipeError):
+        console.print(table)
     for record in records:
         for text in record["failures"]:
             say(f"{label(record)}: {text}")
@@ -192,6 +194,7 @@ def main(steps: Annotated[int, tyro.conf.arg(help="Steps of each case.")] = 2000
          bsdf: tuple[Bsdf, ...] = ("roughconductor", "principled"),
          json: Annotated[Path, tyro.conf.arg(help="Where the record goes.")] = Path("out/soak.json")) -> int:
     """Render thousands of moving views; exit code 1 where memory grows or a kernel is made late."""
+    files.check_output(json)
     groups = [(name,) for name in renderer] + ([renderer] if len(renderer) > 1 else [])
     records = []
     for names, material, work in itertools.product(groups, bsdf, WORK):
@@ -203,8 +206,4 @@ def main(steps: Annotated[int, tyro.conf.arg(help="Steps of each case.")] = 2000
 
 
 if __name__ == "__main__":
-    try:
-        sys.exit(tyro.cli(main, prog="./run soak"))
-    except MitsvbrdfError as error:
-        print(f"error: {error}", file=sys.stderr)
-        sys.exit(2)
+    sys.exit(exit_code(lambda: tyro.cli(main, prog="./run soak"), "interrupted; the JSON file has each case that was finished"))

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from .. import files
 from ..capture import Capture, photograph
-from ..errors import MitsvbrdfError
+from ..errors import MitsvbrdfError, exit_code
 from ..fit import DirectConfig, FitConfig, GanConfig, HybridConfig, fit_svbrdf
 from ..fit.confidence import confidence
 from ..maps import SVBRDF
@@ -134,10 +134,12 @@ CASES: dict[str, Callable[[int], Case]] = {
 
 
 def run(case: Case, config: FitConfig, renderer: Renderer, title: str = "") -> dict:
-    """Fit a case and say how it ended, as numbers and texts for JSON."""
+    """Fit a case and say how it ended, as numbers and texts for JSON; Ctrl-C raises KeyboardInterrupt as elsewhere."""
     started = time.perf_counter()
     with Progress(title) as progress:
         result = fit_svbrdf(case.capture, renderer, config, report=progress)
+    if result.stopped == "interrupted":  # a fit keeps what it has; a table of fits cut short says nothing
+        raise KeyboardInterrupt
     result.svbrdf.check()  # finite and in range, or a MapsError
     return {"rerender_rmse": result.rerender_rmse, "start_rmse": result.trace[0]["rerender_rmse"],
             "map_rmse": map_rmse(result.svbrdf, case.truth) if case.truth else None,
@@ -160,6 +162,7 @@ def main(json: Annotated[Path, tyro.conf.arg(metavar="FILE", help="Where the rec
          methods: Annotated[tuple[Method, ...], tyro.conf.arg(help="Which methods.")] = ("hybrid", "direct", "gan"),
          renderer: RendererName = "mitsuba", seed: int = 0) -> int:
     """Fit what is hard to fit, and see how it ends; 1 if a fit fails."""
+    files.check_output(json)
     engine, rows, failed = make_renderer(renderer), [], 0
     for name, make in CASES.items():
         case = make(resolution)
@@ -171,17 +174,18 @@ def main(json: Annotated[Path, tyro.conf.arg(metavar="FILE", help="Where the rec
                 row |= {"error": str(error)}
                 failed += 1
             rows.append(row)
+            files.write_json(json, {"schema_version": 1, "budget": budget, "resolution": resolution, "renderer": renderer,
+                                    "seed": seed, "rows": rows, "machine": machine(), "versions": versions()})
     say(f"{'case':27} {'method':6}  {'error':6}  {'maps':>5}  undone  restarts  seconds  sure: d s r n         warnings")
     for row in rows:
         say(f"{row['case']:27} {row['method']:6}  {row['error']}" if "error" in row else line(row["case"], row["method"], row))
     for row in rows:
         for warning in row.get("warnings", ()):
             say(f"{row['case']}, {row['method']}: {warning}")
-    files.write_json(json, {"schema_version": 1, "budget": budget, "resolution": resolution, "renderer": renderer,
-                            "seed": seed, "rows": rows, "machine": machine(), "versions": versions()})
     say(f"wrote {json}")
     return 1 if failed else 0
 
 
 if __name__ == "__main__":
-    sys.exit(tyro.cli(main, prog="python -m mitsvbrdf.evaluate.stiff"))
+    sys.exit(exit_code(lambda: tyro.cli(main, prog="python -m mitsvbrdf.evaluate.stiff"),
+                       "interrupted; the JSON file has each fit that was finished"))

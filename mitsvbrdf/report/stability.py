@@ -80,11 +80,25 @@ def write_stability_markdown(path: str | Path, record: dict) -> None:
     Raises:
         OutputError: the file is there but has no marks, or cannot be written.
     """
-    path, text = Path(path), "\n".join([BEGIN, *_markdown(record), END])
-    old = path.read_text(encoding="utf-8") if path.is_file() else f"# Numerical stability\n\n{BEGIN}{END}\n"
-    if old.count(BEGIN) != 1 or old.count(END) != 1 or old.index(BEGIN) > old.index(END):
+    before, after = around_tables(path)
+    text = "\n".join([BEGIN, *_markdown(record), END])
+    files.write_bytes(Path(path), (before + text + after).encode(errors="surrogateescape"))
+
+
+def around_tables(path: str | Path) -> tuple[str, str]:
+    """What stands before and after the two marks in a Markdown file; a title and nothing where there is no file.
+
+    Raises:
+        OutputError: the file is there but has no marks.
+    """
+    path = Path(path)
+    if not path.is_file():
+        return "# Numerical stability\n\n", "\n"
+    before, begin, rest = path.read_text(encoding="utf-8", errors="surrogateescape").partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not end or BEGIN in rest or END in before + after:
         raise OutputError(f"a file with the marks {BEGIN} and {END}", f"{path} without them", "name a new file, or put them in")
-    files.write_bytes(path, (old[:old.index(BEGIN)] + text + old[old.index(END) + len(END):]).encode())
+    return before, after
 
 
 def _markdown(record: dict) -> Iterator[str]:
