@@ -107,7 +107,7 @@ def test_an_infinite_limit_asks_for_no_gradient(report):
     undifferentiable = Wrong(image=torch.Tensor.detach)
     limits = {"image_mean": 1e-5, "image_p999": 1e-4}
     assert_renderers_agree(flat(8), TWO, [undifferentiable], gradients=math.inf, **limits)
-    with pytest.raises(RuntimeError, match="does not require grad"):
+    with pytest.raises(ConfigError, match="gradients=math.inf"):
         assert_renderers_agree(flat(8), TWO, [undifferentiable], gradients=1.0, **limits)
 
 
@@ -260,6 +260,18 @@ def test_a_spoilt_golden_file_is_an_error_not_a_match(accepted):
     assert "expected a golden EXR file" in accepted.run("-k", "picture", failed=1, deselected=2)
 
 
+@pytest.mark.parametrize("channels", [("R", "B"), ("G",), ("normal.R", "normal.G")])
+def test_a_golden_file_without_all_channels_is_an_error_until_it_is_replaced(accepted, channels):
+    import OpenEXR
+
+    part = {name: torch.zeros(4, 4).numpy() for name in channels}
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, part).write(str(accepted.golden / "grey.exr"))
+    said = accepted.run("-k", "picture", failed=1, deselected=2)
+    assert "expected a golden EXR file" in said and f"channels {sorted(channels)}" in said
+    accepted.run("-k", "picture", "--mitsvbrdf-update", passed=1, deselected=2)
+    accepted.run(passed=3)
+
+
 @pytest.mark.parametrize("second", ["same", "Same"])  # some file systems know no capitals
 def test_a_name_used_twice_is_an_error(suite, second):
     suite.pytester.makepyfile(test_foreign=f"""
@@ -313,7 +325,7 @@ def test_flip_may_decide_alone(suite):
     (torch.zeros(0, 4, 4, 3), "a", MapsError, "H x W x 3"),
     (torch.full((4, 4, 3), math.nan), "a", AssertionError, "not finite"),
     (torch.zeros(4, 4, 3), "../a", ConfigError, "file name"),
-    (torch.zeros(4, 4, 3), "", ConfigError, "file name")])
+    (torch.zeros(4, 4, 3), "", ConfigError, "file name"), (torch.zeros(4, 4, 3), "n" * 101, ConfigError, "100 at most")])
 def test_results_and_names_that_cannot_be_golden(result, name, error, said, report):
     with pytest.raises(error, match=said):
         assert_matches_golden(result, name)
@@ -415,6 +427,22 @@ def test_what_is_exactly_equal_or_not_a_number():
 def test_pictures_that_do_not_belong_together(image, spread, error):
     with pytest.raises(error):
         z_test(image, spread, torch.zeros(4, 4, 3))
+
+
+@pytest.mark.parametrize("bad", [-1e-9, math.nan, math.inf])
+def test_variances_that_are_none(bad):
+    one = torch.ones(4, 4, 3)
+    spoilt = torch.where(torch.arange(48).reshape(4, 4, 3) == 7, bad, one)
+    for given in ({"variance_or_passes": spoilt}, {"reference_variance": bad}, {"reference_variance": spoilt}):
+        with pytest.raises(MapsError, match="finite and not below 0"):
+            z_test(one, reference=one, **{"variance_or_passes": one} | given)
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.0, math.nan])
+def test_shares_of_outliers_that_are_none(share):
+    one = torch.ones(4, 4, 3)
+    with pytest.raises(ConfigError, match="outliers"):
+        z_test(one, one, one, outliers=share)
 
 
 def test_a_failed_z_test_says_what_and_where(report):

@@ -11,6 +11,7 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
+from ..errors import ConfigError
 from ..maps import SVBRDF
 from ..render import Renderer
 from ..views import Views
@@ -49,12 +50,18 @@ def render_and_gradients(renderer: Renderer, svbrdf: SVBRDF, views: Views, cotan
         svbrdf: the material, float32.
         views: camera and light positions.
         cotangent: N x R x R x 3; left out: :func:`fixed_cotangent`.
+
+    Raises:
+        ConfigError: the image carries no gradient.
     """
     dtype = torch.float64 if renderer.name == "analytic64" else torch.float32
     leaves = svbrdf.to(dtype).map(lambda t: t.detach().clone().requires_grad_())
     started = time.perf_counter()
     image = renderer.render(leaves, views)
     forward = time.perf_counter() - started
+    if not image.requires_grad:
+        raise ConfigError("an image that carries gradients to the maps", f"one of {renderer.name} without", "make the renderer "
+                          "differentiable, or compare the images alone (gradients=math.inf in assert_renderers_agree)")
     cotangent = (fixed_cotangent(image.shape) if cotangent is None else cotangent).to(image)
     started = time.perf_counter()
     gradients = torch.autograd.grad(image, list(leaves.maps.values()), cotangent)

@@ -63,7 +63,7 @@ def assert_renderers_agree(maps: SVBRDF, views: Views, renderers: Sequence[Rende
 
     Raises:
         AssertionError: naming renderer, image or map, figure, limit, and a page that shows where.
-        ConfigError: limits left out for a renderer that is not ours.
+        ConfigError: limits left out for a renderer that is not ours; an image without the gradients asked for.
     """
     __tracebackhide__ = True
     engines = [make_renderer(r) if isinstance(r, str) else r for r in (reference, *renderers)]

@@ -30,12 +30,13 @@ def assert_matches_golden(result: Tensor | SVBRDF, name: str, *, rtol: float = 1
                           flip: float = 1.0) -> None:
     """Fail unless a result is what it was when ``pytest --mitsvbrdf-update`` accepted it.
 
-    With that option a missing golden file is written and one that no longer matches is replaced; one that matches stays
-    as it is. Without it no golden file is ever touched.
+    With that option a missing golden file is written and one that no longer matches, or cannot be read, is replaced; one
+    that matches stays as it is. Without it no golden file is ever touched.
 
     Args:
         result: a linear picture H x W x 3, views N x H x W x 3, or a material.
-        name: of the golden file, without suffix: letters, digits, ``-``, ``_`` and ``.``; unique within the test file.
+        name: of the golden file, without suffix: letters, digits, ``-``, ``_`` and ``.``, 100 at most; unique within the
+            test file.
         rtol: a value may be off by ``atol + rtol |golden value|``. The defaults fit float32 renderers on one machine or
             another; ``math.inf`` leaves the decision to ``flip``.
         atol: see ``rtol``; linear units.
@@ -44,6 +45,7 @@ def assert_matches_golden(result: Tensor | SVBRDF, name: str, *, rtol: float = 1
     Raises:
         AssertionError: it differs, has another shape, is not finite, or there is no golden file; the message names the
             page, the new EXR file and the way to accept it.
+        MapsError: a result of another kind, or a golden file that cannot be read.
         ConfigError: a bad name, one used twice in this run, or a call outside a test.
     """
     __tracebackhide__ = True
@@ -51,7 +53,12 @@ def assert_matches_golden(result: Tensor | SVBRDF, name: str, *, rtol: float = 1
     path = _golden_path(caller, name)
     if not all(torch.isfinite(layer).all() for layer in layers.values()):
         raise AssertionError(f"{name} has values that are not finite: it was neither compared nor written")
-    golden = _read(path) if path.exists() else {}
+    try:
+        golden = _read(path) if path.exists() else {}
+    except MapsError:
+        if not caller.run.update:
+            raise
+        golden = {}
     title, figures, notes = _compared(name, layers, golden, rtol, atol, flip)
     if not title:
         return
@@ -68,8 +75,8 @@ def _golden_path(caller: Caller, name: str) -> Path:
     if caller.file is None:
         raise ConfigError("a running test", "a call outside of one, or without the pytest plugin",
                           "install mitsvbrdf, or run pytest -p mitsvbrdf.testing.plugin")
-    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]*", name):
-        raise ConfigError("a name of letters, digits, '-', '_' and '.'", repr(name), "it becomes a file name")
+    if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", name):
+        raise ConfigError("a name of letters, digits, '-', '_' and '.', 100 at most", repr(name), "it becomes a file name")
     path = caller.file.parent / "golden" / caller.file.stem / f"{name}.exr"
     user = caller.run.names.get(str(path).lower())
     if user:
@@ -146,13 +153,20 @@ def _read(path: Path) -> Layers:
     try:
         channels = OpenEXR.File(str(path), separate_channels=True).channels()
     except Exception as reason:  # OpenEXR raises plain RuntimeError and others
-        raise MapsError("a golden EXR file", f"{path}: {reason}", "fetch it anew, or accept a new one") from None
+        raise _no_golden(path, reason) from None
     layers: dict[str, dict[str, np.ndarray]] = {}
     for name, channel in channels.items():
         layer, _, letter = name.rpartition(".")
         layers.setdefault(layer, {})[letter] = channel.pixels
-    return {layer: torch.from_numpy(np.stack([parts[c] for c in ("RGB" if "R" in parts else "Y")], axis=-1))
-            for layer, parts in layers.items()}
+    try:
+        return {layer: torch.from_numpy(np.stack([parts[c] for c in ("RGB" if "R" in parts else "Y")], axis=-1))
+                for layer, parts in layers.items()}
+    except (KeyError, ValueError):  # a channel is missing, or of another size
+        raise _no_golden(path, f"channels {sorted(channels)}") from None
+
+
+def _no_golden(path: Path, reason: object) -> MapsError:
+    return MapsError("a golden EXR file", f"{path}: {reason}", "fetch it anew, or accept a new one")
 
 
 def _write(path: Path, layers: Layers) -> None:

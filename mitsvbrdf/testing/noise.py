@@ -73,11 +73,13 @@ def z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, *, refe
         outliers: share of the values that may lie outside.
 
     Raises:
-        MapsError: shapes that differ, too few passes, or an image that is not their mean.
-        ConfigError: a significance outside of (0, 1).
+        MapsError: shapes that differ, too few passes, an image that is not their mean, or a variance that is none.
+        ConfigError: a significance outside of (0, 1), or outliers outside of [0, 1).
     """
     if not 0 < significance < 1:
         raise ConfigError("a significance between 0 and 1", str(significance), "give 0.01")
+    if not 0 <= outliers < 1:
+        raise ConfigError("outliers from 0 to less than 1", str(outliers), "give the share of the values, e.g. 0.0025")
     image, reference, spread = image.double(), reference.double(), variance_or_passes.double()
     degrees = math.inf
     if spread.ndim == image.ndim + 1:
@@ -89,6 +91,10 @@ def z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, *, refe
     if image.ndim != 3 or not image.shape == reference.shape == spread.shape:
         shapes = " and ".join(str(tuple(each.shape)) for each in (image, spread, reference))
         raise MapsError("image, variance and reference of one shape H x W x C", shapes, "compare one view at a time")
+    for each in (spread, torch.as_tensor(reference_variance)):
+        if not (torch.isfinite(each) & (each >= 0)).all():
+            raise MapsError("variances that are finite and not below 0", f"{float(each.min()):.3g} to {float(each.max()):.3g}",
+                            "look at the samples they come from")
     off = image - reference
     variance = (spread + reference_variance).clamp_min((ROUNDING * float(reference.abs().mean())) ** 2)
     z = _normal_score(off / variance.sqrt(), degrees)
