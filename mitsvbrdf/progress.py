@@ -6,6 +6,7 @@ import contextlib
 import sys
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import rich.progress
 from rich.console import Console
@@ -78,6 +79,12 @@ def say(text: str) -> None:
     """A plain line; when nobody reads any more the work goes on without."""
     with contextlib.suppress(BrokenPipeError):
         print(text, flush=True)
+
+
+def say_written(*paths: Path | None) -> None:
+    """One line that names the files that were asked for; nothing where none was."""
+    if names := [str(path) for path in paths if path]:
+        say(f"wrote {', '.join(names)}")
 
 
 def print_numbers(title: str, numbers: dict[str, float]) -> None:

@@ -97,6 +97,8 @@ def main() -> int:
     parser.add_argument("--json", type=Path, help="write the verdicts to this file")
     options = parser.parse_args()
     chosen = [m for m in MUTATIONS if not options.names or any(word in m.name for word in options.names)]
+    if not chosen:
+        parser.error(f"no mutation of that name; there are: {', '.join(m.name for m in MUTATIONS)}")
     results, survivors = [], []
     for mutation in [None, *chosen]:
         with tempfile.TemporaryDirectory() as folder:

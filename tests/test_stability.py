@@ -176,13 +176,19 @@ def one_case(monkeypatch):
 def test_a_broken_renderer_is_found_out(one_case, monkeypatch, tmp_path, how, expected):
     command = importlib.import_module("mitsvbrdf.cli.stability")
     monkeypatch.setattr(command, "make_renderer", lambda name, variant: Broken(how))
-    out = [f"--{kind}={tmp_path / kind}" for kind in ("json", "html", "md")]
+    out = [f"--{kind}={tmp_path / kind}" for kind in ("json", "html")]
     assert cli.main(["stability", "--renderer", "analytic", "--only", "tilt", *out]) == 1
     record = json.loads((tmp_path / "json").read_text())
     (violation,) = record["violations"]
     assert violation["renderer"] == "analytic" and violation["what"].startswith(expected)
     assert violation["what"] in (tmp_path / "html").read_text().replace("&#39;", "'")
+    write_stability_markdown(tmp_path / "md", record)
     assert expected.split(":")[0] in (tmp_path / "md").read_text()
+
+
+def test_part_of_the_sweeps_does_not_replace_the_page_of_all(tmp_path):
+    assert cli.main(["stability", "--only", "tilt", "--md", str(tmp_path / "md")]) == 2
+    assert cli.main(["stability", "--renderer", "analytic", "--md", str(tmp_path / "md")]) == 2
 
 
 def test_an_unbroken_renderer_passes(one_case):

@@ -22,7 +22,7 @@ from ..fit.checkpoint import load_tensors
 from ..fit.confidence import confidence
 from ..fit.config import DirectConfig, FitConfig, GanConfig, GuessMethod, HybridConfig, check_seed
 from ..maps import load_maps
-from ..progress import Progress, print_numbers, say
+from ..progress import Progress, print_numbers, say, say_written
 from ..render import RendererName, make_renderer
 from ..views import Falloff
 from .crosscheck import crosscheck
@@ -205,6 +205,7 @@ def evaluate(maps: Positional[Material],
         print_numbers("Re-rendering RMSE", dict(zip(labels, found["per_photo"].values())) | {"all": found["rerender_rmse"]})
     if json_file:
         files.write_json(json_file, found)
+        say_written(json_file)
     return 0
 
 

@@ -15,7 +15,7 @@ from tyro.conf import Positional, arg
 from .. import files
 from ..errors import ConfigError
 from ..maps import CHANNELS
-from ..progress import console, progress_bar, say
+from ..progress import console, progress_bar, say, say_written
 from ..render import make_renderer
 from .options import Variant, ViewSource, material_of, views_of
 
@@ -53,13 +53,16 @@ def crosscheck(
     with progress_bar("crosscheck") as report:
         record = checks.crosscheck(materials, lit, bsdfs, renderers, repeats, names=names, transfer=transfer,
                                    error_maps=error_maps, report=report,
-                                   command={"maps": maps, "views": views, "resolution": resolution, "variant": variant})
+                                   command={"maps": maps and Path(maps).name, "views": Path(views).name,
+                                            "bsdf": bsdf, "renderer": renderer, "repeats": repeats,
+                                            "resolution": resolution, "variant": variant})
     _print(record)
     if json_file:
         files.write_json(json_file, record)
     if html_file:
         from ..report.crosscheck import write_crosscheck_page
         write_crosscheck_page(html_file, record, error_maps)
+    say_written(json_file, html_file)
     return _verdict(record)
 
 

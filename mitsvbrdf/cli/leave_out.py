@@ -10,7 +10,7 @@ from tyro.conf import arg
 
 from .. import files
 from ..errors import ConfigError
-from ..progress import console, say
+from ..progress import console, say, say_written
 
 
 def leave_out(resolution: Annotated[int, arg(help="Side of the maps in texels.")] = 256,
@@ -41,4 +41,5 @@ def leave_out(resolution: Annotated[int, arg(help="Side of the maps in texels.")
         files.write_json(json_file, record)
     if md:
         write_leave_out_markdown(md, record)
+    say_written(json_file, md)
     return 0

@@ -11,7 +11,8 @@ from rich.table import Table
 from tyro.conf import arg
 
 from .. import files
-from ..progress import console, progress_bar, say
+from ..errors import ConfigError
+from ..progress import console, progress_bar, say, say_written
 from ..render import make_renderer
 from .crosscheck import RENDERERS
 from .options import Variant
@@ -38,6 +39,9 @@ def stability(
     from ..evaluate.stability import stability as run
 
     files.check_output(json_file, html_file, md)
+    if md and (only or renderer != "all"):
+        raise ConfigError("--md with every sweep and renderer", "--only or --renderer beside it",
+                          "leave them out, or use --html: the page in the docs is replaced as a whole")
     if md:
         from ..report.stability import around_tables
         around_tables(md)  # refused now rather than after the work
@@ -47,6 +51,8 @@ def stability(
     with contextlib.suppress(BrokenPipeError):
         for key, title in record["sweeps"].items():
             console.print(_table(title, [row for row in record["rows"] if row["sweep"] == key], record["renderers"]))
+    say("Verdict, and relative L2 error of image or worst gradient, the larger; rounding: what one float32 rounding of "
+        "the normals makes. exact: image within 1e-6, gradients within 1e-5; docs/stability.md explains the rest.")
     if json_file:
         files.write_json(json_file, record)
     if html_file or md:
@@ -55,6 +61,7 @@ def stability(
             write_stability_page(html_file, record)
         if md:
             write_stability_markdown(md, record)
+    say_written(json_file, html_file, md)
     for found in record["violations"]:
         where = ", ".join(filter(None, (found["sweep"], found["label"], found["renderer"])))
         say(f"worse than expected: {where}: {found['what']}")

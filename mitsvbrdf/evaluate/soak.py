@@ -188,7 +188,7 @@ def label(record: dict) -> str:
     return f"{names[0] if len(names) == 1 else 'all in turn'}, {record['bsdf']}, {record['work']}"
 
 
-def main(steps: Annotated[int, tyro.conf.arg(help="Steps of each case.")] = 2000,
+def main(steps: Annotated[int, tyro.conf.arg(help="Steps of each case; below some 500, warm-up counts as growth.")] = 2000,
          renderer: Annotated[tuple[RendererName, ...], tyro.conf.arg(
              help="Each alone, then all in turn.")] = ("mitsuba", "mitsuba-scene", "analytic"),
          bsdf: tuple[Bsdf, ...] = ("roughconductor", "principled"),
