@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import mmap
-import runpy
 import sys
 from pathlib import Path
 
@@ -135,11 +134,9 @@ def test_renderers_alone_then_in_turn(tmp_path, monkeypatch):
 def test_the_entry_ends_with_one_line(tmp_path, monkeypatch, capsys):
     def entry(*options):
         monkeypatch.setattr(sys, "argv", ["soak", "--renderer", "analytic", "--json", *map(str, options)])
-        with pytest.warns(RuntimeWarning, match="found in sys.modules"), pytest.raises(SystemExit) as ended:
-            runpy.run_module("mitsvbrdf.evaluate.soak", run_name="__main__")
-        said = capsys.readouterr().err
+        code, said = soak.entry(), capsys.readouterr().err
         assert said.count("\n") == 1 and not list(tmp_path.iterdir())
-        return ended.value.code, said
+        return code, said
 
     assert entry(tmp_path, "--steps", 20)[0] == 2  # a folder: refused before any work
     code, said = entry(tmp_path / "soak.json", "--steps", 19)
@@ -148,7 +145,7 @@ def test_the_entry_ends_with_one_line(tmp_path, monkeypatch, capsys):
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mitsvbrdf.testing.random_material", interrupted)
+    monkeypatch.setattr(soak, "random_material", interrupted)
     code, said = entry(tmp_path / "soak.json", "--steps", 20)
     assert code == 130 and said.startswith("interrupted")
 
