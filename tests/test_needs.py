@@ -111,14 +111,14 @@ def test_full_scene_is_what_mitsubas_own_plugins_draw():
     from mitsvbrdf.render.scene import patch_scene
 
     renderer, svbrdf, view = make_renderer("mitsuba-scene", needs=Needs()), make_material("inlay", 24), GRID.pick([0])
-    mi, slots = renderer.mi, slot_values("roughconductor", dict(svbrdf.maps), Needs())
+    mi, slots = renderer.mi, slot_values("roughconductor", dict(svbrdf.maps), Needs(), stock=True)
 
     def texture(slot):
         return {"type": "bitmap", "data": mi.TensorXf(slots[slot].flip(0).contiguous().numpy()), "raw": True,
                 "filter_type": "nearest", "wrap_mode": "clamp"}
 
     x, y, z = view.light[0].tolist()
-    scene = mi.load_dict(patch_scene(mi, 24, Needs(), plugin("roughconductor", Needs(), texture)) | {
+    scene = mi.load_dict(patch_scene(mi, 24, Needs(), plugin("roughconductor", Needs(), texture, stock=True)) | {
         "integrator": {"type": "path", "max_depth": 32},
         "light": {"type": "point", "position": [x, y, z], "intensity": {"type": "rgb", "value": view.intensity[0].tolist()}}})
     scene.sensors()[0].position = type(scene.sensors()[0].position)(*view.camera[0].tolist())

@@ -15,6 +15,8 @@ from .needs import Needs
 
 MIN_ALPHA_PRINCIPLED = 0.001  # Mitsuba's `principled` never goes below; its gradient in roughness is 0 there
 
+FRESNEL = "exact_fresnel"  # the plugin of rectified.py that stands for roughconductor's own reflectance
+
 BELOW_ONE = 2.0**-24  # from 1 to the next float32 below
 
 # The refractive index grows without bound as F0 -> 1, and its slope in F0 as F0 -> 0; both ends are cut. Beyond them the
@@ -59,8 +61,10 @@ def _with_slope(metallic: Any) -> Any:
     return metallic - drjit.select(metallic == 1, BELOW_ONE, 0) if drjit.grad_enabled(metallic) else metallic
 
 
-def slot_values(bsdf: str, maps: dict[str, Any], needs: Needs) -> dict[str, Any]:
+def slot_values(bsdf: str, maps: dict[str, Any], needs: Needs, stock: bool = False) -> dict[str, Any]:
     """What the plugin's texture slots hold for these maps (torch or Dr.Jit arrays, same layout as the maps).
+
+    ``stock``: for Mitsuba's own plugins alone.
 
     Two lobes of ``roughconductor`` are summed by a ``blendbsdf`` of weight 0.5, so both carry a factor 2.
     """
@@ -73,6 +77,8 @@ def slot_values(bsdf: str, maps: dict[str, Any], needs: Needs) -> dict[str, Any]
     if needs.specular_lobe:
         slots["alpha"] = maps["roughness"] * maps["roughness"]
         f0 = maps["specular"]
+        if needs.fresnel_curve and not stock:
+            return slots | {"f0": f0}
         if needs.fresnel_curve:
             slots["eta"] = index_from_f0(_in_range(f0))
             f0 = f0 / _in_range(f0)
@@ -80,7 +86,7 @@ def slot_values(bsdf: str, maps: dict[str, Any], needs: Needs) -> dict[str, Any]
     return slots
 
 
-def plugin(bsdf: str, needs: Needs, texture: Callable[[str], Any]) -> dict:
+def plugin(bsdf: str, needs: Needs, texture: Callable[[str], Any], stock: bool = False) -> dict:
     """The Mitsuba plugin dictionary of a material.
 
     Args:
@@ -88,13 +94,14 @@ def plugin(bsdf: str, needs: Needs, texture: Callable[[str], Any]) -> dict:
         needs: which lobes to sum, whether there is a normal map, and whether reflectance follows the angle (real Fresnel
             reflectance, needed away from co-located views) or is constant.
         texture: makes the texture of a slot, by its name in :func:`slot_values`.
+        stock: of plugins that every Mitsuba has, to be written to a file.
     """
     if bsdf == "principled":
         shading = {"type": "principled", "base_color": texture("base_color"), "roughness": texture("roughness")}
         if needs.metallic:
             shading["metallic"] = texture("metallic")
     else:
-        shading = _lobes(needs, texture)
+        shading = _lobes(needs, texture, stock)
     if not needs.normal_map:
         return shading
     # Both flags default to true and would change the image: the model has no normal flipping and no extra shadowing.
@@ -102,11 +109,15 @@ def plugin(bsdf: str, needs: Needs, texture: Callable[[str], Any]) -> dict:
             "normalmap": texture("normal"), "bsdf": shading}
 
 
-def _lobes(needs: Needs, texture: Callable[[str], Any]) -> dict:
+def _lobes(needs: Needs, texture: Callable[[str], Any], stock: bool) -> dict:
     diffuse = {"type": "diffuse", "reflectance": texture(f"diffuse_x{needs.lobes}")} if needs.diffuse_lobe else None
     if not needs.specular_lobe:
         return diffuse
-    lobe = {"type": "roughconductor", "distribution": "ggx", "alpha": texture("alpha"),  # the default is Beckmann
-            "specular_reflectance": texture(f"specular_x{needs.lobes}")}
-    lobe |= {"eta": texture("eta"), "k": {"type": "uniform", "value": 0.0}} if needs.fresnel_curve else {"material": "none"}
+    lobe = {"type": "roughconductor", "distribution": "ggx", "alpha": texture("alpha")}  # the default is Beckmann
+    if needs.fresnel_curve and not stock:
+        every = {"type": "uniform", "value": float(needs.lobes)}
+        lobe = {"type": FRESNEL, "f0": texture("f0"), "lobe": lobe | {"material": "none", "specular_reflectance": every}}
+    else:
+        lobe |= {"specular_reflectance": texture(f"specular_x{needs.lobes}")}
+        lobe |= {"eta": texture("eta"), "k": {"type": "uniform", "value": 0.0}} if needs.fresnel_curve else {"material": "none"}
     return {"type": "blendbsdf", "weight": 0.5, "diffuse": diffuse, "specular": lobe} if diffuse else lobe

@@ -1,11 +1,13 @@
-"""Three Mitsuba plugins for rectified photos: the camera that takes them exactly, a normal map that keeps narrow
-highlights, and an integrator that asks no more than a scene needs. The rest of the traced scene is Mitsuba's own.
+"""Mitsuba plugins for rectified photos: the camera that takes them exactly, a normal map and a Fresnel reflectance that
+keep their digits, and an integrator that asks no more than a scene needs. The rest is Mitsuba's own.
 """
 
 from __future__ import annotations
 
 from functools import cache
 from typing import Any
+
+from .bsdf import F0_RANGE, FRESNEL
 
 ROUNDING = 2.0**-24
 CAMERA, NORMAL_MAP, INTEGRATOR = "rectified_camera", "exact_normalmap", "point_lit"
@@ -125,6 +127,50 @@ def _register(variant: str) -> None:
         def to_string(self):
             return f"ExactNormalMap[{self.shading}]"
 
+    class ExactFresnel(mi.BSDF):
+        """A specular lobe times the Fresnel reflectance of the refractive index that has F0 at normal incidence.
+
+        Mitsuba's ``roughconductor`` takes that index and subtracts numbers that agree as F0 goes to 0 or 1: it loses
+        8e-8 / F0, which on maps fitted to photos (F0 down to 1e-3) made images differ by 5e-5. Here both amplitudes have
+        their common factor taken out on paper, as in :func:`mitsvbrdf.render.analytic._fresnel`.
+        """
+
+        def __init__(self, props):
+            super().__init__(props)
+            self.f0, self.lobe = props["f0"], props["lobe"]
+            self.m_components = [self.lobe.flags(i) for i in range(self.lobe.component_count())]
+            self.m_flags = self.lobe.flags()
+
+        def _reflectance(self, si, wo, active):
+            f0, cosine = self.f0.eval(si, active), dr.dot(dr.normalize(si.wi + wo), wo)
+            cut = dr.clip(f0, *F0_RANGE)
+            s = dr.sqrt(cut)
+            a, b2 = (1 - cut) / (1 + s), dr.square(1 + s)
+            g = dr.sqrt(4 * s + dr.square(a * cosine))
+            s_wave = 1 / dr.square(a * cosine + g)
+            p_wave = (2 * dr.square(cosine) * (1 + cut) - dr.square(a)) / dr.square(b2 * cosine + a * g)
+            return 8 * f0 * (dr.square(s_wave) + dr.square(p_wave))
+
+        def eval(self, context, si, wo, active=True):
+            return self.lobe.eval(context, si, wo, active) * self._reflectance(si, wo, active)
+
+        def pdf(self, context, si, wo, active=True):
+            return self.lobe.pdf(context, si, wo, active)
+
+        def eval_pdf(self, context, si, wo, active=True):
+            return self.eval(context, si, wo, active), self.pdf(context, si, wo, active)
+
+        def sample(self, context, si, sample1, sample2, active=True):
+            sampled, weight = self.lobe.sample(context, si, sample1, sample2, active)
+            return sampled, weight * self._reflectance(si, sampled.wo, active)
+
+        def traverse(self, callback):
+            callback.put("f0", self.f0, mi.ParamFlags.Differentiable)
+            callback.put("lobe", self.lobe, mi.ParamFlags.Differentiable)
+
+        def to_string(self):
+            return f"ExactFresnel[{self.lobe}]"
+
     class PointLit(mi.SamplingIntegrator):
         """Light straight from the emitters, and after one bounce where that is asked for; no loop, so that its picture
         can be differentiated as it is.
@@ -166,4 +212,5 @@ def _register(variant: str) -> None:
 
     mi.register_sensor(CAMERA, RectifiedCamera)
     mi.register_bsdf(NORMAL_MAP, ExactNormalMap)
+    mi.register_bsdf(FRESNEL, ExactFresnel)
     mi.register_integrator(INTEGRATOR, PointLit)

@@ -75,7 +75,7 @@ class SceneRenderer:
 
         mi = self.mi
         textures: dict[str, object] = {}
-        grey = GREY if needs.coloured_specular else (*GREY, "eta", f"specular_x{needs.lobes}")
+        grey = GREY if needs.coloured_specular else (*GREY, "f0", f"specular_x{needs.lobes}")
         flat = replace(needs, normal_map=False)
 
         def texture(slot: str):

@@ -21,7 +21,7 @@ from ..views import Views
 from .bsdf import needed_maps, plugin, slot_values
 from .llvm import mitsuba_module
 from .needs import Needs, scene_needs
-from .rectified import shading_axes, to_shading
+from .rectified import register, shading_axes, to_shading
 
 VIEWS_PER_KERNEL = 9  # evaluations unrolled in one kernel; more views take several launches of at most this many
 
@@ -42,6 +42,7 @@ class TexelRenderer:
     def __init__(self, variant: str = "llvm_ad_rgb", needs: Needs | None = None) -> None:
         self.variant, self.needs = variant, needs
         self.mi = mitsuba_module(variant)
+        register(self.mi)
         self.device = "cuda" if variant.startswith("cuda") else "cpu"
         self._wrapped: dict[tuple, object] = {}
 

@@ -31,7 +31,7 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
         views: at least one view.
     """
     out, svbrdf = Path(out), svbrdf.detach().to(torch.float32)
-    slots = slot_values(svbrdf.bsdf, dict(svbrdf.maps), Needs())  # to be lit and looked at from anywhere
+    slots = slot_values(svbrdf.bsdf, dict(svbrdf.maps), Needs(), stock=True)  # to be lit and looked at from anywhere
     for slot, value in slots.items():
         files.write_exr(out / "scene" / f"{slot}.exr", value)
 
@@ -47,7 +47,7 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
     material = root.find("bsdf[@id='material']")
     material.attrib.clear()
     material.attrib.update(type="normalmap", id="material")
-    _fill(material, plugin(svbrdf.bsdf, Needs(), texture))
+    _fill(material, plugin(svbrdf.bsdf, Needs(), texture, stock=True))
     ET.indent(tree, space="    ")
     path = out / "scene.xml"
     files.write_bytes(path, ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")

@@ -56,7 +56,7 @@ CLAMPS = (
           f"The plugin's own end, above the other. Below r = {MIN_ALPHA['principled'] ** 0.5:.4f} only the diffuse lobe still "
           "answers to roughness.", _smoother_than("principled")),
     Clamp(f"index for F0 in [{F0_RANGE[0]:g}, {F0_RANGE[1]:g}]", "`render/bsdf.py`, `F0_RANGE`",
-          "Away from the camera Mitsuba takes a refractive index, which is infinite at F0 = 1, and whose slope is infinite at "
+          "Away from the camera F follows a refractive index, which is infinite at F0 = 1, and whose slope is infinite at "
           "F0 = 0. Beyond these ends F is proportional to F0, and keeps a slope. Where the light is at the camera F is F0 "
           "and nothing is cut.", _index_cut),
     Clamp("toe of gamma 2.2", "`color.py`, `TOE`",
