@@ -3,13 +3,11 @@
 import json
 
 import pytest
-import torch
 
 from mitsvbrdf import cli
 from mitsvbrdf.capture import Capture, guess_diffuse, read_capture
 from mitsvbrdf.color import encode, to_display
 from mitsvbrdf.maps import load_maps
-from mitsvbrdf.metrics import gradient_error, image_error
 from mitsvbrdf.render import make_renderer
 
 pytestmark = pytest.mark.slow
@@ -23,25 +21,16 @@ def fitted(request, data_folder, tmp_path_factory):
     return request.param, out
 
 
-@pytest.mark.parametrize("name", ["mitsuba", "mitsuba-scene"])
-def test_mitsuba_agrees_with_float64_on_fitted_maps(fitted, name, data_folder):
-    bsdf, out = fitted
-    svbrdf = load_maps(out, bsdf)
-    views = read_capture(data_folder / "captures/cards-blue", resolution=256).views
+def test_renderers_meet_every_tolerance_on_fitted_maps(fitted, data_folder):
+    # Both BSDFs, every renderer, with the flash where the fit found it.
+    capture = str(data_folder / "captures/cards-blue")
+    assert cli.main(["crosscheck", str(fitted[1]), "--views", capture, "--repeats", "1"]) == 0
 
-    def render_and_gradients(renderer, dtype):
-        leaves = svbrdf.to(dtype).map(lambda t: t.clone().requires_grad_())
-        image = renderer.render(leaves, views)
-        cotangent = torch.randn(image.shape, generator=torch.Generator().manual_seed(1)).to(image)
-        return image.detach(), torch.autograd.grad((image * cotangent).sum(), list(leaves.maps.values()))
 
-    exact, truth = render_and_gradients(make_renderer("analytic64"), torch.float64)
-    image, gradients = render_and_gradients(make_renderer(name), torch.float32)
-    figures = {"image": image_error(image, exact)["mean"]} | {
-        key: gradient_error(g, t)["relative_l2"] for key, g, t in zip(svbrdf.maps, gradients, truth)}
-    print(bsdf, name, json.dumps(figures))
-    assert figures.pop("image") <= 3e-6
-    assert max(figures.values()) <= 1e-5, figures
+def test_renderers_meet_every_tolerance_on_known_materials(data_folder):
+    capture = str(data_folder / "captures/cards-blue")
+    for folder in sorted((data_folder / "materials").iterdir()):
+        assert cli.main(["crosscheck", str(folder), "--views", capture, "--repeats", "1"]) == 0, folder.name
 
 
 def test_photos_left_out_are_predicted(fitted, data_folder, tmp_path, request):
