@@ -120,10 +120,6 @@ def _register(variant: str) -> None:
             sampled.wo = mi.Vector3f(s * wo.x + t * wo.y + n * wo.z)
             return sampled, weight
 
-        def traverse(self, callback):
-            callback.put("normals", self.normals, mi.ParamFlags.Differentiable)
-            callback.put("shading", self.shading, mi.ParamFlags.Differentiable)
-
         def to_string(self):
             return f"ExactNormalMap[{self.shading}]"
 
@@ -163,10 +159,6 @@ def _register(variant: str) -> None:
         def sample(self, context, si, sample1, sample2, active=True):
             sampled, weight = self.lobe.sample(context, si, sample1, sample2, active)
             return sampled, weight * self._reflectance(si, sampled.wo, active)
-
-        def traverse(self, callback):
-            callback.put("f0", self.f0, mi.ParamFlags.Differentiable)
-            callback.put("lobe", self.lobe, mi.ParamFlags.Differentiable)
 
         def to_string(self):
             return f"ExactFresnel[{self.lobe}]"
