@@ -178,9 +178,11 @@ def evaluate(maps: Positional[Material],
     """Measure maps: against known maps (--reference) or against photos (--capture).
 
     Map RMSE is counted as in the field: diffuse and specular gamma-encoded, roughness as stored, normal as (n + 1) / 2.
-    Re-rendering RMSE is in display values clipped to [0, 1], over all pixels and photos.
+    Re-rendering RMSE is in display values clipped to [0, 1], over all pixels and photos. Burn-in is the share of a map's
+    variance that lies as the highlights of the fit's photos do (without a fit.json: of the photos given).
     """
     from ..evaluate import evaluate_capture, evaluate_maps
+    from ..evaluate.burn_in import burn_in
     from ..metrics import map_rmse
 
     if (reference is None) == (capture is None):
@@ -203,6 +205,8 @@ def evaluate(maps: Positional[Material],
         found = evaluate_capture(svbrdf, shots, make_renderer(renderer, variant), offset)
         labels = [fit.label(shots, number) for number in shots.index]
         print_numbers("Re-rendering RMSE", dict(zip(labels, found["per_photo"].values())) | {"all": found["rerender_rmse"]})
+        found["burn_in"] = burn_in(svbrdf, fit.views or shots.views)
+        print_numbers("Burn-in (0 is best)", found["burn_in"])
     if json_file:
         files.write_json(json_file, found)
         say_written(json_file)

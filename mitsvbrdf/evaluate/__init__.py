@@ -12,7 +12,7 @@ import torch
 
 from .. import color
 from ..capture import Capture
-from ..errors import MapsError
+from ..errors import MapsError, MitsvbrdfError
 from ..fit.loop import rerender
 from ..fit.result import FitResult
 from ..maps import SVBRDF, encodings, load_maps
@@ -72,6 +72,7 @@ class Fit:
         flash_offset: (x, y) of the flash beside the lens in patch sides, or None.
         capture: name of the folder of its photos; None when unknown.
         seen: numbers of the photos it used.
+        views: theirs, as fitted; None when unknown.
     """
 
     falloff: Falloff = "inverse-square"
@@ -79,6 +80,7 @@ class Fit:
     flash_offset: tuple[float, float] | None = None
     capture: str | None = None
     seen: tuple[int, ...] = ()
+    views: Views | None = None
 
     def label(self, capture: Capture, number: int) -> str:
         """Name of a photo, and whether the fit saw it, where it was fitted to this capture."""
@@ -99,12 +101,13 @@ def fit_of(maps: str | Path) -> Fit:
         return Fit()
     try:
         record = json.loads(path.read_text())
-        offset = record["flash_offset"]
-        fit = Fit(record["views"]["falloff"], record["capture"]["transfer"],
+        offset, views = record["flash_offset"], record["views"]
+        fit = Fit(views["falloff"], record["capture"]["transfer"],
                   None if offset is None else (float(offset["x"]), float(offset["y"])),
-                  record["capture"]["name"], tuple(record["capture"]["photos"]))
-        if fit.falloff not in get_args(Falloff) or fit.transfer not in get_args(color.Transfer):
-            raise ValueError("unknown falloff or transfer")
-    except (ValueError, KeyError, TypeError) as reason:
+                  record["capture"]["name"], tuple(record["capture"]["photos"]),
+                  Views.of(views["camera"], views["light"], views["intensity"], views["size"], views["falloff"]))
+        if fit.transfer not in get_args(color.Transfer):
+            raise ValueError("unknown transfer")
+    except (ValueError, KeyError, TypeError, MitsvbrdfError) as reason:
         raise MapsError("a fit.json of this package", f"{path}: {reason!r}", "move it away to read the maps alone") from None
     return fit

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from .. import color, files
 from ..capture import Capture
+from ..evaluate.burn_in import burn_in
 from ..fit.confidence import confidence
 from ..fit.result import FitResult
 from ..maps import save_maps
@@ -66,7 +67,8 @@ def fit_record(result: FitResult, capture: Capture, command: dict) -> dict:
         "renderer": result.renderer, "variant": result.variant, "bsdf": result.svbrdf.bsdf,
         "rerender_rmse": result.rerender_rmse,
         "per_photo": dict(zip(capture.names, result.per_photo)),
-        "confidence": confidence(result.deviations), "warnings": list(result.warnings),
+        "confidence": confidence(result.deviations), "burn_in": burn_in(result.svbrdf, views),
+        "warnings": list(result.warnings),
         "stopped": result.stopped, "undone_steps": len(result.undone), "undone": list(result.undone),
         "restarts": list(result.restarts),
         "seconds": result.trace[-1]["seconds"], "iterations": result.trace[-1]["iteration"],
