@@ -69,7 +69,49 @@ class TexelRenderer:
 
         mi = self.mi
         Vector = dr.float64_array_t(mi.Vector3f)
+        shader = HeldPlugin(mi, bsdf, needs)
+
+        @dr.wrap(source="torch", target="drjit")
+        def evaluate(cameras, lights, intensities, *tensors):
+            maps = {n: _columns(mi, dr, t) for n, t in zip(names, tensors)}
+            shader.hold(maps)
+            position = texel_position(mi, dr.arange(mi.UInt32, side * side), side)
+            axes = shading_axes(Vector(maps["normal"])) if needs.normal_map else None
+
+            def local(direction):
+                return mi.Vector3f(to_shading(axes, direction) if axes else direction)
+
+            images = []
+            for k in range(cameras.shape[0]):
+                camera, light, intensity = (row(mi, rows.array, k) for rows in (cameras, lights, intensities))
+                to_light = light - position
+                distance2 = dr.squared_norm(to_light)
+                value = shader.eval(local(dr.normalize(camera - position)), local(to_light / dr.sqrt(distance2)))
+                if falloff == "none":
+                    distance2 = dr.squared_norm(light)
+                radiance = value * mi.Color3f(intensity / distance2)
+                images.append(mi.TensorXf(dr.ravel(radiance), (side, side, 3)))
+            shader.release()
+            return images
+
+        return evaluate
+
+
+class HeldPlugin:
+    """A Mitsuba plugin in its own shading frame, with the maps' values of the texel that a thread holds.
+
+    Its textures answer with these values, whatever the position.
+
+    Args:
+        mi: the ``mitsuba`` module with the variant to use.
+        bsdf: ``roughconductor`` or ``principled``.
+        needs: what to compute; the normal map is the caller's.
+    """
+
+    def __init__(self, mi, bsdf: str, needs: Needs) -> None:
+        self.mi, self.bsdf, self.needs = mi, bsdf, replace(needs, normal_map=False)
         held: dict[str, object] = {}  # slot name -> this texel's value
+        self._held = held
 
         class Held(mi.Texture):
             """A texture that answers with the value the thread holds, whatever the position."""
@@ -92,41 +134,36 @@ class TexelRenderer:
 
         name = f"held_texel_{id(held)}"
         mi.register_texture(name, Held)
-        flat = replace(needs, normal_map=False)  # the shading frame is worked out here
-        shader = mi.load_dict(plugin(bsdf, flat, lambda slot: {"type": name, "slot": slot}))
-        context = mi.BSDFContext()
+        self._plugin = mi.load_dict(plugin(bsdf, self.needs, lambda slot: {"type": name, "slot": slot}))
+        self._context = mi.BSDFContext()
 
-        @dr.wrap(source="torch", target="drjit")
-        def evaluate(cameras, lights, intensities, *tensors):
-            maps = {n: _columns(mi, dr, t) for n, t in zip(names, tensors)}
-            held.update(slot_values(bsdf, maps, flat))
-            index = dr.arange(mi.UInt32, side * side)
-            row = index // side
-            position = (Vector(index - row * side, row, 0) + 0.5) / side - 0.5
-            position = Vector(position.x, -position.y, 0)
-            axes = shading_axes(Vector(maps["normal"])) if needs.normal_map else None
+    def hold(self, maps: dict) -> None:
+        """Take these maps (Dr.Jit values, linear) for the evaluations to come; the plugin keeps them until released."""
+        self._held.update(slot_values(self.bsdf, maps, self.needs))
 
-            def local(direction):
-                return mi.Vector3f(to_shading(axes, direction) if axes else direction)
+    def release(self) -> None:
+        """Forget the maps."""
+        self._held.clear()
 
-            si = dr.zeros(mi.SurfaceInteraction3f, side * side)
-            si.n = mi.Normal3f(0, 0, 1)
-            si.sh_frame = mi.Frame3f(si.n)
-            images = []
-            for k in range(cameras.shape[0]):
-                camera, light, intensity = (_row(mi, dr, rows, k) for rows in (cameras, lights, intensities))
-                to_light = light - position
-                distance2 = dr.squared_norm(to_light)
-                si.wi = local(dr.normalize(camera - position))
-                value = shader.eval(context, si, local(to_light / dr.sqrt(distance2)))
-                if falloff == "none":
-                    distance2 = dr.squared_norm(light)
-                radiance = value * mi.Color3f(intensity / distance2)
-                images.append(mi.TensorXf(dr.ravel(radiance), (side, side, 3)))
-            held.clear()
-            return images
+    def eval(self, to_camera, to_light):
+        """BSDF times n.l for directions (Vector3f) in the shading frame."""
+        import drjit as dr
 
-        return evaluate
+        si = dr.zeros(self.mi.SurfaceInteraction3f)
+        si.n = self.mi.Normal3f(0, 0, 1)
+        si.sh_frame = self.mi.Frame3f(si.n)
+        si.wi = to_camera
+        return self._plugin.eval(self._context, si, to_light)
+
+
+def texel_position(mi, index, side: int):
+    """Centre of texel ``index`` (UInt32, row by row) on the patch of side 1: a float64 vector."""
+    import drjit as dr
+
+    Vector = dr.float64_array_t(mi.Vector3f)
+    row = index // side
+    position = (Vector(index - row * side, row, 0) + 0.5) / side - 0.5
+    return Vector(position.x, -position.y, 0)
 
 
 def _columns(mi, dr, tensor):
@@ -134,7 +171,9 @@ def _columns(mi, dr, tensor):
     return mi.Float(tensor.array) if tensor.shape[2] == 1 else dr.unravel(mi.Color3f, tensor.array)
 
 
-def _row(mi, dr, tensor, k):
-    """Row k of an N x 3 float64 tensor, as values that may change without compiling a new kernel."""
-    return dr.float64_array_t(mi.Vector3f)(*(dr.gather(dr.float64_array_t(mi.Float), tensor.array, mi.UInt32(3 * k + axis))
+def row(mi, array, k):
+    """Row k of N x 3 float64 numbers, as values that may change without compiling a new kernel."""
+    import drjit as dr
+
+    return dr.float64_array_t(mi.Vector3f)(*(dr.gather(dr.float64_array_t(mi.Float), array, mi.UInt32(3 * k + axis))
                                              for axis in range(3)))
