@@ -6,6 +6,7 @@ without a result.
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -173,6 +174,8 @@ def evaluate(maps: Positional[Material],
              falloff: Annotated[FalloffOption, arg(help="auto: as in the fit.")] = "auto",
              flash_offset: Annotated[Literal["fitted", "none"],
                                      arg(help="fitted: use the flash offset that the fit found.")] = "fitted",
+             refine_views: Annotated[bool, arg(help="Measure again with camera, flash and exposure of each photo refined; the "
+                                                    "maps stay as they are.")] = False,
              json_file: Annotated[Path | None, arg(name="json", help="Write the figures to this file.")] = None,
              variant: Variant = "llvm_ad_rgb") -> int:
     """Measure maps: against known maps (--reference) or against photos (--capture).
@@ -180,13 +183,19 @@ def evaluate(maps: Positional[Material],
     Map RMSE is counted as in the field: diffuse and specular gamma-encoded, roughness as stored, normal as (n + 1) / 2.
     Re-rendering RMSE is in display values clipped to [0, 1], over all pixels and photos. Burn-in is the share of a map's
     variance that lies as the highlights of the fit's photos do (without a fit.json: of the photos given).
+
+    Photos left out of a fit have their own errors of calibration, which no fit can know. --refine-views also measures with the
+    camera, flash and exposure of each photo moved to where they explain it best, within priors, and prints how far that was.
     """
     from ..evaluate import evaluate_capture, evaluate_maps
     from ..evaluate.burn_in import burn_in
+    from ..fit.calibration import Priors
     from ..metrics import map_rmse
 
     if (reference is None) == (capture is None):
         raise ConfigError("either --reference or --capture", "both" if reference else "neither", "give one of them")
+    if refine_views and capture is None:
+        raise ConfigError("--capture beside --refine-views", "--reference", "give the photos whose views to refine")
     files.check_output(json_file)
     svbrdf = material_of(maps)
     if reference is not None:
@@ -202,9 +211,14 @@ def evaluate(maps: Positional[Material],
         transfer = fit.transfer or "auto" if transfer == "auto" else transfer
         shots = read_photos(capture, resolution or svbrdf.resolution, views, transfer,
                             fit.falloff if falloff == "auto" else falloff)
-        found = evaluate_capture(svbrdf, shots, make_renderer(renderer, variant), offset)
+        found = evaluate_capture(svbrdf, shots, make_renderer(renderer, variant), offset, Priors() if refine_views else None)
         labels = [fit.label(shots, number) for number in shots.index]
-        print_numbers("Re-rendering RMSE", dict(zip(labels, found["per_photo"].values())) | {"all": found["rerender_rmse"]})
+        for title, errors in (("", found), (" with refined views", found.get("refined"))):
+            if errors:
+                print_numbers("Re-rendering RMSE" + title,
+                              dict(zip(labels, errors["per_photo"].values())) | {"all": errors["rerender_rmse"]})
+        for name, view in found.get("refined", {}).get("views", {}).items():
+            say(f"photo {name}: {_moved(view['change'])}")
         found["burn_in"] = burn_in(svbrdf, fit.views or shots.views)
         print_numbers("Burn-in (0 is best)", found["burn_in"])
     if json_file:
@@ -282,6 +296,11 @@ def _fit_of(maps: str):
     from ..evaluate import Fit, fit_of
 
     return Fit() if maps.startswith("builtin:") else fit_of(maps)
+
+
+def _moved(change: dict[str, float]) -> str:
+    camera, flash = (", ".join(f"{change[f'{what}_{axis}']:+.3f}" for axis in "xyz") for what in ("camera", "flash"))
+    return f"camera ({camera}), flash beside it ({flash}) patch sides, light x {math.exp(change['log_exposure']):.3f}"
 
 
 def _with_guessed_diffuse(svbrdf, maps: Path):

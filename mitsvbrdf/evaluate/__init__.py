@@ -13,6 +13,7 @@ import torch
 from .. import color
 from ..capture import Capture
 from ..errors import MapsError, MitsvbrdfError
+from ..fit.calibration import UNKNOWNS, Priors, refine_views
 from ..fit.loop import rerender
 from ..fit.result import FitResult
 from ..maps import SVBRDF, encodings, load_maps
@@ -32,7 +33,7 @@ def evaluate_maps(svbrdf: SVBRDF, material: str | Path) -> dict[str, float]:
 
 
 def evaluate_capture(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
-                     flash_offset: tuple[float, float] | None = None) -> dict:
+                     flash_offset: tuple[float, float] | None = None, priors: Priors | None = None) -> dict:
     """Error of the re-rendered photos in display values.
 
     Args:
@@ -40,13 +41,26 @@ def evaluate_capture(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
         capture: the photos; they need not be those of the fit.
         renderer: draws them.
         flash_offset: (x, y) of the flash beside the lens in patch sides, as a fit found it; None leaves the views alone.
+        priors: how far the views may be off, to measure with refined ones too (:mod:`mitsvbrdf.fit.calibration`).
 
     Returns:
-        ``rerender_rmse`` over all photos and ``per_photo`` by name.
+        ``rerender_rmse`` over all photos and ``per_photo`` by name. With priors, the same again in ``refined``, which also has
+        ``views``: by photo, ``change`` and ``deviation`` of each unknown.
     """
+    material = svbrdf.resized(capture.resolution)
+
+    def errors(views: Views) -> dict:
+        _, total, each = rerender(renderer, material, views, capture)
+        return {"rerender_rmse": total, "per_photo": dict(zip(capture.names, each))}
+
     views = shift_lights(capture.views, flash_offset)
-    _, total, each = rerender(renderer, svbrdf.resized(capture.resolution), views, capture)
-    return {"rerender_rmse": total, "per_photo": dict(zip(capture.names, each))}
+    found = errors(views)
+    if priors:
+        refined = refine_views(svbrdf, views, capture, priors)
+        moved = {name: {"change": dict(zip(UNKNOWNS, change)), "deviation": dict(zip(UNKNOWNS, deviation))}
+                 for name, change, deviation in zip(capture.names, refined.change.tolist(), refined.deviation.tolist())}
+        found["refined"] = errors(refined.views) | {"views": moved}
+    return found
 
 
 def evaluate_fit(result: FitResult, capture: Capture) -> dict:
