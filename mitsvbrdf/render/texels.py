@@ -3,25 +3,20 @@
 The pixel of a rectified photo and the texel it shows are the same, so one thread serves one texel: it holds the
 texel's maps in registers, evaluates the plugin for each view, and adds up its own gradient. There is no scatter between
 threads, so gradients are the same bits in every run.
-
-Directions are worked out in float64, in the texel's own shading frame, and rounded once, to what the plugin takes. In
-float32 the half vector of a narrow highlight keeps few of its digits across the normal; measured at roughness 0.1 with random
-normals, gradients against float64: 8e-6 -> 3e-7, for a sixth more time.
 """
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from ..maps import SVBRDF
 from ..views import Views
-from .bsdf import needed_maps, plugin, slot_values
+from .bsdf import needed_maps
 from .llvm import mitsuba_module
 from .needs import Needs, scene_needs
-from .rectified import register, shading_axes, to_shading
+from .rectified import register, shading_axes
+from .threads import HeldPlugin, along, from_torch, frozen, row, seen, texel_position, to_torch
 
 VIEWS_PER_KERNEL = 9  # evaluations unrolled in one kernel; more views take several launches of at most this many
 
@@ -64,6 +59,52 @@ class TexelRenderer:
             images += self._wrapped[key](camera.contiguous(), light.contiguous(), intensity.contiguous(), *tensors)
         return torch.stack(images).to(svbrdf["normal"].device)
 
+    def position_slopes(self, svbrdf: SVBRDF, views: Views) -> tuple[Tensor, Tensor]:
+        """Linear radiance and its slopes by where camera and light stand, by forward derivatives.
+
+        All N views are worked on at once, so memory grows with N R^2: meant for small maps, to refine a calibration.
+
+        Returns:
+            N x R x R x 3, and N x R x R x 3 x 6: by x, y, z of the camera, then of the light, per unit of the views' lengths.
+        """
+        mi = mitsuba_module(self.variant)
+        needs = self.needs or scene_needs(svbrdf, views, self.name)
+        maps = needed_maps(svbrdf.detach(), needs)
+        side, sides, names = svbrdf.resolution, views.in_patch_sides(), tuple(maps)
+        key = ("positions", svbrdf.bsdf, needs, side, views.falloff, len(views), *((n, m.shape[2]) for n, m in maps.items()))
+        if key not in self._wrapped:
+            self._wrapped[key] = self._by_position(svbrdf.bsdf, needs, side, views.falloff, len(views), names)
+        found = self._wrapped[key]([from_torch(mi, m) for m in maps.values()],
+                                   [from_torch(mi, v.double()) for v in (sides.camera, sides.light, sides.intensity)])
+        radiance, *slopes = to_torch(found).reshape(7, 3, len(views), side, side).permute(0, 2, 3, 4, 1)
+        device = svbrdf["normal"].device
+        return radiance.contiguous().to(device), torch.stack(slopes, dim=-1).to(device) / views.size
+
+    def _by_position(self, bsdf: str, needs: Needs, side: int, falloff: str, count: int, names: tuple[str, ...]):
+        import drjit as dr
+
+        mi = self.mi
+        Vector, texels = dr.float64_array_t(mi.Vector3f), side * side
+        shader = HeldPlugin(mi, bsdf, needs)
+
+        def evaluate(tensors, positions):
+            index = dr.arange(mi.UInt32, count * texels)
+            view, texel = index // texels, index % texels
+            maps = {name: dr.gather(mi.Float if len(t) == texels else mi.Color3f, t, texel) for name, t in zip(names, tensors)}
+            axes = shading_axes(Vector(maps["normal"])) if needs.normal_map else None
+            camera, light, intensity = (row(mi, rows, view) for rows in positions)
+            dr.enable_grad(camera, light)
+            shader.hold(maps)
+            to_camera, to_light, irradiance = seen(mi, texel_position(mi, texel, side), axes, camera, light, intensity, falloff)
+            radiance = shader.eval(to_camera, to_light) * irradiance
+            shader.release()
+            lit = (to_camera.z > 0) & (to_light.z > 0)
+            slopes = [dr.select(lit, slope, 0) for slope in
+                      along(radiance, [[(end, Vector(*axis))] for end in (camera, light) for axis in torch.eye(3).tolist()])]
+            return [list(value) for value in (dr.detach(radiance), *slopes)]
+
+        return frozen(evaluate, shader)
+
     def _wrap(self, bsdf: str, needs: Needs, side: int, falloff: str, names: tuple[str, ...]):
         import drjit as dr
 
@@ -75,21 +116,13 @@ class TexelRenderer:
         def evaluate(cameras, lights, intensities, *tensors):
             maps = {n: _columns(mi, dr, t) for n, t in zip(names, tensors)}
             shader.hold(maps)
-            position = texel_position(mi, dr.arange(mi.UInt32, side * side), side)
+            place = texel_position(mi, dr.arange(mi.UInt32, side * side), side)
             axes = shading_axes(Vector(maps["normal"])) if needs.normal_map else None
-
-            def local(direction):
-                return mi.Vector3f(to_shading(axes, direction) if axes else direction)
-
             images = []
             for k in range(cameras.shape[0]):
-                camera, light, intensity = (row(mi, rows.array, k) for rows in (cameras, lights, intensities))
-                to_light = light - position
-                distance2 = dr.squared_norm(to_light)
-                value = shader.eval(local(dr.normalize(camera - position)), local(to_light / dr.sqrt(distance2)))
-                if falloff == "none":
-                    distance2 = dr.squared_norm(light)
-                radiance = value * mi.Color3f(intensity / distance2)
+                view = [row(mi, rows.array, k) for rows in (cameras, lights, intensities)]
+                to_camera, to_light, irradiance = seen(mi, place, axes, *view, falloff)
+                radiance = shader.eval(to_camera, to_light) * irradiance
                 images.append(mi.TensorXf(dr.ravel(radiance), (side, side, 3)))
             shader.release()
             return images
@@ -97,83 +130,6 @@ class TexelRenderer:
         return evaluate
 
 
-class HeldPlugin:
-    """A Mitsuba plugin in its own shading frame, with the maps' values of the texel that a thread holds.
-
-    Its textures answer with these values, whatever the position.
-
-    Args:
-        mi: the ``mitsuba`` module with the variant to use.
-        bsdf: ``roughconductor`` or ``principled``.
-        needs: what to compute; the normal map is the caller's.
-    """
-
-    def __init__(self, mi, bsdf: str, needs: Needs) -> None:
-        self.mi, self.bsdf, self.needs = mi, bsdf, replace(needs, normal_map=False)
-        held: dict[str, object] = {}  # slot name -> this texel's value
-        self._held = held
-
-        class Held(mi.Texture):
-            """A texture that answers with the value the thread holds, whatever the position."""
-
-            def __init__(self, props):
-                super().__init__(props)
-                self.slot = props["slot"]
-
-            # Nothing is held while another renderer is at work: Dr.Jit may then trace this texture along with its own.
-            def eval(self, si, active=True):
-                return mi.Color3f(held.get(self.slot, 0))
-
-            def eval_1(self, si, active=True):
-                return mi.Float(held.get(self.slot, 0))
-
-            eval_3 = eval
-
-            def to_string(self):
-                return f"Held[{self.slot}]"
-
-        name = f"held_texel_{id(held)}"
-        mi.register_texture(name, Held)
-        self._plugin = mi.load_dict(plugin(bsdf, self.needs, lambda slot: {"type": name, "slot": slot}))
-        self._context = mi.BSDFContext()
-
-    def hold(self, maps: dict) -> None:
-        """Take these maps (Dr.Jit values, linear) for the evaluations to come; the plugin keeps them until released."""
-        self._held.update(slot_values(self.bsdf, maps, self.needs))
-
-    def release(self) -> None:
-        """Forget the maps."""
-        self._held.clear()
-
-    def eval(self, to_camera, to_light):
-        """BSDF times n.l for directions (Vector3f) in the shading frame."""
-        import drjit as dr
-
-        si = dr.zeros(self.mi.SurfaceInteraction3f)
-        si.n = self.mi.Normal3f(0, 0, 1)
-        si.sh_frame = self.mi.Frame3f(si.n)
-        si.wi = to_camera
-        return self._plugin.eval(self._context, si, to_light)
-
-
-def texel_position(mi, index, side: int):
-    """Centre of texel ``index`` (UInt32, row by row) on the patch of side 1: a float64 vector."""
-    import drjit as dr
-
-    Vector = dr.float64_array_t(mi.Vector3f)
-    row = index // side
-    position = (Vector(index - row * side, row, 0) + 0.5) / side - 0.5
-    return Vector(position.x, -position.y, 0)
-
-
 def _columns(mi, dr, tensor):
     """An R x R x C tensor as one value a texel: Float for one channel, Color3f for three."""
     return mi.Float(tensor.array) if tensor.shape[2] == 1 else dr.unravel(mi.Color3f, tensor.array)
-
-
-def row(mi, array, k):
-    """Row k of N x 3 float64 numbers, as values that may change without compiling a new kernel."""
-    import drjit as dr
-
-    return dr.float64_array_t(mi.Vector3f)(*(dr.gather(dr.float64_array_t(mi.Float), array, mi.UInt32(3 * k + axis))
-                                             for axis in range(3)))

@@ -1,0 +1,55 @@
+"""Small symmetric systems in registers: entries are Dr.Jit values, and those that are always 0 are left out.
+
+A matrix is a dictionary (i, j) -> value of its lower triangle, i >= j. Every loop here runs while a kernel is traced.
+"""
+
+from __future__ import annotations
+
+PIVOT = 4  # roundings of its diagonal: what is left of a pivot below that is nothing else
+TINY = 1e-12  # added to the diagonal, where nothing is known of an unknown
+
+Matrix = dict[tuple[int, int], object]
+
+
+def factor(matrix: Matrix, size: int) -> Matrix:
+    """The lower Cholesky factor L of a positive definite matrix, L L^T; on its diagonal stand the inverses of L's."""
+    import drjit as dr
+
+    lower: Matrix = {}
+    for j in range(size):
+        diagonal = matrix[j, j] + TINY
+        pivot = diagonal
+        for k in range(j):
+            if (j, k) in lower:
+                pivot = pivot - dr.square(lower[j, k])
+        lower[j, j] = dr.rsqrt(dr.maximum(pivot, PIVOT * dr.epsilon(diagonal) * diagonal))
+        for i in range(j + 1, size):
+            products = [lower[i, k] * lower[j, k] for k in range(j) if (i, k) in lower and (j, k) in lower]
+            if (i, j) in matrix or products:
+                lower[i, j] = (matrix.get((i, j), 0.0) - sum(products)) * lower[j, j]
+    return lower
+
+
+def solved(lower: Matrix, right: list) -> list:
+    """x of L L^T x = right."""
+    x, size = list(right), len(right)
+    for i in range(size):
+        x[i] = (x[i] - sum(lower[i, k] * x[k] for k in range(i) if (i, k) in lower)) * lower[i, i]
+    for i in reversed(range(size)):
+        x[i] = (x[i] - sum(lower[k, i] * x[k] for k in range(i + 1, size) if (k, i) in lower)) * lower[i, i]
+    return x
+
+
+def inverse_diagonal(lower: Matrix, size: int) -> list:
+    """The diagonal of (L L^T)^-1: of each column of the inverse of L, the sum of its squares."""
+    import drjit as dr
+
+    found = []
+    for u in range(size):
+        column = {u: lower[u, u]}
+        for i in range(u + 1, size):
+            products = [lower[i, k] * column[k] for k in column if (i, k) in lower]
+            if products:
+                column[i] = -sum(products) * lower[i, i]
+        found.append(sum(dr.square(value) for value in column.values()))
+    return found
