@@ -187,7 +187,7 @@ def test_no_step_raises_the_cost_or_leaves_the_bounds():
 
 
 def test_ends_at_a_minimum():
-    # No undamped step of the float64 twin gains anything more. Measured over the texels: 95 % would gain less than 1e-8 of their
+    # No undamped step of the float64 twin gains anything more. Measured over the texels: 95 % would gain less than 1e-8 of the
     # cost, 98 % less than 2e-5; the rest still crawls along a valley.
     case = CASES["grey, robust"]()
     twin, end = Twin(case), case.solve(case.x, 60).x.double()
