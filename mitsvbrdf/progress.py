@@ -87,6 +87,21 @@ def say_written(*paths: Path | None) -> None:
         say(f"wrote {', '.join(names)}")
 
 
+def print_profile(profile: dict) -> None:
+    """Where the time of a fit's steps went, as :meth:`mitsvbrdf.profile.Profile.summary` counts it."""
+    table = Table(title=f"Seconds a step, {profile['steps']} steps", title_justify="left")
+    for name in ("part", "median", "quartiles", "share", "steps"):
+        table.add_column(name, justify="left" if name == "part" else "right")
+    whole = {"step": profile["step"] | {"share": 1.0}} if profile["steps"] else {}
+    for name, part in (profile["parts"] | whole).items():
+        table.add_row(name, f"{part['median']:.4f}", f"{part['low']:.4f} to {part['high']:.4f}", f"{part['share']:.1%}",
+                      str(part["repeats"]))
+    with contextlib.suppress(BrokenPipeError):
+        console.print(table)
+    beside = {"first steps": profile["warm_up"]} | profile["beside"]
+    say("beside these: " + ", ".join(f"{name} {seconds:.2f} s" for name, seconds in beside.items()))
+
+
 def print_numbers(title: str, numbers: dict[str, float]) -> None:
     """A small table of named numbers."""
     table = Table(title=title, title_justify="left", show_header=False)

@@ -6,6 +6,7 @@ without a result.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import sys
 from collections.abc import Callable
@@ -23,7 +24,8 @@ from ..fit.checkpoint import load_tensors
 from ..fit.confidence import confidence
 from ..fit.config import DirectConfig, FitConfig, GanConfig, GuessMethod, HybridConfig, check_seed
 from ..maps import load_maps
-from ..progress import Progress, print_numbers, say, say_written
+from ..profile import profiling
+from ..progress import Progress, print_numbers, print_profile, say, say_written
 from ..render import RendererName, make_renderer
 from ..views import Falloff
 from .crosscheck import crosscheck
@@ -64,6 +66,8 @@ def fit_command(method: str) -> Callable:
         transfer: TransferOption = "auto",
         variant: Variant = "llvm_ad_rgb",
         explain: Annotated[bool, arg(help="Print what this fit would leave out, and why, and end without fitting.")] = False,
+        profile: Annotated[bool, arg(help="Print where the time of a step goes: network, renderer, losses, forward and "
+                                          "backward.")] = False,
         resume: Annotated[bool, arg(help="Go on from the checkpoint in OUT, same options, more --iterations.")] = False,
         overwrite: Overwrite = False,
     ) -> int:
@@ -94,7 +98,9 @@ def fit_command(method: str) -> Callable:
             raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
         before = load_tensors(earlier)[1].get("iteration") if resume else None
         with files.output_folder(out, overwrite or resume, resume) as folder:
-            with Progress(f"fit {shots.source.name if shots.source else ''} · {method} · {engine.name}") as progress:
+            collecting = profiling() if profile else contextlib.nullcontext()
+            title = f"fit {shots.source.name if shots.source else ''} · {method} · {engine.name}"
+            with Progress(title) as progress, collecting:
                 result = fit_svbrdf(shots, engine, config, checkpoint=folder / files.CHECKPOINT,
                                     resume=earlier if resume else None, report=progress)
             with files.undisturbed():
@@ -102,6 +108,8 @@ def fit_command(method: str) -> Callable:
                     "renderer": renderer, "resolution": resolution, "views": views, "falloff": shots.views.falloff,
                     "transfer": transfer, "variant": variant})
         print_numbers("Re-rendering RMSE", dict(zip(shots.names, result.per_photo)) | {"all": result.rerender_rmse})
+        if result.profile:
+            print_profile(result.profile)
         if result.stopped == "interrupted":
             say("interrupted: the best result so far was kept; the same command with --resume goes on")
         elif resume and result.trace[-1]["iteration"] == before:

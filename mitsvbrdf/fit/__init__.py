@@ -10,6 +10,7 @@ from torch import Tensor
 
 from ..capture import Capture, guess_diffuse
 from ..errors import ConfigError
+from ..profile import profile_summary, profiled
 from ..render import Renderer
 from .confidence import deviations
 from .config import DirectConfig, FitConfig, GanConfig, HybridConfig
@@ -55,21 +56,25 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     """
     config = (config or HybridConfig()).limited()
     config.check()
-    guess = first_guess(capture, config)
-    loop = Loop(make_method(capture, renderer, guess, config), capture, renderer, config, checkpoint, report)
+    with profiled("setting up"):
+        guess = first_guess(capture, config)
+        method = make_method(capture, renderer, guess, config)
+    loop = Loop(method, capture, renderer, config, checkpoint, report)
     if resume:
         loop.resume(resume)
     stopped = loop.run()
     assert loop.best is not None
     _, svbrdf, views = loop.best
     images, total, each = rerender(renderer, svbrdf, views, capture)
+    with profiled("uncertainty"):
+        spreads = deviations(svbrdf, views, images, capture, config)
     offset = (views.light - capture.views.light)[0, :2].tolist() if getattr(loop.method, "fits_offset", False) else None
     result = FitResult(
         svbrdf=svbrdf, views=views, guess=guess, rerendered=images, rerender_rmse=total, per_photo=each,
         trace=loop.trace, config=config, renderer=renderer.name, variant=renderer.variant,
         left_out=tuple(left_out(capture, renderer, config, views)), stopped=stopped, undone=tuple(loop.undone),
-        restarts=tuple(loop.restarts), deviations=deviations(svbrdf, views, images, capture, config),
-        flash_offset=tuple(offset) if offset else None)
+        restarts=tuple(loop.restarts), deviations=spreads,
+        flash_offset=tuple(offset) if offset else None, profile=profile_summary())
     return replace(result, warnings=tuple(doubts(result, capture)))
 
 

@@ -7,6 +7,7 @@ from torch import Tensor
 
 from ..capture import Capture
 from ..maps import SVBRDF
+from ..profile import profiled, switch_at
 from ..render import Renderer
 from ..views import Views
 from . import losses
@@ -36,15 +37,21 @@ class Direct:
     def step(self, progress: float) -> dict[str, float]:
         """One Adam step on all photos."""
         self.optimizer.param_groups[0]["lr"] = self.peak * cosine(progress)
-        svbrdf = to_svbrdf(self.config.bsdf, self.raw, self.held)
-        rendered = self.renderer.render(svbrdf, self.views)
-        terms = {"photometric": losses.photometric(rendered, self.capture.photos, self.capture.transfer)}
-        if "smooth" not in self.unused:
-            terms["smooth"] = losses.total_variation(svbrdf, self.edges, self.held)
-        if "flat" not in self.unused:
-            terms["flat"] = losses.tilt(svbrdf)
-        total = sum(getattr(self.config, name) * value for name, value in terms.items())
-        gradient = descend(total, self.optimizer)
+        with profiled("hand-over"):
+            svbrdf = to_svbrdf(self.config.bsdf, self.raw, self.held)
+            switch_at("hand-over, backward", *svbrdf.maps.values())
+        with profiled("renderer"):
+            rendered = self.renderer.render(svbrdf, self.views)
+            switch_at("renderer, backward", rendered)
+        with profiled("losses"):
+            terms = {"photometric": losses.photometric(rendered, self.capture.photos, self.capture.transfer)}
+            if "smooth" not in self.unused:
+                terms["smooth"] = losses.total_variation(svbrdf, self.edges, self.held)
+            if "flat" not in self.unused:
+                terms["flat"] = losses.tilt(svbrdf)
+            total = sum(getattr(self.config, name) * value for name, value in terms.items())
+        with profiled("losses, backward"):
+            gradient = descend(total, self.optimizer)
         return {name: float(value.detach()) for name, value in terms.items()} | {"gradient": gradient}
 
     def estimate(self) -> tuple[SVBRDF, Views]:

@@ -15,6 +15,7 @@ from .. import color
 from ..capture import Capture
 from ..errors import ConfigError
 from ..maps import SVBRDF
+from ..profile import profiled, switch_at
 from ..render import Renderer
 from ..views import Views
 from . import losses
@@ -74,25 +75,35 @@ class Gan:
             self._new_stage()
         photo, views, weights = self._draw_input()
         size = photo.shape[-1]
-        code = self.generator.encode(photo)
-        lower = self.generator.decode(1, code, size)
+        with profiled("network"):
+            code = self.generator.encode(photo)
+            lower = self.generator.decode(1, code, size)
         logged: dict[str, float] = {}
         fast = [self.optimizers["fast"]] if "fast" in self.optimizers else []
         for substep in range(self.config.normal_roughness_steps if fast else 1):
             first = substep == 0
             if not first:
                 code, lower = code.detach(), {k: v.detach() for k, v in lower.items()}
-            svbrdf = from_units(self.config.bsdf, self.generator.decode(0, code, size) | lower, self.held)
+            with profiled("network"):
+                units = self.generator.decode(0, code, size) | lower
+                switch_at("network, backward", *units.values())
+            with profiled("hand-over"):
+                svbrdf = from_units(self.config.bsdf, units, self.held)
+                switch_at("hand-over, backward", *svbrdf.maps.values())
             fake = self._picture(svbrdf, views, weights)
-            if first:
-                logged["discriminator"] = self._teach_discriminator(photo, fake.detach())
-            adversarial = losses.adversarial(self.discriminator(fake))
-            total = adversarial
-            if "diffuse" not in self.unused:
-                diffuse = losses.diffuse(svbrdf, self.guess)
-                logged["diffuse"] = float(diffuse.detach())
-                total = total + self.config.diffuse * diffuse
-            gradient = descend(total, *fast, *([self.optimizers["slow"]] if first else []))
+            with profiled("discriminator"):
+                if first:
+                    logged["discriminator"] = self._teach_discriminator(photo, fake.detach())
+                adversarial = losses.adversarial(self.discriminator(fake))
+                switch_at("discriminator, backward", adversarial)
+            with profiled("losses"):
+                total = adversarial
+                if "diffuse" not in self.unused:
+                    diffuse = losses.diffuse(svbrdf, self.guess)
+                    logged["diffuse"] = float(diffuse.detach())
+                    total = total + self.config.diffuse * diffuse
+            with profiled("losses, backward"):
+                gradient = descend(total, *fast, *([self.optimizers["slow"]] if first else []))
             logged |= {"adversarial": float(adversarial.detach()), "gradient": logged.get("gradient", 0.0) + gradient}
         return logged | {"stage": float(self.stage)}
 
@@ -109,9 +120,14 @@ class Gan:
 
     def _picture(self, svbrdf: SVBRDF, views: Views, weights: Tensor) -> Tensor:
         # Each view is clipped as its photo was before it is blended, so that input and rendering show the same physics.
-        rendered = self.renderer.render(svbrdf, views).clamp(0, 1)
-        blend = (weights * rendered).sum(dim=0)
-        return color.to_display(blend, self.capture.transfer).permute(2, 0, 1)[None]
+        with profiled("renderer"):
+            rendered = self.renderer.render(svbrdf, views)
+            switch_at("renderer, backward", rendered)
+        with profiled("losses"):
+            blend = (weights * rendered.clamp(0, 1)).sum(dim=0)
+            picture = color.to_display(blend, self.capture.transfer).permute(2, 0, 1)[None]
+            switch_at("losses, backward", picture)
+        return picture
 
     def _teach_discriminator(self, real: Tensor, fake: Tensor) -> float:
         loss = losses.discriminator(self.discriminator(real), self.discriminator(fake))

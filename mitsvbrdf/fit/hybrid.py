@@ -15,6 +15,7 @@ from torch import Tensor
 from .. import color
 from ..capture import Capture
 from ..maps import SVBRDF
+from ..profile import profiled, switch_at
 from ..render import Renderer
 from ..views import Views
 from . import losses
@@ -73,22 +74,31 @@ class Hybrid:
         c = self.config
         for group, peak in zip(self.optimizer.param_groups, self.peaks):
             group["lr"] = peak * cosine(progress)
-        svbrdf, views = self._material(), self._views()
-        rendered = self.renderer.render(svbrdf, views)
+        with profiled("network"):
+            svbrdf, views = self._material(), self._views()
+        with profiled("renderer"):
+            rendered = self.renderer.render(svbrdf, views)
+            switch_at("renderer, backward", rendered)
         logged: dict[str, float] = {}
 
         def adversarial() -> Tensor:
             real, fake = self._patches(rendered)
-            logged["discriminator"] = self._teach_discriminator(real, fake.detach())
-            return losses.adversarial(self.discriminator(fake))
+            switch_at("losses, backward", fake)
+            with profiled("discriminator"):
+                logged["discriminator"] = self._teach_discriminator(real, fake.detach())
+                loss = losses.adversarial(self.discriminator(fake))
+                switch_at("discriminator, backward", loss)
+            return loss
 
         terms = {"photometric": lambda: losses.photometric(rendered, self.capture.photos, self.capture.transfer),
                  "diffuse": lambda: losses.diffuse(svbrdf, self.guess),
                  "smooth": lambda: losses.total_variation(svbrdf, self.edges, self.held),
                  "flat": lambda: losses.tilt(svbrdf), "adversarial": adversarial}
-        terms = {name: term() for name, term in terms.items() if name not in self.unused}
-        total = sum(getattr(c, name) * value for name, value in terms.items())
-        logged["gradient"] = descend(total, self.optimizer)
+        with profiled("losses"):
+            terms = {name: term() for name, term in terms.items() if name not in self.unused}
+            total = sum(getattr(c, name) * value for name, value in terms.items())
+        with profiled("losses, backward"):
+            logged["gradient"] = descend(total, self.optimizer)
         return {name: float(value.detach()) for name, value in terms.items()} | logged
 
     def estimate(self) -> tuple[SVBRDF, Views]:
@@ -100,7 +110,11 @@ class Hybrid:
         # The patch is flat as a whole (it lies in z = 0): without this a common tilt would hide the flash offset.
         if "normal" in change:
             change["normal"] = change["normal"] - change["normal"].mean(dim=(1, 2), keepdim=True)
-        return to_svbrdf(self.config.bsdf, {name: self.start[name] + change[name] for name in self.start}, self.held)
+        switch_at("network, backward", *change.values())
+        with profiled("hand-over"):
+            svbrdf = to_svbrdf(self.config.bsdf, {name: self.start[name] + change[name] for name in self.start}, self.held)
+            switch_at("hand-over, backward", *svbrdf.maps.values())
+        return svbrdf
 
     def _views(self) -> Views:
         if not self.fits_offset:

@@ -19,6 +19,7 @@ from ..capture import Capture
 from ..errors import ConfigError
 from ..maps import SVBRDF
 from ..metrics import photo_rmse
+from ..profile import STEP, profiled
 from ..render import Renderer
 from ..views import Views
 from .checkpoint import load_tensors, save_tensors
@@ -100,7 +101,8 @@ class Loop:
         Returns:
             The state to go back to next time, and the losses.
         """
-        losses = self.method.step(self.progress)
+        with profiled(STEP):
+            losses = self.method.step(self.progress)
         broken = [name for name, value in losses.items() if not math.isfinite(value)]
         if broken:
             return self._undo(good, f"{broken[-1]} not finite"), {}
@@ -125,12 +127,13 @@ class Loop:
 
     def _look(self) -> Seen | str:
         """What the present state looks like; or what of it is not finite: parameters, averages of Adam, photos."""
-        for name, value in self.method.state().items():
-            if not finite(value):
-                return f"{name} not finite"
-        svbrdf, views = self.method.estimate()
-        images, rmse, _ = rerender(self.renderer, svbrdf, views, self.capture)
-        return (rmse, svbrdf, views) if finite(images) else "a re-rendered photo not finite"
+        with profiled("measuring"):
+            for name, value in self.method.state().items():
+                if not finite(value):
+                    return f"{name} not finite"
+            svbrdf, views = self.method.estimate()
+            images, rmse, _ = rerender(self.renderer, svbrdf, views, self.capture)
+            return (rmse, svbrdf, views) if finite(images) else "a re-rendered photo not finite"
 
     def _diverges(self, losses: dict[str, float], state: dict[str, Tensor]) -> bool:
         """Whether the loss, which is that of ``state``, has been far above its lowest for long."""
@@ -208,7 +211,8 @@ class Loop:
         note = {"iteration": self.iteration, "seconds": self.seconds, "undone": self.undone, "restarts": self.restarts,
                 "lowest_loss": self.lowest[0], "rising": self.rising, "best_rmse": rmse, "trace": self.trace,
                 "method": type(self.method).__name__, "bsdf": svbrdf.bsdf, "task": self._task()}
-        save_tensors(self.checkpoint, tensors, note)
+        with profiled("checkpoint"):
+            save_tensors(self.checkpoint, tensors, note)
 
     def resume(self, path: Path) -> None:
         """Continue from a checkpoint of the same method and size.

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from ..maps import SVBRDF
+from ..profile import profiled
 from ..views import Views
 
 
@@ -49,11 +50,12 @@ def descend(total: Tensor, *optimizers: torch.optim.Optimizer) -> float:
     for optimizer in optimizers:
         optimizer.zero_grad(set_to_none=True)
     total.backward()
-    gradients = [p.grad for o in optimizers for group in o.param_groups for p in group["params"] if p.grad is not None]
-    if not math.isfinite(sum(float(g.sum()) for g in gradients)):
-        return math.nan
-    for optimizer in optimizers:
-        optimizer.step()
+    with profiled("optimiser"):
+        gradients = [p.grad for o in optimizers for group in o.param_groups for p in group["params"] if p.grad is not None]
+        if not math.isfinite(sum(float(g.sum()) for g in gradients)):
+            return math.nan
+        for optimizer in optimizers:
+            optimizer.step()
     return 0.0
 
 

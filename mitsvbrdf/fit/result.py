@@ -34,6 +34,7 @@ class FitResult:
             errors are counted; see :mod:`mitsvbrdf.fit.confidence`.
         warnings: what a user should doubt, in sentences; see :mod:`mitsvbrdf.fit.doubts`.
         flash_offset: fitted (x, y) of the flash beside the lens, in the unit of the views, or None.
+        profile: where the time of the steps went, where :func:`mitsvbrdf.profile.profiling` was on, else None.
     """
 
     svbrdf: SVBRDF
@@ -53,3 +54,4 @@ class FitResult:
     deviations: Mapping[str, Tensor] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     flash_offset: tuple[float, float] | None = None
+    profile: dict | None = None
