@@ -107,7 +107,8 @@ class Profile:
         """
         from .evaluate.measure import spread  # which needs the renderers: not before anybody asks
 
-        kinds, first, later = set(), [], []
+        kinds = set[frozenset[str]]()
+        first, later = list[dict[str, float]](), list[dict[str, float]]()
         for step in self.steps:
             (later if frozenset(step) in kinds else first).append(step)
             kinds.add(frozenset(step))
