@@ -1,6 +1,7 @@
 """The traced Mitsuba scene through ``dr.wrap``: rectangle, point light, and the camera of a rectified photo.
 
-With one unjittered sample a pixel and a box filter every ray hits its texel's centre, so the image has no noise.
+With one unjittered sample a pixel and a box filter every ray hits its texel's centre, so the image has no noise. More
+samples are jittered over the pixel: they estimate its average, as a sensor sees it, with noise.
 
 The replay trap: a Mitsuba scene is one mutable object, and the calls it makes per ray are traced again *as the scene is
 at backward time*. Moving the camera, or drawing a preview, between forward and backward then silently gives gradients of
@@ -24,6 +25,7 @@ from .needs import Needs, scene_needs
 from .rectified import CAMERA, INTEGRATOR, NORMAL_MAP, register
 
 GREY = ("alpha", "metallic", "roughness")
+SAMPLES = tuple(4**k for k in range(6))  # what the stratified sampler takes without rounding
 
 
 class SceneRenderer:
@@ -32,15 +34,20 @@ class SceneRenderer:
     Args:
         variant: ``llvm_ad_rgb`` or ``cuda_ad_rgb``.
         needs: what to compute; left out: what the scene needs.
+        samples: rays a pixel, 1, 4, 16, 64, ...; one goes to the texel's centre, more are stratified and jittered, the same
+            in every picture.
 
     Raises:
         BackendError: Mitsuba, the variant or libLLVM is missing.
+        ConfigError: another number of samples.
     """
 
     name = "mitsuba-scene"
 
-    def __init__(self, variant: str = "llvm_ad_rgb", needs: Needs | None = None) -> None:
-        self.variant, self.needs = variant, needs
+    def __init__(self, variant: str = "llvm_ad_rgb", needs: Needs | None = None, samples: int = 1) -> None:
+        if samples not in SAMPLES:
+            raise ConfigError(f"samples a pixel of {list(SAMPLES)}", str(samples), "choose one of these")
+        self.variant, self.needs, self.samples = variant, needs, samples
         self.mi = mitsuba_module(variant)
         register(self.mi)
         self.device = "cuda" if variant.startswith("cuda") else "cpu"
@@ -84,7 +91,7 @@ class SceneRenderer:
         material = plugin(bsdf, flat, texture)
         if needs.normal_map:
             material = {"type": NORMAL_MAP, "normals": texture("normal"), "shading": material}
-        scene = mi.load_dict(patch_scene(mi, resolution, needs, material))
+        scene = mi.load_dict(patch_scene(mi, resolution, needs, material, self.samples))
         held = {slot: mi.traverse(texture) for slot, texture in textures.items()}
         params = mi.traverse(scene)
         sensor, integrator = scene.sensors()[0], scene.integrator()
@@ -107,7 +114,7 @@ class SceneRenderer:
                 params["light.position"] = mi.Point3f(at(light, k))
                 params["light.intensity.value"] = mi.Color3f(at(intensity, k))
                 params.update()
-                images.append(integrator.render(scene, sensor, seed=0, spp=1))
+                images.append(integrator.render(scene, sensor, seed=0, spp=self.samples))
             return images
 
         return trace
@@ -121,8 +128,8 @@ def _blank_texture(mi, resolution: int, channels: int):
     return mi.load_dict({"type": "bitmap", "data": data, "raw": True, "filter_type": "nearest", "wrap_mode": "clamp"})
 
 
-def patch_scene(mi, resolution: int, needs: Needs, bsdf: dict) -> dict:
-    """The Mitsuba scene dictionary of a patch of side 1 under one point light, seen in R x R pixels."""
+def patch_scene(mi, resolution: int, needs: Needs, bsdf: dict, samples: int = 1) -> dict:
+    """The Mitsuba scene dictionary of a patch of side 1 under one point light, seen in R x R pixels of so many samples."""
     environment = {"environment": {"type": "constant", "radiance": {"type": "rgb", "value": 0.0}, "sampling_weight": 0.0}}
     return {
         "type": "scene",
@@ -131,7 +138,7 @@ def patch_scene(mi, resolution: int, needs: Needs, bsdf: dict) -> dict:
         "sensor": {"type": CAMERA,
                    "film": {"type": "hdrfilm", "width": resolution, "height": resolution, "pixel_format": "rgb",
                             "component_format": "float32", "rfilter": {"type": "box"}},
-                   "sampler": {"type": "stratified", "sample_count": 1, "jitter": False}},
+                   "sampler": {"type": "stratified", "sample_count": samples, "jitter": samples > 1}},
         "light": {"type": "point", "position": [0.0, 0.0, 1.0], "intensity": {"type": "rgb", "value": 1.0}},
         "patch": {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(0.5),
                   "bsdf": bsdf},
