@@ -28,6 +28,7 @@ from ..profile import profiling
 from ..progress import Progress, print_numbers, print_profile, say, say_written
 from ..render import RendererName, make_renderer
 from ..views import Falloff
+from .bench import bench
 from .crosscheck import crosscheck
 from .leave_out import leave_out
 from .options import (
@@ -333,7 +334,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     commands = {"fit": fit_command(_method_of(arguments)), "guess": guess, "render": render, "evaluate": evaluate,
-                "crosscheck": crosscheck, "leave-out": leave_out, "stability": stability, "synth": synth,
+                "crosscheck": crosscheck, "leave-out": leave_out, "stability": stability, "bench": bench, "synth": synth,
                 "pretrain": pretrain_command, "doctor": doctor, "demo": demo}
     if arguments == ["--version"]:
         say(f"mitsvbrdf {__version__}")

@@ -1,0 +1,196 @@
+"""``mitsvbrdf bench``: error against run time, of renderers and of methods."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Literal, TypeVar
+
+from tyro.conf import arg
+
+from .. import files
+from ..errors import ConfigError
+from ..progress import progress_bar, say, say_written
+from ..render import RendererName
+from .options import Overwrite, Variant, views_of
+
+T = TypeVar("T")
+Names = Annotated[str | None, arg(metavar="NAME,...")]
+Suite = Literal["all", "renderers", "methods", "ablation", "none"]
+SUITES = "renderers", "methods", "ablation"
+
+# What is measured where nothing else is said, and with --quick.
+WHOLE = {"resolution": 256, "budgets": "10,30,100,300", "seeds": "0,1,2", "repeats": 5}
+QUICK = {"resolution": 64, "budgets": "2,5", "seeds": "0", "repeats": 2, "materials": "builtin:inlay", "captures": "none"}
+CASES = {"sizes": (64, 128, 256, 512, 1024, 2048), "views": (1, 4, 16, 64), "samples": (1, 4, 16, 64, 256)}
+QUICK_CASES = {"sizes": (32, 64, 128), "views": (1, 4), "samples": (1, 4, 16)}
+
+
+def bench(
+    suite: Annotated[Suite, arg(help="What to measure; none: only make the page anew.")] = "all",
+    json_file: Annotated[Path, arg(name="json", help="The file of all records; one that is there is gone on with.")]
+        = Path("out/bench.json"),
+    page: Annotated[Path | None, arg(help="Write a Markdown page to this file, its pictures beside it.")] = None,
+    materials: Annotated[Names, arg(help="Known materials: builtin:NAME, folders, or names in the data; none: without. Left "
+                                         "out: all made ones and all in the data.")] = None,
+    captures: Annotated[Names, arg(help="Real captures: folders or names in the data; none: without. Left out: all.")] = None,
+    methods: Annotated[Names, arg(help="Methods; left out: all.")] = None,
+    budgets: Annotated[str | None, arg(metavar="SECONDS,...", help="Of the fits; left out: 10,30,100,300.")] = None,
+    seeds: Annotated[str | None, arg(metavar="NUMBER,...", help="Of the fits; left out: 0,1,2.")] = None,
+    resolution: Annotated[int | None, arg(help="Side of maps and photos in the fits; left out: 256.")] = None,
+    views: Annotated[str | None, arg(help="Whose views the photos of known materials have: a capture or builtin:grid; left "
+                                          "out: cards-blue of the data, else builtin:grid.")] = None,
+    data: Annotated[Path | None, arg(help="Folder with captures/, materials/, peers.json; left out: MITSVBRDF_DATA.")] = None,
+    repeats: Annotated[int | None, arg(help="Timed turns of the renderers; left out: 5.")] = None,
+    quick: Annotated[bool, arg(help="A few minutes for everything: one made material, 64 px, 2 and 5 s, one seed.")] = False,
+    renderer: Annotated[RendererName, arg(help="What the fits render with.")] = "mitsuba",
+    variant: Variant = "llvm_ad_rgb",
+    overwrite: Annotated[Overwrite, arg(help="Forget the records that are there.")] = False,
+) -> int:
+    """Measure error against run time: renderers against float64, methods against known maps and photos left out.
+
+    Each record is kept as soon as it is there: Ctrl-C loses one fit at most, and the same command goes on. Nothing else should
+    run meanwhile. docs/evaluation.md says what is measured and how.
+    """
+    from ..evaluate.bench import duration, run
+    from ..evaluate.bench.store import Store, read_benchmark
+
+    asked = {"resolution": resolution, "budgets": budgets, "seeds": seeds, "repeats": repeats, "materials": materials,
+             "captures": captures}
+    chosen = WHOLE | (QUICK if quick else {}) | {name: value for name, value in asked.items() if value is not None}
+    files.check_output(json_file, page)
+    if suite == "none":
+        _show(dict(read_benchmark(json_file)), page)
+        return 0
+    suites = SUITES if suite == "all" else (suite,)
+    jobs, settings, found = _jobs(suites, chosen, methods, views, _data(data), renderer, variant, quick)
+    store = Store(json_file, settings, overwrite)
+    store.publish(found)
+    missing = store.pending(jobs)
+    say(f"{len(jobs) - len(missing)} of {len(jobs)} records are in {json_file}; "
+        + (f"the other {len(missing)} take about {duration(sum(job.cost for job in missing))}" if missing else "nothing to do"))
+    try:
+        with progress_bar("bench") as report:
+            run(jobs, store, report)
+    except KeyboardInterrupt:
+        say(f"interrupted: {len(jobs) - len(store.pending(jobs))} of {len(jobs)} records are kept in {json_file}; "
+            "the same command goes on")
+        return 130
+    store.write()
+    say_written(json_file)
+    _show(dict(store.content), page)
+    return 0
+
+
+def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str | None, data: Path | None,
+          renderer: RendererName, variant: str, quick: bool):
+    """All jobs, what their records share, and the numbers published for what they fit."""
+    from ..evaluate.bench import fit_jobs
+    from ..evaluate.bench.ablation import VARIANTS
+    from ..evaluate.bench.methods import method_table, variant_table
+    from ..evaluate.bench.published import published
+    from ..evaluate.bench.renderers import render_jobs
+    from ..fit.config import check_seed
+    from ..render import make_renderer
+    from . import CONFIGS
+
+    budgets = _numbers("--budgets", chosen["budgets"], float, lambda x: 0 < x < math.inf)
+    seeds = _numbers("--seeds", chosen["seeds"], int, lambda x: x >= 0)
+    for seed in seeds:
+        check_seed(seed)
+    if chosen["resolution"] < 8 or chosen["repeats"] < 1:
+        raise ConfigError("--resolution of 8 or more and --repeats of 1 or more",
+                          f"{chosen['resolution']} and {chosen['repeats']}", "try 64 and 3")
+    table = method_table(CONFIGS)
+    unknown = [name for name in _split(methods) if name not in table]
+    if unknown:
+        raise ConfigError(f"methods of {list(table)}", ", ".join(unknown), "check --methods")
+    picked = {name: table[name] for name in _split(methods)} or table
+
+    engine = make_renderer(renderer, variant)
+    shots = {p.name: str(p) for p in _inside(data, "captures")}
+    source = shots.get("cards-blue", "builtin:grid") if views is None else shots.get(views, views)
+    tasks = []
+    if set(suites) & {"methods", "ablation"}:
+        tasks = _tasks(chosen, source, data, engine)
+    jobs: list = []
+    if "renderers" in suites:
+        jobs += render_jobs(**(QUICK_CASES if quick else CASES), repeats=chosen["repeats"], variant=variant)
+    if "methods" in suites:
+        jobs += fit_jobs("methods", picked, tasks, budgets, seeds, engine)
+    if "ablation" in suites:
+        default = next(iter(table.values()))
+        jobs += fit_jobs("ablation", variant_table(default, VARIANTS), tasks, budgets, seeds, engine)
+    settings = {"resolution": chosen["resolution"], "views": _name(source), "renderer": renderer, "variant": variant,
+                "quick": quick}
+    return jobs, settings, published(data / "peers.json", tasks, chosen["resolution"]) if data else {}
+
+
+def _tasks(chosen: dict, source: str, data: Path | None, engine) -> list:
+    from ..evaluate.bench.tasks import known_material, real_capture
+    from ..procedural import MATERIALS
+
+    everything = [*(f"builtin:{name}" for name in MATERIALS), *map(str, _inside(data, "materials"))]
+    names = _folders(chosen.get("materials"), everything, data, "materials")
+    names = [f"builtin:{name}" if name in MATERIALS and not Path(name).is_dir() else name for name in names]
+    lit = views_of(source, "inverse-square")[1]
+    tasks: list = [known_material(name, chosen["resolution"], lit, engine) for name in names]
+    shots = _folders(chosen.get("captures"), list(map(str, _inside(data, "captures"))), data, "captures")
+    tasks += [real_capture(Path(name), chosen["resolution"]) for name in shots]
+    if not tasks:
+        raise ConfigError("a material or capture to fit", "none", "give --materials or --captures, or --suite renderers")
+    labels = [(task.kind, task.name) for task in tasks]
+    twice = [name for kind, name in labels if labels.count((kind, name)) > 1]
+    if twice:
+        raise ConfigError("each material and capture once, by a name of its own", f"{twice[0]} twice", "rename a folder")
+    return tasks
+
+
+def _data(folder: Path | None) -> Path | None:
+    """The folder of real captures and known materials, if there is one."""
+    named = folder or (Path(os.environ["MITSVBRDF_DATA"]) if os.environ.get("MITSVBRDF_DATA") else None)
+    if named is not None and not ((named / "captures").is_dir() or (named / "materials").is_dir()):
+        raise ConfigError("a folder with captures/ or materials/", str(named), "check --data and MITSVBRDF_DATA")
+    return named
+
+
+def _inside(data: Path | None, what: str) -> list[Path]:
+    folder = data / what if data else None
+    return sorted(p for p in folder.iterdir() if p.is_dir()) if folder and folder.is_dir() else []
+
+
+def _folders(asked: str | None, everything: list[str], data: Path | None, what: str) -> list[str]:
+    """Names on the command line as builtin:NAME or folders; a bare name may be one in the data."""
+    if asked is None:
+        return everything
+    there = {p.name: str(p) for p in _inside(data, what)}
+    return [name if name.startswith("builtin:") else there.get(name, name) for name in _split(asked) if name != "none"]
+
+
+def _split(text: str | None) -> list[str]:
+    return [part.strip() for part in (text or "").split(",") if part.strip()]
+
+
+def _numbers(option: str, text: str, kind: Callable[[str], T], valid: Callable[[T], bool]) -> list[T]:
+    try:
+        numbers = list(dict.fromkeys(map(kind, _split(text))))
+    except ValueError:
+        numbers = []
+    if not numbers or not all(map(valid, numbers)):
+        raise ConfigError(f"{option} like {WHOLE[option[2:]]}", repr(text), "separate numbers by commas")
+    return numbers
+
+
+def _name(source: str) -> str:
+    return source if source.startswith("builtin:") else Path(os.path.abspath(source)).name
+
+
+def _show(record: dict, page: Path | None) -> None:
+    """The tables on the terminal and, where it was asked for, the page."""
+    from ..report.bench import print_benchmark, write_benchmark_page
+
+    print_benchmark(record)
+    if page:
+        say_written(*write_benchmark_page(page, record))

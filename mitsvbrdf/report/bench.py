@@ -1,0 +1,432 @@
+"""A benchmark as tables on the terminal and as a Markdown page with pictures; both show the record and its summary."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import statistics
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.box import SIMPLE_HEAD
+from rich.markup import escape
+from rich.table import Table as Shown
+
+from .. import files
+from ..evaluate.bench import summary
+from ..evaluate.bench.summary import ERRORS, Point
+from ..progress import console
+from .bench_plots import methods_figure, renderers_figure, small_multiples, svg
+from .page import figure
+
+PEERS = "peers-baseline"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Text cells under headings.
+
+    Args:
+        title: what it shows.
+        heads: one a column.
+        rows: cells; ``**`` around the best.
+        note: a sentence below it.
+    """
+
+    title: str
+    heads: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    note: str = ""
+
+
+def print_benchmark(record: Mapping) -> None:
+    """The tables at equal time, to equal error, of renderers and of the ablation, without spreads, on the terminal."""
+    tables = [*equal_time(record), *equal_error(record), *renderer_tables(record), *ablation_tables(record)]
+    with contextlib.suppress(BrokenPipeError):
+        for table in tables:
+            shown = Shown(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+            for number, head in enumerate(table.heads):
+                shown.add_column(escape(head.replace("`", "")), justify="right" if number else "left", no_wrap=number == 0)
+            for row in table.rows:
+                plain = [row[0].replace("`", ""), *(re.sub(r" \(.*?\)", "", cell) for cell in row[1:])]
+                shown.add_row(*(f"[bold]{escape(c.strip('*'))}[/]" if c.startswith("**") else escape(c) for c in plain))
+            console.print(escape(table.title))
+            console.print(shown)
+
+
+def write_benchmark_page(path: str | Path, record: Mapping) -> list[Path]:
+    """Write a Markdown page, and its pictures beside it under the page's own name.
+
+    Args:
+        path: the page, e.g. ``docs/benchmark.md``.
+        record: a :class:`mitsvbrdf.evaluate.bench.schema.Benchmark`.
+
+    Returns:
+        Every file that was written, the page first.
+
+    Raises:
+        OutputError: a file cannot be written.
+    """
+    path, pictures = Path(path), dict[str, bytes]()
+
+    def picture(name: str, drawing, what: str) -> list[str]:
+        if drawing is None:
+            return []
+        pictures[f"{path.stem}-{name}.svg"] = svg(drawing)
+        return [f"![{what}]({path.stem}-{name}.svg)", ""]
+
+    whole = picture("methods", methods_figure(record), "Error against run time of all methods")
+    lines = [*_head(record), *_in_short(record), *whole, *_methods(record, picture), *_renderers(record, picture),
+             *_ablation(record), *_how(record)]
+    files.write_bytes(path, "\n".join(lines).encode())
+    for name, data in pictures.items():
+        files.write_bytes(path.with_name(name), data)
+    return [path, *(path.with_name(name) for name in pictures)]
+
+
+def equal_time(record: Mapping) -> list[Table]:
+    """Each error of each method at each budget, the lowest in bold."""
+    tables = []
+    for kind, error, title, fits in _judged(record, "methods"):
+        found, times = summary.curves(fits, error), summary.budgets(fits)
+        rows = [[_method(name, fits), *(_error(_at(points, budget)) for budget in times)] for name, points in found.items()]
+        values = [[_value(_at(points, budget)) for budget in times] for points in found.values()]
+        rows = _with_best(rows, values)
+        published = summary.published_mean(record["published"], kind, summary.names(fits), error)
+        rows += [[f"{who}, published", *[""] * (len(times) - 1), f"{value:.4f}"] for who, value in published.items()]
+        if found:
+            tables.append(Table(f"{title}, {_count(kind, fits)}", ["", *(f"{budget:g} s" for budget in times)], rows,
+                                _spread_note(fits)))
+    return tables
+
+
+def equal_error(record: Mapping) -> list[Table]:
+    """The time of the shortest fit of each method that beats the baseline's last error, and MaterialGAN's."""
+    tables = []
+    for kind in ERRORS:
+        fits = summary.of(record["records"], "methods", kind)
+        targets = list(_targets(record, kind, fits))
+        if not targets:
+            continue
+        rows = []
+        for name in dict.fromkeys(r["method"] for r in fits):
+            row = [f"`{name}`"]
+            for _, _, error, only, target, whose in targets:
+                points = summary.curves(fits, error, only).get(name, [])
+                below = summary.first_below(points, target)
+                best = min((p.median for p in points), default=None)
+                row.append("–" if name == whose or best is None else f"{below.seconds:.3g} s" if below
+                           else f"not in {points[-1].budget:g} s (best {best:.4f})")
+            rows.append(row)
+        heads = ["", *(f"{head} {goal}" for head, goal, *_ in targets)]
+        tables.append(Table("Seconds to a lower error, " + _count(kind, fits), heads, rows,
+                            "The shortest budget whose median is lower; schedules follow it, so nothing is known in between."))
+    return tables
+
+
+def _targets(record: Mapping, kind: str, fits: Sequence[Mapping]) -> Iterator[tuple]:
+    """Heading, goal, error, the materials that count, value, and the method it is from."""
+    for error, title in ERRORS[kind].items():
+        short = title.removeprefix("Error ").removeprefix("of ").removeprefix("the ")
+        final = summary.curves(fits, error).get(PEERS)
+        if final:
+            yield f"{short},", f"below `{PEERS}` ({final[-1].median:.4f})", error, None, final[-1].median, PEERS
+        only = summary.with_published(record["published"], kind, summary.names(fits), "MaterialGAN", error)
+        if only:
+            value = summary.published_mean(record["published"], kind, only, error)["MaterialGAN"]
+            where = "" if set(only) == set(summary.names(fits)) else f" on {', '.join(only)}"
+            yield f"{short},", f"below MaterialGAN{where} ({value:.4f})", error, only, value, None
+
+
+def each_one(record: Mapping, kind: str, error: str, title: str) -> Table | None:
+    """The error of each material or capture at the longest budget, beside what was published for it."""
+    fits = summary.of(record["records"], "methods", kind)
+    names, methods = summary.names(fits), list(dict.fromkeys(r["method"] for r in fits))
+    longest = max(summary.budgets(fits), default=0)
+    whose = list(dict.fromkeys(who for name in names for who, e in record["published"].get(kind, {}).get(name, {}).items()
+                               if error in e))
+    rows, values = [], []
+    for name in names:
+        found = {m: _at(points, longest) for m, points in summary.curves(fits, error, [name]).items()}
+        given = record["published"].get(kind, {}).get(name, {})
+        rows.append([name, *(_error(found.get(m), False) for m in methods),
+                     *(f"{given[who][error]:.4f}" if error in given.get(who, {}) else "" for who in whose)])
+        values.append([_value(found.get(m)) for m in methods] + [given.get(who, {}).get(error) for who in whose])
+    if not rows:
+        return None
+    return Table(f"{title}, {longest:g} s, each {'material' if kind == 'material' else 'capture'}",
+                 ["", *(f"`{m}`" for m in methods), *(f"{who}, published" for who in whose)], _best_in_row(rows, values))
+
+
+def each_map(record: Mapping) -> Table | None:
+    """The error of each map at the longest budget, and what was published for the same materials."""
+    fits = summary.of(record["records"], "methods", "material")
+    heads = ("diffuse", "specular", "roughness", "normal", "mean", "novel_light")
+    longest = max(summary.budgets(fits), default=0)
+    found = {head: summary.curves(fits, head) for head in heads}
+    methods = list(dict.fromkeys(r["method"] for r in fits))
+    rows = [[f"`{m}`", *(_error(_at(found[head].get(m, []), longest), False) for head in heads)] for m in methods]
+    values = [[_value(_at(found[head].get(m, []), longest)) for head in heads] for m in methods]
+    if not rows:
+        return None
+    return Table(f"RMSE of each map, {longest:g} s, {_count('material', fits)}", ["", *heads[:-1], "new light"],
+                 _with_best(rows, values))
+
+
+def renderer_tables(record: Mapping) -> list[Table]:
+    """Seconds of a gradient step, of a picture alone, errors, and jittered pixels."""
+    cases = [r for r in record["records"] if r["suite"] == "renderers"]
+    texels = sorted((r for r in cases if r["truth"] == "texels"), key=lambda r: (r["bsdf"] != "roughconductor", r["resolution"],
+                                                                                r["views"]))
+    names = list(dict.fromkeys(row["renderer"] for r in texels for row in r["rows"]))
+    heads = ["", *(f"`{name}`" for name in names)]
+
+    def rows(cell, best: str | None) -> list[list[str]]:
+        made, values = [], []
+        for r in texels:
+            by_name = {row["renderer"]: row for row in r["rows"]}
+            made.append([f"{r['bsdf']}, {r['resolution']} px, {r['views']} view{'s' * (r['views'] > 1)}",
+                         *(cell(by_name[name]) if name in by_name else "–" for name in names)])
+            values.append([by_name[name][best]["median"] if best and name in by_name else None for name in names])
+        return _best_in_row(made, values)
+
+    why = sorted({f"`{s['renderer']}`, {r['resolution']} px, {r['views']} views: {s['why']}"
+                  for r in texels for s in r["skipped"]})
+    note = f"Left out for want of memory: {'; '.join(why)}." if why else ""
+    tables = []
+    if texels:
+        tables += [Table("Seconds forward and backward", heads, rows(lambda row: _time(row["both"]), "both"), note),
+                   Table("Seconds of a picture alone", heads, rows(lambda row: _time(row["forward"]), "forward")),
+                   Table("Error of image / gradient", heads,
+                         rows(lambda row: f"{figure(row['image'])} / {figure(row['gradient'])}", None),
+                         "Image: mean relative error; gradient: relative L2 of the worst map; roughness 0.1 and more.")]
+    for r in (r for r in cases if r["truth"] == "pixels"):
+        made = [[f"`{row['renderer']}`, " + ("texel centre" if row["samples"] == 1 else f"{row['samples']} jittered rays"),
+                 figure(row["image"]), figure(row["gradient"]), _time(row["forward"]), _time(row["both"])] for row in r["rows"]]
+        tables.append(Table(f"Against the average over each pixel, {r['bsdf']}, {r['resolution']} px, {r['views']} views",
+                            ["", "image", "gradient", "forward", "forward and backward"], made))
+    return tables
+
+
+def ablation_tables(record: Mapping) -> list[Table]:
+    """The error with each ingredient off, and how much more that is, by budget."""
+    tables = []
+    for kind, error, title, fits in _judged(record, "ablation"):
+        times, found = summary.budgets(fits), summary.curves(fits, error)
+        change = summary.differences(fits, error)
+        rows = [[name, *(_changed(_at(points, budget), change.get(name, {}).get(budget)) for budget in times)]
+                for name, points in found.items()]
+        if rows:
+            tables.append(Table(f"{title}, {_count(kind, fits)}", ["", *(f"{budget:g} s" for budget in times)], rows,
+                                f"Behind the error: median difference to `{summary.FULL}` over pairs of the same "
+                                f"{'material' if kind == 'material' else 'capture'} and seed, quartiles in brackets; above 0 "
+                                "the ingredient helps."))
+    return tables
+
+
+def _judged(record: Mapping, suite: str) -> Iterator[tuple[str, str, str, list[Mapping]]]:
+    for kind, errors in ERRORS.items():
+        fits = summary.of(record["records"], suite, kind)
+        for error, title in errors.items():
+            if fits:
+                yield kind, error, title, fits
+
+
+def _at(points: Sequence[Point], budget: float) -> Point | None:
+    return next((p for p in points if p.budget == budget), None)
+
+
+def _value(point: Point | None) -> float | None:
+    return None if point is None else point.median
+
+
+def _error(point: Point | None, spread: bool = True) -> str:
+    if point is None:
+        return "–"
+    between = f" ({point.low:.4f}–{point.high:.4f})" if spread and point.seeds > 1 else ""
+    return f"{point.median:.4f}{between}"
+
+
+def _changed(point: Point | None, change: Mapping | None) -> str:
+    if point is None or change is None:
+        return _error(point, False)
+    quartiles = f" ({change['low']:+.4f} to {change['high']:+.4f})" if change["repeats"] > 1 else ""
+    return f"{point.median:.4f}, {change['median']:+.4f}{quartiles}"
+
+
+def _time(spread: Mapping) -> str:
+    scale, unit = (1e3, "ms") if spread["median"] < 1 else (1, "s")
+    median, low, high = (f"{scale * spread[name]:.3g}" for name in ("median", "low", "high"))
+    return f"{median} {unit} ({low}–{high})"
+
+
+def _with_best(rows: list[list[str]], values: list[list[float | None]]) -> list[list[str]]:
+    """The lowest of each column in bold."""
+    for column in range(len(values[0]) if values else 0):
+        here = [row[column] for row in values if row[column] is not None]
+        for row, value in zip(rows, values):
+            if here and value[column] == min(here):  # type: ignore[type-var]
+                row[column + 1] = f"**{row[column + 1]}**"
+    return rows
+
+
+def _best_in_row(rows: list[list[str]], values: list[list[float | None]]) -> list[list[str]]:
+    """The lowest of each row in bold."""
+    for row, value in zip(rows, values):
+        here = [v for v in value if v is not None]
+        for column, v in enumerate(value):
+            if here and v == min(here):
+                row[column + 1] = f"**{row[column + 1]}**"
+    return rows
+
+
+def _method(name: str, fits: Sequence[Mapping]) -> str:
+    """The name, and when a method ends by itself."""
+    ended = [r["seconds"] for r in fits if r["method"] == name and r["stopped"] == "iterations"]
+    return f"`{name}`" + (f" (ends after {statistics.median(ended):.3g} s)" if ended else "")
+
+
+def _count(kind: str, fits: Sequence[Mapping]) -> str:
+    names = summary.names(fits)
+    what = {"material": "known material", "capture": "real capture"}[kind]
+    return names[0] if len(names) == 1 else f"mean of {len(names)} {what}s"
+
+
+def _spread_note(fits: Sequence[Mapping]) -> str:
+    seeds = len({r["seed"] for r in fits})
+    return f"Median of {seeds} seeds, quartiles in brackets." if seeds > 1 else "One seed."
+
+
+def _markdown(table: Table | None, level: str = "###") -> list[str]:
+    if table is None:
+        return []
+    lines = [f"{level} {table.title}", "", f"| {' | '.join(table.heads)} |", "|---" + "|---:" * (len(table.heads) - 1) + "|"]
+    lines += [f"| {' | '.join(row)} |" for row in table.rows]
+    return [*lines, "", *([table.note, ""] if table.note else [])]
+
+
+def _head(record: Mapping) -> list[str]:
+    m, v, s = record["machine"], record["versions"], record["settings"]
+    model = m.get("model") or m.get("cpu")
+    memory = f", {m['memory_gib']} GiB" if m.get("memory_gib") else ""
+    packages = ", ".join(f"{name} {v[name]}" for name in ("mitsvbrdf", "mitsuba", "drjit", "torch", "python") if v.get(name))
+    return ["# Benchmark: error against run time", "",
+            f"Written by `mitsvbrdf bench --page`, nothing by hand. Machine: {model}, {m['cores']} cores{memory}, "
+            f"{m['system']}. Versions: {packages}, {m.get('libllvm') or 'libLLVM unknown'}; code {s['code']}. "
+            f"Fits: {s['resolution']} px, through `{s['renderer']}`"
+            + (f", seeds {', '.join(map(str, record['seeds']))}" if record["seeds"] else "") + ".", ""]
+
+
+def _in_short(record: Mapping) -> list[str]:
+    """Where the default method is lowest and where it is not, and against what was published: wins and losses alike."""
+    lines = []
+    for kind, error, title, fits in _judged(record, "methods"):
+        found, times = summary.curves(fits, error), summary.budgets(fits)
+        default = next(iter(found), None)
+        if default is None or len(found) < 2:
+            continue
+        lowest: dict[str, list[str]] = {}
+        for budget in times:
+            here = {name: p.median for name, points in found.items() if (p := _at(points, budget))}
+            if default in here:
+                best = min(here, key=lambda name: here[name])
+                beside = "" if best == default else f" ({here[best]:.4f}, `{default}` {here[default]:.4f})"
+                lowest.setdefault(best, []).append(f"{budget:g} s{beside}")
+        lines.append(f"- {title}, {_count(kind, fits)}, lowest: "
+                     + "; ".join(f"`{name}` at {_list(at)}" for name, at in lowest.items()) + ".")
+    for kind, error, title, fits in _judged(record, "methods"):
+        lines += _beside_published(record, kind, error, title, fits)
+    failed = summary.failures(record["records"])
+    if failed:
+        lines.append(f"- {len(failed)} fits failed: " + "; ".join(
+            f"`{r['method']}` on {r['name']}, {r['budget']:g} s, seed {r['seed']} ({r['why']})" for r in failed) + ".")
+    return ["## In short", "", *lines, ""] if lines else []
+
+
+def _beside_published(record: Mapping, kind: str, error: str, title: str, fits: Sequence[Mapping]) -> list[str]:
+    default = next(r["method"] for r in fits)
+    only = summary.with_published(record["published"], kind, summary.names(fits), "MaterialGAN", error)
+    longest = max(summary.budgets(fits))
+    won: list[str] = []
+    lost: list[str] = []
+    for name in only:
+        point = _at(summary.curves(fits, error, [name]).get(default, []), longest)
+        given = record["published"][kind][name]["MaterialGAN"][error]
+        if point:
+            (won if point.median < given else lost).append(name)
+    if not won and not lost:
+        return []
+    text = f"lower on {len(won)} of {len(won) + len(lost)}" + (f" ({', '.join(won)})" if won else "")
+    text += f", not on {', '.join(lost)}" if lost else ""
+    return [f"- {title}, `{default}` after {longest:g} s against MaterialGAN as published: {text}."]
+
+
+def _methods(record: Mapping, picture) -> list[str]:
+    lines = []
+    for kind, heading, text in (
+            ("material", "## Known materials", "Photos made of known maps, 8 bits, without noise; the error of the maps is the "
+             "mean of the four RMSEs, the error under new light is that of pictures lit from the side, 25 and 50 degrees off "
+             "the upright, as no photo with a flash was."),
+            ("capture", "## Real captures", "Photos 4 and 7 are left out of every fit and predicted afterwards. MaterialGAN, "
+             "trained on a large data set, saw all nine, those two as well.")):
+        fits = summary.of(record["records"], "methods", kind)
+        if not fits:
+            continue
+        lines += [heading, "", text, ""]
+        for table in equal_time({**record, "records": fits}) + equal_error({**record, "records": fits}):
+            lines += _markdown(table)
+        lines += _markdown(each_map(record)) if kind == "material" else []
+        for error, title in ERRORS[kind].items():
+            lines += _markdown(each_one(record, kind, error, title))
+            lines += picture(f"{kind}-{error.replace('_', '-')}", small_multiples(record, kind, error), f"{title}, one by one")
+    return lines
+
+
+def _renderers(record: Mapping, picture) -> list[str]:
+    tables = renderer_tables(record)
+    if not tables:
+        return []
+    lines = ["## Renderers", "", "Made inlaid wood, the flash 0.1 patch sides beside the lens, against the float64 twin "
+             "`analytic64`; all renderers in turn, median and quartiles.", "",
+             *picture("renderers", renderers_figure(record), "Error against run time of the renderers")]
+    return lines + [line for table in tables for line in _markdown(table)]
+
+
+def _ablation(record: Mapping) -> list[str]:
+    lines = [line for table in ablation_tables(record) for line in _markdown(table)]
+    return ["## Each ingredient off", "", *lines] if lines else []
+
+
+def _how(record: Mapping) -> list[str]:
+    return ["## How to reproduce", "", "Every point is a fit of its own with its own budget, for schedules follow the budget; "
+            "seconds are the loop's own, after kernels are compiled, without what comes before and after it (`wall` in the "
+            "JSON has that too). Methods take turns. Real captures, known materials and published numbers lie in the folder "
+            "that `MITSVBRDF_DATA` names.", "",
+            *(f"    {line}" for line in commands(record)), ""]
+
+
+def commands(record: Mapping) -> list[str]:
+    """The commands that make the same records, one for each suite."""
+    records, made = record["records"], []
+    for suite in ("renderers", "methods", "ablation"):
+        here = [r for r in records if r["suite"] == suite]
+        if not here:
+            continue
+        line = f"mitsvbrdf bench --suite {suite}" + (" --quick" if record["settings"]["quick"] else "")
+        if suite == "renderers":
+            line += f" --repeats {here[0]['config']['repeats']}"
+        else:
+            for option, kind in (("materials", "material"), ("captures", "capture")):
+                names = summary.names(summary.of(here, suite, kind))
+                line += f" --{option} {','.join(names) or 'none'}"
+            methods = f" --methods {','.join(dict.fromkeys(r['method'] for r in here))}" if suite == "methods" else ""
+            line += (methods + f" --budgets {','.join(f'{b:g}' for b in summary.budgets(here))}"
+                     f" --seeds {','.join(map(str, sorted({r['seed'] for r in here})))}"
+                     f" --resolution {record['settings']['resolution']} --views {record['settings']['views']}")
+        made.append(line)
+    return [*made, "mitsvbrdf bench --suite none --page benchmark.md"]
+
+
+def _list(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
