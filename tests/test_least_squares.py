@@ -93,7 +93,7 @@ class Twin:
 
     def cost(self, x):
         square, s = self.errors(x).square(), self.case.evidence.robust
-        return (self.weights * (square if s is None else s**2 * torch.log1p(square / s**2))).sum(dim=(0, 3))
+        return (self.weights * (square if s is None else 2 * s**2 * (torch.sqrt(1 + square / s**2) - 1))).sum(dim=(0, 3))
 
     def prior(self, x):
         return (self.case.precision * (x - self.case.mean) ** 2).sum(dim=0)
@@ -105,7 +105,7 @@ class Twin:
                 for v in range(len(error)) for c in range(3)]
         jacobian = torch.stack(rows).permute(2, 3, 0, 1)  # R x R x 3 N x U
         error, s = error.detach(), self.case.evidence.robust
-        weights = self.weights / (1 if s is None else 1 + error.square() / s**2)
+        weights = self.weights / (1 if s is None else torch.sqrt(1 + error.square() / s**2))
         weights, error = (t.expand_as(self.photos).permute(1, 2, 0, 3).flatten(2)[..., None] for t in (weights, error))
         return (jacobian.mT @ (weights * error))[..., 0], jacobian.mT @ (weights * jacobian)
 

@@ -47,7 +47,8 @@ class Evidence:
         views: N views.
         transfer: how display values encode light.
         noise: standard deviation of a display value.
-        robust: s of Cauchy's rho(e) = s^2 log(1 + e^2 / s^2), in display values; None for e^2.
+        robust: s of the pseudo-Huber rho(e) = 2 s^2 (sqrt(1 + e^2 / s^2) - 1), in display values (Charbonnier et al. 1994); None
+            for e^2. It never stops growing: a highlight that a start misses is an outlier, and must not be given up as one.
         weights: w of each photo's pixels, N x R x R; None for 1.
     """
 
@@ -173,7 +174,7 @@ class TexelSolver:
         """Data cost R x R, J^T W e U x R x R and J^T W J U x U x R x R at x, float32.
 
         J are the slopes of the errors by the unknowns, W the weights: w / noise^2, 0 where a clipped value says nothing, times
-        1 / (1 + e^2 / s^2) if robust.
+        1 / sqrt(1 + e^2 / s^2) if robust.
         """
         side, count = x.shape[-1], len(x)
         found = self._traced(evidence, side).equations(self._problem(evidence, side), self._planes(x))
@@ -263,11 +264,11 @@ class TexelSolver:
                     weight = weight * dr.gather(Float, problem["weights"], view * texels + index)
                 rho = dr.square(error)
                 if "scale" in problem:
-                    excess = rho / dr.square(problem["scale"])
-                    rho = dr.square(problem["scale"]) * dr.log(1 + excess)
+                    excess = dr.sqrt(1 + rho / dr.square(problem["scale"]))
+                    rho = 2 * rho / (1 + excess)
                 cost = cost + kind(dr.sum(weight * rho))
                 if "scale" in problem:
-                    weight = weight / (1 + excess)
+                    weight = weight / excess
 
                 seeds = [[(free[name], 1)] if name in free else
                          [(d, _turned(dr.detach(d), *turns[axis])) for d in directions] for name, axis, _ in columns]
