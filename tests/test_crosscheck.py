@@ -378,7 +378,8 @@ def test_command_on_a_fit(tmp_path, capsys):
     # Falloff and flash offset are those of the fit; maps are averaged down to the resolution asked for.
     save_maps(make_material("leather", 32), tmp_path / "out/maps")
     (tmp_path / "out/fit.json").write_text(json.dumps({
-        "views": {"falloff": "none"}, "flash_offset": {"x": 0.05, "y": -0.02},
+        "views": {"size": 1.0, "falloff": "none", "camera": [[0.0, 0.0, 1.5]], "light": [[0.05, -0.02, 1.5]],
+                  "intensity": [[20.0, 20.0, 20.0]]}, "flash_offset": {"x": 0.05, "y": -0.02},
         "capture": {"transfer": "srgb", "name": "photos", "photos": [0]}}))
     page, figures = tmp_path / "page.html", tmp_path / "figures.json"
     options = ["--renderer", "analytic", "--bsdf", "roughconductor", "--repeats", "1", "--resolution", "16"]
