@@ -23,6 +23,7 @@ from mitsvbrdf.evaluate.bench.schema import check_benchmark
 from mitsvbrdf.evaluate.bench.store import Store
 from mitsvbrdf.evaluate.bench.tasks import known_material, novel_light_rmse, novel_views, real_capture
 from mitsvbrdf.fit import DirectConfig, GanConfig, HybridConfig
+from mitsvbrdf.fit.loop import Loop
 from mitsvbrdf.maps import save_maps
 from mitsvbrdf.procedural import make_material
 from mitsvbrdf.render import make_renderer
@@ -138,6 +139,15 @@ def test_one_fit_of_each_kind(config):
     assert found.predict(shots) == pytest.approx(found.rmse, rel=1e-6)
     falloff = "none" if isinstance(config, GanConfig) else "inverse-square"
     assert methods.as_lit(shots, config).views.falloff == falloff
+
+
+@pytest.mark.parametrize("config", [DirectConfig(), GanConfig(width=8), PeersConfig()])
+def test_a_fit_without_a_step_is_no_result(config, monkeypatch):
+    # As where the budget is over before the first step, on any machine.
+    monkeypatch.setattr(Loop, "_limit_reached", lambda loop: "budget")
+    task = known_material("builtin:inlay", 16, nine_view_grid(), ANALYTIC)
+    found = bench.FitJob("methods", "any", config, task, 0.1, 0, ANALYTIC).run()
+    assert found["stopped"] == "failed" and "longer budget" in found["why"] and found["errors"] == {}
 
 
 def test_a_fit_that_cannot_be_done_is_a_record(monkeypatch):

@@ -326,6 +326,7 @@ def test_a_photo_from_elsewhere_is_named(capture):
     ({"rerendered": 4.0}, "darker than the photos by 4x"), ({"rerendered": 0.25}, "brighter than the photos by 4x"),
     ({"rerender_rmse": 0.2}, "only met to 0.2"), ({"stopped": "unstable"}, "ended early"),
     ({"undone": ({"iteration": 30, "reason": "flat not finite"},)}, "1 step undone; the first at iteration 30: flat not"),
+    ({"trace": [{"iteration": 0, "seconds": 0.0, "rerender_rmse": 0.1}]}, "no step was made"),
     ({"restarts": ({"iteration": 50, "reason": "x"},) * 2}, "diverged and went back to its lowest loss 2 times"),
 ])
 def test_each_doubt(change, words, fitted, capture):

@@ -27,6 +27,8 @@ def doubts(result: FitResult, capture: Capture) -> Iterator[str]:
     yield from _photos(capture)
     yield from _light(result, capture)
     yield from _errors(result, capture)
+    if result.trace[-1]["iteration"] == 0:
+        yield "no step was made, so the maps are where the fit starts: give more seconds"
     if result.undone:
         first = result.undone[0]
         yield f"{_count(result.undone, 'step')} undone; the first at iteration {first['iteration']}: {first['reason']}"

@@ -92,7 +92,7 @@ def fit(capture: Capture, renderer: Renderer, config: FitConfig,
 
     Raises:
         KeyboardInterrupt: Ctrl-C ended it.
-        MitsvbrdfError: it cannot be done, e.g. no step of it stays finite.
+        MitsvbrdfError: it cannot be done: no step of it stays finite, or its budget ends before the first.
     """
     started, capture = time.perf_counter(), as_lit(capture, config)
     if isinstance(config, PeersConfig):
@@ -112,8 +112,9 @@ def fit(capture: Capture, renderer: Renderer, config: FitConfig,
             return evaluate_fit(result, shots)
     if stopped == "interrupted":
         raise KeyboardInterrupt
-    wall = time.perf_counter() - started
-    # Where every step was taken back the trace has but the start, at 0 s; the time is gone all the same.
+    wall, iterations = time.perf_counter() - started, trace[-1]["iteration"]
+    if iterations == 0:  # the budget counts what comes before the first step too
+        raise ConfigError("a fit of one step or more", f"none in {wall:.2g} s", "give a longer budget")
     return Fitted(svbrdf.detach(), rmse, lambda shots: predicted(as_lit(shots, config))["rerender_rmse"],
-                  trace[-1]["seconds"] or wall, wall, trace[-1]["iteration"], stopped)
+                  trace[-1]["seconds"], wall, iterations, stopped)
 
