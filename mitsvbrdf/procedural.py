@@ -44,9 +44,12 @@ def make_material(name: str, resolution: int = 256, seed: int = 0) -> SVBRDF:
         raise ConfigError("a resolution of 2 or more", str(resolution), "ask for e.g. 256")
     fine = resolution * max(2, 512 // resolution)
     x, y, _ = texel_positions(fine, torch.float32).unbind(-1)
-    paint = MATERIALS[name](x, y, torch.Generator().manual_seed(seed))
+    return painted(MATERIALS[name](x, y, torch.Generator().manual_seed(seed))).resized(resolution)
 
-    down, right = torch.gradient(paint.height, spacing=1 / fine)
+
+def painted(paint: Paint) -> SVBRDF:
+    """The maps of a painted material, as fine as it was painted; values and slopes cut as :func:`make_material` says."""
+    down, right = torch.gradient(paint.height, spacing=1 / len(paint.height))
     slope = torch.stack((right, -down), dim=-1)
     slope = slope * (STEEPEST / slope.norm(dim=-1, keepdim=True).clamp_min(STEEPEST))
     specular = paint.specular.clamp(0.02, 0.95)
@@ -54,7 +57,7 @@ def make_material(name: str, resolution: int = 256, seed: int = 0) -> SVBRDF:
         "diffuse": torch.minimum(paint.diffuse.clamp(0, 0.95), 1 - specular), "specular": specular,
         "roughness": paint.roughness.clamp(0.08, 1),
         "normal": F.normalize(torch.cat((-slope, torch.ones_like(slope[..., :1])), dim=-1), dim=-1),
-    }).resized(resolution)
+    })
 
 
 class Paint:

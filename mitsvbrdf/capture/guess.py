@@ -58,7 +58,7 @@ def guess_diffuse(capture: Capture, method: GuessMethod = "robust") -> Tensor:
     if method == "robust":
         return _robust(capture)
     radiance = capture.linear.min(dim=0).values if method == "min" else _blurred(capture.linear.mean(dim=0))
-    return _over(math.pi * radiance, _centre_irradiance(capture.views)).clamp(0, 1)
+    return over(math.pi * radiance, _centre_irradiance(capture.views)).clamp(0, 1)
 
 
 def _centre_irradiance(views: Views) -> Tensor:
@@ -67,7 +67,7 @@ def _centre_irradiance(views: Views) -> Tensor:
     return (views.intensity * light[:, 2:] / light.norm(dim=1, keepdim=True) ** 3).mean(dim=0).float()
 
 
-def _over(value: Tensor, irradiance: Tensor) -> Tensor:
+def over(value: Tensor, irradiance: Tensor) -> Tensor:
     """The quotient, 0 where there is no light in a channel."""
     return torch.where(irradiance > 0, value / irradiance, 0.0)
 
@@ -84,9 +84,9 @@ def _blurred(image: Tensor) -> Tensor:
 
 
 def _robust(capture: Capture) -> Tensor:
-    light, half, irradiance = _geometry(capture.views, capture.resolution)
-    albedo = _over(math.pi * capture.linear, irradiance)  # apparent albedo of a flat Lambertian
-    most = _over(torch.tensor(math.pi), irradiance)  # and of a clipped pixel
+    light, half, irradiance = geometry(capture.views, capture.resolution)
+    albedo = over(math.pi * capture.linear, irradiance)  # apparent albedo of a flat Lambertian
+    most = over(torch.tensor(math.pi), irradiance)  # and of a clipped pixel
 
     size = min(capture.resolution, FIT_SIZE)
     texels = [_resized(x, size) for x in (albedo.mean(-1, True), most.mean(-1, True), light, half)]
@@ -118,7 +118,7 @@ def _resized(images: Tensor, size: int) -> Tensor:
     return F.interpolate(images.permute(0, 3, 1, 2), (size, size), **how).permute(0, 2, 3, 1)
 
 
-def _geometry(views: Views, resolution: int) -> tuple[Tensor, Tensor, Tensor]:
+def geometry(views: Views, resolution: int) -> tuple[Tensor, Tensor, Tensor]:
     """Unit vectors to the light and half way to the camera, and the irradiance of flat texels: N x R x R x 3 each."""
     views, texels = views.in_patch_sides(), texel_positions(resolution)
     light, camera = (x[:, None, None] - texels for x in (views.light, views.camera))

@@ -46,6 +46,7 @@ from .options import (
     read_photos,
     views_of,
 )
+from .pretrain_hybrid import check_new_checkpoint, pretrain_hybrid
 from .stability import stability
 
 CONFIGS: dict[str, type[FitConfig]] = {"hybrid": HybridConfig, "gan": GanConfig, "direct": DirectConfig}
@@ -265,9 +266,7 @@ def pretrain_command(picture: Positional[Photos], out: Out, config: UseAppendAct
     `fit --method gan --preset paper-two-stage --pretrained OUT`.
     """
     config.check()
-    if out.is_dir() or out.exists() and not overwrite:
-        raise ConfigError("a new checkpoint file", f"{out}, which exists", "add --overwrite, or choose another name")
-    files.check_output(out)
+    check_new_checkpoint(out, overwrite)
     shots = read_photos(picture, resolution, None, "auto", falloff)
     engine = make_renderer(renderer, variant)
     with Progress(f"pretrain · {engine.name}") as progress:
@@ -335,7 +334,7 @@ def main(arguments: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else arguments
     commands = {"fit": fit_command(_method_of(arguments)), "guess": guess, "render": render, "evaluate": evaluate,
                 "crosscheck": crosscheck, "leave-out": leave_out, "stability": stability, "bench": bench, "synth": synth,
-                "pretrain": pretrain_command, "doctor": doctor, "demo": demo}
+                "pretrain": pretrain_command, "pretrain-hybrid": pretrain_hybrid, "doctor": doctor, "demo": demo}
     if arguments == ["--version"]:
         say(f"mitsvbrdf {__version__}")
         return 0

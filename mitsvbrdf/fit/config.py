@@ -69,6 +69,8 @@ class FitConfig:
 class HybridConfig(FitConfig):
     """The default method: a generator that sees all photos, trained through the renderer against all of them."""
 
+    pretrained: str | None = None
+    """A start learned from made materials: shipped, or a file of `mitsvbrdf pretrain-hybrid`; None: the robust start alone."""
     width: int = 16
     """Channels of the generator's finest level."""
     learning_rate: float = 5e-3

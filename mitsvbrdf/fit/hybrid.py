@@ -22,6 +22,7 @@ from . import losses
 from .checkpoint import load_module_state, load_optimizer_state, module_state, optimizer_state
 from .config import HybridConfig
 from .held import held_maps
+from .learned_start import learned_start, no_learned_start
 from .method import cosine, descend
 from .needs import no_flash_offset
 from .networks import AllPhotosGenerator, PatchDiscriminator, seeded
@@ -48,7 +49,10 @@ class Hybrid:
         self.held = held_maps(config.fix, config.bsdf, capture.resolution)
         self.unused = losses.unused(config, self.held)
         streams = streams_of(config.bsdf, self.held, config.grey_specular)
-        self.start = to_raw(robust_start(capture, guess, config.bsdf, self.held), streams)
+        start = robust_start(capture, guess, config.bsdf, self.held)
+        if config.pretrained and no_learned_start(capture, config) is None:
+            start = learned_start(capture, guess, start, config.pretrained)
+        self.start = to_raw(start, streams)
         self.edges = losses.edge_weights(guess)
         photos = capture.photos.permute(0, 3, 1, 2)
         clipped = (photos >= losses.CLIPPED).any(dim=1).float()

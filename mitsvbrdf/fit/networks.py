@@ -20,9 +20,10 @@ def seeded(seed: int) -> Iterator[None]:
         yield
 
 
-def _block(layer: nn.Module, channels: int) -> nn.Sequential:
+def _block(layer: nn.Module, channels: int, normalise: bool = True) -> nn.Sequential:
     # Group norm with one channel a group is instance norm; torch computes it several times faster on a CPU.
-    return nn.Sequential(layer, nn.GroupNorm(channels, channels), nn.LeakyReLU(0.2, inplace=True))
+    norm = [nn.GroupNorm(channels, channels)] if normalise else []
+    return nn.Sequential(layer, *norm, nn.LeakyReLU(0.2, inplace=True))
 
 
 class TwoStreamGenerator(nn.Module):
@@ -106,20 +107,23 @@ class AllPhotosGenerator(nn.Module):
         inputs: channels of the conditioning image.
         streams: which maps come out of which decoder, with how many channels; one without maps is not built.
         width: channels of the finest level.
+        normalise: instance norm, which helps a network that learns from one material alone. Without it levels get through,
+            and what comes out of a crop does not depend on what lies around it further than the network sees.
     """
 
-    def __init__(self, inputs: int, streams: Streams = STREAMS["roughconductor"], width: int = 16) -> None:
+    def __init__(self, inputs: int, streams: Streams = STREAMS["roughconductor"], width: int = 16,
+                 normalise: bool = True) -> None:
         super().__init__()
+        self.normalise = normalise
         self.streams = [stream for stream in streams if stream]
         widths = [width, 2 * width, 4 * width, 6 * width, 6 * width]
-        self.down = nn.ModuleList([_block(nn.Conv2d(inputs, width, 3, padding=1), width)] + [
-            _block(nn.Conv2d(a, b, 4, stride=2, padding=1), b) for a, b in zip(widths, widths[1:])])
+        self.down = nn.ModuleList([_block(nn.Conv2d(inputs, width, 3, padding=1), width, normalise)] + [
+            _block(nn.Conv2d(a, b, 4, stride=2, padding=1), b, normalise) for a, b in zip(widths, widths[1:])])
         self.up = nn.ModuleList(self._decoder(widths, sum(s.values())) for s in self.streams)
 
-    @staticmethod
-    def _decoder(widths: list[int], channels: int) -> nn.ModuleList:
+    def _decoder(self, widths: list[int], channels: int) -> nn.ModuleList:
         # The finest level only mixes channels (1 x 1): it has the most pixels, and its neighbours are in the skip already.
-        layers = [_block(nn.Conv2d(below + at, at, *((1,) if at == widths[0] else (3, 1, 1))), at)
+        layers = [_block(nn.Conv2d(below + at, at, *((1,) if at == widths[0] else (3, 1, 1))), at, self.normalise)
                   for at, below in zip(widths[-2::-1], widths[:0:-1])]
         last = nn.Conv2d(widths[0], channels, 1)
         nn.init.zeros_(last.weight)
@@ -128,8 +132,12 @@ class AllPhotosGenerator(nn.Module):
 
     def forward(self, condition: Tensor) -> dict[str, Tensor]:
         """Changes by name, each C x R x R, for a conditioning image 1 x inputs x R x R."""
-        size = condition.shape[-1]
-        levels = [pad_to_multiple(condition, 16)]
+        return {name: change[0] for name, change in self.changes(condition).items()}
+
+    def changes(self, conditions: Tensor) -> dict[str, Tensor]:
+        """Changes by name, each N x C x R x R, for conditioning images N x inputs x R x R."""
+        size = conditions.shape[-1]
+        levels = [pad_to_multiple(conditions, 16)]
         for layer in self.down:
             levels.append(layer(levels[-1]))
         out: dict[str, Tensor] = {}
@@ -137,8 +145,8 @@ class AllPhotosGenerator(nn.Module):
             x = levels[-1]
             for layer, skip in zip(decoder[:-1], levels[-2:0:-1]):
                 x = layer(torch.cat((F.interpolate(x, scale_factor=2.0, mode="nearest"), skip), dim=1))
-            maps = decoder[-1](x)[0, :, :size, :size]
-            out |= dict(zip(stream, maps.split(list(stream.values()))))
+            maps = decoder[-1](x)[:, :, :size, :size]
+            out |= dict(zip(stream, maps.split(list(stream.values()), dim=1)))
         return out
 
 
