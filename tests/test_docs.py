@@ -13,7 +13,8 @@ SHORTER = [(r"--budget \d+", "--iterations 3"), (r"budget=\d+", "iterations=3"),
 
 
 QUICK = {"crosscheck": ["--repeats", "1", "--bsdf", "roughconductor"], "leave-out": ["--resolution", "16", "--repeats", "1"],
-         "stability": ["--only", "clipped", "--renderer", "analytic"]}
+         "stability": ["--only", "clipped", "--renderer", "analytic"],
+         "bench": ["--suite", "methods", "--methods", "direct", "--budgets", "0.3", "--resolution", "16"]}
 
 
 def shortened(text):
