@@ -14,7 +14,7 @@ _HOME = {
     "View": "views", "Views": "views",
     "Capture": "capture", "read_capture": "capture", "write_capture": "capture", "guess_diffuse": "capture",
     "make_renderer": "render",
-    "HybridConfig": "fit", "GanConfig": "fit", "DirectConfig": "fit", "FitResult": "fit", "fit_svbrdf": "fit",
+    "HierarchicalConfig": "fit", "HybridConfig": "fit", "GanConfig": "fit", "DirectConfig": "fit", "FitResult": "fit", "fit_svbrdf": "fit",
     "evaluate_fit": "evaluate", "evaluate_maps": "evaluate", "evaluate_capture": "evaluate",
     "write_fit": "report.folder", "write_scene": "report.export",
     "make_material": "procedural",

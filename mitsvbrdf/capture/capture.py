@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import torch.nn.functional as F
 from torch import Tensor
 
 from .. import color
@@ -59,6 +60,16 @@ class Capture:
     def linear(self) -> Tensor:
         """The photos as linear radiance, N x R x R x 3 (clipped highlights stay at 1)."""
         return color.decode(self.photos, self.transfer)
+
+    def averaged(self, resolution: int) -> Capture:
+        """The photos at another size, by area averages of display values."""
+        chw = F.adaptive_avg_pool2d(self.photos.permute(0, 3, 1, 2), resolution)
+        return replace(self, photos=chw.permute(0, 2, 3, 1).contiguous())
+
+    def sampled(self, resolution: int) -> Capture:
+        """Every k-th pixel of the photos, the middle one, for the greatest k that leaves at least ``resolution`` a side."""
+        step = max(1, self.resolution // resolution)
+        return replace(self, photos=self.photos[:, step // 2::step, step // 2::step].contiguous())
 
     def pick(self, index: Sequence[int]) -> Capture:
         """The photos with these numbers (as in :attr:`index`), in this order.

@@ -1,4 +1,4 @@
-"""From a capture to a :class:`FitResult`: three methods behind one function."""
+"""From a capture to a :class:`FitResult`: four methods behind one function."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..errors import ConfigError
 from ..profile import profile_summary, profiled
 from ..render import Renderer
 from .confidence import deviations
-from .config import DirectConfig, FitConfig, GanConfig, HybridConfig
+from .config import DirectConfig, FitConfig, GanConfig, HierarchicalConfig, HybridConfig
 from .doubts import doubts
 from .held import held_maps
 from .loop import Loop, rerender
@@ -23,6 +23,9 @@ from .result import FitResult
 
 def make_method(capture: Capture, renderer: Renderer, guess, config: FitConfig):
     """The method that a configuration belongs to, ready to step."""
+    if isinstance(config, HierarchicalConfig):
+        from .hierarchical import Hierarchical
+        return Hierarchical(capture, renderer, guess, config)
     if isinstance(config, HybridConfig):
         from .hybrid import Hybrid
         return Hybrid(capture, renderer, guess, config)
@@ -32,7 +35,7 @@ def make_method(capture: Capture, renderer: Renderer, guess, config: FitConfig):
     if isinstance(config, DirectConfig):
         from .direct import Direct
         return Direct(capture, renderer, guess, config)
-    raise ConfigError("a HybridConfig, GanConfig or DirectConfig", type(config).__name__, "use one of these")
+    raise ConfigError("a HierarchicalConfig, HybridConfig, GanConfig or DirectConfig", type(config).__name__, "use one of these")
 
 
 def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = None, *,
@@ -43,18 +46,18 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     Args:
         capture: photos and views.
         renderer: carries the gradients and draws the comparison.
-        config: which method and its settings; left out, ``HybridConfig()``.
+        config: which method and its settings; left out, ``HierarchicalConfig()``.
         checkpoint: file (.safetensors) to keep the running state in.
         resume: checkpoint to continue from; bit-equal to an uninterrupted run of the same options on a CPU.
         report: called with (trace entry, share done) after each measurement.
 
     Returns:
-        The result with the lowest re-rendering error met; Ctrl-C ends the fit early with the best so far.
+        The result with the lowest re-rendering error met (``hierarchical``: the last); Ctrl-C ends the fit early with it.
 
     Raises:
         ConfigError: options out of range, or a checkpoint of another fit.
     """
-    config = (config or HybridConfig()).limited()
+    config = (config or HierarchicalConfig()).limited()
     config.check()
     with profiled("setting up"):
         guess = first_guess(capture, config)
@@ -98,4 +101,4 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
     Loop(make_method(one, renderer, first_guess(one, config), config), one, renderer, config, checkpoint, report).run()
 
 
-__all__ = ["DirectConfig", "FitConfig", "FitResult", "GanConfig", "HybridConfig", "fit_svbrdf", "left_out", "pretrain"]
+__all__ = ["DirectConfig", "FitConfig", "FitResult", "GanConfig", "HierarchicalConfig", "HybridConfig", "fit_svbrdf", "left_out", "pretrain"]

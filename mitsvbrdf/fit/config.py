@@ -12,7 +12,7 @@ from .held import stated_maps
 GuessMethod = Literal["robust", "min", "mean-blur"]
 Preset = Literal["paper-one-stage", "paper-two-stage"]
 
-POSITIVE = ("budget", "iterations", "width", "learning_rate", "normal_roughness_steps")
+POSITIVE = ("budget", "iterations", "width", "learning_rate", "normal_roughness_steps", "materials", "likeness", "spread", "relief")
 
 
 def check_seed(seed: int) -> None:
@@ -66,8 +66,30 @@ class FitConfig:
 
 
 @dataclass(frozen=True)
+class HierarchicalConfig(FitConfig):
+    """The default method: every texel solved by itself, specular and roughness shared between texels that look alike."""
+
+    materials: int = 64
+    """Basis materials, told apart by their look, between which texels share specular and roughness."""
+    likeness: float = 0.02
+    """How alike texels must look to share: standard deviation, in the numbers of fit/likeness.py."""
+    spread: float = 0.03
+    """How far specular and roughness may be from those of look-alikes, in photos that do not follow the model."""
+    relief: float = 0.02
+    """Slopes of the normals to expect, in photos that do not follow the model."""
+    tails: float = 2.0
+    """Pixels farther from a highlight than so many lobe widths count less, in such photos; 0 counts all alike."""
+    neighbours: bool = True
+    """Whether texels try their neighbours' answers as starts."""
+    refine_views: bool = True
+    """Whether camera, flash and exposure of each photo are refined, where the photos do not follow the model."""
+    flash_offset: bool = True
+    """Whether the sideways distance between lens and flash is fitted, one for all photos (calibrations claim 0)."""
+
+
+@dataclass(frozen=True)
 class HybridConfig(FitConfig):
-    """The default method: a generator that sees all photos, trained through the renderer against all of them."""
+    """A generator that sees all photos, trained through the renderer against all of them."""
 
     pretrained: str | None = None
     """A start learned from made materials: shipped, or a file of `mitsvbrdf pretrain-hybrid`; None: the robust start alone."""

@@ -9,7 +9,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import torch
@@ -53,6 +53,8 @@ class Loop:
                  checkpoint: Path | None = None, report: Callable[[dict, float], None] | None = None) -> None:
         self.method, self.capture, self.renderer, self.config = method, capture, renderer, config.limited()
         self.checkpoint, self.report = checkpoint, report
+        self.beat = getattr(method, "measured_every", EVALUATE_EVERY)
+        self.latest_is_best = getattr(method, "latest_is_best", False)
         self.iteration, self.seconds = 0, 0.0
         self.undone: list[dict] = []  # iteration and reason of each step taken back
         self.restarts: list[dict] = []  # and of each return to the state of the lowest loss
@@ -62,7 +64,7 @@ class Loop:
         self.rising = 0  # measurements running at which the loss was DIVERGED times the lowest
 
     def run(self) -> str:
-        """Advance until a limit or Ctrl-C; returns "budget", "iterations", "interrupted" or "unstable"."""
+        """Advance until a limit or Ctrl-C; returns "budget", "iterations", "interrupted", "unstable" or "settled"."""
         with _stop_signals() as stop:
             self.started, saved = time.perf_counter() - self.seconds, time.perf_counter()
             if self.iteration == 0:
@@ -77,7 +79,7 @@ class Loop:
                 if self.checkpoint and time.perf_counter() - saved > CHECKPOINT_SECONDS:
                     self.save()
                     saved = time.perf_counter()
-        off_beat = self.iteration % EVALUATE_EVERY > 0
+        off_beat = self.iteration % self.beat > 0
         if off_beat:
             good, losses, seen = self._checked(good, losses)
         if self.checkpoint:
@@ -107,10 +109,10 @@ class Loop:
         if broken:
             return self._undo(good, f"{broken[-1]} not finite"), {}
         losses.pop("gradient", None)
-        if self.iteration % EVALUATE_EVERY == 0 and self._diverges(losses, good):
+        if self.iteration % self.beat == 0 and self._diverges(losses, good):
             return self._restart(), {}
         self.iteration += 1
-        if self.iteration % EVALUATE_EVERY == 0:
+        if self.iteration % self.beat == 0:
             self.seconds = time.perf_counter() - self.started
             good, losses, seen = self._checked(good, losses)
             self._record(seen, losses)
@@ -148,7 +150,7 @@ class Loop:
     def _restart(self) -> dict[str, Tensor]:
         loss, state = self.lowest
         self.restarts.append({"iteration": self.iteration, "reason": (
-            f"loss above {DIVERGED:g} times its lowest, {loss:.3g}, for {PATIENCE * EVALUATE_EVERY} iterations")})
+            f"loss above {DIVERGED:g} times its lowest, {loss:.3g}, for {PATIENCE * self.beat} iterations")})
         self.method.load_state(state)
         for _ in self.restarts:  # each time by more: a step size far too large is found in a few rounds
             self.method.cut_step()
@@ -176,10 +178,12 @@ class Loop:
             return "iterations"
         if len(self.undone) > MAX_UNDONE:
             return "unstable"
+        if getattr(self.method, "done", False):
+            return "settled"
         return "budget" if self.config.budget and self.seconds >= self.config.budget else None
 
     def _record(self, seen: Seen, losses: dict[str, float]) -> None:
-        if self.best is None or seen[0] < self.best[0]:
+        if self.best is None or self.latest_is_best or seen[0] < self.best[0]:
             self.best = seen
         entry = {"seconds": round(self.seconds, 3), "iteration": self.iteration, **losses, "rerender_rmse": seen[0]}
         self.trace.append(entry)
@@ -207,7 +211,7 @@ class Loop:
         rmse, svbrdf, views = self.best or (math.inf, *self.method.estimate())
         tensors = {f"method.{k}": v for k, v in state.items()} | {f"lowest.{k}": v for k, v in self.lowest[1].items()}
         tensors |= {f"best.{k}": v for k, v in svbrdf.maps.items()}
-        tensors |= {"best_views.camera": views.camera, "best_views.light": views.light}
+        tensors |= {f"best_views.{name}": getattr(views, name) for name in ("camera", "light", "intensity")}
         note = {"iteration": self.iteration, "seconds": self.seconds, "undone": self.undone, "restarts": self.restarts,
                 "lowest_loss": self.lowest[0], "rising": self.rising, "best_rmse": rmse, "trace": self.trace,
                 "method": type(self.method).__name__, "bsdf": svbrdf.bsdf, "task": self._task()}
@@ -236,9 +240,7 @@ class Loop:
         except (KeyError, RuntimeError, ValueError) as reason:
             raise ConfigError("a checkpoint of the same options", f"{path}: {str(reason).splitlines()[0]}",
                               "resume with the options of the first run") from None
-        views = self.method.views
-        views = type(views)(tensors["best_views.camera"], tensors["best_views.light"], views.intensity, views.size,
-                            views.falloff)
+        views = replace(self.method.views, **part("best_views."))
         self.best = note["best_rmse"], SVBRDF(self.config.bsdf, part("best.")), views
         self.iteration, self.seconds, self.trace = note["iteration"], note["seconds"], note["trace"]
         self.undone, self.restarts, self.rising = note["undone"], note["restarts"], note["rising"]

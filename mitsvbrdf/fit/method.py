@@ -15,7 +15,11 @@ from ..views import Views
 
 
 class Method(Protocol):
-    """One way to fit, advanced step by step. Its whole running state is named tensors."""
+    """One way to fit, advanced step by step. Its whole running state is named tensors.
+
+    It may also have ``measured_every`` (steps between measurements), ``latest_is_best`` (the result is the last state, not the
+    one that explains its photos best) and ``done`` (whether going on would change nothing).
+    """
 
     views: Views
     held: Mapping[str, Tensor]  # maps held fixed, by name

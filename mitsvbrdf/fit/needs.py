@@ -13,7 +13,7 @@ from ..render import Renderer
 from ..render.needs import scene_needs
 from ..views import Views
 from . import losses
-from .config import FitConfig, HybridConfig
+from .config import FitConfig, HierarchicalConfig, HybridConfig
 from .held import described, held_maps
 
 
@@ -32,12 +32,12 @@ def left_out(capture: Capture, renderer: Renderer, config: FitConfig, views: Vie
     if "diffuse" in held:
         items.append(("guessed diffuse map", "diffuse held fixed"))
     items += [(losses.NAMES[name], why) for name, why in losses.unused(config, held).items()]
-    if isinstance(config, HybridConfig) and (why := no_flash_offset(capture, renderer, config)):
+    if isinstance(config, (HierarchicalConfig, HybridConfig)) and (why := no_flash_offset(capture, renderer, config)):
         items.append(("flash offset", why))
     return items
 
 
-def no_flash_offset(capture: Capture, renderer: Renderer, config: HybridConfig) -> str | None:
+def no_flash_offset(capture: Capture, renderer: Renderer, config: HierarchicalConfig | HybridConfig) -> str | None:
     """Why the distance between lens and flash is not fitted; None where it is."""
     if not config.flash_offset:
         return "not asked for"

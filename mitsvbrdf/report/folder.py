@@ -18,7 +18,7 @@ from .export import write_scene
 from .sheet import loss_curve, write_sheet
 
 SCHEMA_VERSION = 1
-METHODS = {"HybridConfig": "hybrid", "GanConfig": "gan", "DirectConfig": "direct"}
+METHODS = {"HierarchicalConfig": "hierarchical", "HybridConfig": "hybrid", "GanConfig": "gan", "DirectConfig": "direct"}
 
 
 def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dict | None = None) -> None:

@@ -1,0 +1,340 @@
+"""``hierarchical``, the default: every texel solved by itself, tied to the texels that look like it.
+
+A texel has nine unknowns and some nine grey values to tell them by, so on its own it explains its photos by whatever fits: highlights
+it never showed are left open, and what the model lacks is burnt in. Three things mend that, in turns:
+
+1. each texel's few unknowns are solved by Levenberg-Marquardt through Mitsuba's BSDF, all at once in one kernel
+   (:mod:`mitsvbrdf.render.least_squares`), and a neighbour's answer is taken over as a start where it leads to a lower cost
+   (propagation, as in PatchMatch, Barnes et al. 2009);
+2. specular and roughness are shared between texels that look alike (:mod:`mitsvbrdf.fit.sharing`);
+3. where camera and flash stood is refined from the maps so far (:mod:`mitsvbrdf.fit.calibration`).
+
+Photos of a simulation follow the model to the last digit, and then a texel can be trusted with everything; photos of a phone
+do not. So the fit first lets every texel explain its photos freely. What is left unexplained then tells which kind they are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from .. import color
+from ..capture import Capture
+from ..maps import COLOURS, SVBRDF
+from ..profile import profiled
+from ..render import Renderer, make_renderer
+from ..render.least_squares import CLIPPED, Evidence, TexelSolver
+from ..views import Views, texel_positions
+from .calibration import UNKNOWNS, Priors, refine_views
+from .config import HierarchicalConfig
+from .held import held_maps
+from .likeness import basis, looks, membership
+from .needs import no_flash_offset
+from .sharing import LEAST_SPREAD, shared
+from .start import robust_start
+
+COARSE = 64  # texels a side of the first stages
+ALONE, TOGETHER, FINE = range(3)  # the stages: coarse and free, coarse and tied (photos of a phone only), full size
+ROUNDS = {ALONE: 10, TOGETHER: 12, FINE: 6}
+DEADLINE = {ALONE: 0.15, TOGETHER: 0.5, FINE: 1.0}  # share of the run at which a stage ends at the latest
+REFINED = (2, 4, 6, 8)  # rounds of TOGETHER after which the views are refined
+
+# Structure that a free fit leaves at 64 px (:func:`_structure`): six known materials 0.0003 to 0.0009 without noise and up to 0.004
+# with noise of 0.003 in linear radiance, twelve real captures 0.009 to 0.053.
+EXACT = 0.006
+NOISE = 0.03  # of a real photo's display values: sensor, alignment, light that is no point, lobes that are no GGX
+LEAST_NOISE = 0.004  # of any photo: one step of 8 bits
+UNTOLD = 1.5  # times what a fit with as many unknowns leaves unexplained, there was noise
+EASED = 0.75  # noise starts at NOISE and falls by this factor a round, so that no texel is caught early by a wrong highlight
+ROBUST = 3.0  # errors beyond so many times the noise count by their size alone
+
+SHARED = ("specular", "metallic", "roughness")
+BOUNDS = {"roughness": (0.05, 1.0), "normal": (-3.0, 3.0), "specular": (0.05, 1.0)}  # else 0 to 1
+# Standard deviations of the first prior, and the mean where it is not the start: specular and roughness of the whole material.
+VAGUE = {"diffuse": 0.5, "base_color": 0.5, "specular": 0.1, "metallic": 0.3, "roughness": 0.1, "normal": 0.1}
+HELD = 1e8  # precision of a number that is not to move
+TAIL_FLOOR = 0.03
+CALIBRATION = Priors(camera=(0.01, 0.01, 0.02), flash=(0.01, 0.01, 0.01), exposure=0.03, common_flash=(0.15, 0.15))
+STEPS, OTHER_STEPS, LAST_STEPS = 6, 4, 8  # Levenberg-Marquardt steps of a round, of another start, and at the end
+LESS = 1e-3  # share of its cost that a texel must save to take another start
+TILTS, GOLDEN = (0.15, 0.4, 0.8), math.pi * (3 - math.sqrt(5))  # slopes tried as starts, and the turn from one to the next
+
+
+class Hierarchical:
+    """Rounds of the hierarchical fit; see :class:`mitsvbrdf.fit.method.Method`.
+
+    Args:
+        capture: photos and views.
+        renderer: draws the comparison; the solver runs Mitsuba's BSDF whatever it is.
+        guess: guessed diffuse map, R x R x 3 linear.
+        config: settings.
+
+    Raises:
+        BackendError: Mitsuba, the variant or libLLVM is missing.
+    """
+
+    measured_every = 1
+    latest_is_best = True  # the photos seen are explained best by maps that burn highlights in
+
+    def __init__(self, capture: Capture, renderer: Renderer, guess: Tensor, config: HierarchicalConfig) -> None:
+        self.config, self.views = config, capture.views
+        self.held = held_maps(config.fix, config.bsdf, capture.resolution)
+        self.fits_offset = no_flash_offset(capture, renderer, config) is None
+        self.variant = renderer.variant or "llvm_ad_rgb"
+        self.full, self.guess = capture, guess
+        self.few = capture.sampled(min(COARSE, capture.resolution))
+        self.small = capture.averaged(min(COARSE, capture.resolution))
+        self.solvers: dict[int, TexelSolver] = {}
+        solver = self._solver(self.small.resolution)
+        self.names = [name for name, count in solver.unknowns.items() for _ in range(count)]
+        self.shares = torch.tensor([i for i, name in enumerate(self.names) if name in SHARED], dtype=torch.long)
+        self.tilts = [i for i, name in enumerate(self.names) if name == "normal"]
+        self.low, self.high = torch.tensor([BOUNDS.get(name, (0.0, 1.0)) for name in self.names]).T
+        self.basis = basis(looks(self.small, _resized(guess, self.small.resolution)), config.materials, config.seed)
+        self.change = torch.zeros(len(capture), len(UNKNOWNS), dtype=torch.float64)
+        self.stage = torch.tensor([ALONE, 0])  # which, and rounds of it done
+        self.noise = torch.tensor(NOISE)
+        self.unexplained = torch.full((2,), torch.nan)  # structure and RMSE of what the free fit leaves
+        self._begin(self.few)
+
+    # The run: stages of rounds.
+
+    def step(self, progress: float) -> dict[str, float]:
+        """One round of the present stage, or the first of the next."""
+        stage, done = self.stage.tolist()
+        while stage < FINE and (done >= ROUNDS[stage] or done and progress >= DEADLINE[stage]):
+            stage, done = self._after(stage), 0
+        self.stage = torch.tensor([stage, done + 1])
+        self.noise = torch.tensor(self._noise(stage, done))
+        with profiled("solver"):
+            cost = self._solve()
+        if stage == TOGETHER and done in REFINED and self.fits_views:
+            with profiled("views"):
+                self._refine_views()
+        with profiled("sharing"):
+            self._share(stage)
+        return {"cost": float(cost)}
+
+    @property
+    def done(self) -> bool:
+        """Whether another round would change little."""
+        stage, done = self.stage.tolist()
+        return stage == FINE and done >= ROUNDS[FINE]
+
+    def _after(self, stage: int) -> int:
+        """Set up the stage after this one, and name it."""
+        if stage == ALONE:
+            self.unexplained = self._unexplained()
+            if not self.exact:
+                self._begin(self.small)
+                return TOGETHER
+        self._enlarge()
+        return FINE
+
+    @property
+    def exact(self) -> bool:
+        """Whether the photos follow the model, as a simulation's do; False until that is known."""
+        return bool(self.unexplained[0] < EXACT)
+
+    @property
+    def fits_views(self) -> bool:
+        return self.config.refine_views and not self.exact
+
+    def _noise(self, stage: int, done: int) -> float:
+        if stage == ALONE:
+            return max(LEAST_NOISE, NOISE * EASED**done)
+        if self.exact:
+            return max(LEAST_NOISE, UNTOLD * float(self.unexplained[1]), NOISE * EASED**(2 * done + 2))
+        return NOISE
+
+    def _begin(self, capture: Capture) -> None:
+        """The robust start with a vague prior around it."""
+        guess = _resized(self.guess, capture.resolution)
+        solver = self._solver(capture.resolution)
+        start = robust_start(capture, guess, self.config.bsdf, solver.held)
+        self._look_at(capture, guess)
+        x = solver.numbers(start)
+        self.x = torch.minimum(torch.maximum(x, self.low[:, None, None]), self.high[:, None, None]).contiguous()
+        self.mean = self.x.clone()
+        self.precision = torch.stack([torch.full_like(x[0], VAGUE[name] ** -2.0) for name in self.names])
+        self.spread = torch.tensor([VAGUE[self.names[i]] for i in self.shares])
+
+    def _look_at(self, capture: Capture, guess: Tensor) -> None:
+        self.capture = capture
+        self.member = membership(looks(capture, guess), self.basis, self.config.likeness)
+
+    def _enlarge(self) -> None:
+        """Go on at full size."""
+        if self.capture.resolution == self.full.resolution:
+            return
+        self._look_at(self.full, self.guess)
+        self.x, self.mean, self.precision = (_enlarged(t, self.full.resolution) for t in (self.x, self.mean, self.precision))
+
+    # A round.
+
+    def _solve(self) -> Tensor:
+        """Solve every texel, then try other starts where they lead to less; returns the mean cost."""
+        evidence = self._evidence()
+        cost = self._steps(evidence, self.x, STEPS)
+        for start in self._other_starts(int(self.stage[1])) if self.config.neighbours else ():
+            best = self.x
+            found = self._steps(evidence, start, OTHER_STEPS)
+            better = found < cost * (1 - LESS)
+            self.x, cost = torch.where(better, self.x, best), torch.where(better, found, cost)
+        return cost.mean()
+
+    def _other_starts(self, turn: int) -> Iterator[Tensor]:
+        """The answers of two neighbours, and two tilts of a texel of which nothing else is known; others each turn."""
+        by = 1 if turn % 2 else -1
+        for axis in (1, 2):
+            yield torch.roll(self.x, by, axis).contiguous()
+        if not self.tilts:
+            return
+        for half_turn in (0.0, math.pi):
+            steep, along = TILTS[turn % len(TILTS)], GOLDEN * turn + half_turn
+            start = self.x.clone()
+            start[self.shares] = self.mean[self.shares]
+            start[self.tilts[0]], start[self.tilts[1]] = steep * math.cos(along), steep * math.sin(along)
+            yield start
+
+    def _steps(self, evidence: Evidence, x: Tensor, count: int) -> Tensor:
+        """Move :attr:`x` from ``x``; returns each texel's cost."""
+        found = self._solver(x.shape[-1]).solve(evidence, x, torch.full_like(x[0], 0.01), self.mean, self.precision,
+                                               self.low, self.high, count)
+        self.x = found.x
+        return found.data + found.prior
+
+    def _evidence(self, all_alike: bool = False) -> Evidence:
+        noise = float(self.noise)
+        weights = None if all_alike or not self.tied or not self.config.tails else self._trust(self.config.tails)
+        return Evidence(self.capture.photos, self.refined(self.capture.views), self.capture.transfer, noise, ROBUST * noise,
+                        weights)
+
+    @property
+    def tied(self) -> bool:
+        """Whether texels are held close to those they look like: photos of a phone, once they are known to be."""
+        return int(self.stage[0]) != ALONE and not self.exact
+
+    def _trust(self, reach: float) -> Tensor:
+        """How much a photo's pixels count, N x R x R: less where the flash is seen far from its mirror direction.
+
+        There GGX is least like real materials (their highlights have longer tails), and a small glow, which all texels without
+        a highlight show, would be taken for roughness. 1 / (1 + tan^2 / (reach alpha)^2) of the angle between half vector and
+        the flat normal.
+        """
+        sine2 = _half(self.refined(self.capture.views), self.capture.resolution)[..., :2].square().sum(-1)
+        roughness = self._roughness(self.mean)
+        return (1 / (1 + sine2 / (1 - sine2) / (reach * roughness**2) ** 2)).clamp_min(TAIL_FLOOR).float()
+
+    def _roughness(self, x: Tensor) -> Tensor:
+        return self._solver(x.shape[-1]).svbrdf(x)["roughness"][..., 0]
+
+    def _share(self, stage: int) -> None:
+        """What look-alikes say becomes the prior of specular and roughness; the relief seen becomes that of normals."""
+        evidence = self._evidence()
+        variance = self._solver(self.x.shape[-1]).variances(evidence, self.x, self.precision + 1e-3)
+        flat = [t[self.shares].flatten(1) for t in (self.x, variance, self.mean, self.precision)]
+        if len(self.shares):
+            mean, self.spread = shared([self.names[i] for i in self.shares], *flat, self.member, self.spread)
+            spread = self.spread.clamp_max(self.config.spread) if self.tied else self.spread
+            self.mean, self.precision = self.mean.clone(), self.precision.clone()
+            self.mean[self.shares] = mean.reshape(-1, *self.x.shape[1:])
+            self.precision[self.shares] = (spread**-2.0)[:, None, None].expand(-1, *self.x.shape[1:])
+        if self.tilts:
+            relief = (self.x[self.tilts].square() + variance[self.tilts]).mean().sqrt().clamp_min(LEAST_SPREAD)
+            self.mean[self.tilts] = 0
+            self.precision[self.tilts] = (self.config.relief if self.tied else float(relief)) ** -2.0
+
+    def _refine_views(self) -> None:
+        """Where camera and flash stood, from the maps so far; the patch as a whole is flat (it lies in z = 0)."""
+        if self.tilts:
+            self.x[self.tilts] -= self.x[self.tilts].mean(dim=(1, 2), keepdim=True)
+        priors = CALIBRATION if self.fits_offset else replace(CALIBRATION, common_flash=(0.0, 0.0))
+        found = refine_views(self._solver(self.x.shape[-1]).svbrdf(self.x), self.capture.views, self.capture, priors)
+        self.change = found.change
+
+    # What comes out.
+
+    def estimate(self) -> tuple[SVBRDF, Views]:
+        """The present maps at full size, the diffuse ones (and normals) solved once more with every pixel counted alike."""
+        x = self.x
+        if self.tied:
+            x = self._polished()
+        side = self.full.resolution
+        if x.shape[-1] != side:
+            x = _enlarged(x, side)
+        return self._solver(side).svbrdf(x).map(Tensor.contiguous), self.refined(self.views)
+
+    def _polished(self) -> Tensor:
+        fixed = torch.full_like(self.x, HELD)
+        for i, name in enumerate(self.names):
+            if name in COLOURS and name != "specular":
+                fixed[i] = 0
+        solver = self._solver(self.x.shape[-1])
+        return solver.solve(self._evidence(all_alike=True), self.x, torch.full_like(self.x[0], 0.01), self.x, fixed,
+                            self.low, self.high, LAST_STEPS).x
+
+    def refined(self, views: Views) -> Views:
+        """Views with the changes found so far."""
+        camera, flash = self.change[:, :3] * views.size, self.change[:, 3:6] * views.size
+        return replace(views, camera=views.camera + camera, light=views.light + camera + flash,
+                       intensity=views.intensity * self.change[:, 6:].exp())
+
+    def _unexplained(self) -> Tensor:
+        """Structure and RMSE of the errors in display values, clipped pixels left out.
+
+        Structure is the root of the mean product of neighbouring errors: sensor noise has none, a wrong model has.
+        """
+        photos, views = self.capture.photos, self.refined(self.capture.views)
+        with torch.no_grad():
+            images = make_renderer("mitsuba", self.variant).render(self._solver(self.x.shape[-1]).svbrdf(self.x), views)
+        error = torch.where(photos < CLIPPED, color.to_display(images, self.capture.transfer) - photos, 0.0)
+        alike = (error[:, 1:] * error[:, :-1]).mean() + (error[:, :, 1:] * error[:, :, :-1]).mean()
+        return torch.stack(((alike / 2).clamp_min(0), error.square().mean())).sqrt()
+
+    def _solver(self, side: int) -> TexelSolver:
+        if side not in self.solvers:
+            held = {name: _resized(value, side) for name, value in self.held.items()}
+            self.solvers[side] = TexelSolver(self.config.bsdf, held, self.config.grey_specular, self.variant)
+        return self.solvers[side]
+
+    # Its state.
+
+    def cut_step(self) -> None:
+        """Nothing to halve: a step of Levenberg-Marquardt that is too long is refused by the solver."""
+
+    def state(self) -> dict[str, Tensor]:
+        return {name: getattr(self, name).clone() for name in
+                ("x", "mean", "precision", "spread", "change", "stage", "noise")} | {
+            "unexplained": self.unexplained.nan_to_num(-1.0)}
+
+    def load_state(self, state: dict[str, Tensor]) -> None:
+        for name, value in state.items():
+            setattr(self, name, value.clone())
+        self.unexplained = torch.where(self.unexplained < 0, torch.nan, self.unexplained)
+        size = self.x.shape[-1]
+        if size != self.capture.resolution:
+            capture = self.full if size == self.full.resolution else self.small
+            self._look_at(capture, _resized(self.guess, size))
+
+
+def _half(views: Views, resolution: int) -> Tensor:
+    """Unit vectors half way between light and camera, N x R x R x 3, float64."""
+    views, place = views.in_patch_sides(), texel_positions(resolution)
+    return F.normalize(sum(F.normalize(end[:, None, None] - place, dim=-1) for end in (views.light, views.camera)), dim=-1)
+
+
+def _resized(image: Tensor, side: int) -> Tensor:
+    """R x R x C by area averages."""
+    if image.shape[0] == side:
+        return image
+    return F.interpolate(image.permute(2, 0, 1)[None], (side, side), mode="area")[0].permute(1, 2, 0).contiguous()
+
+
+def _enlarged(planes: Tensor, side: int) -> Tensor:
+    return F.interpolate(planes[None], (side, side), mode="bilinear", align_corners=False)[0].contiguous()
