@@ -162,10 +162,10 @@ def random_views(rng: Generator) -> tuple[Views, Views]:
     return stated, replace(stated, light=camera + flash)
 
 
-def make_example(seed: int) -> Example:
+def make_example(seed: int, resolution: int = SIDE) -> Example:
     """Everything that training needs of one random material; the same seed gives the same."""
     rng = Generator().manual_seed(seed)
-    truth = random_material(seed)
+    truth = random_material(seed, resolution)
     stated, true = random_views(rng)
     shots = photograph(truth, true, AnalyticRenderer(), noise=_uniform(rng, 0, 0.01), seed=seed)
     shots = Capture(shots.photos, stated, shots.transfer)
@@ -201,6 +201,7 @@ def loss_of(generator: AllPhotosGenerator, examples: list[Example]) -> tuple[Ten
 
 
 def pretrain_start(out: Path, *, budget: float | None = 600.0, steps: int | None = None, seed: int = 0, width: int = 16,
+                   resolution: int = SIDE, steps_per_example: int = STEPS_PER_EXAMPLE,
                    report: Callable[[str, float], None] | None = None) -> AllPhotosGenerator:
     """Train the learned start on materials made on the way, and write its weights. Ctrl-C ends the training early.
 
@@ -210,6 +211,8 @@ def pretrain_start(out: Path, *, budget: float | None = 600.0, steps: int | None
         steps: steps, or None; with ``budget``, whichever comes first.
         seed: of materials, photos and weights; with ``steps`` alone the result depends on nothing else.
         width: channels of the generator's finest level.
+        resolution: texels along a side of a material.
+        steps_per_example: steps between two new materials.
         report: told (text, share done) now and then.
     """
     rng = Generator().manual_seed(seed)
@@ -223,8 +226,8 @@ def pretrain_start(out: Path, *, budget: float | None = 600.0, steps: int | None
             done = max((time.perf_counter() - started) / budget if budget else 0.0, step / steps if steps else 0.0)
             if done >= 1:
                 break
-            if step >= STEPS_PER_EXAMPLE * (made - BATCH):
-                pool = [*pool[-POOL + 1:], make_example((seed << 32) + made)]
+            if step >= steps_per_example * (made - BATCH):
+                pool = [*pool[-POOL + 1:], make_example((seed << 32) + made, resolution)]
                 made += 1
             else:
                 picked = torch.randint(len(pool), (BATCH,), generator=rng).tolist()
