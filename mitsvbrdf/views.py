@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from .errors import CaptureError, ConfigError
@@ -159,6 +160,24 @@ def texel_positions(resolution: int, dtype: torch.dtype = torch.float64) -> Tens
     step = (torch.arange(resolution, dtype=dtype) + 0.5) / resolution - 0.5
     y, x = torch.meshgrid(-step, step, indexing="ij")
     return torch.stack((x, y, torch.zeros_like(x)), dim=-1)
+
+
+def coverage_angle(views: Views, resolution: int) -> Tensor:
+    """Smallest angle (rad) between (0, 0, 1) and the half vectors of the views at each texel: R x R, float64."""
+    views = views.in_patch_sides().to(torch.float64)
+    position = texel_positions(resolution)
+    best = torch.full((resolution, resolution), torch.inf, dtype=torch.float64)
+    for camera, light in zip(views.camera.detach(), views.light.detach()):
+        half = F.normalize(camera - position, dim=-1) + F.normalize(light - position, dim=-1)
+        best = torch.minimum(best, torch.atan2(half[..., :2].norm(dim=-1), half[..., 2]))
+    return best
+
+
+def cubic(x: Tensor, values: Tensor) -> Tensor:
+    """Least-squares cubics in x (M) through values (S x M), at x: S x M, float64."""
+    x = x.double() - x.double().mean()
+    powers = torch.stack([(x / x.abs().max().clamp_min(1e-9)) ** k for k in range(4)], dim=1)
+    return (powers @ torch.linalg.lstsq(powers, values.double().T, driver="gelsd").solution).T  # gelsd: x may be constant
 
 
 def nine_view_grid(distance: float = 2.0, spread: float = 0.4) -> Views:

@@ -22,7 +22,7 @@ from ..errors import ConfigError, exit_code
 from ..fit import fit_svbrdf, left_out, pretrain
 from ..fit.checkpoint import load_tensors
 from ..fit.confidence import confidence
-from ..fit.config import DirectConfig, FitConfig, GanConfig, GuessMethod, HybridConfig, check_seed
+from ..fit.config import DirectConfig, FitConfig, GanConfig, GuessMethod, HierarchicalConfig, HybridConfig, check_seed
 from ..maps import load_maps
 from ..profile import profiling
 from ..progress import Progress, print_numbers, print_profile, say, say_written
@@ -49,7 +49,8 @@ from .options import (
 from .pretrain_hybrid import check_new_checkpoint, pretrain_hybrid
 from .stability import stability
 
-CONFIGS: dict[str, type[FitConfig]] = {"hybrid": HybridConfig, "gan": GanConfig, "direct": DirectConfig}
+CONFIGS: dict[str, type[FitConfig]] = {"hierarchical": HierarchicalConfig, "hybrid": HybridConfig, "gan": GanConfig,
+                                       "direct": DirectConfig}
 
 
 def fit_command(method: str) -> Callable:
@@ -58,8 +59,9 @@ def fit_command(method: str) -> Callable:
         capture: Positional[Photos],
         out: Out,
         config: FitConfig,
-        method: Annotated[Literal["hybrid", "gan", "direct"], arg(help="How to fit; `fit --method gan --help` shows "
-                                                                       "that method's own options.")] = method,  # type: ignore[assignment]
+        method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"],
+                          arg(help="How to fit; `fit --method gan --help` shows that method's own options.")]
+        = method,  # type: ignore[assignment]
         renderer: Annotated[RendererName, arg(help="What renders the maps and carries the gradients.")] = "mitsuba",
         resolution: Annotated[int, arg(help="Side of the maps in texels; photos are area-averaged down to it.")] = 256,
         views: ViewList = None,
@@ -294,7 +296,7 @@ def demo(out: Out = Path("out/demo"), budget: float = 75.0, overwrite: Overwrite
     with files.output_folder(truth, overwrite) as folder:
         save_maps(make_material("inlay", 256), folder)
     synth(str(truth), photos, noise=0.003, overwrite=overwrite)
-    fit_command("hybrid")(photos, result, HybridConfig(budget=budget), overwrite=overwrite)
+    fit_command("hierarchical")(photos, result, HierarchicalConfig(budget=budget), overwrite=overwrite)
     print_numbers("Map RMSE", evaluate_maps(load_maps(result), truth))
     say(f"look at {result}/sheet.png")
     return 0
@@ -322,7 +324,7 @@ def _with_guessed_diffuse(svbrdf, maps: Path):
 
 
 def _method_of(arguments: list[str]) -> str:
-    method = "hybrid"
+    method = next(iter(CONFIGS))
     for here, after in zip(arguments, [*arguments[1:], ""]):
         name = after if here == "--method" else here.removeprefix("--method=") if here.startswith("--method=") else None
         method = name if name in CONFIGS else method

@@ -14,14 +14,12 @@ texture counts as variance, so the share falls a little with the resolution (`wo
 from __future__ import annotations
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from .. import color
 from ..maps import SVBRDF
-from ..views import Views, texel_positions
+from ..views import Views, coverage_angle, cubic
 
-DEGREE = 3  # of the polynomial
 ROUNDING = 1e-6  # a map whose deviation is below this share of its size is constant: float32 and the encoding leave 1e-7
 
 
@@ -38,23 +36,10 @@ def burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
     return {name: explained_share(value, angle) for name, value in looks.items()}
 
 
-def coverage_angle(views: Views, resolution: int) -> Tensor:
-    """Smallest angle (rad) between (0, 0, 1) and the half vectors of the views at each texel: R x R, float64."""
-    views = views.in_patch_sides().to(torch.float64)
-    position = texel_positions(resolution)
-    best = torch.full((resolution, resolution), torch.inf, dtype=torch.float64)
-    for camera, light in zip(views.camera.detach(), views.light.detach()):
-        half = F.normalize(camera - position, dim=-1) + F.normalize(light - position, dim=-1)
-        best = torch.minimum(best, torch.atan2(half[..., :2].norm(dim=-1), half[..., 2]))
-    return best
-
-
 def explained_share(values: Tensor, angle: Tensor) -> float:
     """R^2 of the least-squares cubic in ``angle`` through ``values``, tensors of one shape; 0 where the values are constant."""
     y, x = values.double().flatten(), angle.double().flatten()
     y, x, size = y - y.mean(), x - x.mean(), y.square().mean().sqrt()
     if y.square().mean().sqrt() <= ROUNDING * size:
         return 0.0
-    powers = torch.stack([(x / x.abs().max().clamp_min(1e-9)) ** k for k in range(DEGREE + 1)], dim=1)
-    found = powers @ torch.linalg.lstsq(powers, y[:, None], driver="gelsd").solution  # gelsd: the angle may be constant
-    return float((1 - (y - found[:, 0]).square().sum() / y.square().sum()).clamp(0, 1))
+    return float((1 - (y - cubic(x, y[None])[0]).square().sum() / y.square().sum()).clamp(0, 1))

@@ -35,7 +35,8 @@ def make_method(capture: Capture, renderer: Renderer, guess, config: FitConfig):
     if isinstance(config, DirectConfig):
         from .direct import Direct
         return Direct(capture, renderer, guess, config)
-    raise ConfigError("a HierarchicalConfig, HybridConfig, GanConfig or DirectConfig", type(config).__name__, "use one of these")
+    raise ConfigError("a HierarchicalConfig, HybridConfig, GanConfig or DirectConfig", type(config).__name__,
+                      "use one of these")
 
 
 def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = None, *,
@@ -101,4 +102,5 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
     Loop(make_method(one, renderer, first_guess(one, config), config), one, renderer, config, checkpoint, report).run()
 
 
-__all__ = ["DirectConfig", "FitConfig", "FitResult", "GanConfig", "HierarchicalConfig", "HybridConfig", "fit_svbrdf", "left_out", "pretrain"]
+__all__ = ["DirectConfig", "FitConfig", "FitResult", "GanConfig", "HierarchicalConfig", "HybridConfig",
+           "fit_svbrdf", "left_out", "pretrain"]

@@ -12,7 +12,8 @@ from .held import stated_maps
 GuessMethod = Literal["robust", "min", "mean-blur"]
 Preset = Literal["paper-one-stage", "paper-two-stage"]
 
-POSITIVE = ("budget", "iterations", "width", "learning_rate", "normal_roughness_steps", "materials", "likeness", "spread", "relief")
+POSITIVE = ("budget", "iterations", "width", "learning_rate", "normal_roughness_steps", "materials", "likeness",
+            "spread", "relief")
 
 
 def check_seed(seed: int) -> None:
@@ -76,9 +77,13 @@ class HierarchicalConfig(FitConfig):
     spread: float = 0.03
     """How far specular and roughness may be from those of look-alikes, in photos that do not follow the model."""
     relief: float = 0.02
-    """Slopes of the normals to expect, in photos that do not follow the model."""
+    """Slopes of the normals to expect at 64 px, in photos that do not follow the model."""
+    own: float = 0.03
+    """How far each number of a texel may leave its tied answer in the end, in such photos; 0: only the diffuse map may."""
     tails: float = 2.0
     """Pixels farther from a highlight than so many lobe widths count less, in such photos; 0 counts all alike."""
+    independent: bool = True
+    """Whether specular and roughness are kept from following where the photos' highlights were, in such photos."""
     neighbours: bool = True
     """Whether texels try their neighbours' answers as starts."""
     refine_views: bool = True

@@ -1,7 +1,7 @@
 """``hierarchical``, the default: every texel solved by itself, tied to the texels that look like it.
 
-A texel has nine unknowns and some nine grey values to tell them by, so on its own it explains its photos by whatever fits: highlights
-it never showed are left open, and what the model lacks is burnt in. Three things mend that, in turns:
+A texel has nine unknowns and some nine grey values to tell them by, so on its own it explains its photos by whatever fits:
+highlights it never showed are left open, and what the model lacks is burnt in. Three things mend that, in turns:
 
 1. each texel's few unknowns are solved by Levenberg-Marquardt through Mitsuba's BSDF, all at once in one kernel
    (:mod:`mitsvbrdf.render.least_squares`), and a neighbour's answer is taken over as a start where it leads to a lower cost
@@ -29,7 +29,7 @@ from ..maps import COLOURS, SVBRDF
 from ..profile import profiled
 from ..render import Renderer, make_renderer
 from ..render.least_squares import CLIPPED, Evidence, TexelSolver
-from ..views import Views, texel_positions
+from ..views import Views, coverage_angle, cubic, texel_positions
 from .calibration import UNKNOWNS, Priors, refine_views
 from .config import HierarchicalConfig
 from .held import held_maps
@@ -40,12 +40,13 @@ from .start import robust_start
 
 COARSE = 64  # texels a side of the first stages
 ALONE, TOGETHER, FINE = range(3)  # the stages: coarse and free, coarse and tied (photos of a phone only), full size
-ROUNDS = {ALONE: 10, TOGETHER: 12, FINE: 6}
+ROUNDS = {ALONE: 12, TOGETHER: 12, FINE: 14}
 DEADLINE = {ALONE: 0.15, TOGETHER: 0.5, FINE: 1.0}  # share of the run at which a stage ends at the latest
+TIED_ROUNDS = 6  # of FINE, for photos of a phone: the texels are held to what is known by then
 REFINED = (2, 4, 6, 8)  # rounds of TOGETHER after which the views are refined
 
-# Structure that a free fit leaves at 64 px (:func:`_structure`): six known materials 0.0003 to 0.0009 without noise and up to 0.004
-# with noise of 0.003 in linear radiance, twelve real captures 0.009 to 0.053.
+# Structure that a free fit leaves at 64 px (:meth:`Hierarchical._unexplained`): six known materials 0.0003 to 0.0009 without
+# noise and up to 0.004 with noise of 0.003 in linear radiance, twelve real captures 0.009 to 0.053.
 EXACT = 0.006
 NOISE = 0.03  # of a real photo's display values: sensor, alignment, light that is no point, lobes that are no GGX
 LEAST_NOISE = 0.004  # of any photo: one step of 8 bits
@@ -58,7 +59,9 @@ BOUNDS = {"roughness": (0.05, 1.0), "normal": (-3.0, 3.0), "specular": (0.05, 1.
 # Standard deviations of the first prior, and the mean where it is not the start: specular and roughness of the whole material.
 VAGUE = {"diffuse": 0.5, "base_color": 0.5, "specular": 0.1, "metallic": 0.3, "roughness": 0.1, "normal": 0.1}
 HELD = 1e8  # precision of a number that is not to move
-TAIL_FLOOR = 0.03
+CHANCE = 0.05  # honest maps of real captures have 0.01 (docs/evaluation.md)
+TAIL_FLOOR = 0.03  # least that a pixel counts
+DAMPING = 0.01  # that Levenberg-Marquardt starts with
 CALIBRATION = Priors(camera=(0.01, 0.01, 0.02), flash=(0.01, 0.01, 0.01), exposure=0.03, common_flash=(0.15, 0.15))
 STEPS, OTHER_STEPS, LAST_STEPS = 6, 4, 8  # Levenberg-Marquardt steps of a round, of another start, and at the end
 LESS = 1e-3  # share of its cost that a texel must save to take another start
@@ -124,7 +127,7 @@ class Hierarchical:
     def done(self) -> bool:
         """Whether another round would change little."""
         stage, done = self.stage.tolist()
-        return stage == FINE and done >= ROUNDS[FINE]
+        return stage == FINE and done >= (ROUNDS[FINE] if self.exact else TIED_ROUNDS)
 
     def _after(self, stage: int) -> int:
         """Set up the stage after this one, and name it."""
@@ -174,6 +177,8 @@ class Hierarchical:
             return
         self._look_at(self.full, self.guess)
         self.x, self.mean, self.precision = (_enlarged(t, self.full.resolution) for t in (self.x, self.mean, self.precision))
+        if self.tied:
+            self.mean[self.tilts] = self.x[self.tilts]  # what many pixels said together; a single one knows little more
 
     # A round.
 
@@ -204,7 +209,7 @@ class Hierarchical:
 
     def _steps(self, evidence: Evidence, x: Tensor, count: int) -> Tensor:
         """Move :attr:`x` from ``x``; returns each texel's cost."""
-        found = self._solver(x.shape[-1]).solve(evidence, x, torch.full_like(x[0], 0.01), self.mean, self.precision,
+        found = self._solver(x.shape[-1]).solve(evidence, x, torch.full_like(x[0], DAMPING), self.mean, self.precision,
                                                self.low, self.high, count)
         self.x = found.x
         return found.data + found.prior
@@ -240,14 +245,16 @@ class Hierarchical:
         variance = self._solver(self.x.shape[-1]).variances(evidence, self.x, self.precision + 1e-3)
         flat = [t[self.shares].flatten(1) for t in (self.x, variance, self.mean, self.precision)]
         if len(self.shares):
-            mean, self.spread = shared([self.names[i] for i in self.shares], *flat, self.member, self.spread)
+            mean, self.spread = shared([self.names[i] for i in self.shares], *flat, self.member, self.spread,
+                                       typical=not self.tied)
             spread = self.spread.clamp_max(self.config.spread) if self.tied else self.spread
             self.mean, self.precision = self.mean.clone(), self.precision.clone()
-            self.mean[self.shares] = mean.reshape(-1, *self.x.shape[1:])
+            self.mean[self.shares] = self._independent(mean.reshape(-1, *self.x.shape[1:]))
             self.precision[self.shares] = (spread**-2.0)[:, None, None].expand(-1, *self.x.shape[1:])
         if self.tilts:
             relief = (self.x[self.tilts].square() + variance[self.tilts]).mean().sqrt().clamp_min(LEAST_SPREAD)
-            self.mean[self.tilts] = 0
+            if stage != FINE or not self.tied:
+                self.mean[self.tilts] = 0
             self.precision[self.tilts] = (self.config.relief if self.tied else float(relief)) ** -2.0
 
     def _refine_views(self) -> None:
@@ -261,23 +268,49 @@ class Hierarchical:
     # What comes out.
 
     def estimate(self) -> tuple[SVBRDF, Views]:
-        """The present maps at full size, the diffuse ones (and normals) solved once more with every pixel counted alike."""
+        """The present maps at full size, tied ones with the last freedom of :meth:`_closed`."""
         x = self.x
         if self.tied:
-            x = self._polished()
+            x = self._closed()
         side = self.full.resolution
         if x.shape[-1] != side:
             x = _enlarged(x, side)
         return self._solver(side).svbrdf(x).map(Tensor.contiguous), self.refined(self.views)
 
-    def _polished(self) -> Tensor:
-        fixed = torch.full_like(self.x, HELD)
-        for i, name in enumerate(self.names):
-            if name in COLOURS and name != "specular":
-                fixed[i] = 0
-        solver = self._solver(self.x.shape[-1])
-        return solver.solve(self._evidence(all_alike=True), self.x, torch.full_like(self.x[0], 0.01), self.x, fixed,
-                            self.low, self.high, LAST_STEPS).x
+    def _closed(self) -> Tensor:
+        """The tied answer, with the freedom that every texel has in the end, and every pixel counted alike."""
+        x = self._closing(self.x, {name: self.config.own for name in self.names} if self.config.own else {})
+        if self.config.independent and len(self.shares):
+            x = x.clone()
+            x[self.shares] = self._independent(x[self.shares]).clamp(*self._bounds(self.shares))
+            x = self._closing(x, {"normal": self.config.own} if self.config.own else {})
+        return x
+
+    def _closing(self, x: Tensor, free: dict[str, float]) -> Tensor:
+        """Solve the diffuse map, and other maps that stay within so much of where they are; the rest keeps still."""
+        free = free | {name: VAGUE[name] for name in COLOURS if name != "specular"}
+        precision = torch.stack([torch.full_like(x[0], free[name] ** -2.0 if name in free else HELD) for name in self.names])
+        return self._solver(x.shape[-1]).solve(self._evidence(all_alike=True), x, torch.full_like(x[0], DAMPING), x, precision,
+                                               self.low, self.high, LAST_STEPS).x
+
+    def _independent(self, planes: Tensor) -> Tensor:
+        """Maps S x R x R without the cubic trend along the coverage angle, at the level of where the highlights were.
+
+        A material knows nothing of where the camera stood; a map that follows it was taught by what the model lacks. A trend
+        that explains less than a share :data:`CHANCE` of a map's variance is the material's own.
+        """
+        if not (self.tied and self.config.independent):
+            return planes
+        angle = coverage_angle(self.refined(self.capture.views), planes.shape[-1]).flatten()
+        trend, trust = cubic(angle, planes.flatten(1)), self._trust(self.config.tails or 1.0).amax(dim=0).flatten()
+        off = trend - trend.mean(dim=1, keepdim=True)
+        share = off.square().mean(dim=1) / planes.flatten(1).double().var(dim=1).clamp_min(1e-12)
+        trend = torch.where(share[:, None] > CHANCE, trend, 0.0)
+        level = (trust * trend).sum(dim=1, keepdim=True) / trust.sum()
+        return planes - (trend - level).reshape(planes.shape).float()
+
+    def _bounds(self, index: Tensor) -> tuple[Tensor, Tensor]:
+        return self.low[index, None, None], self.high[index, None, None]
 
     def refined(self, views: Views) -> Views:
         """Views with the changes found so far."""

@@ -21,6 +21,7 @@ LEAST_SPREAD = 0.01  # of tau; below it the common level moves too little a roun
 FARTHEST = 0.15  # a texel's own evidence counts as at most so far from its prior: divisions of small differences know no more
 LEAST_EVIDENCE = 1.0  # precision below which photos say nothing of a number between 0 and 1
 TYPICAL = {"specular": (DIELECTRIC_F0 ** (1 / 2.2), 0.05)}  # mean and standard deviation of a texel of which nothing is known
+UNKNOWN = 0.0, float("inf")
 
 
 class Shared(NamedTuple):
@@ -31,7 +32,7 @@ class Shared(NamedTuple):
 
 
 def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, prior_precision: Tensor, member: Tensor,
-           spread: Tensor) -> Shared:
+           spread: Tensor, typical: bool = True) -> Shared:
     """The prior that texels get from each other.
 
     Args:
@@ -42,17 +43,19 @@ def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, pr
         prior_precision: the same.
         member: M x K, of :func:`mitsvbrdf.fit.likeness.membership`.
         spread: S, tau so far.
+        typical: whether :data:`TYPICAL` counts. It decides where photos leave a whole material open, as they do a broad lobe
+            that looks like a diffuse one; where photos do not follow the model it would weigh more than their highlights.
     """
     precision = (1 / variance - prior_precision).clamp_min(1e-3)  # of the photos alone
     alone = torch.where(precision > LEAST_EVIDENCE, (x / variance - prior_mean * prior_precision) / precision, x)
     alone = torch.minimum(torch.maximum(alone, prior_mean - FARTHEST), prior_mean + FARTHEST).clamp(0, 1)
-    typical, rare = torch.tensor([TYPICAL.get(name, (0.0, float("inf"))) for name in names]).T[..., None]
+    usual, rare = torch.tensor([TYPICAL.get(name, UNKNOWN) if typical else UNKNOWN for name in names]).T[..., None]
     vague = 1 / rare.square()
     tau2 = spread.square()[:, None]
     for _ in range(ROUNDS):
         weight = 1 / (1 / precision + tau2)
         everyone = (weight.mean(dim=1, keepdim=True) + vague) * 1e-6
-        basis = ((weight * alone + vague * typical) @ member + everyone * _centre(weight, alone)) / (
+        basis = ((weight * alone + vague * usual) @ member + everyone * _centre(weight, alone)) / (
             (weight + vague) @ member + everyone)
         mean = basis @ member.T
         own = 1 / (precision + 1 / tau2)

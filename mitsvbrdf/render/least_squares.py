@@ -47,8 +47,8 @@ class Evidence:
         views: N views.
         transfer: how display values encode light.
         noise: standard deviation of a display value.
-        robust: s of the pseudo-Huber rho(e) = 2 s^2 (sqrt(1 + e^2 / s^2) - 1), in display values (Charbonnier et al. 1994); None
-            for e^2. It never stops growing: a highlight that a start misses is an outlier, and must not be given up as one.
+        robust: s of the pseudo-Huber rho(e) = 2 s^2 (sqrt(1 + e^2 / s^2) - 1), in display values (Charbonnier et al. 1994);
+            None for e^2. It never stops growing: a highlight that a start misses is an outlier, not to be given up as one.
         weights: w of each photo's pixels, N x R x R; None for 1.
     """
 
