@@ -180,7 +180,8 @@ class Loop:
             return "unstable"
         if getattr(self.method, "done", False):
             return "settled"
-        return "budget" if self.config.budget and self.seconds >= self.config.budget else None
+        over = self.config.budget and self.seconds >= self.config.budget
+        return "budget" if over and self.iteration else None  # a first step is made, however short the budget
 
     def _record(self, seen: Seen, losses: dict[str, float]) -> None:
         if self.best is None or self.latest_is_best or seen[0] < self.best[0]:
