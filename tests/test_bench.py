@@ -22,7 +22,8 @@ from mitsvbrdf.evaluate.bench.published import published
 from mitsvbrdf.evaluate.bench.schema import check_benchmark
 from mitsvbrdf.evaluate.bench.store import Store
 from mitsvbrdf.evaluate.bench.tasks import known_material, novel_light_rmse, novel_views, real_capture
-from mitsvbrdf.fit import DirectConfig, GanConfig, HybridConfig
+from mitsvbrdf.evaluate.stiff import cameras_off
+from mitsvbrdf.fit import DirectConfig, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf
 from mitsvbrdf.fit.loop import Loop
 from mitsvbrdf.maps import save_maps
 from mitsvbrdf.procedural import make_material
@@ -111,7 +112,7 @@ def test_peers_baseline_goes_on_bit_by_bit_and_stays_in_range():
 # ------------------------------------------------------------------------------------------------------------------- methods
 def test_the_table_has_every_method_and_preset():
     table = method_table(cli.CONFIGS)
-    assert {"hybrid", "direct", "gan-one-stage", "gan-two-stage", "peers-baseline"} <= set(table)
+    assert {"hierarchical", "hybrid", "direct", "gan-one-stage", "gan-two-stage", "peers-baseline"} <= set(table)
     assert next(iter(table)) == next(iter(cli.CONFIGS))  # the default first
     assert table["gan-two-stage"].preset == "paper-two-stage"
     assert "seed" not in settings_of(HybridConfig()) and settings_of(HybridConfig()) == json.loads(
@@ -126,8 +127,26 @@ def test_every_variant_is_one_of_the_default_method():
         assert table[name] != default and {key: getattr(table[name], key) for key in changes} == changes
     with pytest.raises(ConfigError, match="no_such_setting"):
         variant_table(default, {"wrong": {"no_such_setting": 1}})
-    with pytest.raises(ConfigError, match="learning_rate"):
-        variant_table(default, {"wrong": {"learning_rate": -1.0}})
+    with pytest.raises(ConfigError, match="tails >= 0"):
+        variant_table(default, {"wrong": {"tails": -1.0}})
+
+
+def test_every_ingredient_changes_real_fits_and_two_of_them_exact_ones(monkeypatch):
+    # What ablation.py says. The largest change of a map's value was 0.01 or more, and exactly 0 where it must be.
+    monkeypatch.setattr("mitsvbrdf.fit.hierarchical.CHANCE", 0.0)  # there is hardly any burn-in to take out of these maps
+
+    def maps(shots, config):
+        return torch.cat(list(fit_svbrdf(shots, ANALYTIC, config).svbrdf.maps.values()), dim=-1)
+
+    full, off = HierarchicalConfig(iterations=12), cameras_off(16).capture
+    whole = maps(off, full)
+    for name, changes in VARIANTS.items():
+        assert (maps(off, replace(full, **changes)) - whole).abs().max() > 1e-3, name
+    both = {"materials", "neighbours"}
+    assert [set(changes) <= both for changes in VARIANTS.values()] == [True, True] + [False] * (len(VARIANTS) - 2)
+    exact = photograph(make_material("inlay", 16), nine_view_grid(), ANALYTIC)
+    others = {key: value for changes in VARIANTS.values() for key, value in changes.items() if key not in both}
+    assert torch.equal(maps(exact, replace(full, **others)), maps(exact, full))
 
 
 @pytest.mark.parametrize("config", [DirectConfig(iterations=2), GanConfig(iterations=1, width=8), PeersConfig(iterations=2)])
@@ -502,7 +521,7 @@ def test_interrupted_runs_go_on_with_the_same_records(out, monkeypatch, capsys):
 
 def test_quick_measures_everything(out, monkeypatch, tmp_path):
     monkeypatch.setattr(sys.modules["mitsvbrdf.cli.bench"], "QUICK_CASES", {"sizes": (8,), "views": (1,), "samples": ()})
-    monkeypatch.setattr("mitsvbrdf.evaluate.bench.ablation.VARIANTS", {"no discriminator": {"adversarial": 0.0}})
+    monkeypatch.setattr("mitsvbrdf.evaluate.bench.ablation.VARIANTS", {"no neighbours": {"neighbours": False}})
     for suite in ("ablation", "all"):
         assert cli.main(["bench", "--quick", "--suite", suite, "--renderer", "analytic", "--resolution", "16", "--budgets",
                          "0.1", "--repeats", "1", "--json", str(out), "--page", str(tmp_path / "p.md")]) == 0

@@ -11,7 +11,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import torch
 import torch.nn.functional as F
@@ -21,7 +21,7 @@ from torch import Tensor
 from .. import files
 from ..capture import Capture, photograph
 from ..errors import MitsvbrdfError, exit_code
-from ..fit import DirectConfig, FitConfig, GanConfig, HybridConfig, fit_svbrdf
+from ..fit import DirectConfig, FitConfig, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf
 from ..fit.confidence import confidence
 from ..maps import SVBRDF
 from ..metrics import map_rmse
@@ -33,13 +33,14 @@ from ..views import Views, nine_view_grid
 
 NOISE = 0.003  # of the made photos, linear
 
-# The methods as they come, `gan` with its steps large enough to move at all in seconds.
+# The methods as they come: `hierarchical` may end before its budget, `gan` has steps large enough to move at all in seconds.
 METHODS: dict[str, Callable[[float, int], FitConfig]] = {
+    "hierarchical": lambda budget, seed: HierarchicalConfig(budget=budget, seed=seed),
     "hybrid": lambda budget, seed: HybridConfig(budget=budget, seed=seed),
     "direct": lambda budget, seed: DirectConfig(budget=budget, seed=seed),
     "gan": lambda budget, seed: GanConfig(budget=budget / 2, seed=seed, width=16, learning_rate=1e-3),
 }
-Method = Literal["hybrid", "direct", "gan"]
+Method = Literal["hierarchical", "hybrid", "direct", "gan"]
 
 
 @dataclass(frozen=True)
@@ -152,14 +153,15 @@ def line(case: str, method: str, row: dict) -> str:
     """One row of the printed table; ``sure`` is the share of texels determined, of each map in turn."""
     error = "" if row["map_rmse"] is None else f"{row['map_rmse']['mean']:.3f}"
     sure = " ".join(f"{c['determined_share']:4.0%}" for c in row["confidence"].values())
-    return (f"{case:27} {method:6}  {row['rerender_rmse']:.4f}  {error:>5}  {len(row['undone']):6}  {len(row['restarts']):8}"
+    return (f"{case:27} {method:12}  {row['rerender_rmse']:.4f}  {error:>5}  {len(row['undone']):6}  {len(row['restarts']):8}"
             f"  {row['seconds']:7.1f}  {sure}  {len(row['warnings'])}")
 
 
 def main(json: Annotated[Path, tyro.conf.arg(metavar="FILE", help="Where the record goes.")] = Path("out/stiff.json"),
-         budget: Annotated[float, tyro.conf.arg(help="Seconds for each fit; `gan` gets half.")] = 20.0,
+         budget: Annotated[float, tyro.conf.arg(help="Seconds for each fit at most; `gan` gets half, and "
+                                                       "`hierarchical` ends by itself.")] = 20.0,
          resolution: Annotated[int, tyro.conf.arg(help="Side of the maps in texels.")] = 64,
-         methods: Annotated[tuple[Method, ...], tyro.conf.arg(help="Which methods.")] = ("hybrid", "direct", "gan"),
+         methods: Annotated[tuple[Method, ...], tyro.conf.arg(help="Which methods.")] = get_args(Method),
          renderer: RendererName = "mitsuba", seed: int = 0) -> int:
     """Fit what is hard to fit, and see how it ends; 1 if a fit fails."""
     files.check_output(json)
@@ -176,9 +178,9 @@ def main(json: Annotated[Path, tyro.conf.arg(metavar="FILE", help="Where the rec
             rows.append(row)
             files.write_json(json, {"schema_version": 1, "budget": budget, "resolution": resolution, "renderer": renderer,
                                     "seed": seed, "rows": rows, "machine": machine(), "versions": versions()})
-    say(f"{'case':27} {'method':6}  {'error':6}  {'maps':>5}  undone  restarts  seconds  sure: d s r n         warnings")
+    say(f"{'case':27} {'method':12}  {'error':6}  {'maps':>5}  undone  restarts  seconds  sure: d s r n         warnings")
     for row in rows:
-        say(f"{row['case']:27} {row['method']:6}  {row['error']}" if "error" in row else line(row["case"], row["method"], row))
+        say(f"{row['case']:27} {row['method']:12}  {row['error']}" if "error" in row else line(row["case"], row["method"], row))
     for row in rows:
         for warning in row.get("warnings", ()):
             say(f"{row['case']}, {row['method']}: {warning}")
