@@ -72,7 +72,9 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     images, total, each = rerender(renderer, svbrdf, views, capture)
     with profiled("uncertainty"):
         spreads = deviations(svbrdf, views, images, capture, config)
-    offset = (views.light - capture.views.light)[0, :2].tolist() if getattr(loop.method, "fits_offset", False) else None
+    # Of all photos: where each has a camera and a flash of its own besides, they move around what is common.
+    moved = (views.light - views.camera) - (capture.views.light - capture.views.camera)
+    offset = moved.mean(dim=0)[:2].tolist() if getattr(loop.method, "fits_offset", False) else None
     result = FitResult(
         svbrdf=svbrdf, views=views, guess=guess, rerendered=images, rerender_rmse=total, per_photo=each,
         trace=loop.trace, config=config, renderer=renderer.name, variant=renderer.variant,

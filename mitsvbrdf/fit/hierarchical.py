@@ -350,10 +350,8 @@ class Hierarchical:
         for name, value in state.items():
             setattr(self, name, value.clone())
         self.unexplained = torch.where(self.unexplained < 0, torch.nan, self.unexplained)
-        size = self.x.shape[-1]
-        if size != self.capture.resolution:
-            capture = self.full if size == self.full.resolution else self.small
-            self._look_at(capture, _resized(self.guess, size))
+        capture = {ALONE: self.few, TOGETHER: self.small, FINE: self.full}[int(self.stage[0])]
+        self._look_at(capture, _resized(self.guess, capture.resolution))
 
 
 def _half(views: Views, resolution: int) -> Tensor:
