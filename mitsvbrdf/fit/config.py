@@ -78,7 +78,7 @@ class HierarchicalConfig(FitConfig):
     """How far specular and roughness may be from those of look-alikes, in photos that do not follow the model."""
     relief: float = 0.02
     """Slopes of the normals to expect at 64 px, in photos that do not follow the model."""
-    own: float = 0.03
+    own: float = 0.06
     """How far each number of a texel may leave its tied answer in the end, in such photos; 0: only the diffuse map may."""
     tails: float = 2.0
     """Pixels farther from a highlight than so many lobe widths count less, in such photos; 0 counts all alike."""

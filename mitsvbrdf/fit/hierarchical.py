@@ -59,7 +59,7 @@ BOUNDS = {"roughness": (0.05, 1.0), "normal": (-3.0, 3.0), "specular": (0.05, 1.
 # Standard deviations of the first prior, and the mean where it is not the start: specular and roughness of the whole material.
 VAGUE = {"diffuse": 0.5, "base_color": 0.5, "specular": 0.1, "metallic": 0.3, "roughness": 0.1, "normal": 0.1}
 HELD = 1e8  # precision of a number that is not to move
-CHANCE = 0.05  # honest maps of real captures have 0.01 (docs/evaluation.md)
+CHANCE = 0.08  # honest maps of real captures have 0.01 (docs/evaluation.md)
 TAIL_FLOOR = 0.03  # least that a pixel counts
 DAMPING = 0.01  # that Levenberg-Marquardt starts with
 CALIBRATION = Priors(camera=(0.01, 0.01, 0.02), flash=(0.01, 0.01, 0.01), exposure=0.03, common_flash=(0.15, 0.15))
@@ -278,20 +278,21 @@ class Hierarchical:
         return self._solver(side).svbrdf(x).map(Tensor.contiguous), self.refined(self.views)
 
     def _closed(self) -> Tensor:
-        """The tied answer, with the freedom that every texel has in the end, and every pixel counted alike."""
-        x = self._closing(self.x, {name: self.config.own for name in self.names} if self.config.own else {})
-        if self.config.independent and len(self.shares):
+        """The tied answer, with the freedom that every texel has in the end; the diffuse map from every pixel alike."""
+        x = self.x
+        if self.config.own:
+            x = self._closing(x, {name: self.config.own for name in self.names}, self._evidence())
+        if len(self.shares):
             x = x.clone()
             x[self.shares] = self._independent(x[self.shares]).clamp(*self._bounds(self.shares))
-            x = self._closing(x, {"normal": self.config.own} if self.config.own else {})
-        return x
+        return self._closing(x, {}, self._evidence(all_alike=True))
 
-    def _closing(self, x: Tensor, free: dict[str, float]) -> Tensor:
+    def _closing(self, x: Tensor, free: dict[str, float], evidence: Evidence) -> Tensor:
         """Solve the diffuse map, and other maps that stay within so much of where they are; the rest keeps still."""
         free = free | {name: VAGUE[name] for name in COLOURS if name != "specular"}
         precision = torch.stack([torch.full_like(x[0], free[name] ** -2.0 if name in free else HELD) for name in self.names])
-        return self._solver(x.shape[-1]).solve(self._evidence(all_alike=True), x, torch.full_like(x[0], DAMPING), x, precision,
-                                               self.low, self.high, LAST_STEPS).x
+        return self._solver(x.shape[-1]).solve(evidence, x, torch.full_like(x[0], DAMPING), x, precision, self.low,
+                                               self.high, LAST_STEPS).x
 
     def _independent(self, planes: Tensor) -> Tensor:
         """Maps S x R x R without the cubic trend along the coverage angle, at the level of where the highlights were.
