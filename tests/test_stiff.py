@@ -18,7 +18,7 @@ from mitsvbrdf.fit.loop import MAX_UNDONE, Loop
 from mitsvbrdf.maps import SVBRDF, flat
 from mitsvbrdf.procedural import make_material
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.views import Views, nine_view_grid
+from mitsvbrdf.views import Views, coverage_angle, nine_view_grid
 
 SIDE = 16
 ANALYTIC = make_renderer("analytic")
@@ -346,6 +346,15 @@ def test_each_doubt(change, words, fitted, capture):
         change = {"rerendered": fitted.rerendered / change["rerendered"]}
     (warning,) = doubts(dataclasses.replace(fitted, **change), capture)
     assert words in warning
+
+
+@pytest.mark.parametrize("fix, count", [((), 1), (("roughness=0.5",), 0)])  # a map that was given is the caller's own
+def test_roughness_that_lies_as_the_highlights_do(fix, count, fitted, capture):
+    follows = 0.2 + coverage_angle(fitted.views, SIDE)[..., None].float()
+    burnt = SVBRDF("roughconductor", dict(fitted.svbrdf.maps) | {"roughness": follows})
+    found = dataclasses.replace(fitted, svbrdf=burnt, config=dataclasses.replace(fitted.config, fix=fix))
+    warnings = list(doubts(found, capture))
+    assert len(warnings) == count and all("100% of the roughness map lies as" in warning for warning in warnings)
 
 
 def test_dark_photos(fitted, capture):

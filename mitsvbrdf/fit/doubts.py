@@ -6,6 +6,7 @@ import statistics
 from collections.abc import Iterator, Sized
 
 from ..capture import Capture
+from ..evaluate.burn_in import burn_in
 from .confidence import confidence
 from .losses import CLIPPED
 from .result import FitResult
@@ -20,6 +21,7 @@ WHITE, WHITE_SHARE = 0.97, 0.1  # diffuse albedo, and the share of texels that m
 FAINT = 0.015  # F0, median; eleven had 0.0156 and more, one 0.013. Water has 0.02, and nothing known less
 WORSE = 2.5  # times the median error of a photo; 1.1 to 2.3
 POOR = 0.1  # re-rendering RMSE
+BURNT_IN = 0.3  # share of specular or roughness that lies as the highlights do; ten had up to 0.18, the two of wood 0.4 to 0.74
 
 
 def doubts(result: FitResult, capture: Capture) -> Iterator[str]:
@@ -27,6 +29,7 @@ def doubts(result: FitResult, capture: Capture) -> Iterator[str]:
     yield from _photos(capture)
     yield from _light(result, capture)
     yield from _errors(result, capture)
+    yield from _burnt_in(result)
     if result.trace[-1]["iteration"] == 0:
         yield "no step was made, so the maps are where the fit starts: give more seconds"
     if result.undone:
@@ -78,6 +81,13 @@ def _errors(result: FitResult, capture: Capture) -> Iterator[str]:
         for name, error in zip(capture.names, result.per_photo):
             if error > WORSE * max(typical, 0.01):
                 yield f"photo {name} fits worse than the rest ({error:.2g}, median {typical:.2g}): its view may be off"
+
+
+def _burnt_in(result: FitResult) -> Iterator[str]:
+    fixed = {entry.split("=")[0] for entry in result.config.fix}
+    for name, share in burn_in(result.svbrdf, result.views).items():
+        if share > BURNT_IN and name not in fixed:
+            yield f"{share:.0%} of the {name} map lies as the photos' highlights do: it may be theirs, not the material's"
 
 
 def _count(events: Sized, what: str) -> str:
