@@ -17,8 +17,9 @@ class FitResult:
     """A fitted material and how it came about.
 
     Args:
-        svbrdf: the recovered material: the state with the lowest re-rendering error over the photos used.
-        views: the views it was fitted with (the flash offset found is in ``light``).
+        svbrdf: the recovered material: the state with the lowest re-rendering error over the photos used; of
+            ``hierarchical`` the last.
+        views: the views it was fitted with (the flash offset found is in ``light``; ``hierarchical`` refines all of each view).
         guess: guessed diffuse map, R x R x 3 linear.
         rerendered: linear radiance N x R x R x 3 of the photos used.
         rerender_rmse: over these photos, in display values clipped to [0, 1].
@@ -27,7 +28,7 @@ class FitResult:
         config: the settings.
         renderer: the name of the renderer; ``variant`` its Mitsuba variant or None.
         left_out: (what, why) of each thing the scene did not need.
-        stopped: why the fit ended: "budget", "iterations", "interrupted" or "unstable" (too many steps undone).
+        stopped: why the fit ended: "settled", "budget", "iterations", "interrupted" or "unstable" (too many steps undone).
         undone: ``iteration`` and ``reason`` of each step that made something non-finite and was taken back.
         restarts: the same of each return to the state of the lowest loss, from which the fit had diverged.
         deviations: standard deviation of each fitted map, by name, r x r x C with r <= 64, in the numbers in which map
