@@ -81,7 +81,7 @@ class Hierarchical:
         BackendError: Mitsuba, the variant or libLLVM is missing.
     """
 
-    measured_every = 1
+    measured_every = 6  # rounds; measuring a full-size material costs more than a coarse round
     latest_is_best = True  # the photos seen are explained best by maps that burn highlights in
 
     def __init__(self, capture: Capture, renderer: Renderer, guess: Tensor, config: HierarchicalConfig) -> None:
