@@ -31,8 +31,7 @@ class FitConfig:
     guess: GuessMethod = "robust"
     """How the guessed diffuse map is made: robust (ours), min (the paper's), mean-blur (Zhao 2020)."""
     budget: float | None = None
-    """Stop after this many seconds. With neither limit: hierarchical 120 s, if it does not settle before; hybrid 120 s,
-    direct 60 s, gan the iterations of its preset."""
+    """Stop after this many seconds. With neither limit: hierarchical, hybrid 120 s, direct 60 s, gan as its preset says."""
     iterations: int | None = None
     """Stop after this many iterations (with --budget: whichever comes first)."""
     seed: int = 0
