@@ -1,0 +1,159 @@
+"""What texels tell each other, against closed forms and a float64 twin; and which of them look alike."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from mitsvbrdf import color
+from mitsvbrdf.capture import Capture, photograph
+from mitsvbrdf.fit.likeness import basis, looks, membership
+from mitsvbrdf.fit.sharing import FARTHEST, LEAST_SPREAD, ROUNDS, TYPICAL, shared
+from mitsvbrdf.maps import flat
+from mitsvbrdf.render import make_renderer
+from mitsvbrdf.views import Views, nine_view_grid
+
+ANALYTIC = make_renderer("analytic")
+TWO = torch.tensor([[1.0, 0.0], [0.0, 1.0]]).repeat_interleave(50, dim=0)  # 50 texels each of two basis materials
+FIRST, SECOND = slice(0, 50), slice(50, 100)
+
+
+def told(alone, sure, member=TWO, spread=0.1, prior=(0.5, 100.0), name="roughness", typical=False):
+    """Give texels whose photos alone say ``alone`` with precision ``sure``, solved under a prior (mean, precision)."""
+    alone, sure = (torch.as_tensor(v, dtype=torch.float32).expand(len(member)) for v in (alone, sure))
+    mean, precision = (torch.full_like(alone, p) for p in prior)
+    total = sure + precision
+    x = (sure * alone + precision * mean) / total
+    found = shared([name], x[None], 1 / total[None], mean[None], precision[None], member, torch.tensor([spread]), typical)
+    return found.mean[0], float(found.spread[0])
+
+
+def twin(alone, sure, member, tau2):
+    """The same by numpy in float64, with dense normal equations of nothing but the definition; returns means and tau."""
+    alone, sure, member = (np.asarray(v, dtype=np.float64) for v in (alone, sure, member))
+    for _ in range(ROUNDS):
+        weight = 1 / (1 / sure + tau2)
+        materials = (member * (weight * alone)[:, None]).sum(axis=0) / (member * weight[:, None]).sum(axis=0)
+        mean = member @ materials
+        # Of y ~ N(z, 1 / sure), z ~ N(mean, tau2): expectation and variance of z, and their mean square around the mean.
+        variance = tau2 / (1 + sure * tau2)
+        expected = mean + sure * tau2 / (1 + sure * tau2) * (alone - mean)
+        tau2 = ((expected - mean) ** 2 + variance).mean()
+    return mean, math.sqrt(tau2)
+
+
+def test_two_groups_of_equal_noise_in_closed_form():
+    # Values a +- d measured with standard deviation s: the mean is a, and tau^2 = d^2 - s^2 is where maximisation stays.
+    d, s = 0.05, 0.03
+    signs = torch.tensor([1.0, -1.0]).repeat(50)
+    levels = torch.cat((torch.full((50,), 0.45), torch.full((50,), 0.55)))
+    mean, spread = told(levels + d * signs, s**-2, spread=math.sqrt(d**2 - s**2))
+    assert torch.allclose(mean, levels, atol=1e-5)  # all share one part in a million
+    assert spread == pytest.approx(math.sqrt(d**2 - s**2), rel=1e-3)
+    # From elsewhere it gets there, by a factor of d^2 - tau^2 - s^2 each time.
+    assert told(levels + d * signs, s**-2, spread=0.2)[1] == pytest.approx(math.sqrt(d**2 - s**2), rel=0.1)
+
+
+def test_unequal_noise_and_soft_groups_as_the_twin():
+    random = torch.Generator().manual_seed(0)
+    alone = 0.5 + 0.04 * torch.randn(100, generator=random)
+    sure = 10 ** (1 + 3 * torch.rand(100, generator=random))
+    for member in (TWO, torch.softmax(torch.randn(100, 3, generator=random), dim=1)):
+        mean, spread = told(alone, sure, member, spread=0.05)
+        wanted, tau = twin(alone, sure, member, 0.05**2)
+        # Dividing the prior out again costs float32 four digits where the photos say ten times less than it.
+        assert np.allclose(mean, wanted, atol=1e-5) and spread == pytest.approx(tau, rel=1e-4)
+
+
+def test_the_prior_itself_is_no_evidence():
+    # Texels that photos tell nothing have the posterior of their prior, 0.5. Few of their group that know outweigh them.
+    sure = torch.zeros(100)
+    sure[:5] = 1e4
+    mean, _ = told(torch.full((100,), 0.4), sure, prior=(0.5, 400.0))
+    assert torch.allclose(mean[FIRST], torch.full((50,), 0.4), atol=2e-3)  # 45 texels count 1e-3 each, five 100 each
+    assert torch.allclose(mean[SECOND], torch.full((50,), 0.5), atol=1e-3)  # a group without any stays where it was
+
+
+def test_limits():
+    assert told(0.5, 1e6, spread=0.02)[1] == pytest.approx(LEAST_SPREAD)
+    mean, _ = told(0.9, 1e4, prior=(0.5, 100.0))  # further off its prior than evidence may count
+    assert torch.allclose(mean, torch.full((100,), 0.5 + FARTHEST), atol=1e-5)
+    mean, _ = told(0.99, 1e4, prior=(0.95, 100.0))
+    assert mean.max() <= 1
+
+
+def test_what_is_typical_decides_where_nothing_is_known():
+    usual, _ = TYPICAL["specular"]
+    assert color.decode(torch.tensor(usual)).item() == pytest.approx(0.04, rel=1e-4)
+    unknown = told(0.5, 0.0, name="specular", typical=True)[0]
+    assert torch.allclose(unknown, torch.full((100,), usual), atol=2e-3)
+    assert torch.allclose(told(0.5, 0.0, typical=True)[0], torch.full((100,), 0.5), atol=1e-5)  # roughness has no usual
+    # One group is known to be usual, the other not known at all.
+    sure = torch.cat((torch.full((50,), 1e5), torch.zeros(50)))
+    mean, _ = told(usual, sure, prior=(0.3, 50.0), name="specular", typical=True)
+    assert torch.allclose(mean, torch.full((100,), usual), atol=2e-3)
+
+
+# ---- which texels look alike ----
+
+def test_a_patch_of_two_colours_splits_in_two():
+    left = (torch.arange(16) < 8).float()[None, :, None].expand(16, 16, 1)
+    material = flat(16, specular=0.04, roughness=0.4)
+    material.maps["diffuse"] = left * torch.tensor([0.5, 0.2, 0.1]) + (1 - left) * torch.tensor([0.1, 0.25, 0.45])
+    capture = photograph(material, nine_view_grid(), ANALYTIC, noise=0.002)
+    seen = looks(capture, material["diffuse"])
+    assert seen.shape == (256, 5) and float(seen.min()) > -0.3 and float(seen.max()) < 0.6
+    for count in (2, 5):
+        centres = basis(seen, count, 0)
+        assert centres.shape == (count, 5)
+        member = membership(seen, centres, 0.02)
+        assert torch.allclose(member.sum(dim=1), torch.ones(256), atol=1e-5)
+        of_left, of_right = (member[left.flatten() == side].sum(dim=0) for side in (1, 0))
+        assert float((of_left * of_right).sum().sqrt()) < 1e-3 * 128  # no basis material is of both
+    # Kernels far wider than looks are apart: all alike.
+    assert torch.allclose(membership(seen, basis(seen, 2, 0), 100.0), torch.full((256, 2), 0.5), atol=1e-3)
+
+
+def test_looks_do_not_depend_on_the_light():
+    # A matt patch looks the same from wherever it is lit, at any power and with either falloff; and brightness shows.
+    grey = flat(8, diffuse=0.3, specular=0.0, roughness=1.0)
+    near, far = nine_view_grid(1.5), nine_view_grid(4.0, 0.8)
+    for views in (near, far, Views.of(near.camera, intensity=near.intensity / 3),
+                  Views.of(near.camera * 7, None, near.intensity * 49, 7.0),
+                  Views.of(near.camera, intensity=near.intensity, falloff="none")):
+        photos = color.to_display(ANALYTIC.render(grey, views))
+        seen = looks(Capture(photos, views), grey["diffuse"])
+        level = float(color.encode(torch.tensor(0.3)))
+        wanted = torch.tensor([0.0, 0.0, 0.0, level / 2, level / 2]).expand(64, 5)
+        assert torch.allclose(seen, wanted, atol=2e-3), (seen - wanted).abs().max()
+
+
+@pytest.mark.parametrize("photos", [torch.zeros(9, 4, 4, 3), torch.ones(1, 4, 4, 3), torch.zeros(1, 4, 4, 3)])
+def test_looks_of_photos_that_show_nothing(photos):
+    views = nine_view_grid().pick(range(len(photos)))
+    seen = looks(Capture(photos, views), torch.zeros(4, 4, 3))
+    member = membership(seen, basis(seen, 64, 0), 0.02)
+    assert torch.isfinite(member).all() and torch.allclose(member.sum(dim=1), torch.ones(16), atol=1e-5)
+
+
+def test_groups_depend_on_the_seed_and_on_nothing_else():
+    random = torch.Generator().manual_seed(1)
+    seen = torch.rand(400, 5, generator=random)
+    first = basis(seen, 20, 3)
+    basis(torch.rand(50, 5, generator=random), 7, 1)
+    torch.rand(5)
+    assert torch.equal(basis(seen, 20, 3), first) and not torch.equal(basis(seen, 20, 4), first)
+    # The order of the texels changes which ones k-means starts from, not how well it does: within 10 % in mean distance.
+    turned = basis(seen.flip(0), 20, 3)
+    spread = [float(torch.cdist(seen, centres).amin(dim=1).mean()) for centres in (first, turned)]
+    assert spread[0] == pytest.approx(spread[1], rel=0.1)
+    assert torch.equal(membership(seen, first, 0.1).flip(0), membership(seen.flip(0), first, 0.1))
+
+
+def test_looks_do_not_depend_on_the_order_of_photos():
+    capture = photograph(flat(8, diffuse=0.3), nine_view_grid(), ANALYTIC, noise=0.01)
+    order = [4, 2, 8, 0, 1, 7, 6, 5, 3]
+    guess = torch.full((8, 8, 3), 0.3)
+    # Sums of the same numbers in another order, in float32.
+    assert torch.allclose(looks(capture, guess), looks(capture.pick(order), guess), atol=1e-6)
