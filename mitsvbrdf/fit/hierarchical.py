@@ -87,7 +87,7 @@ class Hierarchical:
     def __init__(self, capture: Capture, renderer: Renderer, guess: Tensor, config: HierarchicalConfig) -> None:
         self.config, self.views = config, capture.views
         self.held = held_maps(config.fix, config.bsdf, capture.resolution)
-        self.fits_offset = no_flash_offset(capture, renderer, config) is None
+        self.fits_offset = config.refine_views and no_flash_offset(capture, renderer, config) is None
         self.variant = renderer.variant or "llvm_ad_rgb"
         self.full, self.guess = capture, guess
         self.few = capture.sampled(min(COARSE, capture.resolution))
@@ -146,7 +146,7 @@ class Hierarchical:
 
     @property
     def fits_views(self) -> bool:
-        return self.config.refine_views and not self.exact
+        return self.config.refine_views and self.full.calibrated and not self.exact
 
     def _noise(self, stage: int, done: int) -> float:
         if stage == ALONE:
