@@ -25,11 +25,12 @@ from torch import Tensor
 
 from .. import color
 from ..capture import Capture
+from ..capture.guess import geometry
 from ..maps import COLOURS, SVBRDF
 from ..profile import profiled
 from ..render import Renderer, make_renderer
 from ..render.least_squares import CLIPPED, Evidence, TexelSolver
-from ..views import Views, coverage_angle, cubic, texel_positions
+from ..views import Views, coverage_angle, cubic
 from .calibration import UNKNOWNS, Priors, refine_views
 from .config import HierarchicalConfig
 from .held import held_maps
@@ -232,9 +233,10 @@ class Hierarchical:
         a highlight show, would be taken for roughness. 1 / (1 + tan^2 / (reach alpha)^2) of the angle between half vector and
         the flat normal.
         """
-        sine2 = _half(self.refined(self.capture.views), self.capture.resolution)[..., :2].square().sum(-1)
+        _, half, _ = geometry(self.refined(self.capture.views), self.capture.resolution)
+        sine2 = half[..., :2].square().sum(-1)
         roughness = self._roughness(self.mean)
-        return (1 / (1 + sine2 / (1 - sine2) / (reach * roughness**2) ** 2)).clamp_min(TAIL_FLOOR).float()
+        return (1 / (1 + sine2 / (1 - sine2) / (reach * roughness**2) ** 2)).clamp_min(TAIL_FLOOR)
 
     def _roughness(self, x: Tensor) -> Tensor:
         return self._solver(x.shape[-1]).svbrdf(x)["roughness"][..., 0]
@@ -353,12 +355,6 @@ class Hierarchical:
         self.unexplained = torch.where(self.unexplained < 0, torch.nan, self.unexplained)
         capture = {ALONE: self.few, TOGETHER: self.small, FINE: self.full}[int(self.stage[0])]
         self._look_at(capture, _resized(self.guess, capture.resolution))
-
-
-def _half(views: Views, resolution: int) -> Tensor:
-    """Unit vectors half way between light and camera, N x R x R x 3, float64."""
-    views, place = views.in_patch_sides(), texel_positions(resolution)
-    return F.normalize(sum(F.normalize(end[:, None, None] - place, dim=-1) for end in (views.light, views.camera)), dim=-1)
 
 
 def _resized(image: Tensor, side: int) -> Tensor:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from .. import color
 from ..capture import Capture
-from ..views import texel_positions
+from ..capture.guess import geometry, over
 
 KMEANS_ROUNDS, KMEANS_STARTS = 30, 1
 
@@ -26,14 +26,8 @@ def looks(capture: Capture, guess: Tensor) -> Tensor:
         capture: N photos with their views.
         guess: guessed diffuse map, R x R x 3.
     """
-    views = capture.views.in_patch_sides()
-    reach = views.light[:, None, None] - texel_positions(capture.resolution)
-    distance2 = reach.square().sum(-1, keepdim=True)
-    cosine = reach[..., 2:] / distance2.sqrt()
-    if views.falloff == "none":
-        distance2 = views.light.square().sum(-1)[:, None, None, None]
-    irradiance = (views.intensity[:, None, None] * cosine / distance2).float()
-    albedo = (math.pi * capture.linear / irradiance.clamp_min(1e-12)).flatten(1, 2).transpose(0, 1)  # M x N x 3
+    _, _, irradiance = geometry(capture.views, capture.resolution)
+    albedo = over(math.pi * capture.linear, irradiance).flatten(1, 2).transpose(0, 1)  # M x N x 3
     order, count = albedo.mean(dim=-1).argsort(dim=1), len(capture)
     middle = order[:, count // 4:max(count // 4 + 1, 3 * count // 4), None].expand(-1, -1, 3)
     encoded = color.encode(albedo.gather(1, middle).mean(dim=1).clamp(1e-4, 10))

@@ -22,6 +22,7 @@ FARTHEST = 0.15  # a texel's own evidence counts as at most so far from its prio
 LEAST_EVIDENCE = 1.0  # precision below which photos say nothing of a number between 0 and 1
 TYPICAL = {"specular": (DIELECTRIC_F0 ** (1 / 2.2), 0.05)}  # mean and standard deviation of a texel of which nothing is known
 UNKNOWN = 0.0, float("inf")
+NOBODY = 1e-30
 
 
 class Shared(NamedTuple):
@@ -54,15 +55,10 @@ def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, pr
     tau2 = spread.square()[:, None]
     for _ in range(ROUNDS):
         weight = 1 / (1 / precision + tau2)
-        everyone = (weight.mean(dim=1, keepdim=True) + vague) * 1e-6
-        basis = ((weight * alone + vague * usual) @ member + everyone * _centre(weight, alone)) / (
-            (weight + vague) @ member + everyone)
+        # A basis material of which no texel is any has weight 0, here and in the mean.
+        basis = (weight * alone + vague * usual) @ member / ((weight + vague) @ member).clamp_min(NOBODY)
         mean = basis @ member.T
         own = 1 / (precision + 1 / tau2)
         off = own * (precision * alone + mean / tau2) - mean
         tau2 = (off.square() + own).mean(dim=1, keepdim=True)
     return Shared(mean, tau2[:, 0].sqrt().clamp_min(LEAST_SPREAD))
-
-
-def _centre(weight: Tensor, value: Tensor) -> Tensor:
-    return (weight * value).sum(dim=1, keepdim=True) / weight.sum(dim=1, keepdim=True)
