@@ -79,7 +79,7 @@ class HierarchicalConfig(FitConfig):
     relief: float = 0.02
     """Slopes of the normals to expect at 64 px, in photos that do not follow the model."""
     own: float = 0.06
-    """How far each number of a texel may leave its tied answer in the end, in such photos; 0: only the diffuse map may."""
+    """How far specular may leave its tied answer at full size, at first, in such photos; 0: only the diffuse map may."""
     tails: float = 2.0
     """Pixels farther from a highlight than so many lobe widths count less, in such photos; 0 counts all alike."""
     independent: bool = True

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import replace
 
 import torch
@@ -26,7 +27,7 @@ from torch import Tensor
 from .. import color
 from ..capture import Capture
 from ..capture.guess import geometry
-from ..maps import COLOURS, SVBRDF
+from ..maps import SVBRDF
 from ..profile import profiled
 from ..render import Renderer, make_renderer
 from ..render.least_squares import CLIPPED, Evidence, TexelSolver
@@ -36,15 +37,15 @@ from .config import HierarchicalConfig
 from .held import held_maps
 from .likeness import basis, looks, membership
 from .needs import no_flash_offset
-from .sharing import LEAST_SPREAD, shared
+from .sharing import LEAST_SPREAD, NOBODY, shared
 from .start import robust_start
 
 COARSE = 64  # texels a side of the first stages
 ALONE, TOGETHER, FINE = range(3)  # the stages: coarse and free, coarse and tied (photos of a phone only), full size
 ROUNDS = {ALONE: 12, TOGETHER: 12, FINE: 14}
 DEADLINE = {ALONE: 0.15, TOGETHER: 0.5, FINE: 1.0}  # share of the run at which a stage ends at the latest
-TIED_ROUNDS = 6  # of FINE, for photos of a phone: the texels are held to what is known by then
-REFINED = (2, 4, 6, 8)  # rounds of TOGETHER after which the views are refined
+TIED_ROUNDS = 6  # of FINE, for photos of a phone
+REFINED = {TOGETHER: (2, 4, 6, 8), FINE: (4,)}  # rounds after which the views are refined
 
 # Structure that a free fit leaves at 64 px (:meth:`Hierarchical._unexplained`): six known materials 0.0003 to 0.0009 without
 # noise and up to 0.004 with noise of 0.003 in linear radiance, twelve real captures 0.009 to 0.053.
@@ -54,13 +55,16 @@ LEAST_NOISE = 0.004  # of any photo: one step of 8 bits
 UNTOLD = 1.5  # times what a fit with as many unknowns leaves unexplained, there was noise
 EASED = 0.75  # noise starts at NOISE and falls by this factor a round, so that no texel is caught early by a wrong highlight
 ROBUST = 3.0  # errors beyond so many times the noise count by their size alone
+ROBUST_END = 10.0  # the same at full size of photos of a phone, where no start is that far from its highlight any more
 
 SHARED = ("specular", "metallic", "roughness")
 BOUNDS = {"roughness": (0.05, 1.0), "normal": (-3.0, 3.0), "specular": (0.05, 1.0)}  # else 0 to 1
 # Standard deviations of the first prior, and the mean where it is not the start: specular and roughness of the whole material.
 VAGUE = {"diffuse": 0.5, "base_color": 0.5, "specular": 0.1, "metallic": 0.3, "roughness": 0.1, "normal": 0.1}
 HELD = 1e8  # precision of a number that is not to move
-CHANCE = 0.08  # honest maps of real captures have 0.01 (docs/evaluation.md)
+# Of how far a texel may leave its tied answer at full size (config.own): its share at first, and the least and the most later.
+FREEDOM = {"normal": (0.5, 0.17, 2.5), "roughness": (0.5, 0.5, 2.5), "specular": (1.0, 1.0, 2.5), "metallic": (1.0, 1.0, 2.5)}
+CHANCE = 0.08  # of a map's variance: what a pattern of its own may have in common with the coverage angle
 TAIL_FLOOR = 0.03  # least that a pixel counts
 DAMPING = 0.01  # that Levenberg-Marquardt starts with
 CALIBRATION = Priors(camera=(0.01, 0.01, 0.02), flash=(0.01, 0.01, 0.01), exposure=0.03, common_flash=(0.15, 0.15))
@@ -117,11 +121,14 @@ class Hierarchical:
         self.noise = torch.tensor(self._noise(stage, done))
         with profiled("solver"):
             cost = self._solve()
-        if stage == TOGETHER and done in REFINED and self.fits_views:
+        if done in REFINED.get(stage, ()) and self.fits_views:
             with profiled("views"):
                 self._refine_views()
         with profiled("sharing"):
-            self._share(stage)
+            if stage == FINE and self.tied:
+                self._loosen()
+            else:
+                self._share()
         return {"cost": float(cost)}
 
     @property
@@ -138,6 +145,8 @@ class Hierarchical:
                 self._begin(self.small)
                 return TOGETHER
         self._enlarge()
+        if not self.exact:
+            self._free()
         return FINE
 
     @property
@@ -173,13 +182,30 @@ class Hierarchical:
         self.member = membership(looks(capture, guess), self.basis, self.config.likeness)
 
     def _enlarge(self) -> None:
-        """Go on at full size."""
+        """Go on at full size; specular and roughness follow the look-alikes there (joint upsampling, Kopf et al. 2007)."""
         if self.capture.resolution == self.full.resolution:
             return
+        side, coarse = self.full.resolution, self.member
         self._look_at(self.full, self.guess)
-        self.x, self.mean, self.precision = (_enlarged(t, self.full.resolution) for t in (self.x, self.mean, self.precision))
+        alike = self.x[self.shares].flatten(1) @ coarse / coarse.sum(dim=0).clamp_min(NOBODY)
+        near, far = ((alike @ member.T).unflatten(1, (-1, size))
+                     for member, size in ((self.member, side), (coarse, self.x.shape[-1])))
+        shares = _enlarged(self.x[self.shares] - far, side) + near
+        self.x, self.mean, self.precision = (_enlarged(t, side) for t in (self.x, self.mean, self.precision))
         if self.tied:
-            self.mean[self.tilts] = self.x[self.tilts]  # what many pixels said together; a single one knows little more
+            self.x[self.shares] = shares.clamp(*self._bounds(self.shares))
+
+    def _free(self) -> None:
+        """Let every texel leave its tied answer, which becomes its prior; the diffuse map as it likes."""
+        self.mean = self.x.clone()
+        self.precision = torch.stack([torch.full_like(x, self._freedom(name, 0) ** -2.0) for x, name in
+                                      zip(self.x, self.names, strict=True)])
+
+    def _freedom(self, name: str, which: int) -> float:
+        """Standard deviation that a map's texels have around the tied answer: at first, at least or at most."""
+        if name not in FREEDOM:
+            return VAGUE[name]
+        return FREEDOM[name][which] * self.config.own or HELD**-0.5
 
     # A round.
 
@@ -215,11 +241,11 @@ class Hierarchical:
         self.x = found.x
         return found.data + found.prior
 
-    def _evidence(self, all_alike: bool = False) -> Evidence:
-        noise = float(self.noise)
-        weights = None if all_alike or not self.tied or not self.config.tails else self._trust(self.config.tails)
-        return Evidence(self.capture.photos, self.refined(self.capture.views), self.capture.transfer, noise, ROBUST * noise,
-                        weights)
+    def _evidence(self) -> Evidence:
+        noise, end = float(self.noise), self.tied and int(self.stage[0]) == FINE
+        weights = self._trust(self.config.tails) if self.tied and not end and self.config.tails else None
+        return Evidence(self.capture.photos, self.refined(self.capture.views), self.capture.transfer, noise,
+                        (ROBUST_END if end else ROBUST) * noise, weights)
 
     @property
     def tied(self) -> bool:
@@ -241,10 +267,12 @@ class Hierarchical:
     def _roughness(self, x: Tensor) -> Tensor:
         return self._solver(x.shape[-1]).svbrdf(x)["roughness"][..., 0]
 
-    def _share(self, stage: int) -> None:
+    def _variances(self) -> Tensor:
+        return self._solver(self.x.shape[-1]).variances(self._evidence(), self.x, self.precision + 1e-3)
+
+    def _share(self) -> None:
         """What look-alikes say becomes the prior of specular and roughness; the relief seen becomes that of normals."""
-        evidence = self._evidence()
-        variance = self._solver(self.x.shape[-1]).variances(evidence, self.x, self.precision + 1e-3)
+        variance = self._variances()
         flat = [t[self.shares].flatten(1) for t in (self.x, variance, self.mean, self.precision)]
         if len(self.shares):
             mean, self.spread = shared([self.names[i] for i in self.shares], *flat, self.member, self.spread,
@@ -255,9 +283,16 @@ class Hierarchical:
             self.precision[self.shares] = (spread**-2.0)[:, None, None].expand(-1, *self.x.shape[1:])
         if self.tilts:
             relief = (self.x[self.tilts].square() + variance[self.tilts]).mean().sqrt().clamp_min(LEAST_SPREAD)
-            if stage != FINE or not self.tied:
-                self.mean[self.tilts] = 0
+            self.mean[self.tilts] = 0
             self.precision[self.tilts] = (self.config.relief if self.tied else float(relief)) ** -2.0
+
+    def _loosen(self) -> None:
+        """How far texels went from their tied answer becomes how far they may go (expectation-maximisation)."""
+        variance = self._variances()
+        for name in sorted(set(self.names) & set(FREEDOM)):
+            planes = [i for i, own in enumerate(self.names) if own == name]
+            went = ((self.x[planes] - self.mean[planes]).square() + variance[planes]).mean().sqrt()
+            self.precision[planes] = float(went.clamp(self._freedom(name, 1), self._freedom(name, 2))) ** -2.0
 
     def _refine_views(self) -> None:
         """Where camera and flash stood, from the maps so far; the patch as a whole is flat (it lies in z = 0)."""
@@ -270,45 +305,48 @@ class Hierarchical:
     # What comes out.
 
     def estimate(self) -> tuple[SVBRDF, Views]:
-        """The present maps at full size, tied ones with the last freedom of :meth:`_closed`."""
-        x = self.x
-        if self.tied:
-            x = self._closed()
+        """The present maps at full size, of tied texels with the freedom that they have in the end."""
         side = self.full.resolution
-        if x.shape[-1] != side:
-            x = _enlarged(x, side)
+        if self.tied:
+            x = (self if int(self.stage[0]) == FINE else self._ahead())._closed()
+        else:
+            x = self.x if self.x.shape[-1] == side else _enlarged(self.x, side)
         return self._solver(side).svbrdf(x).map(Tensor.contiguous), self.refined(self.views)
 
+    def _ahead(self) -> Hierarchical:
+        """This fit as if its last stage began now."""
+        ahead = copy(self)
+        ahead._enlarge()
+        ahead._free()
+        ahead.stage = torch.tensor([FINE, 0])
+        ahead._steps(ahead._evidence(), ahead.x, LAST_STEPS)
+        return ahead
+
     def _closed(self) -> Tensor:
-        """The tied answer, with the freedom that every texel has in the end; the diffuse map from every pixel alike."""
+        """The answer with what the photos burnt in taken out, and the diffuse map that belongs to it."""
         x = self.x
-        if self.config.own:
-            x = self._closing(x, {name: self.config.own for name in self.names}, self._evidence())
         if len(self.shares):
             x = x.clone()
             x[self.shares] = self._independent(x[self.shares]).clamp(*self._bounds(self.shares))
-        return self._closing(x, {}, self._evidence(all_alike=True))
-
-    def _closing(self, x: Tensor, free: dict[str, float], evidence: Evidence) -> Tensor:
-        """Solve the diffuse map, and other maps that stay within so much of where they are; the rest keeps still."""
-        free = free | {name: VAGUE[name] for name in COLOURS if name != "specular"}
-        precision = torch.stack([torch.full_like(x[0], free[name] ** -2.0 if name in free else HELD) for name in self.names])
-        return self._solver(x.shape[-1]).solve(evidence, x, torch.full_like(x[0], DAMPING), x, precision, self.low,
+        precision = torch.stack([torch.full_like(plane, HELD if name in FREEDOM else VAGUE[name] ** -2.0)
+                                 for plane, name in zip(x, self.names, strict=True)])
+        return self._solver(x.shape[-1]).solve(self._evidence(), x, torch.full_like(x[0], DAMPING), x, precision, self.low,
                                                self.high, LAST_STEPS).x
 
     def _independent(self, planes: Tensor) -> Tensor:
-        """Maps S x R x R without the cubic trend along the coverage angle, at the level of where the highlights were.
+        """Maps S x R x R with a weaker cubic trend along the coverage angle, at the level of where the highlights were.
 
-        A material knows nothing of where the camera stood; a map that follows it was taught by what the model lacks. A trend
-        that explains less than a share :data:`CHANCE` of a map's variance is the material's own.
+        A material knows nothing of where the camera stood; a map that follows it was taught by what the model lacks. As much
+        of the trend stays as explains a share :data:`CHANCE` of a map's variance: that may be the material's own.
         """
         if not (self.tied and self.config.independent):
             return planes
         angle = coverage_angle(self.refined(self.capture.views), planes.shape[-1]).flatten()
         trend, trust = cubic(angle, planes.flatten(1)), self._trust(self.config.tails or 1.0).amax(dim=0).flatten()
-        off = trend - trend.mean(dim=1, keepdim=True)
-        share = off.square().mean(dim=1) / planes.flatten(1).double().var(dim=1).clamp_min(1e-12)
-        trend = torch.where(share[:, None] > CHANCE, trend, 0.0)
+        along = (trend - trend.mean(dim=1, keepdim=True)).square().mean(dim=1).clamp_min(1e-12)
+        across = (planes.flatten(1).double().var(dim=1, correction=0) - along).clamp_min(0)
+        kept = (CHANCE / (1 - CHANCE) * across / along).sqrt().clamp_max(1)
+        trend = (1 - kept)[:, None] * trend
         level = (trust * trend).sum(dim=1, keepdim=True) / trust.sum()
         return planes - (trend - level).reshape(planes.shape).float()
 
