@@ -17,7 +17,7 @@ _HOME = {
     "HierarchicalConfig": "fit", "HybridConfig": "fit", "GanConfig": "fit", "DirectConfig": "fit",
     "FitResult": "fit", "fit_svbrdf": "fit",
     "evaluate_fit": "evaluate", "evaluate_maps": "evaluate", "evaluate_capture": "evaluate",
-    "write_fit": "report.folder", "write_scene": "report.export",
+    "write_fit": "report.folder", "write_scene": "export.mitsuba",
     "make_material": "procedural",
     "MitsvbrdfError": "errors",
 }

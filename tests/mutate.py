@@ -45,7 +45,7 @@ MUTATIONS = [
     Mutation("stale light", "render/scene.py", 'params["light.position"] = mi.Point3f(at(light, k))',
              'params["light.position"] = mi.Point3f(at(light, 0))'),
     Mutation("wrong principal point", "render/rectified.py", "position_sample.x - 0.5", "position_sample.x - 0.49"),
-    Mutation("wrong principal point of the exported scene", "report/export.py", '"shift_x": -x', '"shift_x": x'),
+    Mutation("wrong principal point of the exported scene", "export/mitsuba.py", '"shift_x": -x', '"shift_x": x'),
     Mutation("drop a normalisation", "render/threads.py", "dr.normalize(camera - place)", "(camera - place)"),
     Mutation("drop the normalisation of the normals", "render/rectified.py", "n = dr.normalize(normal)", "n = normal"),
     Mutation("clamp alpha at 0.05", "render/bsdf.py", 'maps["roughness"] * maps["roughness"]',

@@ -22,7 +22,7 @@ from mitsvbrdf.errors import ConfigError, MapsError
 from mitsvbrdf.maps import SVBRDF, flat
 from mitsvbrdf.procedural import make_material
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.report.export import write_scene
+from mitsvbrdf.export.mitsuba import write_scene
 from mitsvbrdf.testing import (
     assert_matches_golden,
     assert_renderers_agree,

@@ -14,7 +14,7 @@ from ..fit.confidence import confidence
 from ..fit.result import FitResult
 from ..maps import save_maps
 from ..provenance import machine, versions
-from .export import write_scene
+from ..export.mitsuba import write_scene
 from .sheet import loss_curve, write_sheet
 
 SCHEMA_VERSION = 1

@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 
 from .. import files
-from ..maps import SVBRDF
+from ..maps import SVBRDF, Bsdf
 from ..render.bsdf import plugin, slot_values
 from ..render.needs import Needs
 from ..views import Views
@@ -35,10 +35,6 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
     for slot, value in slots.items():
         files.write_exr(out / "scene" / f"{slot}.exr", value)
 
-    def texture(slot: str) -> dict:
-        return {"type": "bitmap", "filename": f"scene/{slot}.exr", "raw": True, "filter_type": "nearest",
-                "wrap_mode": "clamp"}
-
     comments = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
     tree = ET.parse(SCENES / "patch.xml", comments)
     root = tree.getroot()
@@ -47,11 +43,35 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
     material = root.find("bsdf[@id='material']")
     material.attrib.clear()
     material.attrib.update(type="normalmap", id="material")
-    _fill(material, plugin(svbrdf.bsdf, Needs(), texture, stock=True))
+    _fill(material, _material(svbrdf.bsdf))
     ET.indent(tree, space="    ")
     path = out / "scene.xml"
     files.write_bytes(path, ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
     return path
+
+
+def write_material(out: str | Path, bsdf: Bsdf) -> Path:
+    """Write ``out/bsdf.json``, the material of :func:`write_scene` as the dictionary that ``mitsuba.load_dict`` takes.
+
+    JSON has no transforms: each ``to_uv`` is a 4 x 4 list, to be made a ``ScalarTransform4f`` when loading.
+
+    Args:
+        out: the folder of the scene; its textures are named relative to it.
+        bsdf: of the material that the scene was written for.
+    """
+    flip = [[1, 0, 0, 0], [0, -1, 0, 1], [0, 0, 1, 0], [0, 0, 0, 1]]
+    path = Path(out) / "bsdf.json"
+    files.write_json(path, _material(bsdf, to_uv=flip))
+    return path
+
+
+def _material(bsdf: Bsdf, **of_texture: object) -> dict:
+    """Plugin dictionary with the textures ``scene/SLOT.exr``, each with these entries too."""
+    def texture(slot: str) -> dict:
+        return {"type": "bitmap", "filename": f"scene/{slot}.exr", "raw": True, "filter_type": "nearest",
+                "wrap_mode": "clamp", **of_texture}
+
+    return plugin(bsdf, Needs(), texture, stock=True)
 
 
 def _defaults(views: Views, resolution: int) -> dict[str, str]:
