@@ -29,6 +29,7 @@ from ..progress import Progress, print_numbers, print_profile, say, say_written
 from ..render import RendererName, make_renderer
 from ..views import Falloff
 from .bench import bench
+from .compare import compare
 from .crosscheck import crosscheck
 from .leave_out import leave_out
 from .options import (
@@ -335,8 +336,9 @@ def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
     commands = {"fit": fit_command(_method_of(arguments)), "guess": guess, "render": render, "evaluate": evaluate,
-                "crosscheck": crosscheck, "leave-out": leave_out, "stability": stability, "bench": bench, "synth": synth,
-                "pretrain": pretrain_command, "pretrain-hybrid": pretrain_hybrid, "doctor": doctor, "demo": demo}
+                "compare": compare, "crosscheck": crosscheck, "leave-out": leave_out, "stability": stability, "bench": bench,
+                "synth": synth, "pretrain": pretrain_command, "pretrain-hybrid": pretrain_hybrid, "doctor": doctor,
+                "demo": demo}
     if arguments == ["--version"]:
         say(f"mitsvbrdf {__version__}")
         return 0

@@ -9,8 +9,9 @@ from typing import Annotated, Literal
 
 from tyro.conf import arg
 
+from .. import files
 from ..capture import Capture, read_capture
-from ..errors import CaptureError, ConfigError
+from ..errors import CaptureError, ConfigError, OutputError
 from ..maps import SVBRDF, load_maps
 from ..progress import say
 from ..views import Falloff, Views, nine_view_grid
@@ -32,6 +33,13 @@ def keep_apart(capture: Path, out: Path) -> None:
     """Results among photos would be read as photos the next time."""
     if os.path.realpath(out) in (os.path.realpath(capture), os.path.realpath(capture / "target")):
         raise ConfigError("an output folder of its own", f"{out}, which holds the photos", "choose another folder")
+
+
+def check_new_file(out: Path, overwrite: bool) -> None:
+    """Raise OutputError where a result file is there already or could not be written, before any work is done."""
+    if out.is_file() and not overwrite:
+        raise OutputError("a new file", f"{out}, which exists", "add --overwrite to replace it, or choose another name")
+    files.check_output(out)
 
 
 def read_photos(capture: Path, resolution: int, views: str | None, transfer, falloff: Falloff) -> Capture:

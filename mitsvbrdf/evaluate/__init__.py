@@ -87,6 +87,7 @@ class Fit:
         capture: name of the folder of its photos; None when unknown.
         seen: numbers of the photos it used.
         views: theirs, as fitted; None when unknown.
+        method: how it was fitted; None when unknown.
     """
 
     falloff: Falloff = "inverse-square"
@@ -95,6 +96,7 @@ class Fit:
     capture: str | None = None
     seen: tuple[int, ...] = ()
     views: Views | None = None
+    method: str | None = None
 
     def label(self, capture: Capture, number: int) -> str:
         """Name of a photo, and whether the fit saw it, where it was fitted to this capture."""
@@ -119,7 +121,8 @@ def fit_of(maps: str | Path) -> Fit:
         fit = Fit(views["falloff"], record["capture"]["transfer"],
                   None if offset is None else (float(offset["x"]), float(offset["y"])),
                   record["capture"]["name"], tuple(record["capture"]["photos"]),
-                  Views.of(views["camera"], views["light"], views["intensity"], views["size"], views["falloff"]))
+                  Views.of(views["camera"], views["light"], views["intensity"], views["size"], views["falloff"]),
+                  record.get("method"))
         if fit.transfer not in get_args(color.Transfer):
             raise ValueError("unknown transfer")
     except (ValueError, KeyError, TypeError, MitsvbrdfError) as reason:

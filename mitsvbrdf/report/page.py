@@ -15,6 +15,7 @@ import cv2
 import jinja2
 import matplotlib
 import torch
+import torch.nn.functional as F
 from matplotlib.figure import Figure
 from torch import Tensor
 
@@ -29,12 +30,17 @@ def write_page(path: str | Path, template: str, **context: object) -> None:
         template: file name in ``mitsvbrdf/report/templates``.
         context: what the template asks for; text is escaped.
     """
+    text = page_text(template, **context)
+    with files.beside(Path(path)) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def page_text(template: str, **context: object) -> str:
+    """``templates/TEMPLATE`` as text, with the arguments of :func:`write_page`."""
     environment = jinja2.Environment(loader=jinja2.PackageLoader("mitsvbrdf", "report/templates"), autoescape=True,
                                      undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {"figure": figure, "seconds": seconds}
-    text = environment.get_template(template).render(context)
-    with files.beside(Path(path)) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    return environment.get_template(template).render(context)
 
 
 def figure(value: float | None) -> str:
@@ -60,6 +66,15 @@ def png_uri(display: Tensor) -> str:
     pixels = (color.clip(display.detach().float()) * 255).round().to(torch.uint8)
     pixels = pixels.expand(*pixels.shape[:2], 3).flip(-1).contiguous().numpy()  # OpenCV writes BGR
     return "data:image/png;base64," + base64.b64encode(cv2.imencode(".png", pixels)[1].tobytes()).decode()
+
+
+def at_most(picture: Tensor, side: int) -> Tensor:
+    """A picture H x W x C area-averaged so that no side is longer than this many pixels."""
+    height, width = picture.shape[:2]
+    if max(height, width) <= side:
+        return picture
+    size = [max(1, round(length * side / max(height, width))) for length in (height, width)]
+    return F.adaptive_avg_pool2d(picture.permute(2, 0, 1), size).permute(1, 2, 0)
 
 
 def error_picture(error: Tensor, high: float, low: float | None = None) -> Tensor:

@@ -60,8 +60,8 @@ def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Te
                            f"errors, {len(names)} names", "give all of them for the same photos")
     shown = min(count, SHOWN)
     behind = {name: f"  ·  {remark}" for name, remark in (remarks or {}).items()}
-    tiles = [(TITLES[name] + behind.get(name, ""), _shown(name, svbrdf[name])) for name in CHANNELS[svbrdf.bsdf]]
-    tiles += [] if guess is None else [("Guessed diffuse", _shown("diffuse", guess))]
+    tiles = [(TITLES[name] + behind.get(name, ""), shown_map(name, svbrdf[name])) for name in CHANNELS[svbrdf.bsdf]]
+    tiles += [] if guess is None else [("Guessed diffuse", shown_map("diffuse", guess))]
     large, small = _side(len(tiles), LARGEST_MAP), _side(shown, LARGEST_PHOTO)
     photo_top = HEADER + LABEL + large
     sheet = _Sheet(photo_top + 3 * (LABEL + small) + LABEL + 20)
@@ -117,7 +117,8 @@ class _Sheet:
         files.write_bytes(path, data.getvalue())
 
 
-def _shown(name: str, value: Tensor) -> Tensor:
+def shown_map(name: str, value: Tensor) -> Tensor:
+    """A map as display values: colours in sRGB, normals as (n + 1) / 2, the rest as it is."""
     if name == "normal":
         return (value + 1) / 2
     return color.to_display(value, "srgb") if name in COLOURS else value

@@ -1,0 +1,100 @@
+"""``mitsvbrdf compare``: maps of several methods on one page."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from .. import files
+from ..capture import guess_diffuse
+from ..errors import ConfigError, MapsError
+from ..maps import SVBRDF
+from ..progress import print_numbers, say, say_written
+from ..render import RendererName, make_renderer
+from .options import Out, Overwrite, TransferOption, Variant, ViewList, check_new_file, material_of, read_photos
+
+LARGEST = 256  # pixels a side, where nothing else is asked for
+
+
+def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", help=(
+                "Folders of maps, published or the OUT of fits, or builtin:NAME; NAME= is what captions call it."))]],
+            capture: Annotated[Path, arg(metavar="CAPTURE", help="The photos.")], out: Out,
+            reference: Annotated[str | None, arg(help="Known maps, where there are any: a folder or builtin:NAME.")] = None,
+            views: ViewList = None,
+            resolution: Annotated[int | None, arg(help="Side of photos and maps; left out: the smallest among them, at most "
+                                                       "256.")] = None,
+            renderer: RendererName = "mitsuba",
+            transfer: Annotated[TransferOption, arg(help="How photos encode light; auto: as in each fit.")] = "auto",
+            refine_views: Annotated[bool, arg(help="Measure again with camera, flash and exposure of each photo refined, "
+                                                   "for every method alike.")] = False,
+            json_file: Annotated[Path | None, arg(name="json", help="Write the figures to this file.")] = None,
+            variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
+    """Show maps of several methods side by side: input, maps, errors, and every photo beside its re-renderings.
+
+    `mitsvbrdf compare out materialgan=captures/wood/materialgan --capture captures/wood -o page.html` writes one HTML file that
+    needs no network. Photos that a fit saw are rendered with the views it ended with, all others as `mitsvbrdf evaluate` does.
+    """
+    from ..evaluate import evaluate_maps
+    from ..evaluate.compare import compare as measure
+    from ..fit.calibration import Priors
+    from ..metrics import map_rmse
+    from ..report.compare import write_compare_page
+
+    if not maps:
+        raise ConfigError("one or more folders of maps", "none", "name them before --capture")
+    if resolution is not None and resolution < 8:
+        raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
+    check_new_file(out, overwrite)
+    files.check_output(json_file)
+    entries = _named_apart([_entry(text, resolution or LARGEST) for text in maps])
+    size = resolution or min(LARGEST, *(entry.svbrdf.resolution for entry in entries))
+    shots = read_photos(capture, size, views, transfer, "inverse-square")
+    for entry in entries:
+        if entry.svbrdf.resolution != shots.resolution:
+            say(f"{entry.name}: maps of {entry.svbrdf.resolution} px are compared at {shots.resolution} px")
+    known = None if reference is None else material_of(reference, shots.resolution)
+
+    def map_errors(svbrdf: SVBRDF) -> dict[str, float]:
+        return map_rmse(svbrdf, known) if reference.startswith("builtin:") else evaluate_maps(svbrdf, reference)
+
+    record, pictures = measure(entries, shots, make_renderer(renderer, variant), None if known is None else map_errors,
+                               None if transfer == "auto" else transfer, Priors() if refine_views else None)
+    record["reference"] = reference
+    for method in record["methods"]:
+        say(f"{method['name']}: {method['folder']}, {method['views']}")
+    if known is not None:
+        print_numbers("Map RMSE, mean", {m["name"]: m["map_rmse"]["mean"] for m in record["methods"]})
+    print_numbers("Re-rendering RMSE", {m["name"]: m["rerender_rmse"] for m in record["methods"]})
+    write_compare_page(out, record, entries, shots, pictures, guess_diffuse(shots), known)
+    if json_file:
+        files.write_json(json_file, record)
+    say_written(out, json_file)
+    return 0
+
+
+def _entry(text: str, resolution: int):
+    """Maps, name and fit of ``[NAME=]MAPS``; an existing folder with a = in its name is that folder."""
+    from ..evaluate import fit_of
+    from ..evaluate.compare import Entry
+
+    name, equals, maps = text.partition("=")
+    name, maps = (name, maps) if equals and not os.path.exists(text) else ("", text)
+    svbrdf = material_of(maps, resolution)
+    if maps.startswith("builtin:"):
+        return Entry(name or maps.removeprefix("builtin:"), maps, svbrdf)
+    folder, fit = Path(os.path.abspath(maps)), fit_of(maps)
+    folder = folder.parent if folder.name == "maps" else folder
+    guess = folder / "guess" / "diffuse.exr"
+    return Entry(name or fit.method or folder.name, maps, svbrdf, fit,
+                 files.read_image(guess, MapsError) if guess.is_file() else None)
+
+
+def _named_apart(entries: list) -> list:
+    """Entries whose name another one has are called by their folder too."""
+    names = [entry.name for entry in entries]
+    return [replace(entry, name=f"{entry.name} ({entry.folder})") if names.count(entry.name) > 1 else entry
+            for entry in entries]
