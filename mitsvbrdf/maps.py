@@ -137,6 +137,11 @@ class SVBRDF:
         maps["normal"] = F.normalize(maps["normal"], dim=-1)
         return SVBRDF(self.bsdf, maps)
 
+    def _repr_html_(self) -> str:
+        """The maps as small pictures, for notebooks."""
+        from .report.notebook import svbrdf_html
+        return svbrdf_html(self)
+
 
 def flat(resolution: int, bsdf: Bsdf = "roughconductor", dtype: torch.dtype = torch.float32, **values: float) -> SVBRDF:
     """A constant material with an up-pointing normal.

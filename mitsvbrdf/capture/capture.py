@@ -84,3 +84,8 @@ class Capture:
             raise CaptureError("each photo once", f"photos {list(index)}", "take the repeated number out")
         rows = [self.index.index(i) for i in index]
         return replace(self, photos=self.photos[rows], views=self.views.pick(rows), index=tuple(index))
+
+    def _repr_html_(self) -> str:
+        """The photos as small pictures with their positions, for notebooks."""
+        from ..report.notebook import capture_html
+        return capture_html(self)

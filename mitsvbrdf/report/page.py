@@ -36,11 +36,11 @@ def write_page(path: str | Path, template: str, **context: object) -> None:
 
 
 def page_text(template: str, **context: object) -> str:
-    """``templates/TEMPLATE`` as text, with the arguments of :func:`write_page`."""
+    """``templates/TEMPLATE`` as text, with the arguments of :func:`write_page`; what UTF-8 cannot write becomes a ?."""
     environment = jinja2.Environment(loader=jinja2.PackageLoader("mitsvbrdf", "report/templates"), autoescape=True,
                                      undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {"figure": figure, "seconds": seconds}
-    return environment.get_template(template).render(context)
+    return environment.get_template(template).render(context).encode(errors="replace").decode()
 
 
 def figure(value: float | None) -> str:
