@@ -134,7 +134,7 @@ def test_photos_that_do_not_follow_the_model_are_not(wrong):
 
 @pytest.mark.parametrize("name", ["inlay", "leather", "tiles"])
 def test_flash_beside_the_lens_is_found(name, phone):
-    # Measured (-0.059, 0.018), (-0.047, 0.022) and (-0.047, -0.014): tilted normals keep a part. Off by 0.05 to 0.08 of 0.11.
+    # Measured (-0.061, 0.020), (-0.041, 0.014) and (-0.047, -0.013): tilted normals keep a part. Off by 0.05 to 0.08 of 0.11.
     offset = torch.tensor([-0.1, 0.05])
     shots = dataclasses.replace(photos_of(make_material(name, SIDE), flash_beside(offset)), views=GRID)
     result = fit_svbrdf(shots, MITSUBA)
@@ -181,7 +181,7 @@ def test_a_highlight_that_no_photo_shows_is_that_of_look_alikes(kind, monkeypatc
     assert shared.max() < 0.025 and alone.max() > 0.05 and alone.norm() > 3 * shared.norm()
 
 
-def test_independent_weakens_a_cubic_trend_and_leaves_the_pattern(capture, phone):
+def test_independent_weakens_a_cubic_trend_and_leaves_the_pattern(capture, phone, monkeypatch):
     method = method_of(capture)
     method.stage, method.unexplained = torch.tensor([FINE, 1]), torch.tensor([0.02, 0.02])
     assert method.tied
@@ -211,8 +211,8 @@ def test_independent_weakens_a_cubic_trend_and_leaves_the_pattern(capture, phone
     # A trend that is less than CHANCE of the variance is the material's own, and nothing is done to it.
     slight = (pattern + 0.01 * a).float()
     assert 1e-4 < min(explained_share(p, angle) for p in slight) and torch.equal(method._independent(slight), slight)
-    method.unexplained = torch.tensor([0.001, 0.001])
-    assert torch.equal(method._independent(given), given) or not method.exact
+    monkeypatch.setattr(hierarchical, "EXACT", 0.021)
+    assert method.exact and torch.equal(method._independent(given), given)
 
 
 def striped_material():
@@ -230,22 +230,22 @@ def test_enlarged_maps_follow_the_look_alikes(two_stages, phone):
     bright = torch.zeros(SIDE // 2, SIDE // 2)
     bright[:, SIDE // 4:] = 1
     level, off = torch.tensor([0.2, 0.3, 0.4, 0.5]), torch.tensor([0.3, 0.2, 0.1, 0.25])
-    method.x[method.shares] = level[:, None, None] + off[:, None, None] * bright
+    ramp = torch.linspace(-0.1, 0.1, SIDE // 2)[:, None].expand(-1, SIDE // 2)  # within each stuff, so that is kept beside it
+    method.x[method.shares] = level[:, None, None] + off[:, None, None] * bright + ramp
     method._enlarge()
     bright = torch.zeros(SIDE, SIDE)
     bright[:, SIDE // 2:] = 1
+    ramp = F.interpolate(ramp[None, None], (SIDE, SIDE), mode="bilinear")[0, 0]
     # Looks differ by more than ten widths, so a texel is of one stuff only; bilinear enlarging is off by a quarter of the step.
-    assert torch.allclose(method.x[method.shares], level[:, None, None] + off[:, None, None] * bright, atol=1e-5)
-    method._free()
-    assert torch.equal(method.mean, method.x)
+    assert torch.allclose(method.x[method.shares], level[:, None, None] + off[:, None, None] * bright + ramp, atol=1e-5)
 
 
-@pytest.mark.parametrize("went, normal, specular", [(0.0, 0.0102, 0.06), (0.07, 0.07, 0.07), (0.5, 0.15, 0.15)])
+@pytest.mark.parametrize("went, normal, specular", [(0.0, 0.05, 0.06), (0.05, 0.07071, 0.07071), (0.5, 0.15, 0.15)])
 def test_texels_may_go_as_far_as_they_went(went, normal, specular, capture, monkeypatch):
     """Deviations around the prior: root mean square of the distance gone and of what is left unknown, within its bounds."""
     method = method_of(capture, own=0.06)
     method._free()
-    unknown = 1e-4
+    unknown = 0.05
     monkeypatch.setattr(method, "_variances", lambda: torch.full_like(method.x, unknown**2))
     sign = torch.where(torch.rand(method.x.shape, generator=torch.Generator().manual_seed(1)) < 0.5, -1.0, 1.0)
     method.x = method.mean + sign * went
@@ -253,6 +253,36 @@ def test_texels_may_go_as_far_as_they_went(went, normal, specular, capture, monk
     deviation = {name: float(method.precision[i].mean() ** -0.5) for i, name in enumerate(method.names)}
     assert deviation["normal"] == pytest.approx(normal, rel=1e-4) and deviation["specular"] == pytest.approx(specular, rel=1e-4)
     assert deviation["diffuse"] == pytest.approx(hierarchical.VAGUE["diffuse"])
+
+
+def test_at_full_size_texels_are_free_and_pixels_alike(two_stages, phone, capture):
+    method = method_of(capture)
+    while int(method.stage[0]) != TOGETHER:
+        method.step(0.0)
+    assert method._evidence().weights is not None and method._evidence().robust == pytest.approx(3 * 0.03)
+    while int(method.stage[0]) != FINE:
+        method.step(0.0)
+    assert method._evidence().weights is None and method._evidence().robust == pytest.approx(10 * 0.03)
+    # The first round has loosened them: normals by what this leather needs, the others by their start at least.
+    deviation = {name: float(method.precision[i].mean() ** -0.5) for i, name in enumerate(method.names)}
+    assert 0.0102 <= deviation["normal"] <= 0.15 and deviation["specular"] >= 0.0599 and deviation["roughness"] >= 0.0299
+    assert (method.x - method.mean)[method.tilts].abs().max() > 1e-3 and method.mean[method.tilts].abs().max() > 1e-3
+
+
+def test_what_comes_out_follows_no_highlights(two_stages, phone, capture):
+    """Also where the fit ends before full size; the maps themselves do, by far."""
+    method = method_of(capture, own=0.06)
+    angle = coverage_angle(capture.views, SIDE)
+    for stage, done in ((TOGETHER, 1), (FINE, 1)):
+        method.stage = torch.tensor([stage, done])
+        method._begin(method.small if stage == TOGETHER else method.full)
+        lie = F.interpolate(angle[None, None].float(), method.x.shape[1:], mode="area")[0, 0]
+        i = method.names.index("roughness")
+        method.x[i] = (method.x[i] + 3 * (lie - lie.mean())).clamp(0.05, 1)
+        method.mean = method.x.clone()
+        assert explained_share(method.x[i].double(), lie.double()) > 0.5
+        svbrdf, _ = method.estimate()
+        assert svbrdf.resolution == SIDE and explained_share(svbrdf["roughness"][..., 0].double(), angle) < 0.1
 
 
 # ---- rounds ----
@@ -430,7 +460,8 @@ def test_any_photos(change, capture):
 OPTIONS = {
     "grey": {"grey_specular": True}, "principled": {"bsdf": "principled"}, "min": {"guess": "min"},
     "no neighbours": {"neighbours": False}, "one material": {"materials": 1}, "more than texels": {"materials": 1000},
-    "own 0": {"own": 0.0}, "tails 0": {"tails": 0.0}, "trend": {"independent": False}, "views": {"refine_views": False},
+    "own 0": {"own": 0.0}, "own tiny": {"own": 1e-20},
+    "tails 0": {"tails": 0.0}, "trend": {"independent": False}, "views": {"refine_views": False},
     "no offset": {"flash_offset": False}, "sharp": {"likeness": 1e-6}, "alike": {"likeness": 100.0},
     **{f"fix {name}": {"fix": (f"{name}={value}",)} for name, value in
        (("diffuse", "0.1,0.2,0.2"), ("specular", 0.05), ("roughness", 0.3), ("normal", "flat"))},
@@ -443,12 +474,19 @@ OPTIONS = {
 }
 
 
-@pytest.mark.parametrize("options, kind", [*((name, "phone") for name in OPTIONS),
-                                           *((name, "exact") for name in ("grey", "principled", "fix normal", "fix metallic"))])
+OF_TWO_SIZES = "matt", "diffuse only", "normal only", "own 0", "own tiny"
+
+
+@pytest.mark.parametrize("options, kind", [
+    *((name, "phone") for name in OPTIONS),
+    *((name, "exact") for name in ("grey", "principled", "fix normal", "fix metallic")),
+    *((name, kind) for name in OF_TWO_SIZES for kind in ("phone, two sizes", "exact, two sizes"))])
 def test_any_options(options, kind, tiles, monkeypatch):
-    if kind == "phone":
+    if "phone" in kind:
         monkeypatch.setattr(hierarchical, "EXACT", 0.0)
-    config = HierarchicalConfig(iterations=12, **OPTIONS[options])  # of which the phone's fourth to seventh tie the texels
+    if "two sizes" in kind:
+        monkeypatch.setattr(hierarchical, "COARSE", 6)
+    config = HierarchicalConfig(iterations=12, **OPTIONS[options])  # of which the phone's third to sixth tie the texels
     result = fit_svbrdf(tiles, MITSUBA, config)
     sane(result, 12, config.bsdf)
     assert result.rerender_rmse < result.trace[0]["rerender_rmse"]

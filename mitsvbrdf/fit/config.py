@@ -75,13 +75,13 @@ class HierarchicalConfig(FitConfig):
     likeness: float = 0.02
     """How alike texels must look to share: standard deviation, in the numbers of fit/likeness.py."""
     spread: float = 0.03
-    """How far specular and roughness may be from those of look-alikes, in photos that do not follow the model."""
+    """How far specular and roughness may be from those of look-alikes at 64 px, in photos that do not follow the model."""
     relief: float = 0.02
     """Slopes of the normals to expect at 64 px, in photos that do not follow the model."""
     own: float = 0.06
-    """How far specular may leave its tied answer at full size, at first, in such photos; 0: only the diffuse map may."""
+    """How far specular or metallic may leave its tied answer at full size, at first, in such photos; 0: only diffuse may."""
     tails: float = 2.0
-    """Pixels farther from a highlight than so many lobe widths count less, in such photos; 0 counts all alike."""
+    """Pixels farther from a highlight than so many lobe widths count less at 64 px, in such photos; 0 counts all alike."""
     independent: bool = True
     """Whether specular and roughness are kept from following where the photos' highlights were, in such photos."""
     neighbours: bool = True

@@ -11,6 +11,8 @@ highlights it never showed are left open, and what the model lacks is burnt in. 
 
 Photos of a simulation follow the model to the last digit, and then a texel can be trusted with everything; photos of a phone
 do not. So the fit first lets every texel explain its photos freely. What is left unexplained then tells which kind they are.
+Photos of a phone are first explained at 64 px, where texels must agree; at full size each may leave that answer by as much as
+the photos were seen to ask for.
 """
 
 from __future__ import annotations
@@ -43,7 +45,7 @@ from .start import robust_start
 COARSE = 64  # texels a side of the first stages
 ALONE, TOGETHER, FINE = range(3)  # the stages: coarse and free, coarse and tied (photos of a phone only), full size
 ROUNDS = {ALONE: 12, TOGETHER: 12, FINE: 14}
-DEADLINE = {ALONE: 0.15, TOGETHER: 0.5, FINE: 1.0}  # share of the run at which a stage ends at the latest
+DEADLINE = {ALONE: 0.15, TOGETHER: 0.5}  # share of the run at which a stage ends at the latest
 TIED_ROUNDS = 6  # of FINE, for photos of a phone
 REFINED = {TOGETHER: (2, 4, 6, 8), FINE: (4,)}  # rounds after which the views are refined
 
@@ -59,11 +61,12 @@ ROBUST_END = 10.0  # the same at full size of photos of a phone, where no start 
 
 SHARED = ("specular", "metallic", "roughness")
 BOUNDS = {"roughness": (0.05, 1.0), "normal": (-3.0, 3.0), "specular": (0.05, 1.0)}  # else 0 to 1
-# Standard deviations of the first prior, and the mean where it is not the start: specular and roughness of the whole material.
+# Standard deviations of the first prior; that of the diffuse map stays.
 VAGUE = {"diffuse": 0.5, "base_color": 0.5, "specular": 0.1, "metallic": 0.3, "roughness": 0.1, "normal": 0.1}
 HELD = 1e8  # precision of a number that is not to move
-# Of how far a texel may leave its tied answer at full size (config.own): its share at first, and the least and the most later.
-FREEDOM = {"normal": (0.5, 0.17, 2.5), "roughness": (0.5, 0.5, 2.5), "specular": (1.0, 1.0, 2.5), "metallic": (1.0, 1.0, 2.5)}
+# How far a texel may leave its tied answer at full size, in units of config.own: standard deviations at first and at least.
+FREEDOM = {"normal": (0.5, 0.17), "roughness": (0.5, 0.5), "specular": (1.0, 1.0), "metallic": (1.0, 1.0)}
+FREEST = 2.5  # the same, at most
 CHANCE = 0.08  # of a map's variance: what a pattern of its own may have in common with the coverage angle
 TAIL_FLOOR = 0.03  # least that a pixel counts
 DAMPING = 0.01  # that Levenberg-Marquardt starts with
@@ -179,7 +182,7 @@ class Hierarchical:
 
     def _look_at(self, capture: Capture, guess: Tensor) -> None:
         self.capture = capture
-        self.member = membership(looks(capture, guess), self.basis, self.config.likeness)
+        self.member: Tensor | None = membership(looks(capture, guess), self.basis, self.config.likeness)
 
     def _enlarge(self) -> None:
         """Go on at full size; specular and roughness follow the look-alikes there (joint upsampling, Kopf et al. 2007)."""
@@ -187,25 +190,27 @@ class Hierarchical:
             return
         side, coarse = self.full.resolution, self.member
         self._look_at(self.full, self.guess)
-        alike = self.x[self.shares].flatten(1) @ coarse / coarse.sum(dim=0).clamp_min(NOBODY)
-        near, far = ((alike @ member.T).unflatten(1, (-1, size))
-                     for member, size in ((self.member, side), (coarse, self.x.shape[-1])))
-        shares = _enlarged(self.x[self.shares] - far, side) + near
-        self.x, self.mean, self.precision = (_enlarged(t, side) for t in (self.x, self.mean, self.precision))
-        if self.tied:
-            self.x[self.shares] = shares.clamp(*self._bounds(self.shares))
+        x = _enlarged(self.x, side)
+        if self.tied and len(self.shares):
+            alike = self.x[self.shares].flatten(1) @ coarse / coarse.sum(dim=0).clamp_min(NOBODY)
+            off = self.x[self.shares] - (alike @ coarse.T).reshape(-1, *self.x.shape[1:])
+            x[self.shares] = _enlarged(off, side) + (alike @ self.member.T).reshape(-1, side, side)
+            x[self.shares] = x[self.shares].clamp(*self._bounds(self.shares))
+        self.x, self.mean, self.precision = x, _enlarged(self.mean, side), _enlarged(self.precision, side)
 
     def _free(self) -> None:
         """Let every texel leave its tied answer, which becomes its prior; the diffuse map as it likes."""
         self.mean = self.x.clone()
-        self.precision = torch.stack([torch.full_like(x, self._freedom(name, 0) ** -2.0) for x, name in
-                                      zip(self.x, self.names, strict=True)])
+        self.precision = torch.stack([torch.full_like(plane, self._freedom(name)[0] ** -2.0)
+                                      for plane, name in zip(self.x, self.names, strict=True)])
+        self.member = None  # a number for each texel and basis material, which none is asked for any more
 
-    def _freedom(self, name: str, which: int) -> float:
-        """Standard deviation that a map's texels have around the tied answer: at first, at least or at most."""
+    def _freedom(self, name: str) -> tuple[float, float, float]:
+        """Standard deviations of a map's texels around the tied answer: at first, at least and at most."""
         if name not in FREEDOM:
-            return VAGUE[name]
-        return FREEDOM[name][which] * self.config.own or HELD**-0.5
+            return (VAGUE[name],) * 3
+        first, least, most = (max(times * self.config.own, HELD**-0.5) for times in (*FREEDOM[name], FREEST))
+        return first, least, most
 
     # A round.
 
@@ -249,7 +254,7 @@ class Hierarchical:
 
     @property
     def tied(self) -> bool:
-        """Whether texels are held close to those they look like: photos of a phone, once they are known to be."""
+        """Whether texels are held to what their look-alikes said: photos of a phone, once they are known to be."""
         return int(self.stage[0]) != ALONE and not self.exact
 
     def _trust(self, reach: float) -> Tensor:
@@ -292,11 +297,11 @@ class Hierarchical:
         for name in sorted(set(self.names) & set(FREEDOM)):
             planes = [i for i, own in enumerate(self.names) if own == name]
             went = ((self.x[planes] - self.mean[planes]).square() + variance[planes]).mean().sqrt()
-            self.precision[planes] = float(went.clamp(self._freedom(name, 1), self._freedom(name, 2))) ** -2.0
+            self.precision[planes] = float(went.clamp(*self._freedom(name)[1:])) ** -2.0
 
     def _refine_views(self) -> None:
         """Where camera and flash stood, from the maps so far; the patch as a whole is flat (it lies in z = 0)."""
-        if self.tilts:
+        if self.tilts and int(self.stage[0]) == TOGETHER:
             self.x[self.tilts] -= self.x[self.tilts].mean(dim=(1, 2), keepdim=True)
         priors = CALIBRATION if self.fits_offset else replace(CALIBRATION, common_flash=(0.0, 0.0))
         found = refine_views(self._solver(self.x.shape[-1]).svbrdf(self.x), self.capture.views, self.capture, priors)
@@ -393,6 +398,8 @@ class Hierarchical:
         self.unexplained = torch.where(self.unexplained < 0, torch.nan, self.unexplained)
         capture = {ALONE: self.few, TOGETHER: self.small, FINE: self.full}[int(self.stage[0])]
         self._look_at(capture, _resized(self.guess, capture.resolution))
+        if self.tied and int(self.stage[0]) == FINE:
+            self.member = None
 
 
 def _resized(image: Tensor, side: int) -> Tensor:
