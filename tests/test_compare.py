@@ -101,15 +101,27 @@ def compared(shots, tmp_path_factory):
 
 def test_fitted_views_are_those_of_the_fit_for_the_photos_it_saw(shots):
     capture, true = shots
-    stored = replace(true.pick([1, 0]), camera=2 * true.camera[[1, 0]], light=2 * true.light[[1, 0]], size=2.0)
-    fit = Fit(flash_offset=(0.05, -0.02), capture="photos", seen=(1, 0), views=stored)
+    stored = replace(true.pick([2, 1]), camera=2 * true.camera[[2, 1]], light=2 * true.light[[2, 1]],
+                     intensity=4 * true.intensity[[2, 1]], size=2.0)
+    fit = Fit(flash_offset=(0.05, -0.02), capture="photos", seen=(2, 1), views=stored)
     views, names = fitted_views(fit, capture)
-    assert names == ["00", "01"] and views.size == 1
-    assert torch.equal(views.camera, capture.views.camera)
-    assert torch.allclose(views.light[:2], true.light[:2], atol=1e-12)
-    assert torch.allclose(views.light[2] - capture.views.light[2], torch.tensor([0.05, -0.02, 0.0], dtype=torch.float64))
+    assert names == ["01", "02"] and views.size == 1
+    assert torch.equal(views.camera, capture.views.camera) and torch.allclose(views.intensity, true.intensity, atol=1e-12)
+    assert torch.allclose(views.light[1:], true.light[1:], atol=1e-12)
+    assert torch.allclose(views.light[0] - capture.views.light[0], torch.tensor([0.05, -0.02, 0.0], dtype=torch.float64))
     elsewhere, names = fitted_views(replace(fit, capture="others"), capture)
     assert not names and torch.allclose(elsewhere.light[:, 0] - capture.views.light[:, 0], torch.full((3,), 0.05).double())
+
+
+def test_photos_are_seen_as_each_fit_saw_them():
+    # Photos under light without falloff, in sRGB, which their folder does not say; the bound is that of 8 bits, below.
+    maps, views = make_material("inlay", SIDE), nine_view_grid(distance=1.0).pick([1, 3])
+    photos = photograph(maps, replace(views, falloff="none"), ANALYTIC, transfer="srgb")
+    fits = Fit("none", "srgb"), Fit("inverse-square", "srgb"), Fit("none", "gamma2.2")
+    record, _ = compare([Entry(name, name, maps, fit) for name, fit in zip("abc", fits)],
+                        replace(photos, views=views, transfer="gamma2.2"), ANALYTIC)
+    theirs, light, code = (method["rerender_rmse"] for method in record["methods"])
+    assert theirs < 0.0013 and light > 0.004 and code > 0.004
 
 
 def test_true_maps_with_true_views_leave_the_rounding_of_the_photos(compared):
@@ -195,14 +207,20 @@ def test_names(shots, tmp_path, monkeypatch):
         save_maps(flat(16, diffuse=0.3), tmp_path / name / "maps")
     made_fit(tmp_path / "one", shots[1])
     made_fit(tmp_path / "two", shots[1], seen=(0, 1, 2))
+    stated = json.loads((tmp_path / "two/fit.json").read_text())
+    stated["views"]["falloff"], stated["capture"]["transfer"] = "none", "srgb"
+    (tmp_path / "two/fit.json").write_text(json.dumps(stated))
     assert cli.main(["compare", "x=y", "a/maps", "b", "mine=b", "one", "two", "--capture", str(shots[0].source), "-o",
-                     "page.html", "--json", "e.json", "--views", "2", "--renderer", "analytic"]) == 0
+                     "page.html", "--json", "e.json", "--views", "1", "--renderer", "analytic"]) == 0
     record = json.loads((tmp_path / "e.json").read_text())
     assert [m["name"] for m in record["methods"]] == ["x=y", "a", "b", "mine", "hierarchical (one)", "hierarchical (two)"]
-    assert record["resolution"] == 16 and record["photos"] == ["02"] and record["reference"] is None
+    assert record["resolution"] == 16 and record["photos"] == ["01"] and record["reference"] is None
     assert [m["resolution"] for m in record["methods"]] == [16, 16, 16, 16, 32, 32]
+    one, two = record["methods"][4:]
+    assert one["falloff"] == "inverse-square" and (two["falloff"], two["transfer"]) == ("none", "srgb")
     page = Page(tmp_path / "page.html")
-    assert "Map RMSE" not in page.text and page.pixels("photo 02 by mine").shape == (16, 16, 3)
+    assert page.text.count("light without falloff") == 1
+    assert "Map RMSE" not in page.text and page.pixels("photo 01 by mine").shape == (16, 16, 3)
 
 
 def test_principled_maps_are_shown_as_diffuse_and_specular(shots):
