@@ -18,6 +18,7 @@ _HOME = {
     "FitResult": "fit", "fit_svbrdf": "fit",
     "evaluate_fit": "evaluate", "evaluate_maps": "evaluate", "evaluate_capture": "evaluate",
     "write_fit": "report.folder", "write_scene": "export.mitsuba",
+    "export_material": "export",
     "make_material": "procedural",
     "MitsvbrdfError": "errors",
 }

@@ -83,6 +83,11 @@ def write_exr(path: Path, image: Tensor) -> None:
 
 def write_png(path: Path, image: Tensor, bits: int = 8) -> None:
     """An 8- or 16-bit PNG of display values in [0, 1] (clipped), H x W x 3 or H x W x 1."""
+    write_bytes(path, encode_png(image, bits))
+
+
+def encode_png(image: Tensor, bits: int = 8) -> bytes:
+    """The content of the file that :func:`write_png` writes."""
     import cv2
 
     kind = np.uint8 if bits == 8 else np.uint16
@@ -90,7 +95,7 @@ def write_png(path: Path, image: Tensor, bits: int = 8) -> None:
     pixels = np.rint(image.detach().clamp(0, 1).to(torch.float64).numpy() * top).astype(kind)
     ok, data = cv2.imencode(".png", np.ascontiguousarray(pixels[..., ::-1] if pixels.shape[2] == 3 else pixels))
     assert ok
-    write_bytes(path, data.tobytes())
+    return data.tobytes()
 
 
 def write_json(path: Path, value: object) -> None:

@@ -31,6 +31,7 @@ from ..views import Falloff
 from .bench import bench
 from .compare import compare
 from .crosscheck import crosscheck
+from .export import export
 from .leave_out import leave_out
 from .options import (
     FalloffOption,
@@ -338,7 +339,7 @@ def main(arguments: list[str] | None = None) -> int:
     commands = {"fit": fit_command(_method_of(arguments)), "guess": guess, "render": render, "evaluate": evaluate,
                 "compare": compare, "crosscheck": crosscheck, "leave-out": leave_out, "stability": stability, "bench": bench,
                 "synth": synth, "pretrain": pretrain_command, "pretrain-hybrid": pretrain_hybrid, "doctor": doctor,
-                "demo": demo}
+                "export": export, "demo": demo}
     if arguments == ["--version"]:
         say(f"mitsvbrdf {__version__}")
         return 0

@@ -13,10 +13,16 @@ from ..maps import SVBRDF, Bsdf
 from ..render.bsdf import plugin, slot_values
 from ..render.needs import Needs
 from ..views import Views
+from .textures import LINEAR, NORMALS, Export, Texture
 
 # Beside the package in a checkout, inside it when installed from a wheel.
 SCENES = next((p for p in (Path(__file__).parents[1] / "scenes", Path(__file__).parents[2] / "scenes") if p.is_dir()),
               Path("scenes"))
+
+LIGHT_NOTE = "the light of scene.xml falls off with 1 / d^2, whatever the fit's did"
+HOLDS = {"diffuse_x2": "diffuse, times 2 for the blend of two lobes", "alpha": "GGX alpha, the square of roughness",
+         "specular_x2": "F0 over what eta gives (1 but at the ends of its range), times 2 for the blend of two lobes",
+         "eta": "refractive index with this F0"}
 
 
 def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
@@ -63,6 +69,16 @@ def write_material(out: str | Path, bsdf: Bsdf) -> Path:
     path = Path(out) / "bsdf.json"
     files.write_json(path, _material(bsdf, to_uv=flip))
     return path
+
+
+def write_mitsuba(folder: Path, svbrdf: SVBRDF, views: Views) -> Export:
+    """Scene and material for Mitsuba 3; see :func:`write_scene` and :func:`write_material`."""
+    write_scene(folder, svbrdf, views)
+    write_material(folder, svbrdf.bsdf)
+    slots = slot_values(svbrdf.bsdf, dict(svbrdf.maps), Needs(), stock=True)
+    normals = {"normal": NORMALS["gl"]}
+    textures = tuple(Texture(f"scene/{slot}.exr", HOLDS.get(slot, slot), LINEAR, 32, normals.get(slot)) for slot in slots)
+    return Export(("scene.xml", "bsdf.json"), textures, (LIGHT_NOTE,))
 
 
 def _material(bsdf: Bsdf, **of_texture: object) -> dict:

@@ -10,11 +10,11 @@ from torch import Tensor
 from .. import color, files
 from ..capture import Capture
 from ..evaluate.burn_in import burn_in
+from ..export.mitsuba import write_scene
 from ..fit.confidence import confidence
 from ..fit.result import FitResult
 from ..maps import save_maps
 from ..provenance import machine, versions
-from ..export.mitsuba import write_scene
 from .sheet import loss_curve, write_sheet
 
 SCHEMA_VERSION = 1

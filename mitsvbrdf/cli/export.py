@@ -1,0 +1,63 @@
+"""``mitsvbrdf export``: the material for other programs."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from .. import files
+from ..errors import ConfigError
+from ..export import FORMATS, check_options, export_material
+from ..export.maps import Naming
+from ..export.textures import Bits, NormalConvention
+from ..progress import say
+from .options import Material, Overwrite, material_of
+
+
+def export(maps: Positional[Material],
+           to: Annotated[str, arg(metavar="FORMAT,...", help=f"Any of {', '.join(FORMATS)}.")] = ",".join(FORMATS),
+           naming: Annotated[Naming, arg(help="File names of the maps format.")] = "own",
+           normal: Annotated[NormalConvention, arg(help="Normals of the maps format: gl is +Y up, dx +Y down.")] = "gl",
+           bits: Annotated[Bits, arg(help="Of PNG files; glTF and colours in USD always have 8.")] = 16,
+           out: Annotated[Path | None, arg(aliases=["-o"], help="Folder to write; left out: export inside MAPS.")] = None,
+           overwrite: Overwrite = False) -> int:
+    """Write a material for other programs: OUT/FORMAT/, with an export.json that states what each file holds.
+
+    gltf is one GLB with the textures inside; materialx a standard_surface; usd a UsdPreviewSurface; mitsuba a scene and its
+    material as JSON; maps PNG files. Where diffuse and specular have to become base colour and metallic (gltf, maps), what
+    that loses is printed: RMSE of both maps as linear^(1/2.2).
+    """
+    from ..evaluate import Fit, fit_of
+
+    formats = [part.strip() for part in to.split(",")]
+    check_options(formats, naming, normal, bits)
+    builtin = maps.startswith("builtin:")
+    if builtin and out is None:
+        raise ConfigError("an output folder, beside a builtin material", "none", "add -o FOLDER")
+    out = out or Path(maps) / "export"
+    svbrdf, fit = material_of(maps), Fit() if builtin else fit_of(maps)
+    name = maps.removeprefix("builtin:") if builtin else _name(Path(maps))
+    if not builtin:
+        _keep_apart(Path(maps), out)
+    with files.output_folder(out, overwrite) as folder:
+        done = export_material(svbrdf, folder, formats, name, naming, normal, bits, fit.views)
+    for kind, written in done.items():
+        for what, errors in (written.conversion or {}).items():
+            say(f"lost in {kind}, {what}: " + ", ".join(f"{name} {error:.4f}" for name, error in errors.items()))
+        say(f"wrote {', '.join(str(out / kind / file) for file in written.files)}")
+    return 0
+
+
+def _name(maps: Path) -> str:
+    """A material is called like the folder of its fit."""
+    folder = Path(os.path.realpath(maps))
+    return folder.parent.name if folder.name == "maps" else folder.name
+
+
+def _keep_apart(maps: Path, out: Path) -> None:
+    """An export among the maps would replace the fit, or be read as maps the next time."""
+    if os.path.realpath(out) in (os.path.realpath(maps), os.path.realpath(maps / "maps"), os.path.realpath(maps / "..")):
+        raise ConfigError("an output folder of its own", f"{out}, which holds the maps", "choose another folder")

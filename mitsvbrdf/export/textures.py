@@ -1,0 +1,89 @@
+"""Texture files, and what a reader has to know of each: what it holds, its colour space and its normal convention."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from .. import __version__, color, files
+from ..maps import COLOURS
+
+Bits = Literal[8, 16]
+NormalConvention = Literal["gl", "dx"]
+
+SRGB, LINEAR = "sRGB", "linear"
+NORMALS = {"gl": "OpenGL, +Y up, (n + 1) / 2", "dx": "DirectX, +Y down, (n + 1) / 2"}
+
+
+@dataclass(frozen=True)
+class Texture:
+    """What ``export.json`` says of a texture file.
+
+    Args:
+        file: its path, relative to ``export.json``; for one inside another file both names.
+        holds: which map; for packed ones which map in which channel.
+        colour_space: ``sRGB`` (transfer function of IEC 61966-2-1) or ``linear``.
+        bits: per channel; 32: float.
+        normal: the convention of a normal map, else None.
+    """
+
+    file: str
+    holds: str
+    colour_space: str
+    bits: int
+    normal: str | None = None
+
+
+def stored(name: str, value: Tensor, normal: NormalConvention = "gl") -> Tensor:
+    """A map as its file holds it, in [0, 1]: colours sRGB, the rest linear, normals (n + 1) / 2.
+
+    Args:
+        name: the map's, as in :data:`mitsvbrdf.maps.CHANNELS`.
+        value: R x R x C, linear.
+        normal: ``dx`` turns y, the green channel, around.
+    """
+    if name == "normal":
+        if normal == "dx":
+            value = value * torch.tensor([1.0, -1.0, 1.0], dtype=value.dtype)
+        return (value + 1) / 2
+    return color.encode(value, "srgb") if name in COLOURS else value
+
+
+def described(file: str, name: str, bits: int, normal: NormalConvention = "gl") -> Texture:
+    """What to say of a map stored as :func:`stored` does."""
+    return Texture(file, name, SRGB if name in COLOURS else LINEAR, bits, NORMALS[normal] if name == "normal" else None)
+
+
+def write_texture(folder: Path, file: str, name: str, value: Tensor, bits: Bits, normal: NormalConvention = "gl") -> Texture:
+    """Write ``folder/file``, a PNG of a linear map."""
+    files.write_png(folder / file, stored(name, value, normal), bits)
+    return described(file, name, bits, normal)
+
+
+@dataclass(frozen=True)
+class Export:
+    """What was written in one format.
+
+    Args:
+        files: the files to open, relative to the folder.
+        textures: all textures.
+        notes: what the format cannot say, and what it says in another way.
+        conversion: RMSE of diffuse and specular lost on the way, by kind of conversion; see
+            :func:`mitsvbrdf.export.conversion.residual`.
+    """
+
+    files: tuple[str, ...]
+    textures: tuple[Texture, ...]
+    notes: tuple[str, ...] = ()
+    conversion: dict[str, dict[str, float]] | None = None
+
+    def write(self, folder: Path, **about: object) -> None:
+        """Write ``export.json`` into the folder."""
+        files.write_json(folder / "export.json", {
+            "schema_version": 1, "mitsvbrdf": __version__, **about, "files": list(self.files),
+            "textures": [asdict(texture) for texture in self.textures],
+            "row_0": "top of the patch", "notes": list(self.notes), "conversion_rmse": self.conversion or {}})
