@@ -133,7 +133,7 @@ def test_the_top_of_the_patch_is_the_top_of_the_glb(tmp_path):
 
 
 def test_another_reader_opens_the_glb(material, tmp_path):
-    pygltflib = pytest.importorskip("pygltflib", reason="needs pygltflib, of the dev extra")
+    pygltflib = pytest.importorskip("pygltflib", reason="needs pygltflib, of the test extra")
     write_gltf(tmp_path, material)
     found = pygltflib.GLTF2().load(str(tmp_path / "material.glb"))
     assert found.asset.version == "2.0" and len(found.images) == (4 if material.bsdf == "roughconductor" else 3)
@@ -159,7 +159,7 @@ def test_khronos_validator_has_nothing_to_say(material, tmp_path):
 # MaterialX, USD, Mitsuba
 
 def test_materialx_validates_and_names_every_texture(material, tmp_path):
-    mx = pytest.importorskip("MaterialX", reason="needs MaterialX, of the dev extra")
+    mx = pytest.importorskip("MaterialX", reason="needs MaterialX, of the test extra")
     export_material(material, tmp_path, ["materialx"])
     library, document = mx.createDocument(), mx.createDocument()
     mx.loadLibraries(mx.getDefaultDataLibraryFolders(), mx.getDefaultDataSearchPath(), library)
@@ -190,7 +190,7 @@ def test_materialx_has_f0_in_index_and_colour(tmp_path):
 
 
 def test_usd_opens_and_names_every_texture(material, tmp_path):
-    Usd = pytest.importorskip("pxr.Usd", reason="needs usd-core, of the dev extra")
+    Usd = pytest.importorskip("pxr.Usd", reason="needs usd-core, of the test extra")
     from pxr import UsdGeom, UsdShade
 
     export_material(material, tmp_path, ["usd"])
