@@ -165,7 +165,7 @@ def test_the_page_shows_what_was_measured(compared, shots):
         assert pixels.shape == (SIDE, SIDE, 3) and np.abs(pixels.astype(int) - value).max() <= 1
     assert (page.pixels("hierarchical: Guessed diffuse, its own") == [255, 0, 0]).all()
     assert page.pixels("guessed diffuse map").shape == (SIDE, SIDE, 3)
-    assert np.array_equal(page.pixels("builtin:inlay: Specular"), page.pixels("hierarchical: Specular"))
+    assert np.array_equal(page.pixels("Known maps: Specular"), page.pixels("hierarchical: Specular"))
 
 
 def test_the_table_has_every_figure(compared):

@@ -34,7 +34,7 @@ def write_compare_page(path: str | Path, record: dict, entries: Sequence[Entry],
         OutputError: the file cannot be written.
     """
     methods, side = record["methods"], record["resolution"]
-    rows = [] if reference is None else [{"name": record["reference"], "note": "known maps", "maps": _maps(reference, side)}]
+    rows = [] if reference is None else [{"name": "Known maps", "note": record["reference"], "maps": _maps(reference, side)}]
     for entry, method in zip(entries, methods):
         size = "" if method["resolution"] == side else f", {method['resolution']} px"
         light = "" if method["falloff"] == "inverse-square" else ", light without falloff"
