@@ -59,9 +59,9 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_
     Returns:
         The record, ready for JSON, and for each method the pictures N x R x R x 3 in display values. A method's entry in
         ``methods`` has ``name``, ``folder``, ``resolution`` of its maps, ``views`` (how they were taken, in words),
-        ``fitted_views`` and ``left_out`` (names of photos), ``transfer``, ``falloff``, ``map_rmse`` (or None),
-        ``rerender_rmse`` and ``per_photo`` of the pictures, ``calibrated`` and ``refined`` (None without priors) with the same
-        two.
+        ``fitted_views`` and ``left_out`` (names of photos), ``transfer``, ``falloff``, ``flash_offset``, ``map_rmse`` (or
+        None), ``rerender_rmse`` and ``per_photo`` of the pictures, ``calibrated`` and ``refined`` (None without priors) with
+        the same two.
 
     Raises:
         ConfigError: no entry, or a name that stands twice.
@@ -82,7 +82,8 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_
         methods.append({
             "name": entry.name, "folder": entry.folder, "resolution": entry.svbrdf.resolution, "bsdf": entry.svbrdf.bsdf,
             "views": _words(fit, fitted, capture), "fitted_views": fitted, "left_out": left_out, "transfer": shots.transfer,
-            "falloff": fit.falloff, "map_rmse": None if map_errors is None else dict(map_errors(svbrdf)),
+            "falloff": fit.falloff, "flash_offset": fit.flash_offset,
+            "map_rmse": None if map_errors is None else dict(map_errors(svbrdf)),
             "rerender_rmse": total, "per_photo": dict(zip(capture.names, each)),
             "calibrated": {name: found[name] for name in ("rerender_rmse", "per_photo")},
             "refined": {name: found["refined"][name] for name in ("rerender_rmse", "per_photo")} if priors else None})

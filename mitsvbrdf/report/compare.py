@@ -67,10 +67,12 @@ def _table(record: dict) -> list[dict]:
     if record["reference"] is not None:
         groups.append({"title": "Map RMSE", "rows": [row(TITLES.get(name, name), [m["map_rmse"][name] for m in methods])
                                                      for name in (*MAPS, "mean")]})
-    alike = not any(m["fitted_views"] for m in methods)
+    unmoved = not any(m["flash_offset"] for m in methods)
+    calibrated = not any(m["fitted_views"] for m in methods)
+    alike = calibrated and unmoved
     rows = [row("all photos, as pictured", [m["rerender_rmse"] for m in methods], alike)]
-    if not alike:
-        rows.append(row("all, views as calibrated", [m["calibrated"]["rerender_rmse"] for m in methods]))
+    if not calibrated:
+        rows.append(row("all, calibration and flash offset", [m["calibrated"]["rerender_rmse"] for m in methods], unmoved))
     if methods[0]["refined"]:
         rows.append(row("all, views refined for every method", [m["refined"]["rerender_rmse"] for m in methods]))
     rows += [row(f"photo {name}", [m["per_photo"][name] for m in methods], alike) for name in record["photos"]]
