@@ -16,11 +16,9 @@ import torch
 from mitsvbrdf.capture import Capture, photograph
 from mitsvbrdf.fit import fit_svbrdf
 from mitsvbrdf.fit.config import DirectConfig
-from mitsvbrdf.fit.result import FitResult
 from mitsvbrdf.maps import SVBRDF, flat
 from mitsvbrdf.procedural import make_material
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.report.notebook import result_html
 from mitsvbrdf.views import nine_view_grid
 
 HOSTILE = "<script>alert('&\"')</script>"
@@ -31,8 +29,7 @@ class Shown(HTMLParser):
 
     def __init__(self, value):
         super().__init__()
-        self.html = result_html(value) if isinstance(value, FitResult) else value._repr_html_()
-        self.words, self.sources, self.tags, self.open = "", {}, set(), []
+        self.html, self.words, self.sources, self.tags, self.open = value._repr_html_(), "", {}, set(), []
         assert len(self.html.encode()) < 1_000_000
         self.feed(self.html)
         self.close()

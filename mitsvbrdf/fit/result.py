@@ -56,3 +56,8 @@ class FitResult:
     warnings: tuple[str, ...] = ()
     flash_offset: tuple[float, float] | None = None
     profile: dict | None = None
+
+    def _repr_html_(self) -> str:
+        """Maps, re-rendered photos, error and why the fit ended, as small pictures for notebooks."""
+        from ..report.notebook import result_html
+        return result_html(self)
