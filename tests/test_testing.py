@@ -19,10 +19,10 @@ import pytest
 import torch
 
 from mitsvbrdf.errors import ConfigError, MapsError
+from mitsvbrdf.export.mitsuba import write_scene
 from mitsvbrdf.maps import SVBRDF, flat
 from mitsvbrdf.procedural import make_material
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.export.mitsuba import write_scene
 from mitsvbrdf.testing import (
     assert_matches_golden,
     assert_renderers_agree,
