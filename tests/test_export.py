@@ -145,7 +145,7 @@ def test_another_reader_opens_the_glb(material, tmp_path):
 
 @pytest.mark.slow
 def test_khronos_validator_has_nothing_to_say(material, tmp_path):
-    """Needs node and `npm install gltf-validator` where node looks (NODE_PATH)."""
+    """Needs node and `npm install gltf-validator` where node looks (NODE_PATH), which `./run slow` does where npm is."""
     node = shutil.which("node")
     if not node or subprocess.run([node, "-e", "require('gltf-validator')"], capture_output=True).returncode:
         pytest.skip("needs node and the npm package gltf-validator on NODE_PATH")

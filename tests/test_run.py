@@ -46,6 +46,7 @@ def checkout(tmp_path):
         program.write_text('#!/bin/sh\nprintf "%s|" "$PWD" "${0##*/}" "$@"\n')
         program.chmod(0o755)
     (root / ".venv" / "stamp").write_text(stamp(root))
+    (root / ".venv" / "slow-tools").touch()
     return root
 
 
@@ -65,6 +66,20 @@ def test_a_set_up_checkout_runs_at_once_from_anywhere(checkout, tmp_path):
     assert slow.stdout == f"{checkout}|python|-m|pytest|-m|slow|", slow.stderr
     soak = sh(checkout / "run", "soak", "--steps", "40", cwd=tmp_path, env=environment)
     assert soak.stdout == f"{tmp_path}|python|-P|-m|mitsvbrdf.evaluate.soak|--steps|40|", soak.stderr
+
+
+def test_slow_tests_get_their_tools_once(checkout):
+    (checkout / ".venv" / "slow-tools").unlink()
+    tools = checkout / "tools"
+    tools.mkdir()
+    for tool in ("sh", "dirname", "cat", "cksum"):
+        (tools / tool).symlink_to(shutil.which(tool))
+    for name in ("chromium", "npm"):
+        (tools / name).write_text(f'#!/bin/sh\nprintf "%s " {name} "$@" >&2\n')
+        (tools / name).chmod(0o755)
+    first, second = (sh(checkout / "run", "slow", env={"PATH": str(tools)}).stderr for _ in range(2))
+    assert "gltf-validator" in first and "chromium" not in first and str(checkout / ".venv") in first
+    assert not second
 
 
 @pytest.mark.parametrize("given, used", [({"LC_ALL": "C"}, "C.UTF-8"), ({}, "C.UTF-8"), ({"LANG": "de_DE.utf8"}, "")])
