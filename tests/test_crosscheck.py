@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from mitsvbrdf import cli, files
-from mitsvbrdf.evaluate.corners import as_bsdf, as_principled, builtin_materials, corner_materials
+from mitsvbrdf.evaluate.corners import as_bsdf, builtin_materials, corner_materials
 from mitsvbrdf.evaluate.crosscheck import TOLERANCES, crosscheck, violations
 from mitsvbrdf.evaluate.limits import ROUNDING, diffuse_radiance, float32_limit, turned_normals, why, worst_texels
 from mitsvbrdf.evaluate.measure import fixed_cotangent, in_turns, render_and_gradients
@@ -311,31 +311,6 @@ def test_why(change, words):
 
 
 # --- materials ----------------------------------------------------------------------------------------------------------
-
-def test_principled_and_back():
-    # Specular of a principled material is at least 0.04; greys come back exactly, in float64 but for rounding.
-    rng = torch.Generator().manual_seed(0)
-    grey = {"diffuse": torch.rand(16, 16, 1, generator=rng, dtype=torch.float64).expand(-1, -1, 3),
-            "specular": 0.04 + 0.9 * torch.rand(16, 16, 1, generator=rng, dtype=torch.float64).expand(-1, -1, 3)}
-    total = (grey["diffuse"] + grey["specular"]).clamp_min(1)
-    grey = {"diffuse": grey["diffuse"] / total, "specular": (grey["specular"] / total).clamp_min(0.04)}
-    svbrdf = SVBRDF("roughconductor", {**flat(16, dtype=torch.float64).maps, **grey})
-    back = as_principled(svbrdf).check().as_roughconductor()
-    for name in grey:
-        assert float((back[name] - grey[name]).abs().max()) < 1e-12
-
-
-def test_principled_keeps_the_sum_of_a_coloured_material():
-    svbrdf = make_material("inlay", 32)
-    principled = as_principled(svbrdf).check()
-    back = principled.as_roughconductor()
-    wanted = (svbrdf["diffuse"] + svbrdf["specular"]).clamp_max(1)
-    base, specular = principled["base_color"], svbrdf["specular"].mean(-1, keepdim=True)
-    reachable = (base > 0) & (base < 1) & (specular >= 0.04)
-    assert float(reachable.float().mean()) > 0.5
-    assert float((back["diffuse"] + back["specular"] - wanted).abs()[reachable].max()) < 1e-6
-    assert as_bsdf(svbrdf, "roughconductor") is svbrdf and as_principled(principled) is principled
-
 
 def test_builtin_materials_cover_the_corners():
     made = {name: svbrdf.check() for name, svbrdf in builtin_materials(32).items()}

@@ -6,15 +6,17 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..maps import DIELECTRIC_F0, SVBRDF, Bsdf, flat
+from ..conversion import as_principled
+from ..maps import SVBRDF, Bsdf, flat
 from ..procedural import MATERIALS, make_material
 from ..views import texel_positions
 
 # How the maps of one BSDF become those of the other, as it stands in the output.
 CONVERSION: dict[str, str] = {
     "roughconductor": "diffuse = base_color (1 - metallic), specular = base_color metallic + 0.04 (1 - metallic)",
-    "principled": "metallic from mean diffuse and specular, base_color = diffuse + specular - 0.04 (1 - metallic)",
+    "principled": "the base_color and metallic whose diffuse and specular are nearest, in least squares",
 }
+NEARLY_METAL = 1 - 2**-24
 
 
 def builtin_materials(resolution: int = 128) -> dict[str, SVBRDF]:
@@ -59,27 +61,13 @@ def _ramp(resolution: int, low: float, high: float) -> Tensor:
 
 
 def as_bsdf(svbrdf: SVBRDF, bsdf: Bsdf) -> SVBRDF:
-    """The material as this BSDF, converted where it is the other (:data:`CONVERSION`)."""
-    return svbrdf if svbrdf.bsdf == bsdf else svbrdf.as_roughconductor() if bsdf == "roughconductor" else as_principled(svbrdf)
+    """The material as this BSDF, converted where it is the other (:data:`CONVERSION`).
 
-
-def as_principled(svbrdf: SVBRDF) -> SVBRDF:
-    """Base colour and metallic of a diffuse and specular material: :meth:`SVBRDF.as_roughconductor` the other way round.
-
-    With d and s the means over the channels of diffuse and specular, metallic m solves d = b (1 - m) and
-    s = b m + 0.04 (1 - m); the base colour then keeps diffuse + specular in each channel, cut to [0, 1]. So a grey
-    material comes back from ``as_roughconductor`` as it was, and a coloured one with the same sum; specular below 0.04,
-    which no ``principled`` material has, counts as 0.04. Metallic stays one rounding below 1, where the plugin's slope
-    ends. Burley's diffuse lobe stays a little different from Lambert's.
+    Converted metallic stays one rounding below 1: a black metal reflects nothing at all, and no error is relative to that.
     """
-    if svbrdf.bsdf == "principled":
+    if svbrdf.bsdf == bsdf:
         return svbrdf
-    diffuse, specular = svbrdf["diffuse"].double(), svbrdf["specular"].double()
-    d, s = diffuse.mean(-1, keepdim=True), specular.mean(-1, keepdim=True).clamp_min(DIELECTRIC_F0)
-    # 0.04 q^2 - (d + s) q + d = 0 for q = 1 - m; the smaller root, in the form that does not cancel.
-    total = d + s
-    plastic = (2 * d / (total + (total**2 - 4 * DIELECTRIC_F0 * d).clamp_min(0).sqrt())).clamp(0, 1)
-    base = (diffuse + specular - DIELECTRIC_F0 * plastic).clamp(0, 1)
-    made = {"base_color": base, "metallic": (1 - plastic).clamp_max(1 - 2**-24)}
-    return SVBRDF("principled", {**{name: value.to(svbrdf["normal"].dtype) for name, value in made.items()},
-                                 "roughness": svbrdf["roughness"], "normal": svbrdf["normal"]})
+    if bsdf == "roughconductor":
+        return svbrdf.as_roughconductor()
+    made = as_principled(svbrdf)
+    return SVBRDF("principled", dict(made.maps) | {"metallic": made["metallic"].clamp_max(NEARLY_METAL)})

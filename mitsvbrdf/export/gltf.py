@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from .. import __version__, color, files
+from ..conversion import as_principled, residual, with_specular_color
 from ..maps import DIELECTRIC_F0, SVBRDF
-from .conversion import as_principled, residual, with_specular_color
 from .textures import LINEAR, SRGB, Export, Texture, described, stored
 
 FILE = "material.glb"
@@ -37,7 +37,7 @@ NOTES = (
 def write_gltf(folder: Path, svbrdf: SVBRDF) -> Export:
     """Write ``folder/material.glb``: base colour, metallic and roughness packed, normal; F0 by KHR_materials_specular.
 
-    Base colour and metallic are those of :func:`mitsvbrdf.export.conversion.as_principled`. The extension, for
+    Base colour and metallic are those of :func:`mitsvbrdf.conversion.as_principled`. The extension, for
     ``roughconductor`` materials only, carries what metallic cannot say of F0; viewers without it show the conversion alone.
 
     Args:

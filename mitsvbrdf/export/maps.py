@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Literal
 
 from .. import files
+from ..conversion import as_principled, residual
 from ..maps import ENCODINGS, SVBRDF
-from .conversion import as_principled, residual
 from .textures import NORMALS, Bits, Export, NormalConvention, write_texture
 
 Naming = Literal["own", "polyhaven", "ambientcg", "substance", "materialgan"]

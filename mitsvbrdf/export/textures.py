@@ -73,7 +73,7 @@ class Export:
         textures: all textures.
         notes: what the format cannot say, and what it says in another way.
         conversion: RMSE of diffuse and specular lost on the way, by kind of conversion; see
-            :func:`mitsvbrdf.export.conversion.residual`.
+            :func:`mitsvbrdf.conversion.residual`.
     """
 
     files: tuple[str, ...]

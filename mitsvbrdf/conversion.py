@@ -1,4 +1,4 @@
-"""From diffuse and specular maps to base colour and metallic, which cannot say everything those can.
+"""The maps of one BSDF as those of the other: base colour and metallic cannot say all that diffuse and specular can.
 
 A metal/rough material has diffuse b (1 - m) and F0 = b m + 0.04 (1 - m): four numbers for six. The way back is
 :meth:`mitsvbrdf.maps.SVBRDF.as_roughconductor`.
@@ -11,8 +11,8 @@ import math
 import torch
 from torch import Tensor
 
-from ..maps import DIELECTRIC_F0, SVBRDF
-from ..metrics import map_rmse
+from .maps import DIELECTRIC_F0, SVBRDF
+from .metrics import map_rmse
 
 COARSE, REFINEMENTS = 16, 24  # intervals of metallic looked at first; halvings of golden section: m to 1e-6
 GOLDEN = (math.sqrt(5) - 1) / 2
