@@ -45,7 +45,7 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
     tree = ET.parse(SCENES / "patch.xml", comments)
     root = tree.getroot()
     for default in root.iter("default"):
-        default.set("value", _defaults(views, svbrdf.resolution)[default.get("name")])
+        default.set("value", view_parameters(views, svbrdf.resolution)[default.get("name")])
     material = root.find("bsdf[@id='material']")
     material.attrib.clear()
     material.attrib.update(type="normalmap", id="material")
@@ -90,7 +90,8 @@ def _material(bsdf: Bsdf, **of_texture: object) -> dict:
     return plugin(bsdf, Needs(), texture, stock=True)
 
 
-def _defaults(views: Views, resolution: int) -> dict[str, str]:
+def view_parameters(views: Views, resolution: int) -> dict[str, str]:
+    """The parameters of ``scenes/patch.xml`` that show the first view in R x R pixels, by name."""
     view = next(iter(views.in_patch_sides().pick([0])))
     (x, y, z), light = view.camera, view.light
     values = {"camera_x": x, "camera_y": y, "camera_z": z, "field_of_view": math.degrees(2 * math.atan(0.5 / z)),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -68,8 +68,29 @@ def scene_needs(svbrdf: SVBRDF, views: Views, renderer: str) -> Needs:
         views: camera and light positions.
         renderer: name of the renderer in use.
     """
+    of_material = material_needs(svbrdf)
     angle = half_angle_bound(views)
     curve = svbrdf.bsdf == "roughconductor" and angle > (0 if renderer == "analytic64" else CONSTANT_FRESNEL_DEGREES)
+    left_out = list(of_material.left_out)
+    if svbrdf.bsdf == "roughconductor" and of_material.specular_lobe and not curve:
+        together = "in one place: F = F0"
+        near = f"at most {angle:.2g} degrees from the half vector: F = F0 within 4e-7"
+        left_out.append(("Fresnel curve", f"camera and light {near if angle > 1e-6 else together}"))
+    left_out.append(("interreflection and path depth", "a plane does not see itself"))
+    left_out.append(("shadow rays", "nothing stands between a plane and a point light above it"))
+    left_out.append(("environment", "the flash is the only light"))
+    if renderer != "mitsuba-scene":
+        left_out.append(("ray tracing", "the texel behind each pixel of a rectified photo is known"))
+    if renderer == "mitsuba":
+        left_out.append(("texture look-ups", "pixel = texel: each thread has its own texel's maps in registers"))
+    if views.falloff == "none":
+        left_out.append(("light falloff", "asked for by --falloff none"))
+    return replace(of_material, fresnel_curve=curve and of_material.specular_lobe, shadow_rays=False, path_depth=False,
+                   environment=False, left_out=tuple(left_out))
+
+
+def material_needs(svbrdf: SVBRDF) -> Needs:
+    """What the maps alone do not need, wherever cameras and lights stand; the rest as :class:`Needs` has it."""
     diffuse = specular = coloured = metallic = True
     left_out = []
     if svbrdf.bsdf == "roughconductor":
@@ -83,10 +104,6 @@ def scene_needs(svbrdf: SVBRDF, views: Views, renderer: str) -> Needs:
             left_out.append(("diffuse lobe", "the diffuse map is 0 and held fixed"))
         if specular and not coloured:
             left_out.append(("colour of the specular map", "its three channels are one"))
-        if specular and not curve:
-            together = "in one place: F = F0"
-            near = f"at most {angle:.2g} degrees from the half vector: F = F0 within 4e-7"
-            left_out.append(("Fresnel curve", f"camera and light {near if angle > 1e-6 else together}"))
     else:
         metallic = not _is_zero(svbrdf["metallic"])
         if not metallic:
@@ -94,17 +111,8 @@ def scene_needs(svbrdf: SVBRDF, views: Views, renderer: str) -> Needs:
     normal_map = not _is_flat(svbrdf["normal"])
     if not normal_map:
         left_out.append(("normal map", "it is flat and held fixed"))
-    left_out.append(("interreflection and path depth", "a plane does not see itself"))
-    left_out.append(("shadow rays", "nothing stands between a plane and a point light above it"))
-    left_out.append(("environment", "the flash is the only light"))
-    if renderer != "mitsuba-scene":
-        left_out.append(("ray tracing", "the texel behind each pixel of a rectified photo is known"))
-    if renderer == "mitsuba":
-        left_out.append(("texture look-ups", "pixel = texel: each thread has its own texel's maps in registers"))
-    if views.falloff == "none":
-        left_out.append(("light falloff", "asked for by --falloff none"))
-    return Needs(diffuse, specular, coloured, metallic, normal_map, curve and specular, False, False, False,
-                 tuple(left_out))
+    return Needs(diffuse, specular, coloured, metallic, normal_map, specular and svbrdf.bsdf == "roughconductor",
+                 left_out=tuple(left_out))
 
 
 def half_angle_bound(views: Views) -> float:
