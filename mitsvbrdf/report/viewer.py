@@ -1,0 +1,72 @@
+"""The live viewer of a material: an HTML fragment that shades the maps in WebGL2 with the formulas of ``render/analytic.py``.
+
+Maps travel as integers of 12 or 16 bits, high and low bytes apart, deflated, in base64. Eight bits would not do: a highlight of
+roughness 0.1 is 0.01 wide, as wide as 2.5 steps of an 8-bit normal map.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+
+import numpy as np
+
+from ..maps import CHANNELS, COLOURS, DIELECTRIC_F0, SVBRDF
+from ..render.analytic import MIN_ALPHA
+from ..render.bsdf import F0_RANGE
+from .page import page_text
+from .sheet import TITLES
+
+LARGEST = 512  # texels along a side; maps of noise are 5.3 MB then, those of materials 2 to 4.5 MB
+LEVELS = {"square": 4095, "plain": 65535, "octahedral": 65535}  # highest integer of each coding
+
+
+def viewer_html(svbrdf: SVBRDF, *, largest: int = LARGEST) -> str:
+    """The viewer as an HTML fragment, to be put once into a page that extends ``templates/base.html``, marked ``|safe``.
+
+    It asks nothing of the network, opens from disk, and puts ``window.mitsvbrdfViewer`` into the page (``viewer.js``).
+
+    Args:
+        svbrdf: either BSDF.
+        largest: texels along a side; larger maps are area-averaged down to this.
+
+    Raises:
+        MapsError: values that are not finite or out of range.
+    """
+    svbrdf = svbrdf.detach().check()
+    if svbrdf.resolution > largest:
+        svbrdf = svbrdf.resized(largest)
+    about, payload = encode_maps(svbrdf)
+    about |= {"bsdf": svbrdf.bsdf, "resolution": svbrdf.resolution, "f0_range": F0_RANGE, "dielectric_f0": DIELECTRIC_F0,
+              "min_alpha": MIN_ALPHA[svbrdf.bsdf], "titles": {name: TITLES[name] for name in CHANNELS[svbrdf.bsdf]}}
+    return page_text("viewer.html", about=about, payload=base64.b64encode(payload).decode())
+
+
+def encode_maps(svbrdf: SVBRDF) -> tuple[dict, bytes]:
+    """Maps as bytes, and what a reader must know to decode them.
+
+    Each channel holds integers q in [0, top] that stand for x = low + q (high - low) / top, with its own low and high, so a
+    constant channel is exact. Of x the map's value is, by coding, ``square``: x^2 (colours: even steps for the eye),
+    ``plain``: x, ``octahedral``: the unit vector z > 0 of two channels, s = x + y, t = x - y over |x| + |y| + |z|
+    (Cigolle et al. 2014, hemi-octahedral), whose error in angle is nearly the same everywhere.
+
+    Returns:
+        ``{"maps": [{"name", "coding", "top", "low": [...], "high": [...]}, ...]}`` in the order of the bytes, and the bytes:
+        zlib's format; inside, channel by channel, R x R high bytes, then R x R low bytes, row 0 at the top.
+    """
+    described, planes = [], []
+    for name in CHANNELS[svbrdf.bsdf]:
+        value = svbrdf[name].detach().cpu().double().numpy()
+        coding = "octahedral" if name == "normal" else "square" if name in COLOURS else "plain"
+        if coding == "octahedral":
+            x, y = np.moveaxis(value[..., :2], -1, 0) / np.abs(value).sum(-1)
+            value = np.stack((x + y, x - y), axis=-1)
+        elif coding == "square":
+            value = np.sqrt(value)
+        low, high = value.min((0, 1)), value.max((0, 1))
+        span, top = np.where(high > low, high - low, 1), LEVELS[coding]
+        levels = np.rint((value - low) / span * top).astype(np.uint16)
+        for channel in np.moveaxis(levels, -1, 0):
+            planes += [(channel >> 8).astype(np.uint8).tobytes(), (channel & 255).astype(np.uint8).tobytes()]
+        described.append({"name": name, "coding": coding, "top": top, "low": low.tolist(), "high": high.tolist()})
+    return {"maps": described}, zlib.compress(b"".join(planes), 9)
