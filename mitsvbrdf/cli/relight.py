@@ -1,0 +1,151 @@
+"""``mitsvbrdf relight``: the material under other light, path traced."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from .. import files
+from ..errors import ConfigError
+from ..fit.config import check_seed
+from ..fit.loop import _stop_signals as stop_signals
+from ..progress import progress_bar, say
+from ..render.llvm import mitsuba_module
+from .export import _keep_apart as keep_apart_from_maps
+from .export import _name as name_of
+from .options import Material, Overwrite, Variant, material_of
+
+SIDES = (8, 8192)
+MOVIES = ("mp4", "gif")
+
+
+def relight(maps: Positional[Material],
+            preset: Annotated[str, arg(metavar="PRESET,...", help="sweep, turntable, sphere, shaderball, novel; or all.")]
+            = "sphere",
+            environment: Annotated[str | None, arg(help="studio, sunsky, none, or an .exr or .hdr file. "
+                                                        "Left out: what suits the preset.")] = None,
+            size: Annotated[str, arg(metavar="N or WxH", help="Pixels.")] = "512",
+            frames: Annotated[int | None, arg(help="Of each movie; 1 makes it a still. Left out: the preset's.")] = None,
+            tiling: Annotated[int, arg(help="How often the maps repeat along each side.")] = 1,
+            displacement: Annotated[float, arg(help="Height of the relief: 1 is as high as the normals say; 0 leaves the "
+                                                    "shape as it is.")] = 0.0,
+            exposure: Annotated[float, arg(help="Stops by which PNG and movies are brighter; EXR files are not.")] = 0.0,
+            target_error: Annotated[float | None, arg(help="Render each frame until its estimated RMSE in display values is "
+                                                           "this. Left out, with neither of the next two: 0.01.")] = None,
+            budget: Annotated[float | None, arg(help="Seconds for all frames together, instead of a target.")] = None,
+            samples: Annotated[int | None, arg(help="Samples a pixel, instead of a target.")] = None,
+            movie: Annotated[str, arg(metavar="mp4,gif|none", help="What becomes of the frames of movies, beside the EXR of "
+                                                                   "each.")] = "mp4",
+            out: Annotated[Path | None, arg(aliases=["-o"], help="Folder to write; left out: relight inside MAPS.")] = None,
+            seed: int = 0, variant: Variant = "llvm_ad_rgb",
+            explain: Annotated[bool, arg(help="Print what would be left out, and why, and end without rendering.")] = False,
+            resume: Annotated[bool, arg(help="Go on with the frames that are missing, same options.")] = False,
+            overwrite: Overwrite = False) -> int:
+    """Show a material under other light, path traced with Mitsuba: stills as EXR and PNG, movies as MP4 and GIF.
+
+    Each frame is rendered in passes until its error, as estimated from them, is below --target-error. OUT/PRESET.svg shows
+    the error over time, relight.json has the figures. EXR files hold linear radiance, as rendered.
+
+    Ctrl-C keeps the frames done and the one at hand as it is; the same command with --resume goes on.
+    """
+    from ..evaluate import Fit, fit_of
+    from ..relight.frames import begin, go_on, render_stages
+    from ..relight.passes import Stop
+    from ..relight.stage import make_stage
+
+    stop = Stop(target_error, budget, samples)
+    check_seed(seed)
+    if not -20 <= exposure <= 20:
+        raise ConfigError("--exposure of -20 to 20 stops", str(exposure), "0 leaves the picture as it is")
+    pixels, chosen, kinds = _size(size), _presets(preset), _movies(movie)
+    builtin = maps.startswith("builtin:")
+    if builtin and out is None and not explain:
+        raise ConfigError("an output folder, beside a builtin material", "none", "add -o FOLDER")
+    out = out or Path(maps) / "relight"
+    svbrdf, fit = material_of(maps), Fit() if builtin else fit_of(maps)
+    mi = mitsuba_module(variant)
+    stages = [make_stage(mi, svbrdf, each, environment=environment, size=pixels, frames=frames, tiling=tiling,
+                         displacement=displacement, views=fit.views) for each in chosen]
+    if explain:
+        for stage in stages:
+            for what, why in stage.left_out:
+                say(f"{stage.name} leaves out: {what} ({why})")
+        return 0
+    if not builtin:
+        keep_apart_from_maps(Path(maps), out)
+    settings = {"maps": maps if builtin else os.path.realpath(maps), "environment": environment, "size": pixels,
+                "frames": frames, "tiling": tiling, "displacement": displacement, "exposure": exposure,
+                "target_error": stop.target_error, "budget": budget, "samples": samples, "seed": seed, "variant": variant}
+    title = f"relight {maps.removeprefix('builtin:') if builtin else name_of(Path(maps))}"
+    with files.output_folder(out, overwrite or resume, resume) as folder:
+        record = go_on(settings, out, folder) if resume else begin(settings)
+        with contextlib.ExitStack() as stack:
+            stopping = stack.enter_context(stop_signals())
+            report = stack.enter_context(progress_bar(title))
+            whole = render_stages(mi, stages, stop, record, folder, seed=seed, exposure=exposure, report=report,
+                                  done=lambda stage: _finish(stage, record, folder, kinds, exposure, stop),
+                                  interrupted=stopping)
+    if not whole:
+        say("interrupted: the frames so far were kept; the same command with --resume goes on")
+    say(f"wrote {out}/relight.json and what it names")
+    return 0
+
+
+def _finish(stage, record, folder: Path, kinds: list[str], exposure: float, stop) -> None:
+    """Movie, curve and a line for a preset whose frames are all there."""
+    from ..relight.frames import display_frames
+    from ..relight.movie import write_gif, write_mp4
+    from ..report.relight import error_curve
+
+    frames = record.presets[stage.name]["frames"]
+    if stage.frames > 1:
+        for kind, write in (("mp4", write_mp4), ("gif", write_gif)):
+            if kind in kinds:
+                write(folder / f"{stage.name}.{kind}", display_frames(stage, folder, exposure), stage.fps)
+    error_curve(folder / f"{stage.name}.svg", [frame["curve"] for frame in frames], stop.target_error,
+                f"{stage.name}, {'x'.join(map(str, record.settings['size']))}")
+    say(_summary(stage.name, frames, stop.target_error))
+
+
+def _summary(name: str, frames: list[dict], target: float | None) -> str:
+    samples, errors = [f["samples"] for f in frames], [f["error"] for f in frames if f["error"] is not None]
+    parts = [] if len(frames) == 1 else [f"{len(frames)} frames"]
+    parts += [f"{sum(f['seconds'] for f in frames):.1f} s",
+              (f"{min(samples)}" if min(samples) == max(samples) else f"{min(samples)} to {max(samples)}") + " samples a pixel"]
+    parts += [f"estimated error {max(errors):.4f}" + (" at most" if len(frames) > 1 else "")] if errors else []
+    one = [f["curve"][0]["error"] * f["curve"][0]["samples"] ** 0.5 for f in frames if f["curve"]]
+    if target and one and max(one) <= target:
+        parts.append(f"a single sample is as good as free of noise (error {max(one):.2g})")
+    return f"{name}: {', '.join(parts)}"
+
+
+def _size(text: str) -> tuple[int, int]:
+    try:
+        sides = [int(part) for part in text.lower().split("x")]
+    except ValueError:
+        sides = []
+    if len(sides) not in (1, 2) or not all(SIDES[0] <= side <= SIDES[1] for side in sides):
+        raise ConfigError(f"--size N or WxH with sides of {SIDES[0]} to {SIDES[1]} pixels", repr(text), "try 512 or 640x360")
+    return sides[0], sides[-1]
+
+
+def _presets(text: str) -> list[str]:
+    from ..relight.stage import PRESETS
+
+    chosen = list(PRESETS) if text == "all" else [part.strip() for part in text.split(",")]
+    for each in chosen:
+        if each not in PRESETS:
+            raise ConfigError(f"presets of {', '.join(PRESETS)} or all", repr(each), "check --preset")
+    return list(dict.fromkeys(chosen))
+
+
+def _movies(text: str) -> list[str]:
+    kinds = [] if text == "none" else [part.strip() for part in text.split(",")]
+    for each in kinds:
+        if each not in MOVIES:
+            raise ConfigError("--movie mp4, gif, mp4,gif or none", repr(each), "check --movie")
+    return kinds

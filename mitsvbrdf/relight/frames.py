@@ -1,0 +1,178 @@
+"""The frames of presets rendered into a folder, each one recorded as soon as it is done, so that a later run can go on."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from torch import Tensor
+
+from .. import files
+from ..errors import ConfigError, MapsError, MitsvbrdfError
+from ..provenance import machine, versions
+from .passes import Rendered, Stop, render_frame, shown
+from .stage import Stage
+
+SCHEMA_VERSION = 1
+RECORD = "relight.json"
+INTERRUPTED = "interrupted"
+
+
+@dataclass
+class Record:
+    """What ``relight.json`` says.
+
+    Args:
+        settings: all that the pictures depend on, as JSON has it; a run that goes on has the same.
+        presets: by preset ``fps``, ``left_out``, and ``frames``: one dict each with ``frame``, ``file``, ``samples``,
+            ``seconds``, ``error``, ``stopped`` and ``curve``.
+    """
+
+    settings: dict
+    presets: dict[str, dict]
+
+    def of(self, preset: str) -> dict[int, dict]:
+        """The frames of a preset that are done, by number."""
+        frames = self.presets.get(preset, {}).get("frames", [])
+        return {frame["frame"]: frame for frame in frames if frame["stopped"] != INTERRUPTED}
+
+    @property
+    def seconds(self) -> float:
+        """Spent on all frames so far."""
+        return sum(frame["seconds"] for preset in self.presets.values() for frame in preset["frames"])
+
+    def write(self, folder: Path) -> None:
+        """Replace the record in the folder."""
+        files.write_json(folder / RECORD, {"schema_version": SCHEMA_VERSION, "settings": self.settings, "presets": self.presets,
+                                           "versions": versions(), "machine": machine()})
+
+
+def begin(settings: Mapping) -> Record:
+    """An empty record."""
+    return Record(json.loads(json.dumps(settings)), {})
+
+
+def go_on(settings: Mapping, out: Path, folder: Path) -> Record:
+    """The record of an earlier run with the same settings, its files brought to ``folder``.
+
+    Args:
+        settings: of this run.
+        out: the folder of results, finished or interrupted.
+        folder: where results are made; of a run that was killed it still holds the frames.
+
+    Raises:
+        ConfigError: there is no earlier run, or it had other settings.
+    """
+    place = next((each for each in (folder, out) if (each / RECORD).is_file()), None)
+    if place is None:
+        raise ConfigError(f"a {RECORD} to go on from in {out}", "none", "run without --resume first")
+    try:
+        found = json.loads((place / RECORD).read_text())
+        record = Record(found["settings"], found["presets"])
+        new = begin(settings).settings
+        other = [name for name in new if record.settings.get(name) != new[name]]
+        for name, preset in record.presets.items():
+            preset["frames"] = list(record.of(name).values())
+            for frame in preset["frames"]:
+                if place != folder:
+                    (folder / frame["file"]).parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copy2(place / frame["file"], folder / frame["file"])
+                frame["error"], frame["curve"]  # noqa: B018  a record without is none
+    except (ValueError, KeyError, TypeError, AttributeError, OSError) as reason:
+        raise ConfigError(f"a {RECORD} of this command beside its frames", f"{place}: {reason!r}",
+                          "--overwrite starts anew") from None
+    if other:
+        raise ConfigError("the settings of the run to go on with", f"another {', '.join(other)}",
+                          "give the same, or --overwrite to start anew")
+    return record
+
+
+def render_stages(mi, stages: Sequence[Stage], stop: Stop, record: Record, folder: Path, *, seed: int = 0,
+                  exposure: float = 0.0,
+                  report: Callable[[str, float], object] = lambda text, share: None, done: Callable[[Stage], object],
+                  interrupted: Sequence = ()) -> bool:
+    """Render the frames that the record lacks, in order; frames are EXR files, stills have a PNG beside.
+
+    Args:
+        mi: the ``mitsuba`` module.
+        stages: the presets.
+        stop: when a frame is done; a budget is that of all frames together, and those to come share what is left.
+        record: gets an entry for each frame, and is written after each.
+        folder: to write to.
+        seed: of all random numbers.
+        exposure: of the PNG, and of the picture whose error is estimated, in stops.
+        report: told a line and the share done.
+        done: called after each preset whose frames are all there.
+        interrupted: not empty once somebody wants an end; the frame at hand is kept as it is.
+
+    Returns:
+        Whether all frames are done.
+
+    Raises:
+        MapsError: radiance that is not finite.
+        OutputError: the folder cannot be written.
+    """
+    total = sum(stage.frames for stage in stages)
+    before = 0
+    for stage in stages:
+        have = record.of(stage.name)
+        kept = record.presets.setdefault(stage.name, {"frames": []})
+        kept |= {"fps": stage.fps, "left_out": [{"what": what, "why": why} for what, why in stage.left_out]}
+        missing = [k for k in range(stage.frames) if k not in have]
+        scene = mi.load_dict(stage.scene) if missing else None
+        places = mi.traverse(scene) if missing else {}
+        for number in missing:
+            if interrupted:
+                return False
+            for key, value in stage.place(number).items():
+                places[key] = value
+            places.update()
+            title = stage.name if stage.frames == 1 else f"{stage.name} {number + 1}/{stage.frames}"
+            at = before + number
+            left = (stop.budget - record.seconds) / (total - at) if stop.budget else None
+            limit = stop if left is None else replace(stop, budget=max(left, 1e-3))
+            try:
+                rendered = render_frame(mi, scene, limit, seed=seed, name=f"{stage.name} {number}", exposure=exposure,
+                                        report=lambda text, share: report(f"{title}: {text}", (at + share) / total),  # noqa: B023
+                                        interrupted=interrupted)
+            except MapsError as error:
+                raise MapsError(error.expected, f"{error.got} in {title}", error.fix) from None
+            with files.undisturbed():
+                kept["frames"].append({"frame": number, **_kept(rendered, stage, number, folder, exposure)})
+                record.write(folder)
+            if rendered.stopped == INTERRUPTED:
+                return False
+        before += stage.frames
+        done(stage)
+    record.write(folder)
+    return True
+
+
+def frame_file(stage: Stage, number: int) -> str:
+    """The EXR of a frame, relative to the folder."""
+    return f"{stage.name}.exr" if stage.frames == 1 else f"{stage.name}/{number:04d}.exr"
+
+
+def display_frames(stage: Stage, folder: Path, exposure: float = 0.0):
+    """The frames of a preset as display values, one after the other."""
+    for number in range(stage.frames):
+        yield shown(read_frame(folder / frame_file(stage, number)), exposure)
+
+
+def read_frame(path: Path) -> Tensor:
+    """A frame as it was rendered: linear, H x W x 3."""
+    return files.read_image(path, MitsvbrdfError)
+
+
+def _kept(rendered: Rendered, stage: Stage, number: int, folder: Path, exposure: float) -> dict:
+    name = frame_file(stage, number)
+    files.write_exr(folder / name, rendered.image)
+    if stage.frames == 1:
+        files.write_png(folder / f"{stage.name}.png", shown(rendered.image, exposure))
+    return {"file": name, "samples": rendered.samples, "seconds": rendered.seconds, "error": rendered.error,
+            "stopped": rendered.stopped, "curve": list(rendered.curve)}
+
+

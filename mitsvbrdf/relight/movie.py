@@ -1,0 +1,120 @@
+"""Frames as MP4 (H.264) and GIF."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .. import files
+from ..errors import BackendError, MapsError
+
+CRF = "14"  # below what an eye sees; 18 is the usual "visually lossless"
+COLOURS = 256  # of a GIF's palette
+
+
+def write_mp4(path: str | Path, frames: Iterable[Tensor], fps: float) -> None:
+    """An MP4 that every player and browser shows: H.264, yuv420p, tagged as BT.709, limited range.
+
+    yuv420p has half as many chroma as luma samples on either axis, so an odd size gets one column or row more, a copy of its
+    neighbour: so nothing of the picture is lost.
+
+    Args:
+        path: the file to write or replace.
+        frames: display values in [0, 1] (clipped), each H x W x 3 of the same size.
+        fps: frames a second.
+
+    Raises:
+        BackendError: PyAV is not installed.
+        MapsError: no frame, or frames of different size.
+        OutputError: the file cannot be written.
+    """
+    av = _av()
+    from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTrc
+
+    with files.beside(Path(path)) as temporary, av.open(str(temporary), "w", format="mp4",
+                                                        options={"movflags": "+faststart"}) as container:
+        stream = None
+        for pixels in map(_even, _eight_bits(frames)):
+            if stream is None:
+                stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001),
+                                              options={"crf": CRF, "preset": "medium"})
+                stream.height, stream.width = pixels.shape[:2]
+                stream.pix_fmt = "yuv420p"
+                context = stream.codec_context
+                context.colorspace, context.color_range = 1, ColorRange.MPEG  # 1: BT.709 in H.264's table E-5
+                context.color_primaries, context.color_trc = ColorPrimaries.BT709, ColorTrc.BT709
+                context.thread_count = 1  # the same file in every run
+            frame = av.VideoFrame.from_ndarray(pixels, format="rgb24")
+            frame = frame.reformat(format="yuv420p", src_colorspace=Colorspace.DEFAULT, dst_colorspace=Colorspace.ITU709,
+                                   src_color_range=ColorRange.JPEG, dst_color_range=ColorRange.MPEG)
+            container.mux(stream.encode(frame))
+        if stream is None:
+            raise _no_frames()
+        container.mux(stream.encode())
+
+
+def write_gif(path: str | Path, frames: Sequence[Tensor], fps: float) -> None:
+    """A GIF that loops, with a palette for each frame and errors diffused.
+
+    GIF counts in hundredths of a second: frames last as many as keep the whole in step with ``fps``, at least two each, since
+    browsers slow down shorter ones.
+
+    Args:
+        path: the file to write or replace.
+        frames: display values in [0, 1] (clipped), each H x W x 3 of the same size.
+        fps: frames a second.
+
+    Raises:
+        MapsError: no frame, or frames of different size.
+        OutputError: the file cannot be written.
+    """
+    from PIL import Image
+
+    images = [_palette_image(Image, pixels) for pixels in _eight_bits(frames)]
+    if not images:
+        raise _no_frames()
+    with files.beside(Path(path)) as temporary:
+        images[0].save(temporary, save_all=True, append_images=images[1:], loop=0, duration=durations(len(images), fps),
+                       optimize=False, disposal=1)
+
+
+def _palette_image(Image, pixels: np.ndarray):
+    whole = Image.fromarray(pixels)
+    return whole.quantize(palette=whole.quantize(COLOURS), dither=Image.Dither.FLOYDSTEINBERG)
+
+
+def durations(count: int, fps: float) -> list[int]:
+    """Milliseconds of each frame of a GIF, multiples of ten."""
+    ends = [round(100 * (k + 1) / fps) for k in range(count)]
+    return [10 * max(end - before, 2) for before, end in zip([0, *ends], ends)]
+
+
+def _eight_bits(frames: Iterable[Tensor]) -> Iterable[np.ndarray]:
+    size = None
+    for frame in frames:
+        size = size or frame.shape
+        if frame.shape != size or len(size) != 3 or size[2] != 3:
+            raise MapsError(f"frames of H x W x 3, all alike, here {tuple(size)}", str(tuple(frame.shape)), "render them anew")
+        yield np.rint(frame.detach().clamp(0, 1).to(torch.float64).numpy() * 255).astype(np.uint8)
+
+
+def _even(pixels: np.ndarray) -> np.ndarray:
+    height, width = pixels.shape[:2]
+    return np.ascontiguousarray(np.pad(pixels, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge"))
+
+
+def _no_frames() -> MapsError:
+    return MapsError("at least one frame", "none", "render some first")
+
+
+def _av():
+    try:
+        import av
+    except ImportError:
+        raise BackendError("PyAV, which writes movies", "none", "pip install av, or ask for GIF alone with --gif") from None
+    return av

@@ -1,0 +1,235 @@
+"""A scene rendered until its error is small enough: independent passes, their mean, and how far off that mean is.
+
+The error is what the project reports everywhere: RMSE in display values, here sRGB, exposed and clipped to [0, 1], over the
+whole frame, of the picture as it would be kept. It is estimated by the jackknife (Tukey 1958; unequal groups as Busing et al.
+1999): samples go to up to eight groups in turn, and of each group it is asked how the kept picture would change without it.
+All comparisons are between display values of pictures that hold nearly all samples, so the bend of the sRGB curve and the
+clipping of highlights count as they do in the picture itself. The difference of two halves, which has four times the variance,
+is off there: docs/relight.md has the figures.
+
+Dr.Jit compiles one kernel for all numbers of samples that are powers of two, so every pass is made of those.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from .. import color
+from ..errors import ConfigError, MapsError
+
+GROUPS = 8
+AT_ONCE = 2**22  # samples of one call of the renderer: a second or so, after which Ctrl-C and a budget are looked at
+FEW = 16  # up to here samples are only doubled: too little is known to plan farther ahead
+FARTHEST = 8  # times the samples so far that a prediction is trusted
+TARGET = 0.01
+
+
+@dataclass(frozen=True)
+class Stop:
+    """When a frame is done; one of the three, and with none given at an error of 0.01.
+
+    Args:
+        target_error: estimated RMSE in display values, in (0, 1).
+        budget: seconds.
+        samples: a pixel.
+    """
+
+    target_error: float | None = None
+    budget: float | None = None
+    samples: int | None = None
+
+    def __post_init__(self) -> None:
+        given = [name for name in ("target_error", "budget", "samples") if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise ConfigError("one of target error, budget and samples", " and ".join(given), "give one of them")
+        if not given:
+            object.__setattr__(self, "target_error", TARGET)
+        if self.target_error is not None and not 0 < self.target_error < 1:
+            raise ConfigError("a target error between 0 and 1", str(self.target_error), f"try {TARGET}")
+        if self.budget is not None and not 0 < self.budget < math.inf:
+            raise ConfigError("a budget of more than 0 seconds", str(self.budget), "try 60")
+        if self.samples is not None and self.samples < 1:
+            raise ConfigError("1 sample a pixel or more", str(self.samples), "try 64")
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """A frame.
+
+    Args:
+        image: linear radiance H x W x 3, float32, row 0 at the top, not exposed.
+        samples: a pixel.
+        seconds: for all of it; the kernel is compiled in the first frame of a scene.
+        error: estimated RMSE in display values; None of a single sample.
+        curve: ``seconds``, ``samples`` and ``error`` each time the error was estimated.
+        stopped: ``target``, ``budget``, ``samples`` or ``interrupted``.
+    """
+
+    image: Tensor = field(repr=False)
+    samples: int
+    seconds: float
+    error: float | None
+    curve: tuple[dict, ...]
+    stopped: str
+
+    @property
+    def one_sample(self) -> float | None:
+        """The error that a single sample would have, estimated from two."""
+        return self.curve[0]["error"] * math.sqrt(self.curve[0]["samples"]) if self.curve else None
+
+
+def shown(image: Tensor, exposure: float = 0.0) -> Tensor:
+    """Linear radiance as display values: exposed by so many stops, sRGB, clipped to [0, 1]."""
+    return color.to_display(image * 2.0**exposure, "srgb")
+
+
+def render_passes(draw: Callable[[int, int], Tensor], stop: Stop, *, pixels: int, exposure: float = 0.0,
+                  report: Callable[[str, float], object] = lambda text, share: None,
+                  interrupted: Sequence = ()) -> Rendered:
+    """Add passes until the frame is done.
+
+    Args:
+        draw: (number of the call, samples a pixel, a power of two) -> linear H x W x 3, independent from call to call.
+        stop: when.
+        pixels: of the frame.
+        exposure: stops by which the picture is shown brighter than it is; the error is that of the picture shown.
+        report: told a line and the share done.
+        interrupted: not empty once somebody wants an end now; one call is made in any case.
+
+    Raises:
+        MapsError: the renderer gave numbers that are not finite.
+    """
+    started = time.perf_counter()
+    mean = GroupedMean()
+    curve: list[dict] = []
+    why, calls, aim, looking = "", 0, 2, 0.0
+    while True:
+        goal = min(aim, stop.samples) if stop.samples else aim
+        while mean.samples < goal and not why:
+            began = time.perf_counter()
+            count = min(_power_of_two(mean.share(goal)), _power_of_two(max(AT_ONCE // pixels, 1)))
+            mean.add(draw(calls, count), count)
+            calls += 1
+            now = time.perf_counter()
+            again = now - began if calls > 1 else 0.0  # the first call also compiles
+            if interrupted:
+                why = "interrupted"
+            elif stop.budget and now - started + again + looking > stop.budget:
+                why = "budget"
+            report(_line(mean.samples, curve), _share(stop, now - started, mean.samples, curve))
+        began = time.perf_counter()
+        error = mean.error(exposure)
+        now = time.perf_counter()
+        looking = now - began
+        if error is not None:
+            curve.append({"seconds": now - started, "samples": mean.samples, "error": error})
+        if why or stop.samples == mean.samples or (stop.target_error and error <= stop.target_error):
+            break
+        aim = _next(mean.samples, error, stop.target_error)
+    why = why or ("samples" if stop.samples else "target")
+    return Rendered(mean.image, mean.samples, time.perf_counter() - started, error, tuple(curve), why)
+
+
+def render_frame(mi, scene, stop: Stop, *, seed: int = 0, name: str = "", exposure: float = 0.0,
+                 report: Callable[[str, float], object] = lambda text, share: None,
+                 interrupted: Sequence = ()) -> Rendered:
+    """Render a loaded Mitsuba scene with its own sensor and integrator; see :func:`render_passes`.
+
+    Args:
+        mi: the ``mitsuba`` module.
+        scene: as ``mi.load_dict`` gives it, its sampler ``independent``.
+        seed: of all random numbers.
+        name: of the frame; frames of different names have different random numbers.
+    """
+    first = zlib.crc32(f"{seed} {name}".encode())
+
+    def draw(call: int, samples: int) -> Tensor:
+        return torch.from_numpy(mi.render(scene, seed=(first + call) % 2**32, spp=samples).numpy())
+
+    width, height = scene.sensors()[0].film().size()
+    return render_passes(draw, stop, pixels=width * height, exposure=exposure, report=report, interrupted=interrupted)
+
+
+class GroupedMean:
+    """The mean of all samples, kept in groups, so that it can be asked how it would be without each of them."""
+
+    def __init__(self) -> None:
+        self.sums: list[Tensor] = []
+        self.counts: list[int] = []
+
+    @property
+    def samples(self) -> int:
+        """So many a pixel."""
+        return sum(self.counts)
+
+    @property
+    def image(self) -> Tensor:
+        """The mean, linear."""
+        return torch.stack(self.sums).sum(dim=0) / self.samples
+
+    def add(self, image: Tensor, samples: int) -> None:
+        """Take the mean of so many new samples: a group of its own as long as there are few, else to the smallest one."""
+        if not bool(torch.isfinite(image).all()):
+            raise MapsError("radiance that is finite", "pixels that are not", "check maps and environment for NaN or infinity")
+        if len(self.sums) < GROUPS:
+            self.sums.append(image * samples)
+            self.counts.append(samples)
+            return
+        k = self.counts.index(min(self.counts))
+        self.sums[k] += image * samples
+        self.counts[k] += samples
+
+    def share(self, goal: int) -> int:
+        """What the group that is next lacks for its part of so many samples, at least 1."""
+        if len(self.sums) < GROUPS:
+            return max((goal - self.samples) // max(min(goal, GROUPS) - len(self.sums), 1), 1)
+        return max(min(goal // GROUPS - min(self.counts), goal - self.samples), 1)
+
+    def error(self, exposure: float = 0.0) -> float | None:
+        """RMSE of the mean as it is shown, by the jackknife; None with fewer than two groups."""
+        if len(self.sums) < 2:
+            return None
+        whole = torch.stack(self.sums).sum(dim=0)
+        kept = shown(whole / self.samples, exposure)
+        variance = 0.0
+        for one, count in zip(self.sums, self.counts):
+            without = shown((whole - one) / (self.samples - count), exposure)
+            variance += (self.samples / count - 1) * float((without - kept).square().mean(dtype=torch.float64))
+        return math.sqrt(variance / len(self.sums))
+
+
+def _power_of_two(most: int) -> int:
+    return 1 << (most.bit_length() - 1)
+
+
+def _next(samples: int, error: float, target: float | None) -> int:
+    """How many samples to have next: what the target should need, as the error falls with their root."""
+    if target is None:
+        return 2 * samples
+    needed = math.ceil(samples * (error / target) ** 2)
+    if samples < FEW:
+        return min(needed, 2 * samples)
+    # The law is not exact where highlights are clipped; a long way is not gone to its end.
+    return max(min(needed if needed < 2 * samples else int(0.8 * needed), FARTHEST * samples), samples + 1)
+
+
+def _share(stop: Stop, seconds: float, samples: int, curve: list[dict]) -> float:
+    if stop.budget:
+        return min(seconds / stop.budget, 1.0)
+    if stop.samples:
+        return samples / stop.samples
+    if not curve:
+        return 0.0
+    needed = curve[-1]["samples"] * (curve[-1]["error"] / stop.target_error) ** 2
+    return min(samples / max(needed, 1), 1.0)
+
+
+def _line(samples: int, curve: list[dict]) -> str:
+    return f"{samples} samples" + (f", error {curve[-1]['error']:.4f}" if curve else "")
