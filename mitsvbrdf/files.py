@@ -9,6 +9,7 @@ import os
 import shutil
 import signal
 import threading
+import time
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -22,6 +23,7 @@ from .errors import MitsvbrdfError, OutputError
 
 MANIFEST = ".mitsvbrdf"  # in each folder we make: the files we put there
 CHECKPOINT = "checkpoint.safetensors"
+LIVE = "live.safetensors"  # what a running fit is watched through; no part of the result
 LOCK = ".lock"
 
 
@@ -188,8 +190,7 @@ def output_folder(out: Path, overwrite: bool, resume: bool = False) -> Iterator[
         made = not out.exists()
         partial.mkdir(parents=True, exist_ok=True)
         lock = _locked(partial)
-        if not resume:
-            _empty(partial, keep=(LOCK,))
+        _empty(partial, keep=(LOCK, CHECKPOINT) if resume else (LOCK,))
     except OSError as reason:
         raise OutputError(f"a place to write at {out}", reason.strerror or str(reason),
                           "free space, or choose a folder you may write to") from None
@@ -217,13 +218,33 @@ def _locked(partial: Path) -> IO:
     lock = (partial / LOCK).open("w")
     with contextlib.suppress(ImportError):  # no fcntl on Windows
         import fcntl
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            lock.close()
-            raise OutputError("an output folder of its own for each run", f"{partial.parent}, in use by another run",
-                              "wait for it, or choose another folder") from None
+        for left in (2, 1, 0):
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                return lock
+            except BlockingIOError:
+                if left:
+                    time.sleep(0.02)  # in_use may be asking
+        lock.close()
+        raise OutputError("an output folder of its own for each run", f"{partial.parent}, in use by another run",
+                          "wait for it, or choose another folder")
     return lock
+
+
+def in_use(out: Path) -> bool:
+    """Whether a command is at work in ``out``; on Windows: whether one has begun and did not end well."""
+    try:
+        lock = (partial_folder(out) / LOCK).open()
+    except OSError:
+        return False
+    with lock, contextlib.suppress(ImportError):
+        import fcntl
+        try:
+            fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        return False
+    return True
 
 
 def _empty(folder: Path, keep: tuple[str, ...]) -> None:
@@ -234,7 +255,7 @@ def _empty(folder: Path, keep: tuple[str, ...]) -> None:
 
 def _put_in_place(partial: Path, out: Path) -> None:
     """Move the files of the partial folder to ``out`` and take away what the manifest there lists; undone if it fails."""
-    new = sorted(str(p.relative_to(partial)) for p in partial.rglob("*") if p.is_file() and p.name != LOCK)
+    new = sorted(str(p.relative_to(partial)) for p in partial.rglob("*") if p.is_file() and p.name not in (LOCK, LIVE))
     try:
         earlier = [str(name) for name in json.loads((out / MANIFEST).read_text())]
     except (OSError, ValueError, TypeError):

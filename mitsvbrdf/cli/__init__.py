@@ -108,7 +108,7 @@ def fit_command(method: str) -> Callable:
             title = f"fit {shots.source.name if shots.source else ''} · {method} · {engine.name}"
             with Progress(title) as progress, collecting:
                 result = fit_svbrdf(shots, engine, config, checkpoint=folder / files.CHECKPOINT,
-                                    resume=earlier if resume else None, report=progress)
+                                    resume=earlier if resume else None, report=progress, live=folder / files.LIVE)
             with files.undisturbed():
                 write_fit(result, shots, folder, command={
                     "renderer": renderer, "resolution": resolution, "views": views, "falloff": shots.views.falloff,

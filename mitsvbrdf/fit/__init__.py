@@ -16,6 +16,7 @@ from .confidence import deviations
 from .config import DirectConfig, FitConfig, GanConfig, HierarchicalConfig, HybridConfig
 from .doubts import doubts
 from .held import held_maps
+from .live import LiveRecord
 from .loop import Loop, rerender
 from .needs import left_out
 from .result import FitResult
@@ -41,7 +42,7 @@ def make_method(capture: Capture, renderer: Renderer, guess, config: FitConfig):
 
 def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = None, *,
                checkpoint: Path | None = None, resume: Path | None = None,
-               report: Callable[[dict, float], None] | None = None) -> FitResult:
+               report: Callable[[dict, float], None] | None = None, live: Path | None = None) -> FitResult:
     """Recover a material from photos.
 
     Args:
@@ -51,6 +52,8 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
         checkpoint: file (.safetensors) to keep the running state in.
         resume: checkpoint to continue from; bit-equal to an uninterrupted run of the same options on a CPU.
         report: called with (trace entry, share done) after each measurement.
+        live: file (.safetensors) that shows the running fit and stays with its last state; ``OUT/.partial/live.safetensors``
+            is what ``mitsvbrdf view OUT`` looks for. Fitted is the same bits without it.
 
     Returns:
         The result with the lowest re-rendering error met (``hierarchical``: the last); Ctrl-C ends the fit early with it.
@@ -63,7 +66,7 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     with profiled("setting up"):
         guess = first_guess(capture, config)
         method = make_method(capture, renderer, guess, config)
-    loop = Loop(method, capture, renderer, config, checkpoint, report)
+    loop = Loop(method, capture, renderer, config, checkpoint, report, LiveRecord(live) if live else None)
     if resume:
         loop.resume(resume)
     stopped = loop.run()

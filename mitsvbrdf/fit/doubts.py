@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Iterator, Sized
+from collections.abc import Iterator, Sequence, Sized
 
 from ..capture import Capture
 from ..evaluate.burn_in import burn_in
@@ -26,22 +26,27 @@ BURNT_IN = 0.3  # share of specular or roughness that lies as the highlights do;
 
 def doubts(result: FitResult, capture: Capture) -> Iterator[str]:
     """Warnings about the photos, the calibration and the fit, one sentence each."""
-    yield from _photos(capture)
+    yield from about_photos(capture)
     yield from _light(result, capture)
     yield from _errors(result, capture)
     yield from _burnt_in(result)
     if result.trace[-1]["iteration"] == 0:
         yield "no step was made, so the maps are where the fit starts: give more seconds"
-    if result.undone:
-        first = result.undone[0]
-        yield f"{_count(result.undone, 'step')} undone; the first at iteration {first['iteration']}: {first['reason']}"
-    if result.restarts:
-        yield f"the fit diverged and went back to its lowest loss {_count(result.restarts, 'time')}"
+    yield from about_steps(result.undone, result.restarts)
     if result.stopped == "unstable":
         yield "too many steps had to be undone, so the fit ended early: lower the learning rate or check the calibration"
 
 
-def _photos(capture: Capture) -> Iterator[str]:
+def about_steps(undone: Sequence[dict], restarts: Sequence[dict]) -> Iterator[str]:
+    """Warnings about steps taken back so far."""
+    if undone:
+        yield f"{_count(undone, 'step')} undone; the first at iteration {undone[0]['iteration']}: {undone[0]['reason']}"
+    if restarts:
+        yield f"the fit diverged and went back to its lowest loss {_count(restarts, 'time')}"
+
+
+def about_photos(capture: Capture) -> Iterator[str]:
+    """Warnings about the photos by themselves."""
     photos = capture.photos
     clipped = float((photos >= CLIPPED).any(dim=-1).float().mean())
     if clipped > CLIPPED_SHARE:

@@ -318,6 +318,10 @@ class Hierarchical:
             x = self.x if self.x.shape[-1] == side else _enlarged(self.x, side)
         return self._solver(side).svbrdf(x).map(Tensor.contiguous), self.refined(self.views)
 
+    def preview(self) -> SVBRDF:
+        """The present answer as it is, at the size of the present stage."""
+        return self._solver(self.x.shape[-1]).svbrdf(self.x)
+
     def _ahead(self) -> Hierarchical:
         """This fit as if its last stage began now."""
         ahead = copy(self)

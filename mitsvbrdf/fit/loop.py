@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -25,6 +26,9 @@ from ..views import Views
 from .checkpoint import load_tensors, save_tensors
 from .config import FitConfig
 from .method import Method, finite
+
+if TYPE_CHECKING:
+    from .live import LiveRecord
 
 EVALUATE_EVERY = 10  # iterations; a fixed count, so that a resumed run keeps the same best result
 CHECKPOINT_SECONDS = 30.0
@@ -47,18 +51,21 @@ class Loop:
         config: limits and seed.
         checkpoint: file to save the state to now and then, and at the end; None saves nothing.
         report: called after each measurement with the trace entry and the share done (0 to 1).
+        live: what the fit is watched through while it runs; None shows nothing.
     """
 
     def __init__(self, method: Method, capture: Capture, renderer: Renderer, config: FitConfig,
-                 checkpoint: Path | None = None, report: Callable[[dict, float], None] | None = None) -> None:
+                 checkpoint: Path | None = None, report: Callable[[dict, float], None] | None = None,
+                 live: LiveRecord | None = None) -> None:
         self.method, self.capture, self.renderer, self.config = method, capture, renderer, config.limited()
-        self.checkpoint, self.report = checkpoint, report
+        self.checkpoint, self.report, self.live = checkpoint, report, live
         self.beat = getattr(method, "measured_every", EVALUATE_EVERY)
         self.latest_is_best = getattr(method, "latest_is_best", False)
         self.iteration, self.seconds = 0, 0.0
         self.undone: list[dict] = []  # iteration and reason of each step taken back
         self.restarts: list[dict] = []  # and of each return to the state of the lowest loss
         self.trace: list[dict] = []
+        self.seen: Seen | None = None  # at the latest measurement
         self.best: Seen | None = None
         self.lowest: tuple[float, dict[str, Tensor]] = (math.inf, {})  # loss, and the state that had it
         self.rising = 0  # measurements running at which the loss was DIVERGED times the lowest
@@ -75,6 +82,8 @@ class Loop:
                 why = "interrupted" if stop else self._limit_reached()
                 if why:
                     break
+                if self.live:
+                    self.live.offer(self, losses)
                 good, losses = self._advance(good)
                 if self.checkpoint and time.perf_counter() - saved > CHECKPOINT_SECONDS:
                     self.save()
@@ -86,6 +95,8 @@ class Loop:
             self.save()
         if off_beat:
             self._record(seen, losses)
+        if self.live:
+            self.live.offer(self, losses, why)
         return why
 
     def _begin(self) -> None:
@@ -168,7 +179,9 @@ class Loop:
 
     @property
     def progress(self) -> float:
-        """Share of the run that is done, by whichever limit is nearer."""
+        """Share of the run that is done, by whichever limit is nearer; 1 where the method has settled."""
+        if getattr(self.method, "done", False):
+            return 1.0
         shares = [self.iteration / self.config.iterations] if self.config.iterations else []
         shares += [self.seconds / self.config.budget] if self.config.budget else []
         return min(max(shares), 1.0)
@@ -184,6 +197,7 @@ class Loop:
         return "budget" if over and self.iteration else None  # a first step is made, however short the budget
 
     def _record(self, seen: Seen, losses: dict[str, float]) -> None:
+        self.seen = seen
         if self.best is None or self.latest_is_best or seen[0] < self.best[0]:
             self.best = seen
         entry = {"seconds": round(self.seconds, 3), "iteration": self.iteration, **losses, "rerender_rmse": seen[0]}
@@ -242,7 +256,7 @@ class Loop:
             raise ConfigError("a checkpoint of the same options", f"{path}: {str(reason).splitlines()[0]}",
                               "resume with the options of the first run") from None
         views = replace(self.method.views, **part("best_views."))
-        self.best = note["best_rmse"], SVBRDF(self.config.bsdf, part("best.")), views
+        self.seen = self.best = note["best_rmse"], SVBRDF(self.config.bsdf, part("best.")), views
         self.iteration, self.seconds, self.trace = note["iteration"], note["seconds"], note["trace"]
         self.undone, self.restarts, self.rising = note["undone"], note["restarts"], note["rising"]
         self.lowest = note["lowest_loss"], part("lowest.")

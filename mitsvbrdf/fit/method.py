@@ -18,7 +18,8 @@ class Method(Protocol):
     """One way to fit, advanced step by step. Its whole running state is named tensors.
 
     It may also have ``measured_every`` (steps between measurements), ``latest_is_best`` (the result is the last state, not the
-    one that explains its photos best) and ``done`` (whether going on would change nothing).
+    one that explains its photos best), ``done`` (whether going on would change nothing) and ``preview()`` (a look at the
+    present material between measurements, at any size and nearly for free).
     """
 
     views: Views
