@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import shutil
 import struct
 import subprocess
@@ -276,6 +277,21 @@ def test_names_are_those_of_the_libraries(tmp_path):
         export_material(flat(4), tmp_path / naming, ["maps"], "Old brick!", naming)
         assert {path.stem for path in (tmp_path / naming / "maps").glob("*.png")} == expected
         assert len(json.loads((tmp_path / naming / "maps/export.json").read_text())["files"]) == len(expected)
+
+
+# What Blender's Node Wrangler takes a file for, by the words of its name.
+BLENDER_WORDS = {"base_color": {"diffuse", "diff", "albedo", "base", "col", "color", "basecolor"},
+                 "metallic": {"metallic", "metalness", "metal", "mtl"}, "roughness": {"roughness", "rough", "rgh"},
+                 "normal": {"normal", "nor", "nrm", "nrml", "norm"}}
+
+
+@pytest.mark.parametrize("naming", ["polyhaven", "ambientcg", "substance"])
+def test_blender_knows_the_files_by_their_names(naming, tmp_path):
+    export_material(flat(4), tmp_path, ["maps"], "brick", naming)
+    for texture in stated(tmp_path / "maps")["textures"]:
+        words = {word.lower() for word in re.findall("[A-Z]?[a-z]+|[A-Z]+", texture["file"].removesuffix(".png"))}
+        meanings = {meaning for meaning, known in BLENDER_WORDS.items() if words & known}
+        assert meanings == {texture["holds"].split()[0]}, texture["file"]
 
 
 @pytest.mark.parametrize("naming", ["own", "materialgan"])
