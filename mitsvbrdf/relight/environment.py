@@ -23,43 +23,45 @@ from .scene_file import read_scene
 
 ENVIRONMENTS = {"studio": "three softboxes in a grey room, made by code", "sunsky": "a clear afternoon (Hosek and Wilkie)",
                 "none": "a single light"}
-WHITE = 0.8  # luminance of a white diffuse surface that faces up
+WHITE = 0.8  # luminance of a white diffuse surface that faces up, or the single light
+LAMP = (-2.6, -2.0, 3.2)  # left and behind the camera
 LUMINANCE = torch.tensor([0.2126, 0.7152, 0.0722], dtype=torch.float64)
 
 
 @dataclass(frozen=True)
 class Environment:
-    """An environment for a scene.
+    """What lights a scene from around it.
 
     Args:
-        emitter: its plugin dictionary.
-        turned: angle in degrees (counter-clockwise, seen from above) -> values by key of ``mi.traverse(scene)``, where the
-            emitter is called ``environment``.
+        emitters: plugin dictionaries by name.
+        turned: angle in degrees (counter-clockwise, seen from above) -> values by key of ``mi.traverse(scene)``.
         dark_below: nothing shines below the horizon.
+        left_out: (what, why).
     """
 
-    emitter: dict[str, Any]
+    emitters: dict[str, dict[str, Any]]
     turned: Callable[[float], dict[str, Any]]
-    dark_below: bool
+    dark_below: bool = False
+    left_out: tuple[tuple[str, str], ...] = ()
 
 
 def make_environment(mi, name: str) -> Environment:
-    """An environment by its name in :data:`ENVIRONMENTS` (but ``none``), or from an .exr or .hdr file.
+    """An environment by its name in :data:`ENVIRONMENTS`, or from an .exr or .hdr file.
 
     Raises:
         ConfigError: no such name; a file that is missing, unreadable, too small, not finite, negative, or black above the
             horizon.
     """
+    if name == "none":
+        lamp = {"type": "point", "position": LAMP,
+                "intensity": {"type": "rgb", "value": WHITE * math.pi * math.hypot(*LAMP) ** 2}}
+        return Environment({"light": lamp}, lambda angle: {"light.position": mi.Point3f(*_about_z(LAMP, angle))},
+                           left_out=(("environment", "a single light is asked for"),))
     if name == "sunsky":
         emitter = read_scene(mi, "sunsky.xml")["environment"]
-        sun = np.array(emitter["sun_direction"], dtype=float)
-
-        def sun_turned(angle: float) -> dict[str, Any]:
-            c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
-            x, y, z = sun
-            return {"environment.sun_direction": mi.Vector3f(c * x - s * y, s * x + c * y, z)}
-
-        return Environment(emitter, sun_turned, dark_below=True)
+        sun = tuple(emitter["sun_direction"])
+        return Environment({"environment": emitter}, lambda angle: {
+            "environment.sun_direction": mi.Vector3f(*_about_z(sun, angle))}, dark_below=True)
     image = studio() if name == "studio" else read_environment(name)
     white = white_luminance(image)
     if white <= 0:
@@ -70,7 +72,15 @@ def make_environment(mi, name: str) -> Environment:
 
     pixels = np.ascontiguousarray((image * (WHITE / white)).to(torch.float32).numpy())
     emitter = {"type": "envmap", "bitmap": mi.Bitmap(pixels), "to_world": orientation(0)}
-    return Environment(emitter, lambda angle: {"environment.to_world": orientation(angle, mi.Transform4f)}, dark_below=False)
+    return Environment({"environment": emitter},
+                       lambda angle: {"environment.to_world": orientation(angle, mi.Transform4f)})
+
+
+def _about_z(vector: tuple[float, ...], angle: float) -> tuple[float, ...]:
+    """A vector turned about the z axis, in degrees."""
+    cos, sin = math.cos(math.radians(angle)), math.sin(math.radians(angle))
+    x, y, z = vector
+    return cos * x - sin * y, sin * x + cos * y, z
 
 
 def read_environment(path: str | Path) -> Tensor:
@@ -123,16 +133,18 @@ def directions(height: int, width: int) -> Tensor:
 
 
 # Where a softbox hangs, how wide and high it is at distance 1 (half sides), its radiance and colour.
-SOFTBOXES = (((-0.75, -0.55, 0.75), (0.42, 0.42), 9.0, (1.0, 0.97, 0.93)),  # key: left, behind the camera
-             ((1.0, -0.15, 0.35), (0.16, 0.55), 4.0, (0.93, 0.97, 1.0)),    # fill: a strip at the right
-             ((0.1, 0.9, 0.75), (0.6, 0.16), 7.0, (1.0, 1.0, 1.0)))         # rim: a strip overhead, behind the object
+SOFTBOXES = (((-0.62, -0.75, 0.72), (0.30, 0.30), 22.0, (1.0, 0.97, 0.93)),  # key: left, behind the camera
+             ((1.0, -0.25, 0.30), (0.14, 0.55), 6.0, (0.92, 0.96, 1.0)),     # fill: a strip at the right
+             ((0.15, 0.9, 0.80), (0.55, 0.14), 12.0, (1.0, 1.0, 1.0)))       # rim: a strip overhead, behind the object
 
 
 def studio(height: int = 256) -> Tensor:
-    """A room of grey walls, brighter above, with three softboxes: H x 2 H x 3, linear, float64, not scaled yet."""
+    """A dark room with a lit wall ahead and three softboxes: H x 2 H x 3, linear, float64, not scaled yet."""
     d = directions(height, 2 * height)
-    z = d[..., 2:]
-    image = (0.10 + 0.30 * torch.sigmoid(4 * (z - 0.1))).expand(*d.shape).clone()
+    x, y, z = d.unbind(-1)
+    room = 0.10 + 0.25 * torch.sigmoid(5 * z)
+    wall = 0.5 * torch.exp(-4 * (x**2 + (z - 0.05) ** 2)) * (y > 0)
+    image = (room + wall)[..., None].expand(*d.shape)
     for place, (wide, high), radiance, colour in SOFTBOXES:
         axis = F.normalize(torch.tensor(place, dtype=torch.float64), dim=0)
         right = F.normalize(torch.linalg.cross(axis, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)), dim=0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -17,16 +17,25 @@ from ..render.needs import Needs, material_needs
 from ..views import Views, nine_view_grid
 from .environment import WHITE, Environment, make_environment
 from .scene_file import read_scene
+from .shapes import heights, mitsuba_mesh, relief
+
+Place = Callable[[int], dict[str, Any]]
 
 PRESETS = {
     "sweep": "a light on an arc over the patch; a movie",
     "turntable": "the patch turning under an environment; a movie",
-    "sphere": "a sphere under an environment; with more frames the environment turns",
+    "sphere": "a sphere under an environment, which turns where there are more frames",
+    "shaderball": "a turned body with a groove and a dish, likewise",
     "novel": "the first photo's camera, with the light moved off the lens; with more frames it circles the lens",
 }
-DEFAULTS = {"sweep": ("none", 48), "turntable": ("studio", 72), "sphere": ("studio", 1), "novel": ("none", 1)}
+DEFAULTS = {"sweep": ("none", 48), "turntable": ("studio", 72), "sphere": ("studio", 1), "shaderball": ("studio", 1),
+            "novel": ("none", 1)}
+OWN_LIGHT = ("sweep", "novel")
+ROUND = ("sphere", "shaderball")  # shapes without relief
 FPS = 24.0
-DIMMEST = 1e-3  # light that was reflected so often that less is left of it is left out
+DIMMEST = 1e-3  # reflections are followed until less of the light than this is left
+OFF_LENS = 0.5  # radius of the circle of lights around the lens, over the camera's height
+FINEST = 512  # quads along a side of a relief
 
 
 @dataclass(frozen=True)
@@ -47,7 +56,7 @@ class Stage:
     scene: dict[str, Any]
     frames: int
     fps: float
-    place: Callable[[int], dict[str, Any]]
+    place: Place
     left_out: tuple[tuple[str, str], ...]
     views: Views | None = None
 
@@ -78,90 +87,104 @@ def make_stage(mi, svbrdf: SVBRDF, preset: str, *, environment: str | None = Non
         raise ConfigError("1 frame or more", str(frames), "give --frames 1 for a still")
     if tiling < 1:
         raise ConfigError("a tiling of 1 or more", str(tiling), "give --tiling 2")
-    if displacement:
-        raise ConfigError("no displacement", str(displacement), "leave it out")
-    surroundings = None if name == "none" else make_environment(mi, name)
+    if not 0 <= displacement <= 10:
+        raise ConfigError("a displacement from 0 to 10", str(displacement), "1 is as high as the normals say")
+    if displacement and preset in ROUND:
+        raise ConfigError("no displacement of a " + preset, str(displacement), "displace sweep, turntable or novel")
+    if preset == "novel" and size[0] != size[1]:
+        raise ConfigError("a square picture of the preset novel", f"{size[0]} x {size[1]}", "give one number")
     svbrdf = svbrdf.detach().to(torch.float32)
+    around = None if name == "none" and preset in OWN_LIGHT else make_environment(mi, name)
+    if preset == "novel":
+        scene, place, shown = _novel(mi, size[0], frames, views)
+    else:
+        scene, shown = read_scene(mi, f"{preset}.xml"), None
+        place = {"sweep": _sweep, "turntable": _turntable}.get(preset, _turned)(mi, scene, frames, around)
     needs = material_needs(svbrdf)
-    build = {"sweep": _sweep, "turntable": _turntable, "sphere": _sphere, "novel": _novel}[preset]
-    stage = build(mi, svbrdf, frames, surroundings, size, views)
-    scene = stage.scene
+    left_out = [*needs.left_out, *(around.left_out if around else [("environment", "the preset has a light of its own")])]
     scene["material"] = _material(mi, svbrdf, needs, tiling, preset)
-    _surround(scene, surroundings)
-    film = scene["sensor"]["film"]
-    film["width"], film["height"] = map(int, size)
-    scene["sensor"]["sampler"] = {"type": "independent", "sample_count": 16}
-    scene["integrator"] = {"type": "path", "max_depth": 2}
-    return replace(stage, left_out=(*needs.left_out, *stage.left_out))
+    concave = preset == "shaderball"
+    if displacement:
+        concave = True
+        _displace(mi, scene, svbrdf, tiling, displacement)
+    elif preset not in ROUND:
+        left_out.append(("displacement", "not asked for: normals shade, the surface is flat"))
+    scene.pop("environment", None)
+    scene |= around.emitters if around else {}
+    if around and around.dark_below and preset == "sphere":
+        concave = True
+        scene["floor"] = {"type": "disk", "to_world": mi.ScalarTransform4f().translate([0, 0, -1]).scale(3000),
+                          "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.3}}}
+    depth, why = _depth(svbrdf) if concave else (1, "a convex shape does not see itself")
+    left_out.append((f"light after {depth} reflection{'s' * (depth > 1)}", why))
+    scene["integrator"] = {"type": "path", "max_depth": depth + 1}
+    scene["sensor"]["film"] |= {"width": int(size[0]), "height": int(size[1])}
+    return Stage(preset, scene, frames, FPS, place, tuple(left_out), shown)
 
 
 def _material(mi, svbrdf: SVBRDF, needs: Needs, tiling: int, preset: str) -> dict[str, Any]:
     """The material with its maps as float bitmaps; row 0 of a bitmap is v = 0, the bottom of the patch."""
     slots = slot_values(svbrdf.bsdf, needed_maps(svbrdf, needs), needs, stock=True)
-    transform = mi.ScalarTransform4f()
-    if preset == "sphere":  # u goes once around, half of which is seen; v grows downward
-        transform = transform.scale([2 * tiling, -tiling, 1])
-    else:
-        transform = transform.scale([tiling, tiling, 1])
-    wrap = "clamp" if tiling == 1 and preset != "sphere" else "repeat"
+    # A sphere's u goes once around it, half of which is seen, and its v grows downward.
+    scale = [2 * tiling, -tiling, 1] if preset == "sphere" else [tiling, tiling, 1]
 
     def texture(slot: str) -> dict[str, Any]:
-        return {"type": "bitmap", "data": mi.TensorXf(slots[slot].flip(0).contiguous().numpy()), "raw": True,
-                "filter_type": "nearest" if preset == "novel" else "bilinear", "wrap_mode": wrap, "to_uv": transform}
+        return {"type": "bitmap", "bitmap": mi.Bitmap(slots[slot].flip(0).contiguous().numpy()), "raw": True,
+                "filter_type": "nearest" if preset == "novel" else "bilinear",
+                "wrap_mode": "clamp" if tiling == 1 and preset not in ROUND else "repeat",  # edges do not blend across
+                "to_uv": mi.ScalarTransform4f().scale(scale)}
 
     return plugin(svbrdf.bsdf, needs, texture, stock=True)
 
 
-def _surround(scene: dict[str, Any], surroundings: Environment | None) -> None:
-    scene.pop("environment", None)
-    if surroundings:
-        scene["environment"] = surroundings.emitter
+def _displace(mi, scene: dict[str, Any], svbrdf: SVBRDF, tiling: int, displacement: float) -> None:
+    """The patch of a scene as a mesh with relief; a table stays below it."""
+    height = displacement / tiling * heights(svbrdf.resized(min(svbrdf.resolution, max(FINEST // tiling, 1)))["normal"])
+    material = mi.load_dict(scene.pop("material"))
+    scene["patch"] = mitsuba_mesh(mi, relief(height.repeat(tiling, tiling)), "patch", material)
+    if "table" in scene:
+        scene["table"]["to_world"] = (mi.ScalarTransform4f().translate([0, 0, float(height.min())])
+                                      @ scene["table"]["to_world"])
 
 
-def _sweep(mi, svbrdf, frames, surroundings, size, views) -> Stage:
-    scene = read_scene(mi, "sweep.xml")
-    radius, behind = 1.5, 0.45
-    scene["light"]["intensity"] = {"type": "rgb", "value": WHITE * math.pi * radius**2}
+def _depth(svbrdf: SVBRDF) -> tuple[int, str]:
+    """How many reflections matter on a shape that sees itself, and why no more."""
+    flat = svbrdf.as_roughconductor()
+    albedo = float((flat["diffuse"] + flat["specular"]).amax(dim=-1).mean().clamp(0.05, 0.9))
+    return math.ceil(math.log(DIMMEST) / math.log(albedo)), f"the material reflects {albedo:.0%} on average"
+
+
+def _sweep(mi, scene: dict[str, Any], frames: int, around: Environment | None) -> Place:
+    x, behind, z = scene["light"]["position"]
+    radius = math.hypot(x, z)
+    scene["light"]["intensity"] = {"type": "rgb", "value": WHITE * math.pi * math.hypot(x, behind, z) ** 2}
 
     def place(frame: int) -> dict[str, Any]:
         angle = math.radians(90 + 60 * math.sin(2 * math.pi * frame / frames + math.pi / 6))
-        across = math.sqrt(radius**2 - behind**2)
-        return {"light.position": mi.Point3f(across * math.cos(angle), behind, across * math.sin(angle))}
+        return {"light.position": mi.Point3f(radius * math.cos(angle), behind, radius * math.sin(angle))}
 
-    return Stage("sweep", scene, frames, FPS, place, ())
+    return place
 
 
-def _turntable(mi, svbrdf, frames, surroundings, size, views) -> Stage:
-    scene = read_scene(mi, "turntable.xml")
+def _turntable(mi, scene: dict[str, Any], frames: int, around: Environment) -> Place:
     camera = mi.Transform4f(scene["sensor"]["to_world"])
 
     def place(frame: int) -> dict[str, Any]:
-        angle = -360 * frame / frames  # the table turns one way: camera and environment turn the other
-        turned = {"sensor.to_world": mi.Transform4f().rotate([0, 0, 1], angle) @ camera}
-        return turned | (surroundings.turned(angle) if surroundings else {})
+        angle = -360 * frame / frames  # the patch turns one way: camera and environment turn the other
+        return {"sensor.to_world": mi.Transform4f().rotate([0, 0, 1], angle) @ camera} | around.turned(angle)
 
-    return Stage("turntable", scene, frames, FPS, place, ())
-
-
-def _sphere(mi, svbrdf, frames, surroundings, size, views) -> Stage:
-    scene = read_scene(mi, "sphere.xml")
-
-    def place(frame: int) -> dict[str, Any]:
-        return surroundings.turned(360 * frame / frames) if surroundings and frames > 1 else {}
-
-    return Stage("sphere", scene, frames, FPS, place, ())
+    return place
 
 
-def _novel(mi, svbrdf, frames, surroundings, size, views) -> Stage:
-    if size[0] != size[1]:
-        raise ConfigError("a square picture for novel", f"{size[0]} x {size[1]}", "give --size with one number")
+def _turned(mi, scene: dict[str, Any], frames: int, around: Environment) -> Place:
+    return lambda frame: around.turned(360 * frame / frames)
+
+
+def _novel(mi, side: int, frames: int, views: Views | None) -> tuple[dict[str, Any], Place, Views]:
     seen = (views or nine_view_grid()).pick([0]).in_patch_sides().to(torch.float64)
-    scene = read_scene(mi, "patch.xml", **view_parameters(seen, size[0]))
+    scene = read_scene(mi, "patch.xml", **view_parameters(seen, side))
+    scene["sensor"]["sampler"] = {"type": "independent"}
     angle = torch.arange(frames, dtype=torch.float64) / frames * 2 * math.pi + 0.75 * math.pi
-    circle = torch.stack((angle.cos(), angle.sin(), torch.zeros_like(angle)), dim=1) * seen.camera[:, 2:] * 0.5
+    circle = torch.stack((angle.cos(), angle.sin(), torch.zeros_like(angle)), dim=1) * seen.camera[:, 2:] * OFF_LENS
     shown = Views(seen.camera.expand(frames, 3), seen.camera + circle, seen.intensity.expand(frames, 3))
-
-    def place(frame: int) -> dict[str, Any]:
-        return {"light.position": mi.Point3f(*shown.light[frame].tolist())}
-
-    return Stage("novel", scene, frames, FPS, place, (), shown)
+    return scene, lambda frame: {"light.position": mi.Point3f(*shown.light[frame].tolist())}, shown
