@@ -11,7 +11,7 @@ import signal
 import threading
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import IO
 
@@ -211,6 +211,28 @@ def output_folder(out: Path, overwrite: bool, resume: bool = False) -> Iterator[
                     out.rmdir()
         else:
             _empty(partial, keep=(CHECKPOINT,))
+
+
+def make_room(out: Path, names: Sequence[str]) -> None:
+    """Let files of these names (relative to ``out``) belong to our results, so that ``--overwrite`` takes them away again.
+
+    A file of anybody else that has such a name gets ``.old`` behind it.
+
+    Raises:
+        OutputError: ``out`` cannot be written.
+    """
+    out = Path(out)
+    try:
+        mine = [str(name) for name in json.loads((out / MANIFEST).read_text())]
+    except (OSError, ValueError, TypeError):
+        mine = []
+    try:
+        for name in names:
+            if name not in mine and os.path.lexists(out / name):
+                os.replace(out / name, _spare_name(out / name))
+    except OSError as reason:
+        raise OutputError(f"to write {out}", reason.strerror or str(reason), "choose a folder you may write to") from None
+    write_bytes(out / MANIFEST, json.dumps(sorted({*mine, *names})).encode())
 
 
 def _locked(partial: Path) -> IO:

@@ -45,14 +45,18 @@ from .options import (
     ViewSource,
     keep_apart,
     material_of,
+    photo_numbers,
     read_photos,
     views_of,
 )
 from .pretrain_hybrid import check_new_checkpoint, pretrain_hybrid
+from .report import report
 from .stability import stability
+from .view import view
 
 CONFIGS: dict[str, type[FitConfig]] = {"hierarchical": HierarchicalConfig, "hybrid": HybridConfig, "gan": GanConfig,
                                        "direct": DirectConfig}
+PREDICTED = 9  # photos left out of a fit that its page shows at once; `report --capture` shows all
 
 
 def fit_command(method: str) -> Callable:
@@ -84,15 +88,18 @@ def fit_command(method: str) -> Callable:
         --method gan --preset paper-one-stage, shortened by --iterations 500. Known maps are held fixed with
         --fix normal=flat --fix specular=0.04 --fix diffuse=map.exr, and cost nothing then.
 
-        Ctrl-C ends the fit and keeps its best result. OUT then holds maps/, guess/, rerendered/, sheet.png, curve.svg,
-        scene.xml (for plain Mitsuba), fit.json and the checkpoint that --resume goes on from.
+        Ctrl-C ends the fit and keeps its best result. OUT then holds report.html, the page to look at, maps/, guess/, photos/,
+        rerendered/, sheet.png, curve.svg, scene.xml (for plain Mitsuba), fit.json, report.json and the checkpoint that --resume
+        goes on from.
         """
         from ..report.folder import write_fit
 
         config.check()
         if falloff == "auto":
             falloff = "none" if method == "gan" else "inverse-square"
-        shots = read_photos(capture, resolution, views, transfer, falloff)
+        chosen = photo_numbers(views)
+        photos = read_photos(capture, resolution, None, transfer, falloff)
+        shots = photos if chosen is None else photos.pick(chosen)
         engine = make_renderer(renderer, variant)
         keep_apart(capture, out)
         if explain:
@@ -103,6 +110,7 @@ def fit_command(method: str) -> Callable:
         if resume and earlier is None:
             raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
         before = load_tensors(earlier)[1].get("iteration") if resume else None
+        unused = [number for number in photos.index if number not in shots.index][:PREDICTED]
         with files.output_folder(out, overwrite or resume, resume) as folder:
             collecting = profiling() if profile else contextlib.nullcontext()
             title = f"fit {shots.source.name if shots.source else ''} · {method} · {engine.name}"
@@ -112,7 +120,7 @@ def fit_command(method: str) -> Callable:
             with files.undisturbed():
                 write_fit(result, shots, folder, command={
                     "renderer": renderer, "resolution": resolution, "views": views, "falloff": shots.views.falloff,
-                    "transfer": transfer, "variant": variant})
+                    "transfer": transfer, "variant": variant}, left_out=photos.pick(unused) if unused else None)
         print_numbers("Re-rendering RMSE", dict(zip(shots.names, result.per_photo)) | {"all": result.rerender_rmse})
         if result.profile:
             print_profile(result.profile)
@@ -128,7 +136,7 @@ def fit_command(method: str) -> Callable:
                                      for name, c in sure))
         for warning in result.warnings:
             say(f"warning: {warning}")
-        say(f"wrote {out}/sheet.png, maps/, rerendered/, scene.xml, fit.json")
+        say(f"wrote {out}/report.html, sheet.png, maps/, rerendered/, scene.xml, fit.json")
         return 0
 
     # One flat set of options, those of the method; --fix may be repeated.
@@ -336,10 +344,10 @@ def _method_of(arguments: list[str]) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    commands = {"fit": fit_command(_method_of(arguments)), "guess": guess, "render": render, "evaluate": evaluate,
+    commands = {"fit": fit_command(_method_of(arguments)), "view": view, "guess": guess, "render": render, "evaluate": evaluate,
                 "compare": compare, "crosscheck": crosscheck, "leave-out": leave_out, "stability": stability, "bench": bench,
                 "synth": synth, "pretrain": pretrain_command, "pretrain-hybrid": pretrain_hybrid, "doctor": doctor,
-                "export": export, "demo": demo}
+                "export": export, "report": report, "demo": demo}
     if arguments == ["--version"]:
         say(f"mitsvbrdf {__version__}")
         return 0

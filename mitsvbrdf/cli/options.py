@@ -46,17 +46,19 @@ def read_photos(capture: Path, resolution: int, views: str | None, transfer, fal
     """The photos as asked for, with what was noticed about them said."""
     if resolution < 8:
         raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
-    index = None
-    if views is not None:
-        try:
-            index = [int(part) for part in views.split(",")]
-        except ValueError:
-            raise ConfigError("photo numbers like 0,1,2,5", repr(views), "separate them by commas") from None
-    shots = read_capture(capture, resolution=resolution, index=index, falloff=falloff,
+    shots = read_capture(capture, resolution=resolution, index=photo_numbers(views), falloff=falloff,
                          transfer=None if transfer == "auto" else transfer)
     for note in shots.notes:
         say(note)
     return shots
+
+
+def photo_numbers(views: str | None) -> list[int] | None:
+    """The numbers that ``--views`` names; None for all."""
+    try:
+        return None if views is None else [int(part) for part in views.split(",")]
+    except ValueError:
+        raise ConfigError("photo numbers like 0,1,2,5", repr(views), "separate them by commas") from None
 
 
 def material_of(name: str, resolution: int = 256) -> SVBRDF:

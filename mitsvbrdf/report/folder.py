@@ -15,26 +15,30 @@ from ..fit.confidence import confidence
 from ..fit.result import FitResult
 from ..maps import save_maps
 from ..provenance import machine, versions
+from .fit_page import keep_photos, write_report
 from .sheet import loss_curve, write_sheet
 
 SCHEMA_VERSION = 1
 METHODS = {"HierarchicalConfig": "hierarchical", "HybridConfig": "hybrid", "GanConfig": "gan", "DirectConfig": "direct"}
 
 
-def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dict | None = None) -> None:
-    """Write a fit: maps, their uncertainty, guess, rerendered photos, sheet, curve, Mitsuba scene and ``fit.json``.
+def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dict | None = None,
+              left_out: Capture | None = None) -> None:
+    """Write a fit: maps, their uncertainty, guess, photos and re-renderings, sheet, curve, Mitsuba scene, ``fit.json``, page.
 
     Args:
         result: what :func:`mitsvbrdf.fit.fit_svbrdf` gave.
         capture: the photos it was fitted to.
         out: the folder, made when missing.
         command: options of the command line, kept in ``fit.json``.
+        left_out: photos that the fit did not use, for the page to predict.
     """
     out = Path(out)
     save_maps(result.svbrdf, out / "maps")
     write_linear(out / "guess" / "diffuse", result.guess, "srgb")
     for name, spread in result.deviations.items():
         files.write_exr(out / "uncertainty" / f"{name}.exr", spread.square().mean(dim=-1, keepdim=True).sqrt())
+    keep_photos(out, capture)
     for name, image in zip(capture.names, result.rerendered):
         write_linear(out / "rerendered" / name, image, capture.transfer)
     method = METHODS[type(result.config).__name__]
@@ -49,6 +53,7 @@ def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dic
     loss_curve(out / "curve.svg", result.trace)
     write_scene(out, result.svbrdf, result.views)
     files.write_json(out / "fit.json", fit_record(result, capture, command or {}))
+    write_report(out, quick=True, left_out=left_out)
 
 
 def write_linear(stem: Path, image: Tensor, transfer: color.Transfer) -> None:

@@ -7,6 +7,7 @@ matplotlib. ``templates/base.html`` holds the look they share.
 from __future__ import annotations
 
 import base64
+import functools
 import io
 import math
 from pathlib import Path
@@ -14,12 +15,15 @@ from pathlib import Path
 import cv2
 import jinja2
 import matplotlib
+import numpy as np
 import torch
 import torch.nn.functional as F
 from matplotlib.figure import Figure
 from torch import Tensor
 
 from .. import color, files
+
+LARGEST_PNG = 64 * 1024  # bytes
 
 
 def write_page(path: str | Path, template: str, **context: object) -> None:
@@ -37,10 +41,15 @@ def write_page(path: str | Path, template: str, **context: object) -> None:
 
 def page_text(template: str, **context: object) -> str:
     """``templates/TEMPLATE`` as text, with the arguments of :func:`write_page`; what UTF-8 cannot write becomes a ?."""
+    return _environment().get_template(template).render(context).encode(errors="replace").decode()
+
+
+@functools.cache
+def _environment() -> jinja2.Environment:
     environment = jinja2.Environment(loader=jinja2.PackageLoader("mitsvbrdf", "report/templates"), autoescape=True,
                                      undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {"figure": figure, "seconds": seconds}
-    return environment.get_template(template).render(context).encode(errors="replace").decode()
+    return environment
 
 
 def figure(value: float | None) -> str:
@@ -66,6 +75,22 @@ def png_uri(display: Tensor) -> str:
     pixels = (color.clip(display.detach().float()) * 255).round().to(torch.uint8)
     pixels = pixels.expand(*pixels.shape[:2], 3).flip(-1).contiguous().numpy()  # OpenCV writes BGR
     return "data:image/png;base64," + base64.b64encode(cv2.imencode(".png", pixels)[1].tobytes()).decode()
+
+
+def picture_uri(display: Tensor) -> str:
+    """A picture for ``<img src>``, as :func:`png_uri` up to 64 KiB, else a JPEG of quality 90.
+
+    Args:
+        display: H x W x 3 (or x 1), display values; clipped to [0, 1].
+    """
+    exact = png_uri(display)
+    if len(exact) < 4 / 3 * LARGEST_PNG:
+        return exact
+    pixels = np.rint(color.clip(display.detach().float()).expand(*display.shape[:2], 3).numpy() * 255).astype(np.uint8)
+    ok, data = cv2.imencode(".jpg", np.ascontiguousarray(pixels[..., ::-1]), [
+        cv2.IMWRITE_JPEG_QUALITY, 90, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444])
+    assert ok
+    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
 
 
 def at_most(picture: Tensor, side: int) -> Tensor:

@@ -1,0 +1,52 @@
+"""``mitsvbrdf report``: the page of a fit, made again from its folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from .. import files
+from ..capture import read_capture
+from ..progress import print_numbers, progress_bar, say, say_written
+from ..report.page import figure
+
+
+def report(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder that `mitsvbrdf fit` wrote.")]],
+           capture: Annotated[Path | None, arg(metavar="CAPTURE", help=(
+               "The photos of the fit: shown beside their re-renderings, and those left out of it predicted."))] = None,
+           quick: Annotated[bool, arg(help="Check as `fit` does: its own renderer, small, nothing timed.")] = False) -> int:
+    """Write OUT/report.html, one page about a fit that opens from disk, and its numbers, OUT/report.json.
+
+    `fit` writes them too, quickly. This command holds every renderer against the float64 twin on the fitted maps in the views
+    of the fit, with run times, and measures what was saved by leaving out what the material does not need.
+    """
+    from ..report.fit_page import check_photos, keep_photos, read_fit, write_report
+
+    found = read_fit(out)
+    left_out, written = None, ["report.html", "report.json"]
+    if capture is not None:
+        about = found.record["capture"]
+        shots = read_capture(capture, resolution=about["resolution"], transfer=found.fit.transfer, falloff=found.fit.falloff)
+        used = shots.pick(found.fit.seen)
+        check_photos(found, used)
+        others = [number for number in shots.index if number not in found.fit.seen]
+        left_out = shots.pick(others) if others else None
+        written += [f"photos/{name}.png" for name in shots.names] + [f"predicted/{number:02d}.png" for number in others]
+    files.make_room(out, written)
+    if capture is not None:
+        keep_photos(out, used)
+    with progress_bar(f"report {out.name}") as tell:
+        record = write_report(out, quick, left_out, tell)
+    if record["left_out_rmse"] is not None:
+        missed = {photo["name"]: photo["rmse"] for photo in record["photos"] if photo["left_out"]}
+        print_numbers("Re-rendering RMSE, left out of the fit", missed | {"all": record["left_out_rmse"]})
+    if record["crosscheck"]:
+        for found_wrong in record["crosscheck"]["violations"]:
+            say(f"exceeded: {found_wrong['renderer']}: {found_wrong['what']} {found_wrong['value']:.3g} > "
+                f"{figure(found_wrong['tolerance'])}")
+    for row in record["saved"]["rows"][:-1] if record["saved"] else ():
+        say(f"{row['what']}, {row['renderer']}: {row['ratio']:.1f} times as long as what this fit needs")
+    say_written(out / "report.html", out / "report.json")
+    return 0

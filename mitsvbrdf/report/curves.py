@@ -1,0 +1,69 @@
+"""Curves on logarithmic axes as what an inline SVG needs: a template draws them in the colours of its page, light or dark."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+WIDTH, HEIGHT = 460, 270
+LEFT, RIGHT, TOP, BOTTOM = 48, 12, 10, 38
+COLOURS = ("#d1651f", "#2b7fc4", "#3a9a54", "#b453b0", "#a98417", "#6673dc", "#c9485c", "#1f9c9c")  # seen on black and on white
+MARKED = 40  # points a line may have to show each
+MOST = 1000
+
+
+def curves(trace: Sequence[Mapping], names: Sequence[str]) -> dict | None:
+    """The named columns of a trace against its seconds, both logarithmic.
+
+    Points at 0 seconds and values that are not positive or not finite have no place on such axes and are left out.
+
+    Args:
+        trace: one dict a measurement, with ``seconds``.
+        names: which columns.
+
+    Returns:
+        ``width`` and ``height``, the ``frame`` (left, top, right, bottom), ``x`` and ``y`` as (place, label) of each tick, and
+        ``lines``: ``name``, ``colour``, ``points`` (x, y, seconds, value), ``marked``; None without a point.
+    """
+    rows = list(trace[::max(1, math.ceil(len(trace) / MOST))])
+    rows += [trace[-1]] if trace and rows[-1] is not trace[-1] else []
+    lines = {name: [(row["seconds"], row[name]) for row in rows if _positive(row["seconds"]) and _positive(row.get(name))]
+             for name in names}
+    lines = {name: points for name, points in lines.items() if points}
+    if not lines:
+        return None
+    x = _Axis([s for points in lines.values() for s, _ in points], LEFT, WIDTH - RIGHT)
+    y = _Axis([v for points in lines.values() for _, v in points], HEIGHT - BOTTOM, TOP)
+    return {"width": WIDTH, "height": HEIGHT, "frame": (LEFT, TOP, WIDTH - RIGHT, HEIGHT - BOTTOM),
+            "x": x.ticks(), "y": y.ticks(),
+            "lines": [{"name": name, "colour": COLOURS[i % len(COLOURS)], "marked": len(points) <= MARKED,
+                       "points": [(x(s), y(v), s, v) for s, v in points]} for i, (name, points) in enumerate(lines.items())]}
+
+
+def _positive(value: float | None) -> bool:
+    return value is not None and 0 < value < math.inf
+
+
+class _Axis:
+    """Where a value lies between two places of the picture, on a logarithmic scale with a little room at both ends."""
+
+    def __init__(self, values: Sequence[float], start: float, end: float) -> None:
+        low, high = math.log10(min(values)), math.log10(max(values))
+        room = max(0.04 * (high - low), 0.02)
+        self.low, self.high, self.start, self.end = low - room, high + room, start, end
+
+    def __call__(self, value: float) -> float:
+        share = (math.log10(value) - self.low) / (self.high - self.low)
+        return round(self.start + share * (self.end - self.start), 1)
+
+    def ticks(self) -> list[tuple[float, str]]:
+        """Powers of ten, at most about eight; where fewer than three lie on the axis, steps between them too."""
+        decades = range(math.floor(self.low), math.ceil(self.high) + 1)
+        every = math.ceil(len(decades) / 8)
+        for steps in ((1,), (1, 2, 5), (1, 1.5, 2, 3, 4, 5, 6, 8)):
+            values = [step * 10.0**decade for decade in decades[::every] for step in steps]
+            inside = [value for value in values if self.low <= math.log10(value) <= self.high]
+            if len(inside) > 2:
+                return [(self(value), f"{value:g}") for value in inside]
+        ends = (10**(self.low + k * (self.high - self.low) / 4) for k in (1, 2, 3))
+        return [(self(value), f"{value:.3g}") for value in ends]

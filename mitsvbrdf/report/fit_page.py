@@ -1,0 +1,263 @@
+"""The page of a fit: made from what lies in its folder, so that it can be made again at any time."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+import matplotlib
+import torch
+from torch import Tensor
+
+from .. import color, files
+from ..capture import Capture
+from ..errors import CaptureError, MapsError
+from ..evaluate import Fit, fit_of
+from ..evaluate.fit_report import fit_report, predict
+from ..fit.confidence import UNKNOWN
+from ..maps import CHANNELS, SVBRDF, load_maps
+from ..metrics import photo_rmse
+from ..render import Renderer, RendererName, make_renderer
+from .curves import curves
+from .page import at_most, picture_uri, write_page
+from .sheet import TITLES, shown_map
+from .viewer import viewer_html
+
+LARGEST_MAP = 512  # pixels a side on the page
+LARGEST_PHOTO, SMALLEST_PHOTO, PHOTOS_WIDE = 512, 96, 768  # nine photos get 256 px, a hundred 96
+ROWS = 200  # of the table of measurements
+SAME_PHOTO = 1e-4  # how far the error of a photo may be from what fit.json says; the same photos agree to float32, 1e-7
+
+_NUMBER = (int, float)
+# What a page needs of fit.json, as types; {str: X} is an object of X, [X] a list of X.
+_SHAPE = {
+    "method": str, "renderer": str, "bsdf": str, "rerender_rmse": _NUMBER, "per_photo": {str: _NUMBER},
+    "confidence": {str: {"median_sd": _NUMBER, "determined_share": _NUMBER}}, "burn_in": {str: _NUMBER}, "warnings": [str],
+    "stopped": str, "undone_steps": int, "undone": [{"iteration": int, "reason": str}],
+    "restarts": [{"iteration": int, "reason": str}], "seconds": _NUMBER, "iterations": int, "seed": int,
+    "config": {"fix": [str], "grey_specular": bool}, "command": {str: object}, "left_out": [{"what": str, "why": str}],
+    "capture": {"photos": [int], "resolution": int, "transfer": str, "calibrated": bool, "notes": [str]},
+    "versions": {str: object}, "machine": {str: object}, "trace": [{str: _NUMBER}]}
+
+Report = Callable[[str, float], object]
+
+
+@dataclass(frozen=True)
+class FitFolder:
+    """What ``fit`` left on disk.
+
+    Args:
+        path: the folder.
+        record: ``fit.json``, its shape checked.
+        fit: the same as the other commands read it.
+        svbrdf: the maps.
+    """
+
+    path: Path
+    record: dict
+    fit: Fit
+    svbrdf: SVBRDF
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the photos that the fit used."""
+        return list(self.record["per_photo"])
+
+    def renderer(self) -> Renderer | None:
+        """That of the fit; None for one that is not ours."""
+        name, variant = self.record["renderer"], self.record.get("variant")
+        return make_renderer(name, variant or "llvm_ad_rgb") if name in get_args(RendererName) else None
+
+
+def read_fit(folder: str | Path) -> FitFolder:
+    """A fit's folder, checked.
+
+    Raises:
+        MapsError: it is none, or not a whole one.
+    """
+    folder = Path(folder)
+    path = folder / "fit.json"
+    if not path.is_file():
+        raise MapsError("a folder that `mitsvbrdf fit` wrote", f"{folder}, which has no fit.json", "give the OUT of a fit")
+    fit, record = fit_of(folder), json.loads(path.read_text())
+    wrong = "schema_version" if record.get("schema_version") != 1 else _misfit(record, _SHAPE)
+    names = [f"{number:02d}" for number in fit.seen] if not wrong else []
+    if not wrong and not (names == list(record["per_photo"]) and len(fit.views) == len(names) > 0
+                          and all({"seconds", "rerender_rmse"} <= set(row) for row in record["trace"])):
+        wrong = "per_photo, views or trace"
+    if wrong:
+        raise MapsError("a fit.json of schema version 1", f"{path}, whose {wrong} is missing or of another kind",
+                        "fit again with this version")
+    return FitFolder(folder, record, fit, load_maps(folder / "maps", record["bsdf"]))
+
+
+def _misfit(value: object, shape: object, where: str = "") -> str:
+    """Where a value does not have a shape as in ``_SHAPE``; empty text where it has."""
+    if isinstance(shape, list):
+        parts = [(part, shape[0], where) for part in value] if isinstance(value, list) else None
+    elif isinstance(shape, dict) and isinstance(value, dict):
+        keys = list(value) if list(shape) == [str] else list(shape)
+        parts = [(value.get(key), shape.get(key, shape.get(str)), f"{where}.{key}" if where else key) for key in keys]
+    else:
+        return "" if not isinstance(shape, dict) and isinstance(value, shape) else where  # type: ignore[arg-type]
+    return where if parts is None else next(filter(None, (_misfit(*part) for part in parts)), "")
+
+
+def keep_photos(folder: Path, capture: Capture) -> None:
+    """The photos as ``photos/NN.png``: display values, 8 bits."""
+    for name, photo in zip(capture.names, capture.photos):
+        files.write_png(folder / "photos" / f"{name}.png", photo)
+
+
+def write_report(folder: str | Path, quick: bool = False, left_out: Capture | None = None,
+                 report: Report = lambda text, share: None) -> dict:
+    """Measure what a page shows beside ``fit.json``, and write ``report.json`` and ``report.html`` into a fit's folder.
+
+    Args:
+        folder: of the fit, with the photos it used in ``photos/`` where they are to be shown.
+        quick: check the fit's renderer alone, on small maps and few views, and time nothing.
+        left_out: photos that the fit did not use, to predict and keep; None: those that an earlier page had.
+        report: told what is going on and the share done.
+
+    Returns:
+        What ``report.json`` holds.
+
+    Raises:
+        MapsError: not the folder of a fit.
+        OutputError: the folder cannot be written.
+        BackendError: the fit's renderer does not work here.
+    """
+    found = read_fit(folder)
+    engine = found.renderer()
+    predicted, error = _earlier(found) if left_out is None or engine is None else _predicted(found, left_out, engine)
+    photos = [{"name": name, "left_out": False, "rmse": rmse, "photo": _there(found.path, f"photos/{name}.png"),
+               "rerendered": f"rerendered/{name}.png"} for name, rmse in found.record["per_photo"].items()]
+    transfer = found.record["capture"]["transfer"]
+    measured = fit_report(found.svbrdf, found.fit.views, engine, names=found.names, transfer=transfer,
+                          fixed=[entry.split("=")[0] for entry in found.record["config"]["fix"]],
+                          grey_specular=found.record["config"]["grey_specular"], quick=quick, report=report)
+    record = measured | {"photos": photos + predicted, "left_out_rmse": error}
+    files.write_json(found.path / "report.json", record)
+    _write_page(found, record)
+    return record
+
+
+def check_photos(found: FitFolder, capture: Capture) -> None:
+    """Raise CaptureError unless these are the photos of the fit, as their errors tell."""
+    images = torch.stack([files.read_image(found.path / "rerendered" / f"{name}.exr", MapsError) for name in found.names])
+    if images.shape != capture.photos.shape:
+        raise CaptureError(f"photos of {images.shape[1]} px", f"{capture.resolution} px in {capture.source}",
+                           "give the capture that was fitted")
+    errors = photo_rmse(images, capture.photos, found.record["capture"]["transfer"])[1]
+    for name, error in zip(found.names, errors):
+        if abs(error - found.record["per_photo"][name]) > SAME_PHOTO:
+            raise CaptureError("the photos of this fit", f"{capture.source}, whose photo {name} is another (error {error:.4f} "
+                               f"instead of {found.record['per_photo'][name]:.4f})", "give the capture that was fitted")
+
+
+def _there(folder: Path, name: str) -> str | None:
+    return name if (folder / name).is_file() else None
+
+
+def _predicted(found: FitFolder, capture: Capture, engine: Renderer) -> tuple[list[dict], float]:
+    images, error, each = predict(found.svbrdf, capture, engine, found.fit.flash_offset)
+    keep_photos(found.path, capture)
+    for name, image in zip(capture.names, images):
+        files.write_png(found.path / "predicted" / f"{name}.png", color.to_display(image, capture.transfer))
+    return [{"name": name, "left_out": True, "rmse": rmse, "photo": f"photos/{name}.png", "rerendered": f"predicted/{name}.png"}
+            for name, rmse in zip(capture.names, each)], error
+
+
+def _earlier(found: FitFolder) -> tuple[list[dict], float | None]:
+    """Photos left out that an earlier page of this folder had."""
+    try:
+        record = json.loads((found.path / "report.json").read_text())
+        photos, error = [photo for photo in record["photos"] if photo["left_out"] is True], record["left_out_rmse"]
+        numbers = [int(photo["name"]) for photo in photos]
+    except (OSError, ValueError, KeyError, TypeError):
+        return [], None
+    shape = {"name": str, "rmse": _NUMBER, "photo": str, "rerendered": str}
+    if (not photos or _misfit(photos, [shape], "photos") or not isinstance(error, _NUMBER)
+            or not all(photo["photo"] == f"photos/{n:02d}.png" and photo["rerendered"] == f"predicted/{n:02d}.png"
+                       and _there(found.path, photo["photo"]) and _there(found.path, photo["rerendered"])
+                       for photo, n in zip(photos, numbers))):
+        return [], None
+    return photos, error
+
+
+def _write_page(found: FitFolder, record: dict) -> None:
+    fit = found.record
+    side = int(max(SMALLEST_PHOTO, min(LARGEST_PHOTO, PHOTOS_WIDE / len(record["photos"])**0.5)))
+    title = f"{fit['capture'].get('name') or 'Capture'}: recovered material"
+    write_page(found.path / "report.html", "report.html", title=title, fit=fit, record=record, maps=_maps(found),
+               photos=[_photo(found.path, photo, side) for photo in record["photos"]], viewer=viewer_html(found.svbrdf),
+               curves=_curves(fit["trace"]), measured=_thinned(fit["trace"]), unknown=UNKNOWN, ramp=_ramp(), titles=TITLES,
+               scalar=_scalar)
+
+
+def _maps(found: FitFolder) -> list[dict]:
+    """Of each map its name, its picture, and a picture of its standard deviation where there is one."""
+    maps = []
+    for name in CHANNELS[found.svbrdf.bsdf]:
+        spread = found.path / "uncertainty" / f"{name}.exr"
+        sure = files.read_image(spread, MapsError)[..., 0] / UNKNOWN if spread.is_file() else None
+        maps.append({"name": name, "title": TITLES[name], "picture": _map_uri(name, found.svbrdf[name]),
+                     "spread": None if sure is None else picture_uri(_magma(sure))})
+    guess = found.path / "guess" / "diffuse.exr"
+    if guess.is_file():
+        maps.append({"name": None, "title": "Guessed diffuse", "spread": None,
+                     "picture": _map_uri("diffuse", files.read_image(guess, MapsError))})
+    return maps
+
+
+def _map_uri(name: str, value: Tensor) -> str:
+    return picture_uri(at_most(shown_map(name, value), LARGEST_MAP))
+
+
+def _magma(share: Tensor) -> Tensor:
+    return torch.as_tensor(matplotlib.colormaps["magma"](share.clamp(0, 1).numpy())[..., :3], dtype=torch.float32)
+
+
+def _ramp() -> str:
+    return picture_uri(_magma(torch.linspace(0, 1, 256).expand(8, 256)))
+
+
+def _photo(folder: Path, photo: dict, side: int) -> dict:
+    """Pictures of a photo, its re-rendering, and four times their difference; without the photo, the re-rendering alone."""
+    rendered = files.read_image(folder / photo["rerendered"], MapsError)
+    pictures = {"rerendered": picture_uri(at_most(rendered, side)), "photo": None, "difference": None}
+    if photo["photo"]:
+        seen = files.read_image(folder / photo["photo"], MapsError)
+        if seen.shape != rendered.shape:
+            raise MapsError(f"{photo['photo']} as large as {photo['rerendered']}",
+                            f"{tuple(seen.shape[:2])} beside {tuple(rendered.shape[:2])} in {folder}",
+                            "add --capture with the photos of the fit")
+        pictures |= {"photo": picture_uri(at_most(seen, side)),
+                     "difference": picture_uri(at_most(4 * (seen - rendered).abs(), side))}
+    return photo | {"pictures": pictures, "side": min(side, rendered.shape[0])}
+
+
+def _curves(trace: Sequence[Mapping]) -> list[tuple[str, dict]]:
+    """Title and drawing of the error, and of the losses, against seconds; without those that have no point."""
+    losses = [name for name in dict.fromkeys(name for row in trace for name in row)
+              if name not in ("seconds", "iteration", "rerender_rmse")]
+    drawn = (("Re-rendering RMSE", curves(trace, ["rerender_rmse"])), ("Losses", curves(trace, losses)))
+    return [(title, drawing) for title, drawing in drawn if drawing]
+
+
+def _thinned(trace: Sequence[Mapping]) -> list[Mapping]:
+    """At most about 200 rows of a trace, the last among them."""
+    rows = list(trace[::max(1, len(trace) // ROWS)])
+    return rows if not rows or rows[-1] is trace[-1] else [*rows, trace[-1]]
+
+
+def _scalar(value: object) -> str:
+    """A setting as text: lists joined, None as a dash."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(_scalar, value)) or "–"
+    return "–" if value is None else str(value)
