@@ -20,6 +20,7 @@ _HOME = {
     "write_fit": "report.folder", "write_scene": "export.mitsuba",
     "export_material": "export",
     "make_material": "procedural",
+    "Progress": "progress",
     "MitsvbrdfError": "errors",
 }
 __all__ = sorted(_HOME)

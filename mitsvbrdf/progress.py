@@ -1,4 +1,4 @@
-"""What a user sees in the terminal: one live line while a fit runs, small tables, plain notes."""
+"""What a user sees in a terminal or a notebook: one live line while a fit runs, small tables, plain notes."""
 
 from __future__ import annotations
 
@@ -17,25 +17,67 @@ from rich.text import Text
 console = Console(stderr=False, highlight=False)
 
 
+class Cell:
+    """Text below a notebook cell that is replaced in place, at most four times a second; what it said last is kept.
+
+    It is plain text, which Jupyter, VS Code, Colab and pages made of saved notebooks all show; rich's live displays would need
+    ipywidgets, and a saved notebook would not show them.
+
+    Args:
+        title: stands before the bar.
+    """
+
+    WIDTH, SECONDS = 32, 0.25
+
+    def __init__(self, title: str) -> None:
+        from IPython.display import DisplayHandle
+        self.title, self.handle, self.due = title, DisplayHandle(), 0.0
+        self.shown = self.latest = ""
+
+    def show(self, share: float, line: str) -> None:
+        """Title, a bar of the share done (0 to 1) and a line of text; shown at once where it is the last, at share 1."""
+        done = round(self.WIDTH * min(max(share, 0.0), 1.0))
+        self.latest = f"{self.title}  {'━' * done}{'─' * (self.WIDTH - done)}\n{line}"
+        if share >= 1 or time.perf_counter() >= self.due:
+            self.close()
+
+    def close(self) -> None:
+        """Show what came last."""
+        if self.latest != self.shown:
+            (self.handle.update if self.shown else self.handle.display)({"text/plain": self.latest}, raw=True)
+            self.shown, self.due = self.latest, time.perf_counter() + self.SECONDS
+
+
 class Progress:
     """A live line with error, losses, speed and time left; without a terminal, a plain line every ten seconds.
 
-    Called with (trace entry, share done); use as a context manager.
+    In a notebook it stands below a bar, and stays with the saved notebook. Called with (trace entry, share done), as the
+    ``report`` of :func:`mitsvbrdf.fit.fit_svbrdf`. Best used as a context manager: without, a terminal shows plain lines too,
+    and where a fit is interrupted what a notebook shows may be a quarter of a second old.
+
+    Args:
+        title: what is going on.
     """
 
-    def __init__(self, title: str) -> None:
+    def __init__(self, title: str = "fit") -> None:
         self.title, self.started, self.last = title, time.perf_counter(), 0.0
         self.first: tuple[int, float] | None = None
-        self.live = Live(Text(title), console=console, refresh_per_second=4, transient=False) if sys.stdout.isatty() else None
+        self.live: Live | None = None
+        self.cell = Cell(title) if console.is_jupyter else None
 
     def __enter__(self) -> Progress:
-        if self.live:
+        if self.cell:
+            self.cell.show(0.0, "")
+        elif sys.stdout.isatty():
+            self.live = Live(Text(self.title), console=console, refresh_per_second=4, transient=False)
             self.live.start()
         else:
             say(self.title)
         return self
 
     def __exit__(self, *_: object) -> None:
+        if self.cell:
+            self.cell.close()
         if self.live:
             self.live.stop()
 
@@ -47,7 +89,9 @@ class Progress:
         losses = "  ".join(f"{k} {v:.4f}" for k, v in entry.items() if k not in ("seconds", "iteration", "rerender_rmse"))
         line = (f"{share:4.0%}  {entry['seconds']:6.1f} s  iteration {entry['iteration']}  rmse {entry['rerender_rmse']:.4f}  "
                 f"{losses}  {speed:.1f} it/s  {left:.0f} s left")
-        if self.live:
+        if self.cell:
+            self.cell.show(share, line)
+        elif self.live:
             self.live.update(Text(f"{self.title}\n{line}"))
         elif now - self.last > 10 or share >= 1:
             self.last = now
@@ -56,7 +100,14 @@ class Progress:
 
 @contextlib.contextmanager
 def progress_bar(title: str) -> Iterator[Callable[[str, float], None]]:
-    """What to tell (text, share done): a bar on a terminal, else a line every ten seconds."""
+    """What to tell (text, share done): a bar on a terminal or in a notebook, else a line every ten seconds."""
+    if console.is_jupyter:
+        cell = Cell(title)
+        try:
+            yield lambda text, share: cell.show(share, f"{share:4.0%}  {text}")
+        finally:
+            cell.close()
+        return
     if sys.stdout.isatty():
         columns = rich.progress.TextColumn("{task.description}"), rich.progress.BarColumn(), rich.progress.TaskProgressColumn()
         with rich.progress.Progress(*columns, console=console, transient=True) as bar:
