@@ -8,7 +8,7 @@ import uuid
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import MitsvbrdfError
+from ..errors import OutputError
 from ..profile import profiled
 from .checkpoint import save_tensors
 from .doubts import about_photos, about_steps
@@ -47,7 +47,7 @@ class LiveRecord:
         began = time.perf_counter()
         if began < self.due and not stopped:
             return
-        with profiled("live record"), contextlib.suppress(MitsvbrdfError):
+        with profiled("live record"), contextlib.suppress(OutputError):
             self.write(loop, losses, stopped)
         ended = time.perf_counter()
         self.due = ended + max(SECONDS, (ended - began) * (1 / SHARE - 1))
@@ -62,7 +62,6 @@ class LiveRecord:
 
         Raises:
             OutputError: it cannot be written.
-            MapsError: the present state is no material.
         """
         method, capture = loop.method, loop.capture
         if self.about_photos is None:

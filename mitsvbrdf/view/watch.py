@@ -113,7 +113,8 @@ class Watch:
         if version and not (self.record and self.record.version == version):
             try:
                 tensors, note = load_tensors(path)
-                maps = {name: files.encode_png(shown_map(name, tensors[name].float())) for name in CHANNELS[note["bsdf"]]}
+                maps = {name: files.encode_png(shown_map(name, tensors[name].float().nan_to_num()))
+                        for name in CHANNELS[note["bsdf"]]}
                 shown = {key: note[key] for key in ("run", "method", "renderer", "capture", "bsdf", "resolution", "iteration",
                                                     "seconds", "share", "stopped", "latest_is_best", "trace", "latest",
                                                     "warnings")}
