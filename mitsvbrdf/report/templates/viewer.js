@@ -11,14 +11,14 @@
 
   const start = () => ({
     surface: "patch", show: "lit",
-    light: [0.25, 0.3, 0.7],  // above the patch; of the sphere: right, up and toward the camera from its foremost point
+    light: [0.3, 0.35, 1],   // above the patch; of the sphere: right, up and toward the camera from its foremost point
     turn: [0, 0],             // of the camera around the surface, degrees to the right and up
     exposure: 0,              // stops
     roughnessScale: 1, tiles: 1,
     maps: Object.fromEntries(names.map((name) => [name, true])),
   });
   const state = start();
-  const DISTANCE = 3, ZOOM = { rectified: 1, patch: 5.6, sphere: 5.3 };
+  const DISTANCE = 3, FILL = 0.94;  // of the camera from the centre; how much of the picture the surface fills
   const LIMITS = { exposure: [-4, 4], roughnessScale: [0.25, 3], tiles: [1, 4] };
 
   const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
@@ -110,7 +110,7 @@
       for (const name of ["camera", "light", "intensity"]) floats(name, scene[name]);
       gl.uniformMatrix3fv(this.place("axes"), false, scene.axes.flat());
       floats("span", [width, height]);
-      floats("zoom", [ZOOM[scene.surface]]);
+      floats("zoom", [scene.zoom]);
       floats("exposure", [2 ** scene.exposure]);
       floats("roughnessScale", [scene.roughnessScale]);
       floats("uses", [colour, second, "roughness", "normal"].map((name) => Number(scene.maps[name])));
@@ -142,8 +142,8 @@
   }
 
   // ---- Scene -----------------------------------------------------------------------------------------------------------
-  // What the shader needs, from the state and what overrides it. A white diffuse texel below the light has radiance 1 where
-  // no intensity is given.
+  // What the shader needs, from the state and what overrides it. Where no intensity is given, a white diffuse texel that faces
+  // the light from the centre of the patch, or from the sphere's foremost point, has radiance 1 wherever the light stands.
   function sceneOf(overrides = {}) {
     const scene = { ...state, ...overrides, maps: { ...state.maps, ...overrides.maps } };
     const [across, up] = scene.turn.map((degrees) => degrees * Math.PI / 180);
@@ -152,17 +152,28 @@
     const above = [back[1] * right[2], back[2] * right[0] - back[0] * right[2], -back[1] * right[0]];
     scene.axes = [right, above, back];
     scene.camera = overrides.camera ?? back.map((x) => DISTANCE * x);
-    const power = Math.PI * scene.light[2] ** 2;
+    scene.zoom = FILL / reachOf(scene);
+    const power = Math.PI * dot(scene.light, scene.light);
     scene.intensity = overrides.intensity ?? [power, power, power];
     if (scene.surface === "sphere") scene.light = along(scene.axes, [scene.light[0], scene.light[1], scene.light[2] + 0.5]);
     return scene;
   }
 
+  // How far the surface reaches from the middle of the picture, as a tangent.
+  function reachOf({ surface, axes, camera }) {
+    if (surface === "sphere") return 0.5 / Math.sqrt(dot(camera, camera) - 0.25);
+    const corners = [[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]];
+    return Math.max(...corners.map(([x, y]) => {
+      const [right, above, back] = axes.map((axis) => dot(axis, [x - camera[0], y - camera[1], -camera[2]]));
+      return Math.max(Math.abs(right), Math.abs(above)) / -back;
+    }));
+  }
+
   // Where the pointer puts the light: above the point of the patch under it; beside the sphere's foremost point.
   function lightAt(x, y) {
-    const scene = sceneOf(), reach = DISTANCE / ZOOM[state.surface];
-    if (state.surface === "sphere") return [x * 1.5 * reach, y * 1.5 * reach, state.light[2]];
-    const ray = along(scene.axes, [x, y, -ZOOM.patch]);
+    const scene = sceneOf();
+    if (state.surface === "sphere") return [x, y, state.light[2]];
+    const ray = along(scene.axes, [x, y, -scene.zoom]);
     const length = ray[2] < 0 ? -scene.camera[2] / ray[2] : 1e3;
     return [scene.camera[0] + length * ray[0], scene.camera[1] + length * ray[1], state.light[2]];
   }
@@ -197,7 +208,8 @@
     for (const [name, text] of Object.entries(told)) {
       const input = form.elements[name], value = name === "height" ? state.light[2] : state[name];
       input.value = value;
-      input.setAttribute("aria-valuetext", input.previousElementSibling.textContent = text(value));
+      input.previousElementSibling.textContent = text(value);
+      input.setAttribute("aria-valuetext", text(value));
     }
     for (const set of form.querySelectorAll(".lighting")) set.disabled = state.show !== "lit";
     const signed = (x, digits) => (x < 0 ? "−" : "") + Math.abs(x).toFixed(digits);
@@ -249,7 +261,7 @@
     event.preventDefault();
     const [x, y, z] = state.light;
     if (rise) set({ light: [x, y, z + 0.05 * rise] });
-    else if (event.shiftKey) set({ turn: state.turn.map((angle, i) => angle + 5 * arrow[i]) });
+    else if (event.shiftKey) set({ turn: state.turn.map((angle, i) => angle - 5 * arrow[i]) });
     else set({ light: [x + 0.05 * arrow[0], y + 0.05 * arrow[1], z] });
   });
 
@@ -290,10 +302,11 @@
     ready: begin(),  // whether it can draw
     // Pixels of a square picture, four values each, row 0 at the top: bytes of sRGB, or, if `linear`, floats of linear
     // radiance. Whatever of the state is not given is as it stands. view: patch, sphere, or rectified, where pixel = texel
-    // for camera and light at these positions. intensity: of the light, rgb; left out: pi (height of the light)^2.
+    // for camera and light at these positions. intensity: of the light, rgb; left out: pi |light|^2.
+    // axes (right, up, back) and zoom say how the camera of patch and sphere looks.
     pixels({ view = "rectified", size = about.resolution, samples = 1, linear = false, ...overrides } = {}) {
       const scene = sceneOf({ ...overrides, surface: view }), data = screen.read(scene, size, samples, linear);
-      return { size, data, camera: scene.camera, light: scene.light, axes: scene.axes, zoom: ZOOM[view] };
+      return { size, data, camera: scene.camera, light: scene.light, axes: scene.axes, zoom: scene.zoom };
     },
   };
 })();
