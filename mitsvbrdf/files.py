@@ -162,17 +162,19 @@ def partial_folder(out: Path) -> Path:
 
 
 @contextlib.contextmanager
-def output_folder(out: Path, overwrite: bool, resume: bool = False) -> Iterator[Path]:
+def output_folder(out: Path, overwrite: bool, resume: bool = False,
+                  keep: tuple[str, ...] = (CHECKPOINT,)) -> Iterator[Path]:
     """Make the files of a result folder all or not at all.
 
     Yields the folder to write into (:func:`partial_folder`). When the block ends well its files move to ``out``, those that
     an earlier run put there (the manifest lists them) go, and files of anybody else stay: one that is in the way gets
-    ``.old`` behind its name. When the block fails only a checkpoint to resume from is kept.
+    ``.old`` behind its name. When the block fails only what a later run resumes from is kept.
 
     Args:
         out: the folder the caller asked for.
         overwrite: whether earlier results, or an unfinished run, may be replaced.
         resume: go on in the partial folder that an interrupted run left.
+        keep: files and folders to resume from.
 
     Raises:
         OutputError: ``out`` has results, is no folder, is in use by another run, or cannot be written.
@@ -185,12 +187,12 @@ def output_folder(out: Path, overwrite: bool, resume: bool = False) -> Iterator[
         if out.is_dir() and not overwrite and any(entry != partial for entry in out.iterdir()):
             raise OutputError("an empty or new output folder", f"{out}, which has results",
                               "add --overwrite to replace them, or choose another folder")
-        if (partial / CHECKPOINT).exists() and not (overwrite or resume):
-            raise OutputError("no unfinished fit", f"the one in {out}", "--resume goes on, --overwrite starts anew")
+        if any((partial / name).exists() for name in keep) and not (overwrite or resume):
+            raise OutputError("no unfinished run", f"the one in {out}", "--resume goes on, --overwrite starts anew")
         made = not out.exists()
         partial.mkdir(parents=True, exist_ok=True)
         lock = _locked(partial)
-        _empty(partial, keep=(LOCK, CHECKPOINT) if resume else (LOCK,))
+        _empty(partial, keep=(LOCK, *keep) if resume else (LOCK,))
     except OSError as reason:
         raise OutputError(f"a place to write at {out}", reason.strerror or str(reason),
                           "free space, or choose a folder you may write to") from None
@@ -204,13 +206,13 @@ def output_folder(out: Path, overwrite: bool, resume: bool = False) -> Iterator[
         raise OutputError(f"to write {out}", reason.strerror or str(reason), "free space or choose another place") from None
     finally:
         lock.close()
-        if done or not (partial / CHECKPOINT).exists():
+        if done or not any((partial / name).exists() for name in keep):
             shutil.rmtree(partial, ignore_errors=True)
             if made and not done:
                 with contextlib.suppress(OSError):
                     out.rmdir()
         else:
-            _empty(partial, keep=(CHECKPOINT,))
+            _empty(partial, keep)
 
 
 def make_room(out: Path, names: Sequence[str]) -> None:

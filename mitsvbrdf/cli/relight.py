@@ -43,6 +43,8 @@ def relight(maps: Positional[Material],
             out: Annotated[Path | None, arg(aliases=["-o"], help="Folder to write; left out: relight inside MAPS.")] = None,
             seed: int = 0, variant: Variant = "llvm_ad_rgb",
             explain: Annotated[bool, arg(help="Print what would be left out, and why, and end without rendering.")] = False,
+            check: Annotated[bool, arg(help="Hold a novel frame, a pixel for each texel, against the analytic renderer in "
+                                            "float64: a Z-test. Exit code 1 where they differ; nothing is written.")] = False,
             resume: Annotated[bool, arg(help="Go on with the frames that are missing, same options.")] = False,
             overwrite: Overwrite = False) -> int:
     """Show a material under other light, path traced with Mitsuba: stills as EXR and PNG, movies as MP4 and GIF.
@@ -53,9 +55,9 @@ def relight(maps: Positional[Material],
     Ctrl-C keeps the frames done and the one at hand as it is; the same command with --resume goes on.
     """
     from ..evaluate import Fit, fit_of
-    from ..relight.frames import begin, go_on, render_stages
+    from ..relight.frames import begin, go_on, kept_names, render_stages
     from ..relight.passes import Stop
-    from ..relight.stage import make_stage
+    from ..relight.stage import PRESETS, make_stage
 
     stop = Stop(target_error, budget, samples)
     check_seed(seed)
@@ -63,11 +65,13 @@ def relight(maps: Positional[Material],
         raise ConfigError("--exposure of -20 to 20 stops", str(exposure), "0 leaves the picture as it is")
     pixels, chosen, kinds = _size(size), _presets(preset), _movies(movie)
     builtin = maps.startswith("builtin:")
-    if builtin and out is None and not explain:
+    if builtin and out is None and not (explain or check):
         raise ConfigError("an output folder, beside a builtin material", "none", "add -o FOLDER")
     out = out or Path(maps) / "relight"
     svbrdf, fit = material_of(maps), Fit() if builtin else fit_of(maps)
     mi = mitsuba_module(variant)
+    if check:
+        return _check(mi, svbrdf, fit.views, seed)
     stages = [make_stage(mi, svbrdf, each, environment=environment, size=pixels, frames=frames, tiling=tiling,
                          displacement=displacement, views=fit.views) for each in chosen]
     if explain:
@@ -81,7 +85,7 @@ def relight(maps: Positional[Material],
                 "frames": frames, "tiling": tiling, "displacement": displacement, "exposure": exposure,
                 "target_error": stop.target_error, "budget": budget, "samples": samples, "seed": seed, "variant": variant}
     title = f"relight {maps.removeprefix('builtin:') if builtin else name_of(Path(maps))}"
-    with files.output_folder(out, overwrite or resume, resume) as folder:
+    with files.output_folder(out, overwrite or resume, resume, kept_names(PRESETS)) as folder:
         record = go_on(settings, out, folder) if resume else begin(settings)
         with contextlib.ExitStack() as stack:
             stopping = stack.enter_context(stop_signals())
@@ -93,6 +97,17 @@ def relight(maps: Positional[Material],
         say("interrupted: the frames so far were kept; the same command with --resume goes on")
     say(f"wrote {out}/relight.json and what it names")
     return 0
+
+
+def _check(mi, svbrdf, views, seed: int) -> int:
+    from ..relight.check import check_novel
+
+    test = check_novel(mi, svbrdf, views, seed=seed)
+    verdict = "the same but for noise" if test.passed else "they differ"
+    means = ", ".join(f"{each:+.2f}" for each in test.bias.tolist())
+    say(f"novel against analytic64: {verdict}; of {test.z.numel()} values the worst is {float(test.z.abs().max()):.2f} "
+        f"standard deviations off (limit {test.z_limit:.2f}), the means of the channels {means} (limit {test.bias_limit:.2f})")
+    return 0 if test.passed else 1
 
 
 def _finish(stage, record, folder: Path, kinds: list[str], exposure: float, stop) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from .stage import Stage
 
 SCHEMA_VERSION = 1
 RECORD = "relight.json"
+BESIDE = ("png", "svg", "mp4", "gif")  # files of a preset, beside its frames
 INTERRUPTED = "interrupted"
 
 
@@ -50,6 +51,11 @@ class Record:
                                            "versions": versions(), "machine": machine()})
 
 
+def kept_names(presets: Iterable[str]) -> tuple[str, ...]:
+    """Files and folders of a run that another one can go on from."""
+    return (RECORD, *(name + ending for name in presets for ending in ("", ".exr", *(f".{kind}" for kind in BESIDE))))
+
+
 def begin(settings: Mapping) -> Record:
     """An empty record."""
     return Record(json.loads(json.dumps(settings)), {})
@@ -76,11 +82,10 @@ def go_on(settings: Mapping, out: Path, folder: Path) -> Record:
         other = [name for name in new if record.settings.get(name) != new[name]]
         for name, preset in record.presets.items():
             preset["frames"] = list(record.of(name).values())
-            for frame in preset["frames"]:
-                if place != folder:
-                    (folder / frame["file"]).parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copy2(place / frame["file"], folder / frame["file"])
-                frame["error"], frame["curve"]  # noqa: B018  a record without is none
+            for file in (*(frame["file"] for frame in preset["frames"]), *(f"{name}.{kind}" for kind in BESIDE)):
+                if place != folder and ((place / file).is_file() or file.endswith(".exr")):
+                    (folder / file).parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copy2(place / file, folder / file)
     except (ValueError, KeyError, TypeError, AttributeError, OSError) as reason:
         raise ConfigError(f"a {RECORD} of this command beside its frames", f"{place}: {reason!r}",
                           "--overwrite starts anew") from None

@@ -32,7 +32,7 @@ BACK, TEXT = (19, 21, 25), (236, 238, 241)
 def error_curve(path: str | Path, curves: Sequence[Sequence[Mapping]], target: float | None = None, title: str = "") -> None:
     """An SVG of the estimated error against seconds, one line a frame, both axes logarithmic.
 
-    The target is a dashed line; a dotted one falls as the root of time from where the first frame's line ends.
+    The target is a dashed line; a dotted one falls as the root of time through the end of the last frame's.
 
     Args:
         path: the SVG to write or replace.
@@ -52,7 +52,7 @@ def error_curve(path: str | Path, curves: Sequence[Sequence[Mapping]], target: f
         axes.plot(*zip(*line), color=INK, linewidth=1.8 if alone else 0.8, alpha=1 if alone else 0.5, marker="o", markersize=3,
                   label=None if number else "estimated error" if alone else f"estimated error, {len(lines)} frames")
     if lines:
-        t, e = lines[0][-1]
+        t, e = lines[-1][-1]  # the first frame also compiles
         ends = np.array([min(x for line in lines for x, _ in line), max(x for line in lines for x, _ in line)])
         axes.plot(ends, e * np.sqrt(t / ends), color=QUIET, linewidth=1, linestyle=":", label="1 / \N{SQUARE ROOT}seconds")
         axes.set(xscale="log", yscale="log")
