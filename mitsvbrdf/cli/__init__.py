@@ -50,6 +50,7 @@ from .options import (
     views_of,
 )
 from .pretrain_hybrid import check_new_checkpoint, pretrain_hybrid
+from .relight import relight
 from .report import report
 from .stability import stability
 from .view import view
@@ -347,7 +348,7 @@ def main(arguments: list[str] | None = None) -> int:
     commands = {"fit": fit_command(_method_of(arguments)), "view": view, "guess": guess, "render": render, "evaluate": evaluate,
                 "compare": compare, "crosscheck": crosscheck, "leave-out": leave_out, "stability": stability, "bench": bench,
                 "synth": synth, "pretrain": pretrain_command, "pretrain-hybrid": pretrain_hybrid, "doctor": doctor,
-                "export": export, "report": report, "demo": demo}
+                "export": export, "relight": relight, "report": report, "demo": demo}
     if arguments == ["--version"]:
         say(f"mitsvbrdf {__version__}")
         return 0
