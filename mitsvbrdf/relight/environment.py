@@ -133,9 +133,9 @@ def directions(height: int, width: int) -> Tensor:
 
 
 # Where a softbox hangs, how wide and high it is at distance 1 (half sides), its radiance and colour.
-SOFTBOXES = (((-0.62, -0.75, 0.72), (0.30, 0.30), 22.0, (1.0, 0.97, 0.93)),  # key: left, behind the camera
-             ((1.0, -0.25, 0.30), (0.14, 0.55), 6.0, (0.92, 0.96, 1.0)),     # fill: a strip at the right
-             ((0.15, 0.9, 0.80), (0.55, 0.14), 12.0, (1.0, 1.0, 1.0)))       # rim: a strip overhead, behind the object
+SOFTBOXES = (((-0.62, -0.75, 0.72), (0.34, 0.34), 26.0, (1.0, 0.97, 0.93)),  # key: left, behind the camera
+             ((1.0, -0.25, 0.30), (0.14, 0.55), 9.0, (0.92, 0.96, 1.0)),     # fill: a strip at the right
+             ((0.15, 0.9, 0.80), (0.24, 0.16), 20.0, (1.0, 1.0, 1.0)))       # rim: overhead, behind the object
 
 
 def studio(height: int = 256) -> Tensor:

@@ -160,7 +160,7 @@ def _sweep(mi, scene: dict[str, Any], frames: int, around: Environment | None) -
     scene["light"]["intensity"] = {"type": "rgb", "value": WHITE * math.pi * math.hypot(x, behind, z) ** 2}
 
     def place(frame: int) -> dict[str, Any]:
-        angle = math.radians(90 + 60 * math.sin(2 * math.pi * frame / frames + math.pi / 6))
+        angle = math.radians(90 + 42 * math.sin(2 * math.pi * frame / frames + math.pi / 6))
         return {"light.position": mi.Point3f(radius * math.cos(angle), behind, radius * math.sin(angle))}
 
     return place
