@@ -514,7 +514,7 @@ def test_ctrl_c_ends_the_command_well(tmp_path):
         assert str(tmp_path / "out") in line and "waits" in process.stdout.readline()
         connection = http.client.HTTPConnection(ADDRESS, port, timeout=20)
         connection.request("GET", "/")
-        assert connection.getresponse().status == 200  # and the connection stays open, as a browser's does
+        assert connection.getresponse().status == 200
         process.send_signal(signal.SIGINT)
         rest, errors = process.communicate(timeout=20)
     finally:
@@ -553,11 +553,11 @@ def test_a_browser_sees_a_fit_start_run_end_and_start_anew(browser, tmp_path):
         page.on("pageerror", lambda error: said.append(str(error)))
         page.on("request", lambda request: asked.append(request.url))
         page.goto(f"http://{ADDRESS}:{ask.port}/")
-        page.wait_for_function(f"{PHASE} === 'waiting'")
+        page.wait_for_selector("body[data-phase=waiting]")
         assert "No fit yet" in page.inner_text("#says") and page.is_hidden("#live")
         for options in ([], ["--overwrite"]):
             process = subprocess.Popen([*fit, *options], stdout=subprocess.DEVNULL)
-            page.wait_for_function(f"{PHASE} === 'running'", timeout=120_000)
+            page.wait_for_selector("body[data-phase=running]", timeout=120_000)
             assert page.locator("iframe").count() == 0 and page.is_visible("#live")
             points, pictures, shares = set(), set(), []
             while page.evaluate(PHASE) == "running":
@@ -570,7 +570,7 @@ def test_a_browser_sees_a_fit_start_run_end_and_start_anew(browser, tmp_path):
             assert page.eval_on_selector_all("#maps img", "images => images.map(i => [i.naturalWidth, i.naturalHeight])") == [
                 [64, 64]] * 4
             assert process.wait(timeout=120) == 0
-            page.wait_for_function(f"{PHASE} === 'done'", timeout=60_000)
+            page.wait_for_selector("body[data-phase=done]", timeout=60_000)
             page.wait_for_selector("iframe")
             frame = page.frame_locator("iframe")
             assert f"{json.loads((out / 'fit.json').read_text())['rerender_rmse']:.4f}" in frame.locator("body").inner_text()
@@ -588,9 +588,10 @@ def test_a_browser_is_told_of_a_fit_that_dies_and_of_a_server_that_ends(browser,
         page.goto(f"http://{ADDRESS}:{ask.port}/")
         with pytest.raises(ZeroDivisionError):
             fit_into(out, capture, FAST, lambda *_: state_of(ask), fails=ZeroDivisionError())
-        page.wait_for_function(f"{PHASE} === 'died'")
+        page.wait_for_selector("body[data-phase=died]")
         assert "without a result" in page.inner_text("#says") and "last state" in page.inner_text("#maps-note")
-        page.wait_for_function("[...document.querySelectorAll('#maps img')].every(i => i.naturalWidth === 16)")
+        page.wait_for_selector("#maps img[src*=normal]")
+        assert page.eval_on_selector_all("#maps img", "images => images.map(i => i.naturalWidth)") == [16] * 4
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
         assert page.is_hidden("#lost")
     page.wait_for_selector("#lost", state="visible")

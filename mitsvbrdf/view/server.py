@@ -69,9 +69,8 @@ class Handler(BaseHTTPRequestHandler):
     """Answers GET and HEAD for the addresses of :meth:`answer`; no part of a request is ever used as a path."""
 
     server: Server
-    protocol_version = "HTTP/1.1"
     server_version, sys_version = "mitsvbrdf", ""
-    timeout = 60  # seconds that an idle connection is kept
+    timeout = 60  # seconds for a request to arrive; each has a connection of its own
 
     def do_GET(self) -> None:
         if self.named_here():
@@ -81,7 +80,7 @@ class Handler(BaseHTTPRequestHandler):
 
     def refuse(self) -> None:
         if self.named_here():
-            self.reply(405, b"only GET\n", "text/plain", {"Allow": "GET, HEAD", "Connection": "close"})
+            self.reply(405, b"only GET\n", "text/plain", {"Allow": "GET, HEAD"})
 
     do_POST = do_PUT = do_DELETE = do_PATCH = do_OPTIONS = refuse
 
@@ -91,7 +90,7 @@ class Handler(BaseHTTPRequestHandler):
         name = hosts[0].lower() if len(hosts) == 1 else ""
         if name in NAMES or name.rpartition(":")[0] in NAMES:
             return True
-        self.reply(403, b"served as 127.0.0.1 and localhost only\n", "text/plain", {"Connection": "close"})
+        self.reply(403, b"served as 127.0.0.1 and localhost only\n", "text/plain", {})
         return False
 
     def answer(self, path: str) -> None:
