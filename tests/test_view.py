@@ -109,7 +109,7 @@ def test_a_fit_is_followed_from_before_it_starts_to_after_it_ends(tmp_path, capt
 
     with served(out) as ask:
         before = state_of(ask)
-        assert before["phase"] == "waiting" and before["fit"] is None and before["report"] is None
+        assert before["phase"] == "waiting" and str(out) in before["says"] and before["fit"] is None and before["report"] is None
         assert ask("/report.html")[0] == ask("/maps/diffuse.png")[0] == 404
         result = fit_into(out, capture, FAST, look)
         after = state_of(ask)
@@ -554,7 +554,7 @@ def test_a_browser_sees_a_fit_start_run_end_and_start_anew(browser, tmp_path):
         page.on("request", lambda request: asked.append(request.url))
         page.goto(f"http://{ADDRESS}:{ask.port}/")
         page.wait_for_selector("body[data-phase=waiting]")
-        assert "No fit yet" in page.inner_text("#says") and page.is_hidden("#live")
+        assert f"No fit in {out} yet" in page.inner_text("#says") and page.is_hidden("#live")
         for options in ([], ["--overwrite"]):
             process = subprocess.Popen([*fit, *options], stdout=subprocess.DEVNULL)
             page.wait_for_selector("body[data-phase=running]", timeout=120_000)
