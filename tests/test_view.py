@@ -109,7 +109,7 @@ def test_a_fit_is_followed_from_before_it_starts_to_after_it_ends(tmp_path, capt
 
     with served(out) as ask:
         before = state_of(ask)
-        assert before["phase"] == "waiting" and str(out) in before["says"] and before["fit"] is None and before["report"] is None
+        assert before["phase"] == "waiting" and str(out) in before["says"] and before["fit"] is before["report"] is None
         assert ask("/report.html")[0] == ask("/maps/diffuse.png")[0] == 404
         result = fit_into(out, capture, FAST, look)
         after = state_of(ask)
