@@ -1,7 +1,12 @@
-"""Notebooks run by a kernel of the Python that runs the tests, whatever other kernels the machine offers."""
+"""Notebooks run by a kernel of the Python that runs this, whatever other kernels the machine offers.
+
+``python tests/notebooks.py docs/tutorial.ipynb`` renews the outputs that a notebook is kept with.
+"""
 
 from __future__ import annotations
 
+import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -9,28 +14,41 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 
-class Recorder:
-    """What :func:`run` saw: the messages that displays send, by their type, in their order."""
+def run(notebook, folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Run a notebook (of nbformat) in place, in this folder; an error in a cell is raised.
 
-    def __init__(self) -> None:
-        self.types: list[str] = []
-
-
-def run(notebook, folder: Path, monkeypatch) -> Recorder:
-    """Run a notebook (of nbformat) in place, in this folder; an error in a cell is raised."""
+    Returns:
+        The types of all messages that came from the kernel, in their order.
+    """
     client = pytest.importorskip("nbclient", reason="needs nbclient and ipykernel: pip install mitsvbrdf[test]")
     kernelspec = pytest.importorskip("ipykernel.kernelspec", reason="needs ipykernel: pip install mitsvbrdf[test]")
     kernelspec.write_kernel_spec(folder / "jupyter/kernels/python3")
     monkeypatch.setenv("JUPYTER_PATH", str(folder / "jupyter"))  # is searched first
     monkeypatch.setenv("IPYTHONDIR", str(folder / "ipython"))  # no start-up files of a user
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
-    seen = Recorder()
+    messages: list[str] = []
 
     class Client(client.NotebookClient):
         def process_message(self, msg, cell, cell_index):
-            seen.types.append(msg["msg_type"])
+            messages.append(msg["msg_type"])
             return super().process_message(msg, cell, cell_index)
 
-    Client(notebook, kernel_name="python3", timeout=120, resources={"metadata": {"path": str(folder)}},
-           coalesce_streams=True).execute()
-    return seen
+    Client(notebook, kernel_name="python3", timeout=300, resources={"metadata": {"path": str(folder)}},
+           record_timing=False, coalesce_streams=True).execute()
+    return messages
+
+
+def main(*paths: str) -> None:
+    """Run notebooks as they are and write them with their outputs, without what tells machines and moments apart."""
+    import nbformat
+
+    for path in paths:
+        notebook = nbformat.read(path, 4)
+        with pytest.MonkeyPatch.context() as monkeypatch, tempfile.TemporaryDirectory() as folder:
+            run(notebook, Path(folder), monkeypatch)
+        notebook.metadata.language_info = {"name": "python"}
+        nbformat.write(notebook, path)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

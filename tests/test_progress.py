@@ -115,7 +115,7 @@ def test_a_real_kernel_keeps_the_last_of_it(tmp_path, monkeypatch):
              "with progress_bar('third') as report:\n    report('nearly', 0.9)",
              "'torch' in sys.modules"]
     notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in cells])
-    seen = notebooks.run(notebook, tmp_path, monkeypatch)
+    messages = notebooks.run(notebook, tmp_path, monkeypatch)
     outputs = [cell.outputs for cell in notebook.cells]
     assert outputs[0][0].text.strip() == sys.executable
     assert outputs[4][0].data["text/plain"] == "False"
@@ -126,5 +126,5 @@ def test_a_real_kernel_keeps_the_last_of_it(tmp_path, monkeypatch):
     assert "iteration 4999" in shown[0] and bar(shown[0]) == 0.5
     assert bar(shown[1]) == 1 and "100%" in shown[1]
     assert "90%  nearly" in shown[2] and bar(shown[2]) == pytest.approx(0.9, abs=1 / Cell.WIDTH)
-    assert seen.types.count("display_data") == 3
-    assert 2 <= seen.types.count("update_display_data") < 500  # of 5001 reports; four a second if the machine keeps up
+    assert messages.count("display_data") == 3
+    assert 2 <= messages.count("update_display_data") < 500  # of 5001 reports; four a second if the machine keeps up
