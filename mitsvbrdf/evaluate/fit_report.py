@@ -65,7 +65,7 @@ def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names
     saved = None if quick or renderer is None else _saved(
         svbrdf.resized(side), views, renderer, fixed, grey_specular, lambda share: report("what was saved", 0.7 + 0.3 * share))
     return {"schema_version": SCHEMA_VERSION, "quick": quick, "maps": maps, "condition": _condition(svbrdf, views, transfer),
-            "crosscheck": checked and _figures(checked), "saved": saved, "machine": machine(), "versions": versions()}
+            "crosscheck": checked and _figures(checked, timed=not quick), "saved": saved, "machine": machine(), "versions": versions()}
 
 
 def predict(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
@@ -103,7 +103,7 @@ def _condition(svbrdf: SVBRDF, views: Views, transfer: color.Transfer) -> dict:
     return condition(slopes) | {"resolution": side}
 
 
-def _figures(record: dict) -> dict:
+def _figures(record: dict, timed: bool) -> dict:
     """Of a cross-check of one material, what a page shows."""
     (about,), rows = record["materials"].values(), []
     for found in record["configurations"]:
@@ -113,7 +113,7 @@ def _figures(record: dict) -> dict:
                 rows.append({"renderer": found["renderer"], "texels": texels, "count": part["texels"], "image": part["image"],
                              "gradients": {name: {"relative_l2": g["relative_l2"], "cosine": g["cosine"]}
                                            for name, g in part["gradients"].items()},
-                             "limit": part["limit"], "seconds": found["seconds"]})
+                             "limit": part["limit"], "seconds": found["seconds"] if timed else None})
     return {"reference": record["reference"], "resolution": about["resolution"], "views": record["views"]["names"],
             "rough_from": record["rough_from"], "tolerances": record["tolerances"], "rows": rows,
             "violations": [{name: v[name] for name in ("renderer", "what", "value", "tolerance", "limit")}

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 WIDTH, HEIGHT = 460, 270
-LEFT, RIGHT, TOP, BOTTOM = 48, 12, 10, 38
+LEFT, RIGHT, TOP, BOTTOM = 58, 12, 10, 38
 COLOURS = ("#d1651f", "#2b7fc4", "#3a9a54", "#b453b0", "#a98417", "#6673dc", "#c9485c", "#1f9c9c")  # seen on black and on white
 MARKED = 40  # points a line may have to show each
 MOST = 1000

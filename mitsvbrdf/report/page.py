@@ -78,7 +78,7 @@ def png_uri(display: Tensor) -> str:
 
 
 def picture_uri(display: Tensor) -> str:
-    """A picture for ``<img src>``, as :func:`png_uri` up to 64 KiB, else a JPEG of quality 90.
+    """A picture for ``<img src>``, as :func:`png_uri` up to 64 KiB, else a JPEG of quality 85.
 
     Args:
         display: H x W x 3 (or x 1), display values; clipped to [0, 1].
@@ -88,7 +88,7 @@ def picture_uri(display: Tensor) -> str:
         return exact
     pixels = np.rint(color.clip(display.detach().float()).expand(*display.shape[:2], 3).numpy() * 255).astype(np.uint8)
     ok, data = cv2.imencode(".jpg", np.ascontiguousarray(pixels[..., ::-1]), [
-        cv2.IMWRITE_JPEG_QUALITY, 90, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444])
+        cv2.IMWRITE_JPEG_QUALITY, 85, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444])
     assert ok
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
 
