@@ -83,6 +83,38 @@ def make_stage(mi, svbrdf: SVBRDF, preset: str, *, environment: str | None = Non
         raise ConfigError(f"a preset of {list(PRESETS)}", repr(preset), "choose one of these")
     usual_environment, usual_frames = DEFAULTS[preset]
     name, frames = environment or usual_environment, usual_frames if frames is None else frames
+    _check(preset, size, frames, tiling, displacement)
+    around = None if name == "none" and preset in OWN_LIGHT else make_environment(mi, name)
+    if preset == "novel":
+        scene, place, shown = _novel(mi, size[0], frames, views)
+    else:
+        scene, shown = read_scene(mi, f"{preset}.xml"), None
+        place = {"sweep": _sweep, "turntable": _turntable}.get(preset, _turned)(mi, scene, frames, around)
+    scene.pop("environment", None)
+    scene |= around.emitters if around else {}
+
+    svbrdf = svbrdf.detach().to(torch.float32)
+    needs = material_needs(svbrdf)
+    scene["material"] = _material(mi, svbrdf, needs, tiling, preset)
+    left_out = [*needs.left_out, *(around.left_out if around else [("environment", "the preset has a light of its own")])]
+    if displacement:
+        _displace(mi, scene, svbrdf, tiling, displacement)
+    elif preset not in ROUND:
+        left_out.append(("displacement", "not asked for: normals shade, the surface is flat"))
+    if preset == "sphere" and not around.dark_below:
+        del scene["floor"]
+        left_out.append(("floor", "what surrounds the sphere goes on below the horizon"))
+    reflections, why = (1, "a convex shape does not see itself")
+    if displacement or "floor" in scene:
+        reflections, why = _reflections(svbrdf)
+    left_out.append((f"light after {reflections} reflection{'s' * (reflections > 1)}", why))
+    scene["integrator"] = {"type": "path", "max_depth": reflections + 1}
+    scene["sensor"]["film"] |= {"width": int(size[0]), "height": int(size[1])}
+    return Stage(preset, scene, frames, FPS, place, tuple(left_out), shown)
+
+
+def _check(preset: str, size: tuple[int, int], frames: int, tiling: int, displacement: float) -> None:
+    """Raise ConfigError for numbers out of range, and what does not go with the preset."""
     if frames < 1:
         raise ConfigError("1 frame or more", str(frames), "give --frames 1 for a still")
     if tiling < 1:
@@ -90,36 +122,9 @@ def make_stage(mi, svbrdf: SVBRDF, preset: str, *, environment: str | None = Non
     if not 0 <= displacement <= 10:
         raise ConfigError("a displacement from 0 to 10", str(displacement), "1 is as high as the normals say")
     if displacement and preset in ROUND:
-        raise ConfigError("no displacement of a " + preset, str(displacement), "displace sweep, turntable or novel")
+        raise ConfigError(f"no displacement of a {preset}", str(displacement), "displace sweep, turntable or novel")
     if preset == "novel" and size[0] != size[1]:
         raise ConfigError("a square picture of the preset novel", f"{size[0]} x {size[1]}", "give one number")
-    svbrdf = svbrdf.detach().to(torch.float32)
-    around = None if name == "none" and preset in OWN_LIGHT else make_environment(mi, name)
-    if preset == "novel":
-        scene, place, shown = _novel(mi, size[0], frames, views)
-    else:
-        scene, shown = read_scene(mi, f"{preset}.xml"), None
-        place = {"sweep": _sweep, "turntable": _turntable}.get(preset, _turned)(mi, scene, frames, around)
-    needs = material_needs(svbrdf)
-    left_out = [*needs.left_out, *(around.left_out if around else [("environment", "the preset has a light of its own")])]
-    scene["material"] = _material(mi, svbrdf, needs, tiling, preset)
-    concave = preset == "shaderball"
-    if displacement:
-        concave = True
-        _displace(mi, scene, svbrdf, tiling, displacement)
-    elif preset not in ROUND:
-        left_out.append(("displacement", "not asked for: normals shade, the surface is flat"))
-    scene.pop("environment", None)
-    scene |= around.emitters if around else {}
-    if around and around.dark_below and preset == "sphere":
-        concave = True
-        scene["floor"] = {"type": "disk", "to_world": mi.ScalarTransform4f().translate([0, 0, -1]).scale(3000),
-                          "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.3}}}
-    depth, why = _depth(svbrdf) if concave else (1, "a convex shape does not see itself")
-    left_out.append((f"light after {depth} reflection{'s' * (depth > 1)}", why))
-    scene["integrator"] = {"type": "path", "max_depth": depth + 1}
-    scene["sensor"]["film"] |= {"width": int(size[0]), "height": int(size[1])}
-    return Stage(preset, scene, frames, FPS, place, tuple(left_out), shown)
 
 
 def _material(mi, svbrdf: SVBRDF, needs: Needs, tiling: int, preset: str) -> dict[str, Any]:
@@ -147,7 +152,7 @@ def _displace(mi, scene: dict[str, Any], svbrdf: SVBRDF, tiling: int, displaceme
                                       @ scene["table"]["to_world"])
 
 
-def _depth(svbrdf: SVBRDF) -> tuple[int, str]:
+def _reflections(svbrdf: SVBRDF) -> tuple[int, str]:
     """How many reflections matter on a shape that sees itself, and why no more."""
     flat = svbrdf.as_roughconductor()
     albedo = float((flat["diffuse"] + flat["specular"]).amax(dim=-1).mean().clamp(0.05, 0.9))
