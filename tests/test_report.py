@@ -8,6 +8,7 @@ import re
 import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import PIL.Image
@@ -440,6 +441,12 @@ def test_a_page_of_noise_at_512_px_is_below_ten_megabytes(copy):
     assert page.pixels("photo 08").shape == (256, 256, 3) and page.pixels("Diffuse").shape == (512, 512, 3)
 
 
+def test_formats_page_names_every_field(measured):
+    page = (Path(__file__).parents[1] / "docs/formats.md").read_text()
+    for field in measured[2]:
+        assert f"`{field}`" in page, field
+
+
 def test_read_fit_gives_what_the_files_say(fitted):
     found = read_fit(fitted)
     assert found.names == ["00", "01", "03"] and found.svbrdf.resolution == SIDE and found.renderer().name == "analytic"
@@ -473,7 +480,9 @@ def test_curves_are_logarithmic():
     assert all(left <= place <= right for place in x) and all(top <= place <= bottom for place in y)
     assert curves(trace[:1], ["a"]) is None and curves([], ["a"]) is None
     flat = curves([{"seconds": 2.0, "a": 3.0}], ["a"])  # one point is an axis too
-    assert len(flat["x"]) == 3 and flat["lines"][0]["points"][0][2:] == (2.0, 3.0)
+    assert len(flat["x"]) > 2 and flat["lines"][0]["points"][0][2:] == (2.0, 3.0)
+    narrow = curves([{"seconds": 1.0, "a": 0.0202}, {"seconds": 9.0, "a": 0.0313}], ["a"])
+    assert [label for _, label in narrow["y"]] == ["0.02", "0.022", "0.024", "0.026", "0.028", "0.03", "0.032"]
     long = [{"seconds": k + 1.0, "a": 1.0 / (k + 1)} for k in range(20_000)]
     points = curves(long, ["a"])["lines"][0]["points"]
     assert len(points) <= 1001 and points[-1][2] == 20_000

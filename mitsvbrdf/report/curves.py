@@ -57,13 +57,16 @@ class _Axis:
         return round(self.start + share * (self.end - self.start), 1)
 
     def ticks(self) -> list[tuple[float, str]]:
-        """Powers of ten, at most about eight; where fewer than three lie on the axis, steps between them too."""
+        """Powers of ten, at most about eight; where fewer than three lie on the axis, steps between them or even ones."""
         decades = range(math.floor(self.low), math.ceil(self.high) + 1)
         every = math.ceil(len(decades) / 8)
-        for steps in ((1,), (1, 2, 5), (1, 1.5, 2, 3, 4, 5, 6, 8)):
+        for steps in ((1,), (1, 2, 5)):
             values = [step * 10.0**decade for decade in decades[::every] for step in steps]
             inside = [value for value in values if self.low <= math.log10(value) <= self.high]
             if len(inside) > 2:
                 return [(self(value), f"{value:g}") for value in inside]
-        ends = (10**(self.low + k * (self.high - self.low) / 4) for k in (1, 2, 3))
-        return [(self(value), f"{value:.3g}") for value in ends]
+        low, high = 10**self.low, 10**self.high
+        step = 10.0**math.floor(math.log10((high - low) / 3))
+        step *= max(factor for factor in (1, 2, 5) if factor * step <= (high - low) / 3)
+        values = [step * k for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
+        return [(self(value), f"{value:.6g}") for value in values]
