@@ -141,6 +141,16 @@ def test_maps_on_the_shader_ball_are_not_mirrored_and_normals_lean_along_them(mi
     assert_matches(drawn(mi, stage, spp=1), truth, clear & belly & outside, limit=0.02)
 
 
+def test_no_normal_turns_a_rim_black(mi, tmp_path):
+    files.write_exr(tmp_path / "white.exr", torch.ones(4, 8, 3))
+    stage = make_stage(mi, leaning_quarters(), "sphere", environment=str(tmp_path / "white.exr"), size=(48, 48))
+    origin, ray = camera_rays(stage)
+    inside = (ray @ origin).square() - origin.square().sum() + 1 > 0.05
+    picture = drawn(mi, stage, spp=256).amax(dim=-1)[inside]
+    # A matt surface in even light is as bright as its colour, less what leaning normals see of the sphere itself.
+    assert picture.min() > 0.35 and picture.max() < 0.8  # measured 0.50 and 0.72; 0 where normals face away
+
+
 @pytest.mark.parametrize("bsdf", CHANNELS)
 def test_novel_is_what_the_float64_twin_draws(mi, bsdf):
     material = random_material(bsdf, 16)

@@ -139,7 +139,11 @@ def _material(mi, svbrdf: SVBRDF, needs: Needs, tiling: int, preset: str) -> dic
                 "wrap_mode": "clamp" if tiling == 1 and preset not in ROUND else "repeat",  # edges do not blend across
                 "to_uv": mi.ScalarTransform4f().scale(scale)}
 
-    return plugin(svbrdf.bsdf, needs, texture, stock=True)
+    material = plugin(svbrdf.bsdf, needs, texture, stock=True)
+    if needs.normal_map and preset != "novel":
+        # Where a shape turns away, normals that lean further would be black; the surface they stand for would be hidden.
+        material["flip_invalid_normals"] = True
+    return material
 
 
 def _displace(mi, scene: dict[str, Any], svbrdf: SVBRDF, tiling: int, displacement: float) -> None:
