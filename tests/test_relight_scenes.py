@@ -15,7 +15,7 @@ from mitsvbrdf.maps import CHANNELS, SVBRDF, flat
 from mitsvbrdf.metrics import image_error
 from mitsvbrdf.procedural import make_material
 from mitsvbrdf.relight import PRESETS, make_stage
-from mitsvbrdf.relight.environment import LUMINANCE, make_environment, studio, white_luminance
+from mitsvbrdf.relight.environment import LUMINANCE, make_environment, read_environment, studio, white_luminance
 from mitsvbrdf.relight.shapes import heights, relief, shaderball
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.render.llvm import mitsuba_module
@@ -200,6 +200,15 @@ def write_picture(image, name):
     else:
         import cv2
         cv2.imwrite(name, np.ascontiguousarray(image.numpy()[..., ::-1]))
+
+
+def test_a_radiance_file_is_read_in_the_order_red_green_blue(tmp_path):
+    # RGBE (Ward 1991): mantissa / 256 * 2 ** (exponent - 128), top row first.
+    pixels = [(128, 64, 32, 129), (0, 0, 200, 128)] * 3 + [(64, 0, 0, 131)] * 2
+    path = tmp_path / "sky.hdr"
+    path.write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4 +X 2\n" + bytes(v for pixel in pixels for v in pixel))
+    image = read_environment(path)
+    assert image[0].tolist() == [[1, 0.5, 0.25], [0, 0, 200 / 256]] and image[3].tolist() == [[2, 0, 0]] * 2
 
 
 def test_white_luminance_of_a_half_lit_sky():
