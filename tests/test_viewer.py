@@ -399,6 +399,29 @@ def test_on_a_phone(width, tmp_path):
 
 
 @pytest.mark.slow
+def test_one_finger_moves_the_light_and_two_turn_the_view(tmp_path):
+    with shown(flat(8), tmp_path, width=390, height=800, phone=True) as page:
+        box, remote = page.locator("canvas").bounding_box(), page.context.new_cdp_session(page)
+
+        def touch(kind: str, *fingers: tuple[float, float]) -> dict:
+            """Fingers on the canvas at x, y from -1 to 1; the state after that."""
+            points = [{"x": box["x"] + box["width"] * (x + 1) / 2, "y": box["y"] + box["height"] * (1 - y) / 2, "id": number}
+                      for number, (x, y) in enumerate(fingers)]
+            remote.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+            page.wait_for_timeout(100)
+            return page.evaluate("mitsvbrdfViewer.state")
+
+        assert np.allclose(touch("touchStart", (0, 0))["light"], (0, 0, 1), atol=0.01)
+        assert np.allclose(touch("touchMove", (0, -0.47))["light"], (0, -0.25, 1), atol=0.01)  # and the page does not scroll
+        assert page.evaluate("scrollY") == 0
+        touch("touchStart", (0, -0.47), (0.3, -0.47))
+        state = touch("touchMove", (0.2, -0.47), (0.5, -0.47))
+        assert np.allclose(state["turn"], (-12, 0), atol=0.5) and np.allclose(state["light"], (0, -0.25, 1), atol=0.01)
+        touch("touchEnd")
+        assert np.allclose(touch("touchStart", (0, 0))["light"], (0, 0, 1), atol=0.02)  # one finger again
+
+
+@pytest.mark.slow
 def test_it_draws_only_when_something_changed(tmp_path):
     with shown(flat(8), tmp_path) as page:
         page.wait_for_timeout(700)

@@ -188,12 +188,12 @@
     screen.draw(sceneOf(), side, side, samples);
   }
 
-  function redraw() {  // one sample a pixel while it moves, nine when it rests
+  function redraw() {  // one sample a pixel while it moves; when it rests, nine on plain screens, four on those of phones
     clearTimeout(settle);
     asked ||= requestAnimationFrame(() => {
       asked = 0;
       draw(1);
-      settle = setTimeout(() => requestAnimationFrame(() => draw(3)), 120);
+      settle = setTimeout(() => requestAnimationFrame(() => draw(Math.ceil(3 / devicePixelRatio))), 120);
     });
   }
 
@@ -293,7 +293,7 @@
       return problem(error.message);
     }
     set({});
-    draw(3);
+    draw(1);
     return true;
   }
 
