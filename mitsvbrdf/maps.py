@@ -70,6 +70,9 @@ class SVBRDF:
     def __getitem__(self, name: str) -> Tensor:
         return self.maps[name]
 
+    def __repr__(self) -> str:
+        return f"SVBRDF({self.bsdf}, {self.resolution} px)"
+
     @property
     def resolution(self) -> int:
         """Texels along a side."""

@@ -168,3 +168,10 @@ def test_importing_stays_light():
             "from mitsvbrdf.maps import flat\nassert '<img' in flat(2)._repr_html_()\n"
             "assert not {'mitsuba', 'drjit'} & set(sys.modules)\n")
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_in_a_terminal_they_are_one_line(shots, result):
+    assert repr(flat(4)) == "SVBRDF(roughconductor, 4 px)"
+    assert repr(shots).startswith("Capture(without a folder, photos 00, 01") and len(repr(shots)) < 120
+    assert repr(result).startswith("FitResult(direct, SVBRDF(") and f"{result.rerender_rmse:.4f}" in repr(result)
+    assert len(repr(result)) < 120

@@ -46,6 +46,10 @@ class Capture:
     def __len__(self) -> int:
         return self.photos.shape[0]
 
+    def __repr__(self) -> str:
+        name = self.source.name if self.source else "without a folder"
+        return f"Capture({name}, photos {', '.join(self.names)}, {self.resolution} px, {self.transfer})"
+
     @property
     def resolution(self) -> int:
         """Pixels along a side of the square photos."""

@@ -57,6 +57,10 @@ class FitResult:
     flash_offset: tuple[float, float] | None = None
     profile: dict | None = None
 
+    def __repr__(self) -> str:
+        method = type(self.config).__name__.removesuffix("Config").lower()
+        return f"FitResult({method}, {self.svbrdf!r}, re-rendering RMSE {self.rerender_rmse:.4f}, {self.stopped})"
+
     def _repr_html_(self) -> str:
         """Maps, re-rendered photos, error and why the fit ended, as small pictures for notebooks."""
         from ..report.notebook import result_html
