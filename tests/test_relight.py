@@ -17,7 +17,7 @@ from PIL import Image
 
 from mitsvbrdf import files
 from mitsvbrdf.cli.relight import relight
-from mitsvbrdf.errors import ConfigError, MapsError, MitsvbrdfError, OutputError
+from mitsvbrdf.errors import BackendError, ConfigError, MapsError, MitsvbrdfError, OutputError
 from mitsvbrdf.maps import save_maps
 from mitsvbrdf.procedural import make_material
 from mitsvbrdf.relight import make_stage
@@ -369,6 +369,14 @@ def test_wrong_options_are_one_error_and_leave_nothing(tmp_path, wrong):
     with pytest.raises(MitsvbrdfError):
         run(**({"out": tmp_path / "o"} | wrong))
     assert not (tmp_path / "o").exists()
+
+
+def test_movies_without_pyav_are_refused_before_any_work(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(BackendError, match="pip install av"):
+        run(tmp_path / "o", preset="sweep", frames=2)
+    assert not (tmp_path / "o").exists()
+    assert run(tmp_path / "o", preset="sweep", frames=2, movie="gif") == 0 and (tmp_path / "o" / "sweep.gif").is_file()
 
 
 def test_budget_is_for_all_frames_together(tmp_path):

@@ -56,6 +56,7 @@ def relight(maps: Positional[Material],
     """
     from ..evaluate import Fit, fit_of
     from ..relight.frames import begin, go_on, kept_names, render_stages
+    from ..relight.movie import av_module
     from ..relight.passes import Stop
     from ..relight.stage import PRESETS, make_stage
 
@@ -79,6 +80,8 @@ def relight(maps: Positional[Material],
             for what, why in stage.left_out:
                 say(f"{stage.name} leaves out: {what} ({why})")
         return 0
+    if "mp4" in kinds and any(stage.frames > 1 for stage in stages):
+        av_module()
     if not builtin:
         keep_apart_from_maps(Path(maps), out)
     settings = {"maps": maps if builtin else os.path.realpath(maps), "environment": environment, "size": pixels,

@@ -14,6 +14,7 @@ from .. import files
 from ..errors import BackendError, MapsError
 
 CRF = "14"  # below what an eye sees; 18 is the usual "visually lossless"
+BT709 = 1  # as matrix, primaries and transfer in ITU-T H.264, tables E-3 to E-5
 COLOURS = 256  # of a GIF's palette
 
 
@@ -33,8 +34,8 @@ def write_mp4(path: str | Path, frames: Iterable[Tensor], fps: float) -> None:
         MapsError: no frame, or frames of different size.
         OutputError: the file cannot be written.
     """
-    av = _av()
-    from av.video.reformatter import ColorPrimaries, ColorRange, Colorspace, ColorTrc
+    av = av_module()
+    from av.video.reformatter import ColorRange, Colorspace
 
     with files.beside(Path(path)) as temporary, av.open(str(temporary), "w", format="mp4",
                                                         options={"movflags": "+faststart"}) as container:
@@ -46,8 +47,8 @@ def write_mp4(path: str | Path, frames: Iterable[Tensor], fps: float) -> None:
                 stream.height, stream.width = pixels.shape[:2]
                 stream.pix_fmt = "yuv420p"
                 context = stream.codec_context
-                context.colorspace, context.color_range = 1, ColorRange.MPEG  # 1: BT.709 in H.264's table E-5
-                context.color_primaries, context.color_trc = ColorPrimaries.BT709, ColorTrc.BT709
+                context.color_range = ColorRange.MPEG
+                context.colorspace = context.color_primaries = context.color_trc = BT709
                 context.thread_count = 1  # the same file in every run
             frame = av.VideoFrame.from_ndarray(pixels, format="rgb24")
             frame = frame.reformat(format="yuv420p", src_colorspace=Colorspace.DEFAULT, dst_colorspace=Colorspace.ITU709,
@@ -112,9 +113,14 @@ def _no_frames() -> MapsError:
     return MapsError("at least one frame", "none", "render some first")
 
 
-def _av():
+def av_module():
+    """PyAV.
+
+    Raises:
+        BackendError: it is not installed.
+    """
     try:
         import av
     except ImportError:
-        raise BackendError("PyAV, which writes movies", "none", "pip install av, or ask for GIF alone with --gif") from None
+        raise BackendError("PyAV, which writes movies", "none", "pip install av, or ask for --movie gif") from None
     return av

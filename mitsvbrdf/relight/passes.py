@@ -4,8 +4,8 @@ The error is what the project reports everywhere: RMSE in display values, here s
 whole frame, of the picture as it would be kept. It is estimated by the jackknife (Tukey 1958; unequal groups as Busing et al.
 1999): samples go to up to eight groups in turn, and of each group it is asked how the kept picture would change without it.
 All comparisons are between display values of pictures that hold nearly all samples, so the bend of the sRGB curve and the
-clipping of highlights count as they do in the picture itself. Where rare bright samples are clipped the difference of two halves
-is only 0.57 of the true error, the jackknife 0.97 of it.
+clipping of highlights count as they do in the picture itself. Where rare bright samples are clipped the difference of two
+halves is only 0.57 of the true error, the jackknife 0.97 of it.
 
 Dr.Jit compiles one kernel for all numbers of samples that are powers of two, so every pass is made of those.
 """
