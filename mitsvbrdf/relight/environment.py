@@ -150,7 +150,7 @@ def studio(height: int = 256) -> Tensor:
         right = F.normalize(torch.linalg.cross(axis, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)), dim=0)
         up = torch.linalg.cross(right, axis)
         ahead = (d @ axis).clamp_min(1e-6)
-        inside = _soft(wide - (d @ right / ahead).abs()) * _soft(high - (d @ up / ahead).abs()) * (d @ axis > 0)
+        inside = _soft(wide - (d @ right / ahead).abs()) * _soft(high - (d @ up / ahead).abs())
         image = torch.lerp(image, radiance * torch.tensor(colour, dtype=torch.float64), inside[..., None])
     return image
 
