@@ -89,9 +89,10 @@ def shown(path):
 
 @pytest.fixture(scope="module")
 def photos(tmp_path_factory):
-    """Five photos of the inlay in a folder with a hostile name."""
-    folder = tmp_path_factory.mktemp("capture") / HOSTILE
-    write_capture(photograph(make_material("inlay", SIDE), nine_view_grid().pick([0, 1, 3, 5, 7]), ANALYTIC), folder)
+    """Five photos of the inlay in a folder with a hostile name; the flash stands beside the camera."""
+    folder, views = tmp_path_factory.mktemp("capture") / HOSTILE, nine_view_grid().pick([0, 1, 3, 5, 7])
+    beside = replace(views, light=views.light + torch.tensor([0.05, 0.02, 0.0], dtype=torch.float64))
+    write_capture(photograph(make_material("inlay", SIDE), beside, ANALYTIC), folder)
     return folder
 
 
@@ -409,6 +410,7 @@ def test_a_report_json_of_somebody_else_is_not_trusted(copy):
     record = json.loads((copy / "report.json").read_text())
     for photo in record["photos"][3:]:
         photo |= {"photo": "../secret.png", "rerendered": "../secret.png"}
+    files.write_png(copy.parent / "secret.png", torch.zeros(SIDE, SIDE, 3))
     (copy / "report.json").write_text(json.dumps(record))
     assert [photo["left_out"] for photo in write_report(copy, quick=True)["photos"]] == [False] * 3
     (copy / "report.json").write_text("[1]")
