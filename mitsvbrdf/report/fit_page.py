@@ -27,6 +27,7 @@ from .sheet import TITLES, shown_map
 from .viewer import viewer_html
 
 LARGEST_MAP = 512  # pixels a side on the page
+EXACT_MAP = 256 * 1024  # bytes of a map's PNG; any of 256 px has less, and looked at closely it shows its texels
 LARGEST_PHOTO, SMALLEST_PHOTO, PHOTOS_WIDE = 512, 96, 768  # nine photos get 256 px, a hundred 96
 ROWS = 200  # of the table of measurements
 SAME_PHOTO = 1e-4  # how far the error of a photo may be from what fit.json says; the same photos agree to float32, 1e-7
@@ -214,7 +215,7 @@ def _maps(found: FitFolder) -> list[dict]:
 
 
 def _map_uri(name: str, value: Tensor) -> str:
-    return picture_uri(at_most(shown_map(name, value), LARGEST_MAP))
+    return picture_uri(at_most(shown_map(name, value), LARGEST_MAP), EXACT_MAP)
 
 
 def _magma(share: Tensor) -> Tensor:

@@ -23,8 +23,6 @@ from torch import Tensor
 
 from .. import color, files
 
-LARGEST_PNG = 64 * 1024  # bytes
-
 
 def write_page(path: str | Path, template: str, **context: object) -> None:
     """Render ``templates/TEMPLATE`` (which extends ``base.html``) into one file, beside first, then renamed.
@@ -77,14 +75,15 @@ def png_uri(display: Tensor) -> str:
     return "data:image/png;base64," + base64.b64encode(cv2.imencode(".png", pixels)[1].tobytes()).decode()
 
 
-def picture_uri(display: Tensor) -> str:
-    """A picture for ``<img src>``, as :func:`png_uri` up to 64 KiB, else a JPEG of quality 85.
+def picture_uri(display: Tensor, exact_up_to: int = 64 * 1024) -> str:
+    """A picture for ``<img src>``, exact as :func:`png_uri` makes it while that is small, else a JPEG of quality 85.
 
     Args:
         display: H x W x 3 (or x 1), display values; clipped to [0, 1].
+        exact_up_to: bytes that the PNG may have.
     """
     exact = png_uri(display)
-    if len(exact) < 4 / 3 * LARGEST_PNG:
+    if len(exact) < 4 / 3 * exact_up_to:
         return exact
     pixels = np.rint(color.clip(display.detach().float()).expand(*display.shape[:2], 3).numpy() * 255).astype(np.uint8)
     ok, data = cv2.imencode(".jpg", np.ascontiguousarray(pixels[..., ::-1]), [
