@@ -7,8 +7,6 @@ import itertools
 import json
 import os
 import shutil
-import signal
-import threading
 import time
 import uuid
 from collections.abc import Iterator, Sequence
@@ -20,6 +18,7 @@ import torch
 from torch import Tensor
 
 from .errors import MitsvbrdfError, OutputError
+from .interrupts import undisturbed
 
 MANIFEST = ".mitsvbrdf"  # in each folder we make: the files we put there
 CHECKPOINT = "checkpoint.safetensors"
@@ -308,16 +307,3 @@ def _put_in_place(partial: Path, out: Path) -> None:
 def _spare_name(path: Path) -> Path:
     names = (path.with_name(f"{path.name}.old{count or ''}") for count in itertools.count())
     return next(name for name in names if not os.path.lexists(name))
-
-
-@contextlib.contextmanager
-def undisturbed() -> Iterator[None]:
-    """Ctrl-C has to wait until the block is done."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)

@@ -23,6 +23,7 @@ from ..fit import fit_svbrdf, left_out, pretrain
 from ..fit.checkpoint import load_tensors
 from ..fit.confidence import confidence
 from ..fit.config import DirectConfig, FitConfig, GanConfig, GuessMethod, HierarchicalConfig, HybridConfig, check_seed
+from ..interrupts import undisturbed
 from ..maps import load_maps
 from ..profile import profiling
 from ..progress import Progress, print_numbers, print_profile, say, say_written
@@ -118,7 +119,7 @@ def fit_command(method: str) -> Callable:
             with Progress(title) as progress, collecting:
                 result = fit_svbrdf(shots, engine, config, checkpoint=folder / files.CHECKPOINT,
                                     resume=earlier if resume else None, report=progress, live=folder / files.LIVE)
-            with files.undisturbed():
+            with undisturbed():
                 write_fit(result, shots, folder, command={
                     "renderer": renderer, "resolution": resolution, "views": views, "falloff": shots.views.falloff,
                     "transfer": transfer, "variant": variant}, left_out=photos.pick(unused) if unused else None)

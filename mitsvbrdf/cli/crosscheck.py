@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
@@ -17,7 +16,7 @@ from ..errors import ConfigError
 from ..maps import CHANNELS
 from ..progress import console, progress_bar, say, say_written
 from ..render import make_renderer
-from .options import Variant, ViewSource, material_of, views_of
+from .options import Variant, ViewSource, material_of, name_of, views_of
 
 RENDERERS = ("mitsuba", "mitsuba-scene", "analytic")
 
@@ -83,15 +82,8 @@ def _materials(maps: str | None, resolution: int | None):
         materials = builtin_materials(resolution or 128)
     else:
         svbrdf = material_of(maps, resolution or 256)
-        materials = {_name(maps): svbrdf.resized(min(resolution or 256, svbrdf.resolution))}
+        materials = {name_of(maps): svbrdf.resized(min(resolution or 256, svbrdf.resolution))}
     return materials, fit.falloff, fit.flash_offset, fit.transfer or "gamma2.2"
-
-
-def _name(maps: str) -> str:
-    if maps.startswith("builtin:"):
-        return maps.removeprefix("builtin:")
-    folder = Path(os.path.abspath(maps))
-    return folder.parent.name if folder.name == "maps" else folder.name
 
 
 def _with_offset(views, offset: tuple[float, float] | None):

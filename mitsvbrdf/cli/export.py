@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Annotated
 
@@ -14,7 +13,7 @@ from ..export import FORMATS, check_options, export_material
 from ..export.maps import Naming
 from ..export.textures import Bits, NormalConvention
 from ..progress import say
-from .options import Material, Overwrite, material_of
+from .options import Material, Overwrite, keep_apart_from_maps, material_of, name_of
 
 
 def export(maps: Positional[Material],
@@ -39,9 +38,9 @@ def export(maps: Positional[Material],
         raise ConfigError("an output folder, beside a builtin material", "none", "add -o FOLDER")
     out = out or Path(maps) / "export"
     svbrdf, fit = material_of(maps), Fit() if builtin else fit_of(maps)
-    name = maps.removeprefix("builtin:") if builtin else _name(Path(maps))
+    name = name_of(maps)
     if not builtin:
-        _keep_apart(Path(maps), out)
+        keep_apart_from_maps(Path(maps), out)
     with files.output_folder(out, overwrite) as folder:
         done = export_material(svbrdf, folder, formats, name, naming, normal, bits, fit.views)
     for kind, written in done.items():
@@ -49,15 +48,3 @@ def export(maps: Positional[Material],
             say(f"lost in {kind}, {what}: " + ", ".join(f"{name} {error:.4f}" for name, error in errors.items()))
         say(f"wrote {', '.join(str(out / kind / file) for file in written.files)}")
     return 0
-
-
-def _name(maps: Path) -> str:
-    """A material is called like the folder of its fit."""
-    folder = Path(os.path.realpath(maps))
-    return folder.parent.name if folder.name == "maps" else folder.name
-
-
-def _keep_apart(maps: Path, out: Path) -> None:
-    """An export among the maps would replace the fit, or be read as maps the next time."""
-    if os.path.realpath(out) in (os.path.realpath(maps), os.path.realpath(maps / "maps"), os.path.realpath(maps / "..")):
-        raise ConfigError("an output folder of its own", f"{out}, which holds the maps", "choose another folder")

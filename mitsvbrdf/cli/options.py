@@ -35,6 +35,20 @@ def keep_apart(capture: Path, out: Path) -> None:
         raise ConfigError("an output folder of its own", f"{out}, which holds the photos", "choose another folder")
 
 
+def keep_apart_from_maps(maps: Path, out: Path) -> None:
+    """Results among the maps would replace the fit, or be read as maps the next time."""
+    if os.path.realpath(out) in (os.path.realpath(maps), os.path.realpath(maps / "maps"), os.path.realpath(maps / "..")):
+        raise ConfigError("an output folder of its own", f"{out}, which holds the maps", "choose another folder")
+
+
+def name_of(maps: str) -> str:
+    """What a material is called: ``builtin:NAME`` by its name, others like the folder of their fit."""
+    if maps.startswith("builtin:"):
+        return maps.removeprefix("builtin:")
+    folder = Path(os.path.abspath(maps))
+    return folder.parent.name if folder.name == "maps" else folder.name
+
+
 def check_new_file(out: Path, overwrite: bool) -> None:
     """Raise OutputError where a result file is there already or could not be written, before any work is done."""
     if out.is_file() and not overwrite:

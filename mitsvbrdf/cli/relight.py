@@ -12,12 +12,10 @@ from tyro.conf import Positional, arg
 from .. import files
 from ..errors import ConfigError
 from ..fit.config import check_seed
-from ..fit.loop import _stop_signals as stop_signals
+from ..interrupts import stop_signals
 from ..progress import progress_bar, say
 from ..render.llvm import mitsuba_module
-from .export import _keep_apart as keep_apart_from_maps
-from .export import _name as name_of
-from .options import Material, Overwrite, Variant, material_of
+from .options import Material, Overwrite, Variant, keep_apart_from_maps, material_of, name_of
 
 SIDES = (8, 8192)
 MOVIES = ("mp4", "gif")
@@ -87,7 +85,7 @@ def relight(maps: Positional[Material],
     settings = {"maps": maps if builtin else os.path.realpath(maps), "environment": environment, "size": pixels,
                 "frames": frames, "tiling": tiling, "displacement": displacement, "exposure": exposure,
                 "target_error": stop.target_error, "budget": budget, "samples": samples, "seed": seed, "variant": variant}
-    title = f"relight {maps.removeprefix('builtin:') if builtin else name_of(Path(maps))}"
+    title = f"relight {name_of(maps)}"
     with files.output_folder(out, overwrite or resume, resume, kept_names(PRESETS)) as folder:
         record = go_on(settings, out, folder) if resume else begin(settings)
         with contextlib.ExitStack() as stack:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import math
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -18,6 +15,7 @@ from torch import Tensor
 
 from ..capture import Capture
 from ..errors import ConfigError
+from ..interrupts import stop_signals
 from ..maps import SVBRDF
 from ..metrics import photo_rmse
 from ..profile import STEP, profiled
@@ -72,7 +70,7 @@ class Loop:
 
     def run(self) -> str:
         """Advance until a limit or Ctrl-C; returns "budget", "iterations", "interrupted", "unstable" or "settled"."""
-        with _stop_signals() as stop:
+        with stop_signals() as stop:
             self.started, saved = time.perf_counter() - self.seconds, time.perf_counter()
             if self.iteration == 0:
                 self._begin()
@@ -260,29 +258,6 @@ class Loop:
         self.iteration, self.seconds, self.trace = note["iteration"], note["seconds"], note["trace"]
         self.undone, self.restarts, self.rising = note["undone"], note["restarts"], note["rising"]
         self.lowest = note["lowest_loss"], part("lowest.")
-
-
-@contextlib.contextmanager
-def _stop_signals() -> Iterator[list[int]]:
-    """A list that gets an entry when Ctrl-C or SIGTERM asks to stop; the third time raises KeyboardInterrupt."""
-    stop: list[int] = []
-
-    def asked_to_stop(*_: object) -> None:
-        if len(stop) > 1:
-            raise KeyboardInterrupt
-        stop.append(1)
-
-    if (threading.current_thread() is not threading.main_thread()
-            or signal.getsignal(signal.SIGINT) is not signal.default_int_handler):
-        yield stop  # somebody else listens
-        return
-    signal.signal(signal.SIGINT, asked_to_stop)
-    terminate = signal.signal(signal.SIGTERM, asked_to_stop)
-    try:
-        yield stop
-    finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        signal.signal(signal.SIGTERM, terminate)
 
 
 def rerender(renderer: Renderer, svbrdf: SVBRDF, views: Views, capture: Capture) -> tuple[Tensor, float, list[float]]:

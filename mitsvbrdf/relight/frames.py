@@ -12,6 +12,7 @@ from torch import Tensor
 
 from .. import files
 from ..errors import ConfigError, MapsError, MitsvbrdfError
+from ..interrupts import undisturbed
 from ..provenance import machine, versions
 from .passes import Rendered, Stop, render_frame, shown
 from .stage import Stage
@@ -145,7 +146,7 @@ def render_stages(mi, stages: Sequence[Stage], stop: Stop, record: Record, folde
                                         interrupted=interrupted)
             except MapsError as error:
                 raise MapsError(error.expected, f"{error.got} in {title}", error.fix) from None
-            with files.undisturbed():
+            with undisturbed():
                 kept["frames"].append({"frame": number, **_kept(rendered, stage, number, folder, exposure)})
                 record.write(folder)
             if rendered.stopped == INTERRUPTED:

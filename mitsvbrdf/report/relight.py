@@ -22,7 +22,7 @@ from .. import files
 from ..errors import ConfigError, OutputError, exit_code
 from ..relight.frames import RECORD, read_frame
 from ..relight.passes import shown
-from .sheet import _Plain
+from .sheet import PlainNumbers
 
 INK, QUIET, TARGET = "#c2571a", "#9aa0a8", "#2a6fb0"
 SIDE, GAP, CAPTION = 320, 6, 30  # pixels of a contact sheet
@@ -57,8 +57,8 @@ def error_curve(path: str | Path, curves: Sequence[Sequence[Mapping]], target: f
         axes.plot(ends, e * np.sqrt(t / ends), color=QUIET, linewidth=1, linestyle=":", label="1 / \N{SQUARE ROOT}seconds")
         axes.set(xscale="log", yscale="log")
         for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_formatter(_Plain())
-            axis.set_minor_formatter(_Plain())
+            axis.set_major_formatter(PlainNumbers())
+            axis.set_minor_formatter(PlainNumbers())
     if target:
         axes.axhline(target, color=TARGET, linewidth=1, linestyle="--", label=f"target {target:g}")
     axes.set_title(title, loc="left", fontsize=9)

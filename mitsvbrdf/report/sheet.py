@@ -155,7 +155,7 @@ def loss_curve(path: str | Path, trace: Sequence[dict]) -> None:
     files.write_bytes(Path(path), data.getvalue())
 
 
-class _Plain(LogFormatter):
+class PlainNumbers(LogFormatter):
     """Numbers as 0.02, at the ticks that matplotlib would label."""
 
     def __call__(self, x: float, pos: int | None = None) -> str:
@@ -172,8 +172,8 @@ def _curves(axes: Axes, rows: Sequence[dict], colours: dict, width: float) -> No
     if drawn:  # matplotlib refuses logarithmic axes without a point
         axes.set(xscale="log", yscale="log")
         for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_formatter(_Plain())
-            axis.set_minor_formatter(_Plain())
+            axis.set_major_formatter(PlainNumbers())
+            axis.set_minor_formatter(PlainNumbers())
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(True, which="major", color="#e3e5e8", linewidth=0.6)
     axes.tick_params(labelsize=7, which="both", color="#9aa0a8")

@@ -11,6 +11,7 @@ from typing import Any
 
 from ... import __version__, files
 from ...errors import ConfigError
+from ...interrupts import undisturbed
 from ...provenance import machine, versions
 from .published import Published
 from .schema import SCHEMA_VERSION, Benchmark, check_benchmark, identity
@@ -77,7 +78,7 @@ class Store:
 
     def write(self) -> None:
         """The file as it is now: beside it first, then renamed."""
-        with files.undisturbed():
+        with undisturbed():
             files.write_json(self.path, self.content)
 
 
