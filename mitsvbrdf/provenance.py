@@ -16,7 +16,7 @@ def machine() -> dict[str, str | int | None]:
 def versions() -> dict[str, str | None]:
     """Versions of Python and of the packages that a result depends on."""
     found: dict[str, str | None] = {"python": platform.python_version()}
-    for name in ("mitsvbrdf", "mitsuba", "drjit", "torch", "numpy", "opencv-contrib-python-headless", "OpenEXR"):
+    for name in ("mitsvbrdf", "mitsuba", "drjit", "torch", "numpy", "opencv-contrib-python-headless", "OpenEXR", "av"):
         try:
             found[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
