@@ -310,7 +310,7 @@ def demo(out: Out = Path("out/demo"), budget: float = 75.0, overwrite: Overwrite
     synth(str(truth), photos, noise=0.003, overwrite=overwrite)
     fit_command("hierarchical")(photos, result, HierarchicalConfig(budget=budget), overwrite=overwrite)
     print_numbers("Map RMSE", evaluate_maps(load_maps(result), truth))
-    say(f"look at {result}/sheet.png")
+    say(f"look at {result}/report.html")
     return 0
 
 
