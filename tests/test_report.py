@@ -18,13 +18,16 @@ from browser import opened
 
 from mitsvbrdf import cli, files
 from mitsvbrdf.capture import photograph, read_capture, write_capture
+from mitsvbrdf.errors import OutputError
 from mitsvbrdf.evaluate import fit_of
 from mitsvbrdf.evaluate.measure import fixed_cotangent
+from mitsvbrdf.fit import DirectConfig, fit_svbrdf
 from mitsvbrdf.maps import SVBRDF, load_maps, save_maps
 from mitsvbrdf.procedural import make_material
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.report.curves import curves
 from mitsvbrdf.report.fit_page import read_fit, write_report
+from mitsvbrdf.report.folder import write_fit
 from mitsvbrdf.report.page import figure, picture_uri
 from mitsvbrdf.views import Views, nine_view_grid
 
@@ -404,6 +407,40 @@ def test_photos_of_another_capture_are_refused(copy, photos, tmp_path, capsys):
         assert message.count("error:") == 1 and all(word in message for word in words), message
     assert sorted(copy.rglob("*")) == before
     assert cli.main(["report", str(tmp_path / "nowhere")]) == 2 and "which has no fit.json" in capsys.readouterr().err
+
+
+def test_photos_are_never_written_over_those_of_the_capture(copy, photos, tmp_path, capsys):
+    # A capture in OUT/photos, plain or calibrated, named by its folder or its JSON file.
+    project = tmp_path / "project"
+    shutil.copytree(photos, project / "photos")
+    for k in (0, 1):
+        shutil.copy(photos / f"target/{k:02d}.png", project / "photos")
+    before = {path: path.read_bytes() for path in project.rglob("*.png")}
+    for capture in (project / "photos", project / "photos/capture.json"):
+        assert cli.main(["fit", str(capture), "-o", str(project), *FAST, "--overwrite"]) == 2
+        assert "holds the photos" in capsys.readouterr().err
+    shots = read_capture(project / "photos")
+    found = fit_svbrdf(shots, ANALYTIC, DirectConfig(iterations=1))
+    for out in (project, project / "photos"):
+        with pytest.raises(OutputError, match="own photos would be replaced"):
+            write_fit(found, shots, out)
+    assert {path: path.read_bytes() for path in project.rglob("*.png")} == before
+    # What an earlier page kept is no capture: its views are gone.
+    assert cli.main(["report", str(copy), "--quick", "--capture", str(copy / "photos")]) == 2
+    assert "holds the photos" in capsys.readouterr().err
+    write_capture(replace(shots, calibrated=False), tmp_path / "plain")
+    assert cli.main(["report", str(copy), "--quick", "--capture", str(tmp_path / "plain")]) == 2
+    assert "with calibration" in capsys.readouterr().err
+
+
+def test_a_second_fit_in_the_same_folder_shows_nothing_of_the_first(tmp_path):
+    shots = photograph(make_material("tiles", 8), nine_view_grid(), ANALYTIC)
+    for fix, others in (((), shots.pick([5])), (("roughness=0.5",), None)):
+        write_fit(fit_svbrdf(shots.pick([0, 1]), ANALYTIC, DirectConfig(iterations=1, fix=fix)), shots.pick([0, 1]), tmp_path,
+                  left_out=others)
+        page = Page(tmp_path / "report.html")
+        assert ("left out of the fit" in page.text) == ("Roughness: standard deviation" in page.pictures) == (not fix)
+    assert json.loads((tmp_path / "report.json").read_text())["left_out_rmse"] is None
 
 
 def test_a_report_json_of_somebody_else_is_not_trusted(copy):

@@ -30,8 +30,10 @@ FalloffOption = Literal["auto", "inverse-square", "none"]
 
 
 def keep_apart(capture: Path, out: Path) -> None:
-    """Results among photos would be read as photos the next time."""
-    if os.path.realpath(out) in (os.path.realpath(capture), os.path.realpath(capture / "target")):
+    """Results among photos would be read as photos the next time, or take the place of photos of the same name."""
+    capture = capture.parent if capture.is_file() else capture  # of its JSON file
+    photos = {os.path.realpath(path) for path in (capture, capture / "target")}
+    if photos & {os.path.realpath(path) for path in (out, out / "photos")}:
         raise ConfigError("an output folder of its own", f"{out}, which holds the photos", "choose another folder")
 
 

@@ -11,6 +11,7 @@ from .. import files
 from ..capture import read_capture
 from ..progress import print_numbers, progress_bar, say, say_written
 from ..report.page import figure
+from .options import keep_apart
 
 
 def report(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder that `mitsvbrdf fit` wrote.")]],
@@ -27,6 +28,7 @@ def report(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder t
     found = read_fit(out)
     left_out, written = None, ["report.html", "report.json"]
     if capture is not None:
+        keep_apart(capture, out)
         about = found.record["capture"]
         shots = read_capture(capture, resolution=about["resolution"], transfer=found.fit.transfer, falloff=found.fit.falloff)
         used = shots.pick(found.fit.seen)

@@ -65,7 +65,8 @@ def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names
     saved = None if quick or renderer is None else _saved(
         svbrdf.resized(side), views, renderer, fixed, grey_specular, lambda share: report("what was saved", 0.7 + 0.3 * share))
     return {"schema_version": SCHEMA_VERSION, "quick": quick, "maps": maps, "condition": _condition(svbrdf, views, transfer),
-            "crosscheck": checked and _figures(checked, timed=not quick), "saved": saved, "machine": machine(), "versions": versions()}
+            "crosscheck": checked and _figures(checked, timed=not quick), "saved": saved, "machine": machine(),
+            "versions": versions()}
 
 
 def predict(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from torch import Tensor
 
 from .. import color, files
 from ..capture import Capture
-from ..errors import CaptureError, MapsError
+from ..errors import CaptureError, MapsError, OutputError
 from ..evaluate import Fit, fit_of
 from ..evaluate.fit_report import fit_report, predict
 from ..fit.confidence import UNKNOWN
@@ -108,7 +109,15 @@ def _misfit(value: object, shape: object, where: str = "") -> str:
 
 
 def keep_photos(folder: Path, capture: Capture) -> None:
-    """The photos as ``photos/NN.png``: display values, 8 bits."""
+    """The photos as ``photos/NN.png``: display values, 8 bits.
+
+    Raises:
+        OutputError: they cannot be written, or the capture's own files are there.
+    """
+    source, folder = capture.source and os.path.realpath(capture.source), Path(folder)
+    if source in (os.path.realpath(folder), os.path.realpath(folder / "photos")):
+        raise OutputError("an output folder of its own", f"{folder}, where the capture's own photos would be replaced",
+                          "choose another folder")
     for name, photo in zip(capture.names, capture.photos):
         files.write_png(folder / "photos" / f"{name}.png", photo)
 
@@ -147,7 +156,11 @@ def write_report(folder: str | Path, quick: bool = False, left_out: Capture | No
 
 
 def check_photos(found: FitFolder, capture: Capture) -> None:
-    """Raise CaptureError unless these are the photos of the fit, as their errors tell."""
+    """Raise CaptureError unless these are the photos of the fit, as their errors and whether they are calibrated tell."""
+    if capture.calibrated != found.record["capture"]["calibrated"]:
+        raise CaptureError(f"a capture {'without' if capture.calibrated else 'with'} calibration, as that of this fit",
+                           f"{capture.source}, which has {'one' if capture.calibrated else 'none'}",
+                           "give the capture that was fitted")
     images = torch.stack([files.read_image(found.path / "rerendered" / f"{name}.exr", MapsError) for name in found.names])
     if images.shape != capture.photos.shape:
         raise CaptureError(f"photos of {images.shape[1]} px", f"{capture.resolution} px in {capture.source}",
@@ -204,7 +217,8 @@ def _maps(found: FitFolder) -> list[dict]:
     maps = []
     for name in CHANNELS[found.svbrdf.bsdf]:
         spread = found.path / "uncertainty" / f"{name}.exr"
-        sure = files.read_image(spread, MapsError)[..., 0] / UNKNOWN if spread.is_file() else None
+        known = name in found.record["confidence"] and spread.is_file()  # there may be one of an earlier fit
+        sure = files.read_image(spread, MapsError)[..., 0] / UNKNOWN if known else None
         maps.append({"name": name, "title": TITLES[name], "picture": _map_uri(name, found.svbrdf[name]),
                      "spread": None if sure is None else picture_uri(_magma(sure))})
     guess = found.path / "guess" / "diffuse.exr"

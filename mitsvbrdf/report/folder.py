@@ -32,13 +32,16 @@ def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dic
         out: the folder, made when missing.
         command: options of the command line, kept in ``fit.json``.
         left_out: photos that the fit did not use, for the page to predict.
+
+    Raises:
+        OutputError: ``out`` cannot be written, or its ``photos/`` is where the capture came from.
     """
     out = Path(out)
+    keep_photos(out, capture)
     save_maps(result.svbrdf, out / "maps")
     write_linear(out / "guess" / "diffuse", result.guess, "srgb")
     for name, spread in result.deviations.items():
         files.write_exr(out / "uncertainty" / f"{name}.exr", spread.square().mean(dim=-1, keepdim=True).sqrt())
-    keep_photos(out, capture)
     for name, image in zip(capture.names, result.rerendered):
         write_linear(out / "rerendered" / name, image, capture.transfer)
     method = METHODS[type(result.config).__name__]
@@ -53,6 +56,7 @@ def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dic
     loss_curve(out / "curve.svg", result.trace)
     write_scene(out, result.svbrdf, result.views)
     files.write_json(out / "fit.json", fit_record(result, capture, command or {}))
+    (out / "report.json").unlink(missing_ok=True)  # photos that an earlier fit left out are none of this one's
     write_report(out, quick=True, left_out=left_out)
 
 
