@@ -1,6 +1,7 @@
 """Files are replaced whole or not at all, and nothing that is not ours is touched."""
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ import torch
 
 from mitsvbrdf import files
 from mitsvbrdf.errors import OutputError
+from mitsvbrdf.interrupts import undisturbed
 
 
 def make(out, names, **options):
@@ -77,6 +79,28 @@ def test_moving_into_place_is_undone_when_it_fails(tmp_path, monkeypatch, failin
     monkeypatch.undo()
     assert names_in(out) == ["one", "two"] and (out / "one").read_bytes() == (out / "two").read_bytes() == b"new"
     assert not files.partial_folder(out).exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_putting_results_in_place_is_not_interrupted(number, tmp_path, monkeypatch):
+    came, replace = [], os.replace
+
+    def interrupted(source, target):
+        os.kill(os.getpid(), number)
+        replace(source, target)
+
+    before = signal.signal(number, lambda *_: came.append(number))
+    try:
+        with files.output_folder(tmp_path / "out", overwrite=False) as folder:
+            files.write_bytes(folder / "one", b"new")
+            monkeypatch.setattr(os, "replace", interrupted)
+        assert not came and names_in(tmp_path / "out") == ["one"]
+        with undisturbed():
+            pass
+        os.kill(os.getpid(), number)
+        assert came == [number]  # and afterwards it is listened to again
+    finally:
+        signal.signal(number, before)
 
 
 def test_two_runs_do_not_share_a_folder(tmp_path):
