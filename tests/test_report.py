@@ -20,11 +20,13 @@ from mitsvbrdf import cli, files
 from mitsvbrdf.capture import photograph, read_capture, write_capture
 from mitsvbrdf.errors import OutputError
 from mitsvbrdf.evaluate import fit_of
+from mitsvbrdf.evaluate.fit_report import fit_report
 from mitsvbrdf.evaluate.measure import fixed_cotangent
 from mitsvbrdf.fit import DirectConfig, fit_svbrdf
 from mitsvbrdf.maps import SVBRDF, load_maps, save_maps
 from mitsvbrdf.procedural import make_material
 from mitsvbrdf.render import make_renderer
+from mitsvbrdf.report import fit_page
 from mitsvbrdf.report.curves import curves
 from mitsvbrdf.report.fit_page import read_fit, write_report
 from mitsvbrdf.report.folder import write_fit
@@ -441,6 +443,39 @@ def test_a_second_fit_in_the_same_folder_shows_nothing_of_the_first(tmp_path):
         page = Page(tmp_path / "report.html")
         assert ("left out of the fit" in page.text) == ("Roughness: standard deviation" in page.pictures) == (not fix)
     assert json.loads((tmp_path / "report.json").read_text())["left_out_rmse"] is None
+
+
+def test_a_page_is_not_written_beside_another_fit(copy, monkeypatch):
+    def slow(*arguments, **options):
+        (copy / "fit.json").write_text(json.dumps(json.loads((copy / "fit.json").read_text()) | {"seed": 7}))
+        return fit_report(*arguments, **options)
+
+    monkeypatch.setattr(fit_page, "fit_report", slow)
+    before = (copy / "report.html").read_bytes()
+    with pytest.raises(OutputError, match="another one"):
+        write_report(copy, quick=True)
+    assert (copy / "report.html").read_bytes() == before
+
+
+def test_what_the_page_says_is_true_of_plain_photos_smooth_maps_and_held_ones(photos, tmp_path, monkeypatch):
+    monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)  # another test may have loaded it
+    shots, smooth = replace(read_capture(photos), calibrated=False), ("roughness=0.05", "diffuse=0.3")
+    write_fit(fit_svbrdf(shots.pick([0, 1]), ANALYTIC, DirectConfig(iterations=1, fix=smooth)), shots.pick([0, 1]), tmp_path,
+              left_out=shots.pick([2]))
+    page = Page(tmp_path / "report.html")
+    assert "predicted from the assumed view, as" in page.text and "calibration and" not in page.text
+    assert "All stated tolerances hold." not in page.text and "rougher texels than there are here" in page.text
+    assert "Guessed diffuse" not in page.pictures and "no libLLVM in use" in page.text
+
+
+def test_the_stage_of_a_fit_is_no_loss_and_long_tables_are_thinned(copy):
+    record = json.loads((copy / "fit.json").read_text())
+    record["trace"] = [{"seconds": float(k), "iteration": k, "stage": 2.0, "rerender_rmse": 0.1} for k in range(399)]
+    (copy / "fit.json").write_text(json.dumps(record))
+    write_report(copy, quick=True)
+    page = Page(copy / "report.html")
+    assert "The measurements, some of 399" in page.text and 'aria-label="Losses' not in page.source
+    assert len([row for row in page.rows if len(row) == 4 and row[2] == "2"]) == 200
 
 
 def test_a_report_json_of_somebody_else_is_not_trusted(copy):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -62,6 +63,11 @@ class FitFolder:
     record: dict
     fit: Fit
     svbrdf: SVBRDF
+
+    @property
+    def fixed(self) -> list[str]:
+        """Names of the maps that were held fixed."""
+        return [entry.split("=")[0] for entry in self.record["config"]["fix"]]
 
     @property
     def names(self) -> list[str]:
@@ -137,7 +143,7 @@ def write_report(folder: str | Path, quick: bool = False, left_out: Capture | No
 
     Raises:
         MapsError: not the folder of a fit.
-        OutputError: the folder cannot be written.
+        OutputError: the folder cannot be written, or another fit was put there meanwhile.
         BackendError: the fit's renderer does not work here.
     """
     found = read_fit(folder)
@@ -147,8 +153,10 @@ def write_report(folder: str | Path, quick: bool = False, left_out: Capture | No
                "rerendered": f"rerendered/{name}.png"} for name, rmse in found.record["per_photo"].items()]
     transfer = found.record["capture"]["transfer"]
     measured = fit_report(found.svbrdf, found.fit.views, engine, names=found.names, transfer=transfer,
-                          fixed=[entry.split("=")[0] for entry in found.record["config"]["fix"]],
+                          fixed=found.fixed,
                           grey_specular=found.record["config"]["grey_specular"], quick=quick, report=report)
+    if json.loads((found.path / "fit.json").read_text()) != found.record:
+        raise OutputError("the same fit as a moment ago", f"another one in {found.path}", "run it again")
     record = measured | {"photos": photos + predicted, "left_out_rmse": error}
     files.write_json(found.path / "report.json", record)
     _write_page(found, record)
@@ -222,7 +230,7 @@ def _maps(found: FitFolder) -> list[dict]:
         maps.append({"name": name, "title": TITLES[name], "picture": _map_uri(name, found.svbrdf[name]),
                      "spread": None if sure is None else picture_uri(_magma(sure))})
     guess = found.path / "guess" / "diffuse.exr"
-    if guess.is_file():
+    if guess.is_file() and "diffuse" not in found.fixed:  # else it is that map
         maps.append({"name": None, "title": "Guessed diffuse", "spread": None,
                      "picture": _map_uri("diffuse", files.read_image(guess, MapsError))})
     return maps
@@ -258,14 +266,14 @@ def _photo(folder: Path, photo: dict, side: int) -> dict:
 def _curves(trace: Sequence[Mapping]) -> list[tuple[str, dict]]:
     """Title and drawing of the error, and of the losses, against seconds; without those that have no point."""
     losses = [name for name in dict.fromkeys(name for row in trace for name in row)
-              if name not in ("seconds", "iteration", "rerender_rmse")]
+              if name not in ("seconds", "iteration", "rerender_rmse", "stage")]
     drawn = (("Re-rendering RMSE", curves(trace, ["rerender_rmse"])), ("Losses", curves(trace, losses)))
     return [(title, drawing) for title, drawing in drawn if drawing]
 
 
 def _thinned(trace: Sequence[Mapping]) -> list[Mapping]:
-    """At most about 200 rows of a trace, the last among them."""
-    rows = list(trace[::max(1, len(trace) // ROWS)])
+    """At most 201 rows of a trace, the last among them."""
+    rows = list(trace[::max(1, math.ceil(len(trace) / ROWS))])
     return rows if not rows or rows[-1] is trace[-1] else [*rows, trace[-1]]
 
 
