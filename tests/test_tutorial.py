@@ -130,7 +130,11 @@ def test_what_is_kept_is_small_and_comes_from_a_run(tutorial):
         return [(output.output_type, *sorted(output.get("data", ()))) for output in outputs(notebook)]
 
     assert kinds(kept) == kinds(tutorial[0])
-    assert re.sub(r"[\d.e+-]+", "#", said(kept)) == re.sub(r"[\d.e+-]+", "#", said(tutorial[0]))  # the same words
+
+    def words(notebook):  # numbers, and the spaces that line them up, differ from run to run
+        return re.findall(r"[A-Za-z_]{2,}", said(notebook))
+
+    assert words(kept) == words(tutorial[0]) and len(words(kept)) > 20
 
 
 def test_links_lead_somewhere():
