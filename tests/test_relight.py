@@ -1,8 +1,10 @@
 """Renders in passes: their error against repeated renders, limits, going on, movies read back by other code; off-axis light."""
 
 import contextlib
+import errno
 import json
 import math
+import os
 import re
 import signal
 import sys
@@ -23,7 +25,7 @@ from mitsvbrdf.relight import frames as frames_module
 from mitsvbrdf.relight import make_stage
 from mitsvbrdf.relight.check import check_novel, place_frame
 from mitsvbrdf.relight.movie import durations, write_gif, write_mp4
-from mitsvbrdf.relight.passes import GroupedMean, Stop, render_frame, render_passes
+from mitsvbrdf.relight.passes import GroupedMean, Stop, one_sample, render_frame, render_passes
 from mitsvbrdf.render.analytic import AnalyticRenderer
 from mitsvbrdf.render.llvm import mitsuba_module
 from mitsvbrdf.render.needs import Needs
@@ -128,7 +130,7 @@ def test_target_is_met_and_not_by_far(mi, scenes, preset):
 def test_one_sample_that_is_enough_is_noticed():
     picture = torch.full((8, 8, 3), 0.4)
     found = render_passes(lambda call, samples: picture, Stop(target_error=0.01), pixels=64)
-    assert found.samples == 2 and found.error == found.one_sample == 0 and torch.equal(found.image, picture)
+    assert found.samples == 2 and found.error == one_sample(found.curve) == 0 and torch.equal(found.image, picture)
 
 
 # Limits
@@ -352,8 +354,63 @@ def test_ctrl_c_ends_well(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(frames_module, "render_frame", pressed)
     assert run(tmp_path / "o", preset="sphere", samples=None, target_error=1e-5) == 0
     frame, = record(tmp_path / "o")["presets"]["sphere"]["frames"]
-    assert frame["stopped"] == "interrupted" and (tmp_path / "o" / "sphere.png").is_file()
+    assert frame["stopped"] == "interrupted"
+    assert (tmp_path / "o" / "sphere.png").is_file() and (tmp_path / "o" / "sphere.svg").is_file()
     assert "interrupted" in capsys.readouterr().out
+
+
+def test_ctrl_c_while_a_frame_is_written_is_heard(tmp_path, monkeypatch):
+    def pressed(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        return write_exr(*arguments)
+
+    write_exr = files.write_exr
+    monkeypatch.setattr(files, "write_exr", pressed)
+    run(tmp_path / "o", preset="sweep", frames=2)
+    frame, = record(tmp_path / "o")["presets"]["sweep"]["frames"]
+    assert frame["stopped"] == "samples"  # it was whole
+
+
+def test_an_end_before_the_next_frame_loses_none(tmp_path, monkeypatch):
+    options = {"preset": "sweep", "frames": 2, "movie": "none"}
+    run(tmp_path / "o", **options)
+    with monkeypatch.context() as patch:
+        patch.setattr(sys.modules[relight.__module__], "stop_signals", lambda: contextlib.nullcontext(StopAfter(0)))
+        run(tmp_path / "o", resume=True, **options | {"preset": "sweep,sphere"})
+    assert len(pictures(tmp_path / "o", "sweep")) == len(record(tmp_path / "o")["presets"]["sweep"]["frames"]) == 2
+    run(tmp_path / "o", resume=True, **options | {"preset": "sweep,sphere"})
+    assert len(record(tmp_path / "o")["presets"]["sphere"]["frames"]) == 2
+
+
+def test_a_run_goes_on_only_with_what_it_had(tmp_path, monkeypatch):
+    options = {"preset": "sphere", "out": tmp_path / "o", "environment": str(tmp_path / "sky.exr"), **SMALL}
+    save_maps(make_material("leather", 8), tmp_path / "m")
+    files.write_exr(tmp_path / "sky.exr", torch.ones(4, 8, 3))
+    relight(str(tmp_path / "m"), **options)
+
+    def refused(error, why):
+        with pytest.raises(error, match=why):
+            relight(str(tmp_path / "m"), resume=True, **options)
+        assert not files.partial_folder(tmp_path / "o").exists() and (tmp_path / "o" / "sphere.png").is_file()
+
+    with monkeypatch.context() as patch:  # no mistake of the record
+        patch.setattr(frames_module.shutil, "copy2", raises(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))))
+        refused(OutputError, "No space left")
+    relight(str(tmp_path / "m"), resume=True, **options)
+    files.write_exr(tmp_path / "sky.exr", torch.ones(5, 8, 3))
+    refused(ConfigError, "another environment_file")
+    files.write_exr(tmp_path / "sky.exr", torch.ones(4, 8, 3))
+    save_maps(make_material("plates", 8), tmp_path / "m")
+    refused(ConfigError, "another material")
+    save_maps(make_material("leather", 8), tmp_path / "m")
+    (tmp_path / "o" / "sphere.exr").unlink()
+    refused(ConfigError, "without sphere.exr")
+
+
+def raises(error):
+    def function(*_):
+        raise error
+    return function
 
 
 def test_explain_renders_nothing(tmp_path, capsys):

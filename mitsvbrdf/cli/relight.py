@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 from pathlib import Path
 from typing import Annotated
@@ -82,7 +83,8 @@ def relight(maps: Positional[Material],
         av_module()
     if not builtin:
         keep_apart_from_maps(Path(maps), out)
-    settings = {"maps": maps if builtin else os.path.realpath(maps), "environment": environment, "size": pixels,
+    settings = {"maps": maps if builtin else os.path.realpath(maps), "material": _fingerprint(svbrdf, fit.views),
+                "environment": environment, "environment_file": _file_fingerprint(environment), "size": pixels,
                 "frames": frames, "tiling": tiling, "displacement": displacement, "exposure": exposure,
                 "target_error": stop.target_error, "budget": budget, "samples": samples, "seed": seed, "variant": variant}
     title = f"relight {name_of(maps)}"
@@ -100,6 +102,25 @@ def relight(maps: Positional[Material],
     return 0
 
 
+def _fingerprint(svbrdf, views) -> str:
+    """Of the maps and the views: a fit made anew is another material."""
+    digest = hashlib.sha256(svbrdf.bsdf.encode())
+    for name, value in svbrdf.maps.items():
+        digest.update(name.encode() + value.contiguous().numpy().tobytes())
+    if views is not None:
+        for value in (views.camera, views.light, views.intensity):
+            digest.update(value.numpy().tobytes())
+    return digest.hexdigest()
+
+
+def _file_fingerprint(environment: str | None) -> str | None:
+    """Of an environment's file; None of those with a name."""
+    if environment is None or not Path(environment).is_file():
+        return None
+    with Path(environment).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
 def _check(mi, svbrdf, views, seed: int) -> int:
     from ..relight.check import check_novel
 
@@ -112,13 +133,13 @@ def _check(mi, svbrdf, views, seed: int) -> int:
 
 
 def _finish(stage, record, folder: Path, kinds: list[str], exposure: float, stop) -> None:
-    """Movie, curve and a line for a preset whose frames are all there."""
+    """Curve and a line for a preset, and its movie where all frames are there."""
     from ..relight.frames import display_frames
     from ..relight.movie import write_gif, write_mp4
     from ..report.relight import error_curve
 
     frames = record.presets[stage.name]["frames"]
-    if stage.frames > 1:
+    if len(record.of(stage.name)) == stage.frames > 1:
         for kind, write in (("mp4", write_mp4), ("gif", write_gif)):
             if kind in kinds:
                 write(folder / f"{stage.name}.{kind}", display_frames(stage, folder, exposure), stage.fps)
@@ -128,12 +149,14 @@ def _finish(stage, record, folder: Path, kinds: list[str], exposure: float, stop
 
 
 def _summary(name: str, frames: list[dict], target: float | None) -> str:
+    from ..relight.passes import one_sample
+
     samples, errors = [f["samples"] for f in frames], [f["error"] for f in frames if f["error"] is not None]
     parts = [] if len(frames) == 1 else [f"{len(frames)} frames"]
     parts += [f"{sum(f['seconds'] for f in frames):.1f} s",
               (f"{min(samples)}" if min(samples) == max(samples) else f"{min(samples)} to {max(samples)}") + " samples a pixel"]
     parts += [f"estimated error {max(errors):.4f}" + (" at most" if len(frames) > 1 else "")] if errors else []
-    one = [f["curve"][0]["error"] * f["curve"][0]["samples"] ** 0.5 for f in frames if f["curve"]]
+    one = [one_sample(f["curve"]) for f in frames if f["curve"]]
     if target and one and max(one) <= target:
         parts.append(f"a single sample is as good as free of noise (error {max(one):.2g})")
     return f"{name}: {', '.join(parts)}"

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from .. import files
 from ..errors import ConfigError, MapsError, MitsvbrdfError
-from ..interrupts import undisturbed
 from ..provenance import machine, versions
 from .passes import Rendered, Stop, render_frame, shown
 from .stage import Stage
@@ -78,21 +77,24 @@ def go_on(settings: Mapping, out: Path, folder: Path) -> Record:
         raise ConfigError(f"a {RECORD} to go on from in {out}", "none", "run without --resume first")
     try:
         found = json.loads((place / RECORD).read_text())
-        record = Record(found["settings"], found["presets"])
-        new = begin(settings).settings
+        record, new = Record(found["settings"], found["presets"]), begin(settings).settings
         other = [name for name in new if record.settings.get(name) != new[name]]
         for name, preset in record.presets.items():
             preset["frames"] = list(record.of(name).values())
-            for file in (*(frame["file"] for frame in preset["frames"]), *(f"{name}.{kind}" for kind in BESIDE)):
-                if place != folder and ((place / file).is_file() or file.endswith(".exr")):
-                    (folder / file).parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copy2(place / file, folder / file)
-    except (ValueError, KeyError, TypeError, AttributeError, OSError) as reason:
-        raise ConfigError(f"a {RECORD} of this command beside its frames", f"{place}: {reason!r}",
-                          "--overwrite starts anew") from None
+        frames = [frame["file"] for preset in record.presets.values() for frame in preset["frames"]]
+        lost = [file for file in frames if not (place / file).is_file()]
+    except (ValueError, KeyError, TypeError, AttributeError) as reason:
+        raise ConfigError(f"a {RECORD} of this command", f"{place}: {reason!r}", "--overwrite starts anew") from None
     if other:
         raise ConfigError("the settings of the run to go on with", f"another {', '.join(other)}",
                           "give the same, or --overwrite to start anew")
+    if lost:
+        raise ConfigError(f"the frames that {RECORD} names", f"{place} without {', '.join(lost)}", "--overwrite starts anew")
+    if place != folder:
+        beside = [f"{name}.{kind}" for name in record.presets for kind in BESIDE]
+        for file in (*frames, *(each for each in beside if (place / each).is_file())):
+            (folder / file).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(place / file, folder / file)
     return record
 
 
@@ -111,7 +113,7 @@ def render_stages(mi, stages: Sequence[Stage], stop: Stop, record: Record, folde
         seed: of all random numbers.
         exposure: of the PNG, and of the picture whose error is estimated, in stops.
         report: told a line and the share done.
-        done: called after each preset whose frames are all there.
+        done: called after each preset, with what it has where it was interrupted.
         interrupted: not empty once somebody wants an end; the frame at hand is kept as it is.
 
     Returns:
@@ -132,7 +134,7 @@ def render_stages(mi, stages: Sequence[Stage], stop: Stop, record: Record, folde
         places = mi.traverse(scene) if missing else {}
         for number in missing:
             if interrupted:
-                return False
+                break
             for key, value in stage.place(number).items():
                 places[key] = value
             places.update()
@@ -146,15 +148,17 @@ def render_stages(mi, stages: Sequence[Stage], stop: Stop, record: Record, folde
                                         interrupted=interrupted)
             except MapsError as error:
                 raise MapsError(error.expected, f"{error.got} in {title}", error.fix) from None
-            with undisturbed():
-                kept["frames"].append({"frame": number, **_kept(rendered, stage, number, folder, exposure)})
-                record.write(folder)
+            kept["frames"].append({"frame": number, **_kept(rendered, stage, number, folder, exposure)})
+            record.write(folder)
             if rendered.stopped == INTERRUPTED:
-                return False
+                break
         before += stage.frames
-        done(stage)
+        if kept["frames"]:
+            done(stage)
+        if len(record.of(stage.name)) < stage.frames:
+            break
     record.write(folder)
-    return True
+    return all(len(record.of(stage.name)) == stage.frames for stage in stages)
 
 
 def frame_file(stage: Stage, number: int) -> str:

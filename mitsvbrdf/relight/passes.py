@@ -79,10 +79,10 @@ class Rendered:
     curve: tuple[dict, ...]
     stopped: str
 
-    @property
-    def one_sample(self) -> float | None:
-        """The error that a single sample would have, estimated from two."""
-        return self.curve[0]["error"] * math.sqrt(self.curve[0]["samples"]) if self.curve else None
+
+def one_sample(curve: Sequence[dict]) -> float | None:
+    """The error that a single sample of a frame would have, by the start of its curve; None where that is empty."""
+    return curve[0]["error"] * math.sqrt(curve[0]["samples"]) if curve else None
 
 
 def shown(image: Tensor, exposure: float = 0.0) -> Tensor:
