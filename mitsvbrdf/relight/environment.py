@@ -118,7 +118,7 @@ def white_luminance(image: Tensor) -> float:
 
     Rows are interpolated as Mitsuba does: the first is the zenith, the last the nadir.
     """
-    rows = image.mean(dim=1).double() @ LUMINANCE
+    rows = image.mean(dim=1, dtype=torch.float64) @ LUMINANCE
     angles = 2 * 1024 + 1
     rows = F.interpolate(rows[None, None], angles, mode="linear", align_corners=True)[0, 0, :1025]
     theta = torch.linspace(0, math.pi / 2, 1025, dtype=torch.float64)

@@ -19,6 +19,7 @@ OUTLINE = ((0.60, -0.05), (0.84, -0.01), (0.95, 0.08), (0.95, 0.22), (0.82, 0.31
            (0.17, 1.58), (0.0, 1.57), (-0.17, 1.58))
 AROUND, BETWEEN = 96, 5  # quads around the axis, and between two control points
 TILES = 2  # around the axis: one is in front, and they meet at the sides
+STEEPEST = 10.0  # slope of a relief, 84 degrees: a texel whose normal lies down would stand hundreds of patch sides high
 
 
 @dataclass(frozen=True)
@@ -94,13 +95,15 @@ def heights(normal: Tensor) -> Tensor:
 
     Between neighbours the slope is the mean of theirs; at the border it is free. That is Poisson's equation with Neumann's
     condition, solved exactly by a cosine transform (Simchony, Chellappa and Shao 1990, after Frankot and Chellappa 1988).
+    Slopes above :data:`STEEPEST` are cut.
 
     Args:
         normal: R x R x 3, unit vectors, +Y up, row 0 at the top.
     """
     n = normal.double()
     size = len(n)
-    right, down = -n[..., 0] / n[..., 2] / size, n[..., 1] / n[..., 2] / size
+    z = n[..., 2].clamp_min(1 / STEEPEST)
+    right, down = -n[..., 0] / z / size, n[..., 1] / z / size
     between_right, between_down = (right[:, 1:] + right[:, :-1]) / 2, (down[1:] + down[:-1]) / 2
     source = torch.zeros(size, size, dtype=torch.float64)
     source[:, :-1] += between_right

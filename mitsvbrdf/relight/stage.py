@@ -36,6 +36,7 @@ FPS = 24.0
 DIMMEST = 1e-3  # reflections are followed until less of the light than this is left
 OFF_LENS = 0.5  # radius of the circle of lights around the lens, over the camera's height
 FINEST = 512  # quads along a side of a relief
+MOST_TILES = 64  # along a side
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,8 @@ def make_stage(mi, svbrdf: SVBRDF, preset: str, *, environment: str | None = Non
         left_out.append(("displacement", "not asked for: normals shade, the surface is flat"))
     if preset == "sphere" and not around.dark_below:
         del scene["floor"]
-        left_out.append(("floor", "what surrounds the sphere goes on below the horizon"))
+        left_out.append(("floor", "nothing surrounds the sphere" if name == "none" else
+                         "what surrounds the sphere goes on below the horizon"))
     reflections, why = (1, "a convex shape does not see itself")
     if displacement or "floor" in scene:
         reflections, why = _reflections(svbrdf)
@@ -117,12 +119,13 @@ def _check(preset: str, size: tuple[int, int], frames: int, tiling: int, displac
     """Raise ConfigError for numbers out of range, and what does not go with the preset."""
     if frames < 1:
         raise ConfigError("1 frame or more", str(frames), "give --frames 1 for a still")
-    if tiling < 1:
-        raise ConfigError("a tiling of 1 or more", str(tiling), "give --tiling 2")
+    if not 1 <= tiling <= MOST_TILES:
+        raise ConfigError(f"a tiling of 1 to {MOST_TILES}", str(tiling), "give --tiling 2")
     if not 0 <= displacement <= 10:
         raise ConfigError("a displacement from 0 to 10", str(displacement), "1 is as high as the normals say")
     if displacement and preset in ROUND:
-        raise ConfigError(f"no displacement of a {preset}", str(displacement), "displace sweep, turntable or novel")
+        raise ConfigError(f"no displacement of a {preset}", str(displacement),
+                          "flat shapes have one: --preset sweep,turntable,novel")
     if preset == "novel" and size[0] != size[1]:
         raise ConfigError("a square picture of the preset novel", f"{size[0]} x {size[1]}", "give one number")
 
@@ -148,7 +151,7 @@ def _material(mi, svbrdf: SVBRDF, needs: Needs, tiling: int, preset: str) -> dic
 
 def _displace(mi, scene: dict[str, Any], svbrdf: SVBRDF, tiling: int, displacement: float) -> None:
     """The patch of a scene as a mesh with relief; a table stays below it."""
-    height = displacement / tiling * heights(svbrdf.resized(min(svbrdf.resolution, max(FINEST // tiling, 1)))["normal"])
+    height = displacement / tiling * heights(svbrdf.resized(min(svbrdf.resolution, FINEST // tiling))["normal"])
     material = mi.load_dict(scene.pop("material"))
     scene["patch"] = mitsuba_mesh(mi, relief(height.repeat(tiling, tiling)), "patch", material)
     if "table" in scene:
@@ -159,8 +162,9 @@ def _displace(mi, scene: dict[str, Any], svbrdf: SVBRDF, tiling: int, displaceme
 def _reflections(svbrdf: SVBRDF) -> tuple[int, str]:
     """How many reflections matter on a shape that sees itself, and why no more."""
     flat = svbrdf.as_roughconductor()
-    albedo = float((flat["diffuse"] + flat["specular"]).amax(dim=-1).mean().clamp(0.05, 0.9))
-    return math.ceil(math.log(DIMMEST) / math.log(albedo)), f"the material reflects {albedo:.0%} on average"
+    albedo = float((flat["diffuse"] + flat["specular"]).amax(dim=-1).mean())
+    left = min(max(albedo, 0.05), 0.9)
+    return math.ceil(math.log(DIMMEST) / math.log(left)), f"the material reflects {albedo:.0%} on average"
 
 
 def _sweep(mi, scene: dict[str, Any], frames: int, around: Environment | None) -> Place:
