@@ -209,6 +209,16 @@ def test_all_renderers_are_checked_and_what_was_saved_is_timed(measured):
     assert page.row("everything")[-2:] == [f"{rows[0]['ratio']:.2f}", figure(rows[0]["difference"])]
 
 
+def test_of_many_photos_some_views_are_checked(monkeypatch):
+    # Memory grows with texels and views; nothing is measured worse with 25 of them.
+    monkeypatch.setattr("mitsvbrdf.evaluate.fit_report._available", lambda *_: [])
+    names = [f"{k:02d}" for k in range(60)]
+    for count, quick, chosen in ((60, False, names[::3]), (25, False, names[:25]), (60, True, names[:2])):
+        record = fit_report(make_material("tiles", 8), nine_view_grid().pick([k % 9 for k in range(count)]), ANALYTIC,
+                            names=names[:count], transfer="gamma2.2", quick=quick)
+        assert record["crosscheck"]["views"] == chosen and (quick or record["saved"]["views"] == len(chosen))
+
+
 @pytest.mark.slow
 def test_the_traced_scene_with_everything_stands_beside_a_mitsuba_fit(photos, tmp_path):
     out = tmp_path / "out"

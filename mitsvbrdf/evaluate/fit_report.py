@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
@@ -25,7 +26,7 @@ from .stability.conditioning import condition, jacobian
 
 SCHEMA_VERSION = 1
 QUICK_SIDE, QUICK_VIEWS = 64, 2  # what a fit checks beside its own work: below half a second
-LARGEST = 256  # texels a side; errors and ratios hardly hang on it
+LARGEST, MOST_VIEWS = 256, 25  # texels a side; errors and ratios hardly hang on it. Float64 takes 50 MB a view
 CONDITION_SIDE = 16
 RENDERERS = ("mitsuba", "mitsuba-scene", "analytic")
 
@@ -45,7 +46,8 @@ def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names
         transfer: how display values encode light.
         fixed: names of the maps that were held fixed.
         grey_specular: whether the fit had one specular level instead of three channels.
-        quick: check the fit's renderer alone, at 64 px in two views, and time nothing.
+        quick: check the fit's renderer alone, at 64 px in two views, and time nothing; else at 256 px at most, in 25 views at
+            most, evenly chosen.
         report: told what is going on and the share done.
 
     Returns:
@@ -57,13 +59,15 @@ def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names
         engines += [other for name in RENDERERS if renderer is None or name != renderer.name
                     for other in _available(name, renderer)]
     side = min(QUICK_SIDE if quick else LARGEST, svbrdf.resolution)
-    shown = views.pick(range(QUICK_VIEWS if quick else len(views))[:len(views)])
+    every = 1 if quick else math.ceil(len(views) / MOST_VIEWS)
+    chosen = range(0, len(views), every)[:QUICK_VIEWS if quick else None]
+    shown = views.pick(chosen)
     maps = {name: {"low": float(t.min()), "high": float(t.max()), "mean": float(t.mean())} for name, t in svbrdf.maps.items()}
     checked = None if not engines else crosscheck(
-        {"fit": svbrdf.resized(side)}, shown, [svbrdf.bsdf], engines, 1 if quick else 5, names=names[:len(shown)],
+        {"fit": svbrdf.resized(side)}, shown, [svbrdf.bsdf], engines, 1 if quick else 5, names=[names[k] for k in chosen],
         transfer=transfer, report=lambda text, share: report("renderers against float64", 0.7 * share))
     saved = None if quick or renderer is None else _saved(
-        svbrdf.resized(side), views, renderer, fixed, grey_specular, lambda share: report("what was saved", 0.7 + 0.3 * share))
+        svbrdf.resized(side), shown, renderer, fixed, grey_specular, lambda share: report("what was saved", 0.7 + 0.3 * share))
     return {"schema_version": SCHEMA_VERSION, "quick": quick, "maps": maps, "condition": _condition(svbrdf, views, transfer),
             "crosscheck": checked and _figures(checked, timed=not quick), "saved": saved, "machine": machine(),
             "versions": versions()}
