@@ -467,6 +467,12 @@ def test_a_page_is_not_written_beside_another_fit(copy, monkeypatch):
     assert (copy / "report.html").read_bytes() == before
 
 
+def test_a_capture_whose_name_is_not_utf8_loses_no_fit(photos, tmp_path):
+    shots = replace(read_capture(photos), source=Path("caf\udce9 $\\x_$"))  # as Python names such a folder; and no formula
+    write_fit(fit_svbrdf(shots, ANALYTIC, DirectConfig(iterations=1)), shots, tmp_path)
+    assert "caf? $\\x_$: recovered material" in Page(tmp_path / "report.html").text and (tmp_path / "sheet.png").is_file()
+
+
 def test_what_the_page_says_is_true_of_plain_photos_smooth_maps_and_held_ones(photos, tmp_path, monkeypatch):
     monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)  # another test may have loaded it
     shots, smooth = replace(read_capture(photos), calibrated=False), ("roughness=0.05", "diffuse=0.3")

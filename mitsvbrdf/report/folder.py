@@ -49,6 +49,7 @@ def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dic
     sure = confidence(result.deviations)
     remarks = {name: f"{sure[name]['determined_share']:.0%} determined" if name in sure else "held fixed"
                for name in result.svbrdf.maps}
+    title = title.encode(errors="replace").decode()  # of a folder whose name is not UTF-8
     write_sheet(out / "sheet.png", result.svbrdf, capture.photos,
                 color.to_display(result.rerendered, capture.transfer), rmse=result.rerender_rmse,
                 per_photo=result.per_photo, guess=result.guess, names=capture.names, title=title,
