@@ -204,7 +204,8 @@ def output_folder(out: Path, overwrite: bool, resume: bool = False,
     except OSError as reason:
         raise OutputError(f"to write {out}", reason.strerror or str(reason), "free space or choose another place") from None
     finally:
-        lock.close()
+        if os.name == "nt":
+            lock.close()  # Windows removes no open file
         if done or not any((partial / name).exists() for name in keep):
             shutil.rmtree(partial, ignore_errors=True)
             if made and not done:
@@ -212,6 +213,7 @@ def output_folder(out: Path, overwrite: bool, resume: bool = False,
                     out.rmdir()
         else:
             _empty(partial, keep)
+        lock.close()  # now that nothing of a next run can be taken away
 
 
 def make_room(out: Path, names: Sequence[str]) -> None:
@@ -244,7 +246,9 @@ def _locked(partial: Path) -> IO:
         for left in (2, 1, 0):
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                return lock
+                if os.fstat(lock.fileno()).st_nlink:
+                    return lock
+                break  # the run that ends took the file away
             except BlockingIOError:
                 if left:
                     time.sleep(0.02)  # in_use may be asking

@@ -109,6 +109,37 @@ def test_two_runs_do_not_share_a_folder(tmp_path):
             make(tmp_path / "out", ["one"])
 
 
+@pytest.mark.parametrize("kept", [False, True])
+def test_a_folder_is_in_use_until_it_is_cleaned_up(kept, tmp_path, monkeypatch):
+    pytest.importorskip("fcntl")
+    out, busy = tmp_path / "out", []
+
+    def watched(clean):
+        return lambda *arguments, **options: (busy.append(files.in_use(out)), clean(*arguments, **options))
+
+    with pytest.raises(ZeroDivisionError), files.output_folder(out, overwrite=False) as folder:
+        if kept:
+            files.write_bytes(folder / files.CHECKPOINT, b"state")
+        monkeypatch.setattr(files.shutil, "rmtree", watched(files.shutil.rmtree))
+        monkeypatch.setattr(files, "_empty", watched(files._empty))
+        raise ZeroDivisionError
+    assert busy == [True] and not files.in_use(out)
+
+
+def test_a_lock_that_the_last_run_took_away_locks_nothing(tmp_path, monkeypatch):
+    # Opened while that run was there, locked after it removed the file: a third run would find another one.
+    fcntl = pytest.importorskip("fcntl")
+    out, flock = tmp_path / "out", fcntl.flock
+
+    def late(lock, how):
+        (files.partial_folder(out) / files.LOCK).unlink()
+        flock(lock, how)
+
+    monkeypatch.setattr(fcntl, "flock", late)
+    with pytest.raises(OutputError, match="in use"), files.output_folder(out, overwrite=False):
+        pass
+
+
 def test_a_link_to_a_folder_stays_a_link(tmp_path):
     (tmp_path / "real").mkdir()
     (tmp_path / "out").symlink_to("real")
