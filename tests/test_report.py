@@ -174,6 +174,9 @@ def test_every_number_of_the_records_is_on_the_page(measured):
         assert page.row(item["what"]) == [item["why"]]
     for warning in fit["warnings"]:
         assert warning in page.text
+    for name in ("photometric", "smooth", "flat"):
+        first, *_, last = (figure(row[name]) for row in fit["trace"] if name in row)
+        assert re.search(f'aria-label="Losses against seconds: [^"]*{name} from {first} to {last}', page.source)
     for name, share in fit["burn_in"].items():
         assert re.search(rf"{name} {share:.3f}", page.text)
     for name in ("config", "command", "versions", "machine"):
@@ -487,9 +490,11 @@ def test_what_the_page_says_is_true_of_plain_photos_smooth_maps_and_held_ones(ph
 def test_the_stage_of_a_fit_is_no_loss_and_long_tables_are_thinned(copy):
     record = json.loads((copy / "fit.json").read_text())
     record["trace"] = [{"seconds": float(k), "iteration": k, "stage": 2.0, "rerender_rmse": 0.1} for k in range(399)]
+    record["left_out"] = []
     (copy / "fit.json").write_text(json.dumps(record))
     write_report(copy, quick=True)
     page = Page(copy / "report.html")
+    assert "Nothing: this fit needed all of it." in page.text
     assert "The measurements, some of 399" in page.text and 'aria-label="Losses' not in page.source
     assert len([row for row in page.rows if len(row) == 4 and row[2] == "2"]) == 200
 

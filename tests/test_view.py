@@ -502,6 +502,16 @@ def test_pages_may_ask_nobody_else(tmp_path):
     assert "unsafe" not in re.search("script-src [^;]*", rules)[0]
 
 
+@pytest.mark.parametrize("error, told", [(ConnectionResetError, False), (TimeoutError, False), (ZeroDivisionError, True)])
+def test_a_browser_that_goes_away_is_no_error(error, told, tmp_path, capfd):
+    with make_server(Watch(tmp_path), 0) as server:
+        try:
+            raise error
+        except error:
+            server.handle_error(None, (ADDRESS, 1))
+    assert (error.__name__ in capfd.readouterr().err) == told
+
+
 # ---- mistakes, and the command ----
 
 def test_what_is_no_fits_folder_is_refused(tmp_path, capsys, monkeypatch):

@@ -39,8 +39,8 @@ class Server(ThreadingHTTPServer):
         return f"http://{ADDRESS}:{self.server_address[1]}/"
 
     def handle_error(self, request, client_address) -> None:
-        """A browser that hangs up is no error."""
-        if not isinstance(sys.exception(), ConnectionError):
+        """A browser that hangs up, or falls asleep over an answer, is no error."""
+        if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
             super().handle_error(request, client_address)
 
 
