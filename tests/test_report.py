@@ -134,7 +134,7 @@ def test_fit_writes_the_page_with_photos_left_out_as_evaluate_finds_them(fitted,
         assert photo["rmse"] == pytest.approx(found["per_photo"][photo["name"]], rel=1e-6)
         assert f"Photo {photo['name']} · RMSE {photo['rmse']:.4f} · left out of the fit" in page.text
     assert record["left_out_rmse"] == pytest.approx(found["rerender_rmse"], rel=1e-6)
-    assert f"RMSE of photos left out {record['left_out_rmse']:.4f}" in page.text
+    assert f"RMSE of 2 photos left out {record['left_out_rmse']:.4f}" in page.text
     assert record["quick"] and record["saved"] is None and "checks and times all renderers" in page.text
 
 
