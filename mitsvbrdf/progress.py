@@ -109,7 +109,8 @@ def progress_bar(title: str) -> Iterator[Callable[[str, float], None]]:
             cell.close()
         return
     if sys.stdout.isatty():
-        columns = rich.progress.TextColumn("{task.description}"), rich.progress.BarColumn(), rich.progress.TaskProgressColumn()
+        columns = (rich.progress.TextColumn("{task.description}", markup=False), rich.progress.BarColumn(),
+                   rich.progress.TaskProgressColumn())
         with rich.progress.Progress(*columns, console=console, transient=True) as bar:
             task = bar.add_task(title, total=1.0)
             yield lambda text, share: bar.update(task, description=f"{title}: {text}", completed=share)

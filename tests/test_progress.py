@@ -64,14 +64,24 @@ def test_a_bar_without_a_terminal(capsys, clock):
     assert capsys.readouterr().out.splitlines() == ["a sweep", " 42%  case 11", " 85%  case 22"]
 
 
-def test_on_a_terminal_one_live_line():
-    code = ("from mitsvbrdf.progress import Progress\n"
-            f"with Progress('a fit') as report:\n    report({ENTRY}, 0.25)\n    report({ENTRY}, 1.0)\n")
+def on_a_terminal(code):
+    """What this Python code writes to a terminal."""
     ours, theirs = pty.openpty()
     subprocess.run([sys.executable, "-c", code], stdout=theirs, check=True, timeout=60,
                    env=os.environ | {"PYTHONPATH": str(notebooks.ROOT), "TERM": "xterm-256color", "COLUMNS": "200"})
     os.close(theirs)
-    said = os.read(ours, 100_000).decode()
+    return os.read(ours, 100_000).decode()
+
+
+def test_a_bar_on_a_terminal_shows_names_as_they_are():
+    said = on_a_terminal("from mitsvbrdf.progress import progress_bar\n"
+                         "with progress_bar('relight wall[red]') as report:\n    report('one', 0.5)\n")
+    assert "relight wall[red]: one" in said and "50%" in said
+
+
+def test_on_a_terminal_one_live_line():
+    said = on_a_terminal("from mitsvbrdf.progress import Progress\n"
+                         f"with Progress('a fit') as report:\n    report({ENTRY}, 0.25)\n    report({ENTRY}, 1.0)\n")
     assert "a fit" in said and "100%" in said and "rmse 0.1250" in said
     assert "\x1b[?25l" in said and said.rindex("\x1b[?25h") > said.rindex("100%")  # the cursor is hidden, and shown again
 
