@@ -421,7 +421,8 @@ def test_explain_renders_nothing(tmp_path, capsys):
 
 @pytest.mark.parametrize("wrong", [{"target_error": 0.1}, {"size": "2"}, {"size": "100000"}, {"size": "3x4x5"}, {"size": "big"},
                                    {"preset": "cube"}, {"movie": "avi"}, {"exposure": 99.0}, {"frames": 0}, {"tiling": 0},
-                                   {"environment": "no-such.exr"}, {"seed": -1}, {"out": None}, {"resume": True}])
+                                   {"environment": "no-such.exr"}, {"environment": ""}, {"seed": -1}, {"out": None},
+                                   {"resume": True}])
 def test_wrong_options_are_one_error_and_leave_nothing(tmp_path, wrong):
     with pytest.raises(MitsvbrdfError):
         run(**({"out": tmp_path / "o"} | wrong))

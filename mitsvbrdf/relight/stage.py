@@ -83,7 +83,8 @@ def make_stage(mi, svbrdf: SVBRDF, preset: str, *, environment: str | None = Non
     if preset not in PRESETS:
         raise ConfigError(f"a preset of {list(PRESETS)}", repr(preset), "choose one of these")
     usual_environment, usual_frames = DEFAULTS[preset]
-    name, frames = environment or usual_environment, usual_frames if frames is None else frames
+    name = usual_environment if environment is None else environment
+    frames = usual_frames if frames is None else frames
     _check(preset, size, frames, tiling, displacement)
     around = None if name == "none" and preset in OWN_LIGHT else make_environment(mi, name)
     if preset == "novel":
@@ -127,7 +128,8 @@ def _check(preset: str, size: tuple[int, int], frames: int, tiling: int, displac
         raise ConfigError(f"no displacement of a {preset}", str(displacement),
                           "flat shapes have one: --preset sweep,turntable,novel")
     if preset == "novel" and size[0] != size[1]:
-        raise ConfigError("a square picture of the preset novel", f"{size[0]} x {size[1]}", "give one number")
+        raise ConfigError("a square picture of the preset novel", f"{size[0]} x {size[1]}",
+                          "give one number, or leave novel out")
 
 
 def _material(mi, svbrdf: SVBRDF, needs: Needs, tiling: int, preset: str) -> dict[str, Any]:
