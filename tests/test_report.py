@@ -264,6 +264,19 @@ def test_the_page_asks_nothing_of_the_network_and_escapes_names(measured):
     assert "<img src=x" not in page.source and HOSTILE in page.text
 
 
+def test_a_fit_is_not_lost_with_its_page(photos, tmp_path, monkeypatch, capsys):
+    def breaks(*_, **__):
+        raise RuntimeError("no page today")
+
+    arguments = ["fit", str(photos), "-o", str(tmp_path / "out"), *FAST]
+    with monkeypatch.context() as patch:
+        patch.setattr("mitsvbrdf.report.folder.write_report", breaks)
+        assert cli.main(arguments) == 0
+    assert "no page today" in capsys.readouterr().out and not (tmp_path / "out/report.html").exists()
+    assert load_maps(tmp_path / "out").resolution == SIDE
+    assert cli.main(["report", str(tmp_path / "out"), "--quick"]) == 0 and (tmp_path / "out/report.html").is_file()
+
+
 def test_the_page_is_made_again_from_the_folder_alone(copy):
     before = json.loads((copy / "report.json").read_text())
     page = Page(copy / "report.html")

@@ -138,7 +138,8 @@ def fit_command(method: str) -> Callable:
                                      for name, c in sure))
         for warning in result.warnings:
             say(f"warning: {warning}")
-        say(f"wrote {out}/report.html, sheet.png, maps/, rerendered/, scene.xml, fit.json")
+        page = "report.html, " if (out / "report.html").is_file() else ""
+        say(f"wrote {out}/{page}sheet.png, maps/, rerendered/, scene.xml, fit.json")
         return 0
 
     # One flat set of options, those of the method; --fix may be repeated.
@@ -358,4 +359,4 @@ def main(arguments: list[str] | None = None) -> int:
             commands, prog="mitsvbrdf", args=arguments, config=(FlagCreatePairsOff,),
             description="Recover the maps of a material (diffuse, specular, roughness, normal) from a few flash photos, "
                         "fitted through Mitsuba 3, without any training data."),
-        "interrupted; an unfinished fit goes on with --resume" if arguments[:1] == ["fit"] else "interrupted")
+        "interrupted; what is unfinished goes on with --resume" if arguments[:1] in (["fit"], ["relight"]) else "interrupted")

@@ -9,11 +9,13 @@ from torch import Tensor
 
 from .. import color, files
 from ..capture import Capture
+from ..errors import OutputError
 from ..evaluate.burn_in import burn_in
 from ..export.mitsuba import write_scene
 from ..fit.confidence import confidence
 from ..fit.result import FitResult
 from ..maps import save_maps
+from ..progress import say
 from ..provenance import machine, versions
 from .fit_page import keep_photos, write_report
 from .sheet import loss_curve, write_sheet
@@ -58,7 +60,12 @@ def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dic
     write_scene(out, result.svbrdf, result.views)
     files.write_json(out / "fit.json", fit_record(result, capture, command or {}))
     (out / "report.json").unlink(missing_ok=True)  # photos that an earlier fit left out are none of this one's
-    write_report(out, quick=True, left_out=left_out)
+    try:
+        write_report(out, quick=True, left_out=left_out)
+    except OutputError:
+        raise
+    except Exception as reason:  # whatever it is: the result of a long fit is worth more than its page
+        say(f"report.html could not be made ({type(reason).__name__}: {reason}); `mitsvbrdf report` tries again")
 
 
 def write_linear(stem: Path, image: Tensor, transfer: color.Transfer) -> None:
