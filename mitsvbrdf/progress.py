@@ -88,7 +88,7 @@ class Progress:
         left = (now - self.started) * (1 / share - 1) if share > 0 else 0.0
         losses = "  ".join(f"{k} {v:.4f}" for k, v in entry.items() if k not in ("seconds", "iteration", "rerender_rmse"))
         line = (f"{share:4.0%}  {entry['seconds']:6.1f} s  iteration {entry['iteration']}  rmse {entry['rerender_rmse']:.4f}  "
-                f"{losses}  {speed:.1f} it/s  {left:.0f} s left")
+                f"{losses}  {speed:.1f} it/s" + (f"  at most {left:.0f} s left" if share else ""))
         if self.cell:
             self.cell.show(share, line)
         elif self.live:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from mitsvbrdf import color
+from mitsvbrdf import color, files
 from mitsvbrdf.capture import Capture, read_capture, write_capture
 from mitsvbrdf.errors import CaptureError, ConfigError, MitsvbrdfError
 from mitsvbrdf.views import Views
@@ -229,6 +229,13 @@ def test_nan_and_camera_below_the_plane(tmp_path):
     fails(text_capture(tmp_path / "d", light_pos="0,0,9\n0,0,0\n0,0,9"), "light 1")
     fails(json_capture(tmp_path / "e", im_size=0), "size")
     fails(json_capture(tmp_path / "f", light_pow=-1), "light 0")
+
+
+def test_the_result_of_a_fit_is_no_capture(tmp_path):
+    files.write_png(tmp_path / "sheet.png", torch.rand(64, 64, 3))
+    assert len(read_capture(tmp_path)) == 1
+    (tmp_path / "fit.json").write_text("{}")
+    fails(tmp_path, "the result of a fit")
 
 
 @pytest.mark.parametrize("key", ["target_dir", "im_size", "camera_pos", "light_pow"])

@@ -53,7 +53,7 @@ def test_without_a_terminal_a_line_every_ten_seconds(capsys, clock):
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "a fit" and len(lines) == 1 + 3 + 1  # at 0, 11 and 22 s, and the last
     assert [line.split()[0] for line in lines[1:]] == ["0%", "11%", "22%", "100%"]
-    assert "iteration 11  rmse 0.1250  cost 2.0000  1.0 it/s  89 s left" in lines[2]
+    assert "iteration 11  rmse 0.1250  cost 2.0000  1.0 it/s  at most 89 s left" in lines[2]
 
 
 def test_a_bar_without_a_terminal(capsys, clock):

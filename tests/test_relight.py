@@ -462,6 +462,11 @@ def test_contact_sheet(tmp_path):
     with Image.open(tmp_path / "s.jpg") as sheet:
         assert sheet.size == (6 + 2 * 54, 2 * (48 + 30) + 6)
         assert np.asarray(sheet)[30:78, 6:54].std() > 10
+    run(tmp_path / "b", preset="sphere", frames=1, size="16")
+    contact_sheet(tmp_path / "s.jpg", {"one": tmp_path / "a", "two": tmp_path / "b"}, side=48)
+    with Image.open(tmp_path / "s.jpg") as sheet:  # a column for each preset, and small pictures fill their cells
+        left, right = (np.asarray(sheet)[108:156, x:x + 48].mean(axis=-1) for x in (6, 60))
+        assert left.std() < 3 and right[:6, :6].min() > left.mean() + 20  # the studio behind the sphere
     with pytest.raises(ConfigError):
         contact_sheet(tmp_path / "s.jpg", {"none": tmp_path})
 

@@ -519,7 +519,11 @@ def test_what_is_no_fits_folder_is_refused(tmp_path, capsys, monkeypatch):
     (tmp_path / "file").write_text("")
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "00.png").write_text("")
+    (tmp_path / "capture").mkdir()
+    for name in ("capture.json", files.MANIFEST):
+        (tmp_path / "capture" / name).write_text("[]")
     for name, word, way_out in (("file", "the file", "name the OUT"), ("photos", "no fit's", "name the OUT"),
+                                ("capture", "holds photos", "name the OUT"),
                                 ("missing/out", "there is no", "start the fit first")):
         assert cli.main(["view", str(tmp_path / name)]) == 2
         message = capsys.readouterr().err

@@ -69,6 +69,8 @@ def read_capture(
         capture = _from_json(path / "capture.json", falloff)
     elif (path / "camera_pos.txt").is_file():
         capture = _from_text(path, falloff)
+    elif (path / "fit.json").is_file():
+        raise CaptureError("a folder of photos", f"{path}, the result of a fit", "name the folder that was fitted")
     else:
         capture = _from_plain(path, falloff)
     capture = capture if index is None else capture.pick(index)

@@ -297,7 +297,7 @@ def doctor(variant: Variant = "llvm_ad_rgb", json: bool = False) -> int:
     return examine(variant=variant, json=json)
 
 
-def demo(out: Out = Path("out/demo"), budget: float = 75.0, overwrite: Overwrite = True) -> int:
+def demo(out: Out = Path("demo"), budget: float = 75.0, overwrite: Overwrite = True) -> int:
     """Photograph a made material, recover it, and compare with the truth; about two minutes."""
     from ..evaluate import evaluate_maps
     from ..maps import save_maps

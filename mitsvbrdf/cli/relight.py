@@ -23,7 +23,7 @@ MOVIES = ("mp4", "gif")
 
 
 def relight(maps: Positional[Material],
-            preset: Annotated[str, arg(metavar="PRESET,...", help="sweep, turntable, sphere, shaderball, novel; or all.")]
+            preset: Annotated[str, arg(metavar="PRESET,...", help="sphere, shaderball, novel, sweep, turntable; or all.")]
             = "sphere",
             environment: Annotated[str | None, arg(help="studio, sunsky, none, or an .exr or .hdr file. "
                                                         "Left out: what suits the preset.")] = None,
@@ -154,8 +154,10 @@ def _summary(name: str, frames: list[dict], target: float | None) -> str:
     samples, errors = [f["samples"] for f in frames], [f["error"] for f in frames if f["error"] is not None]
     parts = [] if len(frames) == 1 else [f"{len(frames)} frames"]
     parts += [f"{sum(f['seconds'] for f in frames):.1f} s",
-              (f"{min(samples)}" if min(samples) == max(samples) else f"{min(samples)} to {max(samples)}") + " samples a pixel"]
-    parts += [f"estimated error {max(errors):.4f}" + (" at most" if len(frames) > 1 else "")] if errors else []
+              (f"{min(samples)}" if min(samples) == max(samples) else f"{min(samples)} to {max(samples)}")
+              + f" sample{'s' * (max(samples) > 1)} a pixel"]
+    parts += [f"estimated error {max(errors):.4f}" + (" at most" if len(frames) > 1 else "")] if errors else (
+        ["too few to estimate the error"])
     one = [one_sample(f["curve"]) for f in frames if f["curve"]]
     if target and one and max(one) <= target:
         parts.append(f"a single sample is as good as free of noise (error {max(one):.2g})")

@@ -87,7 +87,7 @@ def read_environment(path: str | Path) -> Tensor:
     """An environment's picture, H x W x 3, linear radiance, float32; errors as :func:`make_environment` has them."""
     path = Path(path)
     if path.suffix.lower() not in (".exr", ".hdr"):
-        raise ConfigError(f"an environment of {list(ENVIRONMENTS)}, or an .exr or .hdr file", repr(str(path)),
+        raise ConfigError(f"an environment of {', '.join(ENVIRONMENTS)}, or an .exr or .hdr file", repr(str(path)),
                           "choose one of these")
     image = files.read_image(path, ConfigError) if path.suffix.lower() == ".exr" else _read_hdr(path)
     image = image.expand(*image.shape[:2], 3)

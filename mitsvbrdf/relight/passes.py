@@ -46,7 +46,7 @@ class Stop:
     samples: int | None = None
 
     def __post_init__(self) -> None:
-        given = [name for name in ("target_error", "budget", "samples") if getattr(self, name) is not None]
+        given = [name.replace("_", " ") for name in ("target_error", "budget", "samples") if getattr(self, name) is not None]
         if len(given) > 1:
             raise ConfigError("one of target error, budget and samples", " and ".join(given), "give one of them")
         if not given:
@@ -232,4 +232,4 @@ def _share(stop: Stop, seconds: float, samples: int, curve: list[dict]) -> float
 
 
 def _line(samples: int, curve: list[dict]) -> str:
-    return f"{samples} samples" + (f", error {curve[-1]['error']:.4f}" if curve else "")
+    return f"{samples} sample{'s' * (samples > 1)}" + (f", error {curve[-1]['error']:.4f}" if curve else "")

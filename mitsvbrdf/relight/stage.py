@@ -81,7 +81,7 @@ def make_stage(mi, svbrdf: SVBRDF, preset: str, *, environment: str | None = Non
         ConfigError: an option that is unknown, out of range, or does not go with the preset.
     """
     if preset not in PRESETS:
-        raise ConfigError(f"a preset of {list(PRESETS)}", repr(preset), "choose one of these")
+        raise ConfigError(f"a preset of {', '.join(PRESETS)}", repr(preset), "choose one of these")
     usual_environment, usual_frames = DEFAULTS[preset]
     name = usual_environment if environment is None else environment
     frames = usual_frames if frames is None else frames

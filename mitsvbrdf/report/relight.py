@@ -22,6 +22,7 @@ from .. import files
 from ..errors import ConfigError, OutputError, exit_code
 from ..relight.frames import RECORD, read_frame
 from ..relight.passes import shown
+from ..relight.stage import PRESETS
 from .sheet import PlainNumbers
 
 INK, QUIET, TARGET = "#c2571a", "#9aa0a8", "#2a6fb0"
@@ -88,19 +89,19 @@ def contact_sheet(path: str | Path, folders: Mapping[str, Path], side: int = SID
         ConfigError: a folder without results.
         OutputError: the file cannot be written.
     """
-    from PIL import Image, ImageDraw, ImageFont
+    from PIL import Image, ImageDraw, ImageFont, ImageOps
 
     rows = {name: _pictures(folder) for name, folder in folders.items()}
-    across = max(map(len, rows.values()))
-    sheet = Image.new("RGB", (GAP + across * (side + GAP), len(rows) * (side + CAPTION) + GAP), BACK)
+    presets = [name for name in PRESETS if any(name in pictures for pictures in rows.values())]
+    sheet = Image.new("RGB", (GAP + len(presets) * (side + GAP), len(rows) * (side + CAPTION) + GAP), BACK)
     draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(15)
     for row, (name, pictures) in enumerate(rows.items()):
         y = row * (side + CAPTION)
-        for column, (preset, picture) in enumerate(pictures.items()):
-            x = GAP + column * (side + GAP)
+        for preset, picture in pictures.items():
+            x = GAP + presets.index(preset) * (side + GAP)
             draw.text((x + 2, y + 7), f"{name} · {preset}", TEXT, font)
             image = Image.fromarray(np.rint(picture.numpy() * 255).astype(np.uint8))
-            image.thumbnail((side, side), Image.Resampling.LANCZOS)
+            image = ImageOps.contain(image, (side, side), Image.Resampling.LANCZOS)
             sheet.paste(image, (x + (side - image.width) // 2, y + CAPTION + (side - image.height) // 2))
     data = io.BytesIO()
     sheet.save(data, "JPEG", quality=88, optimize=True)

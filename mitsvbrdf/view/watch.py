@@ -54,6 +54,9 @@ class Watch:
                 (self.out / name).exists() for name in (FIT, REPORT, files.MANIFEST, self.partial.name)):
             raise OutputError("the folder that a fit writes to", f"{out}, whose files are no fit's",
                               "name the OUT of `mitsvbrdf fit -o OUT`")
+        if (self.out / "capture.json").is_file():
+            raise OutputError("the folder that a fit writes to", f"{out}, which holds photos",
+                              "name the OUT of `mitsvbrdf fit -o OUT`")
         self.record: Shown | None = None
         self.record_time = 0  # when it was written, in ns
         self.result: Shown | None = None
