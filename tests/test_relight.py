@@ -23,7 +23,7 @@ from mitsvbrdf.maps import save_maps
 from mitsvbrdf.procedural import make_material
 from mitsvbrdf.relight import frames as frames_module
 from mitsvbrdf.relight import make_stage
-from mitsvbrdf.relight.check import check_novel, place_frame
+from mitsvbrdf.relight.check import check_novel
 from mitsvbrdf.relight.movie import durations, write_gif, write_mp4
 from mitsvbrdf.relight.passes import GroupedMean, Stop, one_sample, render_frame, render_passes
 from mitsvbrdf.render.analytic import AnalyticRenderer
@@ -51,7 +51,7 @@ def scenes(mi):
     """Small frames of three presets; leather shows highlights, clipped ones too."""
     material = make_material("leather", 64)
     kinds = {"sphere": "studio", "turntable": "studio", "sweep": "none"}
-    return {name: place_frame(mi, make_stage(mi, material, name, environment=environment, size=(48, 48), frames=4), 1)
+    return {name: make_stage(mi, material, name, environment=environment, size=(48, 48), frames=4).at(mi, 1)
             for name, environment in kinds.items()}
 
 

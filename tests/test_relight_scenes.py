@@ -32,17 +32,8 @@ def mi():
     return mitsuba_module()
 
 
-def loaded(mi, stage, frame=0):
-    scene = mi.load_dict(stage.scene)
-    held = mi.traverse(scene)
-    for key, value in stage.place(frame).items():
-        held[key] = value
-    held.update()
-    return scene
-
-
 def drawn(mi, stage, frame=0, spp=16, seed=0):
-    return torch.from_numpy(np.array(mi.render(loaded(mi, stage, frame), spp=spp, seed=seed)))
+    return torch.from_numpy(np.array(mi.render(stage.at(mi, frame), spp=spp, seed=seed)))
 
 
 def unjittered(stage):
@@ -128,7 +119,7 @@ def test_maps_on_the_shader_ball_are_not_mirrored_and_normals_lean_along_them(mi
     stage = unjittered(make_stage(mi, leaning_quarters(), "shaderball", environment="none", size=(48, 48)))
     stage.scene["integrator"]["max_depth"] = 2
     origin, ray = camera_rays(stage)
-    scene = loaded(mi, stage)
+    scene = stage.at(mi)
     hit = scene.ray_intersect(mi.Ray3f(mi.Point3f(*origin.tolist()), mi.Vector3f(*ray.reshape(-1, 3).T.float().numpy())))
     position, normal = (torch.from_numpy(np.array(value)).T.reshape(48, 48, 3).double() for value in (hit.p, hit.sh_frame.n))
     right = F.normalize(torch.stack((-position[..., 1], position[..., 0], torch.zeros(48, 48)), dim=-1), dim=-1)
@@ -167,7 +158,7 @@ def test_novel_is_what_the_float64_twin_draws(mi, bsdf):
 def test_novel_differs_from_pixel_averages_by_noise_alone(mi, bsdf):
     material, fine = random_material(bsdf, 12), 12
     stage = make_stage(mi, material, "novel", size=(12, 12))
-    scene = loaded(mi, stage)
+    scene = stage.at(mi)
     passes = torch.stack([torch.from_numpy(np.array(mi.render(scene, spp=64, seed=seed))) for seed in range(16)])
     near = material.map(lambda t: t.repeat_interleave(fine, 0).repeat_interleave(fine, 1))
     truth = make_renderer("analytic64").render(near, stage.views)[0]
@@ -284,9 +275,7 @@ def test_every_preset_draws_and_moves_without_new_kernels(mi, preset, bsdf):
     held = mi.traverse(scene)
     pictures, kernels = [], []
     for frame in range(3):
-        for key, value in stage.place(frame).items():
-            held[key] = value
-        held.update()
+        stage.move(held, frame)
         pictures.append(torch.from_numpy(np.array(mi.render(scene, spp=16, seed=0))))
         kernels.append(kernels_made())
     assert kernels[0] > 0 and kernels[1:] == kernels[:1] * 2
@@ -420,7 +409,7 @@ def test_a_displaced_patch_is_as_high_as_its_normals_say(mi):
     height, normal = bump(64)
     material = SVBRDF("roughconductor", {**flat(64).maps, "normal": normal.float()})
     stage = make_stage(mi, material, "sweep", displacement=0.5, tiling=2)
-    scene = loaded(mi, stage)
+    scene = stage.at(mi)
     tile = texel_positions(64)[..., :2].reshape(-1, 2) / 2
     for left, low in ((-0.25, -0.25), (0.25, 0.25)):
         x, y = (tile + torch.tensor([left, low])).float().T.numpy()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..errors import ConfigError
 from ..maps import SVBRDF
 from ..render.analytic import AnalyticRenderer
 from ..testing.noise import ZTest, z_test
@@ -36,21 +35,9 @@ def check_novel(mi, svbrdf: SVBRDF, views: Views | None = None, *, frame: int = 
     """
     side = svbrdf.resolution
     stage = make_stage(mi, svbrdf, "novel", environment="none", size=(side, side), frames=frames, views=views)
-    scene = place_frame(mi, stage, frame)
+    scene = stage.at(mi, frame)
     passes = torch.stack([torch.from_numpy(mi.render(scene, seed=seed + k, spp=SAMPLES).numpy()) for k in range(PASSES)])
     return z_test(passes.mean(dim=0), passes, _reference(svbrdf, stage, frame, reference or AnalyticRenderer(torch.float64)))
-
-
-def place_frame(mi, stage: Stage, frame: int):
-    """The loaded scene of a stage as it stands at a frame."""
-    if not 0 <= frame < stage.frames:
-        raise ConfigError(f"a frame below {stage.frames}", str(frame), "count from 0")
-    scene = mi.load_dict(stage.scene)
-    places = mi.traverse(scene)
-    for key, value in stage.place(frame).items():
-        places[key] = value
-    places.update()
-    return scene
 
 
 def _reference(svbrdf: SVBRDF, stage: Stage, frame: int, renderer: AnalyticRenderer) -> Tensor:

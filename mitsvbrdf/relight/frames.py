@@ -131,13 +131,11 @@ def render_stages(mi, stages: Sequence[Stage], stop: Stop, record: Record, folde
         kept |= {"fps": stage.fps, "left_out": [{"what": what, "why": why} for what, why in stage.left_out]}
         missing = [k for k in range(stage.frames) if k not in have]
         scene = mi.load_dict(stage.scene) if missing else None
-        places = mi.traverse(scene) if missing else {}
+        held = mi.traverse(scene) if missing else None
         for number in missing:
             if interrupted:
                 break
-            for key, value in stage.place(number).items():
-                places[key] = value
-            places.update()
+            stage.move(held, number)
             title = stage.name if stage.frames == 1 else f"{stage.name} {number + 1}/{stage.frames}"
             at = before + number
             left = (stop.budget - record.seconds) / (total - at) if stop.budget else None

@@ -61,6 +61,20 @@ class Stage:
     left_out: tuple[tuple[str, str], ...]
     views: Views | None = None
 
+    def move(self, held, frame: int) -> None:
+        """Bring the scene to a frame; ``held`` is ``mi.traverse`` of it."""
+        for key, value in self.place(frame).items():
+            held[key] = value
+        held.update()
+
+    def at(self, mi, frame: int = 0):
+        """The loaded scene as it stands at a frame."""
+        if not 0 <= frame < self.frames:
+            raise ConfigError(f"a frame below {self.frames}", str(frame), "count from 0")
+        scene = mi.load_dict(self.scene)
+        self.move(mi.traverse(scene), frame)
+        return scene
+
 
 def make_stage(mi, svbrdf: SVBRDF, preset: str, *, environment: str | None = None, size: tuple[int, int] = (512, 512),
                frames: int | None = None, tiling: int = 1, displacement: float = 0.0, views: Views | None = None) -> Stage:
