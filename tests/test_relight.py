@@ -443,6 +443,12 @@ def test_budget_is_for_all_frames_together(tmp_path):
     assert [frame["stopped"] for frame in frames] == ["budget"] * 3 and all(frame["curve"] for frame in frames)
 
 
+def test_one_sample_is_too_few_to_estimate_its_error(tmp_path, capsys):
+    run(tmp_path / "o", preset="sphere", samples=1)
+    assert "1 sample a pixel, too few to estimate the error" in capsys.readouterr().out
+    assert record(tmp_path / "o")["presets"]["sphere"]["frames"][0]["error"] is None
+
+
 # Pictures of renders
 
 def test_error_curve_shows_target_and_frames(tmp_path):

@@ -264,6 +264,13 @@ def test_the_page_asks_nothing_of_the_network_and_escapes_names(measured):
     assert "<img src=x" not in page.source and HOSTILE in page.text
 
 
+def test_a_cost_that_may_rise_is_explained_where_there_is_one(measured, photos, tmp_path):
+    assert "All axes are logarithmic" in measured[3].text and "the cost may rise" not in measured[3].text
+    assert measured[1]["method"] != "hierarchical"
+    assert cli.main(["fit", str(photos), "-o", str(tmp_path / "h"), "--iterations", "2", "--resolution", "16"]) == 0
+    assert "the cost may rise" in Page(tmp_path / "h/report.html").text
+
+
 def test_a_fit_is_not_lost_with_its_page(photos, tmp_path, monkeypatch, capsys):
     def breaks(*_, **__):
         raise RuntimeError("no page today")
