@@ -1,0 +1,115 @@
+"""A phone: its lens, its flash, and where it stood; from points of the plane to pixels and back.
+
+Frames: the plane of the material is z = 0 of the world (x right, y up, z toward the camera, docs/conventions.md). A camera
+looks along its own +z, with x to the right and y down of the stored pixels (OpenCV's axes); pixels are (column, row) with
+whole numbers at pixel centres. Stored pixels are those of the file before any EXIF orientation is applied: turning the
+phone turns its pose, never its lens or its flash.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Lens:
+    """What all photos of a phone share.
+
+    Args:
+        size: width and height of the photos in pixels.
+        focal: focal length in pixels.
+        centre: principal point in pixels; None: the middle of the photo.
+        distortion: k1, k2 of Brown and Conrady's radial model (OpenCV's first two), at 0 a pinhole.
+        vignetting: v1, v2: radiance arrives as 1 + v1 r^2 + v2 r^4, r = 1 at half the photo's diagonal from the middle.
+        flash: where the flash is, in camera axes and the world's unit of length; (0, 0, 0) is in the lens.
+    """
+
+    size: tuple[int, int]
+    focal: float
+    centre: tuple[float, float] | None = None
+    distortion: tuple[float, float] = (0.0, 0.0)
+    vignetting: tuple[float, float] = (0.0, 0.0)
+    flash: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """The principal point in pixels."""
+        return self.centre or ((self.size[0] - 1) / 2, (self.size[1] - 1) / 2)
+
+    @property
+    def matrix(self) -> Array:
+        """OpenCV's camera matrix, 3 x 3."""
+        x, y = self.middle
+        return np.array([[self.focal, 0, x], [0, self.focal, y], [0, 0, 1.0]])
+
+    @property
+    def coefficients(self) -> Array:
+        """OpenCV's distortion coefficients k1, k2, p1, p2, k3."""
+        return np.array([*self.distortion, 0.0, 0.0, 0.0])
+
+    def transmission(self, pixels: Array) -> Array:
+        """Share of the light that arrives at pixels (... x 2): 1 in the middle where there is vignetting."""
+        middle = (np.array(self.size) - 1) / 2
+        r2 = np.square(np.asarray(pixels) - middle).sum(axis=-1) / np.square(middle + 0.5).sum()
+        return 1 + self.vignetting[0] * r2 + self.vignetting[1] * r2**2
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Where a camera stood and how it was turned.
+
+    Args:
+        position: of the lens in the world, 3.
+        rotation: 3 x 3, from world to camera axes.
+    """
+
+    position: Array
+    rotation: Array
+
+    @classmethod
+    def looking_at(cls, position, target, turn: float = 0.0) -> Pose:
+        """A camera at ``position`` that has ``target`` in its middle; at ``turn`` 0 (rad) the world's y points up in it."""
+        position = np.asarray(position, dtype=np.float64)
+        z = np.asarray(target, dtype=np.float64) - position
+        z = z / np.linalg.norm(z)
+        x = np.cross(z, [np.sin(turn), np.cos(turn), 0.0])
+        x = x / np.linalg.norm(x)
+        return cls(position, np.stack((x, np.cross(z, x), z)))
+
+    def flash(self, lens: Lens) -> Array:
+        """Where the flash was in the world, 3."""
+        return self.position + self.rotation.T @ np.asarray(lens.flash)
+
+
+def project(lens: Lens, pose: Pose, points: Array) -> Array:
+    """Pixels (K x 2) of points of the world (K x 3); points behind the camera give NaN."""
+    x, y, z = ((np.asarray(points, dtype=np.float64) - pose.position) @ pose.rotation.T).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        at = np.where(z > 0, np.stack((x, y)) / z, np.nan)
+    r2 = np.square(at).sum(axis=0)
+    bent = at * (1 + lens.distortion[0] * r2 + lens.distortion[1] * r2**2)
+    return (lens.focal * bent).T + lens.middle
+
+
+def rays(lens: Lens, pixels: Array) -> Array:
+    """Directions (K x 3, camera axes, z = 1) that pixels (K x 2) see."""
+    bent = (np.asarray(pixels, dtype=np.float64) - lens.middle) / lens.focal
+    at = bent.copy()
+    k1, k2 = lens.distortion
+    for _ in range(20):  # Newton along the radius; the model is radial
+        r2 = np.square(at).sum(axis=-1, keepdims=True)
+        slope = 1 + 3 * k1 * r2 + 5 * k2 * r2**2
+        at = at - (at * (1 + k1 * r2 + k2 * r2**2) - bent) / slope
+    return np.concatenate((at, np.ones_like(at[:, :1])), axis=1)
+
+
+def on_plane(lens: Lens, pose: Pose, pixels: Array, height: float = 0.0) -> Array:
+    """Points (K x 2: x, y) of the plane z = ``height`` that pixels (K x 2) see."""
+    direction = rays(lens, pixels) @ pose.rotation
+    reach = (height - pose.position[2]) / direction[:, 2]
+    return (pose.position + direction * reach[:, None])[:, :2]
