@@ -435,7 +435,7 @@ PHOTOS = {
     "nine identical": lambda shots: Capture(shots.photos[:1].expand(9, -1, -1, -1).contiguous(), shots.views),
     "one photo nine times": lambda shots: Capture(shots.photos[[0] * 9], shots.views.pick([0] * 9)),
     "uncalibrated": lambda shots: Capture(shots.photos, Views.of([[0.0, 0.0, 2.0]] * 9, intensity=4 * math.pi),
-                                          calibrated=False),
+                                          calibration="none"),
     "black": black, "one black": lambda shots: dataclasses.replace(
         shots, photos=torch.cat((torch.zeros_like(shots.photos[:1]), shots.photos[1:]))),
     "white": lambda shots: dataclasses.replace(shots, photos=torch.ones_like(shots.photos)),

@@ -463,7 +463,7 @@ def test_photos_are_never_written_over_those_of_the_capture(copy, photos, tmp_pa
     # What an earlier page kept is no capture: its views are gone.
     assert cli.main(["report", str(copy), "--quick", "--capture", str(copy / "photos")]) == 2
     assert "holds the photos" in capsys.readouterr().err
-    write_capture(replace(shots, calibrated=False), tmp_path / "plain")
+    write_capture(replace(shots, calibration="none"), tmp_path / "plain")
     assert cli.main(["report", str(copy), "--quick", "--capture", str(tmp_path / "plain")]) == 2
     assert "with calibration" in capsys.readouterr().err
 
@@ -498,7 +498,7 @@ def test_a_capture_whose_name_is_not_utf8_loses_no_fit(photos, tmp_path):
 
 def test_what_the_page_says_is_true_of_plain_photos_smooth_maps_and_held_ones(photos, tmp_path, monkeypatch):
     monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)  # another test may have loaded it
-    shots, smooth = replace(read_capture(photos), calibrated=False), ("roughness=0.05", "diffuse=0.3")
+    shots, smooth = replace(read_capture(photos), calibration="none"), ("roughness=0.05", "diffuse=0.3")
     write_fit(fit_svbrdf(shots.pick([0, 1]), ANALYTIC, DirectConfig(iterations=1, fix=smooth)), shots.pick([0, 1]), tmp_path,
               left_out=shots.pick([2]))
     page = Page(tmp_path / "report.html")

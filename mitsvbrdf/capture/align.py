@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -161,29 +160,6 @@ def default_views(count: int, field_of_view: float = FIELD_OF_VIEW, share: float
     """
     distance = 0.5 / (share * math.tan(math.radians(field_of_view) / 2))
     return Views.of([[0.0, 0.0, distance]] * count, intensity=math.pi * distance**2)
-
-
-def read_exif(path: Path) -> dict[str, float]:
-    """What a photo's EXIF says of "ISO", "exposure time", "focal length" (mm) and "35 mm focal length"; else empty."""
-    try:
-        from PIL import Image
-
-        with Image.open(path) as image:
-            tags = image.getexif().get_ifd(0x8769)
-    except Exception:  # no Pillow, or an EXIF block that it cannot read: the photo itself may still be fine
-        return {}
-    known = {"ISO": 34855, "exposure time": 33434, "focal length": 37386, "35 mm focal length": 41989}
-    found = {}
-    for name, tag in known.items():
-        value = tags.get(tag)
-        value = value[0] if isinstance(value, tuple) and value else value
-        try:
-            number = float(value)
-        except (TypeError, ValueError, ZeroDivisionError):
-            continue
-        if math.isfinite(number) and number > 0:
-            found[name] = number
-    return found
 
 
 def field_of_view(focal_35mm: float, width: int, height: int) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import torch.nn.functional as F
 from torch import Tensor
@@ -12,6 +13,9 @@ from torch import Tensor
 from .. import color
 from ..errors import CaptureError
 from ..views import Views
+
+# Where the views of a capture come from: its maker, a marker sheet, the features that raw photos share, or nowhere.
+Calibration = Literal["given", "sheet", "photos", "none"]
 
 
 @dataclass(frozen=True)
@@ -23,7 +27,7 @@ class Capture:
         views: the N views.
         transfer: how display values encode linear radiance.
         index: the number of each photo in the capture it was read from (0-based), e.g. (0, 1, 2, 3, 5, 6, 8).
-        calibrated: whether the views were given; else they are the stated default geometry.
+        calibration: where the views come from; of ``none`` they are the stated default geometry.
         source: the folder it came from.
         notes: what a user should know about how it was read (photos left out, default geometry, ...).
     """
@@ -32,7 +36,7 @@ class Capture:
     views: Views
     transfer: color.Transfer = "gamma2.2"
     index: tuple[int, ...] = ()
-    calibrated: bool = True
+    calibration: Calibration = "given"
     source: Path | None = None
     notes: tuple[str, ...] = ()
 
@@ -49,6 +53,11 @@ class Capture:
     def __repr__(self) -> str:
         name = self.source.name if self.source else "without a folder"
         return f"Capture({name}, photos {', '.join(self.names)}, {self.resolution} px, {self.transfer})"
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether anything is known of the views."""
+        return self.calibration != "none"
 
     @property
     def resolution(self) -> int:

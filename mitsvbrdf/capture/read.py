@@ -15,8 +15,9 @@ from torch import Tensor
 from .. import color, files
 from ..errors import CaptureError, ConfigError
 from ..views import Falloff, Views
-from .align import FIELD_OF_VIEW, align_photos, default_views, field_of_view, read_exif
-from .capture import Capture
+from .align import FIELD_OF_VIEW, align_photos, default_views, field_of_view
+from .capture import Calibration, Capture
+from .photo import read_exif
 
 PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
 LEAST_SIDE = 8  # pixels
@@ -35,7 +36,8 @@ def read_capture(
 
     - ``capture.json`` as svbrdf-diff-renderer has it: ``camera_pos`` (rows x, y, z), ``light_pow`` (a number, r g b, or
       one row a photo), ``im_size``, ``target_dir``, and where given ``light_pos`` (else the light is at the camera),
-      ``idx`` (which rows and photos ``NN.png|jpg`` are used, else all) and our own ``transfer`` and ``calibrated``;
+      ``idx`` (which rows and photos ``NN.png|jpg`` are used, else all) and our own ``transfer`` and ``calibration``; without
+      ``camera_pos`` nothing is known of the views but that the photos are rectified;
     - ``camera_pos.txt``, ``image_size.txt``, ``light_power.txt`` and where given ``light_pos.txt`` beside the photos
       ``00.png|jpg``, ... (MaterialGAN);
     - photos alone: aligned to the first by name, with the stated default geometry.
@@ -96,7 +98,7 @@ def write_capture(capture: Capture, folder: str | Path) -> None:
         "target_dir": "target", "im_size": views.size, "idx": list(range(len(capture))),
         "camera_pos": views.camera.tolist(), "light_pos": views.light.tolist(),
         "light_pow": power[0] if all(row == power[0] for row in power) else power,
-        "transfer": capture.transfer, "calibrated": capture.calibrated})
+        "transfer": capture.transfer, "calibration": capture.calibration})
 
 
 def _from_json(path: Path, falloff: Falloff) -> Capture:
@@ -106,7 +108,8 @@ def _from_json(path: Path, falloff: Falloff) -> Capture:
         raise CaptureError("a valid JSON file", f"{path}: {reason}", "mend it or export it again") from None
     if not isinstance(stated, dict):
         raise CaptureError("a JSON object", f"a {type(stated).__name__} in {path}", "see the format of capture.json")
-    for key in ("target_dir", "im_size", "camera_pos", "light_pow"):
+    uncalibrated = "camera_pos" not in stated
+    for key in ("target_dir",) if uncalibrated else ("target_dir", "im_size", "camera_pos", "light_pow"):
         if key not in stated:
             raise CaptureError(f"the key {key!r}", f"{path} with {sorted(stated)}", "add it")
     if not isinstance(stated["target_dir"], str):
@@ -116,11 +119,13 @@ def _from_json(path: Path, falloff: Falloff) -> Capture:
         raise CaptureError(f"a transfer of {get_args(color.Transfer)}", f"{transfer!r} in {path}",
                            "choose one of these")
 
+    photos = _numbered(path.parent / stated["target_dir"])
+    index = stated.get("idx")
+    if uncalibrated:
+        stated = stated | _assumed(stated, path, max(photos) + 1)
     size = _number(stated["im_size"], f"im_size in {path}")
     camera = _rows(stated["camera_pos"], f"camera_pos in {path}")
     light = _rows(stated["light_pos"], f"light_pos in {path}") if "light_pos" in stated else camera
-    photos = _numbered(path.parent / stated["target_dir"])
-    index = stated.get("idx")
     if index is None:
         index = list(photos)
         _same_count(f"camera_pos in {path}", len(camera), len(photos))
@@ -137,7 +142,27 @@ def _from_json(path: Path, falloff: Falloff) -> Capture:
                            f"{path.parent / stated['target_dir']}", "add the photo or take it out of idx")
     views = _views(camera, light, stated["light_pow"], size, falloff, str(path)).pick(index)
     return _calibrated([photos[i] for i in index], views, transfer, index, path.parent,
-                       stated.get("calibrated", True) is not False)
+                       _calibration(stated, path))
+
+
+def _calibration(stated: dict, path: Path) -> Calibration:
+    """Where the views come from, as stated; captures of other tools do not say it, and ``calibrated`` is our older word."""
+    found = stated.get("calibration", "none" if stated.get("calibrated", True) is False else "given")
+    if found not in get_args(Calibration):
+        raise CaptureError(f"a calibration of {get_args(Calibration)}", f"{found!r} in {path}", "choose one of these")
+    return found
+
+
+def _assumed(stated: dict, path: Path, rows: int) -> dict:
+    """What a capture without ``camera_pos`` leaves open: the default geometry, in its unit of length."""
+    beside = [key for key in ("light_pos", "light_pow") if key in stated]
+    if beside:
+        raise CaptureError("the key 'camera_pos' beside light_pos and light_pow", f"{' and '.join(beside)} alone in {path}",
+                           "add camera_pos, or take these out to have the geometry estimated from the photos")
+    size = _number(stated.get("im_size", 1.0), f"im_size in {path}")
+    views = default_views(1)
+    return {"im_size": size, "camera_pos": [[x * size for x in views.camera[0].tolist()]] * rows,
+            "light_pow": float(views.intensity[0, 0]) * size**2, "calibration": "none"}
 
 
 def _from_text(folder: Path, falloff: Falloff) -> Capture:
@@ -156,7 +181,7 @@ def _from_text(folder: Path, falloff: Falloff) -> Capture:
 
 
 def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index: list[int], source: Path,
-                calibrated: bool = True) -> Capture:
+                calibration: Calibration = "given") -> Capture:
     photos = [_photo(path) for path in paths]
     for path, photo in zip(paths, photos):
         if photo.shape != photos[0].shape:
@@ -165,7 +190,7 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
         if photo.shape[0] != photo.shape[1]:
             raise CaptureError("square photos, rectified to the patch", f"{path} of {_size(photo)}",
                                "rectify it, or remove the calibration to read plain photos")
-    return Capture(torch.stack(photos), views, transfer, tuple(index), calibrated, source)
+    return Capture(torch.stack(photos), views, transfer, tuple(index), calibration, source)
 
 
 def _from_plain(folder: Path, falloff: Falloff) -> Capture:
@@ -190,7 +215,7 @@ def _from_plain(folder: Path, falloff: Falloff) -> Capture:
         f"no calibration: camera and light are taken to be together, {views.camera[0, 2]:.2f} patch sides above the "
         f"centre, in every photo (field of view {angle:.0f} degrees, {'from EXIF' if focal else 'assumed'}); a white "
         "diffuse texel at the centre has radiance 1")
-    return Capture(squares, views, "srgb", tuple(kept), False, folder, tuple(notes[:-1] + rejected + notes[-1:]))
+    return Capture(squares, views, "srgb", tuple(kept), "none", folder, tuple(notes[:-1] + rejected + notes[-1:]))
 
 
 def _shrunk(capture: Capture, resolution: int | None) -> Capture:

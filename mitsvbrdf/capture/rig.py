@@ -50,7 +50,7 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
     import cv2
 
     height, width = pixels.shape[:2]
-    scale = width / lens.size[0]
+    scale = 1 / max(1, round(lens.size[0] / width))
     corners = np.array([[x, y, 0.0] for x, y in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))]) * size
     at = project(lens, pose, corners) * scale
     longest = np.linalg.norm(np.roll(at, -1, axis=0) - at, axis=1).max()
