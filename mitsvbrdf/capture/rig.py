@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Literal
 
 import numpy as np
 
+from ..errors import CaptureError
 from ..views import texel_positions
 from .lens import Lens, Pose, project
 
@@ -73,3 +74,30 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
         count = part.shape[0] // times
         out[first : first + count] = sampled.reshape(count, times, resolution, times, 3).mean(axis=(1, 3))
     return out
+
+
+def rig_to_json(rig: Rig) -> dict:
+    """What :func:`rig_from_json` makes a rig of again, for ``capture.json["rig"]``: plain numbers, lists and texts."""
+    lens = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(rig.lens).items()}
+    poses = {name: {"position": np.asarray(pose.position).tolist(), "rotation": np.asarray(pose.rotation).tolist()}
+             for name, pose in rig.poses.items()}
+    return {"lens": lens, "poses": poses, "size": rig.size, "unit": rig.unit, "source": rig.source,
+            "errors": dict(rig.errors), "left_out": dict(rig.left_out)}
+
+
+def rig_from_json(value: dict) -> Rig:
+    """The rig that :func:`rig_to_json` wrote.
+
+    Raises:
+        CaptureError: something is missing or no number.
+    """
+    try:
+        lens = {name: tuple(x) if isinstance(x, list) else x for name, x in value["lens"].items()}
+        poses = {name: Pose(np.array(pose["position"], dtype=np.float64).reshape(3),
+                            np.array(pose["rotation"], dtype=np.float64).reshape(3, 3))
+                 for name, pose in value["poses"].items()}
+        return Rig(Lens(**lens), poses, float(value["size"]), value["unit"], value["source"],
+                   dict(value.get("errors", {})), dict(value.get("left_out", {})))
+    except (KeyError, TypeError, ValueError, AttributeError) as reason:
+        raise CaptureError("a rig of lens and poses", f"{type(reason).__name__}: {reason}",
+                           "make the capture again with `mitsvbrdf capture`") from None
