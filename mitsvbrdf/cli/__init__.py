@@ -53,6 +53,7 @@ from .options import (
 from .pretrain_hybrid import check_new_checkpoint, pretrain_hybrid
 from .relight import relight
 from .report import report
+from .sheet import sheet
 from .stability import stability
 from .view import view
 
@@ -350,7 +351,7 @@ def main(arguments: list[str] | None = None) -> int:
     commands = {"fit": fit_command(_method_of(arguments)), "view": view, "guess": guess, "render": render, "evaluate": evaluate,
                 "compare": compare, "crosscheck": crosscheck, "leave-out": leave_out, "stability": stability, "bench": bench,
                 "synth": synth, "pretrain": pretrain_command, "pretrain-hybrid": pretrain_hybrid, "doctor": doctor,
-                "export": export, "relight": relight, "report": report, "demo": demo}
+                "export": export, "relight": relight, "report": report, "sheet": sheet, "demo": demo}
     if arguments == ["--version"]:
         say(f"mitsvbrdf {__version__}")
         return 0
