@@ -2,13 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
 from ..errors import CaptureError
+
+PLAIN = (".png", ".jpg", ".jpeg")
+HEIC = (".heic", ".heif")  # need the extra `heic`
+RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw")  # need the extra `raw`
+SUFFIXES = PLAIN + HEIC + RAW
+
+ORIENTATION_OF_FLIP = {3: 3, 5: 8, 6: 6}  # EXIF's by LibRaw's
+UNTURNED = {3: 2, 6: 1, 8: -1}  # quarter turns against the clock, from how a photo is shown to how the sensor saw it
+
+# What can be locked, and shows where it was not: EXIF tags of the Exif block, a number each.
+NUMBERS = {"ISO": 34855, "exposure time": 33434, "focal length": 37386, "35 mm focal length": 41989}
+WORDS = {"white balance": (41987, {0: "automatic", 1: "manual"}), "flash": (37385, {0: "off", 1: "fired"})}
+SAME = ("ISO", "exposure time", "focal length", "white balance", "flash", "camera")
 
 
 @dataclass(frozen=True)
@@ -16,7 +32,7 @@ class Photo:
     """A file; its pixels are read when they are asked for.
 
     Args:
-        path: jpg or png.
+        path: png or jpg; HEIC with the extra ``heic``, RAW (dng, cr2, cr3, nef, arw, ...) with the extra ``raw``.
         size: width and height of the stored pixels, before any EXIF orientation.
         orientation: EXIF's, 1 to 8; 1: shown as stored.
         exif: see :func:`read_exif`.
@@ -25,59 +41,178 @@ class Photo:
     path: Path
     size: tuple[int, int]
     orientation: int = 1
-    exif: dict[str, float] = field(default_factory=dict)
+    exif: dict[str, float | str] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
         return self.path.name
+
+    @property
+    def linear(self) -> bool:
+        """Whether its values are proportional to radiance: those of RAW files are."""
+        return self.path.suffix.lower() in RAW
 
     @classmethod
     def open(cls, path: Path) -> Photo:
         """A photo by its file, with only its header read.
 
         Raises:
-            CaptureError: no image can be read from it.
+            CaptureError: no image can be read from it, or the package that reads such files is missing.
         """
-        from PIL import Image
-
-        try:
-            with Image.open(path) as image:
+        path = Path(path)
+        if path.suffix.lower() in RAW:
+            with _readable(path), _rawpy(path).imread(str(path)) as raw:
+                size, orientation = (raw.sizes.width, raw.sizes.height), ORIENTATION_OF_FLIP.get(raw.sizes.flip, 1)
+        else:
+            with _readable(path), _opened(path) as image:
                 size, orientation = image.size, image.getexif().get(0x0112, 1)
-        except Exception as reason:  # Pillow raises all kinds
-            raise CaptureError("a readable photo", f"{path}: {reason}", "check the file") from None
+                if path.suffix.lower() in HEIC:  # decoded as it is shown; the sensor's pixels are what the lens knows
+                    orientation = image.info.get("original_orientation") or 1
+                    size = size[::-1] if orientation in (6, 8) else size
         return cls(path, size, orientation if orientation in range(1, 9) else 1, read_exif(path))
 
     def pixels(self, most: int | None = None) -> np.ndarray:
-        """H x W x 3, RGB display values as stored, 8 or 16 bits.
+        """H x W x 3, RGB as stored, 8 or 16 bits: display values, of RAW files linear ones. Alpha is dropped.
 
         Args:
             most: pixels of the long side; a longer one is divided by the least whole number that makes it short enough,
                 by area averages.
+
+        Raises:
+            CaptureError: the file is damaged or cut off.
         """
         import cv2
 
-        image = cv2.imread(str(self.path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-        if image is None or image.dtype not in (np.uint8, np.uint16):
-            raise CaptureError("a readable 8- or 16-bit photo", str(self.path), "export it again as PNG or JPEG")
+        with _readable(self.path):
+            image = self._decoded()
         times = math.ceil(max(self.size) / most) if most else 1
         if times > 1:  # whole blocks only: a remainder at the right and bottom edge is cut off
             height, width = (side // times for side in image.shape[:2])
             image = cv2.resize(image[: height * times, : width * times], (width, height), interpolation=cv2.INTER_AREA)
-        return np.ascontiguousarray(image[..., ::-1])
+        return np.ascontiguousarray(image)
+
+    def _decoded(self) -> np.ndarray:
+        suffix = self.path.suffix.lower()
+        if suffix in RAW:
+            rawpy = _rawpy(self.path)
+            with rawpy.imread(str(self.path)) as raw:  # nothing that depends on the picture: values stay comparable
+                return raw.postprocess(use_camera_wb=True, no_auto_bright=True, output_bps=16, gamma=(1, 1), user_flip=0,
+                                       adjust_maximum_thr=0.0)
+        if suffix == ".png":  # Pillow gives no 16 bits, OpenCV only prints what is wrong with a file
+            with _opened(self.path) as image:
+                image.verify()
+            return _png(self.path)
+        with _opened(self.path) as image:
+            pixels = np.asarray(image.convert("RGB"))
+        return np.rot90(pixels, UNTURNED.get(self.orientation, 0)) if suffix in HEIC else pixels
 
 
-def read_exif(path: Path) -> dict[str, float]:
-    """What a photo's EXIF says of "ISO", "exposure time", "focal length" (mm) and "35 mm focal length"; else empty."""
+def _png(path: Path) -> np.ndarray:
+    import cv2
+
+    image = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    if image is None or image.dtype not in (np.uint8, np.uint16):
+        raise ValueError("no 8- or 16-bit image")
+    return image[..., ::-1]
+
+
+@contextlib.contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Whatever a decoder raises becomes one error that names the file."""
     try:
-        from PIL import Image
+        yield
+    except CaptureError:
+        raise
+    except Exception as reason:  # Pillow, OpenCV and LibRaw raise all kinds
+        said = reason.args[0] if reason.args else type(reason).__name__
+        said = said.decode(errors="replace") if isinstance(said, bytes) else said
+        raise CaptureError("a readable photo", f"{path}: {said}", "copy it from the phone again, or leave it out") from None
 
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator:
+    """The file in Pillow, however many pixels it has: photos of 108 and 200 megapixels are none of its bombs."""
+    from PIL import Image
+
+    if path.suffix.lower() in HEIC:
+        _needed("pillow_heif", "heic", path).register_heif_opener()
+    most, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
+    try:
         with Image.open(path) as image:
-            tags = image.getexif().get_ifd(0x8769)
-    except Exception:  # no Pillow, or an EXIF block that it cannot read: the photo itself may still be fine
+            yield image
+    finally:
+        Image.MAX_IMAGE_PIXELS = most
+
+
+def _rawpy(path: Path) -> ModuleType:
+    return _needed("rawpy", "raw", path)
+
+
+def _needed(module: str, extra: str, path: Path) -> ModuleType:
+    import importlib
+
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise CaptureError(f"the package {module} for files like {path.name}", "none installed",
+                           f'pip install "mitsvbrdf[{extra}]", or export the photos as JPEG') from None
+
+
+def photos_in(folder: Path) -> list[Path]:
+    """The photos of a folder by name, hidden ones aside.
+
+    Raises:
+        CaptureError: none, or RAW files beside others, whose values mean something else.
+    """
+    if not folder.is_dir():
+        raise CaptureError("a folder of photos", f"no folder at {folder}", "check the name")
+    found = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.name[0] != "." and p.is_file())
+    if not found:
+        raise CaptureError("photos (jpg, png, heic, dng, ...)", f"none in {folder}", "give the folder that holds them")
+    raw = [p for p in found if p.suffix.lower() in RAW]
+    if raw and len(raw) < len(found):
+        raise CaptureError("photos of one kind", f"{len(raw)} RAW files and {len(found) - len(raw)} others in {folder}",
+                           "move one kind to another folder")
+    return found
+
+
+def differences(photos: Sequence[Photo]) -> list[str]:
+    """A warning for each setting of the camera that is not the same in all photos, with photos and values."""
+    found = []
+    for what in SAME:
+        names: dict[float | str, list[str]] = {}
+        for photo in photos:
+            if what in photo.exif:
+                names.setdefault(photo.exif[what], []).append(photo.name)
+        if len(names) > 1:
+            usual = max(names, key=lambda value: len(names[value]))
+            odd = sorted((name, value) for value, those in names.items() if value != usual for name in those)
+            listed = ", ".join(f"{_shown(value)} in {name}" for name, value in odd[:4])
+            more = f" and {len(odd) - 4} more" if len(odd) > 4 else ""
+            found.append(f"{what} differs: {_shown(usual)} in {names[usual][0]}"
+                         f"{' and others' if len(names[usual]) > 1 else ''}, {listed}{more}; lock it for comparable photos")
+    return found
+
+
+def _shown(value: float | str) -> str:
+    return value if isinstance(value, str) else f"{value:g}"
+
+
+def read_exif(path: Path) -> dict[str, float | str]:
+    """What a photo's EXIF says, else empty.
+
+    Numbers: "ISO", "exposure time" (s), "focal length" and "35 mm focal length" (mm). Words: "white balance" (automatic or
+    manual), "flash" (fired or off), "camera" (maker and model), "date" (as the camera wrote it).
+    """
+    try:
+        with _opened(path) as image:
+            block = image.getexif()
+            tags = dict(block.get_ifd(0x8769))
+            camera = " ".join(str(block.get(tag, "")).strip("\0 ") for tag in (271, 272)).strip()
+    except Exception:  # no such package, or an EXIF block that cannot be read: the photo itself may still be fine
         return {}
-    known = {"ISO": 34855, "exposure time": 33434, "focal length": 37386, "35 mm focal length": 41989}
-    found = {}
-    for name, tag in known.items():
+    found: dict[str, float | str] = {}
+    for name, tag in NUMBERS.items():
         value = tags.get(tag)
         value = value[0] if isinstance(value, tuple) and value else value
         try:
@@ -86,4 +221,12 @@ def read_exif(path: Path) -> dict[str, float]:
             continue
         if math.isfinite(number) and number > 0:
             found[name] = number
+    for name, (tag, words) in WORDS.items():
+        value = tags.get(tag)
+        if isinstance(value, int):
+            found[name] = words[value & 1]  # of the flash, only the lowest bit says whether it fired
+    if camera:
+        found["camera"] = camera
+    if isinstance(tags.get(36867), str):
+        found["date"] = tags[36867].strip("\0 ")
     return found
