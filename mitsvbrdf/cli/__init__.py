@@ -16,13 +16,13 @@ from typing import Annotated, Literal
 import tyro
 from tyro.conf import FlagCreatePairsOff, OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from .. import __version__, color, files
-from ..capture import guess_diffuse, photograph, write_capture
+from .. import __version__, files
+from ..capture import guess_diffuse
 from ..errors import ConfigError, exit_code
 from ..fit import fit_svbrdf, left_out, pretrain
 from ..fit.checkpoint import load_tensors
 from ..fit.confidence import confidence
-from ..fit.config import DirectConfig, FitConfig, GanConfig, GuessMethod, HierarchicalConfig, HybridConfig, check_seed
+from ..fit.config import DirectConfig, FitConfig, GanConfig, GuessMethod, HierarchicalConfig, HybridConfig
 from ..interrupts import undisturbed
 from ..maps import load_maps
 from ..profile import profiling
@@ -55,6 +55,7 @@ from .relight import relight
 from .report import report
 from .sheet import sheet
 from .stability import stability
+from .synth import synth
 from .view import view
 
 CONFIGS: dict[str, type[FitConfig]] = {"hierarchical": HierarchicalConfig, "hybrid": HybridConfig, "gan": GanConfig,
@@ -250,26 +251,6 @@ def evaluate(maps: Positional[Material],
     if json_file:
         files.write_json(json_file, found)
         say_written(json_file)
-    return 0
-
-
-def synth(material: Positional[Material], out: Out, views: ViewSource = "builtin:grid", resolution: int = 256,
-          noise: Annotated[float, arg(help="Standard deviation of sensor noise in linear radiance.")] = 0.0,
-          seed: int = 0, renderer: RendererName = "mitsuba", transfer: color.Transfer = "gamma2.2",
-          variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
-    """Take photos of known maps: 8-bit, clipped, optionally noisy; a capture to test fits on."""
-    if not 0 <= noise <= 1:
-        raise ConfigError("--noise from 0 to 1", str(noise), "give the standard deviation, e.g. 0.003")
-    check_seed(seed)
-    keep_apart(Path(views), out)
-    svbrdf, (names, lit) = material_of(material, resolution), views_of(views, "inverse-square")
-    if svbrdf.resolution < resolution:
-        say(f"the maps have {svbrdf.resolution} px, so have the photos")
-    svbrdf = svbrdf.resized(min(resolution, svbrdf.resolution))
-    shots = photograph(svbrdf, lit, make_renderer(renderer, variant), noise, seed, transfer)
-    with files.output_folder(out, overwrite) as folder:
-        write_capture(shots, folder)
-    say(f"wrote {len(names)} photos and capture.json to {out}")
     return 0
 
 
