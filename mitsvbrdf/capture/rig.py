@@ -24,6 +24,8 @@ class Rig:
         source: what the poses come from.
         errors: RMS reprojection error in pixels of the photo, by name.
         left_out: reason, by name of each photo that is not used.
+        deviations: standard deviation of a camera's position in ``unit``, by name, where it is known.
+        notes: what the user should know about it.
     """
 
     lens: Lens
@@ -33,6 +35,8 @@ class Rig:
     source: Literal["sheet", "photos"]
     errors: dict[str, float] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
+    deviations: dict[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
 
 def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolution: int) -> np.ndarray:
@@ -82,7 +86,8 @@ def rig_to_json(rig: Rig) -> dict:
     poses = {name: {"position": np.asarray(pose.position).tolist(), "rotation": np.asarray(pose.rotation).tolist()}
              for name, pose in rig.poses.items()}
     return {"lens": lens, "poses": poses, "size": rig.size, "unit": rig.unit, "source": rig.source,
-            "errors": dict(rig.errors), "left_out": dict(rig.left_out)}
+            "errors": dict(rig.errors), "left_out": dict(rig.left_out),
+            "deviations": dict(rig.deviations), "notes": list(rig.notes)}
 
 
 def rig_from_json(value: dict) -> Rig:
@@ -97,7 +102,8 @@ def rig_from_json(value: dict) -> Rig:
                             np.array(pose["rotation"], dtype=np.float64).reshape(3, 3))
                  for name, pose in value["poses"].items()}
         return Rig(Lens(**lens), poses, float(value["size"]), value["unit"], value["source"],
-                   dict(value.get("errors", {})), dict(value.get("left_out", {})))
+                   dict(value.get("errors", {})), dict(value.get("left_out", {})),
+                   dict(value.get("deviations", {})), tuple(value.get("notes", ())))
     except (KeyError, TypeError, ValueError, AttributeError) as reason:
         raise CaptureError("a rig of lens and poses", f"{type(reason).__name__}: {reason}",
                            "make the capture again with `mitsvbrdf capture`") from None
