@@ -1,28 +1,297 @@
-"""Plain photos to one frame: SIFT features and a homography to the first photo, and the default geometry.
+"""Raw photos of a flat material to lens and poses, from the features that they share; and the default geometry.
 
-Source: the paper, III.C; SIFT by Lowe 1999, 2004; MAGSAC++ by Barath 2020 where OpenCV has it, else RANSAC.
+Features agree with one homography between each pair of photos that overlap; a tree of the best of them places every photo,
+and bundle adjustment finds lens and poses (:mod:`.planar`). Photos that cannot be used are named with the reason.
+
+Source: the paper, III.C, for aligned photos; the steps' own are named where they are.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Literal
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from ..errors import CaptureError
 from ..views import Views
+from .features import (
+    CONTRAST,
+    FEATURE_SIDE,
+    FEW_FEATURES,
+    LEAST_INLIERS,
+    MOST_FEATURES,
+    RATIO,
+    REPROJECTION,
+    Features,
+    find_features,
+    homography,
+    match,
+    spread,
+    wild,
+)
+from .lens import Lens, Pose
+from .patch import choose_patch, framed, outline, turned, upright
+from .photo import Photo
+from .planar import Match, adjust, starts
+from .refine import refine
+from .rig import Rig
+
+Array = NDArray[np.float64]
 
 FIELD_OF_VIEW = 60.0  # degrees across the long side where no EXIF says it: a phone's wide camera has 60 to 70
-FEATURE_SIDE = 1600  # photos are searched for features at no more than this many pixels a side
-CONTRAST = 0.01  # weakest feature; with OpenCV's 0.04, flash photos of wood were warped 50 pixels wrong or left out
-RATIO = 0.8  # a match counts when its distance is below this share of the second best's (Lowe 2004)
-REPROJECTION = 3.0  # pixels off at which a match is an outlier
-LEAST_INLIERS = 15  # any four matches agree with a homography; chance agreements were seen to reach 10
+FOCAL_SHARE = 0.02  # deviation of a focal length from EXIF, which rounds its 35 mm equivalent to whole millimetres
+FOCAL_SHARE_ASSUMED = 0.15  # and of the one of FIELD_OF_VIEW
+LEAST_PHOTOS = 3
 LEAST_SHARE = 0.4  # of the short side: the centred square that a photo must cover
 STILL = 0.25  # pixels: corners moved by less are left where they are, unsampled
+MOST_MATCHES = 4000  # in a bundle adjustment
+SIGMA = 0.7  # of a match, in pixels at which features were searched
+AGREEING = 0.4  # of a photo's matches with others: so many must agree with its pose
+
+
+def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"] = "best",
+                    report: Callable[[str, float], object] | None = None) -> Rig:
+    """Lens and poses of overlapping photos of a flat material.
+
+    World: the material in z = 0; the patch, of side 1, is the largest square that all photos show, upright as the reference
+    photo is shown. Lengths are as good as the focal length, which EXIF gives within some 2 %.
+
+    Args:
+        photos: three or more, taken with one lens.
+        reference: ``best``, the photo taken most nearly from straight above; or ``first``, the first by name that is used.
+        report: told what is going on and the share done.
+
+    Raises:
+        CaptureError: fewer than three photos can be used together, with the reasons.
+    """
+    report = report or (lambda text, share: None)
+    photos = {photo.name: photo for photo in sorted(photos, key=lambda p: p.name)}
+    left_out = _of_another_lens(photos)
+    features = {}
+    for n, name in enumerate(photos):
+        report(f"features of {name}", 0.4 * n / len(photos))
+        if name not in left_out:
+            features[name] = find_features(photos[name])
+            if len(features[name]) < LEAST_INLIERS:
+                left_out[name] = f"{len(features.pop(name))} features, too few to align: blurred, dark or without detail"
+    _enough(features, left_out)
+    size = photos[next(iter(features))].size
+    pairs = _pairs(features, size, lambda share: report("features in common", 0.4 + 0.3 * share))
+    hub, warps = _chained(features, pairs)
+    left_out |= {name: _apart(name, pairs) for name in features if name not in warps}
+    _enough(warps, left_out)
+
+    report("poses", 0.7)
+    lens, focal_share = _expected_lens([photos[name] for name in warps], size)
+    pairs = [p for p in pairs if p.a in warps and p.b in warps]
+    lens, poses, matches = _posed(lens, focal_share, hub, warps, pairs, left_out)
+    _enough(poses, left_out)
+
+    report("alignment", 0.8)
+    placed, _ = _placed(lens, poses, photos, reference)
+    aligned = refine(photos, lens, placed)
+    if aligned:
+        lens, poses, _ = adjust(lens, poses, hub, _limited(matches, size) + aligned, focal_share)
+    placed, dropped = _placed(lens, poses, photos, reference)
+    left_out |= {name: "it shows too little of what the others show" for name in dropped}
+    errors = _errors(lens, poses, matches)
+    return Rig(lens, placed, 1.0, "patch sides", "photos", {name: errors[name] for name in placed}, left_out)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """What two photos have in common.
+
+    Args:
+        matches: features that are alike, right or wrong.
+        agree: which of them agree with ``warp``, K.
+        warp: homography from pixels of ``a`` to pixels of ``b``; None where there is none to be trusted.
+        wild: whether there is one that no camera could have made.
+    """
+
+    matches: Match
+    agree: NDArray[np.bool_]
+    warp: Array | None
+    wild: bool = False
+
+    @property
+    def a(self) -> str:
+        return self.matches.a
+
+    @property
+    def b(self) -> str:
+        return self.matches.b
+
+    @property
+    def count(self) -> int:
+        """How many matches agree; 0 without a homography."""
+        return int(self.agree.sum()) if self.warp is not None else 0
+
+
+def _of_another_lens(photos: dict[str, Photo]) -> dict[str, str]:
+    """Photos whose size or focal length is not that of most, with the reason."""
+    out = {}
+    size = Counter(p.size for p in photos.values()).most_common(1)[0][0] if photos else None
+    focal = Counter(p.exif["35 mm focal length"] for p in photos.values()
+                    if p.size == size and "35 mm focal length" in p.exif).most_common(1)
+    for name, photo in photos.items():
+        own = photo.exif.get("35 mm focal length")
+        if photo.size != size:
+            out[name] = "{} x {} pixels, most have {} x {}: take all with one camera, uncropped".format(*photo.size, *size)
+        elif own and abs(own / focal[0][0] - 1) > 2 * FOCAL_SHARE:
+            out[name] = f"a focal length of {own:g} mm, most have {focal[0][0]:g} mm: take all with one lens, without zoom"
+    return out
+
+
+def _enough(kept, left_out: dict[str, str]) -> None:
+    if len(kept) < LEAST_PHOTOS:
+        got = "; ".join((f"{len(kept)} of {len(kept) + len(left_out)}", *(f"{n}: {why}" for n, why in left_out.items())))
+        raise CaptureError(f"{LEAST_PHOTOS} or more photos that show the same part of a flat material", got,
+                           "take nine from somewhat different places, sharp, with much overlap")
+
+
+def _expected_lens(photos: list[Photo], size: tuple[int, int]) -> tuple[Lens, float]:
+    """The lens as EXIF states it, or an assumed one, and the deviation of its focal length as a share."""
+    stated = [p.exif["35 mm focal length"] for p in photos if "35 mm focal length" in p.exif]
+    angle = field_of_view(float(np.median(stated)), *size) if stated else FIELD_OF_VIEW
+    focal = max(size) / 2 / math.tan(math.radians(angle) / 2)
+    return Lens(size, focal), FOCAL_SHARE if stated else FOCAL_SHARE_ASSUMED
+
+
+def _pairs(features: dict[str, Features], size: tuple[int, int], report: Callable[[float], object]) -> list[Pair]:
+    """Each pair of photos: by their strongest features, and by all of them for photos that are left alone so."""
+    both = list(combinations(features, 2))
+    few = int(np.clip(FEW_FEATURES * math.sqrt(100 / len(both)), 500, FEW_FEATURES))  # the time of 100 pairs is the limit
+    found = {}
+    for n, (a, b) in enumerate(both):
+        report(n / len(both))
+        found[a, b] = _pair(features, a, b, size, few)
+    linked = _chained(features, list(found.values()))[1]
+    for a, b in both:
+        if (a in linked) != (b in linked):
+            found[a, b] = _pair(features, a, b, size, MOST_FEATURES)
+    return list(found.values())
+
+
+def _pair(features: dict[str, Features], a: str, b: str, size: tuple[int, int], most: int) -> Pair:
+    index = match(features[a], features[b], most)
+    pixel = features[a].pixel
+    alike = Match(a, b, features[a].points[index[:, 0]], features[b].points[index[:, 1]], SIGMA * pixel)
+    warp, agree = homography(alike.at_a, alike.at_b, pixel)
+    if warp is not None and (wild(warp, size) or wild(np.linalg.inv(warp), size)):
+        return Pair(alike, agree, None, wild=True)
+    return Pair(alike, agree, warp)
+
+
+def _chained(names, pairs: list[Pair]) -> tuple[str, dict[str, Array]]:
+    """Homographies from the photo that has most in common with others, the hub, to each that can be reached from it.
+
+    The maximum spanning tree over the number of agreeing matches (Prim 1957), in the largest group of connected photos.
+    """
+    links = {name: {} for name in names}
+    for pair in pairs:
+        if pair.warp is not None:
+            links[pair.a][pair.b] = (pair.count, pair.warp)
+            links[pair.b][pair.a] = (pair.count, np.linalg.inv(pair.warp))
+    best: tuple[str, dict[str, Array]] = ("", {})
+    for hub in sorted(names, key=lambda name: -sum(count for count, _ in links[name].values())):
+        if hub in best[1]:
+            continue
+        warps = {hub: np.eye(3)}
+        while reach := [(links[a][b][0], a, b) for a in warps for b in links[a] if b not in warps]:
+            _, a, b = max(reach)
+            warps[b] = links[a][b][1] @ warps[a]
+        if len(warps) > len(best[1]):
+            best = hub, warps
+    return best
+
+
+def _apart(name: str, pairs: list[Pair]) -> str:
+    """Why a photo could not be connected."""
+    own = [p for p in pairs if name in (p.a, p.b)]
+    most = max(own, key=lambda p: int(p.agree.sum()))
+    other = most.b if most.a == name else most.a
+    if any(p.wild for p in own):
+        return "its homography is wild (folded, or scaled very differently): another surface, or one that is not flat"
+    if any(p.count for p in own):
+        return f"it has something in common only with {other}, not with the larger group of photos"
+    return (f"no agreement with any other photo: at most {int(most.agree.sum())} features agree with {other}, "
+            f"{LEAST_INLIERS} needed; another material, too little overlap, or blurred")
+
+
+def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pairs: list[Pair],
+           left_out: dict[str, str]) -> tuple[Lens, dict[str, Pose], list[Match]]:
+    """Lens, poses, and the matches that agree with them; photos that do not are added to ``left_out``."""
+    few = _limited([p.matches.pick(p.agree) for p in pairs if p.warp is not None], lens.size, MOST_MATCHES // 3)
+    found = [adjust(lens, start, hub, few, focal_share, steps=20) for start in starts(lens, warps, hub)]
+    lens, poses, _ = min(found, key=lambda f: f[2])
+    settled = 0
+    while True:
+        matches = [p.matches.pick(p.matches.errors(lens, poses) < REPROJECTION * p.matches.sigma / SIGMA) for p in pairs]
+        shares = {name: _agreeing(name, pairs, matches) for name in poses}
+        worst = min(shares, key=shares.__getitem__)
+        if shares[worst] < AGREEING:
+            left_out[worst] = f"only {shares[worst]:.0%} of what it has in common with other photos fits a place of the camera"
+            del poses[worst]
+            pairs = [p for p in pairs if worst not in (p.a, p.b)]
+            if len(poses) < LEAST_PHOTOS:
+                return lens, poses, []
+        elif settled == 2:
+            return lens, poses, [m for m in matches if len(m.at_a)]
+        else:
+            lens, poses, _ = adjust(lens, poses, hub, _limited(matches, lens.size), focal_share)
+            settled += 1
+
+
+def _agreeing(name: str, pairs: list[Pair], matches: list[Match]) -> float:
+    """The matches of a photo that agree with the poses, as a share of those that agree with homographies of their own."""
+    own = [(p.count, len(m.at_a)) for p, m in zip(pairs, matches) if name in (p.a, p.b) and p.count]
+    return sum(there for _, there in own) / max(1, sum(count for count, _ in own))
+
+
+def _limited(matches: list[Match], size: tuple[int, int], most: int = MOST_MATCHES) -> list[Match]:
+    """Matches as evenly spread over pairs and photos as can be."""
+    matches = [m for m in matches if len(m.at_a)]
+    each = max(20, most // len(matches))
+    return [m.pick(spread(m.at_a, size, each)) for m in matches]
+
+
+def _errors(lens: Lens, poses: dict[str, Pose], matches: list[Match]) -> dict[str, float]:
+    """RMS distance in pixels of each photo to where other photos' features are carried."""
+    squares = {name: [] for name in poses}
+    for m in matches:
+        squares[m.b].append(m.errors(lens, poses) ** 2)
+        squares[m.a].append(replace(m, a=m.b, b=m.a, at_a=m.at_b, at_b=m.at_a).errors(lens, poses) ** 2)
+    return {name: float(np.sqrt(np.concatenate(own).mean())) for name, own in squares.items()}
+
+
+def _placed(lens: Lens, poses: dict[str, Pose], photos: dict[str, Photo],
+            reference: str) -> tuple[dict[str, Pose], list[str]]:
+    """Poses in the frame of the patch, and the photos that are left out for it."""
+    angles = {name: upright(pose, photos[name].orientation) for name, pose in poses.items()}
+    chosen = next(iter(sorted(poses))) if reference == "first" else _frontal(poses, angles)
+    poses = {name: turned(pose, angles[chosen]) for name, pose in poses.items()}
+    outlines = {name: outline(lens, pose) for name, pose in poses.items()}
+    centre, side, dropped = choose_patch(outlines, LEAST_PHOTOS, chosen if reference == "first" else None)
+    if side <= 0:
+        raise CaptureError("photos that all show the same part of a material", f"no part that {len(poses) - len(dropped)} show",
+                           "take them with more overlap")
+    kept = {name: poses[name] for name in sorted(poses) if name not in dropped}
+    return framed(kept, centre, side), dropped
+
+
+def _frontal(poses: dict[str, Pose], angles: dict[str, float]) -> str:
+    """The photo taken most nearly straight from above, of those that are held as most are."""
+    like = {a: sum(math.cos(angles[a] - angles[b]) > 0.7 for b in poses) for a in poses}
+    return min((name for name in poses if like[name] == max(like.values())), key=lambda name: poses[name].rotation[2, 2])
 
 
 def align_photos(photos: Sequence[Tensor], names: Sequence[str]) -> tuple[Tensor, list[int], list[str]]:
