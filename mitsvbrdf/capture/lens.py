@@ -104,7 +104,10 @@ def rays(lens: Lens, pixels: Array) -> Array:
     for _ in range(20):  # Newton along the radius; the model is radial
         r2 = np.square(at).sum(axis=-1, keepdims=True)
         slope = 1 + 3 * k1 * r2 + 5 * k2 * r2**2
-        at = at - (at * (1 + k1 * r2 + k2 * r2**2) - bent) / slope
+        step = (at * (1 + k1 * r2 + k2 * r2**2) - bent) / slope
+        at = at - step
+        if not np.abs(step).max(initial=0.0) > 1e-15:
+            break
     return np.concatenate((at, np.ones_like(at[:, :1])), axis=1)
 
 

@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 
 from ..errors import CaptureError
-from ..views import texel_positions
 from .lens import Lens, Pose, project
 
 
@@ -61,11 +60,13 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
     longest = np.linalg.norm(np.roll(at, -1, axis=0) - at, axis=1).max()
     times = max(1, int(np.ceil(np.nan_to_num(longest, nan=0.0) / resolution))) if np.isfinite(longest) else 1
     whole = float(np.iinfo(pixels.dtype).max) if np.issubdtype(pixels.dtype, np.integer) else 1.0
-    points = texel_positions(resolution * times).numpy() * size
+    # Positions of texels as in views.texel_positions, but a band of rows at a time.
+    steps = ((np.arange(resolution * times) + 0.5) / (resolution * times) - 0.5) * size
     out = np.empty((resolution, resolution, 3), dtype=np.float32)
     rows = max(1, 2**21 // (resolution * times * times))  # of the result at once: memory stays small
     for first in range(0, resolution, rows):
-        part = points[first * times : (first + rows) * times]
+        y = -steps[first * times : (first + rows) * times, None]
+        part = np.stack(np.broadcast_arrays(steps, y, 0.0), axis=-1)
         where = (project(lens, pose, part.reshape(-1, 3)).reshape(*part.shape[:2], 2) + 0.5) * scale - 0.5
         where = np.nan_to_num(where, nan=-1e6).astype(np.float32)
         low = np.clip(np.floor(where.min(axis=(0, 1))).astype(int) - 2, 0, (width - 1, height - 1))
