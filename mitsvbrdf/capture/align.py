@@ -41,7 +41,6 @@ from .lens import Lens, Pose
 from .patch import choose_patch, framed, outline, turned, upright
 from .photo import Photo
 from .planar import Match, adjust, starts
-from .refine import refine
 from .rig import Rig
 
 Array = NDArray[np.float64]
@@ -53,7 +52,7 @@ LEAST_PHOTOS = 3
 LEAST_SHARE = 0.4  # of the short side: the centred square that a photo must cover
 STILL = 0.25  # pixels: corners moved by less are left where they are, unsampled
 MOST_MATCHES = 4000  # in a bundle adjustment
-SIGMA = 0.7  # of a match, in pixels at which features were searched
+SIGMA = 0.5  # of a match, in pixels at which features were searched
 AGREEING = 0.4  # of a photo's matches with others: so many must agree with its pose
 
 
@@ -95,11 +94,6 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
     lens, poses, matches = _posed(lens, focal_share, hub, warps, pairs, left_out)
     _enough(poses, left_out)
 
-    report("alignment", 0.8)
-    placed, _ = _placed(lens, poses, photos, reference)
-    aligned = refine(photos, lens, placed)
-    if aligned:
-        lens, poses, _ = adjust(lens, poses, hub, _limited(matches, size) + aligned, focal_share)
     placed, dropped = _placed(lens, poses, photos, reference)
     left_out |= {name: "it shows too little of what the others show" for name in dropped}
     errors = _errors(lens, poses, matches)

@@ -14,7 +14,7 @@ from .photo import Photo
 
 Array = NDArray[np.float64]
 
-FEATURE_SIDE = 2000  # photos are searched for features at no more than this many pixels a side
+FEATURE_SIDE = 2048  # photos are searched for features at no more than this many pixels a side
 MOST_FEATURES = 8000
 FEW_FEATURES = 3000  # the strongest, which are compared first: time grows with the square
 CONTRAST = 0.01  # weakest feature; with OpenCV's 0.04, flash photos of wood were warped 50 pixels wrong or left out

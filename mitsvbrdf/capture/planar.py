@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 TILT = 0.17  # of a camera's axis from straight down, rad
 HEIGHT = 0.15  # of a camera's height from the others', as a share
 DISTORTION = (0.03, 0.01)  # k1, k2: phones correct their lens
-SOFT = 2.0  # deviations from which on an error counts in proportion: what is no match at all is bounded already
+SOFT = 1.0  # deviations from which on an error counts in proportion only
 UNKNOWNS = 6  # of a pose
 
 
