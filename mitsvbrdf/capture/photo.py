@@ -81,15 +81,9 @@ class Photo:
         Raises:
             CaptureError: the file is damaged or cut off.
         """
-        import cv2
-
         with _readable(self.path):
             image = self._decoded()
-        times = math.ceil(max(self.size) / most) if most else 1
-        if times > 1:  # whole blocks only: a remainder at the right and bottom edge is cut off
-            height, width = (side // times for side in image.shape[:2])
-            image = cv2.resize(image[: height * times, : width * times], (width, height), interpolation=cv2.INTER_AREA)
-        return np.ascontiguousarray(image)
+        return np.ascontiguousarray(reduced(image, most) if most else image)
 
     def _decoded(self) -> np.ndarray:
         suffix = self.path.suffix.lower()
@@ -105,6 +99,17 @@ class Photo:
         with _opened(self.path) as image:
             pixels = np.asarray(image.convert("RGB"))
         return np.rot90(pixels, UNTURNED.get(self.orientation, 0)) if suffix in HEIC else pixels
+
+
+def reduced(image: np.ndarray, most: int) -> np.ndarray:
+    """Pixels divided by the least whole number that makes their long side ``most`` or less, by area averages."""
+    import cv2
+
+    times = math.ceil(max(image.shape[:2]) / most)
+    if times == 1:
+        return image
+    height, width = (side // times for side in image.shape[:2])  # whole blocks only: what remains at two edges is cut off
+    return cv2.resize(image[: height * times, : width * times], (width, height), interpolation=cv2.INTER_AREA)
 
 
 def _png(path: Path) -> np.ndarray:

@@ -15,13 +15,13 @@ from torch import Tensor
 from .. import color, files
 from ..errors import CaptureError, ConfigError
 from ..views import Falloff, Views
-from .align import FIELD_OF_VIEW, align_photos, default_views, field_of_view
+from .align import FIELD_OF_VIEW, default_views, field_of_view
 from .capture import Calibration, Capture
-from .photo import read_exif
+from .photo import UNTURNED, Photo, differences, photos_in
 
 PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
 LEAST_SIDE = 8  # pixels
-MOST_SIDE = 2048  # pixels of the short side at which plain photos are aligned
+MOST_SIDE = 2048  # pixels of a single photo that is read without calibration
 
 
 def read_capture(
@@ -40,14 +40,15 @@ def read_capture(
       ``camera_pos`` nothing is known of the views but that the photos are rectified;
     - ``camera_pos.txt``, ``image_size.txt``, ``light_power.txt`` and where given ``light_pos.txt`` beside the photos
       ``00.png|jpg``, ... (MaterialGAN);
-    - photos alone: aligned to the first by name, with the stated default geometry.
+    - photos alone, as a phone wrote them: three or more as :func:`~mitsvbrdf.capture.make.make_capture` sees them, upright as
+      the first; fewer, the first by name alone, with the stated default geometry.
 
     Args:
         folder: the folder, or the JSON file itself.
         resolution: pixels a side to shrink to, by area averages of display values; never enlarged. None: as they are.
         index: numbers of the photos to use; None: all.
         transfer: how display values encode radiance; None: what the capture states, else ``gamma2.2`` for calibrated
-            captures (the field's habit) and ``srgb`` for plain photos.
+            captures (the field's habit), ``srgb`` for plain photos, and ``linear`` for RAW files.
         falloff: see :class:`~mitsvbrdf.views.Views`.
         log: called with each note of the capture.
 
@@ -74,7 +75,7 @@ def read_capture(
     elif (path / "fit.json").is_file():
         raise CaptureError("a folder of photos", f"{path}, the result of a fit", "name the folder that was fitted")
     else:
-        capture = _from_plain(path, falloff)
+        capture = _from_plain(path, falloff, transfer)
     capture = capture if index is None else capture.pick(index)
     capture = _shrunk(replace(capture, transfer=transfer or capture.transfer), resolution)
     for note in capture.notes if log else ():
@@ -82,23 +83,26 @@ def read_capture(
     return capture
 
 
-def write_capture(capture: Capture, folder: str | Path) -> None:
-    """Write ``capture.json`` and ``target/NN.png`` (8 bit), so that :func:`read_capture` gives the same back.
+def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None) -> None:
+    """Write ``capture.json`` and ``target/NN.png``, so that :func:`read_capture` gives the same back.
 
-    Photos are numbered anew from 0; lengths stay in the capture's unit.
+    Photos are numbered anew from 0; lengths stay in the capture's unit. Files have 8 bits, of linear photos 16.
+
+    Args:
+        keys: more for the JSON, as :func:`~mitsvbrdf.capture.make.capture_keys` makes them.
 
     Raises:
         OutputError: the folder cannot be written to.
     """
     folder, views = Path(folder), capture.views
     for i, photo in enumerate(capture.photos):
-        files.write_png(folder / "target" / f"{i:02d}.png", photo)
+        files.write_png(folder / "target" / f"{i:02d}.png", photo, 16 if capture.transfer == "linear" else 8)
     power = views.intensity.tolist()
     files.write_json(folder / "capture.json", {
         "target_dir": "target", "im_size": views.size, "idx": list(range(len(capture))),
         "camera_pos": views.camera.tolist(), "light_pos": views.light.tolist(),
         "light_pow": power[0] if all(row == power[0] for row in power) else power,
-        "transfer": capture.transfer, "calibration": capture.calibration})
+        "transfer": capture.transfer, "calibration": capture.calibration, **(keys or {})})
 
 
 def _from_json(path: Path, falloff: Falloff) -> Capture:
@@ -193,29 +197,49 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
     return Capture(torch.stack(photos), views, transfer, tuple(index), calibration, source)
 
 
-def _from_plain(folder: Path, falloff: Falloff) -> Capture:
-    paths = sorted(_photos_in(folder))
-    if not paths:
-        raise CaptureError("photos (png, jpg)", f"none in {folder}",
-                           "give the folder that holds them or its capture.json")
-    names, exif, notes = [path.name for path in paths], [read_exif(path) for path in paths], []
-    for what in ("ISO", "exposure time", "focal length"):
-        values = {e[what]: name for name, e in zip(names, exif) if what in e}
-        if len(values) > 1:
-            (low, one), (high, other) = min(values.items()), max(values.items())
-            notes.append(f"{what} differs: {low:g} in {one}, {high:g} in {other}; lock it for comparable photos")
-    photos = [_photo(path, MOST_SIDE) for path in paths]
-    squares, kept, rejected = align_photos(photos, names)
+def _from_plain(folder: Path, falloff: Falloff, transfer: color.Transfer | None) -> Capture:
+    """Raw photos: what `mitsvbrdf capture` would make of them; of fewer than three that can be used, the first alone."""
+    from .make import LEAST_PHOTOS, make_capture, tags_seen
 
-    height, width = photos[0].shape[:2]
-    focal = exif[0].get("35 mm focal length")
+    photos = [Photo.open(path) for path in photos_in(folder)]
+    reason = f"{LEAST_PHOTOS} or more are needed to find out where they were taken from"
+    if len(photos) >= LEAST_PHOTOS:
+        try:
+            made = make_capture(photos, transfer=transfer, reference="first")
+        except CaptureError as error:
+            reason = error.got
+        else:
+            left_out = [f"{name} is left out: {why}" for name, why in made.rig.left_out.items()]
+            sheet = [f"{seen} tags of a sheet are in {photos[0].name}: `mitsvbrdf capture --sheet CM` is exact"
+                     for seen in [tags_seen(photos)] if seen]
+            return replace(made.capture, views=replace(made.capture.views, falloff=falloff), source=folder,
+                           notes=(*made.warnings, *left_out, *sheet))
+    return _single(photos, falloff, folder, reason)
+
+
+def _single(photos: Sequence[Photo], falloff: Falloff, folder: Path, reason: str) -> Capture:
+    """The middle square of the first photo as it is shown, in the stated default geometry."""
+    import cv2
+
+    first = photos[0]
+    pixels = np.rot90(first.pixels(), -UNTURNED.get(first.orientation, 0))
+    (height, width), side = pixels.shape[:2], min(pixels.shape[:2])
+    if side < LEAST_SIDE:
+        raise CaptureError(f"photos of {LEAST_SIDE} pixels or more a side", f"{first.path} of {width} x {height}",
+                           "use the original photo")
+    top, left = (height - side) // 2, (width - side) // 2
+    square = pixels[top : top + side, left : left + side].astype(np.float32) / np.iinfo(pixels.dtype).max
+    if side > MOST_SIDE:
+        square = cv2.resize(square, (MOST_SIDE, MOST_SIDE), interpolation=cv2.INTER_AREA)
+    focal = first.exif.get("35 mm focal length")
     angle = field_of_view(focal, width, height) if focal else FIELD_OF_VIEW
-    views = replace(default_views(len(kept), angle, squares.shape[1] / max(width, height)), falloff=falloff)
-    notes.append(
-        f"no calibration: camera and light are taken to be together, {views.camera[0, 2]:.2f} patch sides above the "
-        f"centre, in every photo (field of view {angle:.0f} degrees, {'from EXIF' if focal else 'assumed'}); a white "
-        "diffuse texel at the centre has radiance 1")
-    return Capture(squares, views, "srgb", tuple(kept), "none", folder, tuple(notes[:-1] + rejected + notes[-1:]))
+    views = replace(default_views(1, angle, side / max(width, height)), falloff=falloff)
+    alone = [f"only {first.name} is used of {len(photos)} photos: {reason}"] if len(photos) > 1 else []
+    geometry = (
+        f"no calibration: camera and light are taken to be together, {views.camera[0, 2]:.2f} patch sides above the centre "
+        f"(field of view {angle:.0f} degrees, {'from EXIF' if focal else 'assumed'}); a white texel there has radiance 1")
+    return Capture(torch.from_numpy(square)[None], views, "linear" if first.linear else "srgb", (0,), "none", folder,
+                   (*differences(photos), *alone, geometry))
 
 
 def _shrunk(capture: Capture, resolution: int | None) -> Capture:
@@ -231,8 +255,8 @@ def _shrunk(capture: Capture, resolution: int | None) -> Capture:
     return replace(capture, photos=torch.from_numpy(np.stack(photos)))
 
 
-def _photo(path: Path, most: int | None = None) -> Tensor:
-    """A photo as H x W x 3 display values, EXIF orientation applied, its short side at most ``most``."""
+def _photo(path: Path) -> Tensor:
+    """A photo as H x W x 3 display values, EXIF orientation applied."""
     import cv2
 
     try:
@@ -243,9 +267,6 @@ def _photo(path: Path, most: int | None = None) -> Tensor:
     if short < LEAST_SIDE:
         raise CaptureError(f"photos of {LEAST_SIDE} pixels or more a side", f"{path} of {_size(photo)}",
                            "use the original photo")
-    if most and short > most:
-        size = tuple(round(side * most / short) for side in (photo.shape[1], photo.shape[0]))
-        photo = torch.from_numpy(cv2.resize(photo.numpy(), size, interpolation=cv2.INTER_AREA))
     return photo
 
 

@@ -30,6 +30,7 @@ from ..progress import Progress, print_numbers, print_profile, say, say_written
 from ..render import RendererName, make_renderer
 from ..views import Falloff
 from .bench import bench
+from .capture import capture
 from .compare import compare
 from .crosscheck import crosscheck
 from .export import export
@@ -329,10 +330,11 @@ def _method_of(arguments: list[str]) -> str:
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    commands = {"fit": fit_command(_method_of(arguments)), "view": view, "guess": guess, "render": render, "evaluate": evaluate,
-                "compare": compare, "crosscheck": crosscheck, "leave-out": leave_out, "stability": stability, "bench": bench,
-                "synth": synth, "pretrain": pretrain_command, "pretrain-hybrid": pretrain_hybrid, "doctor": doctor,
-                "export": export, "relight": relight, "report": report, "sheet": sheet, "demo": demo}
+    commands = {"capture": capture, "fit": fit_command(_method_of(arguments)), "view": view, "guess": guess, "render": render,
+                "evaluate": evaluate, "compare": compare, "crosscheck": crosscheck, "leave-out": leave_out,
+                "stability": stability, "bench": bench, "synth": synth, "pretrain": pretrain_command,
+                "pretrain-hybrid": pretrain_hybrid, "doctor": doctor, "export": export, "relight": relight, "report": report,
+                "sheet": sheet, "demo": demo}
     if arguments == ["--version"]:
         say(f"mitsvbrdf {__version__}")
         return 0

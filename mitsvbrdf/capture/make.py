@@ -1,0 +1,354 @@
+"""From raw photos to a capture: poses, rectified photos, the flash, and which photos are better left out.
+
+    photos -> rig (tags of a sheet, or features) -> rectified -> flash, vignetting, exposures -> verdicts -> Capture
+
+One photo at a time is in memory; of each, what is kept is the rectified patch.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, get_args
+
+import numpy as np
+import torch
+
+from .. import color
+from ..errors import CaptureError, ConfigError
+from ..views import Views, coverage_angle
+from .capture import Capture
+from .flash import LONG_SIDE, Shading, shading_of_material, shading_of_paper, undo_vignetting
+from .lens import Lens, Pose, project
+from .photo import Photo, differences, reduced
+from .quality import LEAST_DETAIL, LOBE, Look, Stand, detail_of, looks, spoils, verdicts, where_to_stand
+from .rig import Rig, rectified, rig_to_json
+
+Reference = Literal["best", "first"]
+
+LEAST_PHOTOS = 3
+LEAST_SIDE, MOST_SIDE = 8, 4096  # pixels of the rectified photos
+COVERAGE_SIDE = 64
+
+
+@dataclass(frozen=True)
+class Made:
+    """A capture, and what is known about how good it is.
+
+    Args:
+        capture: the photos that are used, rectified, in their order.
+        photos: all that were given.
+        rig: lens and poses of those used; ``left_out`` has the reason of each other photo.
+        shading: what light and lens were found to be; None: nothing, the flash is taken to be at the lens.
+        looks: numbers by name, of each photo that a pose was found of.
+        coverage: smallest angle (rad) between half vector and upright that a photo shows, 64 x 64, row 0 at the top.
+        stand: where one more photo would show most; None: nowhere much.
+        warnings: what a user should know.
+        seconds: by stage.
+    """
+
+    capture: Capture
+    photos: tuple[Photo, ...]
+    rig: Rig
+    shading: Shading | None
+    looks: dict[str, Look]
+    coverage: torch.Tensor
+    stand: Stand | None
+    warnings: tuple[str, ...]
+    seconds: dict[str, float]
+
+    @property
+    def used(self) -> list[str]:
+        """Names of the photos of the capture, in its order."""
+        return list(self.rig.poses)
+
+    @property
+    def covered(self) -> float:
+        """Share of the patch of which some photo shows a highlight."""
+        return float((self.coverage <= LOBE).double().mean())
+
+
+class _Clock:
+    """Seconds by stage; a stage inside another is not counted to it."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self.stages = ["rest"]
+        self.last = time.perf_counter()
+
+    def _tick(self) -> None:
+        now = time.perf_counter()
+        self.seconds[self.stages[-1]] = self.seconds.get(self.stages[-1], 0.0) + now - self.last
+        self.last = now
+
+    def stage(self, name: str) -> None:
+        """From here on, in the present block, ``name`` is what is going on."""
+        self._tick()
+        self.stages[-1] = name
+
+    def finished(self) -> dict[str, float]:
+        """Seconds by stage so far."""
+        self._tick()
+        return dict(self.seconds)
+
+    @contextlib.contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        self._tick()
+        self.stages.append(name)
+        try:
+            yield
+        finally:
+            self._tick()
+            self.stages.pop()
+
+
+@dataclass(frozen=True)
+class _Timed(Photo):
+    """A photo that counts the seconds of its reading."""
+
+    clock: _Clock = field(default_factory=_Clock)
+
+    def pixels(self, most: int | None = None) -> np.ndarray:
+        with self.clock("reading"):
+            return super().pixels(most)
+
+
+def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_cm: float = 0.0,
+                 transfer: color.Transfer | None = None, resolution: int = 1024, reference: Reference = "best",
+                 report: Callable[[str, float], object] = lambda text, share: None) -> Made:
+    """Raw photos of a flat material, taken with one phone and its flash, to a capture.
+
+    Args:
+        photos: three or more; the order is kept.
+        sheet_cm: size of the printed sheet of tags around the material; None: without, poses come from what photos share.
+        depth_cm: how far the sheet lies above the material.
+        transfer: how the photos encode light; None: ``linear`` for RAW files, else ``srgb``.
+        resolution: pixels a side, at most; never more than the photos show.
+        reference: the photo that says what is up, without a sheet; see :func:`~mitsvbrdf.capture.align.rig_from_photos`.
+        report: told what is going on and the share done.
+
+    Raises:
+        CaptureError: fewer than three photos can be used, with the reasons.
+        ConfigError: options out of range.
+    """
+    _check(photos, sheet_cm, resolution, reference)
+    clock = _Clock()
+    warnings = differences(photos)
+    if all(photo.exif.get("flash") == "off" for photo in photos):
+        warnings.append("no photo was taken with the flash (says their EXIF); highlights then are those of the room's lights")
+    transfer = transfer or ("linear" if photos[0].linear else "srgb")
+    left: list[Photo] = [_Timed(p.path, p.size, p.orientation, p.exif, clock) for p in photos]
+    left_out, found = _other_sizes(left), {}
+    for attempt in (0, 1):
+        left = [photo for photo in left if photo.name not in left_out]
+        told = _within(report, 0.5 * attempt, 0.5 * attempt + 0.5)
+        rig = _rig(left, sheet_cm, depth_cm, reference, clock, _within(told, 0, 0.6))
+        left_out |= rig.left_out
+        with clock("rectifying"):
+            raw = _Raw.of(rig, left, resolution, _within(told, 0.6, 1))
+        lit = _Lit.of(rig, raw, sheet_cm, depth_cm, transfer, clock)
+        with clock("quality"):
+            seen = looks(lit.pictures, lit.views, transfer, lit.names, lit.overlap, lit.shading and lit.shading.evenness)
+            found |= {look.name: look for look in seen}
+            bad = verdicts(seen, lit.pictures, lit.views, {p.name: str(p.exif["flash"]) for p in left if "flash" in p.exif})
+        left_out |= bad
+        _enough(photos, left_out)
+        if rig.source == "sheet" or not any(map(spoils, bad.values())):  # tags that were seen are where they are
+            break
+    if bad:
+        rig = replace(rig, poses={name: pose for name, pose in rig.poses.items() if name not in bad})
+        lit = _Lit.of(rig, raw, sheet_cm, depth_cm, transfer, clock)
+    with clock("quality"):
+        left_out |= _blurred([photo for photo in photos if photo.name in left_out and photo.name not in found], left_out, raw)
+        stand = where_to_stand(lit.views, lit.names, rig.unit)
+        coverage = coverage_angle(lit.views, COVERAGE_SIDE)
+    index = tuple(i for i, photo in enumerate(photos) if photo.name in lit.names)
+    capture = Capture(lit.pictures, lit.views, transfer, index, rig.source, photos[0].path.parent)
+    return Made(capture, tuple(photos), replace(lit.rig, left_out=left_out), lit.shading, found, coverage, stand,
+                (*warnings, *rig.notes, *raw.notes, *lit.notes), clock.finished())
+
+
+def _check(photos: Sequence[Photo], sheet_cm: float | None, resolution: int, reference: str) -> None:
+    if not LEAST_SIDE <= resolution <= MOST_SIDE:
+        raise ConfigError(f"a resolution of {LEAST_SIDE} to {MOST_SIDE}", str(resolution), "try 1024")
+    if sheet_cm is not None and not (math.isfinite(sheet_cm) and sheet_cm > 0):
+        raise ConfigError("the size of the sheet in cm", str(sheet_cm), "measure the frame of tags from edge to edge")
+    if reference not in get_args(Reference):
+        raise ConfigError(f"a reference of {get_args(Reference)}", repr(reference), "choose one of these")
+    _enough(photos, {})
+    if len({photo.linear for photo in photos}) > 1:
+        raise CaptureError("photos of one kind", "RAW files among others", "give one kind alone")
+
+
+def _enough(photos: Sequence[Photo], left_out: Mapping[str, str]) -> None:
+    if len(photos) - len(left_out) < LEAST_PHOTOS:
+        reasons = "".join(f"; {name}: {reason}" for name, reason in left_out.items())
+        raise CaptureError(f"{LEAST_PHOTOS} photos or more that can be used", f"{len(photos) - len(left_out)} of "
+                           f"{len(photos)}{reasons}", "take more photos from different places, flash on")
+
+
+def _other_sizes(photos: Sequence[Photo]) -> dict[str, str]:
+    """Photos of another size than most: of another camera, or cropped, so that the lens is another one."""
+    usual = Counter(photo.size for photo in photos).most_common(1)[0][0]
+    left_out = {photo.name: f"it has {photo.size[0]} x {photo.size[1]} pixels, the others {usual[0]} x {usual[1]}"
+                for photo in photos if photo.size != usual}
+    _enough(photos, left_out)
+    return left_out
+
+
+def _blurred(photos: Sequence[Photo], reasons: Mapping[str, str], raw: _Raw) -> dict[str, str]:
+    """The reasons of photos without a pose that are blurred, which is why they have none."""
+    usual = float(np.median([detail_of(pixels) for pixels in raw.small.values()]))
+    sharpness = {photo.name: detail_of(photo.pixels(LONG_SIDE)) / usual for photo in photos}
+    return {name: f"blurred: {sharp:.2f} times as sharp as the others ({reasons[name]})"
+            for name, sharp in sharpness.items() if sharp < LEAST_DETAIL}
+
+
+def _within(report: Callable[[str, float], object], low: float, high: float) -> Callable[[str, float], object]:
+    return lambda text, share: report(text, low + (high - low) * share)
+
+
+def _rig(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, reference: Reference, clock: _Clock,
+         report: Callable[[str, float], object]) -> Rig:
+    """Lens and poses; the stages are called what is reported."""
+    steps = 0
+
+    def told(text: str, share: float | None = None) -> None:
+        nonlocal steps
+        steps += 1
+        clock.stage(text.partition(" of ")[0])
+        report(text, min(1.0, steps / (len(photos) + 1)) if share is None else share)
+
+    with clock("poses"):
+        if sheet_cm is not None:
+            from .tags import rig_from_sheet
+            return rig_from_sheet(photos, sheet_cm, depth_cm, told)
+        from .align import rig_from_photos
+        return rig_from_photos(photos, reference, told)
+
+
+@dataclass(frozen=True)
+class _Raw:
+    """Photos as they came: rectified (R x R x 3, NaN beyond their edges), and whole ones made small, by name."""
+
+    rectified: dict[str, np.ndarray]
+    small: dict[str, np.ndarray]
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(cls, rig: Rig, photos: Sequence[Photo], resolution: int, report: Callable[[str, float], object]) -> _Raw:
+        photos = [photo for photo in photos if photo.name in rig.poses]
+        shown = int(np.median([_resolved(rig.lens, pose, rig.size) for pose in rig.poses.values()]))
+        side, pictures, small = max(LEAST_SIDE, min(resolution, shown)), {}, {}
+        for n, photo in enumerate(photos):
+            report(f"rectifying {photo.name}", n / len(photos))
+            pixels = photo.pixels()
+            pictures[photo.name] = rectified(pixels, rig.lens, rig.poses[photo.name], rig.size, side)
+            small[photo.name] = reduced(pixels, LONG_SIDE)
+        few = (f"the photos show the patch in {shown} pixels a side, so it is not enlarged to {resolution}",)
+        return cls(pictures, small, few if side < resolution else ())
+
+
+def _resolved(lens: Lens, pose: Pose, size: float) -> float:
+    """Pixels of a photo along a side of the patch, the shortest."""
+    corners = np.array([[x, y, 0.0] for x, y in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))]) * size
+    at = project(lens, pose, corners)
+    return float(np.nan_to_num(np.linalg.norm(np.roll(at, -1, axis=0) - at, axis=1)).min())
+
+
+@dataclass(frozen=True)
+class _Lit:
+    """The photos of a rig with its flash known: without vignetting (N x R x R x 3, filled), and their views."""
+
+    rig: Rig
+    shading: Shading | None
+    pictures: torch.Tensor
+    overlap: dict[str, float]
+    views: Views
+    notes: tuple[str, ...]
+
+    @property
+    def names(self) -> list[str]:
+        return list(self.rig.poses)
+
+    @classmethod
+    def of(cls, rig: Rig, raw: _Raw, sheet_cm: float | None, depth_cm: float, transfer: color.Transfer, clock: _Clock) -> _Lit:
+        rig = replace(rig, poses={name: rig.poses[name] for name in raw.rectified if name in rig.poses})  # as they were given
+        with clock("flash"):
+            shading, notes = _shading(rig, raw, sheet_cm, depth_cm, transfer)
+            if shading:
+                rig = replace(rig, lens=shading.lens)
+            pictures = [_without_vignetting(raw.rectified[name], rig, name, transfer) for name in rig.poses]
+        overlap = {name: float(np.isfinite(picture).all(axis=-1).mean()) for name, picture in zip(rig.poses, pictures)}
+        return cls(rig, shading, _filled(pictures), overlap, _views(rig, shading), notes)
+
+
+def _shading(rig: Rig, raw: _Raw, sheet_cm: float | None, depth_cm: float, transfer: color.Transfer
+             ) -> tuple[Shading | None, tuple[str, ...]]:
+    """From the paper of the sheet, else from the material, else nothing; and what was noticed."""
+    notes = []
+    if sheet_cm is not None:
+        from .sheet import Sheet
+        try:
+            shading = shading_of_paper(rig, raw.small, transfer, Sheet(sheet_cm).white, depth_cm)
+            return shading, shading.notes
+        except CaptureError as reason:
+            notes.append(f"the paper says nothing of the light ({reason.got}); the material is asked instead")
+    try:
+        shading = shading_of_material(rig, {name: raw.rectified[name] for name in rig.poses}, transfer)
+        return shading, (*notes, *shading.notes)
+    except CaptureError as reason:
+        return None, (*notes, f"the shading says nothing of the light ({reason.got}): the flash is taken to be at the lens, "
+                              "and so bright that a white texel has radiance 1")
+
+
+def _without_vignetting(picture: np.ndarray, rig: Rig, name: str, transfer: color.Transfer) -> np.ndarray:
+    if rig.lens.vignetting == (0.0, 0.0):
+        return picture
+    linear = color.decode(torch.from_numpy(picture), transfer).numpy()
+    linear = undo_vignetting(linear, rig.lens, rig.poses[name], rig.size, transfer)
+    return color.to_display(torch.from_numpy(linear), transfer).numpy()
+
+
+def _filled(pictures: Sequence[np.ndarray]) -> torch.Tensor:
+    """Photos with what lies beyond their edges taken from the mean of the others; black where none shows it."""
+    stack = np.stack(pictures)
+    known = np.isfinite(stack)
+    if not known.all():
+        mean = np.where(known, stack, 0).sum(axis=0) / known.sum(axis=0).clip(1)
+        stack = np.where(known, stack, mean)
+    return torch.from_numpy(stack).clamp(0, 1)
+
+
+def _views(rig: Rig, shading: Shading | None) -> Views:
+    """Where cameras and flashes were, and how bright each photo shows them."""
+    camera = np.stack([pose.position for pose in rig.poses.values()])
+    light = np.stack([pose.flash(rig.lens) for pose in rig.poses.values()])
+    if shading is None:
+        return Views.of(camera, light, math.pi * float(np.median(np.square(camera).sum(axis=1))), rig.size)
+    power = [[i * math.exp(shading.log_exposure.get(name, 0.0)) for i in shading.intensity] for name in rig.poses]
+    return Views.of(camera, light, power, rig.size)
+
+
+def tags_seen(photos: Sequence[Photo]) -> int:
+    """How many tags of the sheet are in the first photo; 0 where it is too few for a sheet to be there."""
+    from .sheet import Sheet
+    from .tag_edges import find_edges
+    from .tags import LEAST_TAGS
+
+    count = len(find_edges(photos[0], Sheet()).corners) if photos else 0
+    return count if count >= LEAST_TAGS else 0
+
+
+def capture_keys(made: Made) -> dict:
+    """What ``capture.json`` says beside the views: see docs/formats.md."""
+    uncertainty = None
+    if made.shading:
+        exposures = {name: sd for name, sd in made.shading.exposure_deviations.items() if name in made.used}
+        uncertainty = dict(made.shading.deviations) | {"log_exposure": exposures}
+    return {"unit": made.rig.unit, "photos": made.used, "left_out": made.rig.left_out, "rig": rig_to_json(made.rig),
+            "uncertainty": uncertainty}

@@ -1,0 +1,80 @@
+"""``mitsvbrdf capture``: raw photos of a phone become a capture."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from .. import files
+from ..errors import CaptureError, ConfigError
+from ..interrupts import undisturbed
+from ..progress import console, progress_bar, say
+from .options import Out, Overwrite
+
+if TYPE_CHECKING:
+    from ..capture.make import Made
+
+
+def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A folder of raw photos: jpg, png, heic, dng, ...")],
+            out: Out,
+            sheet: Annotated[float | None, arg(metavar="CM", help="A printed sheet of tags lies around the material: its "
+                                               "measured size, over the outer edges of the tags.")] = None,
+            depth: Annotated[float, arg(metavar="CM", help="How far the sheet lies above the material.")] = 0.0,
+            transfer: Annotated[Literal["auto", "srgb", "gamma2.2", "linear"],
+                                arg(help="How photos encode light; auto: linear for RAW files, else srgb.")] = "auto",
+            resolution: Annotated[int, arg(help="Side of the rectified photos; never more than the photos show.")] = 1024,
+            reference: Annotated[Literal["best", "first"],
+                                 arg(help="Without a sheet, which photo says what is up: the one taken most nearly from "
+                                          "straight above, or the first.")] = "best",
+            overwrite: Overwrite = False) -> int:
+    """Make a capture of raw photos, for `mitsvbrdf fit`: find out where the phone was, rectify, leave bad photos out.
+
+    Nine photos of a flat material from nine places, flash on, exposure and focus locked; see docs/capture.md. With a printed
+    sheet of tags around the material (`mitsvbrdf sheet`) and --sheet, lengths are in cm and exact; without, poses come from
+    what the photos have in common.
+
+    OUT holds capture.json, the rectified photos in target/, and quality.html: what was left out and why, and where to stand
+    for one more photo; contact.jpg and quality.json beside it.
+    """
+    from ..capture import write_capture
+    from ..capture.make import capture_keys, make_capture, tags_seen
+    from ..capture.photo import Photo, photos_in
+    from ..report.capture import write_quality
+
+    if os.path.realpath(photos) in (os.path.realpath(out), os.path.realpath(out / "target")):
+        raise ConfigError("an output folder of its own", f"{out}, which holds the photos", "choose another folder")
+    raw = [Photo.open(path) for path in photos_in(photos)]
+    if sheet is None and (seen := tags_seen(raw)):
+        raise CaptureError("--sheet CM for photos of a sheet of tags", f"{seen} tags in {raw[0].name} and no --sheet",
+                           "measure the frame of tags from outer edge to outer edge and give that, for example --sheet 18")
+    with files.output_folder(out, overwrite) as folder:
+        with progress_bar("capture") as report:
+            made = make_capture(raw, sheet, depth, None if transfer == "auto" else transfer, resolution, reference, report)
+        with undisturbed():
+            write_capture(made.capture, folder, capture_keys(made))
+            write_quality(made, folder)
+    _print(made)
+    say(f"wrote {out}/quality.html, contact.jpg, capture.json, target/")
+    return 0
+
+
+def _print(made: Made) -> None:
+    from rich.table import Table
+
+    table = Table(title=f"{len(made.used)} of {len(made.photos)} photos used", title_justify="left")
+    for heading in ("photo", "", "reprojection", "sharpness", "clipped"):
+        table.add_column(heading, justify="left" if heading in ("photo", "") else "right")
+    for photo in made.photos:
+        look, error = made.looks.get(photo.name), made.rig.errors.get(photo.name)
+        table.add_row(photo.name, made.rig.left_out.get(photo.name, "used"), "" if error is None else f"{error:.2f} px",
+                      f"{look.sharpness:.2f}" if look else "", f"{look.clipped:.0%}" if look else "")
+    with contextlib.suppress(BrokenPipeError):
+        console.print(table)
+    for warning in made.warnings:
+        say(f"note: {warning}")
+    say(f"highlights shown of {made.covered:.0%} of the patch"
+        + (f"; one more photo would show most {made.stand.words}" if made.stand else ""))
