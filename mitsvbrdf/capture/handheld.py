@@ -2,7 +2,8 @@
 
 What it has of a phone: a lens with distortion, vignetting and a principal point off the middle, a flash beside it, one
 manual exposure, noise, 8 bits, JPEG and EXIF. What it has not: a mosaic of colours, sharpening, noise reduction, local
-tone curves, a lens out of focus.
+tone curves, a focus that changes the lens, a lens that follows another model than :mod:`mitsvbrdf.capture.lens`. Errors
+measured on it are therefore those of noise, resolution and method, not of a model that does not fit.
 """
 
 from __future__ import annotations
@@ -220,13 +221,13 @@ def handheld_photos(svbrdf: SVBRDF, phone: HandheldPhone, renderer, poses: Seque
 def _metered(scene, phone: HandheldPhone, pose: Pose) -> float:
     """Intensity of the flash, in display values: the mean of the first photo is right, or fewer of its values are clipped."""
     lens = replace(phone, megapixels=FROM_METER).lens
-    radiance = scene.render(lens, pose, intensity=1.0) * _transmission(lens)
+    radiance = scene.render(lens, pose, intensity=1.0) * _transmission(lens, 0, lens.size[1])
     return float(min(BRIGHTNESS / radiance.mean(), 1 / np.quantile(radiance, 1 - CLIPPED)))
 
 
-def _transmission(lens: Lens) -> NDArray[np.float32]:
-    """H x W x 1."""
-    columns, rows = np.meshgrid(np.arange(lens.size[0]), np.arange(lens.size[1]))
+def _transmission(lens: Lens, first: int, count: int) -> NDArray[np.float32]:
+    """Of ``count`` rows of pixels, count x W x 1."""
+    columns, rows = np.meshgrid(np.arange(lens.size[0]), np.arange(first, first + count))
     return lens.transmission(np.stack((columns, rows), axis=-1)).astype(np.float32)[..., None]
 
 
@@ -262,10 +263,9 @@ def developed(radiance: NDArray[np.float32], lens: Lens, noise: float = 1.0, see
         seed: of the noise.
     """
     out, rng = np.empty(radiance.shape, dtype=np.uint8), np.random.default_rng(seed)
-    transmission = _transmission(lens)
     for first in range(0, len(out), 256):  # rows: memory stays small
         rows = slice(first, first + 256)
-        light = radiance[rows] * transmission[rows]
+        light = radiance[rows] * _transmission(lens, first, len(radiance[rows]))
         if noise:
             grain = rng.standard_normal(light.shape, dtype=np.float32)
             light = light + noise * np.sqrt(READ**2 + SHOT * light) * grain
