@@ -206,9 +206,10 @@ def test_edges_are_measured_to_hundredths_of_a_pixel(photos, i):
 
 def test_a_rig_from_photos(photos):
     told = []
-    rig = rig_from_sheet(photos, 18.0, report=told.append)
+    rig = rig_from_sheet(photos, 18.0, report=lambda text, share: told.append((text, share)))
     assert (rig.unit, rig.source, rig.size, rig.left_out, rig.notes) == ("cm", "sheet", SHEET.patch, {}, ())
-    assert any("c.png" in line for line in told)
+    assert told[2][0] == "tags of c.png" and told[-1][0] == "poses"
+    assert [share for _, share in told] == pytest.approx([0, 0.16, 0.32, 0.48, 0.64, 0.8])
     poses = {photo.name: pose for photo, pose in zip(photos, POSES)}
     check(rig, poses)
     assert rig.lens.focal == pytest.approx(LENS.focal, rel=2e-3)

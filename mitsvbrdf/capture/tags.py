@@ -35,7 +35,7 @@ UNSURE = 0.01  # deviation of the focal length, as a share, that is worth a note
 
 
 def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.0,
-                   report: Callable[[str], None] | None = None) -> Rig:
+                   report: Callable[[str, float], object] = lambda text, share: None) -> Rig:
     """Lens and poses from photos of the sheet, in cm; the patch is the middle 0.64 of it, in z = 0 below the hole.
 
     One photo at a time is in memory.
@@ -44,7 +44,7 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
         photos: of one camera, in any orientation.
         size_cm: of the frame of tags as printed, outer edge to outer edge.
         depth_cm: how far the sheet lies above the material.
-        report: is told what is being done.
+        report: told what is going on and the share done.
 
     Returns:
         The rig, with the standard deviation of each camera position; photos that do not help are in ``left_out``.
@@ -55,8 +55,7 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
     sheet, seen, left_out = Sheet(size_cm), {}, {}
     size = Counter(photo.size for photo in photos).most_common(1)[0][0] if photos else (0, 0)
     for i, photo in enumerate(photos):
-        if report:
-            report(f"tags of {photo.name}, {i + 1} of {len(photos)}")
+        report(f"tags of {photo.name}", 0.8 * i / len(photos))
         if photo.size != size:
             left_out[photo.name] = _other_size(photo.size, size)
             continue
@@ -68,8 +67,7 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
     start = _start([photo for photo in photos if photo.name in seen], size)
     while True:
         _check(seen, left_out, len(photos))
-        if report:
-            report(f"bundle adjustment of {len(seen)} photos")
+        report("poses", 0.8)
         lens, poses, errors, deviations, focal = _bundle(*start, sheet, depth_cm, seen)
         limit = max(LARGE * max(size), TIMES_MEDIAN * float(np.median(list(errors.values()))))
         worst = max(errors, key=lambda name: errors[name])
