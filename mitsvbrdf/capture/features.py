@@ -51,7 +51,8 @@ def find_features(photo: Photo) -> Features:
 
     pixels = photo.pixels(FEATURE_SIDE)
     image = np.rint(pixels.astype(np.float32).mean(axis=2) * (255 / np.iinfo(pixels.dtype).max)).astype(np.uint8)
-    found, descriptors = cv2.SIFT_create(nfeatures=MOST_FEATURES, contrastThreshold=CONTRAST).detectAndCompute(image, None)
+    sift = cv2.SIFT_create(MOST_FEATURES, contrastThreshold=CONTRAST, enable_precise_upscale=True)  # else off by 0.25 pixels
+    found, descriptors = sift.detectAndCompute(image, None)
     if not found:
         return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32), 1.0)
     order = np.argsort([-p.response for p in found], kind="stable")
