@@ -24,7 +24,7 @@ POINTS, WIDTH = 8, 4  # measured along each edge, from as many profiles each
 PROFILE = 33  # samples across an edge
 REACH, REACH_PIXELS = 0.75, 8.0  # of a profile to both sides: in cells, in the last pass no more than so many pixels
 CONTRAST = 0.03  # linear, between white and black, below which nothing is measured
-TAKEN = 0.5  # of the points of a tag that must be measured; glare, a finger or the rim of the photo took the others
+LEAST_POINTS = 3  # of each edge, or the tag does not count; glare, a finger or the rim of the photo took the others
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def _measured(grey: NDArray, linear: NDArray[np.float32], corners: Array) -> tup
         values = values.reshape(4, POINTS, WIDTH, PROFILE).mean(axis=2, dtype=np.float64)
         offset = _crossings(values, steps)
         good = np.isfinite(offset)
-        if good.mean() < TAKEN or (good.sum(axis=1) < 2).any():
+        if (good.sum(axis=1) < LEAST_POINTS).any():
             return None
         middle = on.reshape(4, POINTS, WIDTH, 2).mean(axis=2)
         edge = middle + np.nan_to_num(offset)[..., None] * _OUT[:, None]

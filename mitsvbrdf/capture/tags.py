@@ -144,7 +144,7 @@ def _bundle(lens: Lens, focal_share: float, sheet: Sheet, depth: float, seen: di
     scale = np.array([focal_share, *[CENTRE * width] * 2, DISTORTION, DISTORTION])
 
     def lens_of(x: Array) -> Lens:
-        log_focal, u, v, k1, k2 = x[:5] * scale
+        log_focal, u, v, k1, k2 = (x[:5] * scale).tolist()
         middle = lens.middle
         return replace(lens, focal=lens.focal * math.exp(log_focal), centre=(middle[0] + u, middle[1] + v), distortion=(k1, k2))
 
