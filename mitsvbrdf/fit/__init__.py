@@ -20,6 +20,7 @@ from .live import LiveRecord
 from .loop import Loop, rerender
 from .needs import left_out
 from .result import FitResult
+from .self_calibration import record, self_calibrated
 
 
 def make_method(capture: Capture, renderer: Renderer, guess, config: FitConfig):
@@ -46,7 +47,8 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     """Recover a material from photos.
 
     Args:
-        capture: photos and views.
+        capture: photos and views. Where it has none, they are estimated from the photos first, but for the paper's method
+            (:mod:`mitsvbrdf.fit.self_calibration`); of one or two photos the default geometry stays.
         renderer: carries the gradients and draws the comparison.
         config: which method and its settings; left out, ``HierarchicalConfig()``.
         checkpoint: file (.safetensors) to keep the running state in.
@@ -63,7 +65,11 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     """
     config = (config or HierarchicalConfig()).limited()
     config.check()
+    stated = capture.notes
     with profiled("setting up"):
+        estimated = None
+        if getattr(config, "calibrate", True) and not isinstance(config, GanConfig):
+            capture, estimated = self_calibrated(capture)
         guess = first_guess(capture, config)
         method = make_method(capture, renderer, guess, config)
     loop = Loop(method, capture, renderer, config, checkpoint, report, LiveRecord(live) if live else None)
@@ -83,8 +89,9 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
         trace=loop.trace, config=config, renderer=renderer.name, variant=renderer.variant,
         left_out=tuple(left_out(capture, renderer, config, views)), stopped=stopped, undone=tuple(loop.undone),
         restarts=tuple(loop.restarts), deviations=spreads,
-        flash_offset=tuple(offset) if offset else None, profile=profile_summary())
-    return replace(result, warnings=tuple(doubts(result, capture)))
+        flash_offset=tuple(offset) if offset else None, profile=profile_summary(),
+        calibration=record(capture, views, estimated, *getattr(loop.method, "views_deviation", (None, None))))
+    return replace(result, warnings=(*capture.notes[len(stated):], *doubts(result, capture)))
 
 
 def first_guess(capture: Capture, config: FitConfig) -> Tensor:

@@ -86,8 +86,8 @@ class HierarchicalConfig(FitConfig):
     """Whether specular and roughness are kept from following where the photos' highlights were, in such photos."""
     neighbours: bool = True
     """Whether texels try their neighbours' answers as starts."""
-    refine_views: bool = True
-    """Whether camera, flash and exposure of each photo are refined, where the photos do not follow the model."""
+    calibrate: bool = True
+    """Whether views are estimated where the capture has none, and camera, flash and exposure of each photo refined."""
     flash_offset: bool = True
     """Whether the sideways distance between lens and flash is fitted, one for all photos (calibrations claim 0)."""
 

@@ -34,11 +34,12 @@ from ..profile import profiled
 from ..render import Renderer, make_renderer
 from ..render.least_squares import CLIPPED, Evidence, TexelSolver
 from ..views import Views, coverage_angle, cubic
-from .calibration import UNKNOWNS, Priors, refine_views
+from .calibration import ITERATIONS, PRIORS, UNKNOWNS, refine_views
 from .config import HierarchicalConfig
 from .held import held_maps
 from .likeness import basis, looks, membership
 from .needs import no_flash_offset
+from .self_calibration import why_not
 from .sharing import LEAST_SPREAD, NOBODY, shared
 from .start import robust_start
 
@@ -47,7 +48,7 @@ ALONE, TOGETHER, FINE = range(3)  # the stages: coarse and free, coarse and tied
 ROUNDS = {ALONE: 12, TOGETHER: 12, FINE: 14}
 DEADLINE = {ALONE: 0.15, TOGETHER: 0.5}  # share of the run at which a stage ends at the latest
 TIED_ROUNDS = 6  # of FINE, for photos of a phone
-REFINED = {TOGETHER: (2, 4, 6, 8), FINE: (4,)}  # rounds after which the views are refined
+REFINED = {ALONE: (7, 11), TOGETHER: (2, 4, 6, 8), FINE: (4,)}  # rounds after which the views are refined
 
 # Structure that a free fit leaves at 64 px (:meth:`Hierarchical._unexplained`): six known materials 0.0003 to 0.0009 without
 # noise and up to 0.004 with noise of 0.003 in linear radiance, twelve real captures 0.009 to 0.053.
@@ -70,8 +71,8 @@ FREEST = 2.5  # the same, at most
 CHANCE = 0.08  # of a map's variance: what a pattern of its own may have in common with the coverage angle
 TAIL_FLOOR = 0.03  # least that a pixel counts
 DAMPING = 0.01  # that Levenberg-Marquardt starts with
-CALIBRATION = Priors(camera=(0.01, 0.01, 0.02), flash=(0.01, 0.01, 0.01), exposure=0.03, common_flash=(0.15, 0.15))
 STEPS, OTHER_STEPS, LAST_STEPS = 6, 4, 8  # Levenberg-Marquardt steps of a round, of another start, and at the end
+FEW_STEPS = 10  # of refining views that were not stated: they move far, and will again after the next rounds
 LESS = 1e-3  # share of its cost that a texel must save to take another start
 TILTS, GOLDEN = (0.15, 0.4, 0.8), math.pi * (3 - math.sqrt(5))  # slopes tried as starts, and the turn from one to the next
 
@@ -95,7 +96,9 @@ class Hierarchical:
     def __init__(self, capture: Capture, renderer: Renderer, guess: Tensor, config: HierarchicalConfig) -> None:
         self.config, self.views = config, capture.views
         self.held = held_maps(config.fix, config.bsdf, capture.resolution)
-        self.fits_offset = config.refine_views and no_flash_offset(capture, renderer, config) is None
+        self.estimated = capture.calibration != "given"  # views are then refined from the start, and of exact photos too
+        self.known = capture.calibrated or why_not(capture) is None
+        self.fits_offset = config.calibrate and no_flash_offset(capture, renderer, config) is None
         self.variant = renderer.variant or "llvm_ad_rgb"
         self.full, self.guess = capture, guess
         self.few = capture.sampled(min(COARSE, capture.resolution))
@@ -108,6 +111,7 @@ class Hierarchical:
         self.low, self.high = torch.tensor([BOUNDS.get(name, (0.0, 1.0)) for name in self.names]).T
         self.basis = basis(looks(self.small, _resized(guess, self.small.resolution)), config.materials, config.seed)
         self.change = torch.zeros(len(capture), len(UNKNOWNS), dtype=torch.float64)
+        self.deviation, self.flash_deviation = torch.zeros_like(self.change), torch.zeros(2, dtype=torch.float64)
         self.stage = torch.tensor([ALONE, 0])  # which, and rounds of it done
         self.noise = torch.tensor(NOISE)
         self.unexplained = torch.full((2,), torch.nan)  # structure and RMSE of what the free fit leaves
@@ -159,7 +163,8 @@ class Hierarchical:
 
     @property
     def fits_views(self) -> bool:
-        return self.config.refine_views and self.full.calibrated and not self.exact
+        stated = not self.estimated and (self.exact or int(self.stage[0]) == ALONE)
+        return self.config.calibrate and self.known and not stated
 
     def _noise(self, stage: int, done: int) -> float:
         if stage == ALONE:
@@ -301,11 +306,21 @@ class Hierarchical:
 
     def _refine_views(self) -> None:
         """Where camera and flash stood, from the maps so far; the patch as a whole is flat (it lies in z = 0)."""
-        if self.tilts and int(self.stage[0]) == TOGETHER:
+        if self.tilts and int(self.stage[0]) != FINE:
             self.x[self.tilts] -= self.x[self.tilts].mean(dim=(1, 2), keepdim=True)
-        priors = CALIBRATION if self.fits_offset else replace(CALIBRATION, common_flash=(0.0, 0.0))
-        found = refine_views(self._solver(self.x.shape[-1]).svbrdf(self.x), self.capture.views, self.capture, priors)
-        self.change = found.change
+        priors = PRIORS[self.full.calibration]
+        priors = priors if self.fits_offset else replace(priors, common_flash=(0.0, 0.0))
+        steps = FEW_STEPS if self.estimated else ITERATIONS
+        found = refine_views(self._solver(self.x.shape[-1]).svbrdf(self.x), self.capture.views, self.capture, priors, steps)
+        self.change, self.deviation = found.change, found.deviation
+        self.flash_deviation = found.common_covariance.diagonal().sqrt()
+
+    @property
+    def views_deviation(self) -> tuple[Tensor | None, Tensor | None]:
+        """Standard deviations of the changes of the views, N x 7, and of the common flash offset; None where not refined."""
+        if not self.deviation.any():
+            return None, None
+        return self.deviation, self.flash_deviation if self.fits_offset else None
 
     # What comes out.
 
@@ -393,7 +408,7 @@ class Hierarchical:
 
     def state(self) -> dict[str, Tensor]:
         return {name: getattr(self, name).clone() for name in
-                ("x", "mean", "precision", "spread", "change", "stage", "noise")} | {
+                ("x", "mean", "precision", "spread", "change", "deviation", "flash_deviation", "stage", "noise")} | {
             "unexplained": self.unexplained.nan_to_num(-1.0)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:

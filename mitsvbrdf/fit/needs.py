@@ -15,6 +15,7 @@ from ..views import Views
 from . import losses
 from .config import FitConfig, HierarchicalConfig, HybridConfig
 from .held import described, held_maps
+from .self_calibration import why_not
 
 
 def left_out(capture: Capture, renderer: Renderer, config: FitConfig, views: Views | None = None) -> list[tuple[str, str]]:
@@ -41,7 +42,7 @@ def no_flash_offset(capture: Capture, renderer: Renderer, config: HierarchicalCo
     """Why the distance between lens and flash is not fitted; None where it is."""
     if not config.flash_offset:
         return "not asked for"
-    if not capture.calibrated:
+    if not capture.calibrated and (why_not(capture) or not getattr(config, "calibrate", True)):
         return "the views are a stated default, not a calibration"
     return "mitsuba-scene has no gradient to the lights" if renderer.name == "mitsuba-scene" else None
 

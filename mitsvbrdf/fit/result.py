@@ -35,6 +35,7 @@ class FitResult:
             errors are counted; see :mod:`mitsvbrdf.fit.confidence`.
         warnings: what a user should doubt, in sentences; see :mod:`mitsvbrdf.fit.doubts`.
         flash_offset: fitted (x, y) of the flash beside the lens, in the unit of the views, or None.
+        calibration: what is known of the views and how surely; see :func:`mitsvbrdf.fit.self_calibration.record`.
         profile: where the time of the steps went, where :func:`mitsvbrdf.profile.profiling` was on, else None.
     """
 
@@ -56,6 +57,7 @@ class FitResult:
     warnings: tuple[str, ...] = ()
     flash_offset: tuple[float, float] | None = None
     profile: dict | None = None
+    calibration: dict = field(default_factory=dict)
 
     def __repr__(self) -> str:
         method = type(self.config).__name__.removesuffix("Config").lower()

@@ -98,6 +98,7 @@ def fit_record(result: FitResult, capture: Capture, command: dict) -> dict:
                   "light": views.light.tolist(), "intensity": views.intensity.tolist()},
         "flash_offset": None if offset is None else {"x": offset[0] / views.size, "y": offset[1] / views.size,
                                                      "unit": "patch sides"},
+        "calibration": result.calibration,
         **({"profile": result.profile} if result.profile else {}),
         "versions": versions(),
         "machine": machine(),

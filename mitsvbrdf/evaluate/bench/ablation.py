@@ -15,5 +15,5 @@ VARIANTS: dict[str, dict[str, object]] = {
     "all pixels alike at 64 px": {"tails": 0.0},
     "burn-in not taken out": {"independent": False},
     "no flash offset": {"flash_offset": False},  # common to all photos; each flash is still refined within 0.01
-    "views as calibrated": {"refine_views": False},  # neither camera nor flash
+    "views as calibrated": {"calibrate": False},  # neither camera nor flash
 }
