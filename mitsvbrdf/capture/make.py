@@ -215,13 +215,9 @@ def _within(report: Callable[[str, float], object], low: float, high: float) -> 
 def _rig(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, reference: Reference, clock: _Clock,
          report: Callable[[str, float], object]) -> Rig:
     """Lens and poses; the stages are called what is reported."""
-    steps = 0
-
-    def told(text: str, share: float | None = None) -> None:
-        nonlocal steps
-        steps += 1
+    def told(text: str, share: float) -> None:
         clock.stage(text.partition(" of ")[0])
-        report(text, min(1.0, steps / (len(photos) + 1)) if share is None else share)
+        report(text, share)
 
     with clock("poses"):
         if sheet_cm is not None:
