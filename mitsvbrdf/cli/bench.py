@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal, TypeVar
 
@@ -18,12 +19,13 @@ from .options import Overwrite, Variant, views_of
 
 T = TypeVar("T")
 Names = Annotated[str | None, arg(metavar="NAME,...")]
-Suite = Literal["all", "renderers", "methods", "ablation", "none"]
-ALL = "renderers", "methods"  # an ablation is asked for by name: it takes longer than both
+Suite = Literal["all", "renderers", "methods", "ablation", "capture", "none"]
+ALL = "renderers", "methods"  # the others are asked for by name: they take longer than both
 
 # What is measured where nothing else is said, and with --quick.
-WHOLE = {"resolution": 256, "budgets": "10,30,100,300", "seeds": "0,1,2", "repeats": 5}
-QUICK = {"resolution": 64, "budgets": "2,5", "seeds": "0", "repeats": 2, "materials": "builtin:inlay", "captures": "none"}
+WHOLE = {"resolution": 256, "budgets": "10,30,100,300", "seeds": "0,1,2", "repeats": 5, "megapixels": 3.0}
+QUICK = {"resolution": 64, "budgets": "2,5", "seeds": "0", "repeats": 2, "megapixels": 0.5, "materials": "builtin:inlay",
+         "captures": "none"}
 CASES = {"sizes": (64, 128, 256, 512, 1024, 2048), "views": (1, 4, 16, 64), "samples": (1, 4, 16, 64, 256)}
 QUICK_CASES = {"sizes": (32, 64, 128), "views": (1, 4), "samples": (1, 4, 16)}
 
@@ -44,12 +46,16 @@ def bench(
                                           "out: cards-blue of the data, else builtin:grid.")] = None,
     data: Annotated[Path | None, arg(help="Folder with captures/, materials/, peers.json; left out: MITSVBRDF_DATA.")] = None,
     repeats: Annotated[int | None, arg(help="Timed turns of the renderers; left out: 5.")] = None,
+    megapixels: Annotated[float | None, arg(help="Of the simulated phone's photos; left out: 3.")] = None,
     quick: Annotated[bool, arg(help="A few minutes for everything: one made material, 64 px, 2 and 5 s, one seed.")] = False,
     renderer: Annotated[RendererName, arg(help="What the fits render with.")] = "mitsuba",
     variant: Variant = "llvm_ad_rgb",
     overwrite: Annotated[Overwrite, arg(help="Forget the records that are there.")] = False,
 ) -> int:
     """Measure error against run time: renderers against float64, methods against known maps and photos left out.
+
+    The suite capture goes from raw photos of a simulated phone to maps, and takes real captures' views away; its fits have the
+    longest budget and the first seed.
 
     Each record is kept as soon as it is there: Ctrl-C loses one fit at most, and the same command goes on. Nothing else should
     run meanwhile. docs/evaluation.md says what is measured and how.
@@ -58,7 +64,7 @@ def bench(
     from ..evaluate.bench.store import Store, read_benchmark
 
     asked = {"resolution": resolution, "budgets": budgets, "seeds": seeds, "repeats": repeats, "materials": materials,
-             "captures": captures}
+             "captures": captures, "megapixels": megapixels}
     chosen = WHOLE | (QUICK if quick else {}) | {name: value for name, value in asked.items() if value is not None}
     files.check_output(json_file, page)
     if suite == "none":
@@ -120,6 +126,14 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
         jobs += render_jobs(**(QUICK_CASES if quick else CASES), repeats=chosen["repeats"], variant=variant)
     if "methods" in suites:
         jobs += fit_jobs("methods", picked, tasks, budgets, seeds, engine)
+    if "capture" in suites:
+        from ..capture.handheld import HandheldPhone
+        from ..evaluate.bench.capture import capture_jobs
+
+        phone, default = HandheldPhone(megapixels=chosen["megapixels"], seed=seeds[0]), next(iter(table.values()))
+        phone.check()
+        jobs += capture_jobs(*_sources(chosen, data), phone, replace(default, budget=max(budgets), seed=seeds[0]),
+                             chosen["resolution"], engine, variant)
     if "ablation" in suites:
         default = next(iter(table.values()))
         jobs += fit_jobs("ablation", variant_table(default, VARIANTS), tasks, budgets, seeds, engine)
@@ -130,22 +144,29 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
 
 def _tasks(chosen: dict, source: str, data: Path | None, engine) -> list:
     from ..evaluate.bench.tasks import known_material, real_capture
+
+    materials, captures = _sources(chosen, data)
+    lit = views_of(source, "inverse-square")[1]
+    tasks: list = [known_material(name, chosen["resolution"], lit, engine) for name in materials]
+    return tasks + [real_capture(Path(name), chosen["resolution"]) for name in captures]
+
+
+def _sources(chosen: dict, data: Path | None) -> tuple[list[str], list[str]]:
+    """The known materials, builtin:NAME or folders, and the folders of real captures, each once."""
     from ..procedural import MATERIALS
 
     everything = [*(f"builtin:{name}" for name in MATERIALS), *map(str, _inside(data, "materials"))]
     names = _folders(chosen.get("materials"), everything, data, "materials")
     names = [f"builtin:{name}" if name in MATERIALS and not Path(name).is_dir() else name for name in names]
-    lit = views_of(source, "inverse-square")[1]
-    tasks: list = [known_material(name, chosen["resolution"], lit, engine) for name in names]
     shots = _folders(chosen.get("captures"), list(map(str, _inside(data, "captures"))), data, "captures")
-    tasks += [real_capture(Path(name), chosen["resolution"]) for name in shots]
-    if not tasks:
+    if not names and not shots:
         raise ConfigError("a material or capture to fit", "none", "give --materials or --captures, or --suite renderers")
-    labels = [(task.kind, task.name) for task in tasks]
-    twice = [name for kind, name in labels if labels.count((kind, name)) > 1]
-    if twice:
-        raise ConfigError("each material and capture once, by a name of its own", f"{twice[0]} twice", "rename a folder")
-    return tasks
+    for found in (names, shots):
+        labels = [Path(name.removeprefix("builtin:")).name for name in found]
+        twice = [label for label in labels if labels.count(label) > 1]
+        if twice:
+            raise ConfigError("each material and capture once, by a name of its own", f"{twice[0]} twice", "rename a folder")
+    return names, shots
 
 
 def _data(folder: Path | None) -> Path | None:

@@ -2,7 +2,7 @@
 
 ``renderers`` holds every renderer against the float64 truth. ``methods`` fits known materials and real captures with every
 method, each budget a fit of its own, for schedules follow the budget. ``ablation`` does the same with the default method and
-with one of its ingredients after the other taken away.
+with one of its ingredients after the other taken away. ``capture`` goes from a phone's raw photos to maps.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from ...errors import MitsvbrdfError
 from ...fit import FitConfig
 from ...render import Renderer
+from .capture import CaptureJob
 from .methods import fit, settings_of
 from .renderers import RenderJob
 from .store import Store
@@ -93,7 +94,7 @@ class FitJob:
                 "stopped": found.stopped, "why": None, "errors": errors}
 
 
-Job = FitJob | RenderJob
+Job = FitJob | RenderJob | CaptureJob
 
 
 def fit_jobs(suite: str, methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequence[float],

@@ -65,6 +65,22 @@ class FitRecord(TypedDict):
     errors: dict[str, float]
 
 
+class CaptureRecord(TypedDict):
+    """One capture made without calibration: of a known ``material`` by the simulated phone, with or without ``sheet``, or a
+    real ``capture`` whose views were taken away. ``seconds`` by stage; ``errors`` as evaluate/bench/capture.py counts them,
+    none of what failed, which ``why`` explains."""
+
+    suite: Literal["capture"]
+    kind: Literal["material", "capture"]
+    name: str
+    sheet: bool
+    config: dict[str, Any]
+    seconds: dict[str, float]
+    errors: dict[str, float]
+    stopped: Literal["done", "failed"]
+    why: str | None
+
+
 class Benchmark(TypedDict):
     """The whole file. ``published``: kind -> name -> whose -> error -> value, of what was fitted here."""
 
@@ -74,14 +90,13 @@ class Benchmark(TypedDict):
     versions: dict[str, str | None]
     seeds: list[int]
     published: dict[str, dict[str, dict[str, dict[str, float]]]]
-    records: list[RenderRecord | FitRecord]
+    records: list[RenderRecord | FitRecord | CaptureRecord]
 
 
 def identity(record: dict) -> tuple:
     """What no two records of a file share."""
-    names = ("suite", "bsdf", "resolution", "views", "truth") if record["suite"] == "renderers" else (
-        "suite", "method", "kind", "name", "budget", "seed")
-    return tuple(record[name] for name in names)
+    names = {"renderers": ("suite", "bsdf", "resolution", "views", "truth"), "capture": ("suite", "kind", "name", "sheet")}
+    return tuple(record[name] for name in names.get(record["suite"], ("suite", "method", "kind", "name", "budget", "seed")))
 
 
 def check_benchmark(value: Any, where: str) -> Benchmark:

@@ -19,7 +19,8 @@ from .schema import SCHEMA_VERSION, Benchmark, check_benchmark, identity
 PACKAGE = Path(__file__).parents[2]
 # What shapes a record: everything else may change between two runs of one file.
 SHAPING = ("capture/*.py", "fit/*.py", "render/*.py", "color.py", "maps.py", "metrics.py", "procedural.py", "views.py",
-           "evaluate/bench/peers_baseline.py", "evaluate/bench/tasks.py", "evaluate/bench/renderers.py")
+           "evaluate/bench/peers_baseline.py", "evaluate/bench/tasks.py", "evaluate/bench/renderers.py",
+           "evaluate/bench/capture.py", "evaluate/handheld.py")
 
 
 class Store:
