@@ -275,9 +275,9 @@ def test_the_command_writes_photos_and_their_truth(tmp_path, capsys):
     assert 60 < pixels.mean() < 160 and (pixels == 255).mean() < 0.05  # a photo that is well exposed
 
 
-@pytest.mark.parametrize("arguments", [["--sheet", "18"], ["--spoil", "finger"], ["--handheld", "--noise", "0.1"],
-                                       ["--handheld", "--spoil", "nonsense"], ["--handheld", "--megapixels", "1000"],
-                                       ["--handheld", "--seed", "-1"]])
+@pytest.mark.parametrize("arguments", [
+    ["--sheet", "18"], ["--spoil", "finger"], ["--handheld", "--noise", "0.1", "--photos", "1", "--megapixels", "0.05"],
+    ["--handheld", "--spoil", "nonsense"], ["--handheld", "--megapixels", "1000"], ["--handheld", "--seed", "-1"]])
 def test_options_that_do_not_go_together(tmp_path, capsys, arguments):
     assert cli.main(["synth", "builtin:tiles", "-o", str(tmp_path / "out"), "--resolution", "16", *arguments]) == 2
     assert capsys.readouterr().err.startswith("error: expected") and not (tmp_path / "out").exists()
