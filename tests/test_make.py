@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -173,6 +174,13 @@ def test_quality_page_and_pictures(made):
     assert 0.3 < record["coverage"]["share"] <= 1 and (record["stand"] is None or record["stand"]["words"] in page)
     assert cv2.imread(str(out / "contact.jpg")).shape[1] == 1680
     assert any("flash differs" in warning for warning in record["warnings"])
+
+
+def test_formats_page_names_every_key(made):
+    page = (Path(__file__).parents[1] / "docs/formats.md").read_text()
+    stated, record = (json.loads((made[1] / name).read_text()) for name in ("capture.json", "quality.json"))
+    for key in [*stated, *stated["rig"]["lens"], *stated["uncertainty"], *record, *record["photos"][0], *record["coverage"]]:
+        assert f"`{key}`" in page, key
 
 
 def test_page_in_a_browser(made):

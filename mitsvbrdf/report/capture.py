@@ -18,7 +18,7 @@ from ..capture.photo import Photo
 from ..capture.quality import LOBE
 from ..provenance import machine, versions
 from .page import at_most, picture_uri, png_uri, write_page
-from .sheet import ACCENT, GAP, LABEL, MARGIN, QUIET, TEXT, WIDTH, _Sheet
+from .sheet import ACCENT, BACK, GAP, LABEL, MARGIN, QUIET, TEXT, WIDTH, _Sheet
 
 SCHEMA_VERSION = 1
 PICTURES = ("contact.jpg", "quality.html", "quality.json")
@@ -111,14 +111,15 @@ def _contact_sheet(path: Path, made: Made, record: dict, left_out: dict[str, Ten
     sheet = _Sheet(below + 10 + (LABEL if left_out else 0) + small_rows * (small + reason_height))
     sheet.text(MARGIN, 52, _name(made), 22, TEXT, weight="bold")
     sheet.text(WIDTH - MARGIN, 52, f"{len(made.used)} of {len(made.photos)} photos used", 16, ACCENT, weight="bold", ha="right")
-    unit = "cm" if made.rig.unit == "cm" else "patch sides"
-    sheet.text(MARGIN, 82, f"patch of {made.rig.size:.3g} {unit}; a dot is below where the camera stood", 11, QUIET)
+    patch = f"patch of {made.rig.size:.3g} cm; " if made.rig.unit == "cm" else ""
+    sheet.text(MARGIN, 82, f"{patch}a dot is below where the camera stood", 11, QUIET)
     for i, (name, photo) in enumerate(zip(made.used, made.capture.photos)):
         x, y = MARGIN + i % A_ROW * (large + GAP), header + i // A_ROW * (large + LABEL)
         sheet.image(x, y, large, at_most(photo, 512))
         at = np.asarray(made.rig.poses[name].position) / made.rig.size
         right, down = (int(large * np.clip(0.5 + way, 0.03, 0.97)) for way in (at[0], -at[1]))
-        sheet.text(x + right, y + down, "●", 13, ACCENT, ha="center", va="center")
+        for points, colour in ((18, BACK), (13, ACCENT)):
+            sheet.text(x + right, y + down, "●", points, colour, ha="center", va="center")
         sheet.text(x, y + large + 20, f"{i:02d}  {name}", 10, TEXT)
     if left_out:
         sheet.text(MARGIN, below + 22, "Left out", 12, TEXT)
