@@ -10,8 +10,9 @@ import pytest
 from PIL import Image, ImageOps
 from scipy.optimize import least_squares
 
+from mitsvbrdf.capture import align
 from mitsvbrdf.capture.align import Pair, _chained, rig_from_photos
-from mitsvbrdf.capture.features import Features, match
+from mitsvbrdf.capture.features import Features, find_features, match
 from mitsvbrdf.capture.lens import Lens, Pose, on_plane, project
 from mitsvbrdf.capture.patch import choose_patch, largest_square, turned, upright
 from mitsvbrdf.capture.photo import Photo
@@ -107,7 +108,7 @@ def nine_rig(nine):
 
 def test_poses_and_alignment(nine, nine_rig):
     poses, _ = nine
-    assert set(nine_rig.poses) == set(poses) and not nine_rig.left_out
+    assert set(nine_rig.poses) == set(poses) and not nine_rig.left_out and not nine_rig.notes
     assert (nine_rig.size, nine_rig.unit, nine_rig.source) == (1.0, "patch sides", "photos")
     assert position_errors(nine_rig, poses).max() < 0.001  # measured 0.0003
     assert misalignment(nine_rig, poses) < 0.06  # pixels at 512; measured 0.025
@@ -129,6 +130,12 @@ def test_reference(nine, nine_rig):
     assert straightest != "0.png"
     rig = rig_from_photos([replace(photo, orientation=8) for photo in photos], reference="first")
     assert upright(rig.poses["0.png"], 8) == pytest.approx(0, abs=1e-9)
+
+
+def test_photos_left_alone_by_few_features_are_compared_by_all(nine, monkeypatch):
+    features = {photo.name: find_features(photo) for photo in nine[1][:3]}
+    monkeypatch.setattr(align, "FEW_FEATURES", 20)
+    assert all(pair.count > 100 for pair in align._pairs(features, SIZE, lambda share: None))
 
 
 def quarter(pose):
@@ -186,7 +193,7 @@ def test_no_exif_and_a_large_highlight(tmp_path):
     """Without EXIF 60 degrees are assumed, here 10 % off; the highlight hides a quarter of each photo."""
     poses = held(6, seed=3)
     rig = rig_from_photos(take(tmp_path, poses, stated=None, shine=8.0))
-    assert set(rig.poses) == set(poses)
+    assert set(rig.poses) == set(poses) and "no EXIF" in rig.notes[0] and "67 degrees" in rig.notes[0]
     assert position_errors(rig, poses).max() < 0.002 and misalignment(rig, poses) < 0.06  # measured 0.0007, 0.020
 
 

@@ -49,6 +49,7 @@ FIELD_OF_VIEW = 60.0  # degrees across the long side where no EXIF says it: a ph
 FOCAL_SHARE = 0.02  # deviation of a focal length from EXIF, which rounds its 35 mm equivalent to whole millimetres
 FOCAL_SHARE_ASSUMED = 0.15  # and of the one of FIELD_OF_VIEW
 LEAST_PHOTOS = 3
+MOST_AGAIN = 8  # others that a photo left alone is compared with by all features
 LEAST_SHARE = 0.4  # of the short side: the centred square that a photo must cover
 STILL = 0.25  # pixels: corners moved by less are left where they are, unsampled
 MOST_MATCHES = 4000  # in a bundle adjustment
@@ -97,7 +98,10 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
     placed, dropped = _placed(lens, poses, photos, reference)
     left_out |= {name: "it shows too little of what the others show" for name in dropped}
     errors = _errors(lens, poses, matches)
-    return Rig(lens, placed, 1.0, "patch sides", "photos", {name: errors[name] for name in placed}, left_out)
+    notes = () if focal_share == FOCAL_SHARE else (
+        f"no EXIF states the focal length; the photos agree best with {_angle(lens):.0f} degrees across the long side, and the "
+        "heights of the cameras are as uncertain as that",)
+    return Rig(lens, placed, 1.0, "patch sides", "photos", {name: errors[name] for name in placed}, left_out, notes=notes)
 
 
 @dataclass(frozen=True)
@@ -147,9 +151,12 @@ def _of_another_lens(photos: dict[str, Photo]) -> dict[str, str]:
 
 def _enough(kept, left_out: dict[str, str]) -> None:
     if len(kept) < LEAST_PHOTOS:
-        got = "; ".join((f"{len(kept)} of {len(kept) + len(left_out)}", *(f"{n}: {why}" for n, why in left_out.items())))
+        reasons = [f"{name}: {why}" for name, why in left_out.items()]
+        more = [f"and {len(reasons) - 3} more"] if len(reasons) > 3 else []
+        got = "; ".join((f"{len(kept)} of {len(kept) + len(left_out)}", *reasons[:3], *more))
         raise CaptureError(f"{LEAST_PHOTOS} or more photos that show the same part of a flat material", got,
-                           "take nine from somewhat different places, sharp, with much overlap")
+                           "take nine from somewhat different places, sharp, with much overlap; where a material has no marks "
+                           "to go by, lay a printed sheet around it (`mitsvbrdf sheet`)")
 
 
 def _expected_lens(photos: list[Photo], size: tuple[int, int]) -> tuple[Lens, float]:
@@ -160,8 +167,13 @@ def _expected_lens(photos: list[Photo], size: tuple[int, int]) -> tuple[Lens, fl
     return Lens(size, focal), FOCAL_SHARE if stated else FOCAL_SHARE_ASSUMED
 
 
+def _angle(lens: Lens) -> float:
+    """Field of view across the long side, degrees."""
+    return math.degrees(2 * math.atan(max(lens.size) / 2 / lens.focal))
+
+
 def _pairs(features: dict[str, Features], size: tuple[int, int], report: Callable[[float], object]) -> list[Pair]:
-    """Each pair of photos: by their strongest features, and by all of them for photos that are left alone so."""
+    """Each pair of photos by their strongest features; by all of them where photos are left alone so."""
     both = list(combinations(features, 2))
     few = int(np.clip(FEW_FEATURES * math.sqrt(100 / len(both)), 500, FEW_FEATURES))  # the time of 100 pairs is the limit
     found = {}
@@ -169,10 +181,12 @@ def _pairs(features: dict[str, Features], size: tuple[int, int], report: Callabl
         report(n / len(both))
         found[a, b] = _pair(features, a, b, size, few)
     linked = _chained(features, list(found.values()))[1]
-    for a, b in both:
-        if (a in linked) != (b in linked):
-            found[a, b] = _pair(features, a, b, size, MOST_FEATURES)
-    return list(found.values())
+    again = {}
+    for name in features:
+        if name not in linked:
+            own = sorted((p for p in found.values() if name in (p.a, p.b)), key=lambda p: -p.agree.sum())
+            again |= {(p.a, p.b): None for p in own[:MOST_AGAIN] if p.warp is None}
+    return list((found | {(a, b): _pair(features, a, b, size, MOST_FEATURES) for a, b in again}).values())
 
 
 def _pair(features: dict[str, Features], a: str, b: str, size: tuple[int, int], most: int) -> Pair:
