@@ -75,8 +75,7 @@ def material_photos(rig, exposures, rng, f0=0.0, alpha=0.15, side=48, intensity=
         tan2 = (half[:, :2] ** 2).sum(axis=1) / half[:, 2] ** 2
         lobe = f0 / 4 * (alpha * (1 + tan2) / (tan2 + alpha**2)) ** 2
         got = light(points, project(lens, pose, points), lens, pose, exposure)[:, None]
-        brdf = albedo / math.pi + lobe[:, None] / math.pi
-        radiance = 0.3 * brdf if name in even else intensity * got * brdf
+        radiance = 0.6 * albedo if name in even else intensity * got * (albedo + lobe[:, None]) / math.pi
         photos[name] = shown(radiance, rng).reshape(side, side, 3)
     return photos
 

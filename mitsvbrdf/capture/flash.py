@@ -453,8 +453,9 @@ def _alike(error: Array, weights: Array, cell: np.ndarray) -> float:
 
 
 def _evenness(problem: _Problem, unknowns: Array, weights: Array, gloss: Array) -> dict[str, float]:
-    """1 - slope of each photo's log radiance, less what other photos say of its texels, over the logarithm of falloff."""
-    samples, falloff = problem.samples, problem.falloff(unknowns)
+    """1 - slope of each photo's log radiance, less what other photos say of its texels, over what a flash makes of it: falloff
+    and highlight, in logarithms."""
+    samples, pattern = problem.samples, problem.falloff(unknowns) + gloss
     own = samples.weight * problem.away(unknowns)
     weights = np.minimum(weights, own)
     others = samples.log - problem.model(unknowns) - gloss
@@ -465,23 +466,29 @@ def _evenness(problem: _Problem, unknowns: Array, weights: Array, gloss: Array) 
         rest = total - np.bincount(samples.texel[at], weights[at], len(total))
         albedo = (np.bincount(samples.texel, weights * others) - mine) / rest.clip(1e-12)
         there = at & (rest > 0.1)[samples.texel]
-        found[name] = _flatness(falloff[there], (others - albedo[samples.texel])[there], own[there], samples.cell[there])
+        found[name] = _flatness(pattern[there], (others - albedo[samples.texel])[there], own[there], samples.cell[there])
     return found
 
 
-def _flatness(falloff: Array, error: Array, weights: Array, cell: np.ndarray) -> float:
-    """- slope of errors over falloff, robust, in [0, 1]; 0 where its standard deviation is above SURE."""
-    if len(falloff) < 20:
+def _flatness(pattern: Array, error: Array, weights: Array, cell: np.ndarray) -> float:
+    """- slope of errors over the pattern, robust, in [0, 1]; 0 where its standard deviation is above SURE."""
+    if len(pattern) < 20:
         return 0.0
-    slope, rest, trust = 0.0, error - np.median(error), weights
+    found = min((_line(pattern, error, weights, cell, start) for start in (0.0, -1.0)), key=lambda line: line[2])
+    return min(1.0, max(0.0, -found[0])) if found[1] < SURE else 0.0
+
+
+def _line(x: Array, y: Array, weights: Array, cell: np.ndarray, slope: float) -> tuple[float, float, float]:
+    """A robust line: its slope, the standard deviation of that, and of the rest. It starts from ``slope``."""
     for _ in range(5):
-        trust = weights * _trust(rest / _noise(rest, weights))
-        x = falloff - np.average(falloff, weights=trust)
-        spread = float((trust * x**2).sum())
-        if spread < 1e-9:
-            return 0.0
-        slope = float((trust * x * error).sum()) / spread
-        rest = error - slope * x
-        rest = rest - np.average(rest, weights=trust)
-    deviation = math.sqrt(float(np.square(np.bincount(cell, trust * x * rest)).sum())) / spread
-    return min(1.0, max(0.0, -slope)) if MISFIT * deviation < SURE else 0.0
+        rest = y - slope * x
+        rest = rest - np.median(rest)
+        noise = _noise(rest, weights)
+        trust = weights * _trust(rest / noise)
+        aside = x - np.average(x, weights=trust)
+        spread = max(float((trust * aside**2).sum()), 1e-12)
+        slope = float((trust * aside * y).sum()) / spread
+    rest = y - slope * x
+    rest = rest - np.average(rest, weights=trust)
+    sums = np.bincount(cell, trust * aside * rest)
+    return slope, math.sqrt(float(np.square(sums).sum())) / spread if spread > 1e-9 else math.inf, _noise(rest, weights)
