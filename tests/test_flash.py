@@ -121,6 +121,20 @@ def test_paper_of_another_albedo_and_photos_of_half_the_size():
     assert np.abs(found(shading) - expected(rig))[:2].max() < 0.02
 
 
+def test_paper_tells_a_photo_without_flash():
+    rng = np.random.default_rng(11)
+    rig = make_rig("cm", rng)
+    photos = paper_photos(rig, np.full(3, math.pi * 400), np.zeros(9), rng)
+    pixels = np.stack(np.meshgrid(np.arange(192), np.arange(144)), axis=-1)
+    room = 0.5 * true_lens(rig).transmission(pixels)[..., None] * np.ones(3)
+    photos["4.jpg"] = np.rint(shown(room, rng) * 255).astype(np.uint8)
+    shading = shading_of_paper(rig, photos, "gamma2.2", border)
+    assert shading.evenness["4.jpg"] > 0.9 and any("4.jpg" in note for note in shading.notes)
+    assert max(e for name, e in shading.evenness.items() if name != "4.jpg") < 0.05
+    np.testing.assert_allclose(shading.intensity, math.pi * 400, rtol=0.01)
+    assert np.abs(found(shading) - expected(rig))[:2].max() < 0.02
+
+
 def test_deviations_of_paper_are_the_size_of_its_errors():
     sizes = []
     for seed in range(8):
