@@ -160,7 +160,7 @@ def test_a_fit_estimates_views_and_says_so(glossy):
     shots = replace(photos(make_material("inlay", 24), glossy[1]), source=None)
     result = fit_svbrdf(shots, MITSUBA, HierarchicalConfig(iterations=14))
     alone = fit_svbrdf(shots, MITSUBA, HierarchicalConfig(iterations=14, calibrate=False))
-    assert result.rerender_rmse < 0.5 * alone.rerender_rmse
+    assert result.rerender_rmse < 0.2 * alone.rerender_rmse  # measured 0.0086 and 0.150
     assert torch.equal(alone.views.camera, shots.views.camera) and alone.flash_offset is None
     assert any("estimated from the photos" in warning for warning in result.warnings)
     assert not any("estimated" in warning for warning in alone.warnings)
@@ -177,6 +177,20 @@ def test_flags_of_the_command(flag, glossy, tmp_path, capsys):
     arguments = ["fit", str(tmp_path / "photos"), "-o", str(tmp_path / "out"), "--resolution", "16", "--explain"]
     assert cli.main(arguments + [flag] * (flag is not None)) == 0
     assert ("flash offset (the views are a stated default" in capsys.readouterr().out) == (flag == "--no-calibrate")
+
+
+@pytest.mark.parametrize("kind, calibrate", [("given", True), ("photos", None)])
+def test_a_small_flash_offset_of_exact_photos_is_found(kind, calibrate):
+    # Normals that lean explain it as well. Measured: off by 0.009, and the error of the normals 0.0087 instead of 0.0193.
+    material, views, offset = make_material("inlay", 32), handheld(2), torch.tensor([-0.1, 0.03, 0.0])
+    shots = photograph(material, replace(views, light=views.light + offset), ANALYTIC, 0.003)
+    shots = replace(shots, views=views, calibration=kind)
+    result = fit_svbrdf(shots, MITSUBA, HierarchicalConfig(iterations=100, calibrate=calibrate))
+    assert (torch.tensor(result.flash_offset) - offset[:2]).norm() < 0.03
+    held = fit_svbrdf(shots, MITSUBA, HierarchicalConfig(iterations=100, calibrate=None if calibrate else False))
+    assert held.flash_offset in ((0.0, 0.0), None)
+    wrong = [(r.svbrdf["normal"] - material["normal"]).square().mean().sqrt() for r in (result, held)]
+    assert wrong[0] < 0.7 * wrong[1]
 
 
 def test_record_of_stated_views(glossy):

@@ -338,8 +338,9 @@ def main(arguments: list[str] | None = None) -> int:
     if arguments == ["--version"]:
         say(f"mitsvbrdf {__version__}")
         return 0
-    if arguments[:1] == ["fit"]:  # what is so by default has no flag of its own, but may be said
-        arguments = [argument for argument in arguments if argument != "--calibrate"]
+    said = {"--calibrate": "True", "--no-calibrate": "False"}  # and unsaid None, which tyro has no pair of flags for
+    arguments = [part for argument in arguments
+                 for part in (("--calibrate", said[argument]) if argument in said else (argument,))]
     return exit_code(
         lambda: tyro.extras.subcommand_cli_from_dict(
             commands, prog="mitsvbrdf", args=arguments, config=(FlagCreatePairsOff,),

@@ -68,7 +68,7 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     stated = capture.notes
     with profiled("setting up"):
         estimated = None
-        if getattr(config, "calibrate", True) and not isinstance(config, GanConfig):
+        if getattr(config, "calibrate", None) is not False and not isinstance(config, GanConfig):
             capture, estimated = self_calibrated(capture)
         guess = first_guess(capture, config)
         method = make_method(capture, renderer, guess, config)

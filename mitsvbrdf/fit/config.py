@@ -86,8 +86,9 @@ class HierarchicalConfig(FitConfig):
     """Whether specular and roughness are kept from following where the photos' highlights were, in such photos."""
     neighbours: bool = True
     """Whether texels try their neighbours' answers as starts."""
-    calibrate: bool = True
-    """Whether views are estimated where the capture has none, and camera, flash and exposure of each photo refined."""
+    calibrate: bool | None = None
+    """Estimate views where the capture has none, and refine camera, flash and exposure of each photo: --calibrate, or
+    --no-calibrate to hold them all. None refines stated views only where the photos do not follow the model."""
     flash_offset: bool = True
     """Whether the sideways distance between lens and flash is fitted, one for all photos (calibrations claim 0)."""
 

@@ -48,7 +48,7 @@ ALONE, TOGETHER, FINE = range(3)  # the stages: coarse and free, coarse and tied
 ROUNDS = {ALONE: 12, TOGETHER: 12, FINE: 14}
 DEADLINE = {ALONE: 0.15, TOGETHER: 0.5}  # share of the run at which a stage ends at the latest
 TIED_ROUNDS = 6  # of FINE, for photos of a phone
-REFINED = {ALONE: (7, 11), TOGETHER: (2, 4, 6, 8), FINE: (4,)}  # rounds after which the views are refined
+REFINED = {ALONE: (11,), TOGETHER: (2, 4, 6, 8), FINE: (4,)}  # rounds after which the views are refined
 
 # Structure that a free fit leaves at 64 px (:meth:`Hierarchical._unexplained`): six known materials 0.0003 to 0.0009 without
 # noise and up to 0.004 with noise of 0.003 in linear radiance, twelve real captures 0.009 to 0.053.
@@ -72,6 +72,8 @@ CHANCE = 0.08  # of a map's variance: what a pattern of its own may have in comm
 TAIL_FLOOR = 0.03  # least that a pixel counts
 DAMPING = 0.01  # that Levenberg-Marquardt starts with
 STEPS, OTHER_STEPS, LAST_STEPS = 6, 4, 8  # Levenberg-Marquardt steps of a round, of another start, and at the end
+LEVELLED, DAMPED = (4, 6, 8), 0.65  # rounds of ALONE after which the flash moves to level the patch, and by how much of it
+TILTED = 0.03  # patch sides by which the flash seems moved where the patch is not level
 FEW_STEPS = 10  # of refining views that were not stated: they move far, and will again after the next rounds
 LESS = 1e-3  # share of its cost that a texel must save to take another start
 TILTS, GOLDEN = (0.15, 0.4, 0.8), math.pi * (3 - math.sqrt(5))  # slopes tried as starts, and the turn from one to the next
@@ -96,9 +98,10 @@ class Hierarchical:
     def __init__(self, capture: Capture, renderer: Renderer, guess: Tensor, config: HierarchicalConfig) -> None:
         self.config, self.views = config, capture.views
         self.held = held_maps(config.fix, config.bsdf, capture.resolution)
-        self.estimated = capture.calibration != "given"  # views are then refined from the start, and of exact photos too
+        # Views are refined from the start, and of exact photos too.
+        self.unsure = config.calibrate or capture.calibration != "given"
         self.known = capture.calibrated or why_not(capture) is None
-        self.fits_offset = config.calibrate and no_flash_offset(capture, renderer, config) is None
+        self.fits_offset = config.calibrate is not False and no_flash_offset(capture, renderer, config) is None
         self.variant = renderer.variant or "llvm_ad_rgb"
         self.full, self.guess = capture, guess
         self.few = capture.sampled(min(COARSE, capture.resolution))
@@ -128,6 +131,8 @@ class Hierarchical:
         self.noise = torch.tensor(self._noise(stage, done))
         with profiled("solver"):
             cost = self._solve()
+        if stage == ALONE and done in LEVELLED and self.fits_views and self.fits_offset and self.tilts:
+            self._level()
         if done in REFINED.get(stage, ()) and self.fits_views:
             with profiled("views"):
                 self._refine_views()
@@ -163,8 +168,8 @@ class Hierarchical:
 
     @property
     def fits_views(self) -> bool:
-        stated = not self.estimated and (self.exact or int(self.stage[0]) == ALONE)
-        return self.config.calibrate and self.known and not stated
+        stated = not self.unsure and (self.exact or int(self.stage[0]) == ALONE)
+        return self.config.calibrate is not False and self.known and not stated
 
     def _noise(self, stage: int, done: int) -> float:
         if stage == ALONE:
@@ -304,13 +309,28 @@ class Hierarchical:
             went = ((self.x[planes] - self.mean[planes]).square() + variance[planes]).mean().sqrt()
             self.precision[planes] = float(went.clamp(*self._freedom(name)[1:])) ** -2.0
 
+    def _level(self) -> None:
+        """Move the flash of all photos until the patch as a whole is flat.
+
+        Normals that lean by a slope s show their highlights s z beside the place below the camera, as a flash 2 s z beside it
+        does. A refinement with the maps frozen cannot find that: what their diffuse map has taken up holds the flash.
+        """
+        slope = self.x[self.tilts].mean(dim=(1, 2)).double()
+        said = self.change[0, 3:5] - 2 * self.full.views.in_patch_sides().camera[:, 2].mean() * slope
+        variance = torch.tensor(PRIORS[self.full.calibration].common_flash).double().square()
+        self.change[:, 3:5] += DAMPED * (variance / (variance + TILTED**2) * said - self.change[0, 3:5])
+        self.x[self.tilts] -= slope.float()[:, None, None]
+
     def _refine_views(self) -> None:
         """Where camera and flash stood, from the maps so far; the patch as a whole is flat (it lies in z = 0)."""
         if self.tilts and int(self.stage[0]) != FINE:
             self.x[self.tilts] -= self.x[self.tilts].mean(dim=(1, 2), keepdim=True)
         priors = PRIORS[self.full.calibration]
         priors = priors if self.fits_offset else replace(priors, common_flash=(0.0, 0.0))
-        steps = FEW_STEPS if self.estimated else ITERATIONS
+        steps = FEW_STEPS if self.unsure else ITERATIONS
+        if self.unsure and not self.tied and self.fits_offset:  # levelled: hold what all photos share
+            flash = self.change[:, 3:5].mean(dim=0).tolist()
+            priors = replace(priors, common_flash=(0.0, 0.0), expected=(0.0, 0.0, 0.0, *flash, 0.0, 0.0))
         found = refine_views(self._solver(self.x.shape[-1]).svbrdf(self.x), self.capture.views, self.capture, priors, steps)
         self.change, self.deviation = found.change, found.deviation
         self.flash_deviation = found.common_covariance.diagonal().sqrt()

@@ -42,7 +42,7 @@ def no_flash_offset(capture: Capture, renderer: Renderer, config: HierarchicalCo
     """Why the distance between lens and flash is not fitted; None where it is."""
     if not config.flash_offset:
         return "not asked for"
-    if not capture.calibrated and (why_not(capture) or not getattr(config, "calibrate", True)):
+    if not capture.calibrated and (why_not(capture) or getattr(config, "calibrate", None) is False):
         return "the views are a stated default, not a calibration"
     return "mitsuba-scene has no gradient to the lights" if renderer.name == "mitsuba-scene" else None
 
