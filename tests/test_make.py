@@ -15,7 +15,7 @@ from PIL import Image
 from mitsvbrdf import cli
 from mitsvbrdf.capture import read_capture
 from mitsvbrdf.capture.lens import Lens, Pose, on_plane, project
-from mitsvbrdf.capture.make import make_capture, tags_seen
+from mitsvbrdf.capture.make import _filled, make_capture, tags_seen
 from mitsvbrdf.capture.photo import Photo, photos_in
 from mitsvbrdf.capture.rig import rig_from_json
 from mitsvbrdf.capture.sheet import Sheet
@@ -95,7 +95,7 @@ def truth():
 
 @pytest.fixture(scope="module")
 def made(truth, tmp_path_factory):
-    """Seven good photos on a sheet and seven bad ones through the command: the folder, and what it printed."""
+    """Seven good photos on a sheet and eight bad ones through the command: the folder, and what it printed."""
     raw, out = tmp_path_factory.mktemp("raw"), tmp_path_factory.mktemp("made") / "out"
     what = ground()
     for i, (name, pose) in enumerate(truth.items()):
@@ -111,6 +111,7 @@ def made(truth, tmp_path_factory):
     stored(raw / "two.jpg", taken(what, LENS, truth["IMG_1.jpg"], seed=14))
     stored(raw / "other.jpg", taken(ground(False, seed=5), LENS, aside, seed=15))
     stored(raw / "size.jpg", photo[:, :1000])
+    stored(raw / "aside.jpg", taken(what, LENS, Pose.looking_at((6, 0, 20), (9, 0, 0)), seed=16))
     (raw / "notes.txt").write_text("no photo")
     assert cli.main(["capture", str(raw), "-o", str(out), "--sheet", "18", "--resolution", "256"]) == 0
     return raw, out
@@ -120,11 +121,16 @@ def test_right_photos_are_used_and_wrong_ones_named_with_the_reason(made):
     raw, out = made
     rows = {row["name"]: row for row in json.loads((out / "quality.json").read_text())["photos"]}
     assert [name for name, row in rows.items() if row["used"]] == [f"IMG_{i}.jpg" for i in range(7)]
-    for name, word in {"blurred": "blurred: 0.", "finger": "covered: ", "dark": "without flash .says its EXIF",
-                       "room": "does not fall off", "two": "the same photo as IMG_1.jpg", "other": "of 16 tags seen",
-                       "size": "1000 x 900 pixels, the others 1200 x 900"}.items():
+    expected = {"blurred": "blurred: 0.", "finger": "covered: ", "dark": "without flash .says its EXIF",
+                "room": "does not fall off", "two": "the same photo as IMG_1.jpg", "other": "of 16 tags seen",
+                "aside": "partly outside: it shows only 7.%", "size": "1000 x 900 pixels, the others 1200 x 900"}
+    for name, word in expected.items():
         assert re.search(word, rows[f"{name}.jpg"]["reason"]), (name, rows[f"{name}.jpg"]["reason"])
-    assert len(rows) == 14
+    assert len(rows) == 15
+    at = (np.stack(np.meshgrid(*[(np.arange(200) + 0.5) / 200 - 0.5] * 2), axis=-1).reshape(-1, 2)) * 0.64 * 18
+    seen = project(LENS, Pose.looking_at((6, 0, 20), (9, 0, 0)), np.column_stack((at, np.zeros(len(at)))))
+    inside = ((seen > -0.5) & (seen < np.array(LENS.size) - 0.5)).all(axis=1)
+    assert rows["aside.jpg"]["overlap"] == pytest.approx(inside.mean(), abs=0.01)  # a texel in 256 along one edge is 0.004
 
 
 def test_the_capture_is_where_the_phone_was(made, truth):
@@ -157,7 +163,7 @@ def test_what_capture_json_says(made, truth):
     stated = json.loads((made[1] / "capture.json").read_text())
     assert {"camera_pos", "light_pos", "light_pow", "im_size", "idx", "target_dir"} <= set(stated)  # svbrdf-diff-renderer's
     assert (stated["unit"], stated["calibration"], stated["photos"]) == ("cm", "sheet", list(truth))
-    assert len(stated["left_out"]) == 7 and stated["uncertainty"]["flash_x"] < 0.1
+    assert len(stated["left_out"]) == 8 and stated["uncertainty"]["flash_x"] < 0.1
     rig = rig_from_json(stated["rig"])
     pixel = project(rig.lens, rig.poses["IMG_3.jpg"], np.zeros((1, 3)))
     assert pixel == pytest.approx(project(LENS, truth["IMG_3.jpg"], np.zeros((1, 3))), abs=0.3)  # measured 0.04
@@ -169,7 +175,7 @@ def test_quality_page_and_pictures(made):
     record, page = json.loads((out / "quality.json").read_text()), (out / "quality.html").read_text()
     for row in record["photos"]:
         assert row["name"] in page and (row["used"] or row["reason"].split(" (")[0] in page.replace("&#39;", "'"))
-    assert page.count("<img") == 14 and "http://" not in page.replace("http://www.w3.org", "") and len(page) < 2e6
+    assert page.count("<img") == 15 and "http://" not in page.replace("http://www.w3.org", "") and len(page) < 2e6
     assert {"reading", "rectifying", "flash", "quality", "tags"} <= set(record["seconds"])
     assert 0.3 < record["coverage"]["share"] <= 1 and (record["stand"] is None or record["stand"]["words"] in page)
     assert cv2.imread(str(out / "contact.jpg")).shape[1] == 1680
@@ -232,6 +238,15 @@ def test_too_few_are_left(made):
         make_capture(photos[1:4], 18.0)
     with pytest.raises(CaptureError, match="two.jpg: the same photo as IMG_1.jpg"):
         make_capture([photos[0], photos[1], photos[4]], 18.0, resolution=64)
+
+
+def test_what_a_photo_does_not_reach_is_taken_from_the_others():
+    photos = np.stack([np.full((2, 2, 3), value, np.float32) for value in (0.2, 0.4, 0.9)])
+    photos[0, 0, 0], photos[:, 1, 1] = np.nan, np.nan
+    filled = _filled(list(photos)).numpy()
+    assert filled[0, 0, 0] == pytest.approx(0.65) and (filled[:, 1, 1] == 0).all()
+    untouched = np.isfinite(photos)
+    assert np.array_equal(filled[untouched], photos[untouched])
 
 
 @pytest.fixture(scope="module")

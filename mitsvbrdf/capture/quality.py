@@ -33,9 +33,9 @@ UNLIKE, UNLIKE_DETAIL = 0.25, 0.28  # of the patch, in one piece; 0.18 and 0.14,
 COLOUR, DARKER = 0.3, 1.4  # of a texel that is unlike the others: sum of differences of chromaticity, log of radiance
 AGREE, DISAGREE = 0.5, 0.3  # correlation of a texel's detail with the median photo's: of the photos in the median; of this one
 SLIGHT_COLOUR, SLIGHT = 0.1, 0.3  # and by how much the texel must be of another colour or brightness besides
-EVEN = 0.5  # of evenness (0: falls off as a flash's light does, 1: even)
+EVEN = 0.8  # of evenness (0: falls off as a flash's light does, 1: even); 0.65. Simulated photos without flash: 0.99
 SAME_PLACE, SAME_PICTURE = 0.05, 0.02  # patch sides, mean difference of display values; 0.135 and 0.035
-SPOILS = ("covered", "blurred", "half")  # reasons for which positions found with such a photo are not trusted
+SPOILS = ("covered", "blurred", "partly")  # reasons for which positions found with such a photo are not trusted
 
 LOBE = math.radians(7)  # half vectors this close to the upright show a highlight (of roughness 0.35: alpha is tan 7 degrees)
 STEP, REACH, SLANT = 0.05, 1.0, math.radians(35)  # where to stand: grid in patch sides, farthest, and most slanted
@@ -138,14 +138,14 @@ def verdicts(found: Sequence[Look], photos: Tensor, views: Views, fired: Mapping
 
 def _verdict(look: Look) -> str | None:
     if look.overlap < LEAST_OVERLAP:
-        return f"half outside: it shows only {look.overlap:.0%} of the patch"
+        return f"partly outside: it shows only {look.overlap:.0%} of the patch"
+    if look.clipped > MOST_CLIPPED:
+        return f"overexposed: {look.clipped:.0%} of the patch is clipped"
     piece = max(look.unlike, look.unlike_detail)
     if look.unlike > UNLIKE or look.unlike_detail > UNLIKE_DETAIL:
         return f"covered: {piece:.0%} of the patch is nothing like in the other photos, as if a finger or a shadow were on it"
     if abs(look.stops) > MOST_STOPS:
         return f"{abs(look.stops):.1f} stops {'brighter' if look.stops > 0 else 'darker'} than the other photos"
-    if look.clipped > MOST_CLIPPED:
-        return f"overexposed: {look.clipped:.0%} of the patch is clipped"
     if look.sharpness < LEAST_SHARPNESS:
         return f"blurred: {look.sharpness:.2f} times as sharp as the others"
     return None
