@@ -39,8 +39,9 @@ def test_the_plane_and_back(lens, height):
         np.testing.assert_allclose(back, where[:, :2], atol=1e-9)  # Newton has converged: 9e-16 was seen
 
 
-def test_rays_undo_the_distortion():
-    lens = LENSES[1]
+@pytest.mark.parametrize("distortion", [(0.1, -0.06), (-0.12, 0.03), (0.5, 0.3)])  # the last is no phone's
+def test_rays_undo_the_distortion(distortion):
+    lens = Lens((600, 450), 475.0, (295.0, 228.5), distortion)
     ray = rays(lens, np.array([[0.0, 0.0], [295.0, 228.5], [599.0, 225.0]]))
     assert np.all(ray[:, 2] == 1) and np.allclose(ray[1], (0, 0, 1))
     for pixel, found in zip(((0.0, 0.0), (599.0, 225.0)), ray[[0, 2]]):
@@ -72,6 +73,9 @@ def test_the_flash_turns_with_the_phone():
     straight, turned = Pose.looking_at((0, 0, 20), (0, 0, 0)), Pose.looking_at((0, 0, 20), (0, 0, 0), np.pi / 2)
     np.testing.assert_allclose(straight.flash(lens), (1, -0.5, 20), atol=1e-12)  # y of the camera points down
     np.testing.assert_allclose(turned.flash(lens), (-0.5, -1, 20), atol=1e-12)
+    pose = Pose.looking_at((5, -3, 20), (1, 0, 0), 0.4)
+    camera = pose.rotation @ (pose.flash(lens) - pose.position)
+    np.testing.assert_allclose(camera, lens.flash, atol=1e-12)
 
 
 def test_vignetting_counts_from_the_middle_to_the_corner():
@@ -125,12 +129,18 @@ def test_photos_divided_by_a_whole_number(tmp_path):
 @pytest.mark.parametrize("times", [1, 4, 7])
 def test_pixels_are_averages_over_their_area(times):
     """Straight above and aligned, the answer is the block average of noise: nothing is skipped, nothing counted twice."""
-    lens = Lens((32 * times + 6, 32 * times + 6), 100.0)
+    lens = Lens((32 * times, 32 * times), 100.0)
     pose = Pose.looking_at((0, 0, 100.0 * SIZE / (32 * times)), (0, 0, 0))
     photo = np.random.default_rng(0).random((*lens.size, 3)).astype(np.float32)
     found = rectified(photo, lens, pose, SIZE, 32)
-    blocks = photo[3:-3, 3:-3].reshape(32, times, 32, times, 3).mean(axis=(1, 3))
+    blocks = photo.reshape(32, times, 32, times, 3).mean(axis=(1, 3))
     np.testing.assert_allclose(found, blocks, atol=1e-6)  # 0 was seen; sums of float32 may differ in order
+
+
+def test_a_photo_reaches_to_the_rim_of_its_pixels():
+    """A patch that fills the photo, at twice its resolution: the outermost samples lie outside the outermost pixel centres."""
+    lens, pose = Lens((32, 32), 100.0), Pose.looking_at((0, 0, 100.0 * SIZE / 32), (0, 0, 0))
+    np.testing.assert_array_equal(rectified(np.full((32, 32, 3), 0.5, dtype=np.float32), lens, pose, SIZE, 64), 0.5)
 
 
 def test_what_a_photo_does_not_reach_is_nan():

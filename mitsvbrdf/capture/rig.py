@@ -73,7 +73,7 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
         high = np.clip(np.ceil(where.max(axis=(0, 1))).astype(int) + 3, low + 1, (width, height))
         window = pixels[low[1] : high[1], low[0] : high[0]].astype(np.float32) / whole
         sampled = cv2.remap(window, where - low.astype(np.float32), None, cv2.INTER_LINEAR,
-                            borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,) * 3)
+                            borderMode=cv2.BORDER_REPLICATE)
         outside = ((where < -0.5) | (where > np.array((width, height)) - 0.5)).any(axis=-1)
         sampled[outside] = np.nan
         count = part.shape[0] // times
