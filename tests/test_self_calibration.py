@@ -1,6 +1,8 @@
 """Views estimated from photos against those they were taken from, closed forms, and photos that tell nothing."""
 
 import math
+import os
+import signal
 from dataclasses import replace
 
 import numpy as np
@@ -191,6 +193,19 @@ def test_a_small_flash_offset_of_exact_photos_is_found(kind, calibrate):
     assert held.flash_offset in ((0.0, 0.0), None)
     wrong = [(r.svbrdf["normal"] - material["normal"]).square().mean().sqrt() for r in (result, held)]
     assert wrong[0] < 0.7 * wrong[1]
+
+
+def test_resuming_is_bit_equal(glossy, tmp_path):
+    shots, config, path = glossy[0].averaged(16), HierarchicalConfig(iterations=100), tmp_path / "c.safetensors"
+    whole = fit_svbrdf(shots, MITSUBA, config)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    first = fit_svbrdf(shots, MITSUBA, config, checkpoint=path, report=lambda entry, _: (
+        entry["iteration"] == 6 and os.kill(os.getpid(), signal.SIGINT)))  # the flash has been moved once
+    signal.signal(signal.SIGINT, before)
+    assert first.stopped == "interrupted" and min(map(abs, first.flash_offset)) > 0
+    resumed = fit_svbrdf(shots, MITSUBA, config, resume=path)
+    assert all(torch.equal(resumed.svbrdf[name], value) for name, value in whole.svbrdf.maps.items())
+    assert resumed.calibration == whole.calibration and torch.equal(resumed.views.light, whole.views.light)
 
 
 def test_record_of_stated_views(glossy):
