@@ -33,6 +33,7 @@ from .features import (
     Features,
     find_features,
     homography,
+    mapped,
     match,
     spread,
     wild,
@@ -54,6 +55,7 @@ LEAST_SHARE = 0.4  # of the short side: the centred square that a photo must cov
 STILL = 0.25  # pixels: corners moved by less are left where they are, unsampled
 MOST_MATCHES = 4000  # in a bundle adjustment
 SIGMA = 0.5  # of a match, in pixels at which features were searched
+CHAINED = 10 * REPROJECTION  # off the tree of homographies, from which on a pair is not begun with
 AGREEING = 0.4  # of a photo's matches with others: so many must agree with its pose
 
 
@@ -238,7 +240,8 @@ def _apart(name: str, pairs: list[Pair]) -> str:
 def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pairs: list[Pair],
            left_out: dict[str, str]) -> tuple[Lens, dict[str, Pose], list[Match]]:
     """Lens, poses, and the matches that agree with them; photos that do not are added to ``left_out``."""
-    few = _limited([p.matches.pick(p.agree) for p in pairs if p.warp is not None], lens.size, MOST_MATCHES // 3)
+    agreed = [p.matches.pick(p.agree) for p in pairs if p.warp is not None]
+    few = _limited([m for m in agreed if _as_chained(m, warps)], lens.size, MOST_MATCHES // 3)
     found = [adjust(lens, start, hub, few, focal_share, steps=20) for start in starts(lens, warps, hub)]
     lens, poses, _ = min(found, key=lambda f: f[2])
     settled = 0
@@ -255,8 +258,15 @@ def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pa
         elif settled == 2:
             return lens, poses, [m for m in matches if len(m.at_a)]
         else:
-            lens, poses, _ = adjust(lens, poses, hub, _limited(matches, lens.size), focal_share)
+            kept = hub if hub in poses else next(iter(poses))
+            lens, poses, _ = adjust(lens, poses, kept, _limited(matches, lens.size), focal_share)
             settled += 1
+
+
+def _as_chained(m: Match, warps: dict[str, Array]) -> bool:
+    """Whether two photos lie to each other as the tree of homographies has them, but for a bent lens."""
+    off = m.at_b - mapped(warps[m.b] @ np.linalg.inv(warps[m.a]), m.at_a)
+    return bool(np.median(np.linalg.norm(off, axis=1)) < CHAINED * m.sigma / SIGMA)
 
 
 def _agreeing(name: str, pairs: list[Pair], matches: list[Match]) -> float:
