@@ -3,6 +3,10 @@
 Features agree with one homography between each pair of photos that overlap; a tree of the best of them places every photo,
 and bundle adjustment finds lens and poses (:mod:`.planar`). Photos that cannot be used are named with the reason.
 
+More was tried and does harm where the flash moves what is seen of a relief: aligning the rectified photos by their detail
+(enhanced correlation) took fake-022 from 0.11 to 1.09 pixels at 512, and brick-uneven-stones from 0.30 to 0.27; features
+matched again near where the poses expect them took metal-plating from 0.66 to 0.82.
+
 Source: the paper, III.C, for aligned photos; the steps' own are named where they are.
 """
 
