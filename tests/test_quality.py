@@ -66,7 +66,7 @@ def test_real_light_is_not_called_even(data_folder):
 def test_blurred(shots):
     reasons, found = judged(shots, changed(shots, 3, cv2.GaussianBlur(shots.photos[3].numpy(), (0, 0), 2)))
     assert reasons.keys() == {"3.jpg"} and reasons["3.jpg"].startswith("blurred: 0.") and spoils(reasons["3.jpg"])
-    assert found["3.jpg"].sharpness < 0.3  # measured 0.16; the others 0.9 to 1.1
+    assert found["3.jpg"].sharpness < 0.3  # measured 0.25; the others 0.95 to 1.03
     assert all(0.8 < look.sharpness < 1.25 for name, look in found.items() if name != "3.jpg")
 
 
