@@ -328,9 +328,6 @@ class Hierarchical:
         priors = PRIORS[self.full.calibration]
         priors = priors if self.fits_offset else replace(priors, common_flash=(0.0, 0.0))
         steps = FEW_STEPS if self.unsure else ITERATIONS
-        if self.unsure and not self.tied and self.fits_offset:  # levelled: hold what all photos share
-            flash = self.change[:, 3:5].mean(dim=0).tolist()
-            priors = replace(priors, common_flash=(0.0, 0.0), expected=(0.0, 0.0, 0.0, *flash, 0.0, 0.0))
         found = refine_views(self._solver(self.x.shape[-1]).svbrdf(self.x), self.capture.views, self.capture, priors, steps)
         self.change, self.deviation = found.change, found.deviation
         self.flash_deviation = found.common_covariance.diagonal().sqrt()
