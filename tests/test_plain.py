@@ -12,6 +12,8 @@ from PIL import Image
 
 from mitsvbrdf.capture import read_capture
 from mitsvbrdf.capture.align import default_views, field_of_view
+from mitsvbrdf.capture.make import OnePlace, make_capture
+from mitsvbrdf.capture.photo import Photo, photos_in
 
 WIDTH, HEIGHT = 400, 300
 
@@ -98,3 +100,17 @@ def test_exif_orientation_is_honoured(tmp_path):
     with_exif(tmp_path / "a.jpg", np.rot90(photo.numpy()), orientation=6)  # stored turned left: show turned right
     square = read_capture(tmp_path).photos[0]
     assert (square - window(photo, 300)).abs().mean() < 0.02  # JPEG at quality 98: 0.005
+
+
+def test_photos_that_show_everything_in_the_same_place_are_taken_for_rectified(tmp_path):
+    y, x = np.mgrid[:HEIGHT, :WIDTH]
+    lit = [seen(texture(), STRAIGHT) * torch.from_numpy(np.exp(-((x - u) ** 2 + (y - v) ** 2) / 3e5)[..., None]).float()
+           for u, v in ((100, 80), (300, 60), (200, 250))]
+    save(tmp_path, a=lit[0], b=lit[1], c=lit[2])
+    heard = []
+    capture = read_capture(tmp_path, log=heard.append)
+    assert capture.calibration == "none" and capture.index == (0, 1, 2) and "taken for rectified" in heard[-1]
+    for photo, square in zip(lit, capture.photos):
+        assert (square - window(photo, 300)).abs().max() < 0.6 / 255
+    with pytest.raises(OnePlace, match="from a tripod, or rectified"):
+        make_capture([Photo.open(path) for path in photos_in(tmp_path)])

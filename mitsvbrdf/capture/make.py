@@ -33,6 +33,13 @@ Reference = Literal["best", "first"]
 LEAST_PHOTOS = 3
 LEAST_SIDE, MOST_SIDE = 8, 4096  # pixels of the rectified photos
 COVERAGE_SIDE = 64
+# Spread of the cameras over their height below which all photos are from one place. Nine places as in docs/capture.md: 0.2;
+# real captures that were rectified already: at most LIMIT.
+ONE_PLACE = 0.01
+
+
+class OnePlace(CaptureError):
+    """Photos that show everything in the same place: rectified already, or taken from a tripod."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +140,7 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
 
     Raises:
         CaptureError: fewer than three photos can be used, with the reasons.
+        OnePlace: without a sheet, photos that are all from one place.
         ConfigError: options out of range.
     """
     _check(photos, sheet_cm, resolution, reference)
@@ -148,6 +156,7 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
         told = _within(report, 0.5 * attempt, 0.5 * attempt + 0.5)
         rig = _rig(left, sheet_cm, depth_cm, reference, clock, _within(told, 0, 0.6))
         left_out |= rig.left_out
+        _from_places(rig)
         with clock("rectifying"):
             raw = _Raw.of(rig, left, resolution, _within(told, 0.6, 1))
         lit = _Lit.of(rig, raw, sheet_cm, depth_cm, transfer, clock)
@@ -189,6 +198,14 @@ def _enough(photos: Sequence[Photo], left_out: Mapping[str, str]) -> None:
         reasons = "".join(f"; {name}: {reason}" for name, reason in left_out.items())
         raise CaptureError(f"{LEAST_PHOTOS} photos or more that can be used", f"{len(photos) - len(left_out)} of "
                            f"{len(photos)}{reasons}", "take more photos from different places, flash on")
+
+
+def _from_places(rig: Rig) -> None:
+    camera = np.stack([pose.position for pose in rig.poses.values()])
+    if rig.source == "photos" and camera.std(axis=0).max() < ONE_PLACE * camera[:, 2].mean():
+        raise OnePlace("photos from different places", f"{len(camera)} photos that show everything in the same place: from a "
+                       "tripod, or rectified already", "move the phone between photos; rectified ones `mitsvbrdf fit` takes as "
+                       "they are")
 
 
 def _other_sizes(photos: Sequence[Photo]) -> dict[str, str]:

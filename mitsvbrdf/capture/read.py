@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -198,14 +199,19 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
 
 
 def _from_plain(folder: Path, falloff: Falloff, transfer: color.Transfer | None) -> Capture:
-    """Raw photos: what `mitsvbrdf capture` would make of them; of fewer than three that can be used, the first alone."""
-    from .make import LEAST_PHOTOS, make_capture, tags_seen
+    """Raw photos: what `mitsvbrdf capture` would make of them; of fewer than three that can be used, the first alone.
+
+    Photos that show everything in the same place are taken for rectified.
+    """
+    from .make import LEAST_PHOTOS, OnePlace, make_capture, tags_seen
 
     photos = [Photo.open(path) for path in photos_in(folder)]
     reason = f"{LEAST_PHOTOS} or more are needed to find out where they were taken from"
     if len(photos) >= LEAST_PHOTOS:
         try:
             made = make_capture(photos, transfer=transfer, reference="first")
+        except OnePlace:
+            return _rectified(photos, falloff, folder)
         except CaptureError as error:
             reason = error.got
         else:
@@ -219,27 +225,51 @@ def _from_plain(folder: Path, falloff: Falloff, transfer: color.Transfer | None)
 
 def _single(photos: Sequence[Photo], falloff: Falloff, folder: Path, reason: str) -> Capture:
     """The middle square of the first photo as it is shown, in the stated default geometry."""
+    alone = [f"only {photos[0].name} is used of {len(photos)} photos: {reason}"] if len(photos) > 1 else []
+    shot = _unposed(photos[:1], falloff, folder, [*differences(photos), *alone])
+    z, focal = float(shot.views.camera[0, 2]), photos[0].exif.get("35 mm focal length")
+    geometry = (f"no calibration: camera and light are taken to be together, {z:.2f} patch sides above the centre (field of "
+                f"view {_angle(photos[0]):.0f} degrees, {'from EXIF' if focal else 'assumed'}); a white texel there has "
+                "radiance 1")
+    return replace(shot, notes=(*shot.notes, geometry))
+
+
+def _rectified(photos: Sequence[Photo], falloff: Falloff, folder: Path) -> Capture:
+    """The middle squares of photos that show everything in the same place, of whose views nothing is known."""
+    size = Counter(photo.size for photo in photos).most_common(1)[0][0]
+    kept = [photo for photo in photos if photo.size == size]
+    others = [f"{photo.name} is left out: it has another size" for photo in photos if photo.size != size]
+    note = "the photos show everything in the same place, so they are taken for rectified; nothing is known of their views"
+    return _unposed(kept, falloff, folder, [*differences(photos), *others, note], [photos.index(photo) for photo in kept])
+
+
+def _unposed(photos: Sequence[Photo], falloff: Falloff, folder: Path, notes: Sequence[str],
+             index: Sequence[int] = (0,)) -> Capture:
+    """Middle squares of photos as they are shown, in the default geometry."""
+    squares = torch.from_numpy(np.stack([_square(photo) for photo in photos]))
+    share = min(photos[0].size) / max(photos[0].size)
+    views = replace(default_views(len(photos), _angle(photos[0]), share), falloff=falloff)
+    return Capture(squares, views, "linear" if photos[0].linear else "srgb", tuple(index), "none", folder, tuple(notes))
+
+
+def _angle(photo: Photo) -> float:
+    """Field of view in degrees across the long side."""
+    focal = photo.exif.get("35 mm focal length")
+    return field_of_view(focal, *photo.size) if focal else FIELD_OF_VIEW
+
+
+def _square(photo: Photo) -> np.ndarray:
+    """The middle square of a photo as it is shown, S x S x 3 display values, S at most :data:`MOST_SIDE`."""
     import cv2
 
-    first = photos[0]
-    pixels = np.rot90(first.pixels(), -UNTURNED.get(first.orientation, 0))
+    pixels = np.rot90(photo.pixels(), -UNTURNED.get(photo.orientation, 0))
     (height, width), side = pixels.shape[:2], min(pixels.shape[:2])
     if side < LEAST_SIDE:
-        raise CaptureError(f"photos of {LEAST_SIDE} pixels or more a side", f"{first.path} of {width} x {height}",
+        raise CaptureError(f"photos of {LEAST_SIDE} pixels or more a side", f"{photo.path} of {width} x {height}",
                            "use the original photo")
     top, left = (height - side) // 2, (width - side) // 2
     square = pixels[top : top + side, left : left + side].astype(np.float32) / np.iinfo(pixels.dtype).max
-    if side > MOST_SIDE:
-        square = cv2.resize(square, (MOST_SIDE, MOST_SIDE), interpolation=cv2.INTER_AREA)
-    focal = first.exif.get("35 mm focal length")
-    angle = field_of_view(focal, width, height) if focal else FIELD_OF_VIEW
-    views = replace(default_views(1, angle, side / max(width, height)), falloff=falloff)
-    alone = [f"only {first.name} is used of {len(photos)} photos: {reason}"] if len(photos) > 1 else []
-    geometry = (
-        f"no calibration: camera and light are taken to be together, {views.camera[0, 2]:.2f} patch sides above the centre "
-        f"(field of view {angle:.0f} degrees, {'from EXIF' if focal else 'assumed'}); a white texel there has radiance 1")
-    return Capture(torch.from_numpy(square)[None], views, "linear" if first.linear else "srgb", (0,), "none", folder,
-                   (*differences(photos), *alone, geometry))
+    return square if side <= MOST_SIDE else cv2.resize(square, (MOST_SIDE, MOST_SIDE), interpolation=cv2.INTER_AREA)
 
 
 def _shrunk(capture: Capture, resolution: int | None) -> Capture:

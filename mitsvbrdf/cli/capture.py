@@ -23,7 +23,8 @@ def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A fo
             out: Out,
             sheet: Annotated[float | None, arg(metavar="CM", help="A printed sheet of tags lies around the material: its "
                                                "measured size, over the outer edges of the tags.")] = None,
-            depth: Annotated[float, arg(metavar="CM", help="How far the sheet lies above the material.")] = 0.0,
+            depth: Annotated[float, arg(metavar="CM", help="How far the sheet lies above the material; paper itself: "
+                                                           "0.01.")] = 0.01,
             transfer: Annotated[Literal["auto", "srgb", "gamma2.2", "linear"],
                                 arg(help="How photos encode light; auto: linear for RAW files, else srgb.")] = "auto",
             resolution: Annotated[int, arg(help="Side of the rectified photos; never more than the photos show.")] = 1024,
