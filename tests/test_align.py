@@ -166,7 +166,7 @@ def test_what_cannot_be_used_is_named(tmp_path):
     assert set(rig.poses) == set(good) and position_errors(rig, good).max() < 0.001  # measured 0.0001
     assert set(rig.left_out) == {"blank.png", "other.png", "zoomed.png", "upright.png"}
     for name, reason in (("blank", "too few"), ("other", "another material"), ("zoomed", "52 mm, most have 27 mm"),
-                         ("upright", "360 x 480 pixels, most have 480 x 360")):
+                         ("upright", "360 x 480 pixels, the others have 480 x 360")):
         assert reason in rig.left_out[f"{name}.png"]
 
 

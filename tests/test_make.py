@@ -95,7 +95,7 @@ def truth():
 
 @pytest.fixture(scope="module")
 def made(truth, tmp_path_factory):
-    """Seven good photos on a sheet and eight bad ones through the command: the folder, and what it printed."""
+    """Seven good photos on a sheet and nine bad ones through the command: the folder, and what it printed."""
     raw, out = tmp_path_factory.mktemp("raw"), tmp_path_factory.mktemp("made") / "out"
     what = ground()
     for i, (name, pose) in enumerate(truth.items()):
@@ -111,6 +111,7 @@ def made(truth, tmp_path_factory):
     stored(raw / "two.jpg", taken(what, LENS, truth["IMG_1.jpg"], seed=14))
     stored(raw / "other.jpg", taken(ground(False, seed=5), LENS, aside, seed=15))
     stored(raw / "size.jpg", photo[:, :1000])
+    stored(raw / "turned.jpg", np.rot90(photo))
     stored(raw / "aside.jpg", taken(what, LENS, Pose.looking_at((6, 0, 20), (9, 0, 0)), seed=16))
     (raw / "notes.txt").write_text("no photo")
     assert cli.main(["capture", str(raw), "-o", str(out), "--sheet", "18", "--resolution", "256"]) == 0
@@ -123,10 +124,11 @@ def test_right_photos_are_used_and_wrong_ones_named_with_the_reason(made):
     assert [name for name, row in rows.items() if row["used"]] == [f"IMG_{i}.jpg" for i in range(7)]
     expected = {"blurred": "blurred: 0.", "finger": "covered: ", "dark": "without flash .says its EXIF",
                 "room": "does not fall off", "two": "the same photo as IMG_1.jpg", "other": "of 16 tags seen",
-                "aside": "partly outside: it shows only 7.%", "size": "1000 x 900 pixels, the others 1200 x 900"}
+                "aside": "partly outside: it shows only 7.%", "size": "1000 x 900 pixels, the others have 1200 x 900: cropped",
+                "turned": "900 x 1200 pixels.*: its pixels were turned when it was stored"}
     for name, word in expected.items():
         assert re.search(word, rows[f"{name}.jpg"]["reason"]), (name, rows[f"{name}.jpg"]["reason"])
-    assert len(rows) == 15
+    assert len(rows) == 16
     at = (np.stack(np.meshgrid(*[(np.arange(200) + 0.5) / 200 - 0.5] * 2), axis=-1).reshape(-1, 2)) * 0.64 * 18
     seen = project(LENS, Pose.looking_at((6, 0, 20), (9, 0, 0)), np.column_stack((at, np.zeros(len(at)))))
     inside = ((seen > -0.5) & (seen < np.array(LENS.size) - 0.5)).all(axis=1)
@@ -163,7 +165,7 @@ def test_what_capture_json_says(made, truth):
     stated = json.loads((made[1] / "capture.json").read_text())
     assert {"camera_pos", "light_pos", "light_pow", "im_size", "idx", "target_dir"} <= set(stated)  # svbrdf-diff-renderer's
     assert (stated["unit"], stated["calibration"], stated["photos"]) == ("cm", "sheet", list(truth))
-    assert len(stated["left_out"]) == 8 and stated["uncertainty"]["flash_x"] < 0.1
+    assert len(stated["left_out"]) == 9 and stated["uncertainty"]["flash_x"] < 0.1
     rig = rig_from_json(stated["rig"])
     pixel = project(rig.lens, rig.poses["IMG_3.jpg"], np.zeros((1, 3)))
     assert pixel == pytest.approx(project(LENS, truth["IMG_3.jpg"], np.zeros((1, 3))), abs=0.1)  # measured 0.01
@@ -175,7 +177,7 @@ def test_quality_page_and_pictures(made):
     record, page = json.loads((out / "quality.json").read_text()), (out / "quality.html").read_text()
     for row in record["photos"]:
         assert row["name"] in page and (row["used"] or row["reason"].split(" (")[0] in page.replace("&#39;", "'"))
-    assert page.count("<img") == 15 and "http://" not in page.replace("http://www.w3.org", "") and len(page) < 2e6
+    assert page.count("<img") == 16 and "http://" not in page.replace("http://www.w3.org", "") and len(page) < 2e6
     assert {"reading", "rectifying", "flash", "quality", "tags"} <= set(record["seconds"])
     assert 0.3 < record["coverage"]["share"] <= 1 and (record["stand"] is None or record["stand"]["words"] in page)
     assert cv2.imread(str(out / "contact.jpg")).shape[1] == 1680
@@ -207,6 +209,7 @@ def test_mistakes_on_the_command_line(made, truth, tmp_path, capsys):
     assert "16 tags in " in (text := said(raw, "-o", tmp_path / "a")) and "--sheet" in text
     assert "which has results" in said(raw, "-o", out, "--sheet", 18)
     assert "an output folder of its own" in said(raw, "-o", raw, "--sheet", 18)
+    assert "--sheet CM beside --depth" in said(raw, "-o", tmp_path / "a", "--depth", 1)
     empty = tmp_path / "empty"
     empty.mkdir()
     assert "none in" in said(empty, "-o", tmp_path / "a")
@@ -226,7 +229,8 @@ def test_mistakes_on_the_command_line(made, truth, tmp_path, capsys):
 
 def test_options_out_of_range(made):
     photos = [Photo.open(path) for path in photos_in(made[0])][:3]
-    for wrong in ({"resolution": 4}, {"sheet_cm": -1.0}, {"sheet_cm": math.nan}, {"reference": "last"}):
+    for wrong in ({"resolution": 4}, {"sheet_cm": -1.0}, {"sheet_cm": math.nan}, {"reference": "last"},
+                  *({"sheet_cm": 18.0, "depth_cm": depth} for depth in (math.nan, math.inf, 18.0, -1000.0))):
         with pytest.raises(ConfigError):
             make_capture(photos, **wrong)
 
@@ -234,7 +238,7 @@ def test_options_out_of_range(made):
 def test_too_few_are_left(made):
     """Two good ones, and one that is not: the error names it and the reason."""
     photos = [Photo.open(made[0] / name) for name in ("IMG_0.jpg", "IMG_1.jpg", "IMG_2.jpg", "size.jpg", "two.jpg")]
-    with pytest.raises(CaptureError, match="size.jpg: it has 1000 x 900"):
+    with pytest.raises(CaptureError, match="size.jpg: 1000 x 900"):
         make_capture(photos[1:4], 18.0)
     with pytest.raises(CaptureError, match="two.jpg: the same photo as IMG_1.jpg"):
         make_capture([photos[0], photos[1], photos[4]], 18.0, resolution=64)
@@ -276,8 +280,9 @@ def plain(tmp_path_factory):
 
 
 def test_plain_photos_are_made_a_capture_of(plain):
-    heard = []
-    capture = read_capture(plain, resolution=64, falloff="none", log=heard.append)
+    heard, told = [], []
+    capture = read_capture(plain, resolution=64, falloff="none", log=heard.append, report=lambda *what: told.append(what))
+    assert [share for _, share in told] == sorted(share for _, share in told) and any("rectifying" in text for text, _ in told)
     assert (capture.calibration, capture.calibrated, len(capture), capture.index) == ("photos", True, 6, tuple(range(6)))
     assert capture.photos.shape == (6, 64, 64, 3) and capture.transfer == "srgb" and capture.views.size == 1
     assert capture.views.falloff == "none"

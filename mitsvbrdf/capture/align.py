@@ -39,7 +39,7 @@ from .features import (
 )
 from .lens import Lens, Pose
 from .patch import choose_patch, framed, outline, turned, upright
-from .photo import Photo
+from .photo import Photo, other_sizes
 from .planar import Match, adjust, starts
 from .rig import Rig
 
@@ -89,7 +89,8 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
     _enough(warps, left_out)
 
     report("poses", 0.7)
-    lens, focal_share = _expected_lens([photos[name] for name in warps], size)
+    lens, stated = expected_lens([photos[name] for name in warps], size)
+    focal_share = FOCAL_SHARE if stated else FOCAL_SHARE_ASSUMED
     pairs = [p for p in pairs if p.a in warps and p.b in warps]
     lens, poses, matches = _posed(lens, focal_share, hub, warps, pairs, left_out)
     _enough(poses, left_out)
@@ -97,7 +98,7 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
     placed, dropped = _placed(lens, poses, photos, reference)
     left_out |= {name: "it shows too little of what the others show" for name in dropped}
     errors = _errors(lens, poses, matches)
-    notes = () if focal_share == FOCAL_SHARE else (
+    notes = () if stated else (
         f"no EXIF states the focal length; the photos agree best with {_angle(lens):.0f} degrees across the long side, and the "
         "heights of the cameras are as uncertain as that",)
     return Rig(lens, placed, 1.0, "patch sides", "photos", {name: errors[name] for name in placed}, left_out, notes=notes)
@@ -135,15 +136,12 @@ class Pair:
 
 def _of_another_lens(photos: dict[str, Photo]) -> dict[str, str]:
     """Photos whose size or focal length is not that of most, with the reason."""
-    out = {}
-    size = Counter(p.size for p in photos.values()).most_common(1)[0][0] if photos else None
-    focal = Counter(p.exif["35 mm focal length"] for p in photos.values()
-                    if p.size == size and "35 mm focal length" in p.exif).most_common(1)
-    for name, photo in photos.items():
-        own = photo.exif.get("35 mm focal length")
-        if photo.size != size:
-            out[name] = "{} x {} pixels, most have {} x {}: take all with one camera, uncropped".format(*photo.size, *size)
-        elif own and abs(own / focal[0][0] - 1) > 2 * FOCAL_SHARE:
+    _, out = other_sizes(list(photos.values()))
+    stated = {name: p.exif["35 mm focal length"] for name, p in photos.items()
+              if name not in out and "35 mm focal length" in p.exif}
+    focal = Counter(stated.values()).most_common(1)
+    for name, own in stated.items():
+        if abs(own / focal[0][0] - 1) > 2 * FOCAL_SHARE:
             out[name] = f"a focal length of {own:g} mm, most have {focal[0][0]:g} mm: take all with one lens, without zoom"
     return out
 
@@ -158,12 +156,12 @@ def _enough(kept, left_out: dict[str, str]) -> None:
                            "to go by, lay a printed sheet around it (`mitsvbrdf sheet`)")
 
 
-def _expected_lens(photos: list[Photo], size: tuple[int, int]) -> tuple[Lens, float]:
-    """The lens as EXIF states it, or an assumed one, and the deviation of its focal length as a share."""
+def expected_lens(photos: Sequence[Photo], size: tuple[int, int]) -> tuple[Lens, bool]:
+    """The lens as EXIF states it in the median of the photos, or an assumed one, and whether any states it."""
     stated = [p.exif["35 mm focal length"] for p in photos if "35 mm focal length" in p.exif]
     angle = field_of_view(float(np.median(stated)), *size) if stated else FIELD_OF_VIEW
     focal = max(size) / 2 / math.tan(math.radians(angle) / 2)
-    return Lens(size, focal), FOCAL_SHARE if stated else FOCAL_SHARE_ASSUMED
+    return Lens(size, focal), bool(stated)
 
 
 def _angle(lens: Lens) -> float:

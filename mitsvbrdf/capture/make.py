@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
@@ -24,7 +23,7 @@ from ..views import Views, coverage_angle
 from .capture import Capture
 from .flash import LONG_SIDE, Shading, shading_of_material, shading_of_paper, undo_vignetting
 from .lens import Lens, Pose, project
-from .photo import Photo, differences, reduced
+from .photo import Photo, differences, other_sizes, reduced
 from .quality import LEAST_DETAIL, LOBE, Look, Stand, detail_of, looks, spoils, verdicts, where_to_stand
 from .rig import Rig, rectified, rig_to_json
 
@@ -143,14 +142,15 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
         OnePlace: without a sheet, photos that are all from one place.
         ConfigError: options out of range.
     """
-    _check(photos, sheet_cm, resolution, reference)
+    _check(photos, sheet_cm, depth_cm, resolution, reference)
     clock = _Clock()
     warnings = differences(photos)
     if all(photo.exif.get("flash") == "off" for photo in photos):
         warnings.append("no photo was taken with the flash (says their EXIF); highlights then are those of the room's lights")
     transfer = transfer or ("linear" if photos[0].linear else "srgb")
     left: list[Photo] = [_Timed(p.path, p.size, p.orientation, p.exif, clock) for p in photos]
-    left_out, found = _other_sizes(left), {}
+    left_out, found = other_sizes(left)[1], {}
+    _enough(photos, left_out)
     for attempt in (0, 1):
         left = [photo for photo in left if photo.name not in left_out]
         told = _within(report, 0.5 * attempt, 0.5 * attempt + 0.5)
@@ -181,11 +181,14 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
                 (*warnings, *rig.notes, *raw.notes, *lit.notes), clock.finished())
 
 
-def _check(photos: Sequence[Photo], sheet_cm: float | None, resolution: int, reference: str) -> None:
+def _check(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, resolution: int, reference: str) -> None:
     if not LEAST_SIDE <= resolution <= MOST_SIDE:
         raise ConfigError(f"a resolution of {LEAST_SIDE} to {MOST_SIDE}", str(resolution), "try 1024")
     if sheet_cm is not None and not (math.isfinite(sheet_cm) and sheet_cm > 0):
         raise ConfigError("the size of the sheet in cm", str(sheet_cm), "measure the frame of tags from edge to edge")
+    if sheet_cm is not None and not abs(depth_cm) < sheet_cm:  # NaN, too; below 0 where the sheet lies below the material
+        raise ConfigError(f"a sheet less than its size of {sheet_cm:g} cm above the material", f"{depth_cm:g} cm",
+                          "measure how far it is, in cm")
     if reference not in get_args(Reference):
         raise ConfigError(f"a reference of {get_args(Reference)}", repr(reference), "choose one of these")
     _enough(photos, {})
@@ -206,15 +209,6 @@ def _from_places(rig: Rig) -> None:
         raise OnePlace("photos from different places", f"{len(camera)} photos that show everything in the same place: from a "
                        "tripod, or rectified already", "move the phone between photos; rectified ones `mitsvbrdf fit` takes as "
                        "they are")
-
-
-def _other_sizes(photos: Sequence[Photo]) -> dict[str, str]:
-    """Photos of another size than most: of another camera, or cropped, so that the lens is another one."""
-    usual = Counter(photo.size for photo in photos).most_common(1)[0][0]
-    left_out = {photo.name: f"it has {photo.size[0]} x {photo.size[1]} pixels, the others {usual[0]} x {usual[1]}"
-                for photo in photos if photo.size != usual}
-    _enough(photos, left_out)
-    return left_out
 
 
 def _blurred(photos: Sequence[Photo], reasons: Mapping[str, str], raw: _Raw) -> dict[str, str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -179,6 +180,18 @@ def photos_in(folder: Path) -> list[Path]:
         raise CaptureError("photos of one kind", f"{len(raw)} RAW files and {len(found) - len(raw)} others in {folder}",
                            "move one kind to another folder")
     return found
+
+
+def other_sizes(photos: Sequence[Photo]) -> tuple[tuple[int, int], dict[str, str]]:
+    """The size of most photos, and by name the reason of each that has another: it shows the world through another lens."""
+    usual = Counter(photo.size for photo in photos).most_common(1)[0][0] if photos else (0, 0)
+    reasons = {}
+    for photo in photos:
+        if photo.size != usual:
+            why = ("its pixels were turned when it was stored; give the file as the phone wrote it" if photo.size == usual[::-1]
+                   else "cropped, scaled, or of another lens")
+            reasons[photo.name] = "{} x {} pixels, the others have {} x {}: {}".format(*photo.size, *usual, why)
+    return usual, reasons
 
 
 def differences(photos: Sequence[Photo]) -> list[str]:

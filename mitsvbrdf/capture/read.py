@@ -32,6 +32,7 @@ def read_capture(
     transfer: color.Transfer | None = None,
     falloff: Falloff = "inverse-square",
     log: Callable[[str], None] | None = None,
+    report: Callable[[str, float], object] = lambda text, share: None,
 ) -> Capture:
     """Read photos of one patch. Three kinds of folder are understood, in this order:
 
@@ -52,6 +53,7 @@ def read_capture(
             captures (the field's habit), ``srgb`` for plain photos, and ``linear`` for RAW files.
         falloff: see :class:`~mitsvbrdf.views.Views`.
         log: called with each note of the capture.
+        report: told what is going on with plain photos, which take long, and the share done.
 
     Returns:
         The capture, in the unit of length of its calibration.
@@ -76,7 +78,7 @@ def read_capture(
     elif (path / "fit.json").is_file():
         raise CaptureError("a folder of photos", f"{path}, the result of a fit", "name the folder that was fitted")
     else:
-        capture = _from_plain(path, falloff, transfer)
+        capture = _from_plain(path, falloff, transfer, report)
     capture = capture if index is None else capture.pick(index)
     capture = _shrunk(replace(capture, transfer=transfer or capture.transfer), resolution)
     for note in capture.notes if log else ():
@@ -198,7 +200,8 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
     return Capture(torch.stack(photos), views, transfer, tuple(index), calibration, source)
 
 
-def _from_plain(folder: Path, falloff: Falloff, transfer: color.Transfer | None) -> Capture:
+def _from_plain(folder: Path, falloff: Falloff, transfer: color.Transfer | None,
+                report: Callable[[str, float], object]) -> Capture:
     """Raw photos: what `mitsvbrdf capture` would make of them; of fewer than three that can be used, the first alone.
 
     Photos that show everything in the same place are taken for rectified.
@@ -209,7 +212,7 @@ def _from_plain(folder: Path, falloff: Falloff, transfer: color.Transfer | None)
     reason = f"{LEAST_PHOTOS} or more are needed to find out where they were taken from"
     if len(photos) >= LEAST_PHOTOS:
         try:
-            made = make_capture(photos, transfer=transfer, reference="first")
+            made = make_capture(photos, transfer=transfer, reference="first", report=report)
         except OnePlace:
             return _rectified(photos, falloff, folder)
         except CaptureError as error:

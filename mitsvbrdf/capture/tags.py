@@ -7,7 +7,6 @@ edges of tags (bundle adjustment, Triggs et al. 2000), with Zhang's planar targe
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -15,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import CaptureError
-from .align import FIELD_OF_VIEW, field_of_view
+from .align import expected_lens
 from .lens import Lens, Pose, project
-from .photo import Photo
+from .photo import Photo, other_sizes
 from .rig import Rig
 from .sheet import Sheet
 from .tag_edges import POINTS, Edges, find_edges
@@ -52,19 +51,19 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
     Raises:
         CaptureError: fewer than three photos show the sheet.
     """
-    sheet, seen, left_out = Sheet(size_cm), {}, {}
-    size = Counter(photo.size for photo in photos).most_common(1)[0][0] if photos else (0, 0)
+    sheet, seen = Sheet(size_cm), {}
+    size, left_out = other_sizes(photos)
     for i, photo in enumerate(photos):
         report(f"tags of {photo.name}", 0.8 * i / len(photos))
-        if photo.size != size:
-            left_out[photo.name] = _other_size(photo.size, size)
+        if photo.name in left_out:
             continue
         edges = find_edges(photo, sheet)
         if reason := _too_few(edges, sheet):
             left_out[photo.name] = reason
         else:
             seen[photo.name] = edges
-    start = _start([photo for photo in photos if photo.name in seen], size)
+    lens, stated = expected_lens([photo for photo in photos if photo.name in seen], size)
+    start = lens, FOCAL if stated else FOCAL_UNKNOWN
     while True:
         _check(seen, left_out, len(photos))
         report("poses", 0.8)
@@ -83,13 +82,6 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
     return Rig(lens, poses, sheet.patch, "cm", "sheet", errors, left_out, deviations, notes)
 
 
-def _other_size(got: tuple[int, int], most: tuple[int, int]) -> str:
-    sizes = f"{got[0]} x {got[1]} pixels, the others have {most[0]} x {most[1]}"
-    if got == most[::-1]:
-        return f"{sizes}: its pixels were turned when it was stored; give the file as the phone wrote it"
-    return f"{sizes}: cropped, scaled, or of another lens"
-
-
 def _too_few(edges: Edges, sheet: Sheet) -> str | None:
     """Why these tags do not tell a pose, or None."""
     count = len(edges.corners)
@@ -106,14 +98,6 @@ def _check(seen: dict[str, Edges], left_out: dict[str, str], count: int) -> None
         reasons = "".join(f"; {name}: {reason}" for name, reason in left_out.items())
         raise CaptureError(f"{LEAST_PHOTOS} photos or more that show the sheet", f"{len(seen)} of {count}{reasons}",
                            "take photos with all tags in view, sharp and of one size")
-
-
-def _start(photos: Sequence[Photo], size: tuple[int, int]) -> tuple[Lens, float]:
-    """The lens as EXIF has it, in the median of the photos, and the deviation of its focal length as a share."""
-    focals = [photo.exif["35 mm focal length"] for photo in photos if "35 mm focal length" in photo.exif]
-    angle = field_of_view(float(np.median(focals)), *size) if focals else FIELD_OF_VIEW
-    focal = max(size) / 2 / math.tan(math.radians(angle) / 2)
-    return Lens(size, focal), FOCAL if focals else FOCAL_UNKNOWN
 
 
 def _first_pose(lens: Lens, edges: Edges, sheet: Sheet, depth: float) -> Pose:

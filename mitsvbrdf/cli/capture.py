@@ -18,13 +18,15 @@ from .options import Out, Overwrite
 if TYPE_CHECKING:
     from ..capture.make import Made
 
+PAPER = 0.01  # cm
+
 
 def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A folder of raw photos: jpg, png, heic, dng, ...")],
             out: Out,
             sheet: Annotated[float | None, arg(metavar="CM", help="A printed sheet of tags lies around the material: its "
                                                "measured size, over the outer edges of the tags.")] = None,
-            depth: Annotated[float, arg(metavar="CM", help="How far the sheet lies above the material; paper itself: "
-                                                           "0.01.")] = 0.01,
+            depth: Annotated[float, arg(metavar="CM", help="How far the sheet lies above the material; left out: the paper's "
+                                                           "own thickness.")] = PAPER,
             transfer: Annotated[Literal["auto", "srgb", "gamma2.2", "linear"],
                                 arg(help="How photos encode light; auto: linear for RAW files, else srgb.")] = "auto",
             resolution: Annotated[int, arg(help="Side of the rectified photos; never more than the photos show.")] = 1024,
@@ -48,6 +50,8 @@ def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A fo
 
     if os.path.realpath(photos) in (os.path.realpath(out), os.path.realpath(out / "target")):
         raise ConfigError("an output folder of its own", f"{out}, which holds the photos", "choose another folder")
+    if sheet is None and depth != PAPER:
+        raise ConfigError("--sheet CM beside --depth", f"--depth {depth:g} alone", "add --sheet, or leave --depth out")
     raw = [Photo.open(path) for path in photos_in(photos)]
     if sheet is None and (seen := tags_seen(raw)):
         raise CaptureError("--sheet CM for photos of a sheet of tags", f"{seen} tags in {raw[0].name} and no --sheet",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import functools
 import os
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,7 +15,7 @@ from .. import files
 from ..capture import Capture, read_capture
 from ..errors import CaptureError, ConfigError, OutputError
 from ..maps import SVBRDF, load_maps
-from ..progress import say
+from ..progress import progress_bar, say
 from ..views import Falloff, Views, nine_view_grid
 
 Out = Annotated[Path, arg(aliases=["-o"], help="Folder (or file) to write.")]
@@ -63,8 +65,10 @@ def read_photos(capture: Path, resolution: int, views: str | None, transfer, fal
     """The photos as asked for, with what was noticed about them said."""
     if resolution < 8:
         raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
-    shots = read_capture(capture, resolution=resolution, index=photo_numbers(views), falloff=falloff,
-                         transfer=None if transfer == "auto" else transfer)
+    with ExitStack() as open_bar:
+        bar = functools.cache(lambda: open_bar.enter_context(progress_bar("capture")))  # of plain photos alone
+        shots = read_capture(capture, resolution=resolution, index=photo_numbers(views), falloff=falloff,
+                             transfer=None if transfer == "auto" else transfer, report=lambda text, share: bar()(text, share))
     for note in shots.notes:
         say(note)
     return shots
