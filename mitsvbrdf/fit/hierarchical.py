@@ -99,7 +99,7 @@ class Hierarchical:
         self.config, self.views = config, capture.views
         self.held = held_maps(config.fix, config.bsdf, capture.resolution)
         # Views are refined from the start, and of exact photos too.
-        self.unsure = config.calibrate or capture.calibration != "given"
+        self.unsure = config.calibrate or capture.calibration in ("photos", "none")
         self.known = capture.calibrated or why_not(capture) is None
         self.fits_offset = config.calibrate is not False and no_flash_offset(capture, renderer, config) is None
         self.variant = renderer.variant or "llvm_ad_rgb"
