@@ -283,6 +283,13 @@ def test_photos_that_do_not_help_are_named(tmp_path, photos):
     check(rig, poses | {"four.jpg": POSES[2]})
 
 
+def test_a_sheet_that_is_bent_in_all_photos_is_noted(tmp_path):
+    bent = on_grey(*SHEET.picture(80))
+    bent[:, 1000:] = np.roll(bent, 24, axis=0)[:, 1000:]  # its right side is 3 mm lower
+    rig = rig_from_sheet([photograph(tmp_path / f"{i}.jpg", pose, picture=bent) for i, pose in enumerate(POSES[:3])], 18.0)
+    assert any("beside where those of a flat sheet would be" in note for note in rig.notes)
+
+
 def test_too_few_photos(tmp_path, photos):
     empty = photograph(tmp_path / "empty.jpg", POSES[0], picture=covered([]))
     with pytest.raises(CaptureError, match="3 photos or more that show the sheet, got 2 of 3; empty.jpg: none of 16"):

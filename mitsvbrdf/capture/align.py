@@ -48,6 +48,7 @@ Array = NDArray[np.float64]
 FIELD_OF_VIEW = 60.0  # degrees across the long side where no EXIF says it: a phone's wide camera has 60 to 70
 FOCAL_SHARE = 0.02  # deviation of a focal length from EXIF, which rounds its 35 mm equivalent to whole millimetres
 FOCAL_SHARE_ASSUMED = 0.15  # and of the one of FIELD_OF_VIEW
+UNSURE = 0.02  # deviation of the focal length found, as a share, that is worth a note: no better than EXIF's own
 LEAST_PHOTOS = 3
 MOST_AGAIN = 8  # others that a photo left alone is compared with by all features
 MOST_MATCHES = 4000  # in a bundle adjustment
@@ -92,7 +93,7 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
     lens, stated = expected_lens([photos[name] for name in warps], size)
     focal_share = FOCAL_SHARE if stated else FOCAL_SHARE_ASSUMED
     pairs = [p for p in pairs if p.a in warps and p.b in warps]
-    lens, poses, matches = _posed(lens, focal_share, hub, warps, pairs, left_out)
+    lens, poses, matches, unsure = _posed(lens, focal_share, hub, warps, pairs, left_out)
     _enough(poses, left_out)
 
     placed, dropped = _placed(lens, poses, photos, reference)
@@ -101,7 +102,14 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
     notes = () if stated else (
         f"no EXIF states the focal length; the photos agree best with {_angle(lens):.0f} degrees across the long side, and the "
         "heights of the cameras are as uncertain as that",)
-    return Rig(lens, placed, 1.0, "patch sides", "photos", {name: errors[name] for name in placed}, left_out, notes=notes)
+    return Rig(lens, placed, 1.0, "patch sides", "photos", {name: errors[name] for name in placed}, left_out,
+               notes=(*notes, unsure_note(unsure)) if unsure > UNSURE else notes)
+
+
+def unsure_note(share: float) -> str:
+    """What a user should know of a focal length that may be off by this share."""
+    return (f"the focal length stays uncertain by {share:.1%}, and the heights of the cameras with it: the photos are too few "
+            "or too much alike; a few taken from aside settle it")
 
 
 @dataclass(frozen=True)
@@ -233,12 +241,15 @@ def _apart(name: str, pairs: list[Pair]) -> str:
 
 
 def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pairs: list[Pair],
-           left_out: dict[str, str]) -> tuple[Lens, dict[str, Pose], list[Match]]:
-    """Lens, poses, and the matches that agree with them; photos that do not are added to ``left_out``."""
+           left_out: dict[str, str]) -> tuple[Lens, dict[str, Pose], list[Match], float]:
+    """Lens, poses, the matches that agree with them, and how far the focal length may be off, as a share.
+
+    Photos that do not agree are added to ``left_out``.
+    """
     agreed = [p.matches.pick(p.agree) for p in pairs if p.warp is not None]
     few = _limited([m for m in agreed if _as_chained(m, warps)], lens.size, MOST_MATCHES // 3)
     found = [adjust(lens, start, hub, few, focal_share, steps=20) for start in starts(lens, warps, hub)]
-    lens, poses, _ = min(found, key=lambda f: f[2])
+    lens, poses, _, unsure = min(found, key=lambda f: f[2])
     settled = 0
     while True:
         matches = [p.matches.pick(p.matches.errors(lens, poses) < REPROJECTION * p.matches.sigma / SIGMA) for p in pairs]
@@ -249,12 +260,12 @@ def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pa
             del poses[worst]
             pairs = [p for p in pairs if worst not in (p.a, p.b)]
             if len(poses) < LEAST_PHOTOS:
-                return lens, poses, []
+                return lens, poses, [], unsure
         elif settled == 2:
-            return lens, poses, [m for m in matches if len(m.at_a)]
+            return lens, poses, [m for m in matches if len(m.at_a)], unsure
         else:
             kept = hub if hub in poses else next(iter(poses))
-            lens, poses, _ = adjust(lens, poses, kept, _limited(matches, lens.size), focal_share)
+            lens, poses, _, unsure = adjust(lens, poses, kept, _limited(matches, lens.size), focal_share)
             settled += 1
 
 

@@ -26,6 +26,7 @@ TILT = 0.17  # of a camera's axis from straight down, rad
 HEIGHT = 0.15  # of a camera's height from the others', as a share
 DISTORTION = (0.03, 0.01)  # k1, k2: phones correct their lens
 SOFT = 1.0  # deviations from which on an error counts in proportion only
+ALIKE = 10  # matches count as one for what is left uncertain: relief, highlights and what the lens lacks err alike nearby
 UNKNOWNS = 6  # of a pose
 
 
@@ -118,7 +119,7 @@ def _pose(axes: Array) -> Pose:
 
 
 def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match], focal_share: float,
-           steps: int = 50) -> tuple[Lens, dict[str, Pose], float]:
+           steps: int = 50) -> tuple[Lens, dict[str, Pose], float, float]:
     """Lens and poses at which matches and what is expected beforehand agree best.
 
     Args:
@@ -128,7 +129,8 @@ def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match
         steps: most steps.
 
     Returns:
-        Lens, poses, and the cost, which tells starts apart.
+        Lens, poses, the cost, which tells starts apart, and how far the focal length may be off, as a share: its standard
+        deviation, and where matches hardly tell it, how far they moved it all the same.
     """
     from scipy.optimize import least_squares
 
@@ -207,4 +209,7 @@ def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match
 
     result = least_squares(residuals, start[free], slopes, x_scale="jac", loss=loss, max_nfev=steps, ftol=1e-6, xtol=1e-7)
     found, turned, at = unpacked(full(result.x))
-    return found, {name: Pose(at[i], turned[i]) for i, name in enumerate(names)}, float(result.cost)
+    jacobian = result.jac / np.where(np.arange(len(result.jac)) < 2 * count, math.sqrt(ALIKE), 1)[:, None]
+    deviation = math.sqrt(np.linalg.inv(jacobian.T @ jacobian)[0, 0])
+    unsure = math.hypot(deviation, (deviation / focal_share) ** 2 * result.x[0])
+    return found, {name: Pose(at[i], turned[i]) for i, name in enumerate(names)}, float(result.cost), unsure

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import CaptureError
-from .align import expected_lens
+from .align import expected_lens, unsure_note
 from .lens import Lens, Pose, project
 from .photo import Photo, other_sizes
 from .rig import Rig
@@ -75,11 +75,12 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
         left_out[worst] = (f"its tags are {errors[worst]:.1f} pixels beside where a flat sheet would have them: bent, moved, "
                            "or seen by another lens")
         del seen[worst]
-    notes = ()
-    if focal > UNSURE:
-        notes = (f"the focal length stays uncertain by {focal:.1%}, and the heights of the cameras with it: the photos are too "
-                 "much alike; a few taken from aside settle it",)
-    return Rig(lens, poses, sheet.patch, "cm", "sheet", errors, left_out, deviations, notes)
+    usual = float(np.median(list(errors.values())))
+    notes = [unsure_note(focal)] if focal > UNSURE else []
+    if usual > LARGE * max(size):
+        notes.append(f"the tags of all photos are some {usual:.1f} pixels beside where those of a flat sheet would be, and all "
+                     "views as uncertain as that: flatten the sheet, and take all photos with one lens")
+    return Rig(lens, poses, sheet.patch, "cm", "sheet", errors, left_out, deviations, tuple(notes))
 
 
 def _too_few(edges: Edges, sheet: Sheet) -> str | None:
