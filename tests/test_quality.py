@@ -70,6 +70,24 @@ def test_blurred(shots):
     assert all(0.8 < look.sharpness < 1.25 for name, look in found.items() if name != "3.jpg")
 
 
+@pytest.mark.parametrize("angle", [0, 22.5, 120])  # 22.5: as far as can be from the directions that are looked at
+def test_a_hand_that_moved(shots, angle):
+    """Detail goes in one direction, and noise is in the photo all the same."""
+    far = 0.04 * R
+    line = np.zeros((R // 16 * 2 + 1,) * 2, np.float32)
+    steps = np.linspace(-far / 2, far / 2, 101)[:, None] * (np.sin(np.radians(angle)), np.cos(np.radians(angle)))
+    np.add.at(line, tuple(np.rint(len(line) // 2 + steps).astype(int).T), 1)
+    moved = cv2.filter2D(shots.photos[3].numpy(), -1, line / line.sum())
+    moved += 0.006 * np.random.default_rng(0).standard_normal(moved.shape).astype(np.float32)
+    reasons, found = judged(shots, changed(shots, 3, moved.clip(0, 1)))
+    assert reasons.keys() == {"3.jpg"} and reasons["3.jpg"].startswith("blurred: 0."), found["3.jpg"]
+
+
+def test_photos_without_any_detail_are_as_sharp_as_each_other(shots):
+    grey = torch.full_like(shots.photos, 0.4)
+    assert {look.sharpness for look in judged(shots, grey)[1].values()} == {1.0}
+
+
 @pytest.mark.parametrize(("skin", "where"), [((0.25, 0.08, 0.06), "left"), ((0.9, 0.6, 0.5), "right"),
                                              ((0.3, 0.3, 0.3), "top")])
 def test_a_finger(shots, skin, where):
@@ -100,6 +118,12 @@ def test_another_exposure(stops, word):
     assert found["1.jpg"].stops == pytest.approx(stops, abs=0.15)  # measured 1.9: some clipped
     half = changed(shots, 1, (shots.linear[1] * 2 ** (stops / 4)).clamp(0, 1) ** (1 / 2.2))  # half a stop: a shutter's
     assert judged(shots, half)[0] == {}
+
+
+def test_what_exif_says_comes_before_what_it_looks_like(shots):
+    dark = changed(shots, 1, (shots.linear[1] * 0.2) ** (1 / 2.2))
+    fired = dict.fromkeys(NAMES, "fired") | {"1.jpg": "off"}
+    assert judged(shots, dark, fired=fired)[0] == {"1.jpg": "taken without flash (says its EXIF)"}
 
 
 def test_overexposed(shots):

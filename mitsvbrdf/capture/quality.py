@@ -25,7 +25,7 @@ from .guess import CLIPPED
 SIDE, FINE_SIDE = 32, 512  # texels a side at which radiance is compared, and at most at which detail is
 LEAST_OVERLAP = 0.95  # of the patch; texels beyond a photo's edge are filled in from the others
 MOST_CLIPPED = 0.4  # of the patch; 0.22
-LEAST_SHARPNESS = 0.33  # of the median photo's; 0.38. Blurred by 2 pixels of 512 (standard deviation): 0.16 to 0.40
+LEAST_SHARPNESS = 0.52  # of the median photo's; 0.57. Simulated photos of four materials by a hand that moved: 0.33 to 0.47
 LEAST_DETAIL = 0.45  # of a whole photo, beside others; simulated ones that are blurred have 0.29 to 0.35, unrelated ones 0.63
 MOST_STOPS = 1.6  # brighter or darker than the others; 1.2
 UNLIKE, UNLIKE_DETAIL = 0.25, 0.28  # of the patch, in one piece; 0.18 and 0.14, with a highlight on metal 0.21. A finger over
@@ -51,7 +51,7 @@ class Look:
         overlap: share of the patch it shows.
         clipped: share of its texels with a channel at the limit.
         level: mean display value.
-        sharpness: of its finest detail, relative to the median photo.
+        sharpness: how much detail it has in the direction that has least, relative to the median photo.
         stops: how much brighter than the others it shows the same texels, as powers of two.
         residual: median of the difference of log radiance from the others'.
         unlike: share of the patch, in one piece, that is of a colour or a darkness that no other photo shows.
@@ -92,12 +92,9 @@ def looks(photos: Tensor, views: Views, transfer: color.Transfer, names: Sequenc
     hue = linear / linear.sum(dim=-1, keepdim=True).clamp_min(1e-3)
     colour = (hue - hue.median(dim=0).values).abs().sum(dim=-1)
     luminance = _averaged(photos, FINE_SIDE).mean(dim=-1).numpy()
-    (fine, coarse), agreement = _detail(luminance), _agreement(luminance)
-
     plain = F.interpolate(((beside.abs() < 0.35) & (_averaged(clipped[..., None].float(), SIDE)[..., 0] == 0)).float()[:, None],
-                          fine.shape[1:])[:, 0].bool().numpy()
-    sharp = np.array([_rms(f[p]) / max(_rms(c[p]), 1e-9) if p.any() else np.nan for f, c, p in zip(fine, coarse, plain)])
-    sharp = np.nan_to_num(sharp / np.nanmedian(sharp), nan=1.0) if np.isfinite(sharp).any() else np.ones(len(sharp))
+                          luminance.shape[1:])[:, 0].bool().numpy()
+    sharp, agreement = _sharpness(luminance, plain), _agreement(luminance)
     unlike = (colour > COLOUR) | (beside < -DARKER)
     lost = (agreement < DISAGREE) & (np.median(agreement, axis=0) > AGREE)
     lost &= ((colour > SLIGHT_COLOUR) | (beside.abs() > SLIGHT)).numpy()
@@ -120,9 +117,7 @@ def verdicts(found: Sequence[Look], photos: Tensor, views: Views, fired: Mapping
     even = [look.name for look in found if (look.evenness or 0) > EVEN]
     reasons = {}
     for look in found:
-        what = _verdict(look)
-        if not what and some_fired and fired.get(look.name) == "off":
-            what = "taken without flash (says its EXIF)"
+        what = "taken without flash (says its EXIF)" if some_fired and fired.get(look.name) == "off" else _verdict(look)
         if not what and look.name in even and len(even) < len(found) / 2:  # of most photos, it says that the model is wrong
             what = "taken without flash: its light does not fall off as that of the others does"
         if what:
@@ -153,9 +148,9 @@ def _verdict(look: Look) -> str | None:
 
 def detail_of(pixels: np.ndarray) -> float:
     """Finest detail of a whole photo (H x W x 3, 8 or 16 bits) over coarser detail, to compare with others of its kind."""
-    whole = np.iinfo(pixels.dtype).max
-    fine, coarse = _detail(pixels.mean(axis=2, dtype=np.float32)[None] / np.float32(whole))
-    return _rms(fine) / max(_rms(coarse), 1e-9)
+    luminance = pixels.mean(axis=2, dtype=np.float32) / np.float32(np.iinfo(pixels.dtype).max)
+    smooth = cv2.GaussianBlur(luminance, (0, 0), 1.5)
+    return _rms(luminance - smooth) / max(_rms(smooth - cv2.GaussianBlur(luminance, (0, 0), 6)), 1e-9)
 
 
 def spoils(reason: str) -> bool:
@@ -176,11 +171,25 @@ def _averaged(images: Tensor, side: int) -> Tensor:
     return F.adaptive_avg_pool2d(images.permute(0, 3, 1, 2), side).permute(0, 2, 3, 1)
 
 
-def _detail(luminance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fine and coarse detail of N x H x W display values."""
-    smooth = [cv2.GaussianBlur(image, (0, 0), 1.5) for image in luminance]
-    fine = np.stack([image - s for image, s in zip(luminance, smooth)])
-    return fine, np.stack([s - cv2.GaussianBlur(image, (0, 0), 6) for image, s in zip(luminance, smooth)])
+def _sharpness(luminance: np.ndarray, plain: np.ndarray) -> np.ndarray:
+    """Detail of N x S x S display values in the direction that has least of it, relative to the median photo, N.
+
+    A hand that moves takes detail away along its way only. Second differences over 4 texels are divided by those over 16 and by
+    brightness (their geometric mean: either alone differs more between real photos of a relief), at the ``plain`` texels.
+    """
+    plain = plain.copy()
+    plain[:, :16] = plain[:, -16:] = plain[:, :, :16] = plain[:, :, -16:] = False  # differences reach over the rim
+    fine, coarse, level = (np.stack([cv2.GaussianBlur(image, (0, 0), width) for image in luminance]) for width in (1, 3, 24))
+
+    def differences(values: np.ndarray, way: np.ndarray) -> np.ndarray:
+        return values - (np.roll(values, way, (1, 2)) + np.roll(values, -way, (1, 2))) / 2
+
+    ratios = np.array([[_rms(f[p]) / math.sqrt(_rms(c[p]) * _rms(b[p]) or math.nan) if p.any() else math.nan for f, c, b, p in
+                        zip(differences(fine, 4 * way), differences(coarse, 16 * way), level, plain)]
+                       for way in np.array([(0, 1), (1, 0), (1, 1), (1, -1)])])
+    if not np.isfinite(ratios).any():
+        return np.ones(len(luminance))
+    return np.nan_to_num((ratios / np.nanmedian(ratios, axis=1, keepdims=True)).min(axis=0), nan=1.0)
 
 
 def _agreement(luminance: np.ndarray) -> np.ndarray:
