@@ -1,5 +1,6 @@
 """Views estimated from photos against those they were taken from, closed forms, and photos that tell nothing."""
 
+import json
 import math
 import os
 import signal
@@ -10,13 +11,16 @@ import pytest
 import torch
 
 from mitsvbrdf import cli
-from mitsvbrdf.capture import Capture, photograph, write_capture
+from mitsvbrdf.capture import Capture, photograph, read_capture, write_capture
+from mitsvbrdf.errors import CaptureError
+from mitsvbrdf.evaluate import Fit, evaluate_fit, fit_of, placed
 from mitsvbrdf.fit import HierarchicalConfig, fit_svbrdf
 from mitsvbrdf.fit.calibration import PRIORS
 from mitsvbrdf.fit.self_calibration import Problem, estimate_views, record, self_calibrated, why_not
 from mitsvbrdf.maps import SVBRDF, flat
 from mitsvbrdf.procedural import make_material
 from mitsvbrdf.render import make_renderer
+from mitsvbrdf.report.fit_page import about_views
 from mitsvbrdf.views import Views
 
 ANALYTIC, MITSUBA = make_renderer("analytic"), make_renderer("mitsuba")
@@ -164,6 +168,7 @@ def test_a_fit_estimates_views_and_says_so(glossy):
     result = fit_svbrdf(shots, MITSUBA, HierarchicalConfig(iterations=14))
     alone = fit_svbrdf(shots, MITSUBA, HierarchicalConfig(iterations=14, calibrate=False))
     assert result.rerender_rmse < 0.2 * alone.rerender_rmse  # measured 0.0086 and 0.150
+    assert evaluate_fit(result, shots)["rerender_rmse"] < 0.3 * alone.rerender_rmse  # of views without the fit's refinement
     assert torch.equal(alone.views.camera, shots.views.camera) and alone.flash_offset is None
     assert any("estimated from the photos" in warning for warning in result.warnings)
     assert not any("estimated" in warning for warning in alone.warnings)
@@ -175,12 +180,57 @@ def test_a_fit_estimates_views_and_says_so(glossy):
     assert said["flash_offset"] == pytest.approx(result.flash_offset) and min(said["flash_offset_sd"]) > 0
 
 
-@pytest.mark.parametrize("flag", [None, "--calibrate", "--no-calibrate"])
-def test_flags_of_the_command(flag, glossy, tmp_path, capsys):
+def test_photos_left_out_are_predicted_from_views_estimated_from_all(glossy, tmp_path, capsys):
+    # All through the commands, from a capture.json that says nothing of views.
+    write_capture(photos(make_material("inlay", 24), glossy[1]), tmp_path / "photos")
+    stated = json.loads((tmp_path / "photos/capture.json").read_text())
+    left = {key: value for key, value in stated.items() if key not in ("camera_pos", "light_pos", "light_pow", "calibration")}
+    (tmp_path / "photos/capture.json").write_text(json.dumps(left))
+    out, capture = str(tmp_path / "out"), str(tmp_path / "photos")
+    assert cli.main(["fit", capture, "-o", out, "--resolution", "24", "--iterations", "14", "--views", "0,1,2,3,5,6,8"]) == 0
+    assert cli.main(["evaluate", out, "--capture", capture, "--views", "4,7", "--json", str(tmp_path / "e.json")]) == 0
+    assert "views estimated from the photos" in capsys.readouterr().out
+    error = json.loads((tmp_path / "e.json").read_text())["rerender_rmse"]
+    assert error < 0.07  # measured 0.046, and 0.23 in the default geometry, which is the same for all photos
+    page = json.loads((tmp_path / "out/report.json").read_text())
+    assert page["left_out_rmse"] == pytest.approx(error, rel=1e-4)
+    text = (tmp_path / "out/report.html").read_text()
+    assert "estimated from all photos and moved" in text and "The views were estimated from the rectified photos alone" in text
+    shots, fit = read_capture(capture), fit_of(out)
+    moved = placed(shots, fit).pick(fit.seen).views
+    assert float((moved.camera - fit.views.camera)[:, :2].mean(dim=0).abs().max()) < 1e-9
+    for there, here in ((fit.views.camera[:, 2], moved.camera[:, 2]), (fit.views.intensity, moved.intensity)):
+        assert abs(float((there / here).log().mean())) < 1e-9
+    with pytest.raises(CaptureError, match="3 photos"):
+        placed(shots.pick([4, 7]), fit)
+    given = replace(shots, calibration="photos")
+    assert placed(given, fit) is given and placed(shots, replace(fit, estimated=False)) is shots
+    alone = placed(shots, Fit())  # maps that came without a fit
+    assert float((alone.views.camera - estimate_views(shots).views.camera).abs().max()) == 0
+
+
+@pytest.mark.parametrize("flags", [[], ["--calibrate"], ["--calibrate", "True"], ["--no-calibrate"], ["--calibrate", "False"]])
+def test_flags_of_the_command(flags, glossy, tmp_path, capsys):
     write_capture(glossy[0], tmp_path / "photos")
-    arguments = ["fit", str(tmp_path / "photos"), "-o", str(tmp_path / "out"), "--resolution", "16", "--explain"]
-    assert cli.main(arguments + [flag] * (flag is not None)) == 0
-    assert ("flash offset (the views are a stated default" in capsys.readouterr().out) == (flag == "--no-calibrate")
+    arguments = ["--resolution", "16", *flags, "--explain", str(tmp_path / "photos"), "-o", str(tmp_path / "out")]
+    assert cli.main(["fit", *arguments]) == 0
+    held = flags in (["--no-calibrate"], ["--calibrate", "False"])
+    assert ("flash offset (the views are a stated default" in capsys.readouterr().out) == held
+
+
+def test_methods_without_the_flag_say_so(tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        cli.main(["fit", str(tmp_path), "-o", str(tmp_path / "out"), "--method", "direct", "--no-calibrate"])
+    assert "--no-calibrate" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", ["given", "sheet", "photos", "none"])
+def test_views_are_called_what_they_are(kind, glossy):
+    shots = replace(glossy[0], calibration=kind)
+    assert ("as calibrated" in shots._repr_html_()) == (kind == "given") and "default geometry" not in shots._repr_html_()
+    said = about_views(record(shots, shots.views, None, None, None))
+    assert {"given": "calibration", "sheet": "sheet", "photos": "features", "none": "default geometry"}[kind] in said
+    assert ("light power" in said) == (kind == "photos") and "deviation" not in said
 
 
 @pytest.mark.parametrize("kind, calibrate", [("given", True), ("photos", None)])

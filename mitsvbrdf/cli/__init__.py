@@ -116,6 +116,7 @@ def fit_command(method: str) -> Callable:
             raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
         before = load_tensors(earlier)[1].get("iteration") if resume else None
         unused = [number for number in photos.index if number not in shots.index][:PREDICTED]
+        shown = photos.pick(sorted({*shots.index, *unused})) if unused else None
         with files.output_folder(out, overwrite or resume, resume) as folder:
             collecting = profiling() if profile else contextlib.nullcontext()
             title = f"fit {shots.source.name if shots.source else ''} · {method} · {engine.name}"
@@ -125,7 +126,7 @@ def fit_command(method: str) -> Callable:
             with undisturbed():
                 write_fit(result, shots, folder, command={
                     "renderer": renderer, "resolution": resolution, "views": views, "falloff": shots.views.falloff,
-                    "transfer": transfer, "variant": variant}, left_out=photos.pick(unused) if unused else None)
+                    "transfer": transfer, "variant": variant}, left_out=shown)
         print_numbers("Re-rendering RMSE", dict(zip(shots.names, result.per_photo)) | {"all": result.rerender_rmse})
         if result.profile:
             print_profile(result.profile)
@@ -181,7 +182,7 @@ def render(maps: Positional[Material], out: Out, views: ViewSource = "builtin:gr
     svbrdf, fit = material_of(maps), _fit_of(maps)
     if diffuse == "guessed":
         svbrdf = _with_guessed_diffuse(svbrdf, Path(maps))
-    names, lit = views_of(views, fit.falloff if falloff == "auto" else falloff)
+    names, lit = views_of(views, fit.falloff if falloff == "auto" else falloff, fit)
     lit = shift_lights(lit, fit.flash_offset if flash_offset == "fitted" else None)
     transfer = (fit.transfer or "gamma2.2") if transfer == "auto" else transfer
     keep_apart(Path(views), out)
@@ -215,7 +216,7 @@ def evaluate(maps: Positional[Material],
     Photos left out of a fit have their own errors of calibration, which no fit can know. --refine-views also measures with the
     camera, flash and exposure of each photo moved to where they explain it best, within priors, and prints how far that was.
     """
-    from ..evaluate import evaluate_capture, evaluate_maps
+    from ..evaluate import evaluate_capture, evaluate_maps, placed
     from ..evaluate.burn_in import burn_in
     from ..fit.calibration import Priors
     from ..metrics import map_rmse
@@ -235,10 +236,15 @@ def evaluate(maps: Positional[Material],
         offset = fit.flash_offset if flash_offset == "fitted" else None
         if offset:
             say(f"with the flash offset of the fit, ({offset[0]:.3f}, {offset[1]:.3f}) patch sides; "
-                "--flash-offset none leaves the views as calibrated")
+                "--flash-offset none leaves it out")
         transfer = fit.transfer or "auto" if transfer == "auto" else transfer
-        shots = read_photos(capture, resolution or svbrdf.resolution, views, transfer,
-                            fit.falloff if falloff == "auto" else falloff)
+        chosen = photo_numbers(views)
+        photos = read_photos(capture, resolution or svbrdf.resolution, None, transfer,
+                             fit.falloff if falloff == "auto" else falloff)
+        shots = placed(photos, fit)
+        for note in shots.notes[len(photos.notes):]:
+            say(note)
+        shots = shots if chosen is None else shots.pick(chosen)
         found = evaluate_capture(svbrdf, shots, make_renderer(renderer, variant), offset, Priors() if refine_views else None)
         labels = [fit.label(shots, number) for number in shots.index]
         for title, errors in (("", found), (" with refined views", found.get("refined"))):
@@ -327,10 +333,20 @@ def _method_of(arguments: list[str]) -> str:
     return method  # the last one counts, as for every option
 
 
+def _flags(arguments: list[str]) -> list[str]:
+    """Arguments with --calibrate alone and --no-calibrate as True and False: unsaid is a third, which no flag of tyro's has."""
+    found = []
+    for here, after in zip(arguments, [*arguments[1:], ""]):
+        alone = here == "--calibrate" and after not in ("True", "False", "None")
+        found += ["--calibrate", "True"] if alone else ["--calibrate", "False"] if here == "--no-calibrate" else [here]
+    return found
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else arguments
-    commands = {"capture": capture, "fit": fit_command(_method_of(arguments)), "view": view, "guess": guess, "render": render,
+    method = _method_of(arguments)
+    commands = {"capture": capture, "fit": fit_command(method), "view": view, "guess": guess, "render": render,
                 "evaluate": evaluate, "compare": compare, "crosscheck": crosscheck, "leave-out": leave_out,
                 "stability": stability, "bench": bench, "synth": synth, "pretrain": pretrain_command,
                 "pretrain-hybrid": pretrain_hybrid, "doctor": doctor, "export": export, "relight": relight, "report": report,
@@ -338,9 +354,7 @@ def main(arguments: list[str] | None = None) -> int:
     if arguments == ["--version"]:
         say(f"mitsvbrdf {__version__}")
         return 0
-    said = {"--calibrate": "True", "--no-calibrate": "False"}  # and unsaid None, which tyro has no pair of flags for
-    arguments = [part for argument in arguments
-                 for part in (("--calibrate", said[argument]) if argument in said else (argument,))]
+    arguments = _flags(arguments) if method == "hierarchical" else arguments
     return exit_code(
         lambda: tyro.extras.subcommand_cli_from_dict(
             commands, prog="mitsvbrdf", args=arguments, config=(FlagCreatePairsOff,),

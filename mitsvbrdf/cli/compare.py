@@ -15,7 +15,7 @@ from ..errors import ConfigError, MapsError
 from ..maps import SVBRDF
 from ..progress import print_numbers, say, say_written
 from ..render import RendererName, make_renderer
-from .options import Out, Overwrite, TransferOption, Variant, ViewList, check_new_file, material_of, read_photos
+from .options import Out, Overwrite, TransferOption, Variant, ViewList, check_new_file, material_of, photo_numbers, read_photos
 
 LARGEST = 256  # pixels a side, where nothing else is asked for
 
@@ -52,7 +52,8 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
     files.check_output(json_file)
     entries = _named_apart([_entry(text, resolution or LARGEST) for text in maps])
     size = resolution or min(LARGEST, *(entry.svbrdf.resolution for entry in entries))
-    shots = read_photos(capture, size, views, transfer, "inverse-square")
+    photos, chosen = read_photos(capture, size, None, transfer, "inverse-square"), photo_numbers(views)
+    shots = photos if chosen is None else photos.pick(chosen)
     for entry in entries:
         if entry.svbrdf.resolution != shots.resolution:
             say(f"{entry.name}: maps of {entry.svbrdf.resolution} px are compared at {shots.resolution} px")
@@ -61,8 +62,8 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
     def map_errors(svbrdf: SVBRDF) -> dict[str, float]:
         return map_rmse(svbrdf, known) if reference.startswith("builtin:") else evaluate_maps(svbrdf, reference)
 
-    record, pictures = measure(entries, shots, make_renderer(renderer, variant), None if known is None else map_errors,
-                               None if transfer == "auto" else transfer, Priors() if refine_views else None)
+    record, pictures = measure(entries, photos, make_renderer(renderer, variant), None if known is None else map_errors,
+                               None if transfer == "auto" else transfer, Priors() if refine_views else None, shots.index)
     record["reference"] = reference
     for method in record["methods"]:
         say(f"{method['name']}: {method['folder']}, {method['views']}")

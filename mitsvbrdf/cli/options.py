@@ -7,7 +7,7 @@ import os
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import arg
 
@@ -17,6 +17,9 @@ from ..errors import CaptureError, ConfigError, OutputError
 from ..maps import SVBRDF, load_maps
 from ..progress import progress_bar, say
 from ..views import Falloff, Views, nine_view_grid
+
+if TYPE_CHECKING:
+    from ..evaluate import Fit
 
 Out = Annotated[Path, arg(aliases=["-o"], help="Folder (or file) to write.")]
 Overwrite = Annotated[bool, arg(help="Replace results that are there already.")]
@@ -90,12 +93,17 @@ def material_of(name: str, resolution: int = 256) -> SVBRDF:
     return load_maps(name)
 
 
-def views_of(source: str, falloff: Falloff) -> tuple[list[str], Views]:
-    """Names and views of a capture, or of ``builtin:grid``."""
+def views_of(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[list[str], Views]:
+    """Names and views of a capture (:func:`~mitsvbrdf.evaluate.placed` where it states none), or of ``builtin:grid``."""
+    from ..evaluate import Fit, placed
+
     if source == "builtin:grid":
         views = replace(nine_view_grid(), falloff=falloff)
         return [f"{i:02d}" for i in range(len(views))], views
     if source.startswith("builtin:"):
         raise CaptureError("a capture folder or builtin:grid", source, "check --views")
-    shots = read_capture(Path(source), falloff=falloff)
+    read = read_capture(Path(source), falloff=falloff)
+    shots = placed(read, fit or Fit())
+    for note in shots.notes[len(read.notes):]:
+        say(note)
     return list(shots.names), shots.views

@@ -34,7 +34,7 @@ def report(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder t
         used = shots.pick(found.fit.seen)
         check_photos(found, used)
         others = [number for number in shots.index if number not in found.fit.seen]
-        left_out = shots.pick(others) if others else None
+        left_out = shots if others else None
         written += [f"photos/{name}.png" for name in shots.names] + [f"predicted/{number:02d}.png" for number in others]
     files.make_room(out, written)
     if capture is not None:

@@ -12,10 +12,11 @@ import torch
 
 from .. import color
 from ..capture import Capture
-from ..errors import MapsError, MitsvbrdfError
+from ..errors import CaptureError, MapsError, MitsvbrdfError
 from ..fit.calibration import UNKNOWNS, Priors, refine_views
 from ..fit.loop import rerender
 from ..fit.result import FitResult
+from ..fit.self_calibration import self_calibrated, why_not
 from ..maps import SVBRDF, encodings, load_maps
 from ..metrics import map_rmse
 from ..render import Renderer, make_renderer
@@ -64,9 +65,13 @@ def evaluate_capture(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
 
 
 def evaluate_fit(result: FitResult, capture: Capture) -> dict:
-    """Error of a fit on the photos of a capture, with the flash offset it found; see :func:`evaluate_capture`."""
+    """Error of a fit on the photos of its capture, placed by :func:`placed`, with the flash offset it found; see
+    :func:`evaluate_capture`."""
     offset = result.flash_offset and tuple(x / result.views.size for x in result.flash_offset)
-    return evaluate_capture(result.svbrdf, capture, make_renderer(result.renderer, result.variant or "llvm_ad_rgb"), offset)
+    fit = Fit(capture=_name(capture), seen=tuple(map(int, result.calibration.get("camera", ()))), views=result.views,
+              estimated=result.calibration.get("estimated", False))
+    renderer = make_renderer(result.renderer, result.variant or "llvm_ad_rgb")
+    return evaluate_capture(result.svbrdf, placed(capture, fit), renderer, offset)
 
 
 def shift_lights(views: Views, flash_offset: tuple[float, float] | None) -> Views:
@@ -74,6 +79,42 @@ def shift_lights(views: Views, flash_offset: tuple[float, float] | None) -> View
     if flash_offset is None:
         return views
     return replace(views, light=views.light + torch.tensor([*flash_offset, 0.0], dtype=torch.float64) * views.size)
+
+
+def placed(capture: Capture, fit: Fit) -> Capture:
+    """A capture that states no views, with views estimated from all of its photos; any other as it is.
+
+    Where the fit saw some of these photos, all are moved together until those are, in the mean, where the fit has them:
+    sideways by an offset, heights and light power by a factor. So photos that it did not see can be predicted, though nothing
+    but the photos themselves says where they were taken. A fit that took the default geometry is shown with that.
+
+    Args:
+        capture: all photos, those left out of the fit and those it saw.
+        fit: what is known of it.
+
+    Raises:
+        CaptureError: the fit estimated views, and these photos do not allow it.
+    """
+    if capture.calibrated or not (fit.estimated or fit.views is None):
+        return capture
+    if fit.estimated and (why := why_not(capture)):
+        raise CaptureError("photos from which views can be estimated, as for this fit", f"{len(capture)} of which {why}",
+                           "give all photos of the capture")
+    capture, _ = self_calibrated(capture)
+    both = [(capture.index.index(number), row) for row, number in enumerate(fit.seen) if number in capture.index]
+    if fit.views is None or not both or not fit.of(capture):
+        return capture
+    here, there = (views.in_patch_sides().pick(rows) for views, rows in zip((capture.views, fit.views), zip(*both)))
+    shift = torch.cat([(there.camera - here.camera).mean(dim=0)[:2], torch.zeros(1)]) * capture.views.size
+    higher = (there.camera[:, 2] / here.camera[:, 2]).log().mean().exp()
+    brighter = (there.intensity.sum(dim=1) / here.intensity.sum(dim=1)).log().mean().exp()
+    camera = capture.views.camera * torch.stack([torch.ones(()), torch.ones(()), higher]) + shift
+    return replace(capture, views=replace(capture.views, camera=camera, light=camera.clone(),
+                                          intensity=capture.views.intensity * brighter))
+
+
+def _name(capture: Capture) -> str:
+    return capture.source.name if capture.source else ""
 
 
 @dataclass(frozen=True)
@@ -88,6 +129,7 @@ class Fit:
         seen: numbers of the photos it used.
         views: theirs, as fitted; None when unknown.
         method: how it was fitted; None when unknown.
+        estimated: whether the views were estimated from the photos.
     """
 
     falloff: Falloff = "inverse-square"
@@ -97,10 +139,15 @@ class Fit:
     seen: tuple[int, ...] = ()
     views: Views | None = None
     method: str | None = None
+    estimated: bool = False
+
+    def of(self, capture: Capture) -> bool:
+        """Whether it was fitted to photos of this capture, as the names of the folders tell."""
+        return self.capture == _name(capture)
 
     def label(self, capture: Capture, number: int) -> str:
         """Name of a photo, and whether the fit saw it, where it was fitted to this capture."""
-        if self.capture is None or capture.source is None or self.capture != capture.source.name:
+        if not self.of(capture):
             return f"{number:02d}"
         return f"{number:02d} ({'seen' if number in self.seen else 'left out'})"
 
@@ -122,7 +169,7 @@ def fit_of(maps: str | Path) -> Fit:
                   None if offset is None else (float(offset["x"]), float(offset["y"])),
                   record["capture"]["name"], tuple(record["capture"]["photos"]),
                   Views.of(views["camera"], views["light"], views["intensity"], views["size"], views["falloff"]),
-                  record.get("method"))
+                  record.get("method"), record.get("calibration", {}).get("estimated", False) is True)
         if fit.transfer not in get_args(color.Transfer):
             raise ValueError("unknown transfer")
     except (ValueError, KeyError, TypeError, MitsvbrdfError) as reason:

@@ -16,7 +16,7 @@ from ..fit.loop import rerender
 from ..maps import SVBRDF
 from ..render import Renderer
 from ..views import Views
-from . import Fit, evaluate_capture, shift_lights
+from . import Fit, evaluate_capture, placed, shift_lights
 
 MapErrors = Callable[[SVBRDF], Mapping[str, float]]
 
@@ -41,7 +41,8 @@ class Entry:
 
 
 def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_errors: MapErrors | None = None,
-            transfer: color.Transfer | None = None, priors: Priors | None = None) -> tuple[dict, list[Tensor]]:
+            transfer: color.Transfer | None = None, priors: Priors | None = None,
+            index: Sequence[int] | None = None) -> tuple[dict, list[Tensor]]:
     """Measure every method at the photos' resolution; maps of another one are brought to it (:meth:`SVBRDF.resized`).
 
     A photo that a fit saw is rendered with the view that the fit ended with, all else with the calibration and the flash offset
@@ -50,11 +51,12 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_
 
     Args:
         entries: one or more, each with a name of its own.
-        capture: N photos.
+        capture: the photos.
         renderer: draws all of them.
         map_errors: gives the RMSE of maps against known ones, by map; None where none are known.
         transfer: how display values encode radiance; None: as each fit took it, else as the capture states.
         priors: measure a third time, with views refined beside frozen maps, which treats all methods alike.
+        index: numbers of the N photos to show; None: all. Where views are unknown, all photos help to estimate them.
 
     Returns:
         The record, ready for JSON, and for each method the pictures N x R x R x 3 in display values. A method's entry in
@@ -69,16 +71,18 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_
     names = [entry.name for entry in entries]
     if not names or len(set(names)) < len(names):
         raise ConfigError("methods with a name of their own", str(names or "none"), "write NAME=FOLDER")
+    all_photos, capture = capture, capture if index is None else capture.pick(index)
     methods, pictures = [], []
     for entry in entries:
         fit = entry.fit
-        shots = replace(capture, transfer=transfer or fit.transfer or capture.transfer,
-                        views=replace(capture.views, falloff=fit.falloff))
+        shots = replace(all_photos, transfer=transfer or fit.transfer or capture.transfer,
+                        views=replace(all_photos.views, falloff=fit.falloff))
+        shots = placed(shots, fit).pick(capture.index)
         svbrdf, (views, fitted) = entry.svbrdf.resized(capture.resolution), fitted_views(fit, shots)
         found = evaluate_capture(svbrdf, shots, renderer, fit.flash_offset, priors)
         images, total, each = rerender(renderer, svbrdf, views, shots)
         pictures.append(color.to_display(images, shots.transfer))
-        left_out = [] if not _same(fit, capture) else [n for n, i in zip(capture.names, capture.index) if i not in fit.seen]
+        left_out = [] if not fit.of(capture) else [n for n, i in zip(capture.names, capture.index) if i not in fit.seen]
         methods.append({
             "name": entry.name, "folder": entry.folder, "resolution": entry.svbrdf.resolution, "bsdf": entry.svbrdf.bsdf,
             "views": _words(fit, fitted, capture), "fitted_views": fitted, "left_out": left_out, "transfer": shots.transfer,
@@ -98,7 +102,7 @@ def fitted_views(fit: Fit, capture: Capture) -> tuple[Views, list[str]]:
     offset of the fit. Lengths are in patch sides.
     """
     views, names = shift_lights(capture.views, fit.flash_offset).in_patch_sides(), []
-    if fit.views is None or not _same(fit, capture):
+    if fit.views is None or not fit.of(capture):
         return views, names
     stored = fit.views.in_patch_sides()
     camera, light, intensity = views.camera.clone(), views.light.clone(), views.intensity.clone()
@@ -111,15 +115,13 @@ def fitted_views(fit: Fit, capture: Capture) -> tuple[Views, list[str]]:
     return replace(views, camera=camera, light=light, intensity=intensity), names
 
 
-def _same(fit: Fit, capture: Capture) -> bool:
-    return fit.capture is not None and capture.source is not None and fit.capture == capture.source.name
-
-
 def _words(fit: Fit, fitted: list[str], capture: Capture) -> str:
     offset = fit.flash_offset
     beside = f" and the fit's flash offset ({offset[0]:.3f}, {offset[1]:.3f})" if offset else ""
+    unknown = "views estimated from the photos" if fit.estimated or fit.views is None else "default geometry"
     if not fitted:
-        return f"calibrated views{beside}"
+        return f"{'calibrated views' if capture.calibrated else unknown}{beside}"
     if len(fitted) == len(capture):
         return "views as fitted"
-    return f"views as fitted for {', '.join(fitted)}, the others with the calibration{beside}"
+    others = "the calibration" if capture.calibrated else unknown
+    return f"views as fitted for {', '.join(fitted)}, the others with {others}{beside}"

@@ -75,7 +75,7 @@ def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names
 
 def predict(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
             flash_offset: tuple[float, float] | None) -> tuple[Tensor, float, list[float]]:
-    """Photos that a fit did not use, from their calibration and the flash offset that all its photos share.
+    """Photos that a fit did not use, from their views and the flash offset that all its photos share.
 
     Args:
         svbrdf: the fitted material.

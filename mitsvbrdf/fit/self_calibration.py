@@ -50,6 +50,7 @@ ROUGHNESS = (0.3, 0.5)  # alpha
 LEVELS = (0.1, 1.0)  # level of k as a share of the brightest diffuse
 OWN = 0.7  # how far a texel's own k may be from the level, as a share of it
 F0, ALBEDO = (DIELECTRIC_F0, 0.4), (0.25, 0.6)
+POWER = (F0[1] ** -2 + ALBEDO[1] ** -2) ** -0.5  # how well both tell the logarithm of the light power
 WHITEST = 0.95  # diffuse albedo that 99 % of the texels stay below
 
 
@@ -120,7 +121,7 @@ def record(capture: Capture, views: Views, estimated: EstimatedViews | None, ref
     Returns:
         ``from`` (the kind of calibration), ``estimated`` and ``refined`` (whether), by photo name ``camera``, ``camera_sd`` and
         ``log_exposure_sd``; ``flash_offset`` and ``flash_offset_sd``; ``light_power``, the mean over photos and channels, and
-        ``log_power_sd``. Deviations are None where nothing was estimated.
+        ``log_power_sd``, None where a calibration or a sheet tells it. The others are None where nothing was estimated.
     """
     sides, begun = views.in_patch_sides(), capture.views.in_patch_sides()
     variance = torch.zeros(len(views), 4, dtype=torch.float64)
@@ -136,7 +137,8 @@ def record(capture: Capture, views: Views, estimated: EstimatedViews | None, ref
         "camera_sd": dict(zip(capture.names, [row[:3] for row in sure])) if sure else None,
         "log_exposure_sd": dict(zip(capture.names, [row[3] for row in sure])) if sure else None,
         "flash_offset": offset, "flash_offset_sd": None if flash is None else flash.tolist(),
-        "light_power": float(sides.intensity.mean()), "log_power_sd": estimated.power_deviation if estimated else None}
+        "light_power": float(sides.intensity.mean()),
+        "log_power_sd": POWER if estimated or capture.calibration == "photos" else None}
 
 
 def estimate_views(capture: Capture) -> EstimatedViews:
@@ -264,7 +266,7 @@ class Problem:
         weight = sum(sd**-2 for _, sd in votes)
         white = math.exp(sum(value * sd**-2 for value, sd in votes) / weight)
         white = max(white, float(np.quantile(rho, 0.99)) / WHITEST)  # radiance of a white texel below the flash
-        return math.pi * white * shared["height"] ** 2, weight**-0.5
+        return math.pi * white * shared["height"] ** 2, POWER
 
 
 def _radiance(capture: Capture, side: int) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from torch import Tensor
 from .. import color, files
 from ..capture import Capture
 from ..errors import CaptureError, MapsError, OutputError
-from ..evaluate import Fit, fit_of
+from ..evaluate import Fit, fit_of, placed
 from ..evaluate.fit_report import fit_report, predict
 from ..fit.confidence import UNKNOWN
 from ..maps import CHANNELS, SVBRDF, load_maps
@@ -44,6 +45,10 @@ _SHAPE = {
     "config": {"fix": [str], "grey_specular": bool}, "command": {str: object}, "left_out": [{"what": str, "why": str}],
     "capture": {"photos": [int], "resolution": int, "transfer": str, "calibrated": bool, "notes": [str]},
     "versions": {str: object}, "machine": {str: object}, "trace": [{str: _NUMBER}]}
+
+FROM = {"given": "The views are those of the capture's calibration", "sheet": "The views come from a sheet of tags",
+        "photos": "The views come from features that the photos share", "none": "The views are a stated default geometry",
+        "estimated": "The views were estimated from the rectified photos alone"}
 
 Report = Callable[[str, float], object]
 
@@ -135,7 +140,8 @@ def write_report(folder: str | Path, quick: bool = False, left_out: Capture | No
     Args:
         folder: of the fit, with the photos it used in ``photos/`` where they are to be shown.
         quick: check the fit's renderer alone, on small maps and few views, and time nothing.
-        left_out: photos that the fit did not use, to predict and keep; None: those that an earlier page had.
+        left_out: photos that the fit did not use, to predict and keep; None: those that an earlier page had. Where the capture
+            states no views, also those that it used: all help to place the others.
         report: told what is going on and the share done.
 
     Returns:
@@ -185,6 +191,8 @@ def _there(folder: Path, name: str) -> str | None:
 
 
 def _predicted(found: FitFolder, capture: Capture, engine: Renderer) -> tuple[list[dict], float]:
+    capture = placed(capture, found.fit)
+    capture = capture.pick([number for number in capture.index if number not in found.fit.seen])
     images, error, each = predict(found.svbrdf, capture, engine, found.fit.flash_offset)
     keep_photos(found.path, capture)
     for name, image in zip(capture.names, images):
@@ -217,7 +225,31 @@ def _write_page(found: FitFolder, record: dict) -> None:
     write_page(found.path / "report.html", "report.html", title=title, fit=fit, record=record, maps=_maps(found),
                photos=[_photo(found.path, photo, side) for photo in record["photos"]], viewer=viewer_html(found.svbrdf),
                curves=_curves(fit["trace"]), measured=_thinned(fit["trace"]), unknown=UNKNOWN, ramp=_ramp(), titles=TITLES,
-               scalar=_scalar)
+               scalar=_scalar, from_where=about_views(fit.get("calibration") or {}))
+
+
+def about_views(calibration: Mapping) -> str:
+    """Where the views of a fit come from and how sure they are, in a sentence or two; empty of fits that do not say.
+
+    Args:
+        calibration: see :func:`mitsvbrdf.fit.self_calibration.record`.
+    """
+    if not calibration:
+        return ""
+    said = FROM["estimated" if calibration["estimated"] else calibration["from"]]
+    said += ", refined by the fit." if calibration["refined"] else "."
+    if calibration["camera_sd"]:
+        x, y, z = (statistics.median(place) for place in zip(*calibration["camera_sd"].values()))
+        exposure = math.exp(statistics.median(calibration["log_exposure_sd"].values())) - 1
+        said += (f" Standard deviations (median, in patch sides): cameras ({x:.3f}, {y:.3f}, {z:.3f}), "
+                 f"light of a photo beside the others {exposure:.1%}")
+        if calibration["flash_offset_sd"]:
+            said += ", flash offset ({:.3f}, {:.3f})".format(*calibration["flash_offset_sd"])
+        said += "; they count what the photos tell, not what the model lacks."
+    if calibration["log_power_sd"]:
+        said += (f" The light power of all photos is known to a factor of {math.exp(calibration['log_power_sd']):.1f}, and "
+                 "so are the diffuse and the specular map: it is what makes the material a usual one.")
+    return said
 
 
 def _maps(found: FitFolder) -> list[dict]:

@@ -33,7 +33,7 @@ def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dic
         capture: the photos it was fitted to.
         out: the folder, made when missing.
         command: options of the command line, kept in ``fit.json``.
-        left_out: photos that the fit did not use, for the page to predict.
+        left_out: photos that the fit did not use, for the page to predict; see :func:`.fit_page.write_report`.
 
     Raises:
         OutputError: ``out`` cannot be written, or its ``photos/`` is where the capture came from.

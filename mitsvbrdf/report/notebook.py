@@ -11,12 +11,15 @@ from .. import color
 from ..capture import Capture
 from ..fit.result import FitResult
 from ..maps import CHANNELS, SVBRDF
+from .fit_page import about_views
 from .folder import METHODS
 from .page import at_most, figure, page_text, png_uri
 from .sheet import SHOWN, TITLES, shown_map
 
 LARGEST = 128  # pixels along a side of a picture
 LISTED = 10  # notes and warnings
+KNOWN = {"given": "as calibrated", "sheet": "from a sheet of tags", "photos": "from features that the photos share",
+         "none": "of no calibration"}
 
 Picture = tuple[str, str]  # caption and address
 
@@ -35,7 +38,7 @@ def capture_html(capture: Capture) -> str:
         photos.append((f"{name} · camera {_point(view.camera)}, {light}", _uri(photo)))
     height, width = capture.photos.shape[1:3]
     facts = [f"transfer {capture.transfer}, falloff {capture.views.falloff}; positions in patch sides, "
-             f"{'as calibrated' if capture.calibrated else 'the stated default geometry'}"]
+             f"{KNOWN[capture.calibration]}"]
     name = capture.source.name if capture.source else "without a folder"
     return _html(f"Capture · {name} · {_count(len(capture))}, {width} × {height} px", [("", photos)], facts, capture.notes)
 
@@ -51,7 +54,8 @@ def result_html(result: FitResult) -> str:
                  [("Maps", _maps(result.svbrdf) + [("Guessed diffuse", _uri(shown_map("diffuse", result.guess)))]),
                   ("Re-rendered, in sRGB, with the RMSE in display values", again)],
                  [f"re-rendering RMSE {result.rerender_rmse:.4f} over {_count(len(result.per_photo))}; "
-                  f"stopped: {result.stopped}{took}"], [f"warning: {warning}" for warning in result.warnings])
+                  f"stopped: {result.stopped}{took}", *filter(None, [about_views(result.calibration)])],
+                 [f"warning: {warning}" for warning in result.warnings])
 
 
 def _html(title: str, groups: Sequence[tuple[str, list[Picture]]], facts: Sequence[str] = (), notes: Sequence[str] = ()) -> str:
