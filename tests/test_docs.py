@@ -13,7 +13,7 @@ SHORTER = [(r"--budget \d+", "--iterations 3"), (r"budget=\d+", "iterations=3"),
 
 
 QUICK = {"crosscheck": ["--repeats", "1", "--bsdf", "roughconductor"], "leave-out": ["--resolution", "16", "--repeats", "1"],
-         "stability": ["--only", "clipped", "--renderer", "analytic"],
+         "capture": ["--resolution", "64"], "stability": ["--only", "clipped", "--renderer", "analytic"],
          "relight": ["--size", "24", "--frames", "1", "--samples", "2"], "report": ["--quick"],
          "bench": ["--suite", "methods", "--methods", "direct", "--budgets", "0.3", "--resolution", "16"]}
 
