@@ -213,6 +213,7 @@ def test_idx_decides_over_extra_photos(tmp_path):
 def test_photo_named_by_idx_is_missing(tmp_path):
     fails(json_capture(tmp_path, photos(2)), "02.png")
     fails(json_capture(tmp_path, target_dir="elsewhere"), "elsewhere")
+    fails(json_capture(tmp_path, idx=[0, 7], camera_pos=..., light_pos=..., light_pow=...), "07.png", "idx")
 
 
 def test_one_number_twice(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import warnings
 
 import cv2
 import numpy as np
@@ -63,6 +64,10 @@ def test_rubbish_in_exif_costs_no_photo(tmp_path):
     assert photo.exif == {} and photo.orientation == 1 and photo.pixels().shape == (40, 60, 3)
     assert not {"ISO", "35 mm focal length"} & read_exif(tmp_path / "b.jpg").keys()  # 0 stands for unknown
     assert saved(tmp_path / "c.jpg", orientation=77).orientation == 1
+    assert not {"ISO", "35 mm focal length"} & saved(tmp_path / "d.jpg", iso=65535, focal_35mm=65535).exif.keys()
+    (tmp_path / "e.jpg").write_bytes(good.replace(b"\x01\x12\x00\x03\x00\x00\x00\x01", b"\x01\x12\x00\x03\x00\x00\x00\x02"))
+    with warnings.catch_warnings(action="error"):  # two orientations are no concern of the user's
+        assert Photo.open(tmp_path / "e.jpg").size == (60, 40)
 
 
 @pytest.mark.parametrize("kind", ["grey", "alpha", "palette", "16 bits", "16 bits grey"])

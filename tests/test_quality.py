@@ -204,7 +204,7 @@ def test_the_way_there_in_words():
     cm = Views.of(views.camera * 11.5, intensity=views.intensity * 11.5**2, size=11.5)
     assert where_to_stand(cm, names, "cm").words == (
         f"from where d.jpg was taken, hold the phone {left * 11.5:.0f} cm further left, {down * 11.5:.0f} cm nearer to you, at "
-        "the same height (21 cm)")
+        "the same height (21 cm); the sheet's arrow points away from you")
     turned = Views.of(views.camera * torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64), intensity=views.intensity)
     assert "further right" in (words := where_to_stand(turned, names, "patch sides").words) and "further away from you" in words
 

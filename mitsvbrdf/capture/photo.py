@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -25,6 +26,7 @@ UNTURNED = {3: 2, 6: 1, 8: -1}  # quarter turns against the clock, from how a ph
 # What can be locked, and shows where it was not: EXIF tags of the Exif block, a number each.
 NUMBERS = {"ISO": 34855, "exposure time": 33434, "focal length": 37386, "35 mm focal length": 41989}
 WORDS = {"white balance": (41987, {0: "automatic", 1: "manual"}), "flash": (37385, {0: "off", 1: "fired"})}
+UNKNOWN = 65535  # what some cameras write for a number they do not know, the largest of 16 bits
 SAME = ("ISO", "exposure time", "focal length", "white balance", "flash", "camera")
 
 
@@ -144,7 +146,7 @@ def _opened(path: Path) -> Iterator:
         _needed("pillow_heif", "heic", path).register_heif_opener()
     most, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
     try:
-        with Image.open(path) as image:
+        with warnings.catch_warnings(action="ignore"), Image.open(path) as image:  # EXIF that is damaged is none
             yield image
     finally:
         Image.MAX_IMAGE_PIXELS = most
@@ -237,7 +239,7 @@ def read_exif(path: Path) -> dict[str, float | str]:
             number = float(value)
         except (TypeError, ValueError, ZeroDivisionError):
             continue
-        if math.isfinite(number) and number > 0:
+        if 0 < number < UNKNOWN:
             found[name] = number
     for name, (tag, words) in WORDS.items():
         value = tags.get(tag)

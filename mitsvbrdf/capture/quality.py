@@ -273,4 +273,5 @@ def _words(way: Sequence[float], height: float, name: str, unit: str, size: floa
     above = length(height) if unit == "cm" else f"{height:.1f} patch sides"
     if abs(way[2]) < least[2]:
         moves.append(f"at the same height ({above})")
-    return f"from where {name} was taken, hold the phone {', '.join(moves)}"
+    upright = "; the sheet's arrow points away from you" if unit == "cm" else ""  # else the photos say what is up
+    return f"from where {name} was taken, hold the phone {', '.join(moves)}{upright}"

@@ -140,13 +140,12 @@ def _from_json(path: Path, falloff: Falloff) -> Capture:
         raise CaptureError("idx as a list of photo numbers", f"{index!r} in {path}", "write for example [0, 1, 2]")
     elif len(set(index)) < len(index):
         raise CaptureError("idx with each photo once", f"{index} in {path}", "take the repeated number out")
+    elif missing := [i for i in index if i not in photos]:
+        raise CaptureError(f"photo {missing[0]:02d}.png or .jpg, which idx names", "no such file in "
+                           f"{path.parent / stated['target_dir']}", "add the photo or take it out of idx")
     elif max(index) >= len(camera):
         raise CaptureError(f"a row of camera_pos for each of {len(index)} photos in idx (the last is {max(index)})",
                            f"{len(camera)} rows in {path}", "give one row a photo, or shorten idx")
-    missing = [i for i in index if i not in photos]
-    if missing:
-        raise CaptureError(f"photo {missing[0]:02d}.png or .jpg, which idx names", "no such file in "
-                           f"{path.parent / stated['target_dir']}", "add the photo or take it out of idx")
     views = _views(camera, light, stated["light_pow"], size, falloff, str(path)).pick(index)
     return _calibrated([photos[i] for i in index], views, transfer, index, path.parent,
                        _calibration(stated, path))
