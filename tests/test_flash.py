@@ -177,6 +177,13 @@ def test_photo_without_flash_is_told_and_does_not_count():
     assert any("3.jpg" in note for note in shading.notes)
 
 
+def test_photos_that_are_all_without_flash_are_noted():
+    rng = np.random.default_rng(4)
+    rig = make_rig("patch sides", rng)
+    shading = shading_of_material(rig, material_photos(rig, np.zeros(9), rng, even=tuple(rig.poses)), "gamma2.2")
+    assert any("of 9 photos: where it comes from is a guess" in note for note in shading.notes)
+
+
 def test_one_photo_tells_nothing_and_leaves_what_was_expected():
     rng = np.random.default_rng(6)
     rig = make_rig("patch sides", rng, 1)

@@ -292,6 +292,8 @@ class _Found:
         squares, total = (np.bincount(photo, w, len(names)) for w in (self.weights * self.error**2, self.weights))
         if self.left_out:
             notes += (f"no flash in {', '.join(self.left_out)}: light is even there",)
+        elif even := sum(e > EVEN for e in self.evenness.values()):
+            notes += (f"light does not fall off as a flash's in {even} of {len(names)} photos: where it comes from is a guess",)
         return Shading(
             self.lens, tuple(float(i) for i in intensity), dict(zip(names, map(float, self.unknowns[5:-2]))),
             dict(zip(known, map(float, self.deviations))) | {"log_intensity": float(log_intensity_sd)},
