@@ -178,6 +178,12 @@ def test_too_few_photos(tmp_path, count):
         rig_from_photos(take(tmp_path, held(count)))
 
 
+def test_a_pattern_that_repeats_itself_is_noted(tmp_path):
+    """Tiles of 0.3, all alike: what is seen at one of them is seen at each."""
+    rig = rig_from_photos(take(tmp_path, held(3), np.tile(texture()[:150, :150], (8, 8))))
+    assert any("repeats itself" in note for note in rig.notes)
+
+
 def test_photos_of_nothing_in_common(tmp_path):
     photos = [save(tmp_path, f"{i}.png", photo_of(texture(i), LENS, pose, i)) for i, pose in enumerate(held(3).values())]
     with pytest.raises(CaptureError, match="no agreement with any other photo"):

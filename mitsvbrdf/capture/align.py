@@ -34,6 +34,7 @@ from .features import (
     homography,
     mapped,
     match,
+    repeats,
     spread,
     wild,
 )
@@ -48,6 +49,7 @@ Array = NDArray[np.float64]
 FIELD_OF_VIEW = 60.0  # degrees across the long side where no EXIF says it: a phone's wide camera has 60 to 70
 FOCAL_SHARE = 0.02  # deviation of a focal length from EXIF, which rounds its 35 mm equivalent to whole millimetres
 FOCAL_SHARE_ASSUMED = 0.15  # and of the one of FIELD_OF_VIEW
+REPEATING = 0.15  # share of a photo's features from which on its pattern counts as repeating itself
 UNSURE = 0.02  # deviation of the focal length found, as a share, that is worth a note: no better than EXIF's own
 LEAST_PHOTOS = 3
 MOST_AGAIN = 8  # others that a photo left alone is compared with by all features
@@ -99,11 +101,16 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
     placed, dropped = _placed(lens, poses, photos, reference)
     left_out |= {name: "it shows too little of what the others show" for name in dropped}
     errors = _errors(lens, poses, matches)
-    notes = () if stated else (
+    notes = [] if stated else [
         f"no EXIF states the focal length; the photos agree best with {_angle(lens):.0f} degrees across the long side, and the "
-        "heights of the cameras are as uncertain as that",)
+        "heights of the cameras are as uncertain as that"]
+    if unsure > UNSURE:
+        notes.append(unsure_note(unsure))
+    if repeats(features[hub]) > REPEATING:
+        notes.append("the pattern of the material repeats itself: photos may be shifted against each other by whole repeats, "
+                     "and views as wrong as that; lay a printed sheet around it (`mitsvbrdf sheet`), or something with marks")
     return Rig(lens, placed, 1.0, "patch sides", "photos", {name: errors[name] for name in placed}, left_out,
-               notes=(*notes, unsure_note(unsure)) if unsure > UNSURE else notes)
+               notes=tuple(notes))
 
 
 def unsure_note(share: float) -> str:

@@ -20,6 +20,7 @@ FEW_FEATURES = 3000  # the strongest, which are compared first: time grows with 
 CONTRAST = 0.01  # weakest feature; with OpenCV's 0.04, flash photos of wood were warped 50 pixels wrong or left out
 RATIO = 0.8  # a match counts when its distance is below this share of the second best's (Lowe 2004)
 REPROJECTION = 3.0  # pixels off at which a match is an outlier, at the size at which features were searched
+OTHER_PLACE = 12.0  # pixels from where on a feature of the same photo is another
 LEAST_INLIERS = 15  # any four matches agree with a homography; chance agreements were seen to reach 10
 
 
@@ -82,6 +83,23 @@ def match(a: Features, b: Features, most: int = MOST_FEATURES) -> NDArray[np.int
     to = to[rows]
     rows, to = (index[(theirs[to] @ ours.T).argmax(dim=1) == rows] for index in (rows, to))
     return torch.stack((rows, to), dim=1).numpy()
+
+
+def repeats(features: Features) -> float:
+    """Whether a pattern repeats itself, within one photo: share of the pairs of features there that are each other's nearest
+    which agree with one homography. Exact repeats: 0.26 to 0.33; tiles, inlays and bricks that vary: at most 0.05.
+    """
+    import torch
+
+    if len(features) <= LEAST_INLIERS:
+        return 0.0
+    points, ours = features.points[:FEW_FEATURES], torch.from_numpy(features.descriptors[:FEW_FEATURES])
+    at = torch.from_numpy(points)
+    likeness = (ours @ ours.T).masked_fill_(torch.cdist(at, at) < OTHER_PLACE * features.pixel, -1.0)
+    nearest = likeness.argmax(dim=1).numpy()
+    one = np.flatnonzero((nearest[nearest] == np.arange(len(nearest))) & (points[:, 0] < points[nearest, 0]))  # rightward only
+    agree = homography(points[one], points[nearest[one]], features.pixel)[1]
+    return float(agree.sum()) / max(1, len(one))
 
 
 def homography(source: Array, aim: Array, pixel: float) -> tuple[Array | None, NDArray[np.bool_]]:
