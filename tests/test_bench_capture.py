@@ -107,6 +107,9 @@ def test_tables_show_the_median():
         return {"suite": "capture", "kind": "material", "name": name, "sheet": True, "config": {}, "errors": errors,
                 "seconds": {"taking": cameras}, "stopped": "done", "why": None}
 
-    table, seconds = capture_tables({"records": [record("a", 0.01), record("b", 0.03), record("c", 0.002)]})
+    failed = record("d", 0) | {"errors": {}, "seconds": {}, "stopped": "failed", "why": "too few"}
+    three = [record("a", 0.01), record("b", 0.03), record("c", 0.002)]
+    assert capture_tables({"records": [*three, failed]})[0].rows[-1][:2] == ["median of 3 of 4", "1.00 %"]
+    table, seconds = capture_tables({"records": three})
     assert table.rows[-1][:2] == ["median", "1.00 %"] and table.rows[1][1] == "3.00 %"
     assert table.rows[-1][table.heads.index("ratio")] == "1.250" and seconds.rows == [["taking", "0.01"]]

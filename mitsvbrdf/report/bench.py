@@ -247,8 +247,9 @@ def capture_tables(record: Mapping) -> list[Table]:
         cells = [[r["name"], *(_counted(r["errors"].get(key), how) for key, how in columns.values())] for r in rows]
         if len(done) > 1:
             values = [[e[key] for e in done if key in e] for key, _ in columns.values()]
-            cells.append(["median", *(_counted(statistics.median(v) if v else None, how)
-                                      for v, (_, how) in zip(values, columns.values()))])
+            share = "" if len(done) == len(rows) else f" of {len(done)} of {len(rows)}"
+            cells.append([f"median{share}", *(_counted(statistics.median(v) if v else None, how)
+                                              for v, (_, how) in zip(values, columns.values()))])
         failed = "; ".join(f"{r['name']}: {r['why']}" for r in rows if r["why"])
         if rows:
             tables.append(Table(title, ["", *columns], cells, f"Failed: {failed}." if failed else ""))
