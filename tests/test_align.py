@@ -17,7 +17,7 @@ from mitsvbrdf.capture import align
 from mitsvbrdf.capture.align import Pair, _chained, rig_from_photos
 from mitsvbrdf.capture.features import Features, find_features, homography, match
 from mitsvbrdf.capture.lens import Lens, Pose, on_plane, project
-from mitsvbrdf.capture.patch import choose_patch, largest_square, turned, upright
+from mitsvbrdf.capture.patch import centred_square, choose_patch, largest_square, turned, upright
 from mitsvbrdf.capture.photo import Photo
 from mitsvbrdf.capture.planar import Match, adjust, carried, starts
 from mitsvbrdf.errors import CaptureError
@@ -257,6 +257,12 @@ def test_top_of_a_photo_by_its_exif(orientation):
     top = pose.rotation.T @ (*direction, 0.0)
     assert turned(pose, upright(pose, orientation)).rotation.T @ (*direction, 0.0) == pytest.approx((0, 1, 0))
     assert upright(pose, orientation) == pytest.approx(np.arctan2(top[0], top[1]))
+
+
+def test_the_patch_is_as_near_to_below_the_cameras_as_it_can_be():
+    box = np.array([(1.0, 0.0, 2.0), (-1.0, 0.0, 2.0), (0.0, 1.0, 1.0), (0.0, -1.0, 1.0)])  # 4 x 2
+    for below, wanted in (((0.7, 0.02), (0.7, 0.02)), ((0.7, 0.3), (0.7, 0.05)), ((-3.0, -1.0), (-1.05, -0.05))):
+        assert centred_square([box], 1.9, np.array(below)) == pytest.approx(np.array(wanted), abs=1e-9)
 
 
 def test_largest_square():

@@ -39,7 +39,7 @@ from .features import (
     wild,
 )
 from .lens import Lens, Pose
-from .patch import choose_patch, framed, outline, turned, upright
+from .patch import CENTRED, centred_square, choose_patch, framed, outline, turned, upright
 from .photo import Photo, other_sizes
 from .planar import Match, adjust, starts
 from .rig import Rig
@@ -311,11 +311,14 @@ def _placed(lens: Lens, poses: dict[str, Pose], photos: dict[str, Photo],
     chosen = next(iter(sorted(poses))) if reference == "first" else _frontal(poses, angles)
     poses = {name: turned(pose, angles[chosen]) for name, pose in poses.items()}
     outlines = {name: outline(lens, pose) for name, pose in poses.items()}
-    centre, side, dropped = choose_patch(outlines, LEAST_PHOTOS, chosen if reference == "first" else None)
+    _, side, dropped = choose_patch(outlines, LEAST_PHOTOS, chosen if reference == "first" else None)
     if side <= 0:
         raise CaptureError("photos that all show the same part of a material", f"no part that {len(poses) - len(dropped)} show",
                            "take them with more overlap")
     kept = {name: poses[name] for name in sorted(poses) if name not in dropped}
+    # Highlights lie below the cameras, and of almost equal squares the largest may be well beside.
+    side *= CENTRED
+    centre = centred_square([outlines[name] for name in kept], side, np.mean([p.position[:2] for p in kept.values()], axis=0))
     return framed(kept, centre, side), dropped
 
 

@@ -12,6 +12,7 @@ from .lens import Lens, Pose, on_plane
 Array = NDArray[np.float64]
 
 MARGIN = 0.01  # of a photo's sides: kept off its border
+CENTRED = 0.95  # of the largest square's side: so much of it is kept to have the patch below the cameras
 GAIN = 1.25  # a photo without which the patch's side would grow by more than this factor is better left out
 
 # Where the top of a photo as shown is in its stored pixels, by EXIF orientation.
@@ -63,6 +64,18 @@ def largest_square(outlines: Sequence[Array]) -> tuple[Array, float]:
     reach = np.abs(rows[:, :2]).sum(axis=1)
     found = linprog((0, 0, -1.0), np.column_stack((rows[:, :2], reach)), rows[:, 2], bounds=(None, None))
     return (found.x[:2], 2 * found.x[2]) if found.success else (np.zeros(2), -1.0)
+
+
+def centred_square(outlines: Sequence[Array], side: float, below: Array) -> Array:
+    """Centre (x, y) nearest to ``below`` of an upright square of this side in all outlines; a linear programme, too."""
+    from scipy.optimize import linprog
+
+    rows = np.concatenate(outlines)
+    left = rows[:, 2] - side / 2 * np.abs(rows[:, :2]).sum(axis=1)
+    away = np.array([[1, 0, -1, 0], [-1, 0, -1, 0], [0, 1, 0, -1], [0, -1, 0, -1.0]])  # the last two: |x - below|, |y - below|
+    found = linprog((0, 0, 1.0, 1.0), np.concatenate((np.pad(rows[:, :2], ((0, 0), (0, 2))), away)),
+                    np.concatenate((left, away[:, :2] @ below)), bounds=(None, None))
+    return found.x[:2]
 
 
 def choose_patch(outlines: dict[str, Array], least: int = 3, always: str | None = None) -> tuple[Array, float, list[str]]:
