@@ -30,6 +30,10 @@ UNKNOWN = 65535  # what some cameras write for a number they do not know, the la
 SAME = ("ISO", "exposure time", "focal length", "white balance", "flash", "camera")
 
 
+class Unreadable(CaptureError):
+    """A file that is damaged, cut off or no image."""
+
+
 @dataclass(frozen=True)
 class Photo:
     """A file; its pixels are read when they are asked for.
@@ -82,7 +86,7 @@ class Photo:
                 by area averages.
 
         Raises:
-            CaptureError: the file is damaged or cut off.
+            Unreadable: the file is damaged or cut off.
         """
         with _readable(self.path):
             image = self._decoded()
@@ -134,7 +138,7 @@ def _readable(path: Path) -> Iterator[None]:
     except Exception as reason:  # Pillow, OpenCV and LibRaw raise all kinds
         said = reason.args[0] if reason.args else type(reason).__name__
         said = said.decode(errors="replace") if isinstance(said, bytes) else said
-        raise CaptureError("a readable photo", f"{path}: {said}", "copy it from the phone again, or leave it out") from None
+        raise Unreadable("a readable photo", f"{path}: {said}", "copy it from the phone again, or leave it out") from None
 
 
 @contextlib.contextmanager

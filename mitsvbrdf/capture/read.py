@@ -18,7 +18,7 @@ from ..errors import CaptureError, ConfigError
 from ..views import Falloff, Views
 from .align import FIELD_OF_VIEW, default_views, field_of_view
 from .capture import Calibration, Capture
-from .photo import UNTURNED, Photo, differences, photos_in
+from .photo import UNTURNED, Photo, Unreadable, differences, photos_in
 
 PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
 LEAST_SIDE = 8  # pixels
@@ -214,6 +214,8 @@ def _from_plain(folder: Path, falloff: Falloff, transfer: color.Transfer | None,
             made = make_capture(photos, transfer=transfer, reference="first", report=report)
         except OnePlace:
             return _rectified(photos, falloff, folder)
+        except Unreadable:
+            raise
         except CaptureError as error:
             reason = error.got
         else:
