@@ -69,7 +69,7 @@ def evaluate_fit(result: FitResult, capture: Capture) -> dict:
     :func:`evaluate_capture`."""
     offset = result.flash_offset and tuple(x / result.views.size for x in result.flash_offset)
     fit = Fit(capture=_name(capture), seen=tuple(map(int, result.calibration.get("camera", ()))), views=result.views,
-              estimated=result.calibration.get("estimated", False))
+              estimated=result.calibration.get("estimated", False), power=result.calibration.get("power_told") or 1.0)
     renderer = make_renderer(result.renderer, result.variant or "llvm_ad_rgb")
     return evaluate_capture(result.svbrdf, placed(capture, fit), renderer, offset)
 
@@ -86,7 +86,8 @@ def placed(capture: Capture, fit: Fit) -> Capture:
 
     Where the fit saw some of these photos, all are moved together until those are, in the mean, where the fit has them:
     sideways by an offset, heights and light power by a factor. So photos that it did not see can be predicted, though nothing
-    but the photos themselves says where they were taken. A fit that took the default geometry is shown with that.
+    but the photos themselves says where they were taken. A fit that took the default geometry is shown with that. Of stated
+    views the light power alone changes, where the fit's maps told another one.
 
     Args:
         capture: all photos, those left out of the fit and those it saw.
@@ -95,6 +96,8 @@ def placed(capture: Capture, fit: Fit) -> Capture:
     Raises:
         CaptureError: the fit estimated views, and these photos do not allow it.
     """
+    if capture.calibrated and fit.power != 1 and not fit.estimated and fit.of(capture):
+        return replace(capture, views=replace(capture.views, intensity=capture.views.intensity * fit.power))
     if capture.calibrated or not (fit.estimated or fit.views is None):
         return capture
     if fit.estimated and (why := why_not(capture)):
@@ -130,6 +133,7 @@ class Fit:
         views: theirs, as fitted; None when unknown.
         method: how it was fitted; None when unknown.
         estimated: whether the views were estimated from the photos.
+        power: what the light power that the capture states is to be multiplied by, as its maps told.
     """
 
     falloff: Falloff = "inverse-square"
@@ -140,6 +144,7 @@ class Fit:
     views: Views | None = None
     method: str | None = None
     estimated: bool = False
+    power: float = 1.0
 
     def of(self, capture: Capture) -> bool:
         """Whether it was fitted to photos of this capture, as the names of the folders tell."""
@@ -164,12 +169,12 @@ def fit_of(maps: str | Path) -> Fit:
         return Fit()
     try:
         record = json.loads(path.read_text())
-        offset, views = record["flash_offset"], record["views"]
+        offset, views, known = record["flash_offset"], record["views"], record.get("calibration", {})
         fit = Fit(views["falloff"], record["capture"]["transfer"],
                   None if offset is None else (float(offset["x"]), float(offset["y"])),
                   record["capture"]["name"], tuple(record["capture"]["photos"]),
                   Views.of(views["camera"], views["light"], views["intensity"], views["size"], views["falloff"]),
-                  record.get("method"), record.get("calibration", {}).get("estimated", False) is True)
+                  record.get("method"), known.get("estimated", False) is True, float(known.get("power_told") or 1.0))
         if fit.transfer not in get_args(color.Transfer):
             raise ValueError("unknown transfer")
     except (ValueError, KeyError, TypeError, MitsvbrdfError) as reason:

@@ -19,6 +19,7 @@ from .held import held_maps
 from .live import LiveRecord
 from .loop import Loop, rerender
 from .needs import left_out
+from .power import power_told, with_power
 from .result import FitResult
 from .self_calibration import record, self_calibrated
 
@@ -81,6 +82,11 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     images, total, each = rerender(renderer, svbrdf, views, capture)
     with profiled("uncertainty"):
         spreads = deviations(svbrdf, views, images, capture, config)
+        told = power_told(svbrdf, spreads) if estimated or _of_features(capture, config) else None
+        if told:
+            svbrdf, views = with_power(svbrdf, told), replace(views, intensity=views.intensity * told)
+            images, total, each = rerender(renderer, svbrdf, views, capture)
+            spreads = deviations(svbrdf, views, images, capture, config)
     # Of all photos: where each has a camera and a flash of its own besides, they move around what is common.
     moved = (views.light - views.camera) - (capture.views.light - capture.views.camera)
     offset = moved.mean(dim=0)[:2].tolist() if getattr(loop.method, "fits_offset", False) else None
@@ -90,8 +96,14 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
         left_out=tuple(left_out(capture, renderer, config, views)), stopped=stopped, undone=tuple(loop.undone),
         restarts=tuple(loop.restarts), deviations=spreads,
         flash_offset=tuple(offset) if offset else None, profile=profile_summary(),
-        calibration=record(capture, views, estimated, *getattr(loop.method, "views_deviation", (None, None))))
+        calibration=record(capture, views, estimated, *getattr(loop.method, "views_deviation", (None, None)), told))
     return replace(result, warnings=(*capture.notes[len(stated):], *doubts(result, capture)))
+
+
+def _of_features(capture: Capture, config: FitConfig) -> bool:
+    """Whether views come from features, which do not tell the light power, and are not to be held."""
+    held = isinstance(config, GanConfig) or getattr(config, "calibrate", None) is False
+    return capture.calibration == "photos" and not held
 
 
 def first_guess(capture: Capture, config: FitConfig) -> Tensor:

@@ -49,7 +49,7 @@ BEAM = (2.5, 1.5)  # b, and how it varies; the same captures, with known views: 
 ROUGHNESS = (0.3, 0.5)  # alpha
 LEVELS = (0.1, 1.0)  # level of k as a share of the brightest diffuse
 OWN = 0.7  # how far a texel's own k may be from the level, as a share of it
-F0, ALBEDO = (DIELECTRIC_F0, 0.4), (0.25, 0.6)
+F0, ALBEDO = (DIELECTRIC_F0, 0.4), (0.12, 1.2)  # median albedos; of ten known materials 0.001 to 0.22
 POWER = (F0[1] ** -2 + ALBEDO[1] ** -2) ** -0.5  # how well both tell the logarithm of the light power
 WHITEST = 0.95  # diffuse albedo that 99 % of the texels stay below
 
@@ -108,7 +108,7 @@ def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
 
 
 def record(capture: Capture, views: Views, estimated: EstimatedViews | None, refined: Tensor | None,
-           flash: Tensor | None) -> dict:
+           flash: Tensor | None, power: float | None = None) -> dict:
     """What a fit knows of its views and how surely, lengths in patch sides, for ``fit.json``.
 
     Args:
@@ -117,11 +117,13 @@ def record(capture: Capture, views: Views, estimated: EstimatedViews | None, ref
         estimated: how the former were estimated from the photos; None where they were stated.
         refined: standard deviations N x 7 of the changes since (:data:`mitsvbrdf.fit.calibration.UNKNOWNS`); None for none.
         flash: standard deviations (x, y) of the flash offset that all photos share; None where it was not fitted.
+        power: by what the maps changed the light power (:mod:`mitsvbrdf.fit.power`); None where they do not tell it.
 
     Returns:
         ``from`` (the kind of calibration), ``estimated`` and ``refined`` (whether), by photo name ``camera``, ``camera_sd`` and
-        ``log_exposure_sd``; ``flash_offset`` and ``flash_offset_sd``; ``light_power``, the mean over photos and channels, and
-        ``log_power_sd``, None where a calibration or a sheet tells it. The others are None where nothing was estimated.
+        ``log_exposure_sd``; ``flash_offset`` and ``flash_offset_sd``; ``light_power``, the mean over photos and channels,
+        ``power_told`` and ``log_power_sd``, None where a calibration or a sheet tells it. Other deviations are None where
+        nothing was estimated.
     """
     sides, begun = views.in_patch_sides(), capture.views.in_patch_sides()
     variance = torch.zeros(len(views), 4, dtype=torch.float64)
@@ -138,7 +140,7 @@ def record(capture: Capture, views: Views, estimated: EstimatedViews | None, ref
         "log_exposure_sd": dict(zip(capture.names, [row[3] for row in sure])) if sure else None,
         "flash_offset": offset, "flash_offset_sd": None if flash is None else flash.tolist(),
         "light_power": float(sides.intensity.mean()),
-        "log_power_sd": POWER if estimated or capture.calibration == "photos" else None}
+        "power_told": power, "log_power_sd": POWER if estimated or capture.calibration == "photos" else None}
 
 
 def estimate_views(capture: Capture) -> EstimatedViews:

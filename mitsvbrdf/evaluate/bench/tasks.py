@@ -55,7 +55,7 @@ class RealCapture:
     Args:
         name: of the capture.
         photos: what is fitted.
-        left_out: what is predicted; None where the capture has none of :data:`LEFT_OUT`.
+        left_out: what is predicted; None where the capture has none of :data:`LEFT_OUT`, or states no views to predict from.
     """
 
     kind: ClassVar = "capture"
@@ -94,7 +94,7 @@ def real_capture(folder: Path, resolution: int) -> RealCapture:
     seen = [i for i in shots.index if i not in LEFT_OUT]
     if not seen:
         raise ConfigError(f"photos besides {LEFT_OUT}", f"{list(shots.index)} in {folder}", "give a capture with more photos")
-    held = [i for i in shots.index if i in LEFT_OUT]
+    held = [i for i in shots.index if i in LEFT_OUT and shots.calibrated]
     return RealCapture(folder.name, shots.pick(seen), shots.pick(held) if held else None)
 
 
