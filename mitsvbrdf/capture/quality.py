@@ -27,6 +27,7 @@ LEAST_OVERLAP = 0.95  # of the patch; texels beyond a photo's edge are filled in
 MOST_CLIPPED = 0.4  # of the patch; 0.22
 LEAST_SHARPNESS = 0.52  # of the median photo's; 0.57. Simulated photos of four materials by a hand that moved: 0.33 to 0.47
 LEAST_DETAIL = 0.45  # of a whole photo, beside others; simulated ones that are blurred have 0.29 to 0.35, unrelated ones 0.63
+ENOUGH = 256  # pixels of the patch; with fewer the limit falls in proportion: of 128, where it is 0.26, real ones have 0.37
 MOST_STOPS = 1.6  # brighter or darker than the others; 1.2
 UNLIKE, UNLIKE_DETAIL = 0.25, 0.28  # of the patch, in one piece; 0.18 and 0.14, with a highlight on metal 0.21. A finger over
 # half of it: 0.28 to 0.52, and where its colour is that of the material 0.35 to 0.39
@@ -115,9 +116,9 @@ def verdicts(found: Sequence[Look], photos: Tensor, views: Views, fired: Mapping
     fired = fired or {}
     some_fired = any(fired.get(look.name) == "fired" for look in found)
     even = [look.name for look in found if (look.evenness or 0) > EVEN]
-    reasons = {}
+    reasons, sharp = {}, LEAST_SHARPNESS * min(1, photos.shape[1] / ENOUGH)
     for look in found:
-        what = "taken without flash (says its EXIF)" if some_fired and fired.get(look.name) == "off" else _verdict(look)
+        what = "taken without flash (says its EXIF)" if some_fired and fired.get(look.name) == "off" else _verdict(look, sharp)
         if not what and look.name in even and len(even) < len(found) / 2:  # of most photos, it says that the model is wrong
             what = "taken without flash: its light does not fall off as that of the others does"
         if what:
@@ -131,7 +132,7 @@ def verdicts(found: Sequence[Look], photos: Tensor, views: Views, fired: Mapping
     return reasons
 
 
-def _verdict(look: Look) -> str | None:
+def _verdict(look: Look, least_sharpness: float) -> str | None:
     if look.overlap < LEAST_OVERLAP:
         return f"partly outside: it shows only {look.overlap:.0%} of the patch"
     if look.clipped > MOST_CLIPPED:
@@ -141,7 +142,7 @@ def _verdict(look: Look) -> str | None:
         return f"covered: {piece:.0%} of the patch is nothing like in the other photos, as if a finger or a shadow were on it"
     if abs(look.stops) > MOST_STOPS:
         return f"{abs(look.stops):.1f} stops {'brighter' if look.stops > 0 else 'darker'} than the other photos"
-    if look.sharpness < LEAST_SHARPNESS:
+    if look.sharpness < least_sharpness:
         return f"blurred: {look.sharpness:.2f} times as sharp as the others"
     return None
 
