@@ -117,7 +117,7 @@ def test_poses_and_alignment(nine, nine_rig):
     assert position_errors(nine_rig, poses).max() < 0.001  # measured 0.0003
     assert misalignment(nine_rig, poses) < 0.06  # pixels at 512; measured 0.025
     assert max(nine_rig.errors.values()) < 0.4  # pixels; measured 0.24 to 0.28
-    assert nine_rig.lens.focal == pytest.approx(LENS.focal, rel=0.005)  # measured 0.001; what was stated is off by 4 %
+    assert nine_rig.lens.focal == pytest.approx(LENS.focal, rel=0.01)  # measured 0.006; what was stated is off by 4 %
 
 
 def test_all_photos_show_the_patch(nine_rig):
@@ -209,7 +209,7 @@ def test_photos_from_one_place():
     matches = [Match(a, b, grid, carried(lens, poses[a], poses[b], grid), 0.5) for a, b in combinations(poses, 2)]
     tilt = Rotation.from_euler("x", 15, degrees=True).as_matrix()
     tilted = {name: Pose(pose.position, pose.rotation @ tilt) for name, pose in poses.items()}  # agrees as well
-    _, found, cost, _ = adjust(lens, tilted, "a", matches, 0.02)
+    _, found, cost, _ = adjust(lens, tilted, "a", matches, lens.focal, 0.02)
     assert cost < 1  # half a sum of squares; measured 0.2, where the start has 4.7
     off = [pose.rotation[:, 2] @ poses[name].rotation[:, 2] for name, pose in found.items()]
     assert np.degrees(np.arccos(np.minimum(off, 1))).max() < 0.1  # measured 0.004; 15 at first
@@ -225,8 +225,19 @@ def test_how_sure_the_focal_length_is(turned, low, high):
     matches = [Match(a, b, grid, carried(lens, poses[a], poses[b], grid), 0.5) for a, b in combinations(poses, 2)]
     origin = np.array([*poses["a"].position[:2], 0.0])
     start = {name: Pose((pose.position - origin) / 1.5, pose.rotation) for name, pose in poses.items()}
-    unsure = adjust(lens, start, "a", matches, 0.02)[3]
+    unsure = adjust(lens, start, "a", matches, lens.focal, 0.02)[3]
     assert low < unsure < high  # parallel just what is expected beforehand, 0.02; turned to the middle, measured 0.006
+
+
+def test_what_is_expected_of_the_focal_length_is_not_what_was_found_before():
+    """Parallel photos leave it to what is expected, from wherever the search starts."""
+    poses = {name: Pose(np.array([x, y, 1.0]), np.diag((1.0, -1.0, -1.0))) for name, x, y in
+             (("a", 0.0, 0.0), ("b", -0.2, 0.1), ("c", 0.1, -0.2))}
+    lens = Lens(SIZE, 360.0)
+    grid = np.stack(np.meshgrid(np.linspace(40, 440, 9), np.linspace(30, 330, 7)), axis=-1).reshape(-1, 2)
+    matches = [Match(a, b, grid, carried(lens, poses[a], poses[b], grid), 0.5) for a, b in combinations(poses, 2)]
+    found = adjust(replace(lens, focal=400.0), poses, "a", matches, 360.0, 0.02)[0]
+    assert found.focal == pytest.approx(360.0, rel=1e-3)
 
 
 def test_no_exif_and_a_large_highlight(tmp_path):

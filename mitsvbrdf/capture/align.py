@@ -50,7 +50,7 @@ FIELD_OF_VIEW = 60.0  # degrees across the long side where no EXIF says it: a ph
 FOCAL_SHARE = 0.02  # deviation of a focal length from EXIF, which rounds its 35 mm equivalent to whole millimetres
 FOCAL_SHARE_ASSUMED = 0.15  # and of the one of FIELD_OF_VIEW
 REPEATING = 0.15  # share of a photo's features from which on its pattern counts as repeating itself
-UNSURE = 0.02  # deviation of the focal length found, as a share, that is worth a note: no better than EXIF's own
+UNSURE = 0.018  # deviation of the focal length found, as a share, that is worth a note: hardly better than EXIF's own
 LEAST_PHOTOS = 3
 MOST_AGAIN = 8  # others that a photo left alone is compared with by all features
 MOST_MATCHES = 4000  # in a bundle adjustment
@@ -253,9 +253,10 @@ def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pa
 
     Photos that do not agree are added to ``left_out``.
     """
+    focal = lens.focal
     agreed = [p.matches.pick(p.agree) for p in pairs if p.warp is not None]
     few = _limited([m for m in agreed if _as_chained(m, warps)], lens.size, MOST_MATCHES // 3)
-    found = [adjust(lens, start, hub, few, focal_share, steps=20) for start in starts(lens, warps, hub)]
+    found = [adjust(lens, start, hub, few, focal, focal_share, steps=20) for start in starts(lens, warps, hub)]
     lens, poses, _, unsure = min(found, key=lambda f: f[2])
     settled = 0
     while True:
@@ -272,7 +273,7 @@ def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pa
             return lens, poses, [m for m in matches if len(m.at_a)], unsure
         else:
             kept = hub if hub in poses else next(iter(poses))
-            lens, poses, _, unsure = adjust(lens, poses, kept, _limited(matches, lens.size), focal_share)
+            lens, poses, _, unsure = adjust(lens, poses, kept, _limited(matches, lens.size), focal, focal_share)
             settled += 1
 
 

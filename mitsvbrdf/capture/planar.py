@@ -118,19 +118,19 @@ def _pose(axes: Array) -> Pose:
     return Pose(np.array([*position[:2], max(position[2], 0.05)]), rotation)
 
 
-def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match], focal_share: float,
+def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match], focal: float, focal_share: float,
            steps: int = 50) -> tuple[Lens, dict[str, Pose], float, float]:
     """Lens and poses at which matches and what is expected beforehand agree best.
 
     Args:
         poses: a start; that of the hub is above the origin and stays there, but may tilt.
         matches: between photos of ``poses``.
-        focal_share: deviation of the focal length of ``lens`` from the true one, as a share.
+        focal: focal length that is expected beforehand, in pixels; that of ``lens`` is but a start.
+        focal_share: deviation of the expected focal length from the true one, as a share.
         steps: most steps.
 
     Returns:
-        Lens, poses, the cost, which tells starts apart, and how far the focal length may be off, as a share: its standard
-        deviation, and where matches hardly tell it, how far they moved it all the same.
+        Lens, poses, the cost, which tells starts apart, and the standard deviation of the focal length, as a share.
     """
     from scipy.optimize import least_squares
 
@@ -142,6 +142,7 @@ def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match
     second = np.concatenate([np.full(len(m.at_b), names.index(m.b)) for m in matches])
     at_a, at_b = np.concatenate([m.at_a for m in matches]), np.concatenate([m.at_b for m in matches])
     sigma = np.concatenate([np.full(len(m.at_a), m.sigma) for m in matches])[:, None]
+    moved_before = math.log(lens.focal / focal)
     count, expected = len(at_a), 3 + 3 * len(names)
     free = np.ones(3 + UNKNOWNS * len(names), dtype=bool)
     free[3 + UNKNOWNS * row : 3 + UNKNOWNS * (row + 1)] = (True, True, False, False, False, False)
@@ -158,7 +159,8 @@ def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match
     def beforehand(values: Array) -> Array:
         _, turned, at = unpacked(values)
         height = np.log(np.maximum(at[:, 2], 1e-3))
-        return np.concatenate(((values[:3] / (focal_share, *DISTORTION)), (height - height.mean()) / HEIGHT,
+        shared = (values[:3] + (moved_before, 0.0, 0.0)) / (focal_share, *DISTORTION)
+        return np.concatenate((shared, (height - height.mean()) / HEIGHT,
                                turned[:, 2, :2].ravel() / math.sin(TILT)))
 
     def full(chosen: Array) -> Array:
@@ -210,6 +212,5 @@ def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match
     result = least_squares(residuals, start[free], slopes, x_scale="jac", loss=loss, max_nfev=steps, ftol=1e-6, xtol=1e-7)
     found, turned, at = unpacked(full(result.x))
     jacobian = result.jac / np.where(np.arange(len(result.jac)) < 2 * count, math.sqrt(ALIKE), 1)[:, None]
-    deviation = math.sqrt(np.linalg.inv(jacobian.T @ jacobian)[0, 0])
-    unsure = math.hypot(deviation, (deviation / focal_share) ** 2 * result.x[0])
+    unsure = math.sqrt(np.linalg.inv(jacobian.T @ jacobian)[0, 0])
     return found, {name: Pose(at[i], turned[i]) for i, name in enumerate(names)}, float(result.cost), unsure
