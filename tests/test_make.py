@@ -16,7 +16,7 @@ from PIL import Image
 from mitsvbrdf import cli
 from mitsvbrdf.capture import read_capture
 from mitsvbrdf.capture.lens import Lens, Pose, on_plane, project
-from mitsvbrdf.capture.make import _filled, _without_vignetting, make_capture, tags_seen
+from mitsvbrdf.capture.make import _filled, _without_vignetting, make_capture, refuse_tags
 from mitsvbrdf.capture.photo import Photo, photos_in
 from mitsvbrdf.capture.rig import Rig, rig_from_json
 from mitsvbrdf.capture.sheet import Sheet
@@ -210,6 +210,7 @@ def test_mistakes_on_the_command_line(made, truth, tmp_path, capsys):
     assert "16 tags in " in (text := said(raw, "-o", tmp_path / "a")) and "--sheet" in text
     assert "which has results" in said(raw, "-o", out, "--sheet", 18)
     assert "an output folder of its own" in said(raw, "-o", raw, "--sheet", 18)
+    assert "a capture already" in said(out, "-o", tmp_path / "a")
     assert "--sheet CM beside --depth" in said(raw, "-o", tmp_path / "a", "--depth", 1)
     empty = tmp_path / "empty"
     empty.mkdir()
@@ -334,6 +335,9 @@ def test_a_single_photo_is_shown_upright(tmp_path):
     assert photo.shape == (40, 40, 3) and photo[:15].mean() > 0.7 and photo[25:].mean() < 0.1
 
 
-def test_tags_without_a_size_are_said(made, plain):
-    assert tags_seen([Photo.open(made[0] / "IMG_0.jpg")]) == 16
-    assert tags_seen([Photo.open(plain / "IMG_0.jpg")]) == 0
+def test_tags_without_a_size_are_refused(made, plain):
+    with pytest.raises(CaptureError, match="16 tags in IMG_0.jpg.*--sheet 18"):
+        refuse_tags([Photo.open(made[0] / "IMG_0.jpg")])
+    with pytest.raises(CaptureError, match="16 tags"):  # fit raw/ too: they would pass for material
+        read_capture(made[0])
+    refuse_tags([Photo.open(plain / "IMG_0.jpg")])

@@ -137,8 +137,8 @@ def shading_of_material(rig: Rig, photos: Mapping[str, np.ndarray], transfer: co
     by_albedo, by_lobe = 1 / ALBEDO[1] ** 2, 1 / (REFLECTANCE[1] ** 2 + found.deviations[-1] ** 2)
     power = (by_albedo * math.log(middle / ALBEDO[0]) + by_lobe * math.log(math.pi * found.lobe / REFLECTANCE[0]))
     intensity = max(math.exp(power / (by_albedo + by_lobe)), most / MOST_ALBEDO)
-    notes = ("photos alone do not tell the light's power: it is such that F0 of highlights and the median albedo are "
-             f"plausible, {math.pi * found.lobe / intensity:.3f} and {middle / intensity:.2f}",)
+    notes = ("how bright the flash is cannot be told from these photos; it is taken to be such that highlights reflect "
+             f"{math.pi * found.lobe / intensity:.1%} of it and the median albedo is {middle / intensity:.2f}",)
     return found.shading(np.full(3, intensity), 1 / math.sqrt(by_albedo + by_lobe), notes)
 
 

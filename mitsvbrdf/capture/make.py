@@ -198,9 +198,13 @@ def _check(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, res
 
 def _enough(photos: Sequence[Photo], left_out: Mapping[str, str]) -> None:
     if len(photos) - len(left_out) < LEAST_PHOTOS:
-        reasons = "".join(f"; {name}: {reason}" for name, reason in left_out.items())
+        named: dict[str, list[str]] = {}
+        for name, reason in left_out.items():
+            named.setdefault(reason, []).append(name)
+        reasons = "".join(f"; {', '.join(names)}: {reason}" for reason, names in named.items())
+        sheet = "; if no sheet lies there, leave --sheet out" if any("tags seen" in reason for reason in named) else ""
         raise CaptureError(f"{LEAST_PHOTOS} photos or more that can be used", f"{len(photos) - len(left_out)} of "
-                           f"{len(photos)}{reasons}", "take more photos from different places, flash on")
+                           f"{len(photos)}{reasons}", "take more photos from different places, flash on" + sheet)
 
 
 def _from_places(rig: Rig) -> None:
@@ -341,14 +345,17 @@ def _views(rig: Rig, shading: Shading | None) -> Views:
     return Views.of(camera, light, power, rig.size)
 
 
-def tags_seen(photos: Sequence[Photo]) -> int:
-    """How many tags of the sheet are in the first photo; 0 where it is too few for a sheet to be there."""
+def refuse_tags(photos: Sequence[Photo]) -> None:
+    """Raise CaptureError where a sheet of tags is in the first photo: without its size the tags would pass for material."""
     from .sheet import Sheet
     from .tag_edges import find_edges
     from .tags import LEAST_TAGS
 
     count = len(find_edges(photos[0], Sheet()).corners) if photos else 0
-    return count if count >= LEAST_TAGS else 0
+    if count >= LEAST_TAGS:
+        raise CaptureError("--sheet CM for photos of a sheet of tags", f"{count} tags in {photos[0].name} and no size",
+                           "measure the frame of tags from outer edge to outer edge and give that, for example `mitsvbrdf "
+                           "capture PHOTOS -o CAPTURE --sheet 18`")
 
 
 def capture_keys(made: Made) -> dict:

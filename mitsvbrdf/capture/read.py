@@ -205,10 +205,11 @@ def _from_plain(folder: Path, falloff: Falloff, transfer: color.Transfer | None,
 
     Photos that show everything in the same place are taken for rectified.
     """
-    from .make import LEAST_PHOTOS, OnePlace, make_capture, tags_seen
+    from .make import LEAST_PHOTOS, OnePlace, make_capture, refuse_tags
 
     photos = [Photo.open(path) for path in photos_in(folder)]
     reason = f"{LEAST_PHOTOS} or more are needed to find out where they were taken from"
+    refuse_tags(photos)
     if len(photos) >= LEAST_PHOTOS:
         try:
             made = make_capture(photos, transfer=transfer, reference="first", report=report)
@@ -220,10 +221,8 @@ def _from_plain(folder: Path, falloff: Falloff, transfer: color.Transfer | None,
             reason = error.got
         else:
             left_out = [f"{name} is left out: {why}" for name, why in made.rig.left_out.items()]
-            sheet = [f"{seen} tags of a sheet are in {photos[0].name}: `mitsvbrdf capture --sheet CM` is exact"
-                     for seen in [tags_seen(photos)] if seen]
             return replace(made.capture, views=replace(made.capture.views, falloff=falloff), source=folder,
-                           notes=(*made.warnings, *left_out, *sheet))
+                           notes=(*made.warnings, *left_out))
     return _single(photos, falloff, folder, reason)
 
 

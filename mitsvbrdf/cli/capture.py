@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 from .. import files
-from ..errors import CaptureError, ConfigError
+from ..errors import ConfigError
 from ..interrupts import undisturbed
 from ..progress import console, progress_bar, say
 from .options import Out, Overwrite
@@ -44,7 +44,7 @@ def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A fo
     for one more photo; contact.jpg and quality.json beside it.
     """
     from ..capture import write_capture
-    from ..capture.make import capture_keys, make_capture, tags_seen
+    from ..capture.make import capture_keys, make_capture, refuse_tags
     from ..capture.photo import Photo, photos_in
     from ..report.capture import write_quality
 
@@ -52,10 +52,11 @@ def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A fo
         raise ConfigError("an output folder of its own", f"{out}, which holds the photos", "choose another folder")
     if sheet is None and depth != PAPER:
         raise ConfigError("--sheet CM beside --depth", f"--depth {depth:g} alone", "add --sheet, or leave --depth out")
+    if (photos / "capture.json").is_file():
+        raise ConfigError("a folder of raw photos", f"{photos}, which is a capture already", f"mitsvbrdf fit {photos} -o OUT")
     raw = [Photo.open(path) for path in photos_in(photos)]
-    if sheet is None and (seen := tags_seen(raw)):
-        raise CaptureError("--sheet CM for photos of a sheet of tags", f"{seen} tags in {raw[0].name} and no --sheet",
-                           "measure the frame of tags from outer edge to outer edge and give that, for example --sheet 18")
+    if sheet is None:
+        refuse_tags(raw)
     with files.output_folder(out, overwrite) as folder:
         with progress_bar("capture") as report:
             made = make_capture(raw, sheet, depth, None if transfer == "auto" else transfer, resolution, reference, report)
@@ -63,7 +64,7 @@ def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A fo
             write_capture(made.capture, folder, capture_keys(made))
             write_quality(made, folder)
     _print(made)
-    say(f"wrote {out}/quality.html, contact.jpg, capture.json, target/")
+    say(f"wrote {out}/quality.html, contact.jpg, capture.json, target/; next: mitsvbrdf fit {out} -o OUT")
     return 0
 
 

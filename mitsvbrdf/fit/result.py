@@ -34,7 +34,7 @@ class FitResult:
         deviations: standard deviation of each fitted map, by name, r x r x C with r <= 64, in the numbers in which map
             errors are counted; see :mod:`mitsvbrdf.fit.confidence`.
         warnings: what a user should doubt, in sentences; see :mod:`mitsvbrdf.fit.doubts`.
-        flash_offset: fitted (x, y) of the flash beside the lens, in the unit of the views, or None.
+        flash_offset: by how much (x, y) the fit moved the flash beside the lens, in the unit of the views, or None.
         calibration: what is known of the views and how surely; see :func:`mitsvbrdf.fit.self_calibration.record`.
         profile: where the time of the steps went, where :func:`mitsvbrdf.profile.profiling` was on, else None.
     """
