@@ -35,6 +35,7 @@ COVERAGE_SIDE = 64
 # Spread of the cameras over their height below which all photos are from one place. Nine places as in docs/capture.md: 0.2;
 # seven real captures that were rectified already: 0.003 to 0.009.
 ONE_PLACE = 0.03
+FARTHEST_FLASH = 5.0  # cm from the lens; phones have 1 to 3
 
 
 class OnePlace(CaptureError):
@@ -306,7 +307,9 @@ def _shading(rig: Rig, raw: _Raw, sheet_cm: float | None, depth_cm: float, trans
         from .sheet import Sheet
         try:
             shading = shading_of_paper(rig, raw.small, transfer, Sheet(sheet_cm).white, depth_cm)
-            return shading, shading.notes
+            beside = float(np.linalg.norm(shading.lens.flash))
+            far = (f"the flash seems to be {beside:.0f} cm beside the lens: is --sheet in cm, and as measured?",)
+            return shading, shading.notes + (far if beside > FARTHEST_FLASH else ())
         except CaptureError as reason:
             notes.append(f"the paper says nothing of the light ({reason.got}); the material is asked instead")
     try:

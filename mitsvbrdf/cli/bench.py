@@ -161,6 +161,10 @@ def _sources(chosen: dict, data: Path | None) -> tuple[list[str], list[str]]:
     shots = _folders(chosen.get("captures"), list(map(str, _inside(data, "captures"))), data, "captures")
     if not names and not shots:
         raise ConfigError("a material or capture to fit", "none", "give --materials or --captures, or --suite renderers")
+    missing = [name for name in (*names, *shots) if not name.startswith("builtin:") and not Path(name).exists()]
+    if missing:
+        raise ConfigError("materials and captures that are there", f"none called {missing[0]}",
+                          "name folders, or those in --data; leave the option out for all")
     for found in (names, shots):
         labels = [Path(name.removeprefix("builtin:")).name for name in found]
         twice = [label for label in labels if labels.count(label) > 1]
