@@ -9,7 +9,8 @@ import pytest
 from mitsvbrdf import cli
 
 ROOT = Path(__file__).parents[1]
-SHORTER = [(r"--budget \d+", "--iterations 3"), (r"budget=\d+", "iterations=3"), (r"resolution=\d+", "resolution=32")]
+SHORTER = [(r"--budget \d+", "--iterations 3"), (r"budget=\d+", "iterations=3"), (r"resolution=\d+", "resolution=32"),
+           (r"--megapixels \d+", "--megapixels 0.7")]
 
 
 QUICK = {"crosscheck": ["--repeats", "1", "--bsdf", "roughconductor"], "leave-out": ["--resolution", "16", "--repeats", "1"],

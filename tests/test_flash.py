@@ -163,7 +163,7 @@ def test_material_tells_flash_vignetting_and_exposures(f0):
     assert np.std(list(shading.log_exposure.values()) - exposures) < 0.002
     assert max(shading.evenness.values()) < 0.05
     assert 0.2 < shading.intensity[0] / (0.9 * math.pi * 4) < 4  # a guess, and its deviation says so
-    assert 0.3 < shading.deviations["log_intensity"] < 1.2 and "power" in shading.notes[0]
+    assert 0.3 < shading.deviations["log_intensity"] < 1.2 and "how bright" in shading.notes[0]
 
 
 def test_photo_without_flash_is_told_and_does_not_count():

@@ -2,12 +2,15 @@
 
 import json
 
+import pytest
+
 from mitsvbrdf.cli import main
 
 # Two float32 results of one scene. Measured at 16 px: the same bits but for the Fresnel formula and for rays, 1.3e-6.
 DIFFERENCE = 3e-6
 
 
+@pytest.mark.slow
 def test_leaving_out_changes_nothing_and_is_written_down(tmp_path, capsys):
     files = [str(tmp_path / name) for name in ("record.json", "page.md")]
     assert main(["leave-out", "--resolution", "16", "--repeats", "1", "--json", files[0], "--md", files[1]]) == 0

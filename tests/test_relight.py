@@ -57,7 +57,7 @@ def scenes(mi):
 
 # The error of a frame
 
-@pytest.mark.parametrize("preset", ["sphere", *(pytest.param(each, marks=pytest.mark.slow) for each in ("turntable", "sweep"))])
+@pytest.mark.parametrize("preset", ["sweep", *(pytest.param(each, marks=pytest.mark.slow) for each in ("turntable", "sphere"))])
 def test_estimated_error_is_the_scatter_of_repeated_renders(mi, scenes, preset):
     truth = render_frame(mi, scenes[preset], Stop(samples=2048), seed=99).image.numpy()
     for samples in (8, 32):
