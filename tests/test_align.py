@@ -240,6 +240,7 @@ def test_what_is_expected_of_the_focal_length_is_not_what_was_found_before():
     assert found.focal == pytest.approx(360.0, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_no_exif_and_a_large_highlight(tmp_path):
     """Without EXIF 60 degrees are assumed, here 10 % off; the highlight hides a quarter of each photo."""
     poses = held(6, seed=3)

@@ -520,6 +520,7 @@ def test_interrupted_runs_go_on_with_the_same_records(out, monkeypatch, capsys):
     assert "--materials inlay --captures none --methods direct,peers-baseline --budgets 0.1,0.2 --seeds 0,1" in page
 
 
+@pytest.mark.slow
 def test_quick_measures_everything(out, monkeypatch, tmp_path):
     monkeypatch.setattr(sys.modules["mitsvbrdf.cli.bench"], "QUICK_CASES", {"sizes": (8,), "views": (1,), "samples": ()})
     monkeypatch.setattr("mitsvbrdf.evaluate.bench.ablation.VARIANTS", {"no neighbours": {"neighbours": False}})

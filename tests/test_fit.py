@@ -148,6 +148,7 @@ def test_hybrid_improves_on_its_start(capture):
     assert result.rerender_rmse < 0.6 * result.trace[0]["rerender_rmse"]
 
 
+@pytest.mark.slow
 def test_hybrid_finds_the_flash_beside_the_lens():
     # The calibration claims light at the camera; the photos were lit from 0.1 patch sides to the left.
     views = nine_view_grid()

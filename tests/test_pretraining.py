@@ -142,6 +142,7 @@ def test_the_shipped_start_loads_and_is_small():
     assert load_start(SHIPPED).changes(torch.zeros(1, 25, 40, 40))["normal"].shape == (1, 2, 40, 40)
 
 
+@pytest.mark.slow
 def test_the_shipped_start_is_nearer_to_new_materials():
     new = [make_example(NEW + i) for i in range(6)]  # measured: 0.88 of the start's error
     with torch.no_grad():
