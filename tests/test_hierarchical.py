@@ -15,7 +15,7 @@ from mitsvbrdf.errors import MitsvbrdfError
 from mitsvbrdf.evaluate.burn_in import explained_share
 from mitsvbrdf.fit import DirectConfig, HierarchicalConfig, first_guess, fit_svbrdf, hierarchical, make_method
 from mitsvbrdf.fit.checkpoint import load_tensors
-from mitsvbrdf.fit.hierarchical import ALONE, FINE, TOGETHER, Hierarchical
+from mitsvbrdf.fit.hierarchical import ALONE, FINE, RIVALS, TOGETHER, Hierarchical
 from mitsvbrdf.fit.loop import Loop
 from mitsvbrdf.maps import CHANNELS, SVBRDF, flat
 from mitsvbrdf.metrics import map_rmse
@@ -69,18 +69,20 @@ def capture():
 
 # ---- known materials ----
 
-# Mean map RMSE at 32 px, measured: inlay 0.015, tiles 0.011, leather 0.004, plates 0.038 (its rust, specular 0.03 and
-# roughness 0.88, shows no lobe at all). `direct` after 150 steps: 0.078, 0.067, 0.014, 0.046. A third more is allowed.
-@pytest.mark.parametrize("name, error", [("inlay", 0.020), ("tiles", 0.015), ("leather", 0.0055), ("plates", 0.051)])
-def test_known_materials_come_back(name, error):
+# Mean map RMSE at 32 px, worst of seeds 0 to 9: inlay 0.0151, tiles 0.0104, leather 0.0041, plates 0.0161. From one start
+# alone, seeds 1 to 5 and 7 of tiles ended at 0.026, and all of plates at 0.038, as the last bits decide. `direct` after 150
+# steps: 0.078, 0.067, 0.014, 0.046. A third more is allowed.
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("name, error", [("inlay", 0.020), ("tiles", 0.014), ("leather", 0.0055), ("plates", 0.021)])
+def test_known_materials_come_back(name, error, seed):
     truth = make_material(name, SIDE)
     capture = photos_of(truth)
-    result = fit_svbrdf(capture, MITSUBA)
+    result = fit_svbrdf(capture, MITSUBA, HierarchicalConfig(seed=seed))
     assert isinstance(result.config, HierarchicalConfig) and result.stopped == "settled" and not result.undone
     mean = map_rmse(result.svbrdf, truth)["mean"]
     assert mean < error
     assert result.rerender_rmse < 0.0015  # of 8 bits: their rounding alone is 1 / 255 / sqrt(12) = 0.00113
-    if name != "plates":
+    if name != "plates" and seed == 0:
         direct = fit_svbrdf(capture, MITSUBA, DirectConfig(iterations=60))
         assert mean < 0.5 * map_rmse(direct.svbrdf, truth)["mean"]
 
@@ -100,7 +102,7 @@ def test_photos_of_the_model_are_exact(name):
     truth = make_material(name, SIDE)
     for noise in (0.0, 0.003):
         method = left_alone(photograph(truth, GRID, ANALYTIC, noise))
-        assert method.exact and int(method.stage[0]) == FINE and not method.tied and not method.fits_views
+        assert method.exact and int(method.stage[0]) == RIVALS and not method.tied and not method.fits_views
         # And the RMSE is that of rounding to 8 bits, 0.00113, or of the noise in dark photos.
         assert method.unexplained[0] < 0.5 * hierarchical.EXACT and 0.0009 < method.unexplained[1] < 0.02
 
@@ -343,7 +345,7 @@ def test_resuming_is_bit_equal_at_every_round(kind, two_stages, capture, tmp_pat
 
     loop.method.step = saving_step
     loop.run()
-    assert set(stages) == ({ALONE, FINE} if kind == "exact" else {ALONE, TOGETHER, FINE})
+    assert set(stages) == ({ALONE, RIVALS, FINE} if kind == "exact" else {ALONE, TOGETHER, FINE})
     for at in range(1, len(stages)) if kind == "phone" else (2, 4):
         resumed = fit_svbrdf(capture, MITSUBA, config, resume=tmp_path / f"{at}.safetensors")
         for name, value in whole.svbrdf.maps.items():
@@ -370,7 +372,7 @@ def test_a_step_taken_back_into_the_stage_before(two_stages, phone, capture):
 def test_settled_and_nothing_left(capture, tmp_path):
     small, path = capture.averaged(16), tmp_path / "c.safetensors"
     result = fit_svbrdf(small, MITSUBA, checkpoint=path)
-    assert result.stopped == "settled" and result.trace[-1]["iteration"] == 12 + 14  # rounds of the two stages
+    assert result.stopped == "settled" and result.trace[-1]["iteration"] == 3 * 26 + 14  # rounds of three starts, and of the last stage
     assert result.rerender_rmse == result.trace[-1]["rerender_rmse"]  # the last, whether it is the lowest or not
     again = fit_svbrdf(small, MITSUBA, HierarchicalConfig(budget=1e4), resume=path)
     assert again.stopped == "settled"

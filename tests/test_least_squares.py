@@ -148,11 +148,14 @@ def test_normal_equations(case):
 
 
 def test_variances(case):
-    # Measured: 2.2e-5 at worst (metallic at 1), else 5e-6. Summed in float32, up to 0.8 where a highlight outweighs the prior.
+    # Measured: 2.2e-5 at worst (metallic at 1), else 5e-6; log determinants, about 100, 3.3e-5 at worst. Variances summed in
+    # float32 would be off by up to 0.8 where a highlight outweighs the prior.
     _, curve = Twin(case).normal_equations(case.x)
-    truth = torch.linalg.inv(curve + torch.diag_embed(case.precision.double().permute(1, 2, 0))).diagonal(dim1=-2, dim2=-1)
-    found = case.solver.variances(case.evidence, case.x, case.precision).permute(1, 2, 0)
-    assert (found / truth - 1).abs().max() < 6e-5
+    curve = curve + torch.diag_embed(case.precision.double().permute(1, 2, 0))
+    truth = torch.linalg.inv(curve).diagonal(dim1=-2, dim2=-1)
+    found, log_determinant = case.solver.posterior(case.evidence, case.x, case.precision)
+    assert (found.permute(1, 2, 0) / truth - 1).abs().max() < 6e-5
+    assert (log_determinant - torch.linalg.slogdet(curve).logabsdet).abs().max() < 1e-4
 
 
 def test_one_step(case):

@@ -53,3 +53,10 @@ def inverse_diagonal(lower: Matrix, size: int) -> list:
                 column[i] = -sum(products) * lower[i, i]
         found.append(sum(dr.square(value) for value in column.values()))
     return found
+
+
+def log_determinant(lower: Matrix, size: int):
+    """log det L L^T."""
+    import drjit as dr
+
+    return -2 * sum(dr.log(lower[u, u]) for u in range(size))

@@ -81,7 +81,7 @@ class _Functions(NamedTuple):
     """What stands behind three methods of :class:`TexelSolver`, on Dr.Jit arrays."""
 
     steps: Callable
-    variances: Callable
+    posterior: Callable
     equations: Callable
 
 
@@ -166,9 +166,14 @@ class TexelSolver:
             x: the unknowns, U x R x R.
             precision: of the prior, U x R x R, above 0 where the photos alone do not determine an unknown.
         """
-        found = self._traced(evidence, x.shape[-1]).variances(self._problem(evidence, x.shape[-1]), self._planes(x),
-                                                              self._planes(precision))
-        return to_torch(found).reshape(x.shape).to(x.device)
+        return self.posterior(evidence, x, precision)[0]
+
+    def posterior(self, evidence: Evidence, x: Tensor, precision: Tensor) -> tuple[Tensor, Tensor]:
+        """:meth:`variances`, and the log determinant of J^T W J + precision, R x R."""
+        found = to_torch(self._traced(evidence, x.shape[-1]).posterior(
+            self._problem(evidence, x.shape[-1]), self._planes(x), self._planes(precision)))
+        found = found.reshape(-1, *x.shape[1:]).to(x.device)
+        return found[:-1], found[-1]
 
     def normal_equations(self, evidence: Evidence, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Data cost R x R, J^T W e U x R x R and J^T W J U x U x R x R at x, float32.
@@ -320,16 +325,18 @@ class TexelSolver:
             _, _, x, damping, data, prior, *_ = dr.while_loop(state, lambda k, *_: k <= iterations, iterate, label="iterations")
             return [x, [damping, data, prior]]
 
-        def variances(problem, x, precision):
+        def posterior(problem, x, precision):
             # What a highlight says is 1e6 times what a prior says, and more: in float32 its rounding would drown the prior.
             *_, curve = linearised(problem, x, dr.float64_array_t(Float))
-            return [Float(v) for v in cholesky.inverse_diagonal(cholesky.factor(whole(curve, precision), size), size)]
+            lower = cholesky.factor(whole(curve, precision), size)
+            found = [*cholesky.inverse_diagonal(lower, size), cholesky.log_determinant(lower, size)]
+            return [Float(v) for v in found]
 
         def equations(problem, x):
             cost, slope, curve = linearised(problem, x)
             return [[cost], slope, curve]
 
-        return _Functions(*(frozen(function, shader) for function in (steps, variances, equations)))
+        return _Functions(*(frozen(function, shader) for function in (steps, posterior, equations)))
 
     def _columns(self) -> list[tuple[str, int, tuple[int, int, int]]]:
         """The slopes that are taken: map, which of a normal's two, and whose unknown it is for red, green and blue.
