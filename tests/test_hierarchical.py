@@ -372,7 +372,7 @@ def test_a_step_taken_back_into_the_stage_before(two_stages, phone, capture):
 def test_settled_and_nothing_left(capture, tmp_path):
     small, path = capture.averaged(16), tmp_path / "c.safetensors"
     result = fit_svbrdf(small, MITSUBA, checkpoint=path)
-    assert result.stopped == "settled" and result.trace[-1]["iteration"] == 3 * 26 + 14  # rounds of three starts, and of the last stage
+    assert result.stopped == "settled" and result.trace[-1]["iteration"] == 3 * 26 + 14  # rounds: three starts, the last stage
     assert result.rerender_rmse == result.trace[-1]["rerender_rmse"]  # the last, whether it is the lowest or not
     again = fit_svbrdf(small, MITSUBA, HierarchicalConfig(budget=1e4), resume=path)
     assert again.stopped == "settled"

@@ -14,7 +14,6 @@ from mitsvbrdf.procedural import make_material
 from mitsvbrdf.render import least_squares, make_renderer
 from mitsvbrdf.render.analytic import AnalyticRenderer
 from mitsvbrdf.render.least_squares import Evidence, TexelSolver
-from mitsvbrdf.render.needs import Needs
 from mitsvbrdf.testing import random_material
 from mitsvbrdf.views import Views, nine_view_grid
 
@@ -282,21 +281,3 @@ def test_numbers_and_back(bsdf, grey):
     assert len(x) == sum(solver.unknowns.values())
     for name, value in solver.svbrdf(x).maps.items():
         assert torch.allclose(value, material[name], atol=1e-6)
-
-
-@pytest.mark.parametrize("bsdf", CHANNELS)
-@pytest.mark.parametrize("views", [APART, PAPER], ids=["apart", "no falloff, cm"])
-def test_slopes_by_position(bsdf, views):
-    # Relative L2 error over all texels, of each coordinate of each view. Measured: 6.7e-7 at worst.
-    views, material = views.pick([0, 3, 5]), random_material(bsdf, SIDE)
-    radiance, slopes = make_renderer("mitsuba").position_slopes(material, views)
-    assert torch.equal(radiance, make_renderer("mitsuba").render(material, views))
-
-    def truth(step):
-        moved = Views(views.camera + step[:3], views.light + step[3:], views.intensity, views.size, views.falloff)
-        return make_renderer("analytic64", needs=Needs()).render(material.to(torch.float64), moved)
-
-    for k, axis in enumerate(torch.eye(6, dtype=torch.float64) * 1e-6 * views.size):
-        exact = (truth(axis) - truth(-axis)) / (2e-6 * views.size)
-        off = (slopes[..., k] - exact).square().sum(dim=(1, 2, 3)) / exact.square().sum(dim=(1, 2, 3))
-        assert off.sqrt().max() < 3e-6

@@ -29,7 +29,7 @@ from mitsvbrdf.relight.passes import GroupedMean, Stop, one_sample, render_frame
 from mitsvbrdf.render.analytic import AnalyticRenderer
 from mitsvbrdf.render.llvm import mitsuba_module
 from mitsvbrdf.render.needs import Needs
-from mitsvbrdf.report.relight import contact_sheet, error_curve
+from mitsvbrdf.report.relight import error_curve
 
 
 def srgb(x):
@@ -460,21 +460,6 @@ def test_error_curve_shows_target_and_frames(tmp_path):
     assert (tmp_path / "b.svg").read_bytes() == (tmp_path / "a.svg").read_bytes()
     error_curve(tmp_path / "empty.svg", [[]])
     assert "<svg" in (tmp_path / "empty.svg").read_text()
-
-
-def test_contact_sheet(tmp_path):
-    run(tmp_path / "a", preset="sphere,sweep", frames=1)
-    contact_sheet(tmp_path / "s.jpg", {"one": tmp_path / "a", "two": tmp_path / "a"}, side=48)
-    with Image.open(tmp_path / "s.jpg") as sheet:
-        assert sheet.size == (6 + 2 * 54, 2 * (48 + 30) + 6)
-        assert np.asarray(sheet)[30:78, 6:54].std() > 10
-    run(tmp_path / "b", preset="sphere", frames=1, size="16")
-    contact_sheet(tmp_path / "s.jpg", {"one": tmp_path / "a", "two": tmp_path / "b"}, side=48)
-    with Image.open(tmp_path / "s.jpg") as sheet:  # a column for each preset, and small pictures fill their cells
-        left, right = (np.asarray(sheet)[108:156, x:x + 48].mean(axis=-1) for x in (6, 60))
-        assert left.std() < 3 and right[:6, :6].min() > left.mean() + 20  # the studio behind the sphere
-    with pytest.raises(ConfigError):
-        contact_sheet(tmp_path / "s.jpg", {"none": tmp_path})
 
 
 # Off-axis light: path traced against float64

@@ -45,13 +45,13 @@ from .options import (
     Variant,
     ViewList,
     ViewSource,
+    check_new_checkpoint,
     keep_apart,
     material_of,
     photo_numbers,
     read_photos,
     views_of,
 )
-from .pretrain_hybrid import check_new_checkpoint, pretrain_hybrid
 from .relight import relight
 from .report import report
 from .sheet import sheet
@@ -349,7 +349,7 @@ def main(arguments: list[str] | None = None) -> int:
     commands = {"capture": capture, "fit": fit_command(method), "view": view, "guess": guess, "render": render,
                 "evaluate": evaluate, "compare": compare, "crosscheck": crosscheck, "leave-out": leave_out,
                 "stability": stability, "bench": bench, "synth": synth, "pretrain": pretrain_command,
-                "pretrain-hybrid": pretrain_hybrid, "doctor": doctor, "export": export, "relight": relight, "report": report,
+                "doctor": doctor, "export": export, "relight": relight, "report": report,
                 "sheet": sheet, "demo": demo}
     if arguments == ["--version"]:
         say(f"mitsvbrdf {__version__}")

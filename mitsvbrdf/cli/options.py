@@ -107,3 +107,10 @@ def views_of(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[lis
     for note in shots.notes[len(read.notes):]:
         say(note)
     return list(shots.names), shots.views
+
+
+def check_new_checkpoint(out: Path, overwrite: bool) -> None:
+    """Raise ConfigError where a checkpoint cannot be written, before any work is done."""
+    if out.is_dir() or out.exists() and not overwrite:
+        raise ConfigError("a new checkpoint file", f"{out}, which exists", "add --overwrite, or choose another name")
+    files.check_output(out)

@@ -97,8 +97,6 @@ class HierarchicalConfig(FitConfig):
 class HybridConfig(FitConfig):
     """A generator that sees all photos, trained through the renderer against all of them."""
 
-    pretrained: str | None = None
-    """A start learned from made materials: shipped, or a file of `mitsvbrdf pretrain-hybrid`; None: the robust start alone."""
     width: int = 16
     """Channels of the generator's finest level."""
     learning_rate: float = 5e-3

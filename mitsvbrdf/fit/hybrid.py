@@ -1,4 +1,4 @@
-"""``hybrid``, the default: a generator that sees all photos, trained through the renderer against all of them.
+"""``hybrid``: a generator that sees all photos, trained through the renderer against all of them.
 
 The generator idea, the adversarial and the diffuse loss are the paper's; the photometric loss over all calibrated views,
 the conditioning on all photos and the priors are ours. Untrained weights are the prior: a convolutional network fits what
@@ -22,7 +22,6 @@ from . import losses
 from .checkpoint import load_module_state, load_optimizer_state, module_state, optimizer_state
 from .config import HybridConfig
 from .held import held_maps
-from .learned_start import learned_start, no_learned_start
 from .method import cosine, descend
 from .needs import no_flash_offset
 from .networks import AllPhotosGenerator, PatchDiscriminator, seeded
@@ -50,8 +49,6 @@ class Hybrid:
         self.unused = losses.unused(config, self.held)
         streams = streams_of(config.bsdf, self.held, config.grey_specular)
         start = robust_start(capture, guess, config.bsdf, self.held)
-        if config.pretrained and no_learned_start(capture, config) is None:
-            start = learned_start(capture, guess, start, config.pretrained)
         self.start = to_raw(start, streams)
         self.edges = losses.edge_weights(guess)
         photos = capture.photos.permute(0, 3, 1, 2)

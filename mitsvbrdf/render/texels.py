@@ -16,7 +16,7 @@ from .bsdf import needed_maps
 from .llvm import mitsuba_module
 from .needs import Needs, scene_needs
 from .rectified import register, shading_axes
-from .threads import HeldPlugin, along, from_torch, frozen, row, seen, texel_position, to_torch
+from .threads import HeldPlugin, row, seen, texel_position
 
 VIEWS_PER_KERNEL = 9  # evaluations unrolled in one kernel; more views take several launches of at most this many
 
@@ -58,52 +58,6 @@ class TexelRenderer:
         for camera, light, intensity in zip(*geometry):
             images += self._wrapped[key](camera.contiguous(), light.contiguous(), intensity.contiguous(), *tensors)
         return torch.stack(images).to(svbrdf["normal"].device)
-
-    def position_slopes(self, svbrdf: SVBRDF, views: Views) -> tuple[Tensor, Tensor]:
-        """Linear radiance and its slopes by where camera and light stand, by forward derivatives.
-
-        All N views are worked on at once, so memory grows with N R^2: meant for small maps, to refine a calibration.
-
-        Returns:
-            N x R x R x 3, and N x R x R x 3 x 6: by x, y, z of the camera, then of the light, per unit of the views' lengths.
-        """
-        mi = mitsuba_module(self.variant)
-        needs = self.needs or scene_needs(svbrdf, views, self.name)
-        maps = needed_maps(svbrdf.detach(), needs)
-        side, sides, names = svbrdf.resolution, views.in_patch_sides(), tuple(maps)
-        key = ("positions", svbrdf.bsdf, needs, side, views.falloff, len(views), *((n, m.shape[2]) for n, m in maps.items()))
-        if key not in self._wrapped:
-            self._wrapped[key] = self._by_position(svbrdf.bsdf, needs, side, views.falloff, len(views), names)
-        found = self._wrapped[key]([from_torch(mi, m) for m in maps.values()],
-                                   [from_torch(mi, v.double()) for v in (sides.camera, sides.light, sides.intensity)])
-        radiance, *slopes = to_torch(found).reshape(7, 3, len(views), side, side).permute(0, 2, 3, 4, 1)
-        device = svbrdf["normal"].device
-        return radiance.contiguous().to(device), torch.stack(slopes, dim=-1).to(device) / views.size
-
-    def _by_position(self, bsdf: str, needs: Needs, side: int, falloff: str, count: int, names: tuple[str, ...]):
-        import drjit as dr
-
-        mi = self.mi
-        Vector, texels = dr.float64_array_t(mi.Vector3f), side * side
-        shader = HeldPlugin(mi, bsdf, needs)
-
-        def evaluate(tensors, positions):
-            index = dr.arange(mi.UInt32, count * texels)
-            view, texel = index // texels, index % texels
-            maps = {name: dr.gather(mi.Float if len(t) == texels else mi.Color3f, t, texel) for name, t in zip(names, tensors)}
-            axes = shading_axes(Vector(maps["normal"])) if needs.normal_map else None
-            camera, light, intensity = (row(mi, rows, view) for rows in positions)
-            dr.enable_grad(camera, light)
-            shader.hold(maps)
-            to_camera, to_light, irradiance = seen(mi, texel_position(mi, texel, side), axes, camera, light, intensity, falloff)
-            radiance = shader.eval(to_camera, to_light) * irradiance
-            shader.release()
-            lit = (to_camera.z > 0) & (to_light.z > 0)
-            slopes = [dr.select(lit, slope, 0) for slope in
-                      along(radiance, [[(end, Vector(*axis))] for end in (camera, light) for axis in torch.eye(3).tolist()])]
-            return [list(value) for value in (dr.detach(radiance), *slopes)]
-
-        return frozen(evaluate, shader)
 
     def _wrap(self, bsdf: str, needs: Needs, side: int, falloff: str, names: tuple[str, ...]):
         import drjit as dr
