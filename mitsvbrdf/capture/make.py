@@ -30,7 +30,8 @@ from .rig import Rig, rectified, rig_to_json
 Reference = Literal["best", "first"]
 
 LEAST_PHOTOS = 3
-LEAST_SIDE, MOST_SIDE = 8, 4096  # pixels of the rectified photos
+LEAST_SIDE = 8  # pixels of the rectified photos
+MOST_SIDE = 4096  # and at most
 COVERAGE_SIDE = 64
 # Spread of the cameras over their height below which all photos are from one place. Nine places as in docs/capture.md: 0.2;
 # seven real captures that were rectified already: 0.003 to 0.009.

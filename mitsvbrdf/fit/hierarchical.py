@@ -49,11 +49,10 @@ from .start import robust_start
 COARSE = 64  # texels a side of the first stages
 # The stages: coarse and free; the same from other starts (exact photos only); coarse and tied (a phone's only); full size.
 ALONE, RIVALS, TOGETHER, FINE = range(4)
-ROUNDS = {ALONE: 12, TOGETHER: 12, FINE: 14}
 # Rounds until the costs of two starts can be compared, measured: after 20 the lower one was the worse material's in 4 of 40
 # fits, after 26 in none. The robust start has its first in ALONE.
-TRIAL = ROUNDS[ALONE] + ROUNDS[FINE]
-ROUNDS[RIVALS] = 3 * TRIAL - ROUNDS[ALONE]
+TRIAL = 26
+ROUNDS = {ALONE: 12, RIVALS: 3 * TRIAL - 12, TOGETHER: 12, FINE: 14}
 DEADLINE = {ALONE: 0.15, RIVALS: 0.4, TOGETHER: 0.5}  # share of the run at which a stage ends at the latest
 TIED_ROUNDS = 6  # of FINE, for photos of a phone
 REFINED = {ALONE: (11,), TOGETHER: (2, 4, 6, 8), FINE: (4,)}  # rounds after which the views are refined
@@ -80,7 +79,8 @@ FREEST = 2.5  # the same, at most
 CHANCE = 0.08  # of a map's variance: what a pattern of its own may have in common with the coverage angle
 TAIL_FLOOR = 0.03  # least that a pixel counts
 DAMPING = 0.01  # that Levenberg-Marquardt starts with
-STEPS, OTHER_STEPS, LAST_STEPS = 6, 4, 8  # Levenberg-Marquardt steps of a round, of another start, and at the end
+STEPS, OTHER_STEPS = 6, 4  # Levenberg-Marquardt steps of a round, and of another start
+LAST_STEPS = 8  # and at the end
 LEVELLED, DAMPED = (4, 6, 8), 0.65  # rounds of ALONE after which the flash moves to level the patch, and by how much of it
 TILTED = 0.03  # patch sides by which the flash seems moved where the patch is not level
 FEW_STEPS = 10  # of refining views that were not stated: they move far, and will again after the next rounds
