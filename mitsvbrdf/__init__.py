@@ -10,7 +10,7 @@ import importlib
 __version__ = "0.1.0"
 
 _HOME = {
-    "SVBRDF": "maps", "load_maps": "maps", "save_maps": "maps",
+    "SVBRDF": "material.maps", "load_maps": "material.map_files", "save_maps": "material.map_files",
     "View": "views", "Views": "views",
     "Capture": "capture", "read_capture": "capture", "write_capture": "capture", "guess_diffuse": "capture",
     "make_renderer": "render",
@@ -19,8 +19,8 @@ _HOME = {
     "evaluate_fit": "evaluate", "evaluate_maps": "evaluate", "evaluate_capture": "evaluate",
     "write_fit": "report.folder", "write_scene": "export.mitsuba",
     "export_material": "export",
-    "make_material": "procedural",
-    "Progress": "progress",
+    "make_material": "material.made",
+    "Progress": "system.progress",
     "MitsvbrdfError": "errors",
 }
 __all__ = sorted(_HOME)

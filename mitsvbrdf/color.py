@@ -5,12 +5,20 @@ Renderers never encode or clip; photos, files and losses come here.
 
 from __future__ import annotations
 
+import math
 from typing import Literal, get_args
 
 import torch
 from torch import Tensor
 
 from .errors import ConfigError
+
+CLIPPED = 0.99  # display values from here on say "at least this bright"
+LEAST_NOISE = 1 / (255 * math.sqrt(12))  # the rounding of 8 bits
+
+CLIPPED = 0.995  # photo values from here on are cut highlights: they only say "at least this bright"
+
+CLIPPED = 0.995  # photo values from here on are cut highlights: they only say "at least this bright"
 
 Transfer = Literal["gamma2.2", "srgb", "linear"]
 

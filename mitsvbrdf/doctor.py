@@ -5,7 +5,6 @@ Nothing is imported before it is known to be safe: an unsuitable libLLVM is met 
 
 from __future__ import annotations
 
-import importlib
 import importlib.metadata
 import os
 import platform

@@ -7,6 +7,7 @@ camera and light are at z > 0, all in one unit of length. Co-located camera and 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
@@ -16,6 +17,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .errors import CaptureError, ConfigError
+
+FIELD_OF_VIEW = 60.0  # degrees across the long side where no EXIF says it: a phone's wide camera has 60 to 70
 
 Falloff = Literal["inverse-square", "none"]
 
@@ -189,3 +192,38 @@ def nine_view_grid(distance: float = 2.0, spread: float = 0.4) -> Views:
                            [-0.1, 0.9], [-0.9, 0.1], [1.0, -0.1]], dtype=torch.float64)
     camera = torch.cat((spread * wobble, torch.full((9, 1), distance, dtype=torch.float64)), dim=1)
     return Views.of(camera, intensity=torch.pi * distance**2)
+
+
+def default_views(count: int, field_of_view: float = FIELD_OF_VIEW, share: float = 1.0) -> Views:
+    """The geometry assumed for photos without calibration: all alike, camera and light together above the centre.
+
+    Args:
+        count: number of photos.
+        field_of_view: degrees across the photo's long side.
+        share: the patch side as a share of that long side.
+
+    Returns:
+        Views with the patch side as unit; the intensity is such that a white diffuse texel at the patch centre has
+        radiance 1, so that display values read as albedo.
+    """
+    distance = 0.5 / (share * math.tan(math.radians(field_of_view) / 2))
+    return Views.of([[0.0, 0.0, distance]] * count, intensity=math.pi * distance**2)
+
+
+def field_of_view(focal_35mm: float, width: int, height: int) -> float:
+    """Degrees across the long side of a photo, from its 35 mm equivalent focal length (equal diagonals, 43.27 mm)."""
+    focal = focal_35mm / math.hypot(36, 24) * math.hypot(width, height)
+    return math.degrees(2 * math.atan(max(width, height) / 2 / focal))
+
+
+def geometry(views: Views, resolution: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Unit vectors to the light and half way to the camera, and the irradiance of flat texels: N x R x R x 3 each."""
+    views, texels = views.in_patch_sides(), texel_positions(resolution)
+    light, camera = (x[:, None, None] - texels for x in (views.light, views.camera))
+    reach = light.norm(dim=-1, keepdim=True)
+    if views.falloff == "none":
+        reach = views.light.norm(dim=1)[:, None, None, None]
+    light = F.normalize(light, dim=-1)
+    half = F.normalize(light + F.normalize(camera, dim=-1), dim=-1)
+    irradiance = views.intensity[:, None, None] * light[..., 2:] / reach**2
+    return light.float(), half.float(), irradiance.float()

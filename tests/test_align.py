@@ -13,13 +13,14 @@ from PIL import Image, ImageOps
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from mitsvbrdf.capture import align
-from mitsvbrdf.capture.align import Pair, _chained, rig_from_photos
-from mitsvbrdf.capture.features import Features, find_features, homography, match
+from mitsvbrdf.capture.align import from_photos, pairs
+from mitsvbrdf.capture.align.features import Features, find_features, homography, match
+from mitsvbrdf.capture.align.from_photos import rig_from_photos
+from mitsvbrdf.capture.align.pairs import Pair, chained_pairs
+from mitsvbrdf.capture.align.patch import centred_square, choose_patch, largest_square, turned, upright
+from mitsvbrdf.capture.align.planar import Match, adjust, carried, starts
 from mitsvbrdf.capture.lens import Lens, Pose, on_plane, project
-from mitsvbrdf.capture.patch import centred_square, choose_patch, largest_square, turned, upright
 from mitsvbrdf.capture.photo import Photo
-from mitsvbrdf.capture.planar import Match, adjust, carried, starts
 from mitsvbrdf.errors import CaptureError
 
 SIZE = (480, 360)
@@ -138,8 +139,8 @@ def test_reference(nine, nine_rig):
 
 def test_photos_left_alone_by_few_features_are_compared_by_all(nine, monkeypatch):
     features = {photo.name: find_features(photo) for photo in nine[1][:3]}
-    monkeypatch.setattr(align, "FEW_FEATURES", 20)
-    assert all(pair.count > 100 for pair in align._pairs(features, SIZE, lambda share: None))
+    monkeypatch.setattr(from_photos, "FEW_FEATURES", 20)
+    assert all(pair.count > 100 for pair in pairs.find_pairs(features, SIZE, lambda share: None))
 
 
 def quarter(pose):
@@ -306,7 +307,7 @@ def test_a_tree_of_homographies():
         return Pair(matches, np.ones(count, dtype=bool), true[b] @ np.linalg.inv(true[a]) @ wrong)
 
     links = [pair("a", "b", 90), pair("b", "c", 40), pair("a", "c", 20, right=False), pair("d", "c", 30)]
-    hub, warps = _chained("abcde", links)
+    hub, warps = chained_pairs("abcde", links)
     assert hub == "b" and set(warps) == set("abcd")
     for name, warp in warps.items():
         expected = true[name] @ np.linalg.inv(true["b"])
@@ -322,10 +323,10 @@ def test_a_photo_that_agrees_with_each_other_differently_is_left_out():
         points = np.pad(on_plane(LENS, poses[a], at_a), ((0, 0), (0, 1)))
         at_b = project(LENS, poses[b], points) + (15.0 * n if b == "4.png" else 0.0)
         warp, agree = homography(at_a, at_b, 1.0)
-        pairs.append(Pair(Match(a, b, at_a, at_b, align.SIGMA), agree, warp))
-    hub, warps = _chained(poses, pairs)
+        pairs.append(Pair(Match(a, b, at_a, at_b, pairs.SIGMA), agree, warp))
+    hub, warps = chained_pairs(poses, pairs)
     left_out = {}
-    lens, found, _, _ = align._posed(replace(LENS, distortion=(0.0, 0.0)), 0.02, hub, warps, pairs, left_out)
+    lens, found, _, _ = from_photos._posed(replace(LENS, distortion=(0.0, 0.0)), 0.02, hub, warps, pairs, left_out)
     assert list(left_out) == ["4.png"] and "fits a place of the camera" in left_out["4.png"]
     # Measured 0.001 off: what is expected of lens, heights and tilts holds a little against exact matches.
     first, other = ((p["1.png"].position - p["0.png"].position) / p["0.png"].position[2] for p in (found, poses))

@@ -11,26 +11,25 @@ import pytest
 import torch
 
 from mitsvbrdf import cli
-from mitsvbrdf.capture import photograph, write_capture
+from mitsvbrdf.bench import jobs, methods, plots, renderers, summary
+from mitsvbrdf.bench.methods import VARIANTS, fit, method_table, settings_of, variant_table
+from mitsvbrdf.bench.page import write_benchmark_page
+from mitsvbrdf.bench.peers_baseline import PeersBaseline, PeersConfig
+from mitsvbrdf.bench.published import published
+from mitsvbrdf.bench.schema import check_benchmark
+from mitsvbrdf.bench.stiff import cameras_off
+from mitsvbrdf.bench.store import Store
+from mitsvbrdf.bench.tables import equal_error, equal_time
+from mitsvbrdf.bench.tasks import known_material, novel_light_rmse, novel_views, real_capture
+from mitsvbrdf.capture import write_capture
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.evaluate import bench
-from mitsvbrdf.evaluate.bench import methods, renderers, summary
-from mitsvbrdf.evaluate.bench.ablation import VARIANTS
-from mitsvbrdf.evaluate.bench.methods import fit, method_table, settings_of, variant_table
-from mitsvbrdf.evaluate.bench.peers_baseline import PeersBaseline, PeersConfig
-from mitsvbrdf.evaluate.bench.published import published
-from mitsvbrdf.evaluate.bench.schema import check_benchmark
-from mitsvbrdf.evaluate.bench.store import Store
-from mitsvbrdf.evaluate.bench.tasks import known_material, novel_light_rmse, novel_views, real_capture
-from mitsvbrdf.evaluate.stiff import cameras_off
-from mitsvbrdf.fit import DirectConfig, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf
+from mitsvbrdf.fit import DirectConfig, GanConfig, HierarchicalConfig, HybridConfig, config, fit_svbrdf
 from mitsvbrdf.fit.loop import Loop
-from mitsvbrdf.maps import save_maps
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.render.scene import SceneRenderer
-from mitsvbrdf.report import bench_plots
-from mitsvbrdf.report.bench import equal_error, equal_time, write_benchmark_page
+from mitsvbrdf.synth.photograph import photograph
 from mitsvbrdf.views import nine_view_grid
 
 ANALYTIC = make_renderer("analytic")
@@ -111,16 +110,16 @@ def test_peers_baseline_goes_on_bit_by_bit_and_stays_in_range():
 
 # ------------------------------------------------------------------------------------------------------------------- methods
 def test_the_table_has_every_method_and_preset():
-    table = method_table(cli.CONFIGS)
+    table = method_table(config.CONFIGS)
     assert {"hierarchical", "hybrid", "direct", "gan-one-stage", "gan-two-stage", "peers-baseline"} <= set(table)
-    assert next(iter(table)) == next(iter(cli.CONFIGS))  # the default first
+    assert next(iter(table)) == next(iter(config.CONFIGS))  # the default first
     assert table["gan-two-stage"].preset == "paper-two-stage"
     assert "seed" not in settings_of(HybridConfig()) and settings_of(HybridConfig()) == json.loads(
         json.dumps(settings_of(HybridConfig())))
 
 
 def test_every_variant_is_one_of_the_default_method():
-    default = next(iter(method_table(cli.CONFIGS).values()))
+    default = next(iter(method_table(config.CONFIGS).values()))
     table = variant_table(default, VARIANTS)
     assert list(table) == ["full", *VARIANTS]
     for name, changes in VARIANTS.items():
@@ -166,16 +165,16 @@ def test_a_fit_without_a_step_is_no_result(config, monkeypatch):
     # As where the budget is over before the first step, on any machine.
     monkeypatch.setattr(Loop, "_limit_reached", lambda loop: "budget")
     task = known_material("builtin:inlay", 16, nine_view_grid(), ANALYTIC)
-    found = bench.FitJob("methods", "any", config, task, 0.1, 0, ANALYTIC).run()
+    found = jobs.FitJob("methods", "any", config, task, 0.1, 0, ANALYTIC).run()
     assert found["stopped"] == "failed" and "longer budget" in found["why"] and found["errors"] == {}
 
 
 def test_a_fit_that_cannot_be_done_is_a_record(monkeypatch):
     def refused(*_, **__):
         raise ConfigError("a fit that stays finite", "none", "lower the learning rate")
-    monkeypatch.setattr(bench, "fit", refused)
+    monkeypatch.setattr(jobs, "fit", refused)
     task = known_material("builtin:inlay", 16, nine_view_grid(), ANALYTIC)
-    job = bench.FitJob("methods", "direct", DirectConfig(), task, 0.1, 0, ANALYTIC)
+    job = jobs.FitJob("methods", "direct", DirectConfig(), task, 0.1, 0, ANALYTIC)
     found = job.key | {"config": job.settings} | job.run()
     assert found["stopped"] == "failed" and "stays finite" in found["why"] and found["errors"] == {}
     check_benchmark(benchmark([found]), "here")
@@ -276,7 +275,7 @@ def test_the_truth_of_whole_pixels_is_their_average():
 def test_texel_centres_are_those_of_all_views_at_once():
     svbrdf, views = make_material("tiles", 8), renderers.spread_views(3)
     image, gradients = renderers.exact(svbrdf, views, (1,))
-    from mitsvbrdf.evaluate.measure import render_and_gradients
+    from mitsvbrdf.measure.gradients import render_and_gradients
     whole = render_and_gradients(make_renderer("analytic64"), svbrdf, views)
     assert torch.equal(image, whole.image)
     for name, value in gradients.items():  # float64 sums in another order; measured 4e-16
@@ -417,7 +416,7 @@ def test_the_page_has_every_section_and_its_pictures(tmp_path):
 
 
 def test_curves_are_drawn_at_the_medians():
-    drawing = bench_plots.methods_figure(benchmark(METHODS, GIVEN))
+    drawing = plots.methods_figure(benchmark(METHODS, GIVEN))
     (panel,) = (p for p in drawing.axes if p.get_title(loc="left") == "Error of the maps")
     lines = {tuple(line.get_ydata().round(6)) for line in panel.get_lines()}
     assert (round(0.05 * 3**0.5 * 1.1 * 1.25, 6), 0.06875) in lines  # hybrid
@@ -425,10 +424,10 @@ def test_curves_are_drawn_at_the_medians():
 
 
 def test_labels_are_pushed_apart_as_little_as_needed():
-    assert bench_plots.spaced([0.1, 0.5, 0.9], 0.1) == [0.1, 0.5, 0.9]
-    assert bench_plots.spaced([0.5, 0.5, 0.9], 0.1) == pytest.approx([0.45, 0.55, 0.9])
-    assert bench_plots.spaced([0.4, 0.45, 0.5], 0.1) == pytest.approx([0.35, 0.45, 0.55])
-    assert bench_plots.spaced([], 0.1) == []
+    assert plots.spaced([0.1, 0.5, 0.9], 0.1) == [0.1, 0.5, 0.9]
+    assert plots.spaced([0.5, 0.5, 0.9], 0.1) == pytest.approx([0.45, 0.55, 0.9])
+    assert plots.spaced([0.4, 0.45, 0.5], 0.1) == pytest.approx([0.35, 0.45, 0.55])
+    assert plots.spaced([], 0.1) == []
 
 
 # ------------------------------------------------------------------------------------------------------------ schema, store
@@ -474,10 +473,10 @@ def test_a_changed_variant_is_measured_anew(tmp_path):
     task = known_material("builtin:inlay", 16, nine_view_grid(), ANALYTIC)
     old, new = ({"full": DirectConfig(), "less": DirectConfig(smooth=smooth)} for smooth in (0.0, 0.005))
     store = Store(tmp_path / "b.json", SETTINGS)
-    for job in bench.fit_jobs("ablation", old, [task], [0.1], [0, 1], ANALYTIC):
+    for job in jobs.fit_jobs("ablation", old, [task], [0.1], [0, 1], ANALYTIC):
         store.add(record(job.method, 0.1, job.seed, "inlay", suite="ablation", mean=0.1) | {"config": job.settings})
-    assert store.pending(bench.fit_jobs("ablation", old, [task], [0.1], [0, 1], ANALYTIC)) == []
-    missing = store.pending(bench.fit_jobs("ablation", new, [task], [0.1], [0], ANALYTIC))
+    assert store.pending(jobs.fit_jobs("ablation", old, [task], [0.1], [0, 1], ANALYTIC)) == []
+    missing = store.pending(jobs.fit_jobs("ablation", new, [task], [0.1], [0], ANALYTIC))
     assert [(job.method, job.seed) for job in missing] == [("less", 0)]
     assert [r["method"] for r in store.records] == ["full", "full"]  # what was measured with the old settings is gone
 
@@ -491,7 +490,7 @@ def out(tmp_path, monkeypatch):
 
 def test_interrupted_runs_go_on_with_the_same_records(out, monkeypatch, capsys):
     arguments = [*TINY, "--suite", "methods", "--methods", "direct,peers-baseline", "--json", str(out)]
-    run, count = bench.FitJob.run, []
+    run, count = jobs.FitJob.run, []
 
     def thrice(job, report):
         count.append(job.title)
@@ -499,12 +498,12 @@ def test_interrupted_runs_go_on_with_the_same_records(out, monkeypatch, capsys):
             raise KeyboardInterrupt
         return run(job, report)
 
-    monkeypatch.setattr(bench.FitJob, "run", thrice)
+    monkeypatch.setattr(jobs.FitJob, "run", thrice)
     assert cli.main(arguments) == 130
     assert "3 of 8 records are kept" in capsys.readouterr().out
     first = json.loads(out.read_text())
     check_benchmark(first, "here")
-    monkeypatch.setattr(bench.FitJob, "run", run)
+    monkeypatch.setattr(jobs.FitJob, "run", run)
     assert cli.main([*arguments, "--page", str(out.with_suffix(".md"))]) == 0
     assert "3 of 8 records are in" in capsys.readouterr().out
     second = check_benchmark(json.loads(out.read_text()), "here")
@@ -530,7 +529,7 @@ def test_quick_measures_everything(out, monkeypatch, tmp_path):
     found = check_benchmark(json.loads(out.read_text()), "here")
     suites = [r["suite"] for r in found["records"]]
     assert suites.count("renderers") == 2 * (1 + 1) and suites.count("ablation") == 2
-    assert suites.count("methods") == len(method_table(cli.CONFIGS))
+    assert suites.count("methods") == len(method_table(config.CONFIGS))
     page = (tmp_path / "p.md").read_text()
     for heading in ("## In short", "## Known materials", "## Renderers", "## Each ingredient off"):
         assert heading in page

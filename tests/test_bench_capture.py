@@ -7,18 +7,19 @@ import pytest
 import torch
 
 from mitsvbrdf import cli
-from mitsvbrdf.capture import photograph, write_capture
-from mitsvbrdf.capture.handheld import HandheldPhone
+from mitsvbrdf.bench import from_phone as suite
+from mitsvbrdf.bench.from_phone import CaptureJob, capture_jobs, recovered, scaled_diffuse_rmse
+from mitsvbrdf.bench.schema import check_benchmark
+from mitsvbrdf.bench.tables import capture_tables
+from mitsvbrdf.capture import write_capture
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.evaluate.bench import capture as suite
-from mitsvbrdf.evaluate.bench.capture import CaptureJob, capture_jobs, recovered, scaled_diffuse_rmse
-from mitsvbrdf.evaluate.bench.schema import check_benchmark
 from mitsvbrdf.fit import HierarchicalConfig
-from mitsvbrdf.maps import SVBRDF
-from mitsvbrdf.metrics import map_rmse
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.maps import SVBRDF
+from mitsvbrdf.measure.metrics import map_rmse
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.report.bench import capture_tables
+from mitsvbrdf.synth.phone import HandheldPhone
+from mitsvbrdf.synth.photograph import photograph
 from mitsvbrdf.views import nine_view_grid
 
 TINY = ["bench", "--suite", "capture", "--renderer", "analytic", "--resolution", "16", "--budgets", "0.2", "--seeds", "0",

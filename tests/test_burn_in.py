@@ -9,10 +9,11 @@ import torch
 
 from mitsvbrdf import cli
 from mitsvbrdf.capture import read_capture
-from mitsvbrdf.evaluate import fit_of
-from mitsvbrdf.evaluate.burn_in import burn_in, coverage_angle, explained_share
-from mitsvbrdf.maps import SVBRDF, flat, load_maps
-from mitsvbrdf.views import Views, nine_view_grid
+from mitsvbrdf.fit.record import fit_of
+from mitsvbrdf.material.map_files import load_maps
+from mitsvbrdf.material.maps import SVBRDF, flat
+from mitsvbrdf.measure.burn_in import burn_in, explained_share
+from mitsvbrdf.views import Views, coverage_angle, nine_view_grid
 
 VIEWS = nine_view_grid()
 

@@ -7,15 +7,16 @@ import pytest
 import torch
 
 from mitsvbrdf import cli
-from mitsvbrdf.capture import Capture, photograph, read_capture, write_capture
-from mitsvbrdf.color import encode
+from mitsvbrdf.calibrate.refine import UNKNOWNS, Priors, Problem, refine_views
+from mitsvbrdf.capture import Capture, read_capture, write_capture
+from mitsvbrdf.color import CLIPPED, encode
 from mitsvbrdf.errors import CaptureError, ConfigError
 from mitsvbrdf.evaluate import evaluate_capture
-from mitsvbrdf.fit.calibration import UNKNOWNS, Priors, Problem, refine_views
-from mitsvbrdf.fit.losses import CLIPPED
-from mitsvbrdf.maps import SVBRDF, flat, load_maps, save_maps
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.map_files import load_maps, save_maps
+from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.render import make_renderer
+from mitsvbrdf.synth.photograph import photograph
 from mitsvbrdf.views import nine_view_grid
 
 ANALYTIC = make_renderer("analytic")

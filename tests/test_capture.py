@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from mitsvbrdf import color, files
+from mitsvbrdf import color
 from mitsvbrdf.capture import Capture, read_capture, write_capture
 from mitsvbrdf.errors import CaptureError, ConfigError, MitsvbrdfError
+from mitsvbrdf.system import images
 from mitsvbrdf.views import Views
 
 CAMERA = [[0.5, 0.25, 17.0], [-1.5, 2.0, 16.5], [0.125, -3.0, 18.0]]
@@ -233,7 +234,7 @@ def test_nan_and_camera_below_the_plane(tmp_path):
 
 
 def test_the_result_of_a_fit_is_no_capture(tmp_path):
-    files.write_png(tmp_path / "sheet.png", torch.rand(64, 64, 3))
+    images.write_png(tmp_path / "sheet.png", torch.rand(64, 64, 3))
     assert len(read_capture(tmp_path)) == 1
     (tmp_path / "fit.json").write_text("{}")
     fails(tmp_path, "the result of a fit")

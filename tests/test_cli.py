@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 import torch
 
-from mitsvbrdf import cli, files
-from mitsvbrdf.maps import flat, load_maps, save_maps
+from mitsvbrdf import cli
+from mitsvbrdf.material.map_files import load_maps, save_maps
+from mitsvbrdf.material.maps import flat
+from mitsvbrdf.system import images, result_folder
 
 FAST = ["--method", "direct", "--renderer", "analytic", "--iterations", "3"]
 
@@ -59,7 +61,7 @@ def test_a_whole_round(options, losses, shots, tmp_path, capsys):
                  *(f"rerendered/{i:02d}" for i in range(9))):
         assert {f"{stem}.exr", f"{stem}.png"} <= written
     assert {"sheet.png", "curve.svg", "scene.xml", "fit.json", "checkpoint.safetensors"} <= written
-    assert not files.partial_folder(out).exists()
+    assert not result_folder.partial_folder(out).exists()
     record = json.loads((out / "fit.json").read_text())
     assert record["schema_version"] == 1 and record["stopped"] == "iterations" and record["seed"] == 0
     assert record["renderer"] == "mitsuba" and record["variant"] == "llvm_ad_rgb" and record["bsdf"] == "roughconductor"
@@ -84,8 +86,8 @@ def test_a_whole_round(options, losses, shots, tmp_path, capsys):
         assert len(list(folder.glob("*.exr"))) == 9
 
     # Rendering the fitted maps for the views of the fit gives the files of `rerendered` but for the flash offset.
-    a = files.read_image(tmp_path / "relit0/00.exr", ValueError)
-    b = files.read_image(out / "rerendered/00.exr", ValueError)
+    a = images.read_image(tmp_path / "relit0/00.exr", ValueError)
+    b = images.read_image(out / "rerendered/00.exr", ValueError)
     assert (a - b).abs().mean() < 0.1 * b.mean()
 
 
@@ -129,10 +131,10 @@ def test_resume_goes_on_and_needs_a_checkpoint(shots, tmp_path, capsys):
 
 def test_an_unfinished_fit_is_not_thrown_away(shots, tmp_path, capsys):
     out = tmp_path / "out"
-    partial = files.partial_folder(out)
+    partial = result_folder.partial_folder(out)
     assert cli.main(["fit", str(shots), "-o", str(tmp_path / "done"), *FAST]) == 0
     partial.mkdir(parents=True)
-    (tmp_path / "done" / files.CHECKPOINT).rename(partial / files.CHECKPOINT)
+    (tmp_path / "done" / result_folder.CHECKPOINT).rename(partial / result_folder.CHECKPOINT)
     for command in (["fit", shots, "-o", out, *FAST], ["guess", shots, "-o", out]):
         fails(capsys, tmp_path, command, "--resume")
     assert cli.main(["fit", str(shots), "-o", str(out), *FAST, "--resume"]) == 0
@@ -166,7 +168,7 @@ def test_evaluate_and_render_remember_how_the_fit_saw_its_photos(shots, tmp_path
     assert cli.main(command) == 0
     assert cli.main(["render", str(out / "maps"), "--views", str(shots), "-o", str(relit), "--renderer", "analytic"]) == 0
     for kind in ("exr", "png"):
-        a, b = (files.read_image(folder / f"05.{kind}", ValueError) for folder in (relit, out / "rerendered"))
+        a, b = (images.read_image(folder / f"05.{kind}", ValueError) for folder in (relit, out / "rerendered"))
         assert (a - b).abs().max() < (1e-4 * b.max() if kind == "exr" else 1.5 / 255)
     assert cli.main(["evaluate", str(out), "--capture", str(shots), "--json", str(figures)]) == 0
     expected = json.loads((out / "fit.json").read_text())["rerender_rmse"]
@@ -263,7 +265,7 @@ def test_bad_maps(tmp_path, capsys):
     save_maps(flat(8), tmp_path / "maps")
     spoiled = torch.full((8, 8, 3), 0.5)
     spoiled[2, 3, 1] = float("nan")
-    files.write_exr(tmp_path / "maps/diffuse.exr", spoiled)
+    images.write_exr(tmp_path / "maps/diffuse.exr", spoiled)
     fails(capsys, tmp_path, ["render", tmp_path / "maps", "-o", tmp_path / "out"], "NaN", "diffuse")
     fails(capsys, tmp_path, ["evaluate", tmp_path / "maps", "--reference", "builtin:tiles"], "NaN")
     (tmp_path / "maps/normal.exr").unlink()

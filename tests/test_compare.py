@@ -12,13 +12,16 @@ import PIL.Image
 import pytest
 import torch
 
-from mitsvbrdf import cli, files
-from mitsvbrdf.capture import photograph, read_capture, write_capture
-from mitsvbrdf.evaluate import Fit
+from mitsvbrdf import cli
+from mitsvbrdf.capture import read_capture, write_capture
 from mitsvbrdf.evaluate.compare import Entry, compare, fitted_views
-from mitsvbrdf.maps import flat, save_maps
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf.fit.record import Fit
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.map_files import save_maps
+from mitsvbrdf.material.maps import flat
 from mitsvbrdf.render import make_renderer
+from mitsvbrdf.synth.photograph import photograph
+from mitsvbrdf.system import images
 from mitsvbrdf.views import nine_view_grid
 
 ANALYTIC = make_renderer("analytic")
@@ -90,7 +93,7 @@ def compared(shots, tmp_path_factory):
     """One run of the command: a fit that saw photos 00 and 01, and maps of another size with a hostile name."""
     folder = tmp_path_factory.mktemp("page")
     fit = made_fit(folder / "fit", shots[1])
-    files.write_exr(fit / "guess" / "diffuse.exr", torch.tensor([1.0, 0.0, 0.0]).expand(SIDE, SIDE, 3))
+    images.write_exr(fit / "guess" / "diffuse.exr", torch.tensor([1.0, 0.0, 0.0]).expand(SIDE, SIDE, 3))
     save_maps(flat(64, diffuse=0.2, roughness=0.6), folder / "a&b <i>")
     page, figures = folder / "page.html", folder / "figures.json"
     arguments = [str(fit), f"flat<script>={folder}/a&b <i>", "--capture", str(shots[0].source), "-o", str(page), "--json",
@@ -250,7 +253,7 @@ def test_mistakes_are_one_error(arguments, words, shots, tmp_path, monkeypatch, 
     for name in ("maps", "broken", "uneven"):
         save_maps(flat(8), tmp_path / name)
     (tmp_path / "broken/fit.json").write_text("{}")
-    files.write_exr(tmp_path / "uneven/normal.exr", torch.full((4, 4, 3), 0.9))
+    images.write_exr(tmp_path / "uneven/normal.exr", torch.full((4, 4, 3), 0.9))
     before = sorted(tmp_path.rglob("*"))
     output = [] if "-o" in arguments else ["-o", "page.html"]
     assert cli.main(["compare", *(str(shots[0].source) if a == "PHOTOS" else a for a in arguments), *output, "--renderer",

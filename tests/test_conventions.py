@@ -14,8 +14,9 @@ from mitsvbrdf import color
 from mitsvbrdf.capture import read_capture, write_capture
 from mitsvbrdf.capture.capture import Capture
 from mitsvbrdf.errors import CaptureError, MapsError
-from mitsvbrdf.maps import SVBRDF, load_maps, save_maps
-from mitsvbrdf.maps import flat as flat_of
+from mitsvbrdf.material.map_files import load_maps, save_maps
+from mitsvbrdf.material.maps import SVBRDF
+from mitsvbrdf.material.maps import flat as flat_of
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.views import Views, nine_view_grid, texel_positions
 

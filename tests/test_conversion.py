@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from mitsvbrdf.conversion import as_principled, residual
-from mitsvbrdf.evaluate.corners import as_bsdf
-from mitsvbrdf.maps import SVBRDF, flat
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf.export.textures import residual
+from mitsvbrdf.material.conversion import as_principled
+from mitsvbrdf.material.corner_cases import as_bsdf
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.testing import random_material
 
 

@@ -9,17 +9,20 @@ from pathlib import Path
 import pytest
 import torch
 
-from mitsvbrdf import cli, files
-from mitsvbrdf.evaluate.corners import as_bsdf, builtin_materials, corner_materials
-from mitsvbrdf.evaluate.crosscheck import TOLERANCES, crosscheck, violations
-from mitsvbrdf.evaluate.limits import ROUNDING, diffuse_radiance, float32_limit, turned_normals, why, worst_texels
-from mitsvbrdf.evaluate.measure import fixed_cotangent, in_turns, render_and_gradients
-from mitsvbrdf.maps import SVBRDF, flat, save_maps
-from mitsvbrdf.metrics import image_error
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf import cli
+from mitsvbrdf.material.corner_cases import as_bsdf, builtin_materials, corner_materials
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.map_files import save_maps
+from mitsvbrdf.material.maps import SVBRDF, flat
+from mitsvbrdf.measure.gradients import fixed_cotangent, render_and_gradients
+from mitsvbrdf.measure.metrics import image_error
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.report.crosscheck import write_crosscheck_page
+from mitsvbrdf.system import files
+from mitsvbrdf.system.timing import in_turns
 from mitsvbrdf.testing import random_material
+from mitsvbrdf.verify.crosscheck import TOLERANCES, crosscheck, violations
+from mitsvbrdf.verify.crosscheck_page import write_crosscheck_page
+from mitsvbrdf.verify.float32_limits import ROUNDING, diffuse_radiance, float32_limit, turned_normals, why, worst_texels
 from mitsvbrdf.views import Views, nine_view_grid
 
 command = importlib.import_module("mitsvbrdf.cli.crosscheck")  # the package has the function under this name
@@ -277,7 +280,7 @@ def test_diffuse_radiance(bsdf):
 
 def test_worst_texels_are_found_and_placed():
     svbrdf, views = make_material("leather", 16), THREE
-    from mitsvbrdf.evaluate.limits import Truth
+    from mitsvbrdf.verify.float32_limits import Truth
     exact, limit = limit_of(svbrdf, views)
     truth = Truth(svbrdf, views, ["a", "b", "c"], exact.image, diffuse_radiance(TWIN, svbrdf, views), limit.image / exact.image)
     image = exact.image.clone()

@@ -14,15 +14,17 @@ import pytest
 import torch
 from PIL import Image
 
-from mitsvbrdf import cli, files
-from mitsvbrdf.conversion import as_principled, with_specular_color
+from mitsvbrdf import cli
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.export import export_material
 from mitsvbrdf.export.gltf import write_gltf
 from mitsvbrdf.export.maps import NAMES
-from mitsvbrdf.maps import SVBRDF, flat, load_maps, save_maps
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf.material.conversion import as_principled, with_specular_color
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.map_files import load_maps, save_maps
+from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.render.analytic import AnalyticRenderer
+from mitsvbrdf.system import images
 from mitsvbrdf.testing import random_material
 from mitsvbrdf.views import Views, nine_view_grid
 
@@ -43,7 +45,7 @@ def srgb_to_linear(x):
 def decoded(path, colour_space):
     """A PNG or EXR as linear float64 H x W x C, through OpenCV alone."""
     if path.suffix == ".exr":
-        return files.read_image(path, ValueError).double().numpy()
+        return images.read_image(path, ValueError).double().numpy()
     pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     values = np.atleast_3d(pixels)[..., ::-1] / np.iinfo(pixels.dtype).max
     return srgb_to_linear(values) if colour_space == "sRGB" else values

@@ -7,19 +7,19 @@ from pathlib import Path
 import pytest
 import torch
 
-from mitsvbrdf import files
 from mitsvbrdf.errors import OutputError
-from mitsvbrdf.interrupts import undisturbed
+from mitsvbrdf.system import files, images, result_folder
+from mitsvbrdf.system.interrupts import undisturbed
 
 
 def make(out, names, **options):
-    with files.output_folder(out, **({"overwrite": True} | options)) as folder:
+    with result_folder.output_folder(out, **({"overwrite": True} | options)) as folder:
         for name in names:
             files.write_bytes(folder / name, b"new")
 
 
 def names_in(folder):
-    return sorted(p.name for p in folder.iterdir() if p.name not in (files.MANIFEST, '.partial'))
+    return sorted(p.name for p in folder.iterdir() if p.name not in (result_folder.MANIFEST, '.partial'))
 
 
 def test_a_new_folder_appears_whole(tmp_path):
@@ -29,7 +29,7 @@ def test_a_new_folder_appears_whole(tmp_path):
 
 def test_a_failing_block_leaves_nothing_behind_and_the_old_results_alone(tmp_path):
     make(tmp_path / "out", ["one"])
-    with pytest.raises(ZeroDivisionError), files.output_folder(tmp_path / "out", overwrite=True) as folder:
+    with pytest.raises(ZeroDivisionError), result_folder.output_folder(tmp_path / "out", overwrite=True) as folder:
         files.write_bytes(folder / "one", b"newer")
         raise ZeroDivisionError
     assert names_in(tmp_path) == ["out"] and (tmp_path / "out/one").read_bytes() == b"new"
@@ -72,13 +72,13 @@ def test_moving_into_place_is_undone_when_it_fails(tmp_path, monkeypatch, failin
             raise OSError(18, "Invalid cross-device link")
         replace(source, target)
 
-    with pytest.raises(OutputError, match="cross-device"), files.output_folder(out, overwrite=True) as folder:
+    with pytest.raises(OutputError, match="cross-device"), result_folder.output_folder(out, overwrite=True) as folder:
         for name in ("one", "two", "three"):
             (folder / name).write_bytes(b"newer")
         monkeypatch.setattr(os, "replace", failing_once)
     monkeypatch.undo()
     assert names_in(out) == ["one", "two"] and (out / "one").read_bytes() == (out / "two").read_bytes() == b"new"
-    assert not files.partial_folder(out).exists()
+    assert not result_folder.partial_folder(out).exists()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -91,7 +91,7 @@ def test_putting_results_in_place_is_not_interrupted(number, tmp_path, monkeypat
 
     before = signal.signal(number, lambda *_: came.append(number))
     try:
-        with files.output_folder(tmp_path / "out", overwrite=False) as folder:
+        with result_folder.output_folder(tmp_path / "out", overwrite=False) as folder:
             files.write_bytes(folder / "one", b"new")
             monkeypatch.setattr(os, "replace", interrupted)
         assert not came and names_in(tmp_path / "out") == ["one"]
@@ -104,7 +104,7 @@ def test_putting_results_in_place_is_not_interrupted(number, tmp_path, monkeypat
 
 
 def test_two_runs_do_not_share_a_folder(tmp_path):
-    with files.output_folder(tmp_path / "out", overwrite=False):
+    with result_folder.output_folder(tmp_path / "out", overwrite=False):
         with pytest.raises(OutputError, match="in use"):
             make(tmp_path / "out", ["one"])
 
@@ -115,15 +115,15 @@ def test_a_folder_is_in_use_until_it_is_cleaned_up(kept, tmp_path, monkeypatch):
     out, busy = tmp_path / "out", []
 
     def watched(clean):
-        return lambda *arguments, **options: (busy.append(files.in_use(out)), clean(*arguments, **options))
+        return lambda *arguments, **options: (busy.append(result_folder.in_use(out)), clean(*arguments, **options))
 
-    with pytest.raises(ZeroDivisionError), files.output_folder(out, overwrite=False) as folder:
+    with pytest.raises(ZeroDivisionError), result_folder.output_folder(out, overwrite=False) as folder:
         if kept:
-            files.write_bytes(folder / files.CHECKPOINT, b"state")
+            files.write_bytes(folder / result_folder.CHECKPOINT, b"state")
         monkeypatch.setattr(files.shutil, "rmtree", watched(files.shutil.rmtree))
-        monkeypatch.setattr(files, "_empty", watched(files._empty))
+        monkeypatch.setattr(files, "_empty", watched(result_folder._empty))
         raise ZeroDivisionError
-    assert busy == [True] and not files.in_use(out)
+    assert busy == [True] and not result_folder.in_use(out)
 
 
 def test_a_lock_that_the_last_run_took_away_locks_nothing(tmp_path, monkeypatch):
@@ -132,11 +132,11 @@ def test_a_lock_that_the_last_run_took_away_locks_nothing(tmp_path, monkeypatch)
     out, flock = tmp_path / "out", fcntl.flock
 
     def late(lock, how):
-        (files.partial_folder(out) / files.LOCK).unlink()
+        (result_folder.partial_folder(out) / result_folder.LOCK).unlink()
         flock(lock, how)
 
     monkeypatch.setattr(fcntl, "flock", late)
-    with pytest.raises(OutputError, match="in use"), files.output_folder(out, overwrite=False):
+    with pytest.raises(OutputError, match="in use"), result_folder.output_folder(out, overwrite=False):
         pass
 
 
@@ -148,10 +148,10 @@ def test_a_link_to_a_folder_stays_a_link(tmp_path):
 
 
 def test_an_unfinished_run_with_a_checkpoint_is_kept(tmp_path):
-    with pytest.raises(ZeroDivisionError), files.output_folder(tmp_path / "out", overwrite=False) as folder:
+    with pytest.raises(ZeroDivisionError), result_folder.output_folder(tmp_path / "out", overwrite=False) as folder:
         files.write_bytes(folder / "checkpoint.safetensors", b"state")
         raise ZeroDivisionError
-    assert names_in(files.partial_folder(tmp_path / "out")) == ["checkpoint.safetensors"]
+    assert names_in(result_folder.partial_folder(tmp_path / "out")) == ["checkpoint.safetensors"]
 
 
 def test_a_link_to_a_file_stays_a_link(tmp_path):
@@ -192,7 +192,7 @@ def test_what_cannot_be_written_is_known_before(tmp_path):
 
 def test_a_write_that_fails_keeps_the_old_file(tmp_path, monkeypatch):
     path = tmp_path / "image.exr"
-    files.write_exr(path, torch.zeros(4, 4, 3))
+    images.write_exr(path, torch.zeros(4, 4, 3))
     before = path.read_bytes()
 
     def full(*_):
@@ -200,12 +200,12 @@ def test_a_write_that_fails_keeps_the_old_file(tmp_path, monkeypatch):
 
     monkeypatch.setattr(os, "replace", full)
     with pytest.raises(OutputError, match="No space left"):
-        files.write_exr(path, torch.ones(4, 4, 3))
+        images.write_exr(path, torch.ones(4, 4, 3))
     assert path.read_bytes() == before and names_in(tmp_path) == ["image.exr"]
 
 
 @pytest.mark.parametrize("channels", [1, 3])
 def test_exr_holds_every_bit_of_float32(tmp_path, channels):
     image = torch.randn(5, 7, channels) * 1e4
-    files.write_exr(tmp_path / "a.exr", image)
-    assert torch.equal(files.read_image(tmp_path / "a.exr", ValueError), image)
+    images.write_exr(tmp_path / "a.exr", image)
+    assert torch.equal(images.read_image(tmp_path / "a.exr", ValueError), image)

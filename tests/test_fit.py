@@ -14,14 +14,14 @@ from mitsvbrdf.capture import Capture
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import DirectConfig, GanConfig, HybridConfig, fit_svbrdf, losses, make_method, pretrain
 from mitsvbrdf.fit.checkpoint import load_tensors
+from mitsvbrdf.fit.generator.networks import AllPhotosGenerator, PatchDiscriminator, TwoStreamGenerator
 from mitsvbrdf.fit.loop import Loop
 from mitsvbrdf.fit.method import descend
-from mitsvbrdf.fit.networks import AllPhotosGenerator, PatchDiscriminator, TwoStreamGenerator
 from mitsvbrdf.fit.parameters import STREAMS, to_raw, to_svbrdf
 from mitsvbrdf.fit.start import robust_start
-from mitsvbrdf.maps import CHANNELS, flat
-from mitsvbrdf.metrics import map_rmse
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.maps import CHANNELS, flat
+from mitsvbrdf.measure.metrics import map_rmse
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.views import nine_view_grid
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mitsvbrdf.capture.flash import shading_of_material, shading_of_paper, undo_vignetting
 from mitsvbrdf.capture.lens import Lens, Pose, on_plane, project
+from mitsvbrdf.capture.light.shading import shading_of_material, shading_of_paper, undo_vignetting
 from mitsvbrdf.capture.rig import Rig
 from mitsvbrdf.errors import CaptureError
 from mitsvbrdf.views import texel_positions

@@ -128,7 +128,7 @@ def test_unknown_method():
 def test_robust_on_known_materials(data_folder):
     """The six known materials from nine real views, at 48 pixels, by mean RMSE of the diffuse map."""
     from mitsvbrdf.capture import read_capture
-    from mitsvbrdf.maps import load_maps
+    from mitsvbrdf.material.map_files import load_maps
 
     views = read_capture(data_folder / "captures" / "cards-blue", resolution=8).views
     errors = {"robust": [], "min": []}

@@ -11,25 +11,20 @@ import torch
 
 from mitsvbrdf import cli, color, make_material, make_renderer
 from mitsvbrdf.capture import Capture, write_capture
-from mitsvbrdf.capture.handheld import READ, SHOT, HandheldPhone, developed, handheld_photos, handheld_poses, shots
+from mitsvbrdf.capture.align.sheet import Sheet
 from mitsvbrdf.capture.lens import Lens, Pose, on_plane, project
 from mitsvbrdf.capture.photo import Photo
-from mitsvbrdf.capture.rig import Rig, rectified, rig_from_json, rig_to_json
-from mitsvbrdf.capture.sheet import Sheet
+from mitsvbrdf.capture.rectify import rectified
+from mitsvbrdf.capture.rig import Rig, rig_from_json, rig_to_json
 from mitsvbrdf.errors import CaptureError, ConfigError
-from mitsvbrdf.evaluate.handheld import (
-    PIXELS,
-    Similarity,
-    Truth,
-    compare_with_truth,
-    rig_of,
-    similarity,
-    true_capture,
-    truth_maps,
-)
-from mitsvbrdf.maps import flat, save_maps
-from mitsvbrdf.render import handheld
-from mitsvbrdf.render.handheld import HandheldRenderer
+from mitsvbrdf.material.map_files import save_maps
+from mitsvbrdf.material.maps import flat
+from mitsvbrdf.synth import traced
+from mitsvbrdf.synth.against_truth import PIXELS, compare_with_truth
+from mitsvbrdf.synth.phone import HandheldPhone, handheld_poses, shots
+from mitsvbrdf.synth.photos import READ, SHOT, developed, handheld_photos
+from mitsvbrdf.synth.traced import HandheldRenderer
+from mitsvbrdf.synth.truth import Similarity, Truth, rig_of, similarity, true_capture, truth_maps
 from mitsvbrdf.views import Views
 
 SMALL = HandheldPhone(megapixels=0.2, jpeg=0)
@@ -85,7 +80,7 @@ def test_blocks_of_rows_leave_no_seam(monkeypatch):
     maps = make_material("leather", 32)
     lens, pose = SMALL.lens, Pose.looking_at((1, 2, 25), (0, 0, 0), 0.1)
     whole = HandheldRenderer(maps, 24.0, samples=1).render(lens, pose, intensity=500.0)
-    monkeypatch.setattr(handheld, "MOST_RAYS", 37 * lens.size[0])
+    monkeypatch.setattr(traced, "MOST_RAYS", 37 * lens.size[0])
     blocks = HandheldRenderer(maps, 24.0, samples=1).render(lens, pose, intensity=500.0)
     # Positions on the film are float32, rounded otherwise in a block: 1e-4 of a pixel, so 1e-4 or so of an edge.
     assert np.abs(blocks - whole).max() < 2e-3 and np.abs(blocks - whole).mean() < 1e-6
@@ -221,7 +216,7 @@ def test_spoiled_photos_are_what_they_are_called():
 
 
 def test_blur_blurs():
-    from mitsvbrdf.capture.handheld import spoiled
+    from mitsvbrdf.synth.photos import spoiled
     picture = np.zeros((300, 400, 3), dtype=np.float32)
     picture[150, 200] = 1
     blurred = spoiled(picture, "blurred")

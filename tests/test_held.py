@@ -5,14 +5,16 @@ import json
 import pytest
 import torch
 
-from mitsvbrdf import cli, color, files
+from mitsvbrdf import cli, color
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.errors import ConfigError, MapsError
 from mitsvbrdf.fit import DirectConfig, GanConfig, HybridConfig, fit_svbrdf, left_out, losses, make_method
-from mitsvbrdf.fit.held import held_maps
-from mitsvbrdf.maps import CHANNELS, flat, save_maps
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf.fit.fixed_maps import fixed_maps
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.map_files import save_maps
+from mitsvbrdf.material.maps import CHANNELS, flat
 from mitsvbrdf.render import make_renderer
+from mitsvbrdf.system import images
 from mitsvbrdf.views import nine_view_grid
 
 SIDE = 16
@@ -107,10 +109,10 @@ def test_held_maps_from_files(tmp_path):
     stripes.maps["diffuse"][:, ::2] = 0.6
     save_maps(stripes, tmp_path / "maps")
     for kind in ("png", "exr"):
-        held = held_maps([f"diffuse={tmp_path}/maps/diffuse.{kind}"], "roughconductor", SIDE // 2)["diffuse"]
+        held = fixed_maps([f"diffuse={tmp_path}/maps/diffuse.{kind}"], "roughconductor", SIDE // 2)["diffuse"]
         assert held.shape == (SIDE // 2, SIDE // 2, 3) and torch.allclose(held, torch.tensor(0.4), atol=1e-4)
-    files.write_png(tmp_path / "r.png", torch.full((4, 4, 1), 0.5))
-    held = held_maps([f"roughness={tmp_path}/r.png"], "roughconductor", 4)["roughness"]
+    images.write_png(tmp_path / "r.png", torch.full((4, 4, 1), 0.5))
+    held = fixed_maps([f"roughness={tmp_path}/r.png"], "roughconductor", 4)["roughness"]
     assert torch.allclose(held, torch.tensor((128 / 255) ** 2.2), atol=1e-4)
 
 
@@ -127,18 +129,18 @@ def test_held_maps_from_files(tmp_path):
 def test_what_cannot_be_held(fix, bsdf, words):
     with pytest.raises(ConfigError) as error:
         DirectConfig(bsdf=bsdf, fix=tuple(fix)).check()
-        held_maps(fix, bsdf, 8)
+        fixed_maps(fix, bsdf, 8)
     assert all(word in str(error.value) for word in words), error.value
 
 
 def test_held_files_that_are_no_maps(tmp_path):
-    files.write_png(tmp_path / "wide.png", torch.full((4, 8, 3), 0.5))
-    files.write_png(tmp_path / "down.png", torch.full((4, 4, 3), 0.2))  # z of this normal is negative
+    images.write_png(tmp_path / "wide.png", torch.full((4, 8, 3), 0.5))
+    images.write_png(tmp_path / "down.png", torch.full((4, 4, 3), 0.2))  # z of this normal is negative
     (tmp_path / "text.png").write_text("no picture")
     for value in ("diffuse=wide.png", "normal=down.png", "diffuse=text.png"):
         name, file = value.split("=")
         with pytest.raises(MapsError):
-            held_maps([f"{name}={tmp_path}/{file}"], "roughconductor", 4)
+            fixed_maps([f"{name}={tmp_path}/{file}"], "roughconductor", 4)
 
 
 def test_grey_specular_needs_a_specular_map():

@@ -10,17 +10,20 @@ import torch
 import torch.nn.functional as F
 
 from mitsvbrdf import color
-from mitsvbrdf.capture import Capture, photograph
+from mitsvbrdf.capture import Capture
 from mitsvbrdf.errors import MitsvbrdfError
-from mitsvbrdf.evaluate.burn_in import explained_share
-from mitsvbrdf.fit import DirectConfig, HierarchicalConfig, first_guess, fit_svbrdf, hierarchical, make_method
+from mitsvbrdf.fit import DirectConfig, HierarchicalConfig, first_guess, fit_svbrdf, make_method
 from mitsvbrdf.fit.checkpoint import load_tensors
-from mitsvbrdf.fit.hierarchical import ALONE, FINE, RIVALS, TOGETHER, Hierarchical
+from mitsvbrdf.fit.hierarchical import rounds, stages, ties
+from mitsvbrdf.fit.hierarchical.rounds import Hierarchical
+from mitsvbrdf.fit.hierarchical.stages import ALONE, FINE, RIVALS, TOGETHER
 from mitsvbrdf.fit.loop import Loop
-from mitsvbrdf.maps import CHANNELS, SVBRDF, flat
-from mitsvbrdf.metrics import map_rmse
-from mitsvbrdf.procedural import MATERIALS, make_material
+from mitsvbrdf.material.made import MATERIALS, make_material
+from mitsvbrdf.material.maps import CHANNELS, SVBRDF, flat
+from mitsvbrdf.measure.burn_in import explained_share
+from mitsvbrdf.measure.metrics import map_rmse
 from mitsvbrdf.render import make_renderer
+from mitsvbrdf.synth.photograph import photograph
 from mitsvbrdf.views import Views, coverage_angle, cubic, nine_view_grid, texel_positions
 
 SIDE = 32
@@ -53,13 +56,13 @@ def left_alone(capture, **settings):
 @pytest.fixture
 def two_stages(monkeypatch):
     """Coarse stages at half the size of these tests' photos."""
-    monkeypatch.setattr(hierarchical, "COARSE", SIDE // 2)
+    monkeypatch.setattr(rounds, "COARSE", SIDE // 2)
 
 
 @pytest.fixture
 def phone(monkeypatch):
     """Photos are taken for a phone's, whatever they are."""
-    monkeypatch.setattr(hierarchical, "EXACT", 0.0)
+    monkeypatch.setattr(rounds, "EXACT", 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +107,7 @@ def test_photos_of_the_model_are_exact(name):
         method = left_alone(photograph(truth, GRID, ANALYTIC, noise))
         assert method.exact and int(method.stage[0]) == RIVALS and not method.tied and not method.fits_views
         # And the RMSE is that of rounding to 8 bits, 0.00113, or of the noise in dark photos.
-        assert method.unexplained[0] < 0.5 * hierarchical.EXACT and 0.0009 < method.unexplained[1] < 0.02
+        assert method.unexplained[0] < 0.5 * stages.EXACT and 0.0009 < method.unexplained[1] < 0.02
 
 
 def camera_elsewhere(material):
@@ -131,7 +134,7 @@ def test_photos_that_do_not_follow_the_model_are_not(wrong):
     # nor how they encode light (0.0004), and a flash beside the lens looks like tilted normals (0.0011).
     method = left_alone(Capture(wrong(make_material("inlay", SIDE)), GRID))
     assert not method.exact and int(method.stage[0]) == TOGETHER and method.tied and method.fits_views
-    assert method.unexplained[0] > 2 * hierarchical.EXACT
+    assert method.unexplained[0] > 2 * stages.EXACT
 
 
 @pytest.mark.parametrize("name", ["inlay", "leather", "tiles"])
@@ -164,7 +167,7 @@ def striped():
 @pytest.mark.parametrize("kind", ["exact", "phone"])
 def test_a_highlight_that_no_photo_shows_is_that_of_look_alikes(kind, monkeypatch):
     if kind == "phone":
-        monkeypatch.setattr(hierarchical, "EXACT", 0.0)
+        monkeypatch.setattr(rounds, "EXACT", 0.0)
     stripe, truth, shots = striped()
     unseen = torch.zeros(SIDE, SIDE, dtype=torch.bool)
     unseen[:, -8:] = True
@@ -213,7 +216,7 @@ def test_independent_weakens_a_cubic_trend_and_leaves_the_pattern(capture, phone
     # A trend that is less than CHANCE of the variance is the material's own, and nothing is done to it.
     slight = (pattern + 0.01 * a).float()
     assert 1e-4 < min(explained_share(p, angle) for p in slight) and torch.equal(method._independent(slight), slight)
-    monkeypatch.setattr(hierarchical, "EXACT", 0.021)
+    monkeypatch.setattr(rounds, "EXACT", 0.021)
     assert method.exact and torch.equal(method._independent(given), given)
 
 
@@ -254,7 +257,7 @@ def test_texels_may_go_as_far_as_they_went(went, normal, specular, capture, monk
     method._loosen()
     deviation = {name: float(method.precision[i].mean() ** -0.5) for i, name in enumerate(method.names)}
     assert deviation["normal"] == pytest.approx(normal, rel=1e-4) and deviation["specular"] == pytest.approx(specular, rel=1e-4)
-    assert deviation["diffuse"] == pytest.approx(hierarchical.VAGUE["diffuse"])
+    assert deviation["diffuse"] == pytest.approx(ties.VAGUE["diffuse"])
 
 
 def test_at_full_size_texels_are_free_and_pixels_alike(two_stages, phone, capture):
@@ -304,7 +307,7 @@ def cost_of(method, x, mean, precision):
 
 @pytest.mark.parametrize("exact", [True, False])
 def test_a_round_raises_no_texels_cost(exact, capture, monkeypatch):
-    monkeypatch.setattr(hierarchical, "EXACT", 0.006 if exact else 0.0)
+    monkeypatch.setattr(rounds, "EXACT", 0.006 if exact else 0.0)
     method, rises = method_of(capture.averaged(16)), []
     solve = method._solve
 
@@ -331,7 +334,7 @@ def test_the_same_fit_twice(two_stages, phone, capture):
 @pytest.mark.parametrize("kind", ["exact", "phone"])
 def test_resuming_is_bit_equal_at_every_round(kind, two_stages, capture, tmp_path, monkeypatch):
     if kind == "phone":
-        monkeypatch.setattr(hierarchical, "EXACT", 0.0)
+        monkeypatch.setattr(rounds, "EXACT", 0.0)
     config = HierarchicalConfig(iterations=14)
     whole = fit_svbrdf(capture, MITSUBA, config)
     loop = Loop(make_method(capture, MITSUBA, whole.guess, config), capture, MITSUBA, config)
@@ -415,7 +418,7 @@ def sane(result, resolution, bsdf="roughconductor"):
 @pytest.mark.parametrize("side", [2, 5, 50, 100])
 def test_any_size(side, kind, monkeypatch):
     if kind == "phone":
-        monkeypatch.setattr(hierarchical, "EXACT", 0.0)
+        monkeypatch.setattr(rounds, "EXACT", 0.0)
     truth = make_material("leather", side)
     result = fit_svbrdf(photos_of(truth), MITSUBA, HierarchicalConfig(iterations=7))
     sane(result, side)
@@ -485,9 +488,9 @@ OF_TWO_SIZES = "matt", "diffuse only", "normal only", "own 0", "own tiny"
     *((name, kind) for name in OF_TWO_SIZES for kind in ("phone, two sizes", "exact, two sizes"))])
 def test_any_options(options, kind, tiles, monkeypatch):
     if "phone" in kind:
-        monkeypatch.setattr(hierarchical, "EXACT", 0.0)
+        monkeypatch.setattr(rounds, "EXACT", 0.0)
     if "two sizes" in kind:
-        monkeypatch.setattr(hierarchical, "COARSE", 6)
+        monkeypatch.setattr(rounds, "COARSE", 6)
     config = HierarchicalConfig(iterations=12, **OPTIONS[options])  # of which the phone's third to sixth tie the texels
     result = fit_svbrdf(tiles, MITSUBA, config)
     sane(result, 12, config.bsdf)

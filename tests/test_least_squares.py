@@ -9,11 +9,12 @@ import pytest
 import torch
 
 from mitsvbrdf import color
-from mitsvbrdf.maps import CHANNELS, SVBRDF
-from mitsvbrdf.procedural import make_material
-from mitsvbrdf.render import least_squares, make_renderer
+from mitsvbrdf.fit.hierarchical import kernel, solver
+from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.maps import CHANNELS, SVBRDF
+from mitsvbrdf.render import make_renderer
 from mitsvbrdf.render.analytic import AnalyticRenderer
-from mitsvbrdf.render.least_squares import Evidence, TexelSolver
 from mitsvbrdf.testing import random_material
 from mitsvbrdf.views import Views, nine_view_grid
 
@@ -49,7 +50,7 @@ class Case:
         truth = make_renderer("analytic64").render(random_material(self.bsdf, SIDE, seed=2), self.views)
         random = torch.Generator().manual_seed(3)
         weights = torch.rand(len(self.views), SIDE, SIDE, generator=random) if self.weighted else None
-        self.evidence = Evidence(color.to_display(truth, self.transfer).float(), self.views, self.transfer, 0.02, self.robust,
+        self.evidence = Observations(color.to_display(truth, self.transfer).float(), self.views, self.transfer, 0.02, self.robust,
                                  weights)
         self.mean = torch.rand(self.x.shape, generator=random)
         self.precision = 12 + 100 * torch.rand(self.x.shape, generator=random)
@@ -206,7 +207,7 @@ def test_finds_known_maps(name):
     solver = TexelSolver("roughconductor")
     truth = solver.numbers(material)
     photos = (color.to_display(make_renderer("analytic64").render(material, GRID)).float() * 255).round() / 255
-    evidence = Evidence(photos, GRID, "gamma2.2", noise=1 / 255)
+    evidence = Observations(photos, GRID, "gamma2.2", noise=1 / 255)
     x = truth.mean(dim=(1, 2), keepdim=True).expand_as(truth).clone()
     x[-3:] = torch.tensor([0.4, 0, 0])[:, None, None]
     low, high = torch.tensor([0.0] * 6 + [0.05, -1.5, -1.5]), torch.tensor([1.0] * 7 + [1.5, 1.5])
@@ -256,13 +257,13 @@ def test_traced_once(monkeypatch):
     """Other numbers, views, steps and noise need no new trace; garbage waits while Dr.Jit records, or it would abort."""
     case = CASES["all free"]()
     collecting = []
-    encode = least_squares._encode
-    monkeypatch.setattr(least_squares, "_encode", lambda *a: collecting.append(gc.isenabled()) or encode(*a))
+    encode = kernel.traced_encode
+    monkeypatch.setattr(solver, "_encode", lambda *a: collecting.append(gc.isenabled()) or encode(*a))
     one = case.solve(case.x, 1)
     traces = len(collecting)
     assert traces and not any(collecting) and gc.isenabled()
     views = Views.of(GRID.camera[:5] * 1.1, intensity=9.0)
-    other = Evidence(case.evidence.photos[:5] * 0.9, views, "gamma2.2", 0.05)
+    other = Observations(case.evidence.photos[:5] * 0.9, views, "gamma2.2", 0.05)
     case.solver.solve(other, one.x, one.damping, case.mean, case.precision, case.low + 0.01, case.high, 3)
     assert torch.equal(case.solve(case.x, 1).x, one.x)
     assert len(collecting) == traces

@@ -8,7 +8,7 @@ import pytest
 
 from mitsvbrdf.capture.lens import Lens, Pose, on_plane, project, rays
 from mitsvbrdf.capture.photo import Photo
-from mitsvbrdf.capture.rig import rectified
+from mitsvbrdf.capture.rectify import rectified
 from mitsvbrdf.views import texel_positions
 
 LENSES = [Lens((600, 450), 500.0), Lens((600, 450), 475.0, (295.0, 228.5), (0.1, -0.06)),

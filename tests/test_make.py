@@ -15,11 +15,12 @@ from PIL import Image
 
 from mitsvbrdf import cli
 from mitsvbrdf.capture import read_capture
+from mitsvbrdf.capture.align.sheet import Sheet
 from mitsvbrdf.capture.lens import Lens, Pose, on_plane, project
-from mitsvbrdf.capture.make import _filled, _without_vignetting, make_capture, refuse_tags
+from mitsvbrdf.capture.make import make_capture, refuse_tags
 from mitsvbrdf.capture.photo import Photo, photos_in
+from mitsvbrdf.capture.rectify import filled, without_vignetting
 from mitsvbrdf.capture.rig import Rig, rig_from_json
-from mitsvbrdf.capture.sheet import Sheet
 from mitsvbrdf.errors import CaptureError, ConfigError
 
 SHEET = Sheet(18.0)
@@ -255,7 +256,7 @@ def test_vignetting_is_undone_in_linear_light():
     assert passed.min() < 0.9
     display = ((0.4 * passed) ** (1 / 2.2)).astype(np.float32).repeat(3, axis=2)
     display[0, 0], display[5, 5] = 1.0, np.nan
-    out = _without_vignetting(display, rig, "a", "gamma2.2")
+    out = without_vignetting(display, rig, "a", "gamma2.2")
     assert (out[0, 0] == 1).all() and np.isnan(out[5, 5]).all()
     out[0, 0] = out[5, 5] = 0.4 ** (1 / 2.2)
     assert np.abs(out - 0.4 ** (1 / 2.2)).max() < 2e-6  # float32 there and back
@@ -264,10 +265,10 @@ def test_vignetting_is_undone_in_linear_light():
 def test_what_a_photo_does_not_reach_is_taken_from_the_others():
     photos = np.stack([np.full((2, 2, 3), value, np.float32) for value in (0.2, 0.4, 0.9)])
     photos[0, 0, 0], photos[:, 1, 1] = np.nan, np.nan
-    filled = _filled(list(photos)).numpy()
-    assert filled[0, 0, 0] == pytest.approx(0.65) and (filled[:, 1, 1] == 0).all()
+    found = filled(list(photos)).numpy()
+    assert found[0, 0, 0] == pytest.approx(0.65) and (found[:, 1, 1] == 0).all()
     untouched = np.isfinite(photos)
-    assert np.array_equal(filled[untouched], photos[untouched])
+    assert np.array_equal(found[untouched], photos[untouched])
 
 
 @pytest.fixture(scope="module")

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from mitsvbrdf import files
 from mitsvbrdf.errors import CaptureError, ConfigError, MapsError
-from mitsvbrdf.maps import SVBRDF, flat, load_maps
-from mitsvbrdf.metrics import gradient_error, image_error, map_rmse, photo_rmse, relative_error
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.map_files import load_maps
+from mitsvbrdf.material.maps import SVBRDF, flat
+from mitsvbrdf.measure.metrics import gradient_error, image_error, map_rmse, photo_rmse, relative_error
+from mitsvbrdf.system import images
 
 MAPS = ("diffuse", "specular", "roughness", "normal")
 
@@ -110,7 +111,7 @@ def test_errors_refuse_other_shapes():
 
 def as_stored(folder):
     """Maps with the normals of the files as they are, off unit length as 8 bits or JPEG left them."""
-    normal = files.read_image(folder / "normal.png", MapsError) * 2 - 1
+    normal = images.read_image(folder / "normal.png", MapsError) * 2 - 1
     return SVBRDF("roughconductor", dict(load_maps(folder, encoding="gamma 2.2").maps) | {"normal": normal})
 
 
@@ -134,7 +135,7 @@ def test_published_rerendering_errors_are_reproduced(data_folder, name):
     published = json.loads((data_folder / "peers.json").read_text())["captures"][name]
 
     def averaged(photos):
-        images = [files.read_image(path, CaptureError).double().permute(2, 0, 1) for path in sorted(photos.iterdir())]
+        images = [images.read_image(path, CaptureError).double().permute(2, 0, 1) for path in sorted(photos.iterdir())]
         return torch.nn.functional.interpolate(torch.stack(images), (256, 256), mode="area").permute(0, 2, 3, 1)
 
     total, each = photo_rmse(averaged(folder / "materialgan/rerendered"), averaged(folder / "target"), "linear")

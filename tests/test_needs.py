@@ -7,10 +7,10 @@ import pytest
 import torch
 
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.evaluate.measure import fixed_cotangent
-from mitsvbrdf.maps import CHANNELS, SVBRDF, flat
-from mitsvbrdf.metrics import gradient_error, image_error
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.maps import CHANNELS, SVBRDF, flat
+from mitsvbrdf.measure.gradients import fixed_cotangent
+from mitsvbrdf.measure.metrics import gradient_error, image_error
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.render.needs import Needs, scene_needs
 from mitsvbrdf.views import nine_view_grid

@@ -13,12 +13,13 @@ import PIL.Image
 import pytest
 import torch
 
-from mitsvbrdf.capture import Capture, photograph
+from mitsvbrdf.capture import Capture
 from mitsvbrdf.fit import fit_svbrdf
 from mitsvbrdf.fit.config import DirectConfig
-from mitsvbrdf.maps import SVBRDF, flat
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.render import make_renderer
+from mitsvbrdf.synth.photograph import photograph
 from mitsvbrdf.views import nine_view_grid
 
 HOSTILE = "<script>alert('&\"')</script>"

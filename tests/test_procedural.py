@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.procedural import MATERIALS, make_material
+from mitsvbrdf.material.made import MATERIALS, make_material
 
 NAMES = list(MATERIALS)
 

@@ -7,12 +7,14 @@ from time import perf_counter
 import pytest
 import torch
 
-from mitsvbrdf import cli, profile
-from mitsvbrdf.capture import photograph
-from mitsvbrdf.fit import DirectConfig, GanConfig, HybridConfig, fit_svbrdf, make_method, networks
-from mitsvbrdf.procedural import make_material
-from mitsvbrdf.profile import OTHER, STEP, Profile, profile_summary, profiled, profiling, switch_at
+from mitsvbrdf import cli
+from mitsvbrdf.fit import DirectConfig, GanConfig, HybridConfig, fit_svbrdf, make_method
+from mitsvbrdf.fit.generator import networks
+from mitsvbrdf.material.made import make_material
 from mitsvbrdf.render import make_renderer
+from mitsvbrdf.synth.photograph import photograph
+from mitsvbrdf.system import profile
+from mitsvbrdf.system.profile import OTHER, STEP, Profile, profile_summary, profiled, profiling, switch_at
 from mitsvbrdf.views import nine_view_grid
 
 CONFIGS = {"hybrid": HybridConfig(width=8), "direct": DirectConfig(), "gan": GanConfig(width=8)}

@@ -8,8 +8,8 @@ import sys
 import notebooks
 import pytest
 
-from mitsvbrdf import progress
-from mitsvbrdf.progress import Cell, Progress, progress_bar
+from mitsvbrdf.system import progress
+from mitsvbrdf.system.progress import Cell, Progress, progress_bar
 
 ENTRY = {"seconds": 1.5, "iteration": 6, "cost": 2.0, "rerender_rmse": 0.125}
 

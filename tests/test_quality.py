@@ -10,13 +10,16 @@ import numpy as np
 import pytest
 import torch
 
-from mitsvbrdf.capture import photograph, read_capture
-from mitsvbrdf.capture.flash import shading_of_material
+from mitsvbrdf.capture import read_capture
 from mitsvbrdf.capture.lens import Lens, Pose
-from mitsvbrdf.capture.quality import detail_of, looks, spoils, verdicts, where_to_stand
+from mitsvbrdf.capture.light.shading import shading_of_material
+from mitsvbrdf.capture.quality.look import detail_of, photo_qualities
+from mitsvbrdf.capture.quality.next_view import next_best_view
+from mitsvbrdf.capture.quality.verdicts import spoils, verdicts
 from mitsvbrdf.capture.rig import Rig
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf.material.made import make_material
 from mitsvbrdf.render import make_renderer
+from mitsvbrdf.synth.photograph import photograph
 from mitsvbrdf.views import Views, coverage_angle, nine_view_grid
 
 R = 192
@@ -30,7 +33,7 @@ def shots():
 
 def judged(shots, photos, views=None, names=NAMES, fired=None, **how):
     views = views or shots.views
-    found = looks(photos, views, shots.transfer, names, **how)
+    found = photo_qualities(photos, views, shots.transfer, names, **how)
     return verdicts(found, photos, views, fired), dict(zip(names, found))
 
 
@@ -170,7 +173,7 @@ def test_two_bad_copies_are_both_left_out(shots):
 def test_numbers_do_not_depend_on_the_unit_of_length(shots):
     v = shots.views
     scaled = Views.of(v.camera * 11, v.light * 11, v.intensity * 121, 11.0)
-    for a, b in zip(looks(shots.photos, v, shots.transfer, NAMES), looks(shots.photos, scaled, shots.transfer, NAMES)):
+    for a, b in zip(photo_qualities(shots.photos, v, shots.transfer, NAMES), photo_qualities(shots.photos, scaled, shots.transfer, NAMES)):
         for key in ("sharpness", "stops", "residual", "unlike", "unlike_detail"):
             assert getattr(a, key) == pytest.approx(getattr(b, key), abs=1e-4)  # float32 rounds differently
 
@@ -189,7 +192,7 @@ def corner_missing():
 
 def test_where_to_stand():
     views, names = corner_missing(), [f"{c}.jpg" for c in "abcdef"]
-    stand = where_to_stand(views, names, "patch sides")
+    stand = next_best_view(views, names, "patch sides")
     assert -0.5 < stand.camera[0] < -0.15 and -0.5 < stand.camera[1] < -0.1 and stand.camera[2] == pytest.approx(1.8)
     # What it promises is what it brings, and no place of a finer grid brings much more.
     seen, lobe = coverage_angle(views, 32) <= math.radians(7), math.radians(7)
@@ -204,19 +207,19 @@ def test_where_to_stand():
 
 def test_the_way_there_in_words():
     views, names = corner_missing(), [f"{c}.jpg" for c in "abcdef"]
-    stand = where_to_stand(views, names, "patch sides")
+    stand = next_best_view(views, names, "patch sides")
     left, down = -stand.camera[0], -stand.camera[1]
     assert stand.words == (f"from where d.jpg was taken, hold the phone {left:.0%} of the patch's side further left, "
                            f"{down:.0%} of the patch's side nearer to you, at the same height (1.8 patch sides)")
     cm = Views.of(views.camera * 11.5, intensity=views.intensity * 11.5**2, size=11.5)
-    assert where_to_stand(cm, names, "cm").words == (
+    assert next_best_view(cm, names, "cm").words == (
         f"from where d.jpg was taken, hold the phone {left * 11.5:.0f} cm further left, {down * 11.5:.0f} cm nearer to you, at "
         "the same height (21 cm); the sheet's arrow points away from you")
     turned = Views.of(views.camera * torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64), intensity=views.intensity)
-    assert "further right" in (words := where_to_stand(turned, names, "patch sides").words) and "further away from you" in words
+    assert "further right" in (words := next_best_view(turned, names, "patch sides").words) and "further away from you" in words
 
 
 def test_nowhere_to_stand_where_everything_is_seen():
     at = torch.cartesian_prod(torch.linspace(-0.5, 0.5, 6), torch.linspace(-0.5, 0.5, 6)).double()
     views = Views.of(torch.cat((at, torch.full((36, 1), 1.8, dtype=torch.float64)), dim=1))
-    assert where_to_stand(views, [str(i) for i in range(36)], "cm") is None
+    assert next_best_view(views, [str(i) for i in range(36)], "cm") is None

@@ -5,13 +5,14 @@ import json
 import pytest
 
 from mitsvbrdf import cli
-from mitsvbrdf.capture import Capture, guess_diffuse, photograph, read_capture
+from mitsvbrdf.capture import Capture, guess_diffuse, read_capture
 from mitsvbrdf.color import encode, to_display
 from mitsvbrdf.evaluate import evaluate_maps
-from mitsvbrdf.evaluate.burn_in import burn_in
 from mitsvbrdf.fit import HierarchicalConfig, fit_svbrdf
-from mitsvbrdf.maps import load_maps
+from mitsvbrdf.material.map_files import load_maps
+from mitsvbrdf.measure.burn_in import burn_in
 from mitsvbrdf.render import make_renderer
+from mitsvbrdf.synth.photograph import photograph
 
 pytestmark = pytest.mark.slow
 

@@ -16,20 +16,20 @@ import pytest
 import torch
 from PIL import Image
 
-from mitsvbrdf import files
 from mitsvbrdf.cli.relight import relight
 from mitsvbrdf.errors import BackendError, ConfigError, MapsError, MitsvbrdfError, OutputError
-from mitsvbrdf.maps import save_maps
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.relight import frames as frames_module
 from mitsvbrdf.relight import make_stage
 from mitsvbrdf.relight.check import check_novel
+from mitsvbrdf.relight.curve import error_curve
 from mitsvbrdf.relight.movie import durations, write_gif, write_mp4
 from mitsvbrdf.relight.passes import GroupedMean, Stop, one_sample, render_frame, render_passes
 from mitsvbrdf.render.analytic import AnalyticRenderer
 from mitsvbrdf.render.llvm import mitsuba_module
 from mitsvbrdf.render.needs import Needs
-from mitsvbrdf.report.relight import error_curve
+from mitsvbrdf.system import files, images, result_folder
 
 
 def srgb(x):
@@ -272,7 +272,7 @@ def run(out, **options):
 
 
 def pictures(out, preset):
-    return [files.read_image(path, MitsvbrdfError) for path in sorted((out / preset).glob("*.exr"))]
+    return [images.read_image(path, MitsvbrdfError) for path in sorted((out / preset).glob("*.exr"))]
 
 
 def record(out):
@@ -281,7 +281,7 @@ def record(out):
 
 def test_stills_open_elsewhere(tmp_path, capsys):
     assert relight("builtin:plates", out=tmp_path / "o", size="40x24", target_error=0.05, exposure=1.0) == 0
-    linear = files.read_image(tmp_path / "o" / "sphere.exr", MitsvbrdfError).numpy()
+    linear = images.read_image(tmp_path / "o" / "sphere.exr", MitsvbrdfError).numpy()
     with Image.open(tmp_path / "o" / "sphere.png") as image:
         assert image.size == (40, 24) and image.mode == "RGB"
         assert np.abs(np.asarray(image) / 255 - srgb(2 * linear)).max() <= 0.51 / 255  # exposed by one stop; rounded
@@ -334,13 +334,13 @@ def test_resumed_frames_are_those_of_an_uninterrupted_run(tmp_path, monkeypatch,
 def test_a_killed_run_goes_on_from_its_partial_folder(tmp_path):
     options = {"preset": "sweep", "frames": 2, "movie": "none"}
     run(tmp_path / "whole", **options)
-    partial = files.partial_folder(tmp_path / "killed")
+    partial = result_folder.partial_folder(tmp_path / "killed")
     (partial / "sweep").mkdir(parents=True)
     found = record(tmp_path / "whole")
     found["presets"]["sweep"]["frames"].pop()
     (partial / "relight.json").write_text(json.dumps(found))
     marked = torch.full((24, 24, 3), 0.25)
-    files.write_exr(partial / "sweep" / "0000.exr", marked)
+    images.write_exr(partial / "sweep" / "0000.exr", marked)
     run(tmp_path / "killed", resume=True, **options)
     kept, made = pictures(tmp_path / "killed", "sweep")
     assert torch.equal(kept, marked) and torch.allclose(made, pictures(tmp_path / "whole", "sweep")[1], rtol=1e-5, atol=1e-7)
@@ -364,7 +364,7 @@ def test_ctrl_c_while_a_frame_is_written_is_heard(tmp_path, monkeypatch):
         signal.raise_signal(signal.SIGINT)
         return write_exr(*arguments)
 
-    write_exr = files.write_exr
+    write_exr = images.write_exr
     monkeypatch.setattr(files, "write_exr", pressed)
     run(tmp_path / "o", preset="sweep", frames=2)
     frame, = record(tmp_path / "o")["presets"]["sweep"]["frames"]
@@ -385,21 +385,21 @@ def test_an_end_before_the_next_frame_loses_none(tmp_path, monkeypatch):
 def test_a_run_goes_on_only_with_what_it_had(tmp_path, monkeypatch):
     options = {"preset": "sphere", "out": tmp_path / "o", "environment": str(tmp_path / "sky.exr"), **SMALL}
     save_maps(make_material("leather", 8), tmp_path / "m")
-    files.write_exr(tmp_path / "sky.exr", torch.ones(4, 8, 3))
+    images.write_exr(tmp_path / "sky.exr", torch.ones(4, 8, 3))
     relight(str(tmp_path / "m"), **options)
 
     def refused(error, why):
         with pytest.raises(error, match=why):
             relight(str(tmp_path / "m"), resume=True, **options)
-        assert not files.partial_folder(tmp_path / "o").exists() and (tmp_path / "o" / "sphere.png").is_file()
+        assert not result_folder.partial_folder(tmp_path / "o").exists() and (tmp_path / "o" / "sphere.png").is_file()
 
     with monkeypatch.context() as patch:  # no mistake of the record
         patch.setattr(frames_module.shutil, "copy2", raises(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))))
         refused(OutputError, "No space left")
     relight(str(tmp_path / "m"), resume=True, **options)
-    files.write_exr(tmp_path / "sky.exr", torch.ones(5, 8, 3))
+    images.write_exr(tmp_path / "sky.exr", torch.ones(5, 8, 3))
     refused(ConfigError, "another environment_file")
-    files.write_exr(tmp_path / "sky.exr", torch.ones(4, 8, 3))
+    images.write_exr(tmp_path / "sky.exr", torch.ones(4, 8, 3))
     save_maps(make_material("plates", 8), tmp_path / "m")
     refused(ConfigError, "another material")
     save_maps(make_material("leather", 8), tmp_path / "m")

@@ -7,19 +7,19 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from mitsvbrdf import files
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.evaluate.soak import kernels_made
 from mitsvbrdf.export.mitsuba import SCENES
-from mitsvbrdf.maps import CHANNELS, SVBRDF, flat
-from mitsvbrdf.metrics import image_error
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.maps import CHANNELS, SVBRDF, flat
+from mitsvbrdf.measure.metrics import image_error
 from mitsvbrdf.relight import PRESETS, make_stage
 from mitsvbrdf.relight.environment import LUMINANCE, make_environment, read_environment, studio, white_luminance
 from mitsvbrdf.relight.shapes import heights, relief, shaderball
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.render.llvm import mitsuba_module
+from mitsvbrdf.system import images
 from mitsvbrdf.testing import assert_z_test, random_material
+from mitsvbrdf.verify.soak import kernels_made
 from mitsvbrdf.views import Views, texel_positions
 
 LAMP = torch.tensor([-2.6, -2.0, 3.2], dtype=torch.float64)  # of the environment "none"
@@ -133,7 +133,7 @@ def test_maps_on_the_shader_ball_are_not_mirrored_and_normals_lean_along_them(mi
 
 
 def test_no_normal_turns_a_rim_black(mi, tmp_path):
-    files.write_exr(tmp_path / "white.exr", torch.ones(4, 8, 3))
+    images.write_exr(tmp_path / "white.exr", torch.ones(4, 8, 3))
     stage = make_stage(mi, leaning_quarters(), "sphere", environment=str(tmp_path / "white.exr"), size=(48, 48))
     origin, ray = camera_rays(stage)
     inside = (ray @ origin).square() - origin.square().sum() + 1 > 0.05
@@ -186,7 +186,7 @@ def test_white_that_faces_up_has_luminance_0_8(mi, suffix, tmp_path):
 
 def write_picture(image, name):
     if name.endswith(".exr"):
-        files.write_exr(tmp := type(SCENES)(name), image)
+        images.write_exr(tmp := type(SCENES)(name), image)
         assert tmp.is_file()
     else:
         import cv2
@@ -214,7 +214,7 @@ def test_white_luminance_of_a_half_lit_sky():
 def test_the_middle_of_an_environment_is_ahead_and_its_right_is_right(mi, tmp_path):
     image = torch.full((64, 128, 3), 0.1)
     image[:32, 64:, 0], image[:32, :64, 1], image[32:, :, 2] = 1.0, 1.0, 1.0  # red right, green left, blue below
-    files.write_exr(tmp_path / "sky.exr", image)
+    images.write_exr(tmp_path / "sky.exr", image)
     around = make_environment(mi, str(tmp_path / "sky.exr"))
     scene = mi.load_dict({
         "type": "scene", "integrator": {"type": "path"}, **around.emitters,
@@ -242,7 +242,7 @@ def test_environments_that_cannot_be_used_are_refused(mi, what, change, tmp_path
     if change:
         image = torch.ones(8, 16, 3)
         change(image)
-        files.write_exr(path, image)
+        images.write_exr(path, image)
     with pytest.raises(ConfigError, match=what):
         make_environment(mi, str(path))
 

@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.evaluate.measure import render_and_gradients
-from mitsvbrdf.maps import CHANNELS, SVBRDF, flat
-from mitsvbrdf.metrics import gradient_error, image_error
-from mitsvbrdf.procedural import MATERIALS, make_material
+from mitsvbrdf.material.made import MATERIALS, make_material
+from mitsvbrdf.material.maps import CHANNELS, SVBRDF, flat
+from mitsvbrdf.measure.gradients import render_and_gradients
+from mitsvbrdf.measure.metrics import gradient_error, image_error
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.render.needs import CONSTANT_FRESNEL_DEGREES, Needs, half_angle_bound, scene_needs
 from mitsvbrdf.testing import LIMITS, assert_matches_golden, assert_renderers_agree, random_material

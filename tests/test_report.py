@@ -16,21 +16,25 @@ import pytest
 import torch
 from browser import opened
 
-from mitsvbrdf import cli, files
-from mitsvbrdf.capture import photograph, read_capture, write_capture
+from mitsvbrdf import cli
+from mitsvbrdf.capture import read_capture, write_capture
 from mitsvbrdf.errors import OutputError
-from mitsvbrdf.evaluate import fit_of
-from mitsvbrdf.evaluate.fit_report import fit_report
-from mitsvbrdf.evaluate.measure import fixed_cotangent
 from mitsvbrdf.fit import DirectConfig, fit_svbrdf
-from mitsvbrdf.maps import SVBRDF, load_maps, save_maps
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf.fit.record import fit_of, read_fit
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.map_files import load_maps, save_maps
+from mitsvbrdf.material.maps import SVBRDF
+from mitsvbrdf.measure.gradients import fixed_cotangent
+from mitsvbrdf.pages.curves import curves
+from mitsvbrdf.pages.page import figure
+from mitsvbrdf.pages.pictures import picture_uri
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.report import fit_page
-from mitsvbrdf.report.curves import curves
-from mitsvbrdf.report.fit_page import read_fit, write_report
+from mitsvbrdf.report.checks import fit_report
+from mitsvbrdf.report.fit_page import write_report
 from mitsvbrdf.report.folder import write_fit
-from mitsvbrdf.report.page import figure, picture_uri
+from mitsvbrdf.synth.photograph import photograph
+from mitsvbrdf.system import images, result_folder
 from mitsvbrdf.views import Views, nine_view_grid
 
 ANALYTIC = make_renderer("analytic")
@@ -246,9 +250,9 @@ def test_pictures_are_those_of_the_files(fitted):
         difference = np.clip(4 * np.abs(taken.astype(int) - again), 0, 255)
         assert np.abs(page.pixels(f"photo {photo['name']}, difference times 4").astype(int) - difference).max() <= 1
     for name in ("diffuse", "specular", "roughness", "normal"):  # our PNG files hold what is shown, in 16 bits
-        stored = files.read_image(fitted / "maps" / f"{name}.png", ValueError).expand(SIDE, SIDE, 3).numpy()
+        stored = images.read_image(fitted / "maps" / f"{name}.png", ValueError).expand(SIDE, SIDE, 3).numpy()
         assert np.abs(page.pixels(name.capitalize()) - 255 * stored).max() < 0.51
-        spread = files.read_image(fitted / "uncertainty" / f"{name}.exr", ValueError)[..., 0].numpy()
+        spread = images.read_image(fitted / "uncertainty" / f"{name}.exr", ValueError)[..., 0].numpy()
         # Magma is dark at 0 and brighter all the way: the order of the texels' brightness is that of their deviation.
         brightness = page.pixels(f"{name.capitalize()}: standard deviation").astype(float) @ (0.2126, 0.7152, 0.0722)
         assert np.corrcoef(np.argsort(np.argsort(spread.ravel())), np.argsort(np.argsort(brightness.ravel())))[0, 1] > 0.98
@@ -302,7 +306,7 @@ def test_without_photos_the_renderings_are_shown_and_the_capture_brings_them_bac
         (copy / name).unlink()
     (copy / "photos").mkdir()
     (copy / "photos/00.png").write_text("mine")  # a file of somebody else, and no photo
-    (copy / files.MANIFEST).write_text(json.dumps([n for n in json.loads((copy / files.MANIFEST).read_text())
+    (copy / result_folder.MANIFEST).write_text(json.dumps([n for n in json.loads((copy / result_folder.MANIFEST).read_text())
                                                    if n != "photos/00.png"]))
     (copy / "photos/00.png").rename(copy / "photos/mine")
     assert cli.main(["report", str(copy), "--quick"]) == 0
@@ -314,7 +318,7 @@ def test_without_photos_the_renderings_are_shown_and_the_capture_brings_them_bac
     assert json.loads((copy / "report.json").read_text())["photos"] == before["photos"]
     assert Page(copy / "report.html").pictures == Page(fitted / "report.html").pictures
     assert (copy / "photos/00.png.old").read_text() == "mine"
-    written = set(json.loads((copy / files.MANIFEST).read_text()))
+    written = set(json.loads((copy / result_folder.MANIFEST).read_text()))
     assert {"report.html", "report.json", "photos/00.png", "photos/04.png", "predicted/04.png"} <= written
 
 
@@ -412,7 +416,7 @@ def spoil_rendering(out):
 
 
 def spoil_photo(out):
-    files.write_png(out / "photos/01.png", torch.zeros(8, 8, 3))
+    images.write_png(out / "photos/01.png", torch.zeros(8, 8, 3))
 
 
 @pytest.mark.parametrize("spoil, words", [
@@ -523,7 +527,7 @@ def test_a_report_json_of_somebody_else_is_not_trusted(copy):
     record = json.loads((copy / "report.json").read_text())
     for photo in record["photos"][3:]:
         photo |= {"photo": "../secret.png", "rerendered": "../secret.png"}
-    files.write_png(copy.parent / "secret.png", torch.zeros(SIDE, SIDE, 3))
+    images.write_png(copy.parent / "secret.png", torch.zeros(SIDE, SIDE, 3))
     (copy / "report.json").write_text(json.dumps(record))
     assert [photo["left_out"] for photo in write_report(copy, quick=True)["photos"]] == [False] * 3
     (copy / "report.json").write_text("[1]")
@@ -544,7 +548,7 @@ def test_a_page_of_noise_at_512_px_is_below_ten_megabytes(copy):
     views, names = nine_view_grid(), [f"{i:02d}" for i in range(9)]
     for name in names:
         for folder in ("photos", "rerendered"):
-            files.write_png(copy / folder / f"{name}.png", torch.rand(512, 512, 3, generator=random))
+            images.write_png(copy / folder / f"{name}.png", torch.rand(512, 512, 3, generator=random))
     record = json.loads((copy / "fit.json").read_text())
     record["per_photo"], record["capture"]["photos"] = dict.fromkeys(names, 0.4), list(range(9))
     record["views"] |= {k: getattr(views, k).tolist() for k in ("camera", "light", "intensity")}
@@ -645,7 +649,7 @@ def test_the_page_fits_and_reads_in_a_browser(width, phone, scheme, larger, tmp_
 @pytest.mark.slow
 def test_the_slider_wipes_by_keyboard_and_pointer(larger, tmp_path):
     out = shutil.copytree(larger.parent, tmp_path / "out")
-    files.write_png(out / "photos/00.png", torch.tensor([1.0, 0.0, 0.0]).expand(64, 64, 3))
+    images.write_png(out / "photos/00.png", torch.tensor([1.0, 0.0, 0.0]).expand(64, 64, 3))
     write_report(out, quick=True)
     with opened(out / "report.html") as page:
         wipe, slider = page.locator(".wipe").first, page.locator(".wipe input").first

@@ -11,16 +11,18 @@ import pytest
 import torch
 
 from mitsvbrdf import cli
-from mitsvbrdf.capture import Capture, photograph, read_capture, write_capture
+from mitsvbrdf.calibrate.estimate import Problem, estimate_views, self_calibrated, why_not
+from mitsvbrdf.calibrate.refine import PRIORS
+from mitsvbrdf.capture import Capture, read_capture, write_capture
 from mitsvbrdf.errors import CaptureError
-from mitsvbrdf.evaluate import Fit, evaluate_fit, fit_of, placed
+from mitsvbrdf.evaluate import evaluate_fit, placed
 from mitsvbrdf.fit import HierarchicalConfig, fit_svbrdf
-from mitsvbrdf.fit.calibration import PRIORS
-from mitsvbrdf.fit.self_calibration import Problem, estimate_views, record, self_calibrated, why_not
-from mitsvbrdf.maps import SVBRDF, flat
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf.fit.record import Fit, fit_of
+from mitsvbrdf.fit.view_record import about_views, record
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.report.fit_page import about_views
+from mitsvbrdf.synth.photograph import photograph
 from mitsvbrdf.views import Views
 
 ANALYTIC, MITSUBA = make_renderer("analytic"), make_renderer("mitsuba")

@@ -5,17 +5,19 @@ import xml.etree.ElementTree as ElementTree
 import pytest
 import torch
 
-from mitsvbrdf import color, files
+from mitsvbrdf import color
 from mitsvbrdf.errors import CaptureError, OutputError
-from mitsvbrdf.maps import flat
-from mitsvbrdf.procedural import make_material
-from mitsvbrdf.report.sheet import GAP, HEADER, LABEL, MARGIN, loss_curve, write_sheet
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.maps import flat
+from mitsvbrdf.pages.canvas import GAP, HEADER, LABEL, MARGIN
+from mitsvbrdf.report.sheet import loss_curve, write_sheet
+from mitsvbrdf.system import images
 
 
 def sheet(path, svbrdf, count=9, **options):
     photos = torch.rand(count, 16, 16, 3, generator=torch.Generator().manual_seed(0))
     write_sheet(path, svbrdf, photos, photos.flip(0), rmse=0.1234, per_photo=[0.1] * count, **options)
-    return files.read_image(path, CaptureError)
+    return images.read_image(path, CaptureError)
 
 
 @pytest.mark.parametrize("count", [1, 4, 9, 12])

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.evaluate import soak
 from mitsvbrdf.render import make_renderer
+from mitsvbrdf.verify import soak
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from Linux's /proc")
 

@@ -17,17 +17,17 @@ from hypothesis import strategies as st
 
 from mitsvbrdf import cli
 from mitsvbrdf.errors import CaptureError, ConfigError, MapsError, MitsvbrdfError, OutputError
-from mitsvbrdf.evaluate.measure import fixed_cotangent, render_and_gradients
-from mitsvbrdf.evaluate.stability import SWEEPS, clamps, functions, run, stability
-from mitsvbrdf.evaluate.stability.conditioning import condition, disturbed, jacobian, largest_step, tangents, valid
-from mitsvbrdf.evaluate.stability.reference import texel_sum
-from mitsvbrdf.evaluate.stability.sweeps import APART, GRID, Case, aimed, material, tilted
-from mitsvbrdf.evaluate.stability.verdict import GRADIENT, IMAGE, VERDICTS, verdict
 from mitsvbrdf.fit.losses import photometric
-from mitsvbrdf.maps import CHANNELS, SVBRDF, flat
+from mitsvbrdf.material.maps import CHANNELS, SVBRDF, flat
+from mitsvbrdf.measure.gradients import fixed_cotangent, render_and_gradients
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.render.analytic import AnalyticRenderer
-from mitsvbrdf.report.stability import BEGIN, END, write_stability_markdown, write_stability_page
+from mitsvbrdf.verify.stability import SWEEPS, clamps, functions, run, stability
+from mitsvbrdf.verify.stability.conditioning import condition, disturbed, jacobian, largest_step, tangents, valid
+from mitsvbrdf.verify.stability.page import BEGIN, END, write_stability_markdown, write_stability_page
+from mitsvbrdf.verify.stability.reference import texel_sum
+from mitsvbrdf.verify.stability.sweeps import APART, GRID, Case, aimed, material, tilted
+from mitsvbrdf.verify.stability.verdict import GRADIENT, IMAGE, VERDICTS, verdict
 from mitsvbrdf.views import BRIGHTEST, FARTHEST, NEAREST, Views
 
 TWIN = make_renderer("analytic64")

@@ -8,16 +8,17 @@ import pytest
 import torch
 
 from mitsvbrdf import color
-from mitsvbrdf.capture import Capture, photograph
+from mitsvbrdf.bench import stiff
+from mitsvbrdf.capture import Capture
 from mitsvbrdf.errors import ConfigError, exit_code
-from mitsvbrdf.evaluate import stiff
 from mitsvbrdf.fit import DirectConfig, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf, make_method
 from mitsvbrdf.fit.confidence import UNKNOWN, _map, _numbers, confidence, deviations, jacobian
-from mitsvbrdf.fit.doubts import doubts
 from mitsvbrdf.fit.loop import MAX_UNDONE, Loop
-from mitsvbrdf.maps import SVBRDF, flat
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf.fit.warnings import fit_warnings
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.render import make_renderer
+from mitsvbrdf.synth.photograph import photograph
 from mitsvbrdf.views import Views, coverage_angle, nine_view_grid
 
 SIDE = 16
@@ -344,7 +345,7 @@ def test_a_photo_from_elsewhere_is_named(capture):
 def test_each_doubt(change, words, fitted, capture):
     if "rerendered" in change:
         change = {"rerendered": fitted.rerendered / change["rerendered"]}
-    (warning,) = doubts(dataclasses.replace(fitted, **change), capture)
+    (warning,) = fit_warnings(dataclasses.replace(fitted, **change), capture)
     assert words in warning
 
 
@@ -353,13 +354,13 @@ def test_roughness_that_lies_as_the_highlights_do(fix, count, fitted, capture):
     follows = 0.2 + coverage_angle(fitted.views, SIDE)[..., None].float()
     burnt = SVBRDF("roughconductor", dict(fitted.svbrdf.maps) | {"roughness": follows})
     found = dataclasses.replace(fitted, svbrdf=burnt, config=dataclasses.replace(fitted.config, fix=fix))
-    warnings = list(doubts(found, capture))
+    warnings = list(fit_warnings(found, capture))
     assert len(warnings) == count and all("100% of the roughness map lies as" in warning for warning in warnings)
 
 
 def test_dark_photos(fitted, capture):
     dark = dataclasses.replace(capture, photos=capture.photos * 0.05)
-    assert any("nearly black" in warning for warning in doubts(fitted, dark))
+    assert any("nearly black" in warning for warning in fit_warnings(fitted, dark))
 
 
 def test_photographs_are_8_bits_and_noisy():

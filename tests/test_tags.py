@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
+from mitsvbrdf.capture.align.from_sheet import rig_from_sheet
+from mitsvbrdf.capture.align.sheet import Sheet, tag_cells, write_sheet
+from mitsvbrdf.capture.align.tag_edges import _measured, find_edges
 from mitsvbrdf.capture.lens import Lens, Pose, on_plane, project
 from mitsvbrdf.capture.photo import Photo
-from mitsvbrdf.capture.sheet import Sheet, tag_cells, write_sheet
-from mitsvbrdf.capture.tag_edges import _measured, find_edges
-from mitsvbrdf.capture.tags import rig_from_sheet
 from mitsvbrdf.cli import main
 from mitsvbrdf.errors import CaptureError, ConfigError
 from mitsvbrdf.views import texel_positions

@@ -20,14 +20,13 @@ import torch
 
 from mitsvbrdf.errors import ConfigError, MapsError
 from mitsvbrdf.export.mitsuba import write_scene
-from mitsvbrdf.maps import SVBRDF, flat
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.testing import (
     assert_matches_golden,
     assert_renderers_agree,
     assert_z_test,
-    noise,
     random_material,
     running,
     z_test,
@@ -408,7 +407,7 @@ def test_limits_and_scores_against_mpmath():
         in_all = (1 - mpmath.erfc(limit / mpmath.sqrt(2))) ** count
         assert float(in_all**2) == pytest.approx(0.98, rel=1e-9)
     for degrees, t in ((7, 4.0), (15, 6.0), (63, 6.0)):
-        score = float(noise._normal_score(torch.tensor(-t, dtype=torch.float64), degrees))
+        score = float(_normal_score(torch.tensor(-t, dtype=torch.float64), degrees))
         tail = mpmath.betainc(degrees / 2, 0.5, 0, degrees / (degrees + t**2), regularized=True)
         assert score < 0 and float(mpmath.erfc(-score / mpmath.sqrt(2)) / tail) == pytest.approx(1, abs=0.05)
 

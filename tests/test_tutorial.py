@@ -7,10 +7,10 @@ import notebooks
 import numpy as np
 import pytest
 
-from mitsvbrdf import files
-from mitsvbrdf.capture import photograph
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf.material.made import make_material
 from mitsvbrdf.render import make_renderer
+from mitsvbrdf.synth.photograph import photograph
+from mitsvbrdf.system import images
 from mitsvbrdf.views import nine_view_grid
 
 TUTORIAL = notebooks.ROOT / "docs/tutorial.ipynb"
@@ -68,7 +68,7 @@ def figures(notebook, title):
 
 
 def exr(path):
-    return files.read_image(path, ValueError).double().numpy()
+    return images.read_image(path, ValueError).double().numpy()
 
 
 def test_errors_of_the_maps(tutorial):

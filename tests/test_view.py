@@ -17,16 +17,20 @@ import numpy as np
 import pytest
 import torch
 
-from mitsvbrdf import cli, files, view
-from mitsvbrdf.capture import photograph, write_capture
+from mitsvbrdf import cli
+from mitsvbrdf.capture import write_capture
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.fit import DirectConfig, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf, live, make_method
+from mitsvbrdf.fit import DirectConfig, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf, make_method
+from mitsvbrdf.fit import live as fit_live
 from mitsvbrdf.fit.checkpoint import load_tensors, save_tensors
 from mitsvbrdf.fit.live import LiveRecord
 from mitsvbrdf.fit.loop import Loop
-from mitsvbrdf.procedural import make_material
+from mitsvbrdf.material.made import make_material
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.view import ADDRESS, PORT, Watch, make_server
+from mitsvbrdf.report import live
+from mitsvbrdf.report.live import ADDRESS, PORT, Watch, make_server
+from mitsvbrdf.synth.photograph import photograph
+from mitsvbrdf.system import files, images, result_folder
 from mitsvbrdf.views import nine_view_grid
 
 SIDE = 16
@@ -42,8 +46,8 @@ def capture():
 @pytest.fixture
 def every_step(monkeypatch):
     """A record at each step."""
-    monkeypatch.setattr(live, "SECONDS", 0.0)
-    monkeypatch.setattr(live, "SHARE", 1.0)
+    monkeypatch.setattr(fit_live, "SECONDS", 0.0)
+    monkeypatch.setattr(fit_live, "SHARE", 1.0)
 
 
 @contextmanager
@@ -80,15 +84,15 @@ def state_of(ask):
 
 def fit_into(out, capture, config, report=None, overwrite=False, fails=None):
     """What `mitsvbrdf fit` does with its folder, with results that a test can tell apart."""
-    with files.output_folder(out, overwrite) as folder:
-        result = fit_svbrdf(capture, ANALYTIC, config, checkpoint=folder / files.CHECKPOINT, live=folder / files.LIVE,
+    with result_folder.output_folder(out, overwrite) as folder:
+        result = fit_svbrdf(capture, ANALYTIC, config, checkpoint=folder / result_folder.CHECKPOINT, live=folder / result_folder.LIVE,
                             report=report)
         if report:
             report(None, 1.0)
         if fails:
             raise fails
         (folder / "report.html").write_text(f"<p>{result.rerender_rmse}</p>")
-        (folder / "sheet.png").write_bytes(files.encode_png(torch.zeros(2, 2, 3)))
+        (folder / "sheet.png").write_bytes(images.encode_png(torch.zeros(2, 2, 3)))
         files.write_json(folder / "fit.json", {
             "method": "direct", "renderer": "analytic", "bsdf": "roughconductor", "stopped": result.stopped,
             "trace": result.trace, "warnings": [], "seconds": 1.0, "iterations": 20,
@@ -125,8 +129,8 @@ def test_a_fit_is_followed_from_before_it_starts_to_after_it_ends(tmp_path, capt
     assert pictures[0] != pictures[1] != pictures[2]
     assert seen[1]["says"] == "Fitting" and "all iterations done" in seen[3]["says"]
     assert after["phase"] == "done" and after["report"] and after["fit"]["trace"] == result.trace
-    assert not (out / files.LIVE).exists() and files.LIVE not in json.loads((out / files.MANIFEST).read_text())
-    assert not files.partial_folder(out).exists()
+    assert not (out / result_folder.LIVE).exists() and result_folder.LIVE not in json.loads((out / result_folder.MANIFEST).read_text())
+    assert not result_folder.partial_folder(out).exists()
 
 
 def test_a_fit_that_starts_anew_is_followed_again(tmp_path, capture, every_step):
@@ -167,17 +171,17 @@ def test_pictures_are_the_maps(tmp_path, capture, every_step):
 def test_maps_are_the_latest_not_the_best(tmp_path, capture, every_step):
     # Where a fit gets worse for a while its maps are still seen to move.
     method = make_method(capture, ANALYTIC, torch.full((SIDE, SIDE, 3), 0.3), FAST)
-    loop = Loop(method, capture, ANALYTIC, FAST, live=LiveRecord(tmp_path / files.LIVE))
+    loop = Loop(method, capture, ANALYTIC, FAST, live=LiveRecord(tmp_path / result_folder.LIVE))
     loop.best = 0.0, make_material("tiles", SIDE), capture.views  # nothing is better than that
     loop.run()
-    assert torch.equal(load_tensors(tmp_path / files.LIVE)[0]["diffuse"], method.estimate()[0]["diffuse"].half())
+    assert torch.equal(load_tensors(tmp_path / result_folder.LIVE)[0]["diffuse"], method.estimate()[0]["diffuse"].half())
     assert loop.best[0] == 0.0
 
 
 def test_larger_maps_are_shrunk_by_area(tmp_path, capture, monkeypatch):
-    monkeypatch.setattr(live, "SIDE", SIDE // 2)
-    result = fit_svbrdf(capture, ANALYTIC, FAST, live=tmp_path / files.LIVE)
-    tensors, note = load_tensors(tmp_path / files.LIVE)
+    monkeypatch.setattr(fit_live, "SIDE", SIDE // 2)
+    result = fit_svbrdf(capture, ANALYTIC, FAST, live=tmp_path / result_folder.LIVE)
+    tensors, note = load_tensors(tmp_path / result_folder.LIVE)
     blocks = result.svbrdf["diffuse"].reshape(SIDE // 2, 2, SIDE // 2, 2, 3).mean(dim=(1, 3))
     assert torch.allclose(tensors["diffuse"].float(), blocks, rtol=2**-10, atol=1e-7)  # float16
     assert {t.dtype for t in tensors.values()} == {torch.float16} and note["resolution"] == SIDE
@@ -190,11 +194,11 @@ def test_a_fit_has_the_same_bits_unwatched(name, config, tmp_path, capture, ever
     records = []
 
     def look(entry, share):
-        if (tmp_path / files.LIVE).exists():
-            records.append(load_tensors(tmp_path / files.LIVE)[1])
+        if (tmp_path / result_folder.LIVE).exists():
+            records.append(load_tensors(tmp_path / result_folder.LIVE)[1])
 
     renderer = make_renderer("mitsuba") if name == "hierarchical" else ANALYTIC
-    watched = fit_svbrdf(capture, renderer, config, live=tmp_path / files.LIVE, report=look)
+    watched = fit_svbrdf(capture, renderer, config, live=tmp_path / result_folder.LIVE, report=look)
     alone = fit_svbrdf(capture, renderer, config)
     assert records and records[0]["method"] == name
     assert all(torch.equal(watched.svbrdf[key], alone.svbrdf[key]) for key in alone.svbrdf.maps)
@@ -207,11 +211,11 @@ def test_hierarchical_shows_each_round(tmp_path, capture, every_step):
     # Between measurements too: the maps then are those of its unknowns, at the size it works at.
     config, mitsuba = HierarchicalConfig(iterations=3), make_renderer("mitsuba")
     method = make_method(capture, mitsuba, torch.full((SIDE, SIDE, 3), 0.3), config)
-    loop = Loop(method, capture, mitsuba, config, live=LiveRecord(tmp_path / files.LIVE))
+    loop = Loop(method, capture, mitsuba, config, live=LiveRecord(tmp_path / result_folder.LIVE))
     maps, step = [], method.step
 
     def looking_step(progress):
-        maps.append(load_tensors(tmp_path / files.LIVE)[0]["roughness"])
+        maps.append(load_tensors(tmp_path / result_folder.LIVE)[0]["roughness"])
         assert torch.equal(maps[-1][..., 0], method.x[method.names.index("roughness")].half())
         return step(progress)
 
@@ -231,7 +235,7 @@ def test_records_are_a_second_apart_and_take_five_percent(cost, step, tmp_path, 
         written.append(now)
         now += cost
 
-    monkeypatch.setattr(live.time, "perf_counter", lambda: now)
+    monkeypatch.setattr(fit_live.time, "perf_counter", lambda: now)
     monkeypatch.setattr(LiveRecord, "write", write)
     record, steps = LiveRecord(tmp_path / "live"), 0
     while now < 600:
@@ -247,7 +251,7 @@ def test_records_are_a_second_apart_and_take_five_percent(cost, step, tmp_path, 
 
 def test_a_record_that_cannot_be_written_ends_no_fit(tmp_path, capture, every_step):
     (tmp_path / "file").write_text("in the way")
-    result = fit_svbrdf(capture, ANALYTIC, FAST, live=tmp_path / "file" / files.LIVE)
+    result = fit_svbrdf(capture, ANALYTIC, FAST, live=tmp_path / "file" / result_folder.LIVE)
     assert result.stopped == "iterations" and [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
@@ -265,34 +269,34 @@ def test_the_command_leaves_no_record(tmp_path, capture, monkeypatch):
     out = tmp_path / "out"
     assert cli.main(["fit", str(tmp_path / "photos"), "-o", str(out), "--method", "direct", "--renderer", "analytic",
                      "--resolution", str(SIDE), "--iterations", "3"]) == 0
-    assert len(seen) >= 2 and set(seen) == {files.partial_folder(out).resolve() / files.LIVE}
-    assert not list(out.rglob(f"*{files.LIVE}*")) and (out / "fit.json").is_file()
+    assert len(seen) >= 2 and set(seen) == {result_folder.partial_folder(out).resolve() / result_folder.LIVE}
+    assert not list(out.rglob(f"*{result_folder.LIVE}*")) and (out / "fit.json").is_file()
 
 
 def test_resuming_starts_with_the_checkpoint_alone(tmp_path):
-    partial = files.partial_folder(tmp_path / "out")
+    partial = result_folder.partial_folder(tmp_path / "out")
     (partial / "maps").mkdir(parents=True)
-    for name in (files.CHECKPOINT, files.LIVE, files.LOCK, "maps/half.exr", ".live-0123.safetensors"):  # of a killed fit
+    for name in (result_folder.CHECKPOINT, result_folder.LIVE, result_folder.LOCK, "maps/half.exr", ".live-0123.safetensors"):  # of a killed fit
         (partial / name).write_bytes(b"old")
-    with files.output_folder(tmp_path / "out", False, resume=True) as folder:
-        assert sorted(p.name for p in folder.iterdir()) == [files.LOCK, files.CHECKPOINT]
+    with result_folder.output_folder(tmp_path / "out", False, resume=True) as folder:
+        assert sorted(p.name for p in folder.iterdir()) == [result_folder.LOCK, result_folder.CHECKPOINT]
 
 
 def test_looking_at_the_lock_does_not_refuse_a_fit(tmp_path):
     fcntl = pytest.importorskip("fcntl")
     out = tmp_path / "out"
-    assert not files.in_use(out)
-    with files.output_folder(out, False) as folder:
-        assert files.in_use(out)
+    assert not result_folder.in_use(out)
+    with result_folder.output_folder(out, False) as folder:
+        assert result_folder.in_use(out)
         (folder / "one").write_text("1")
-    assert not files.in_use(out)
-    partial = files.partial_folder(out)
+    assert not result_folder.in_use(out)
+    partial = result_folder.partial_folder(out)
     partial.mkdir()
-    with (partial / files.LOCK).open("w") as lock:  # that a look takes longer than any does
+    with (partial / result_folder.LOCK).open("w") as lock:  # that a look takes longer than any does
         fcntl.flock(lock, fcntl.LOCK_SH)
         threading.Timer(0.01, lambda: fcntl.flock(lock, fcntl.LOCK_UN)).start()
-        with files.output_folder(out, True):
-            assert files.in_use(out)
+        with result_folder.output_folder(out, True):
+            assert result_folder.in_use(out)
 
 
 # ---- fits that end badly ----
@@ -325,8 +329,8 @@ import os, signal, sys
 from pathlib import Path
 sys.path.insert(0, {str(os.path.dirname(__file__))!r})
 import test_view
-from mitsvbrdf.fit import live
-live.SECONDS, live.SHARE = 0.0, 1.0
+from mitsvbrdf.fit import live as fit_live
+fit_live.SECONDS, fit_live.SHARE = 0.0, 1.0
 capture = test_view.photograph(test_view.make_material("inlay", 16), test_view.nine_view_grid(), test_view.ANALYTIC)
 def die(entry, share):
     if entry["iteration"] == 10:
@@ -334,7 +338,7 @@ def die(entry, share):
 test_view.fit_into(Path({str(out)!r}), capture, test_view.FAST, die)
 """
     assert subprocess.run([sys.executable, "-c", code]).returncode == -signal.SIGKILL
-    assert (files.partial_folder(out) / files.LOCK).exists()
+    assert (result_folder.partial_folder(out) / result_folder.LOCK).exists()
     with served(out) as ask:
         died = state_of(ask)
         assert died["phase"] == "died" and died["fit"]["iteration"] == 9 and ask("/maps/diffuse.png")[0] == 200
@@ -369,7 +373,7 @@ def test_half_a_record_is_none(kept, tmp_path, capture, every_step):
     def look(entry, share):
         if entry and entry["iteration"] == 10:
             states.append(state_of(ask))
-            record = files.partial_folder(out) / files.LIVE
+            record = result_folder.partial_folder(out) / result_folder.LIVE
             record.write_bytes(record.read_bytes()[:kept])
             states.append(state_of(ask))
             assert ask("/maps/diffuse.png")[0] == 200
@@ -385,9 +389,9 @@ def test_half_a_record_is_none(kept, tmp_path, capture, every_step):
 def test_records_of_others_do_no_harm(tmp_path, capture):
     out = tmp_path / "out"
     strange = [{}, {"bsdf": "none"}, {"bsdf": "roughconductor"}, {"bsdf": ["list"]}]
-    with served(out) as ask, files.output_folder(out, False) as folder:
+    with served(out) as ask, result_folder.output_folder(out, False) as folder:
         for note in strange:
-            save_tensors(folder / files.LIVE, {"diffuse": torch.zeros(3), "../../passwd": torch.zeros(2, 2, 3)}, note)
+            save_tensors(folder / result_folder.LIVE, {"diffuse": torch.zeros(3), "../../passwd": torch.zeros(2, 2, 3)}, note)
             assert state_of(ask)["phase"] == "starting"
         for name, content in (("fit.json", b"[]"), ("fit.json", b'{"trace": NaN}'), ("fit.json", b"\xff")):
             (out / name).write_bytes(content)
@@ -400,7 +404,7 @@ def test_numbers_that_neither_json_nor_a_picture_has(tmp_path, capture, every_st
 
     def look(entry, share):
         if entry and entry["iteration"] == 10:
-            record = files.partial_folder(out) / files.LIVE
+            record = result_folder.partial_folder(out) / result_folder.LIVE
             tensors, note = load_tensors(record)
             note["trace"][0]["rerender_rmse"] = float("nan")
             note["latest"]["photometric"] = float("inf")
@@ -515,12 +519,12 @@ def test_a_browser_that_goes_away_is_no_error(error, told, tmp_path, capfd):
 # ---- mistakes, and the command ----
 
 def test_what_is_no_fits_folder_is_refused(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(view, "make_server", lambda *_: pytest.fail("serves it"))
+    monkeypatch.setattr(live, "make_server", lambda *_: pytest.fail("serves it"))
     (tmp_path / "file").write_text("")
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "00.png").write_text("")
     (tmp_path / "capture").mkdir()
-    for name in ("capture.json", files.MANIFEST):
+    for name in ("capture.json", result_folder.MANIFEST):
         (tmp_path / "capture" / name).write_text("[]")
     for name, word, way_out in (("file", "the file", "name the OUT"), ("photos", "no fit's", "name the OUT"),
                                 ("capture", "holds photos", "name the OUT"),

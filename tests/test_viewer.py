@@ -18,10 +18,9 @@ from browser import FLAGS, opened
 
 from mitsvbrdf import color, make_material
 from mitsvbrdf.errors import MapsError
-from mitsvbrdf.maps import CHANNELS, COLOURS, SVBRDF, flat
+from mitsvbrdf.material.maps import CHANNELS, COLOURS, SVBRDF, TITLES, flat, shown_map
+from mitsvbrdf.pages.page import page_text
 from mitsvbrdf.render.analytic import AnalyticRenderer
-from mitsvbrdf.report.page import page_text
-from mitsvbrdf.report.sheet import TITLES, shown_map
 from mitsvbrdf.report.viewer import viewer_html
 from mitsvbrdf.testing import random_material
 from mitsvbrdf.views import Views

@@ -2,7 +2,6 @@
 
 from .capture import Capture
 from .guess import guess_diffuse
-from .photograph import photograph
 from .read import read_capture, write_capture
 
-__all__ = ["Capture", "guess_diffuse", "photograph", "read_capture", "write_capture"]
+__all__ = ["Capture", "guess_diffuse", "read_capture", "write_capture"]

@@ -12,7 +12,11 @@ from torch import Tensor
 
 from .. import color
 from ..errors import CaptureError
+from ..pages.notebook import SHOWN, count_words, html_of, point_words, uri_of
 from ..views import Views
+
+KNOWN = {"given": "as calibrated", "sheet": "from a sheet of tags", "photos": "from features that the photos share",
+         "none": "of no calibration"}
 
 # Where the views of a capture come from: its maker, a marker sheet, the features that raw photos share, or nowhere.
 Calibration = Literal["given", "sheet", "photos", "none"]
@@ -100,5 +104,18 @@ class Capture:
 
     def _repr_html_(self) -> str:
         """The photos as small pictures with their positions, for notebooks."""
-        from ..report.notebook import capture_html
+        pass
         return capture_html(self)
+
+
+def capture_html(capture: Capture) -> str:
+    """The photos with the positions of camera and light in patch sides, at most nine, as an HTML fragment."""
+    sides, photos = capture.views.in_patch_sides(), []
+    for name, photo, view in zip(capture.names, capture.photos[:SHOWN], sides):
+        light = "light the same" if view.light == view.camera else f"light {point_words(view.light)}"
+        photos.append((f"{name} · camera {point_words(view.camera)}, {light}", uri_of(photo)))
+    height, width = capture.photos.shape[1:3]
+    facts = [f"transfer {capture.transfer}, falloff {capture.views.falloff}; positions in patch sides, "
+             f"{KNOWN[capture.calibration]}"]
+    name = capture.source.name if capture.source else "without a folder"
+    return html_of(f"Capture · {name} · {count_words(len(capture))}, {width} × {height} px", [("", photos)], facts, capture.notes)

@@ -11,13 +11,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ..color import CLIPPED
 from ..errors import ConfigError
-from ..views import Views, texel_positions
+from ..material.resample import resized
+from ..views import Views, geometry
 from .capture import Capture
 
 GuessMethod = Literal["robust", "min", "mean-blur"]
-
-CLIPPED = 0.99  # display values from here on say "at least this bright"
 BLUR = 1 / 32  # standard deviation of mean-blur, as a share of the image side
 
 # The texel model of `robust`: tilt x, tilt y (slopes of the normal), log alpha, log F0, log albedo.
@@ -89,12 +89,12 @@ def _robust(capture: Capture) -> Tensor:
     most = over(torch.tensor(math.pi), irradiance)  # and of a clipped pixel
 
     size = min(capture.resolution, FIT_SIZE)
-    texels = [_resized(x, size) for x in (albedo.mean(-1, True), most.mean(-1, True), light, half)]
+    texels = [resized(x, size) for x in (albedo.mean(-1, True), most.mean(-1, True), light, half)]
     texels = [x.flatten(1, 2).transpose(0, 1).squeeze(-1).contiguous() for x in texels]  # M x N (x 3)
     with _one_thread():
         prior = _typical(*(x[:: -(-len(x) // CHUNK)] for x in texels))
         fitted = [_shade(_fit(prior, *part), *part[2:]) for part in zip(*(x.split(CHUNK) for x in texels))]
-    shading, lobe = (_resized(torch.cat(x).T.reshape(-1, size, size, 1), capture.resolution) for x in zip(*fitted))
+    shading, lobe = (resized(torch.cat(x).T.reshape(-1, size, size, 1), capture.resolution) for x in zip(*fitted))
 
     seen = (capture.photos < CLIPPED) | (capture.photos == capture.photos.amin(dim=0))
     diffuse = torch.where(seen, (albedo - lobe) / shading, torch.nan)
@@ -110,25 +110,6 @@ def _one_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-def _resized(images: Tensor, size: int) -> Tensor:
-    """N x R x R x C at another size: area average down, bilinear up."""
-    how = {"mode": "area"} if size <= images.shape[1] else {"mode": "bilinear", "align_corners": False}
-    return F.interpolate(images.permute(0, 3, 1, 2), (size, size), **how).permute(0, 2, 3, 1)
-
-
-def geometry(views: Views, resolution: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Unit vectors to the light and half way to the camera, and the irradiance of flat texels: N x R x R x 3 each."""
-    views, texels = views.in_patch_sides(), texel_positions(resolution)
-    light, camera = (x[:, None, None] - texels for x in (views.light, views.camera))
-    reach = light.norm(dim=-1, keepdim=True)
-    if views.falloff == "none":
-        reach = views.light.norm(dim=1)[:, None, None, None]
-    light = F.normalize(light, dim=-1)
-    half = F.normalize(light + F.normalize(camera, dim=-1), dim=-1)
-    irradiance = views.intensity[:, None, None] * light[..., 2:] / reach**2
-    return light.float(), half.float(), irradiance.float()
 
 
 def _shade(texels: Tensor, light: Tensor, half: Tensor) -> tuple[Tensor, Tensor]:

@@ -21,16 +21,19 @@ from .. import color
 from ..errors import CaptureError, ConfigError
 from ..views import Views, coverage_angle
 from .capture import Capture
-from .flash import LONG_SIDE, Shading, shading_of_material, shading_of_paper, undo_vignetting
-from .lens import Lens, Pose, project
-from .photo import Photo, differences, other_sizes, reduced
-from .quality import LEAST_DETAIL, LOBE, Look, Stand, detail_of, looks, spoils, verdicts, where_to_stand
-from .rig import Rig, rectified, rig_to_json
+from .light.samples import LONG_SIDE
+from .light.shading import shading_of_material, shading_of_paper
+from .light.solve import Shading
+from .photo import Photo, differences, other_sizes
+from .quality.look import PhotoQuality, detail_of, photo_qualities
+from .quality.next_view import LOBE, NextView, next_best_view
+from .quality.verdicts import LEAST_DETAIL, spoils, verdicts
+from .rectify import LEAST_SIDE, Rectified, filled, without_vignetting
+from .rig import Rig, rig_to_json
 
 Reference = Literal["best", "first"]
 
 LEAST_PHOTOS = 3
-LEAST_SIDE = 8  # pixels of the rectified photos
 MOST_SIDE = 4096  # and at most
 COVERAGE_SIDE = 64
 # Spread of the cameras over their height below which all photos are from one place. Nine places as in docs/capture.md: 0.2;
@@ -44,7 +47,7 @@ class OnePlace(CaptureError):
 
 
 @dataclass(frozen=True)
-class Made:
+class CaptureResult:
     """A capture, and what is known about how good it is.
 
     Args:
@@ -63,9 +66,9 @@ class Made:
     photos: tuple[Photo, ...]
     rig: Rig
     shading: Shading | None
-    looks: dict[str, Look]
+    photo_qualities: dict[str, PhotoQuality]
     coverage: torch.Tensor
-    stand: Stand | None
+    stand: NextView | None
     warnings: tuple[str, ...]
     seconds: dict[str, float]
 
@@ -127,7 +130,7 @@ class _Timed(Photo):
 
 def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_cm: float = 0.0,
                  transfer: color.Transfer | None = None, resolution: int = 1024, reference: Reference = "best",
-                 report: Callable[[str, float], object] = lambda text, share: None) -> Made:
+                 report: Callable[[str, float], object] = lambda text, share: None) -> CaptureResult:
     """Raw photos of a flat material, taken with one phone and its flash, to a capture.
 
     Args:
@@ -160,10 +163,10 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
         left_out |= rig.left_out
         _from_places(rig)
         with clock("rectifying"):
-            raw = _Raw.of(rig, left, resolution, _within(told, 0.6, 1))
+            raw = Rectified.of(rig, left, resolution, _within(told, 0.6, 1))
         lit = _Lit.of(rig, raw, sheet_cm, depth_cm, transfer, clock)
         with clock("quality"):
-            seen = looks(lit.pictures, lit.views, transfer, lit.names, lit.overlap, lit.shading and lit.shading.evenness)
+            seen = photo_qualities(lit.pictures, lit.views, transfer, lit.names, lit.overlap, lit.shading and lit.shading.evenness)
             found |= {look.name: look for look in seen}
             bad = verdicts(seen, lit.pictures, lit.views, {p.name: str(p.exif["flash"]) for p in left if "flash" in p.exif})
         left_out |= bad
@@ -175,11 +178,11 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
         lit = _Lit.of(rig, raw, sheet_cm, depth_cm, transfer, clock)
     with clock("quality"):
         left_out |= _blurred([photo for photo in photos if photo.name in left_out and photo.name not in found], left_out, raw)
-        stand = where_to_stand(lit.views, lit.names, rig.unit)
+        stand = next_best_view(lit.views, lit.names, rig.unit)
         coverage = coverage_angle(lit.views, COVERAGE_SIDE)
     index = tuple(i for i, photo in enumerate(photos) if photo.name in lit.names)
     capture = Capture(lit.pictures, lit.views, transfer, index, rig.source, photos[0].path.parent)
-    return Made(capture, tuple(photos), replace(lit.rig, left_out=left_out), lit.shading, found, coverage, stand,
+    return CaptureResult(capture, tuple(photos), replace(lit.rig, left_out=left_out), lit.shading, found, coverage, stand,
                 (*warnings, *rig.notes, *raw.notes, *lit.notes), clock.finished())
 
 
@@ -217,7 +220,7 @@ def _from_places(rig: Rig) -> None:
                        "they are")
 
 
-def _blurred(photos: Sequence[Photo], reasons: Mapping[str, str], raw: _Raw) -> dict[str, str]:
+def _blurred(photos: Sequence[Photo], reasons: Mapping[str, str], raw: Rectified) -> dict[str, str]:
     """The reasons of photos without a pose that are blurred, which is why they have none."""
     usual = float(np.median([detail_of(pixels) for pixels in raw.small.values()]))
     sharpness = {photo.name: detail_of(photo.pixels(LONG_SIDE)) / usual for photo in photos}
@@ -238,39 +241,10 @@ def _rig(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, refer
 
     with clock("poses"):
         if sheet_cm is not None:
-            from .tags import rig_from_sheet
+            from .align.from_sheet import rig_from_sheet
             return rig_from_sheet(photos, sheet_cm, depth_cm, told)
-        from .align import rig_from_photos
+        from .align.from_photos import rig_from_photos
         return rig_from_photos(photos, reference, told)
-
-
-@dataclass(frozen=True)
-class _Raw:
-    """Photos as they came: rectified (R x R x 3, NaN beyond their edges), and whole ones made small, by name."""
-
-    rectified: dict[str, np.ndarray]
-    small: dict[str, np.ndarray]
-    notes: tuple[str, ...]
-
-    @classmethod
-    def of(cls, rig: Rig, photos: Sequence[Photo], resolution: int, report: Callable[[str, float], object]) -> _Raw:
-        photos = [photo for photo in photos if photo.name in rig.poses]
-        shown = int(np.median([_resolved(rig.lens, pose, rig.size) for pose in rig.poses.values()]))
-        side, pictures, small = max(LEAST_SIDE, min(resolution, shown)), {}, {}
-        for n, photo in enumerate(photos):
-            report(f"rectifying {photo.name}", n / len(photos))
-            pixels = photo.pixels()
-            pictures[photo.name] = rectified(pixels, rig.lens, rig.poses[photo.name], rig.size, side)
-            small[photo.name] = reduced(pixels, LONG_SIDE)
-        few = (f"the photos show the patch in {shown} pixels a side, so it is not enlarged to {resolution}",)
-        return cls(pictures, small, few if side < resolution else ())
-
-
-def _resolved(lens: Lens, pose: Pose, size: float) -> float:
-    """Pixels of a photo along a side of the patch, the shortest."""
-    corners = np.array([[x, y, 0.0] for x, y in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))]) * size
-    at = project(lens, pose, corners)
-    return float(np.nan_to_num(np.linalg.norm(np.roll(at, -1, axis=0) - at, axis=1)).min())
 
 
 @dataclass(frozen=True)
@@ -289,23 +263,23 @@ class _Lit:
         return list(self.rig.poses)
 
     @classmethod
-    def of(cls, rig: Rig, raw: _Raw, sheet_cm: float | None, depth_cm: float, transfer: color.Transfer, clock: _Clock) -> _Lit:
+    def of(cls, rig: Rig, raw: Rectified, sheet_cm: float | None, depth_cm: float, transfer: color.Transfer, clock: _Clock) -> _Lit:
         rig = replace(rig, poses={name: rig.poses[name] for name in raw.rectified if name in rig.poses})  # as they were given
         with clock("flash"):
             shading, notes = _shading(rig, raw, sheet_cm, depth_cm, transfer)
             if shading:
                 rig = replace(rig, lens=shading.lens)
-            pictures = [_without_vignetting(raw.rectified[name], rig, name, transfer) for name in rig.poses]
+            pictures = [without_vignetting(raw.rectified[name], rig, name, transfer) for name in rig.poses]
         overlap = {name: float(np.isfinite(picture).all(axis=-1).mean()) for name, picture in zip(rig.poses, pictures)}
-        return cls(rig, shading, _filled(pictures), overlap, _views(rig, shading), notes)
+        return cls(rig, shading, filled(pictures), overlap, _views(rig, shading), notes)
 
 
-def _shading(rig: Rig, raw: _Raw, sheet_cm: float | None, depth_cm: float, transfer: color.Transfer
+def _shading(rig: Rig, raw: Rectified, sheet_cm: float | None, depth_cm: float, transfer: color.Transfer
              ) -> tuple[Shading | None, tuple[str, ...]]:
     """From the paper of the sheet, else from the material, else nothing; and what was noticed."""
     notes = []
     if sheet_cm is not None:
-        from .sheet import Sheet
+        from .align.sheet import Sheet
         try:
             shading = shading_of_paper(rig, raw.small, transfer, Sheet(sheet_cm).white, depth_cm)
             beside = float(np.linalg.norm(shading.lens.flash))
@@ -321,24 +295,6 @@ def _shading(rig: Rig, raw: _Raw, sheet_cm: float | None, depth_cm: float, trans
                               "and so bright that a white texel has radiance 1")
 
 
-def _without_vignetting(picture: np.ndarray, rig: Rig, name: str, transfer: color.Transfer) -> np.ndarray:
-    if rig.lens.vignetting == (0.0, 0.0):
-        return picture
-    linear = color.decode(torch.from_numpy(picture), transfer).numpy()
-    linear = undo_vignetting(linear, rig.lens, rig.poses[name], rig.size, transfer)
-    return color.to_display(torch.from_numpy(linear), transfer).numpy()
-
-
-def _filled(pictures: Sequence[np.ndarray]) -> torch.Tensor:
-    """Photos with what lies beyond their edges taken from the mean of the others; black where none shows it."""
-    stack = np.stack(pictures)
-    known = np.isfinite(stack)
-    if not known.all():
-        mean = np.where(known, stack, 0).sum(axis=0) / known.sum(axis=0).clip(1)
-        stack = np.where(known, stack, mean)
-    return torch.from_numpy(stack).clamp(0, 1)
-
-
 def _views(rig: Rig, shading: Shading | None) -> Views:
     """Where cameras and flashes were, and how bright each photo shows them."""
     camera = np.stack([pose.position for pose in rig.poses.values()])
@@ -351,9 +307,9 @@ def _views(rig: Rig, shading: Shading | None) -> Views:
 
 def refuse_tags(photos: Sequence[Photo]) -> None:
     """Raise CaptureError where a sheet of tags is in the first photo: without its size the tags would pass for material."""
-    from .sheet import Sheet
-    from .tag_edges import find_edges
-    from .tags import LEAST_TAGS
+    from .align.from_sheet import LEAST_TAGS
+    from .align.sheet import Sheet
+    from .align.tag_edges import find_edges
 
     count = len(find_edges(photos[0], Sheet()).corners) if photos else 0
     if count >= LEAST_TAGS:
@@ -362,7 +318,7 @@ def refuse_tags(photos: Sequence[Photo]) -> None:
                            "capture PHOTOS -o CAPTURE --sheet 18`")
 
 
-def capture_keys(made: Made) -> dict:
+def capture_keys(made: CaptureResult) -> dict:
     """What ``capture.json`` says beside the views: see docs/formats.md."""
     uncertainty = None
     if made.shading:

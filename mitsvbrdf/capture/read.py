@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from .. import color, files
+from .. import color
 from ..errors import CaptureError, ConfigError
-from ..views import Falloff, Views
-from .align import FIELD_OF_VIEW, default_views, field_of_view
-from .capture import Calibration, Capture
+from ..system import files, images
+from ..views import FIELD_OF_VIEW, Falloff, default_views, field_of_view
+from .calibrated import LEAST_SIDE, from_json, from_text
+from .capture import Capture
 from .photo import UNTURNED, Photo, Unreadable, differences, photos_in
 
-PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
-LEAST_SIDE = 8  # pixels
 MOST_SIDE = 2048  # pixels of a single photo that is read without calibration
 
 
@@ -68,13 +65,13 @@ def read_capture(
     if transfer is not None and transfer not in get_args(color.Transfer):
         raise ConfigError(f"a transfer function of {get_args(color.Transfer)}", repr(transfer), "choose one of these")
     if path.is_file() and path.suffix.lower() == ".json":
-        capture = _from_json(path, falloff)
+        capture = from_json(path, falloff)
     elif not path.is_dir():
         raise CaptureError("a folder of photos", f"no folder at {path}", "check the name")
     elif (path / "capture.json").is_file():
-        capture = _from_json(path / "capture.json", falloff)
+        capture = from_json(path / "capture.json", falloff)
     elif (path / "camera_pos.txt").is_file():
-        capture = _from_text(path, falloff)
+        capture = from_text(path, falloff)
     elif (path / "fit.json").is_file():
         raise CaptureError("a folder of photos", f"{path}, the result of a fit", "name the folder that was fitted")
     else:
@@ -99,104 +96,13 @@ def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None
     """
     folder, views = Path(folder), capture.views
     for i, photo in enumerate(capture.photos):
-        files.write_png(folder / "target" / f"{i:02d}.png", photo, 16 if capture.transfer == "linear" else 8)
+        images.write_png(folder / "target" / f"{i:02d}.png", photo, 16 if capture.transfer == "linear" else 8)
     power = views.intensity.tolist()
     files.write_json(folder / "capture.json", {
         "target_dir": "target", "im_size": views.size, "idx": list(range(len(capture))),
         "camera_pos": views.camera.tolist(), "light_pos": views.light.tolist(),
         "light_pow": power[0] if all(row == power[0] for row in power) else power,
         "transfer": capture.transfer, "calibration": capture.calibration, **(keys or {})})
-
-
-def _from_json(path: Path, falloff: Falloff) -> Capture:
-    try:
-        stated = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as reason:
-        raise CaptureError("a valid JSON file", f"{path}: {reason}", "mend it or export it again") from None
-    if not isinstance(stated, dict):
-        raise CaptureError("a JSON object", f"a {type(stated).__name__} in {path}", "see the format of capture.json")
-    uncalibrated = "camera_pos" not in stated
-    for key in ("target_dir",) if uncalibrated else ("target_dir", "im_size", "camera_pos", "light_pow"):
-        if key not in stated:
-            raise CaptureError(f"the key {key!r}", f"{path} with {sorted(stated)}", "add it")
-    if not isinstance(stated["target_dir"], str):
-        raise CaptureError("target_dir as text", f"{stated['target_dir']!r} in {path}", "name the photos' folder")
-    transfer = stated.get("transfer", "gamma2.2")
-    if transfer not in get_args(color.Transfer):
-        raise CaptureError(f"a transfer of {get_args(color.Transfer)}", f"{transfer!r} in {path}",
-                           "choose one of these")
-
-    photos = _numbered(path.parent / stated["target_dir"])
-    index = stated.get("idx")
-    if uncalibrated:
-        stated = stated | _assumed(stated, path, max(photos) + 1)
-    size = _number(stated["im_size"], f"im_size in {path}")
-    camera = _rows(stated["camera_pos"], f"camera_pos in {path}")
-    light = _rows(stated["light_pos"], f"light_pos in {path}") if "light_pos" in stated else camera
-    if index is None:
-        index = list(photos)
-        _same_count(f"camera_pos in {path}", len(camera), len(photos))
-    elif not isinstance(index, list) or not index or not all(type(i) is int and i >= 0 for i in index):
-        raise CaptureError("idx as a list of photo numbers", f"{index!r} in {path}", "write for example [0, 1, 2]")
-    elif len(set(index)) < len(index):
-        raise CaptureError("idx with each photo once", f"{index} in {path}", "take the repeated number out")
-    elif missing := [i for i in index if i not in photos]:
-        raise CaptureError(f"photo {missing[0]:02d}.png or .jpg, which idx names", "no such file in "
-                           f"{path.parent / stated['target_dir']}", "add the photo or take it out of idx")
-    elif max(index) >= len(camera):
-        raise CaptureError(f"a row of camera_pos for each of {len(index)} photos in idx (the last is {max(index)})",
-                           f"{len(camera)} rows in {path}", "give one row a photo, or shorten idx")
-    views = _views(camera, light, stated["light_pow"], size, falloff, str(path)).pick(index)
-    return _calibrated([photos[i] for i in index], views, transfer, index, path.parent,
-                       _calibration(stated, path))
-
-
-def _calibration(stated: dict, path: Path) -> Calibration:
-    """Where the views come from, as stated; captures of other tools do not say it, and ``calibrated`` is our older word."""
-    found = stated.get("calibration", "none" if stated.get("calibrated", True) is False else "given")
-    if found not in get_args(Calibration):
-        raise CaptureError(f"a calibration of {get_args(Calibration)}", f"{found!r} in {path}", "choose one of these")
-    return found
-
-
-def _assumed(stated: dict, path: Path, rows: int) -> dict:
-    """What a capture without ``camera_pos`` leaves open: the default geometry, in its unit of length."""
-    beside = [key for key in ("light_pos", "light_pow") if key in stated]
-    if beside:
-        raise CaptureError("the key 'camera_pos' beside light_pos and light_pow", f"{' and '.join(beside)} alone in {path}",
-                           "add camera_pos, or take these out to have the geometry estimated from the photos")
-    size = _number(stated.get("im_size", 1.0), f"im_size in {path}")
-    views = default_views(1)
-    return {"im_size": size, "camera_pos": [[x * size for x in views.camera[0].tolist()]] * rows,
-            "light_pow": float(views.intensity[0, 0]) * size**2, "calibration": "none"}
-
-
-def _from_text(folder: Path, falloff: Falloff) -> Capture:
-    photos = _numbered(folder)
-    camera = _rows(_table(folder / "camera_pos.txt"), str(folder / "camera_pos.txt"))
-    _same_count(str(folder / "camera_pos.txt"), len(camera), len(photos))
-    light = camera
-    if (folder / "light_pos.txt").is_file():
-        light = _rows(_table(folder / "light_pos.txt"), str(folder / "light_pos.txt"))
-    sizes = [number for row in _table(folder / "image_size.txt") for number in row]
-    if len(set(sizes)) != 1:
-        raise CaptureError("one side length", f"{sizes} in {folder / 'image_size.txt'}", "the patch must be square")
-    power = _table(folder / "light_power.txt")
-    views = _views(camera, light, power[0][0] if power == [power[0][:1]] else power, sizes[0], falloff, str(folder))
-    return _calibrated(list(photos.values()), views, "gamma2.2", list(photos), folder)
-
-
-def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index: list[int], source: Path,
-                calibration: Calibration = "given") -> Capture:
-    photos = [_photo(path) for path in paths]
-    for path, photo in zip(paths, photos):
-        if photo.shape != photos[0].shape:
-            raise CaptureError("photos of one size", f"{paths[0].name} of {_size(photos[0])} and {path.name} of "
-                               f"{_size(photo)} in {source}", "rectify them to one size")
-        if photo.shape[0] != photo.shape[1]:
-            raise CaptureError("square photos, rectified to the patch", f"{path} of {_size(photo)}",
-                               "rectify it, or remove the calibration to read plain photos")
-    return Capture(torch.stack(photos), views, transfer, tuple(index), calibration, source)
 
 
 def _from_plain(folder: Path, falloff: Falloff, transfer: color.Transfer | None,
@@ -286,103 +192,3 @@ def _shrunk(capture: Capture, resolution: int | None) -> Capture:
     size = (resolution, resolution)
     photos = [cv2.resize(p.numpy(), size, interpolation=cv2.INTER_AREA) for p in capture.photos]
     return replace(capture, photos=torch.from_numpy(np.stack(photos)))
-
-
-def _photo(path: Path) -> Tensor:
-    """A photo as H x W x 3 display values, EXIF orientation applied."""
-    import cv2
-
-    try:
-        photo = files.read_image(path, CaptureError)
-    except (OSError, cv2.error) as reason:
-        raise CaptureError("a readable photo", f"{path}: {reason}", "check the file") from None
-    short = min(photo.shape[:2])
-    if short < LEAST_SIDE:
-        raise CaptureError(f"photos of {LEAST_SIDE} pixels or more a side", f"{path} of {_size(photo)}",
-                           "use the original photo")
-    return photo
-
-
-def _photos_in(folder: Path) -> list[Path]:
-    """Image files in a folder, hidden ones aside."""
-    if not folder.is_dir():
-        raise CaptureError("a folder of photos", f"no folder at {folder}", "check target_dir")
-    return [p for p in folder.iterdir() if p.suffix.lower() in PHOTO_SUFFIXES and p.name[0] != "." and p.is_file()]
-
-
-def _numbered(folder: Path) -> dict[int, Path]:
-    """The photos NN.png or NN.jpg of a folder by their number, in order."""
-    paths: dict[int, Path] = {}
-    for path in sorted(p for p in _photos_in(folder) if p.stem.isdecimal()):
-        if int(path.stem) in paths:
-            raise CaptureError("one photo of each number", f"{paths[int(path.stem)].name} and {path.name} in {folder}",
-                               "remove one of them")
-        paths[int(path.stem)] = path
-    if not paths:
-        raise CaptureError("photos 00.png or 00.jpg, ...", f"none in {folder}", "add them or check target_dir")
-    return dict(sorted(paths.items()))
-
-
-def _views(camera: list, light: list, power: Any, size: float, falloff: Falloff, where: str) -> Views:
-    """Views with the counts checked and the file named in each error."""
-    power = _power(power, len(camera), f"light_pow in {where}")
-    if len(light) != len(camera):
-        raise CaptureError(f"light_pos of {len(camera)} rows, as camera_pos", f"{len(light)} rows in {where}",
-                           "give one row a photo")
-    try:
-        return Views.of(camera, light, power, size, falloff)
-    except CaptureError as error:
-        raise CaptureError(error.expected, f"{error.got} in {where}", error.fix) from None
-
-
-def _power(value: Any, count: int, where: str) -> float | list:
-    """A light's intensity as a number, three numbers, or ``count`` rows of three."""
-    if not isinstance(value, list):
-        return _number(value, where)
-    if not value or not isinstance(value[0], list):
-        return _row(value, where)
-    rows = _rows(value, where)
-    if len(rows) not in (1, count):
-        raise CaptureError(f"1 or {count} rows of {where}", f"{len(rows)} rows", "give one row a photo")
-    return rows
-
-
-def _same_count(what: str, rows: int, photos: int) -> None:
-    if rows != photos:
-        raise CaptureError(f"a row of {what} for each of {photos} photos", f"{rows} rows", "give one row a photo")
-
-
-def _number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or abs(value) > 1e300:
-        raise CaptureError("a finite number", f"{value!r} as {where}", "check the calibration")
-    return float(value)
-
-
-def _row(value: Any, where: str) -> list[float]:
-    if not isinstance(value, list) or len(value) != 3:
-        raise CaptureError("three numbers", f"{value!r} in {where}", "check the calibration")
-    return [_number(x, where) for x in value]
-
-
-def _rows(value: Any, where: str) -> list[list[float]]:
-    if not isinstance(value, list) or not value:
-        raise CaptureError("rows of three numbers", f"{value!r} as {where}", "give one row a photo")
-    return [_row(row, where) for row in value]
-
-
-def _table(path: Path) -> list[list[float]]:
-    """The numbers of a text file, row by row, separated by commas or blanks."""
-    if not path.is_file():
-        raise CaptureError(path.name, f"no such file in {path.parent}", "add it, or remove camera_pos.txt")
-    try:
-        lines = path.read_text(encoding="utf-8").replace(",", " ").splitlines()
-        rows = [[float(x) for x in line.split()] for line in lines if line.strip()]
-    except (OSError, ValueError) as reason:
-        raise CaptureError("rows of numbers", f"{path}: {reason}", "check the calibration") from None
-    if not rows:
-        raise CaptureError("rows of numbers", f"{path}, which is empty", "check the calibration")
-    return rows
-
-
-def _size(photo: Tensor) -> str:
-    return f"{photo.shape[1]} x {photo.shape[0]}"

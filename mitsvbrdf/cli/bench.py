@@ -11,10 +11,10 @@ from typing import Annotated, Literal, TypeVar
 
 from tyro.conf import arg
 
-from .. import files
 from ..errors import ConfigError
-from ..progress import progress_bar, say, say_written
 from ..render import RendererName
+from ..system import files
+from ..system.progress import progress_bar, say, say_written
 from .options import Overwrite, Variant, views_of
 
 T = TypeVar("T")
@@ -60,8 +60,8 @@ def bench(
     Each record is kept as soon as it is there: Ctrl-C loses one fit at most, and the same command goes on. Nothing else should
     run meanwhile. docs/evaluation.md says what is measured and how.
     """
-    from ..evaluate.bench import duration, run
-    from ..evaluate.bench.store import Store, read_benchmark
+    from ..bench.jobs import duration, run
+    from ..bench.store import Store, read_benchmark
 
     asked = {"resolution": resolution, "budgets": budgets, "seeds": seeds, "repeats": repeats, "materials": materials,
              "captures": captures, "megapixels": megapixels}
@@ -93,14 +93,12 @@ def bench(
 def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str | None, data: Path | None,
           renderer: RendererName, variant: str, quick: bool):
     """All jobs, what their records share, and the numbers published for what they fit."""
-    from ..evaluate.bench import fit_jobs
-    from ..evaluate.bench.ablation import VARIANTS
-    from ..evaluate.bench.methods import method_table, variant_table
-    from ..evaluate.bench.published import published
-    from ..evaluate.bench.renderers import render_jobs
-    from ..fit.config import check_seed
+    from ..bench.jobs import fit_jobs
+    from ..bench.methods import VARIANTS, method_table, variant_table
+    from ..bench.published import published
+    from ..bench.renderers import render_jobs
+    from ..fit.config import CONFIGS, check_seed
     from ..render import make_renderer
-    from . import CONFIGS
 
     budgets = _numbers("--budgets", chosen["budgets"], float, lambda x: 0 < x < math.inf)
     seeds = _numbers("--seeds", chosen["seeds"], int, lambda x: x >= 0)
@@ -127,8 +125,8 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
     if "methods" in suites:
         jobs += fit_jobs("methods", picked, tasks, budgets, seeds, engine)
     if "capture" in suites:
-        from ..capture.handheld import HandheldPhone
-        from ..evaluate.bench.capture import capture_jobs
+        from ..bench.from_phone import capture_jobs
+        from ..synth.phone import HandheldPhone
 
         phone, default = HandheldPhone(megapixels=chosen["megapixels"], seed=seeds[0]), next(iter(table.values()))
         phone.check()
@@ -143,7 +141,7 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
 
 
 def _tasks(chosen: dict, source: str, data: Path | None, engine) -> list:
-    from ..evaluate.bench.tasks import known_material, real_capture
+    from ..bench.tasks import known_material, real_capture
 
     materials, captures = _sources(chosen, data)
     lit = views_of(source, "inverse-square")[1]
@@ -153,7 +151,7 @@ def _tasks(chosen: dict, source: str, data: Path | None, engine) -> list:
 
 def _sources(chosen: dict, data: Path | None) -> tuple[list[str], list[str]]:
     """The known materials, builtin:NAME or folders, and the folders of real captures, each once."""
-    from ..procedural import MATERIALS
+    from ..material.made import MATERIALS
 
     everything = [*(f"builtin:{name}" for name in MATERIALS), *map(str, _inside(data, "materials"))]
     names = _folders(chosen.get("materials"), everything, data, "materials")
@@ -214,7 +212,7 @@ def _name(source: str) -> str:
 
 def _show(record: dict, page: Path | None) -> None:
     """The tables on the terminal and, where it was asked for, the page."""
-    from ..report.bench import print_benchmark, write_benchmark_page
+    from ..bench.page import print_benchmark, write_benchmark_page
 
     print_benchmark(record)
     if page:

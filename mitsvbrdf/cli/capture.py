@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from .. import files
 from ..errors import ConfigError
-from ..interrupts import undisturbed
-from ..progress import console, progress_bar, say
+from ..system import result_folder
+from ..system.interrupts import undisturbed
+from ..system.progress import console, progress_bar, say
 from .options import Out, Overwrite
 
 if TYPE_CHECKING:
-    from ..capture.make import Made
+    from ..capture.make import CaptureResult
 
 PAPER = 0.01  # cm
 
@@ -45,8 +45,8 @@ def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A fo
     """
     from ..capture import write_capture
     from ..capture.make import capture_keys, make_capture, refuse_tags
+    from ..capture.page import write_quality
     from ..capture.photo import Photo, photos_in
-    from ..report.capture import write_quality
 
     if os.path.realpath(photos) in (os.path.realpath(out), os.path.realpath(out / "target")):
         raise ConfigError("an output folder of its own", f"{out}, which holds the photos", "choose another folder")
@@ -57,7 +57,7 @@ def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A fo
     raw = [Photo.open(path) for path in photos_in(photos)]
     if sheet is None:
         refuse_tags(raw)
-    with files.output_folder(out, overwrite) as folder:
+    with result_folder.output_folder(out, overwrite) as folder:
         with progress_bar("capture") as report:
             made = make_capture(raw, sheet, depth, None if transfer == "auto" else transfer, resolution, reference, report)
         with undisturbed():
@@ -68,7 +68,7 @@ def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A fo
     return 0
 
 
-def _print(made: Made) -> None:
+def _print(made: CaptureResult) -> None:
     from rich.table import Table
 
     table = Table(title=f"{len(made.used)} of {len(made.photos)} photos used", title_justify="left")

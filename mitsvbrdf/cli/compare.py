@@ -9,12 +9,12 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from .. import files
 from ..capture import guess_diffuse
 from ..errors import ConfigError, MapsError
-from ..maps import SVBRDF
-from ..progress import print_numbers, say, say_written
+from ..material.maps import SVBRDF
 from ..render import RendererName, make_renderer
+from ..system import files, images
+from ..system.progress import print_numbers, say, say_written
 from .options import Out, Overwrite, TransferOption, Variant, ViewList, check_new_file, material_of, photo_numbers, read_photos
 
 LARGEST = 256  # pixels a side, where nothing else is asked for
@@ -38,11 +38,11 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
     `mitsvbrdf compare out materialgan=captures/wood/materialgan --capture captures/wood -o page.html` writes one HTML file that
     needs no network. Photos that a fit saw are rendered with the views it ended with, all others as `mitsvbrdf evaluate` does.
     """
+    from ..calibrate.refine import Priors
     from ..evaluate import evaluate_maps
     from ..evaluate.compare import compare as measure
-    from ..fit.calibration import Priors
-    from ..metrics import map_rmse
-    from ..report.compare import write_compare_page
+    from ..evaluate.compare_page import write_compare_page
+    from ..measure.metrics import map_rmse
 
     if not maps:
         raise ConfigError("one or more folders of maps", "none", "name them before --capture")
@@ -79,8 +79,8 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
 
 def _entry(text: str, resolution: int):
     """Maps, name and fit of ``[NAME=]MAPS``; an existing folder with a = in its name is that folder."""
-    from ..evaluate import fit_of
     from ..evaluate.compare import Entry
+    from ..fit.record import fit_of
 
     name, equals, maps = text.partition("=")
     name, maps = (name, maps) if equals and not os.path.exists(text) else ("", text)
@@ -91,7 +91,7 @@ def _entry(text: str, resolution: int):
     folder = folder.parent if folder.name == "maps" else folder
     guess = folder / "guess" / "diffuse.exr"
     return Entry(name or fit.method or folder.name, maps, svbrdf, fit,
-                 files.read_image(guess, MapsError) if guess.is_file() else None)
+                 images.read_image(guess, MapsError) if guess.is_file() else None)
 
 
 def _named_apart(entries: list) -> list:

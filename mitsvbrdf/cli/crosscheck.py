@@ -11,11 +11,11 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from .. import files
 from ..errors import ConfigError
-from ..maps import CHANNELS
-from ..progress import console, progress_bar, say, say_written
+from ..material.maps import CHANNELS
 from ..render import make_renderer
+from ..system import files
+from ..system.progress import console, progress_bar, say, say_written
 from .options import Variant, ViewSource, material_of, name_of, views_of
 
 RENDERERS = ("mitsuba", "mitsuba-scene", "analytic")
@@ -39,7 +39,7 @@ def crosscheck(
 
     Exit code 1 when a stated tolerance does not hold; docs/evaluation.md says what is compared and how to read it.
     """
-    from ..evaluate import crosscheck as checks
+    from ..verify import crosscheck as checks
 
     _check_options(repeats, resolution)
     files.check_output(json_file, html_file)
@@ -59,7 +59,7 @@ def crosscheck(
     if json_file:
         files.write_json(json_file, record)
     if html_file:
-        from ..report.crosscheck import write_crosscheck_page
+        from ..verify.crosscheck_page import write_crosscheck_page
         write_crosscheck_page(html_file, record, error_maps)
     say_written(json_file, html_file)
     return _verdict(record)
@@ -74,8 +74,8 @@ def _check_options(repeats: int, resolution: int | None) -> None:
 
 def _materials(maps: str | None, resolution: int | None):
     """Materials by name, and falloff, flash offset and transfer of the fit they come from (or the defaults)."""
-    from ..evaluate import Fit, fit_of
-    from ..evaluate.corners import builtin_materials
+    from ..fit.record import Fit, fit_of
+    from ..material.corner_cases import builtin_materials
 
     fit = Fit() if maps is None or maps.startswith("builtin:") else fit_of(maps)
     if maps is None:
@@ -95,7 +95,7 @@ def _with_offset(views, offset: tuple[float, float] | None):
 
 
 def _print(record: dict) -> None:
-    from ..evaluate.crosscheck import left_out
+    from ..verify.crosscheck import left_out
 
     for bsdf, how in dict.fromkeys(pair for m in record["materials"].values() for pair in m["converted"].items()):
         say(f"as {bsdf}: {how}")
@@ -110,7 +110,7 @@ def _print(record: dict) -> None:
 
 def _table(record: dict, texels: str, bsdf: str, rows: list[dict]) -> Table:
     """The summary of one BSDF: a row for each figure, a column for each renderer."""
-    from ..report.page import figure, seconds
+    from ..pages.page import figure, seconds
 
     count = rows[0]["materials"]
     bound = f"{'>=' if texels == 'rough' else '<'} {record['rough_from']}"
@@ -141,7 +141,7 @@ def _table(record: dict, texels: str, bsdf: str, rows: list[dict]) -> Table:
 
 
 def _verdict(record: dict) -> int:
-    from ..report.page import figure
+    from ..pages.page import figure
 
     for found in record["violations"]:
         limit = f" (float32 limit {figure(found['limit'])})" if found["limit"] else ""

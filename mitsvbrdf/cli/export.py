@@ -7,12 +7,12 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from .. import files
 from ..errors import ConfigError
 from ..export import FORMATS, check_options, export_material
 from ..export.maps import Naming
 from ..export.textures import Bits, NormalConvention
-from ..progress import say
+from ..system import result_folder
+from ..system.progress import say
 from .options import Material, Overwrite, keep_apart_from_maps, material_of, name_of
 
 
@@ -29,7 +29,7 @@ def export(maps: Positional[Material],
     material as JSON; maps PNG files. Where diffuse and specular have to become base colour and metallic (gltf, maps), what
     that loses is printed: RMSE of both maps as linear^(1/2.2).
     """
-    from ..evaluate import Fit, fit_of
+    from ..fit.record import Fit, fit_of
 
     formats = [part.strip() for part in to.split(",")]
     check_options(formats, naming, normal, bits)
@@ -41,7 +41,7 @@ def export(maps: Positional[Material],
     name = name_of(maps)
     if not builtin:
         keep_apart_from_maps(Path(maps), out)
-    with files.output_folder(out, overwrite) as folder:
+    with result_folder.output_folder(out, overwrite) as folder:
         done = export_material(svbrdf, folder, formats, name, naming, normal, bits, fit.views)
     for kind, written in done.items():
         for what, errors in (written.conversion or {}).items():

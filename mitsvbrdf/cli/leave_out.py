@@ -8,9 +8,9 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from .. import files
 from ..errors import ConfigError
-from ..progress import console, say, say_written
+from ..system import files
+from ..system.progress import console, say, say_written
 
 
 def leave_out(resolution: Annotated[int, arg(help="Side of the maps in texels.")] = 256,
@@ -23,8 +23,8 @@ def leave_out(resolution: Annotated[int, arg(help="Side of the maps in texels.")
     """
     from rich.table import Table
 
-    from ..evaluate.leave_out import measure_leave_out
-    from ..report.leave_out import leave_out_rows, write_leave_out_markdown
+    from ..verify.leave_out import measure_leave_out
+    from ..verify.leave_out_page import leave_out_rows, write_leave_out_markdown
 
     if resolution < 8 or repeats < 1:
         raise ConfigError("--resolution of 8 or more and --repeats of 1 or more", f"{resolution} and {repeats}", "try 64 and 3")

@@ -11,15 +11,16 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import arg
 
-from .. import files
 from ..capture import Capture, read_capture
 from ..errors import CaptureError, ConfigError, OutputError
-from ..maps import SVBRDF, load_maps
-from ..progress import progress_bar, say
+from ..material.map_files import load_maps
+from ..material.maps import SVBRDF
+from ..system import files
+from ..system.progress import progress_bar, say
 from ..views import Falloff, Views, nine_view_grid
 
 if TYPE_CHECKING:
-    from ..evaluate import Fit
+    from ..fit.record import Fit
 
 Out = Annotated[Path, arg(aliases=["-o"], help="Folder (or file) to write.")]
 Overwrite = Annotated[bool, arg(help="Replace results that are there already.")]
@@ -88,14 +89,15 @@ def photo_numbers(views: str | None) -> list[int] | None:
 def material_of(name: str, resolution: int = 256) -> SVBRDF:
     """Maps from a folder, or ``builtin:NAME`` made at this resolution."""
     if name.startswith("builtin:"):
-        from ..procedural import make_material
+        from ..material.made import make_material
         return make_material(name.removeprefix("builtin:"), resolution)
     return load_maps(name)
 
 
 def views_of(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[list[str], Views]:
     """Names and views of a capture (:func:`~mitsvbrdf.evaluate.placed` where it states none), or of ``builtin:grid``."""
-    from ..evaluate import Fit, placed
+    from ..evaluate import placed
+    from ..fit.record import Fit
 
     if source == "builtin:grid":
         views = replace(nine_view_grid(), falloff=falloff)
@@ -114,3 +116,9 @@ def check_new_checkpoint(out: Path, overwrite: bool) -> None:
     if out.is_dir() or out.exists() and not overwrite:
         raise ConfigError("a new checkpoint file", f"{out}, which exists", "add --overwrite, or choose another name")
     files.check_output(out)
+
+
+def fit_of_maps(maps: str):
+    from ..fit.record import Fit, fit_of
+
+    return Fit() if maps.startswith("builtin:") else fit_of(maps)

@@ -10,12 +10,12 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from .. import files
 from ..errors import ConfigError
 from ..fit.config import check_seed
-from ..interrupts import stop_signals
-from ..progress import progress_bar, say
 from ..render.llvm import mitsuba_module
+from ..system import result_folder
+from ..system.interrupts import stop_signals
+from ..system.progress import progress_bar, say
 from .options import Material, Overwrite, Variant, keep_apart_from_maps, material_of, name_of
 
 SIDES = (8, 8192)
@@ -53,7 +53,7 @@ def relight(maps: Positional[Material],
 
     Ctrl-C keeps the frames done and the one at hand as it is; the same command with --resume goes on.
     """
-    from ..evaluate import Fit, fit_of
+    from ..fit.record import Fit, fit_of
     from ..relight.frames import begin, go_on, kept_names, render_stages
     from ..relight.movie import av_module
     from ..relight.passes import Stop
@@ -88,7 +88,7 @@ def relight(maps: Positional[Material],
                 "frames": frames, "tiling": tiling, "displacement": displacement, "exposure": exposure,
                 "target_error": stop.target_error, "budget": budget, "samples": samples, "seed": seed, "variant": variant}
     title = f"relight {name_of(maps)}"
-    with files.output_folder(out, overwrite or resume, resume, kept_names(PRESETS)) as folder:
+    with result_folder.output_folder(out, overwrite or resume, resume, kept_names(PRESETS)) as folder:
         record = go_on(settings, out, folder) if resume else begin(settings)
         with contextlib.ExitStack() as stack:
             stopping = stack.enter_context(stop_signals())
@@ -134,9 +134,9 @@ def _check(mi, svbrdf, views, seed: int) -> int:
 
 def _finish(stage, record, folder: Path, kinds: list[str], exposure: float, stop) -> None:
     """Curve and a line for a preset, and its movie where all frames are there."""
+    from ..relight.curve import error_curve
     from ..relight.frames import display_frames
     from ..relight.movie import write_gif, write_mp4
-    from ..report.relight import error_curve
 
     frames = record.presets[stage.name]["frames"]
     if len(record.of(stage.name)) == stage.frames > 1:

@@ -7,10 +7,10 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from .. import files
 from ..capture import read_capture
-from ..progress import print_numbers, progress_bar, say, say_written
-from ..report.page import figure
+from ..pages.page import figure
+from ..system import result_folder
+from ..system.progress import print_numbers, progress_bar, say, say_written
 from .options import keep_apart
 
 
@@ -23,7 +23,8 @@ def report(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder t
     `fit` writes them too, quickly. This command holds every renderer against the float64 twin on the fitted maps in the views
     of the fit, with run times, and measures what was saved by leaving out what the material does not need.
     """
-    from ..report.fit_page import check_photos, keep_photos, read_fit, write_report
+    from ..fit.record import read_fit
+    from ..report.fit_page import check_photos, keep_photos, write_report
 
     found = read_fit(out)
     left_out, written = None, ["report.html", "report.json"]
@@ -36,7 +37,7 @@ def report(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder t
         others = [number for number in shots.index if number not in found.fit.seen]
         left_out = shots if others else None
         written += [f"photos/{name}.png" for name in shots.names] + [f"predicted/{number:02d}.png" for number in others]
-    files.make_room(out, written)
+    result_folder.make_room(out, written)
     if capture is not None:
         keep_photos(out, used)
     with progress_bar(f"report {out.name}") as tell:

@@ -7,8 +7,8 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-from ..capture.sheet import Paper
-from ..progress import say, say_written
+from ..capture.align.sheet import Paper
+from ..system.progress import say, say_written
 from .options import Overwrite, check_new_file
 
 
@@ -19,7 +19,7 @@ def sheet(out: Annotated[Path, arg(aliases=["-o"], help="File to write: .pdf, .s
 
     Print it at 100 %, cut the middle out, and measure the arrow: its length is CM.
     """
-    from ..capture.sheet import write_sheet
+    from ..capture.align.sheet import write_sheet
 
     check_new_file(out, overwrite)
     write_sheet(out, size, paper)

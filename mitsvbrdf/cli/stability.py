@@ -10,10 +10,10 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from tyro.conf import arg
 
-from .. import files
 from ..errors import ConfigError
-from ..progress import console, progress_bar, say, say_written
 from ..render import make_renderer
+from ..system import files
+from ..system.progress import console, progress_bar, say, say_written
 from .crosscheck import RENDERERS
 from .options import Variant
 
@@ -35,15 +35,15 @@ def stability(
     About two minutes for everything. Exit code 1 when a value that is not finite came out of a public function, or a verdict
     is worse than expected; docs/stability.md explains the verdicts and every clamp.
     """
-    from ..evaluate.stability import SWEEPS
-    from ..evaluate.stability import stability as run
+    from ..verify.stability import SWEEPS
+    from ..verify.stability import stability as run
 
     files.check_output(json_file, html_file, md)
     if md and (only or renderer != "all"):
         raise ConfigError("--md with every sweep and renderer", "--only or --renderer beside it",
                           "leave them out, or use --html: the page in the docs is replaced as a whole")
     if md:
-        from ..report.stability import around_tables
+        from ..verify.stability.page import around_tables
         around_tables(md)  # refused now rather than after the work
     renderers = [make_renderer(name, variant) for name in (RENDERERS if renderer == "all" else (renderer,))]
     with progress_bar("stability") as report:
@@ -56,7 +56,7 @@ def stability(
     if json_file:
         files.write_json(json_file, record)
     if html_file or md:
-        from ..report.stability import write_stability_markdown, write_stability_page
+        from ..verify.stability.page import write_stability_markdown, write_stability_page
         if html_file:
             write_stability_page(html_file, record)
         if md:
@@ -72,7 +72,7 @@ def stability(
 
 def _table(title: str, rows: list[dict], renderers: list[str]) -> Table:
     """Verdict and largest error of each renderer, beside what one rounding of the normals makes; fits 80 columns."""
-    from ..report.stability import largest
+    from ..verify.stability.page import largest
 
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     table.add_column("")

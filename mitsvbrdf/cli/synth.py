@@ -8,13 +8,16 @@ from typing import Annotated
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from .. import color, files
-from ..capture import photograph, write_capture
-from ..capture.handheld import HandheldPhone, write_handheld
+from .. import color
+from ..capture import write_capture
 from ..errors import ConfigError
 from ..fit.config import check_seed
-from ..progress import say
 from ..render import RendererName, make_renderer
+from ..synth import photograph
+from ..synth.phone import HandheldPhone
+from ..synth.photos import write_handheld
+from ..system import result_folder
+from ..system.progress import say
 from .options import Material, Out, Overwrite, Variant, ViewSource, keep_apart, material_of, name_of, views_of
 
 RECTIFIED, MADE = 256, 1024  # --resolution where it is left out
@@ -64,7 +67,7 @@ def _rectified(material: str, out: Path, views: str, resolution: int, noise: flo
         say(f"the maps have {svbrdf.resolution} px, so have the photos")
     svbrdf = svbrdf.resized(min(resolution, svbrdf.resolution))
     shots = photograph(svbrdf, lit, renderer, noise, seed, transfer)
-    with files.output_folder(out, overwrite) as folder:
+    with result_folder.output_folder(out, overwrite) as folder:
         write_capture(shots, folder)
     say(f"wrote {len(names)} photos and capture.json to {out}")
     return 0
@@ -72,11 +75,11 @@ def _rectified(material: str, out: Path, views: str, resolution: int, noise: flo
 
 def _handheld(material: str, out: Path, phone: HandheldPhone, spoil: str, resolution: int, variant: str,
               overwrite: bool) -> int:
-    from ..render.handheld import HandheldRenderer
+    from ..synth.traced import HandheldRenderer
 
     phone.check()
     svbrdf = material_of(material, resolution)
-    with files.output_folder(out, overwrite) as folder:
+    with result_folder.output_folder(out, overwrite) as folder:
         truth = write_handheld(
             svbrdf, phone, lambda *scene: HandheldRenderer(*scene, variant=variant), folder,
             tuple(kind.strip() for kind in spoil.split(",") if kind.strip()), material=name_of(material),

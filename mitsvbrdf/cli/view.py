@@ -8,7 +8,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from ..progress import say
+from ..system.progress import say
 
 
 def view(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder that `mitsvbrdf fit -o OUT` writes to; it need "
@@ -21,7 +21,7 @@ def view(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder tha
     changes with it. A fit that starts anew in OUT is followed again. Only this machine can reach the address; from another one,
     `ssh -L 8350:localhost:8350 HOST` brings it along.
     """
-    from ..view import Watch, make_server
+    from ..report.live import Watch, make_server
 
     watch = Watch(out)
     with make_server(watch, port) as server:

@@ -9,14 +9,16 @@ import torch
 from torch import Tensor
 
 from .. import color
+from ..calibrate.refine import Priors
 from ..capture import Capture
 from ..errors import ConfigError
-from ..fit.calibration import Priors
-from ..fit.loop import rerender
-from ..maps import SVBRDF
+from ..fit.record import Fit
+from ..material.maps import SVBRDF
+from ..measure.rerender import rerender
 from ..render import Renderer
 from ..views import Views
-from . import Fit, evaluate_capture, placed, shift_lights
+from . import evaluate_capture
+from .placement import placed, shift_lights
 
 MapErrors = Callable[[SVBRDF], Mapping[str, float]]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import get_args
 
 from ..errors import ConfigError
-from ..maps import SVBRDF
+from ..material.maps import SVBRDF
 from ..views import Views, nine_view_grid
 from .maps import Naming
 from .textures import Bits, Export, NormalConvention

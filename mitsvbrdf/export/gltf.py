@@ -12,10 +12,11 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from .. import __version__, color, files
-from ..conversion import as_principled, residual, with_specular_color
-from ..maps import DIELECTRIC_F0, SVBRDF
-from .textures import LINEAR, SRGB, Export, Texture, described, stored
+from .. import __version__, color
+from ..material.conversion import as_principled, with_specular_color
+from ..material.maps import DIELECTRIC_F0, SVBRDF
+from ..system import files
+from .textures import LINEAR, SRGB, Export, Texture, described, residual, stored
 
 FILE = "material.glb"
 FLOAT, UNSIGNED_SHORT = 5126, 5123
@@ -90,7 +91,7 @@ def _glb(images: dict[str, Tensor], specular: dict) -> bytes:
                  accessor(((1.0, 0.0, 0.0, 1.0),) * 4, "VEC4"), accessor(UVS, "VEC2"),
                  {"bufferView": add(struct.pack("<6H", *TRIANGLES), target=ELEMENT_ARRAY_BUFFER),
                   "componentType": UNSIGNED_SHORT, "count": 6, "type": "SCALAR"}]
-    pictures = [{"name": name, "mimeType": "image/png", "bufferView": add(files.encode_png(image))}
+    pictures = [{"name": name, "mimeType": "image/png", "bufferView": add(images.encode_png(image))}
                 for name, image in images.items()]
     material: dict = {
         "name": "material",

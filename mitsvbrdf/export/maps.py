@@ -6,10 +6,11 @@ import re
 from pathlib import Path
 from typing import Literal
 
-from .. import files
-from ..conversion import as_principled, residual
-from ..maps import ENCODINGS, SVBRDF
-from .textures import NORMALS, Bits, Export, NormalConvention, write_texture
+from ..material.conversion import as_principled
+from ..material.map_files import ENCODINGS
+from ..material.maps import SVBRDF
+from ..system import files
+from .textures import NORMALS, Bits, Export, NormalConvention, residual, write_texture
 
 Naming = Literal["own", "polyhaven", "ambientcg", "substance", "materialgan"]
 

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import torch
 
-from .. import files
-from ..maps import SVBRDF
+from ..material.maps import SVBRDF
 from ..render.bsdf import F0_RANGE, index_from_f0
+from ..system import files, images
 from .textures import LINEAR, SRGB, Bits, Export, Texture, stored, write_texture
 
 FILE = "material.mtlx"
@@ -40,7 +40,7 @@ def write_materialx(folder: Path, svbrdf: SVBRDF, bits: Bits = 16) -> Export:
         f0 = svbrdf["specular"]
         level = f0.amax(dim=-1, keepdim=True).clamp(*F0_RANGE)
         written["specular_color"] = _write_colour(folder, f0 / level, bits)
-        files.write_exr(folder / "textures/specular_ior.exr", index_from_f0(level))
+        images.write_exr(folder / "textures/specular_ior.exr", index_from_f0(level))
         written["specular_IOR"] = Texture("textures/specular_ior.exr", "refractive index", LINEAR, 32)
     files.write_bytes(folder / FILE, _document(written))
     notes = (LAYER_NOTE,) if svbrdf.bsdf == "principled" else (SPECULAR_NOTE, LAYER_NOTE)
@@ -48,7 +48,7 @@ def write_materialx(folder: Path, svbrdf: SVBRDF, bits: Bits = 16) -> Export:
 
 
 def _write_colour(folder: Path, value: torch.Tensor, bits: Bits) -> Texture:
-    files.write_png(folder / "textures/specular_color.png", stored("specular", value), bits)
+    images.write_png(folder / "textures/specular_color.png", stored("specular", value), bits)
     return Texture("textures/specular_color.png", "F0 over its strongest channel", SRGB, bits)
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import torch
 
-from .. import files
-from ..maps import SVBRDF, Bsdf
+from ..material.maps import SVBRDF, Bsdf
 from ..render.bsdf import plugin, slot_values
 from ..render.needs import Needs
+from ..system import files, images
 from ..views import Views
 from .textures import LINEAR, NORMALS, Export, Texture
 
@@ -39,7 +39,7 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
     out, svbrdf = Path(out), svbrdf.detach().to(torch.float32)
     slots = slot_values(svbrdf.bsdf, dict(svbrdf.maps), Needs(), stock=True)  # to be lit and looked at from anywhere
     for slot, value in slots.items():
-        files.write_exr(out / "scene" / f"{slot}.exr", value)
+        images.write_exr(out / "scene" / f"{slot}.exr", value)
 
     comments = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
     tree = ET.parse(SCENES / "patch.xml", comments)

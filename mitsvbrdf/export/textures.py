@@ -9,8 +9,10 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from .. import __version__, color, files
-from ..maps import COLOURS
+from .. import __version__, color
+from ..material.maps import COLOURS, SVBRDF
+from ..measure.metrics import map_rmse
+from ..system import files, images
 
 Bits = Literal[8, 16]
 NormalConvention = Literal["gl", "dx"]
@@ -60,7 +62,7 @@ def described(file: str, name: str, bits: int, normal: NormalConvention = "gl") 
 
 def write_texture(folder: Path, file: str, name: str, value: Tensor, bits: Bits, normal: NormalConvention = "gl") -> Texture:
     """Write ``folder/file``, a PNG of a linear map."""
-    files.write_png(folder / file, stored(name, value, normal), bits)
+    images.write_png(folder / file, stored(name, value, normal), bits)
     return described(file, name, bits, normal)
 
 
@@ -87,3 +89,9 @@ class Export:
             "schema_version": 1, "mitsvbrdf": __version__, **about, "files": list(self.files),
             "textures": [asdict(texture) for texture in self.textures],
             "row_0": "top of the patch", "notes": list(self.notes), "conversion_rmse": self.conversion or {}})
+
+
+def residual(svbrdf: SVBRDF, converted: SVBRDF) -> dict[str, float]:
+    """What the conversion lost: RMSE of ``diffuse`` and ``specular`` as linear^(1/2.2), like all errors of maps."""
+    errors = map_rmse(converted, svbrdf)
+    return {name: errors[name] for name in ("diffuse", "specular")}

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from .. import files
-from ..maps import CHANNELS, COLOURS, SVBRDF
+from ..material.maps import CHANNELS, COLOURS, SVBRDF
+from ..system import files
 from .textures import Bits, Export, write_texture
 
 FILE = "material.usda"

@@ -8,32 +8,34 @@ from pathlib import Path
 
 from torch import Tensor
 
+from ..calibrate.estimate import self_calibrated
 from ..capture import Capture, guess_diffuse
 from ..errors import ConfigError
-from ..profile import profile_summary, profiled
+from ..measure.rerender import rerender
 from ..render import Renderer
+from ..system.profile import profile_summary, profiled
 from .confidence import deviations
 from .config import DirectConfig, FitConfig, GanConfig, HierarchicalConfig, HybridConfig
-from .doubts import doubts
-from .held import held_maps
+from .fixed_maps import fixed_maps
+from .left_out import left_out
+from .light_power import light_power_told, with_light_power
 from .live import LiveRecord
-from .loop import Loop, rerender
-from .needs import left_out
-from .power import power_told, with_power
+from .loop import Loop
 from .result import FitResult
-from .self_calibration import record, self_calibrated
+from .view_record import record
+from .warnings import fit_warnings
 
 
 def make_method(capture: Capture, renderer: Renderer, guess, config: FitConfig):
     """The method that a configuration belongs to, ready to step."""
     if isinstance(config, HierarchicalConfig):
-        from .hierarchical import Hierarchical
+        from .hierarchical.rounds import Hierarchical
         return Hierarchical(capture, renderer, guess, config)
     if isinstance(config, HybridConfig):
-        from .hybrid import Hybrid
+        from .generator.hybrid import Hybrid
         return Hybrid(capture, renderer, guess, config)
     if isinstance(config, GanConfig):
-        from .gan import Gan
+        from .generator.gan import Gan
         return Gan(capture, renderer, guess, config)
     if isinstance(config, DirectConfig):
         from .direct import Direct
@@ -82,9 +84,9 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     images, total, each = rerender(renderer, svbrdf, views, capture)
     with profiled("uncertainty"):
         spreads = deviations(svbrdf, views, images, capture, config)
-        told = power_told(svbrdf, spreads) if estimated or _of_features(capture, config) else None
+        told = light_power_told(svbrdf, spreads) if estimated or _of_features(capture, config) else None
         if told:
-            svbrdf, views = with_power(svbrdf, told), replace(views, intensity=views.intensity * told)
+            svbrdf, views = with_light_power(svbrdf, told), replace(views, intensity=views.intensity * told)
             images, total, each = rerender(renderer, svbrdf, views, capture)
             spreads = deviations(svbrdf, views, images, capture, config)
     # Of all photos: where each has a camera and a flash of its own besides, they move around what is common.
@@ -97,7 +99,7 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
         restarts=tuple(loop.restarts), deviations=spreads,
         flash_offset=tuple(offset) if offset else None, profile=profile_summary(),
         calibration=record(capture, views, estimated, *getattr(loop.method, "views_deviation", (None, None)), told))
-    return replace(result, warnings=(*capture.notes[len(stated):], *doubts(result, capture)))
+    return replace(result, warnings=(*capture.notes[len(stated):], *fit_warnings(result, capture)))
 
 
 def _of_features(capture: Capture, config: FitConfig) -> bool:
@@ -108,7 +110,7 @@ def _of_features(capture: Capture, config: FitConfig) -> bool:
 
 def first_guess(capture: Capture, config: FitConfig) -> Tensor:
     """The guessed diffuse map, R x R x 3; or the diffuse map itself where it is held fixed."""
-    held = held_maps(config.fix, config.bsdf, capture.resolution)
+    held = fixed_maps(config.fix, config.bsdf, capture.resolution)
     return held["diffuse"].contiguous() if "diffuse" in held else guess_diffuse(capture, config.guess)
 
 

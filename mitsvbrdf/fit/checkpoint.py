@@ -11,7 +11,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from ..errors import ConfigError
-from ..files import beside
+from ..system.files import beside
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], note: dict) -> None:

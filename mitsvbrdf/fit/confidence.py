@@ -21,19 +21,18 @@ from torch import Tensor
 
 from .. import color
 from ..capture import Capture
-from ..maps import COLOURS, SVBRDF
+from ..color import CLIPPED, LEAST_NOISE
+from ..material.maps import COLOURS, SVBRDF
 from ..render.analytic import AnalyticRenderer
 from ..render.needs import Needs
 from ..views import Views
 from .config import FitConfig
-from .held import stated_maps
-from .losses import CLIPPED
+from .fixed_maps import stated_maps
 
 GRID = 64  # texels a side that are looked at; of larger maps, area averages
 UNKNOWN = 1 / math.sqrt(12)
 DETERMINED = 0.1  # a texel counts as determined when its standard deviation is below this
 STEP = 1e-5  # of the differences
-LEAST_NOISE = 1 / (255 * math.sqrt(12))  # the rounding of 8 bits
 
 
 def deviations(svbrdf: SVBRDF, views: Views, images: Tensor, capture: Capture, config: FitConfig) -> dict[str, Tensor]:

@@ -6,8 +6,10 @@ from dataclasses import dataclass, fields, replace
 from typing import Literal, get_args
 
 from ..errors import ConfigError
-from ..maps import Bsdf
-from .held import stated_maps
+from ..material.maps import Bsdf
+from .fixed_maps import stated_maps
+
+METHODS = {"HierarchicalConfig": "hierarchical", "HybridConfig": "hybrid", "GanConfig": "gan", "DirectConfig": "direct"}
 
 GuessMethod = Literal["robust", "min", "mean-blur"]
 Preset = Literal["paper-one-stage", "paper-two-stage"]
@@ -168,3 +170,7 @@ class GanConfig(FitConfig):
     def default_limit(self) -> dict:
         first, second = self.stages
         return {"iterations": second if self.pretrained else first + second}
+
+
+CONFIGS: dict[str, type[FitConfig]] = {"hierarchical": HierarchicalConfig, "hybrid": HybridConfig, "gan": GanConfig,
+                                       "direct": DirectConfig}

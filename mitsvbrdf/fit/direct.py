@@ -6,14 +6,14 @@ import torch
 from torch import Tensor
 
 from ..capture import Capture
-from ..maps import SVBRDF
-from ..profile import profiled, switch_at
+from ..material.maps import SVBRDF
 from ..render import Renderer
+from ..system.profile import profiled, switch_at
 from ..views import Views
 from . import losses
 from .checkpoint import load_optimizer_state, optimizer_state
 from .config import DirectConfig
-from .held import held_maps
+from .fixed_maps import fixed_maps
 from .method import cosine, descend
 from .parameters import streams_of, to_raw, to_svbrdf
 from .start import robust_start
@@ -25,7 +25,7 @@ class Direct:
     def __init__(self, capture: Capture, renderer: Renderer, guess: Tensor, config: DirectConfig) -> None:
         self.capture, self.renderer, self.config = capture, renderer, config
         self.views = capture.views
-        self.held = held_maps(config.fix, config.bsdf, capture.resolution)
+        self.held = fixed_maps(config.fix, config.bsdf, capture.resolution)
         self.unused = losses.unused(config, self.held)
         streams = streams_of(config.bsdf, self.held, config.grey_specular)
         start = robust_start(capture, guess, config.bsdf, self.held)

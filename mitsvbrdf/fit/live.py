@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import OutputError
-from ..profile import profiled
+from ..system.profile import profiled
 from .checkpoint import save_tensors
-from .doubts import about_photos, about_steps
+from .warnings import about_photos, about_steps
 
 if TYPE_CHECKING:
     from .loop import Loop

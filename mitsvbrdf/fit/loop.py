@@ -8,25 +8,21 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Protocol
 
-import torch
 from torch import Tensor
 
 from ..capture import Capture
 from ..errors import ConfigError
-from ..interrupts import stop_signals
-from ..maps import SVBRDF
-from ..metrics import photo_rmse
-from ..profile import STEP, profiled
+from ..material.maps import SVBRDF
+from ..measure.rerender import rerender
 from ..render import Renderer
+from ..system.interrupts import stop_signals
+from ..system.profile import STEP, profiled
 from ..views import Views
 from .checkpoint import load_tensors, save_tensors
 from .config import FitConfig
 from .method import Method, finite
-
-if TYPE_CHECKING:
-    from .live import LiveRecord
 
 EVALUATE_EVERY = 10  # iterations; a fixed count, so that a resumed run keeps the same best result
 CHECKPOINT_SECONDS = 30.0
@@ -37,6 +33,14 @@ DIVERGED, PATIENCE = 1.5, 5
 FALLING = ("photometric", "diffuse", "smooth", "flat")  # losses that a fit lowers; adversarial ones move the goal
 
 Seen = tuple[float, SVBRDF, Views]  # re-rendering error, material and views of a state
+
+
+class Watcher(Protocol):
+    """Who may look at a running fit, and must not change it: :class:`mitsvbrdf.fit.live.LiveRecord`."""
+
+    def offer(self, loop: Loop, losses: dict[str, float], stopped: str | None = None) -> None:
+        """See the fit, the losses of its latest step, and why it ended."""
+        ...
 
 
 class Loop:
@@ -54,7 +58,7 @@ class Loop:
 
     def __init__(self, method: Method, capture: Capture, renderer: Renderer, config: FitConfig,
                  checkpoint: Path | None = None, report: Callable[[dict, float], None] | None = None,
-                 live: LiveRecord | None = None) -> None:
+                 live: Watcher | None = None) -> None:
         self.method, self.capture, self.renderer, self.config = method, capture, renderer, config.limited()
         self.checkpoint, self.report, self.live = checkpoint, report, live
         self.beat = getattr(method, "measured_every", EVALUATE_EVERY)
@@ -258,10 +262,3 @@ class Loop:
         self.iteration, self.seconds, self.trace = note["iteration"], note["seconds"], note["trace"]
         self.undone, self.restarts, self.rising = note["undone"], note["restarts"], note["rising"]
         self.lowest = note["lowest_loss"], part("lowest.")
-
-
-def rerender(renderer: Renderer, svbrdf: SVBRDF, views: Views, capture: Capture) -> tuple[Tensor, float, list[float]]:
-    """The material rendered for the capture's photos: linear images, RMSE over all, RMSE of each (display values)."""
-    with torch.no_grad():
-        images = renderer.render(svbrdf, views)
-    return images, *photo_rmse(images, capture.photos, capture.transfer)

@@ -9,9 +9,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .. import color
-from ..maps import CHANNELS, SVBRDF
-
-CLIPPED = 0.995  # photo values from here on are cut highlights: they only say "at least this bright"
+from ..color import CLIPPED
+from ..material.maps import CHANNELS, SVBRDF
 
 # The losses with a weight, what a user calls them, and the maps they speak about (none: those speak about the photos).
 NAMES = {"photometric": "photometric loss", "diffuse": "diffuse loss", "smooth": "smoothness of specular and roughness",

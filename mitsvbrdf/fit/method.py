@@ -9,8 +9,8 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from ..maps import SVBRDF
-from ..profile import profiled
+from ..material.maps import SVBRDF
+from ..system.profile import profiled
 from ..views import Views
 
 

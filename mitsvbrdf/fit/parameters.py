@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from ..maps import CHANNELS, SVBRDF, Bsdf
+from ..material.maps import CHANNELS, SVBRDF, Bsdf
 
 ROUGHNESS_RANGE = (0.05, 1.0)
 MAX_SLOPE = 1.5  # of the normal's x and y over z: 56 degrees along an axis
@@ -17,7 +17,6 @@ STREAMS: dict[str, tuple[dict[str, int], dict[str, int]]] = {
     "roughconductor": ({"normal": 2, "roughness": 1}, {"diffuse": 3, "specular": 3}),
     "principled": ({"normal": 2, "roughness": 1}, {"base_color": 3, "metallic": 1}),
 }
-
 
 Streams = tuple[dict[str, int], dict[str, int]]
 

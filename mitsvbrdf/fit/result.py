@@ -7,9 +7,12 @@ from dataclasses import dataclass, field
 
 from torch import Tensor
 
-from ..maps import SVBRDF
+from .. import color
+from ..material.maps import SVBRDF, maps_html, shown_map
+from ..pages.notebook import SHOWN, count_words, html_of, uri_of
 from ..views import Views
-from .config import FitConfig
+from .config import METHODS, FitConfig
+from .view_record import about_views
 
 
 @dataclass(frozen=True)
@@ -65,5 +68,20 @@ class FitResult:
 
     def _repr_html_(self) -> str:
         """Maps, re-rendered photos, error and why the fit ended, as small pictures for notebooks."""
-        from ..report.notebook import result_html
+        pass
         return result_html(self)
+
+
+def result_html(result: FitResult) -> str:
+    """Error and why the fit ended, maps, guessed diffuse map, at most nine re-rendered photos, and warnings, as HTML."""
+    end = result.trace[-1] if result.trace else {}
+    took = f" after {end['seconds']:.1f} s, {end['iteration']} iterations" if {"seconds", "iteration"} <= set(end) else ""
+    again = [(f"#{number} · {error:.4f}", uri_of(color.to_display(image, "srgb")))
+             for number, (image, error) in enumerate(zip(result.rerendered[:SHOWN], result.per_photo), 1)]
+    method = METHODS.get(type(result.config).__name__, type(result.config).__name__)
+    return html_of(f"FitResult · {method} · {result.renderer} · {result.svbrdf.bsdf}",
+                 [("Maps", maps_html(result.svbrdf) + [("Guessed diffuse", uri_of(shown_map("diffuse", result.guess)))]),
+                  ("Re-rendered, in sRGB, with the RMSE in display values", again)],
+                 [f"re-rendering RMSE {result.rerender_rmse:.4f} over {count_words(len(result.per_photo))}; "
+                  f"stopped: {result.stopped}{took}", *filter(None, [about_views(result.calibration)])],
+                 [f"warning: {warning}" for warning in result.warnings])

@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from ..capture import Capture
-from ..maps import DIELECTRIC_F0, SVBRDF, Bsdf, flat
+from ..color import CLIPPED
+from ..material.maps import DIELECTRIC_F0, SVBRDF, Bsdf, flat
 from ..render.analytic import AnalyticRenderer
-from .losses import CLIPPED
 
 ROUGHNESS_GRID = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.7, 0.85)
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..maps import SVBRDF
+from ..material.maps import SVBRDF
+from ..measure.z_test import ZTest, z_test
 from ..render.analytic import AnalyticRenderer
-from ..testing.noise import ZTest, z_test
 from ..views import Views
 from .stage import Stage, make_stage
 

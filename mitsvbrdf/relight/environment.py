@@ -17,8 +17,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .. import files
 from ..errors import ConfigError
+from ..system import images
 from .scene_file import read_scene
 
 ENVIRONMENTS = {"studio": "three softboxes in a grey room, made by code", "sunsky": "a clear afternoon (Hosek and Wilkie)",
@@ -89,7 +89,7 @@ def read_environment(path: str | Path) -> Tensor:
     if path.suffix.lower() not in (".exr", ".hdr"):
         raise ConfigError(f"an environment of {', '.join(ENVIRONMENTS)}, or an .exr or .hdr file", repr(str(path)),
                           "choose one of these")
-    image = files.read_image(path, ConfigError) if path.suffix.lower() == ".exr" else _read_hdr(path)
+    image = images.read_image(path, ConfigError) if path.suffix.lower() == ".exr" else _read_hdr(path)
     image = image.expand(*image.shape[:2], 3)
     if image.shape[0] < 3 or image.shape[1] < 2:
         raise ConfigError("an environment of 2 x 3 pixels or more", f"{path} with {image.shape[1]} x {image.shape[0]}",

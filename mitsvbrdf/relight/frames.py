@@ -10,9 +10,9 @@ from pathlib import Path
 
 from torch import Tensor
 
-from .. import files
 from ..errors import ConfigError, MapsError, MitsvbrdfError
-from ..provenance import machine, versions
+from ..system import files, images
+from ..system.provenance import machine, versions
 from .passes import Rendered, Stop, render_frame, shown
 from .stage import Stage
 
@@ -172,15 +172,13 @@ def display_frames(stage: Stage, folder: Path, exposure: float = 0.0):
 
 def read_frame(path: Path) -> Tensor:
     """A frame as it was rendered: linear, H x W x 3."""
-    return files.read_image(path, MitsvbrdfError)
+    return images.read_image(path, MitsvbrdfError)
 
 
 def _kept(rendered: Rendered, stage: Stage, number: int, folder: Path, exposure: float) -> dict:
     name = frame_file(stage, number)
-    files.write_exr(folder / name, rendered.image)
+    images.write_exr(folder / name, rendered.image)
     if stage.frames == 1:
-        files.write_png(folder / f"{stage.name}.png", shown(rendered.image, exposure))
+        images.write_png(folder / f"{stage.name}.png", shown(rendered.image, exposure))
     return {"file": name, "samples": rendered.samples, "seconds": rendered.seconds, "error": rendered.error,
             "stopped": rendered.stopped, "curve": list(rendered.curve)}
-
-

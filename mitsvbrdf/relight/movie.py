@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .. import files
 from ..errors import BackendError, MapsError
+from ..system import files
 
 CRF = "14"  # below what an eye sees; 18 is the usual "visually lossless"
 BT709 = 1  # as matrix, primaries and transfer in ITU-T H.264, tables E-3 to E-5

@@ -152,9 +152,9 @@ def mitsuba_mesh(mi, mesh: Mesh, name: str, material=None):
 
 def write_shaderball() -> None:
     """Write the shader ball's file."""
-    from .. import files
     from ..export.mitsuba import SCENES
     from ..render.llvm import mitsuba_module
+    from ..system import files
 
     with files.beside(SCENES / "shaderball.ply") as temporary:
         mitsuba_mesh(mitsuba_module(), shaderball(), "ball").write_ply(str(temporary))

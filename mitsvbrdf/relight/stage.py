@@ -11,7 +11,7 @@ import torch
 
 from ..errors import ConfigError
 from ..export.mitsuba import view_parameters
-from ..maps import SVBRDF
+from ..material.maps import SVBRDF
 from ..render.bsdf import needed_maps, plugin, slot_values
 from ..render.needs import Needs, material_needs
 from ..views import Views, nine_view_grid

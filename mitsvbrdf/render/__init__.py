@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from ..errors import ConfigError
-from ..maps import SVBRDF
+from ..material.maps import SVBRDF
 from ..views import Views
 from .needs import Needs
 

@@ -17,7 +17,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..maps import DIELECTRIC_F0, SVBRDF
+from ..material.maps import DIELECTRIC_F0, SVBRDF
 from ..views import Views, texel_positions
 from .bsdf import F0_RANGE, MIN_ALPHA_PRINCIPLED, needed_maps
 from .needs import Needs, scene_needs

@@ -10,7 +10,7 @@ from typing import Any
 
 from torch import Tensor
 
-from ..maps import CHANNELS, SVBRDF
+from ..material.maps import CHANNELS, SVBRDF
 from .needs import Needs
 
 MIN_ALPHA_PRINCIPLED = 0.001  # Mitsuba's `principled` never goes below; its gradient in roughness is 0 there

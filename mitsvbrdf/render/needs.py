@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ..errors import ConfigError
-from ..maps import SVBRDF
+from ..material.maps import SVBRDF
 from ..views import Views
 
 # Up to this half angle between camera and light the unpolarised Fresnel reflectance stays within 4e-7 of F0, relative:

@@ -17,12 +17,12 @@ import torch
 from torch import Tensor
 
 from ..errors import ConfigError
-from ..maps import SVBRDF
+from ..material.maps import SVBRDF
 from ..views import Views
 from .bsdf import needed_maps, plugin, slot_values
 from .llvm import mitsuba_module
 from .needs import Needs, scene_needs
-from .rectified import CAMERA, INTEGRATOR, NORMAL_MAP, register
+from .plugins import CAMERA, INTEGRATOR, NORMAL_MAP, register
 
 GREY = ("alpha", "metallic", "roughness")
 SAMPLES = tuple(4**k for k in range(6))  # what the stratified sampler takes without rounding

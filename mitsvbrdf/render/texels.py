@@ -10,13 +10,13 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..maps import SVBRDF
+from ..material.maps import SVBRDF
 from ..views import Views
 from .bsdf import needed_maps
 from .llvm import mitsuba_module
 from .needs import Needs, scene_needs
-from .rectified import register, shading_axes
-from .threads import HeldPlugin, row, seen, texel_position
+from .plugins import register, shading_axes
+from .texel_plugin import HeldPlugin, row, texel_position, view_geometry
 
 VIEWS_PER_KERNEL = 9  # evaluations unrolled in one kernel; more views take several launches of at most this many
 
@@ -75,7 +75,7 @@ class TexelRenderer:
             images = []
             for k in range(cameras.shape[0]):
                 view = [row(mi, rows.array, k) for rows in (cameras, lights, intensities)]
-                to_camera, to_light, irradiance = seen(mi, place, axes, *view, falloff)
+                to_camera, to_light, irradiance = view_geometry(mi, place, axes, *view, falloff)
                 radiance = shader.eval(to_camera, to_light) * irradiance
                 images.append(mi.TensorXf(dr.ravel(radiance), (side, side, 3)))
             shader.release()

@@ -1,0 +1,1 @@
+"""TODO doc of mitsvbrdf/report/__init__.py."""

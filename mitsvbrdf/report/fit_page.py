@@ -5,28 +5,28 @@ from __future__ import annotations
 import json
 import math
 import os
-import statistics
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import get_args
 
-import matplotlib
 import torch
 from torch import Tensor
 
-from .. import color, files
+from .. import color
 from ..capture import Capture
 from ..errors import CaptureError, MapsError, OutputError
-from ..evaluate import Fit, fit_of, placed
-from ..evaluate.fit_report import fit_report, predict
+from ..evaluate import placed
+from ..evaluate.placement import predict
 from ..fit.confidence import UNKNOWN
-from ..maps import CHANNELS, SVBRDF, load_maps
-from ..metrics import photo_rmse
-from ..render import Renderer, RendererName, make_renderer
-from .curves import curves
-from .page import at_most, picture_uri, write_page
-from .sheet import TITLES, shown_map
+from ..fit.record import NUMBER, FitFolder, misfit, read_fit
+from ..fit.view_record import about_views
+from ..material.maps import CHANNELS, TITLES, shown_map
+from ..measure.metrics import photo_rmse
+from ..pages.curves import curves
+from ..pages.page import write_page
+from ..pages.pictures import at_most, magma, picture_uri
+from ..render import Renderer
+from ..system import files, images
+from .checks import fit_report
 from .viewer import viewer_html
 
 LARGEST_MAP = 512  # pixels a side on the page
@@ -35,88 +35,7 @@ LARGEST_PHOTO, SMALLEST_PHOTO, PHOTOS_WIDE = 512, 96, 768  # nine photos get 256
 ROWS = 200  # of the table of measurements
 SAME_PHOTO = 1e-4  # how far the error of a photo may be from what fit.json says; the same photos agree to float32, 1e-7
 
-_NUMBER = (int, float)
-# What a page needs of fit.json, as types; {str: X} is an object of X, [X] a list of X.
-_SHAPE = {
-    "method": str, "renderer": str, "bsdf": str, "rerender_rmse": _NUMBER, "per_photo": {str: _NUMBER},
-    "confidence": {str: {"median_sd": _NUMBER, "determined_share": _NUMBER}}, "burn_in": {str: _NUMBER}, "warnings": [str],
-    "stopped": str, "undone_steps": int, "undone": [{"iteration": int, "reason": str}],
-    "restarts": [{"iteration": int, "reason": str}], "seconds": _NUMBER, "iterations": int, "seed": int,
-    "config": {"fix": [str], "grey_specular": bool}, "command": {str: object}, "left_out": [{"what": str, "why": str}],
-    "capture": {"photos": [int], "resolution": int, "transfer": str, "calibrated": bool, "notes": [str]},
-    "versions": {str: object}, "machine": {str: object}, "trace": [{str: _NUMBER}]}
-
-FROM = {"given": "The views are those of the capture's calibration", "sheet": "The views come from a sheet of tags",
-        "photos": "The views come from features that the photos share", "none": "The views are a stated default geometry",
-        "estimated": "The views were estimated from the rectified photos alone"}
-
 Report = Callable[[str, float], object]
-
-
-@dataclass(frozen=True)
-class FitFolder:
-    """What ``fit`` left on disk.
-
-    Args:
-        path: the folder.
-        record: ``fit.json``, its shape checked.
-        fit: the same as the other commands read it.
-        svbrdf: the maps.
-    """
-
-    path: Path
-    record: dict
-    fit: Fit
-    svbrdf: SVBRDF
-
-    @property
-    def fixed(self) -> list[str]:
-        """Names of the maps that were held fixed."""
-        return [entry.split("=")[0] for entry in self.record["config"]["fix"]]
-
-    @property
-    def names(self) -> list[str]:
-        """Names of the photos that the fit used."""
-        return list(self.record["per_photo"])
-
-    def renderer(self) -> Renderer | None:
-        """That of the fit; None for one that is not ours."""
-        name, variant = self.record["renderer"], self.record.get("variant")
-        return make_renderer(name, variant or "llvm_ad_rgb") if name in get_args(RendererName) else None
-
-
-def read_fit(folder: str | Path) -> FitFolder:
-    """A fit's folder, checked.
-
-    Raises:
-        MapsError: it is none, or not a whole one.
-    """
-    folder = Path(folder)
-    path = folder / "fit.json"
-    if not path.is_file():
-        raise MapsError("a folder that `mitsvbrdf fit` wrote", f"{folder}, which has no fit.json", "give the OUT of a fit")
-    fit, record = fit_of(folder), json.loads(path.read_text())
-    wrong = "schema_version" if record.get("schema_version") != 1 else _misfit(record, _SHAPE)
-    names = [f"{number:02d}" for number in fit.seen] if not wrong else []
-    if not wrong and not (names == list(record["per_photo"]) and len(fit.views) == len(names) > 0
-                          and all({"seconds", "rerender_rmse"} <= set(row) for row in record["trace"])):
-        wrong = "per_photo, views or trace"
-    if wrong:
-        raise MapsError("a fit.json of schema version 1", f"{path}, whose {wrong} is missing or of another kind",
-                        "fit again with this version")
-    return FitFolder(folder, record, fit, load_maps(folder / "maps", record["bsdf"]))
-
-
-def _misfit(value: object, shape: object, where: str = "") -> str:
-    """Where a value does not have a shape as in ``_SHAPE``; empty text where it has."""
-    if isinstance(shape, list):
-        parts = [(part, shape[0], where) for part in value] if isinstance(value, list) else None
-    elif isinstance(shape, dict) and isinstance(value, dict):
-        keys = list(value) if list(shape) == [str] else list(shape)
-        parts = [(value.get(key), shape.get(key, shape.get(str)), f"{where}.{key}" if where else key) for key in keys]
-    else:
-        return "" if not isinstance(shape, dict) and isinstance(value, shape) else where  # type: ignore[arg-type]
-    return where if parts is None else next(filter(None, (_misfit(*part) for part in parts)), "")
 
 
 def keep_photos(folder: Path, capture: Capture) -> None:
@@ -130,7 +49,7 @@ def keep_photos(folder: Path, capture: Capture) -> None:
         raise OutputError("an output folder of its own", f"{folder}, where the capture's own photos would be replaced",
                           "choose another folder")
     for name, photo in zip(capture.names, capture.photos):
-        files.write_png(folder / "photos" / f"{name}.png", photo)
+        images.write_png(folder / "photos" / f"{name}.png", photo)
 
 
 def write_report(folder: str | Path, quick: bool = False, left_out: Capture | None = None,
@@ -175,7 +94,7 @@ def check_photos(found: FitFolder, capture: Capture) -> None:
         raise CaptureError(f"a capture {'without' if capture.calibrated else 'with'} calibration, as that of this fit",
                            f"{capture.source}, which has {'one' if capture.calibrated else 'none'}",
                            "give the capture that was fitted")
-    images = torch.stack([files.read_image(found.path / "rerendered" / f"{name}.exr", MapsError) for name in found.names])
+    images = torch.stack([images.read_image(found.path / "rerendered" / f"{name}.exr", MapsError) for name in found.names])
     if images.shape != capture.photos.shape:
         raise CaptureError(f"photos of {images.shape[1]} px", f"{capture.resolution} px in {capture.source}",
                            "give the capture that was fitted")
@@ -196,7 +115,7 @@ def _predicted(found: FitFolder, capture: Capture, engine: Renderer) -> tuple[li
     images, error, each = predict(found.svbrdf, capture, engine, found.fit.flash_offset)
     keep_photos(found.path, capture)
     for name, image in zip(capture.names, images):
-        files.write_png(found.path / "predicted" / f"{name}.png", color.to_display(image, capture.transfer))
+        images.write_png(found.path / "predicted" / f"{name}.png", color.to_display(image, capture.transfer))
     return [{"name": name, "left_out": True, "rmse": rmse, "photo": f"photos/{name}.png", "rerendered": f"predicted/{name}.png"}
             for name, rmse in zip(capture.names, each)], error
 
@@ -209,8 +128,8 @@ def _earlier(found: FitFolder) -> tuple[list[dict], float | None]:
         numbers = [int(photo["name"]) for photo in photos]
     except (OSError, ValueError, KeyError, TypeError):
         return [], None
-    shape = {"name": str, "rmse": _NUMBER, "photo": str, "rerendered": str}
-    if (not photos or _misfit(photos, [shape], "photos") or not isinstance(error, _NUMBER)
+    shape = {"name": str, "rmse": NUMBER, "photo": str, "rerendered": str}
+    if (not photos or misfit(photos, [shape], "photos") or not isinstance(error, NUMBER)
             or not all(photo["photo"] == f"photos/{n:02d}.png" and photo["rerendered"] == f"predicted/{n:02d}.png"
                        and _there(found.path, photo["photo"]) and _there(found.path, photo["rerendered"])
                        for photo, n in zip(photos, numbers))):
@@ -228,43 +147,19 @@ def _write_page(found: FitFolder, record: dict) -> None:
                scalar=_scalar, from_where=about_views(fit.get("calibration") or {}))
 
 
-def about_views(calibration: Mapping) -> str:
-    """Where the views of a fit come from and how sure they are, in a sentence or two; empty of fits that do not say.
-
-    Args:
-        calibration: see :func:`mitsvbrdf.fit.self_calibration.record`.
-    """
-    if not calibration:
-        return ""
-    said = FROM["estimated" if calibration["estimated"] else calibration["from"]]
-    said += ", refined by the fit." if calibration["refined"] else "."
-    if calibration["camera_sd"]:
-        x, y, z = (statistics.median(place) for place in zip(*calibration["camera_sd"].values()))
-        exposure = math.exp(statistics.median(calibration["log_exposure_sd"].values())) - 1
-        said += (f" Standard deviations (median, in patch sides): cameras ({x:.3f}, {y:.3f}, {z:.3f}), "
-                 f"light of a photo beside the others {exposure:.1%}")
-        if calibration["flash_offset_sd"]:
-            said += ", flash offset ({:.3f}, {:.3f})".format(*calibration["flash_offset_sd"])
-        said += "; they count what the photos tell, not what the model lacks."
-    if calibration["log_power_sd"]:
-        said += (f" The light power of all photos is known to a factor of {math.exp(calibration['log_power_sd']):.1f}, and "
-                 "so are the diffuse and the specular map: it is what makes the material a usual one.")
-    return said
-
-
 def _maps(found: FitFolder) -> list[dict]:
     """Of each map its name, its picture, and a picture of its standard deviation where there is one."""
     maps = []
     for name in CHANNELS[found.svbrdf.bsdf]:
         spread = found.path / "uncertainty" / f"{name}.exr"
         known = name in found.record["confidence"] and spread.is_file()  # there may be one of an earlier fit
-        sure = files.read_image(spread, MapsError)[..., 0] / UNKNOWN if known else None
+        sure = images.read_image(spread, MapsError)[..., 0] / UNKNOWN if known else None
         maps.append({"name": name, "title": TITLES[name], "picture": _map_uri(name, found.svbrdf[name]),
-                     "spread": None if sure is None else picture_uri(_magma(sure))})
+                     "spread": None if sure is None else picture_uri(magma(sure))})
     guess = found.path / "guess" / "diffuse.exr"
     if guess.is_file() and "diffuse" not in found.fixed:  # else it is that map
         maps.append({"name": None, "title": "Guessed diffuse", "spread": None,
-                     "picture": _map_uri("diffuse", files.read_image(guess, MapsError))})
+                     "picture": _map_uri("diffuse", images.read_image(guess, MapsError))})
     return maps
 
 
@@ -272,20 +167,16 @@ def _map_uri(name: str, value: Tensor) -> str:
     return picture_uri(at_most(shown_map(name, value), LARGEST_MAP), EXACT_MAP)
 
 
-def _magma(share: Tensor) -> Tensor:
-    return torch.as_tensor(matplotlib.colormaps["magma"](share.clamp(0, 1).numpy())[..., :3], dtype=torch.float32)
-
-
 def _ramp() -> str:
-    return picture_uri(_magma(torch.linspace(0, 1, 256).expand(8, 256)))
+    return picture_uri(magma(torch.linspace(0, 1, 256).expand(8, 256)))
 
 
 def _photo(folder: Path, photo: dict, side: int) -> dict:
     """Pictures of a photo, its re-rendering, and four times their difference; without the photo, the re-rendering alone."""
-    rendered = files.read_image(folder / photo["rerendered"], MapsError)
+    rendered = images.read_image(folder / photo["rerendered"], MapsError)
     pictures = {"rerendered": picture_uri(at_most(rendered, side)), "photo": None, "difference": None}
     if photo["photo"]:
-        seen = files.read_image(folder / photo["photo"], MapsError)
+        seen = images.read_image(folder / photo["photo"], MapsError)
         if seen.shape != rendered.shape:
             raise MapsError(f"{photo['photo']} as large as {photo['rerendered']}",
                             f"{tuple(seen.shape[:2])} beside {tuple(rendered.shape[:2])} in {folder}",

@@ -7,25 +7,18 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib
-import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogFormatter
 from torch import Tensor
 
-from .. import color, files
 from ..errors import CaptureError
-from ..maps import CHANNELS, COLOURS, SVBRDF
+from ..material.maps import CHANNELS, SVBRDF, TITLES, shown_map
+from ..pages.canvas import ACCENT, GAP, HEADER, LABEL, MARGIN, QUIET, TEXT, WIDTH, Canvas, PlainNumbers, square_side
+from ..pages.notebook import SHOWN
+from ..system import files
 
-# In pixels of the sheet. Between the margins 9, 5 and 4 squares with their gaps fit without a remainder.
-WIDTH, MARGIN, GAP, LABEL, HEADER = 1680, 34, 8, 34, 92
 LARGEST_MAP, LARGEST_PHOTO = 397, 264
-SHOWN = 9
-BACK, TEXT, QUIET, ACCENT = "#131519", "#eceef1", "#9198a3", "#f2b84b"
-TITLES = {"diffuse": "Diffuse", "specular": "Specular", "roughness": "Roughness", "normal": "Normal",
-          "base_color": "Base colour", "metallic": "Metallic"}
 
 
 def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Tensor, *, rmse: float,
@@ -62,9 +55,9 @@ def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Te
     behind = {name: f"  ·  {remark}" for name, remark in (remarks or {}).items()}
     tiles = [(TITLES[name] + behind.get(name, ""), shown_map(name, svbrdf[name])) for name in CHANNELS[svbrdf.bsdf]]
     tiles += [] if guess is None else [("Guessed diffuse", shown_map("diffuse", guess))]
-    large, small = _side(len(tiles), LARGEST_MAP), _side(shown, LARGEST_PHOTO)
+    large, small = square_side(len(tiles), LARGEST_MAP), square_side(shown, LARGEST_PHOTO)
     photo_top = HEADER + LABEL + large
-    sheet = _Sheet(photo_top + 3 * (LABEL + small) + LABEL + 20)
+    sheet = Canvas(photo_top + 3 * (LABEL + small) + LABEL + 20)
 
     sheet.text(MARGIN, 52, title, 22, TEXT, weight="bold")
     sheet.text(MARGIN, 80, note, 11, QUIET)
@@ -88,40 +81,6 @@ def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Te
         sheet.text(x, y, names[i], 10, QUIET)
         sheet.text(x + small, y, f"{per_photo[i]:.4f}", 10, TEXT, ha="right")
     sheet.write(Path(path))
-
-
-def _side(count: int, largest: int) -> int:
-    """Side of each of ``count`` squares in one row."""
-    return min((WIDTH - 2 * MARGIN - (count - 1) * GAP) // count, largest)
-
-
-class _Sheet:
-    """A dark page addressed in pixels from its top left."""
-
-    def __init__(self, height: int) -> None:
-        self.height = height
-        self.figure = Figure(figsize=(WIDTH / 100, height / 100), dpi=100, facecolor=BACK)
-
-    def text(self, x: int, y: int, text: str, points: float, colour: str, **how) -> None:
-        self.figure.text(x / WIDTH, 1 - y / self.height, text, fontsize=points, color=colour, parse_math=False, **how)
-
-    def image(self, x: int, y: int, side: int, image: Tensor) -> None:
-        axes = self.figure.add_axes((x / WIDTH, 1 - (y + side) / self.height, side / WIDTH, side / self.height))
-        pixels = color.clip(image.detach().cpu().float()).numpy()
-        axes.imshow(np.broadcast_to(pixels, (*pixels.shape[:2], 3)), interpolation="antialiased", aspect="auto")
-        axes.set_axis_off()
-
-    def write(self, path: Path) -> None:
-        data = io.BytesIO()
-        FigureCanvasAgg(self.figure).print_png(data)
-        files.write_bytes(path, data.getvalue())
-
-
-def shown_map(name: str, value: Tensor) -> Tensor:
-    """A map as display values: colours in sRGB, normals as (n + 1) / 2, the rest as it is."""
-    if name == "normal":
-        return (value + 1) / 2
-    return color.to_display(value, "srgb") if name in COLOURS else value
 
 
 def loss_curve(path: str | Path, trace: Sequence[dict]) -> None:
@@ -153,13 +112,6 @@ def loss_curve(path: str | Path, trace: Sequence[dict]) -> None:
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "mitsvbrdf"}):
         FigureCanvasSVG(figure).print_svg(data, metadata={"Date": None})
     files.write_bytes(Path(path), data.getvalue())
-
-
-class PlainNumbers(LogFormatter):
-    """Numbers as 0.02, at the ticks that matplotlib would label."""
-
-    def __call__(self, x: float, pos: int | None = None) -> str:
-        return f"{x:g}" if super().__call__(x, pos) else ""
 
 
 def _curves(axes: Axes, rows: Sequence[dict], colours: dict, width: float) -> None:

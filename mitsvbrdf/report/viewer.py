@@ -11,11 +11,10 @@ import zlib
 
 import numpy as np
 
-from ..maps import CHANNELS, COLOURS, DIELECTRIC_F0, SVBRDF
+from ..material.maps import CHANNELS, COLOURS, DIELECTRIC_F0, SVBRDF, TITLES
+from ..pages.page import page_text
 from ..render.analytic import MIN_ALPHA
 from ..render.bsdf import F0_RANGE
-from .page import page_text
-from .sheet import TITLES
 
 LARGEST = 512  # texels along a side; maps of noise are 5.3 MB then, those of materials 2 to 4.5 MB
 LEVELS = {"square": 4095, "plain": 65535, "octahedral": 65535}  # highest integer of each coding

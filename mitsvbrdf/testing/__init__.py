@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import importlib
 
-_HOME = {"assert_renderers_agree": "agreement", "LIMITS": "agreement", "Limits": "agreement", "random_material": "agreement",
-         "assert_matches_golden": "golden", "assert_z_test": "noise", "z_test": "noise", "ZTest": "noise"}
+_HOME = {"assert_renderers_agree": ".agreement", "LIMITS": ".agreement", "Limits": ".agreement",
+         "random_material": "..material.corner_cases", "assert_matches_golden": ".golden", "assert_z_test": ".noise",
+         "z_test": "..measure.z_test", "ZTest": "..measure.z_test"}
 __all__ = sorted(_HOME)
 
 
 def __getattr__(name: str):
     if name in _HOME:
-        return getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
+        return getattr(importlib.import_module(_HOME[name], __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

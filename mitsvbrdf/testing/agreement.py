@@ -7,13 +7,12 @@ from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from ..errors import ConfigError
-from ..evaluate.measure import Measured, render_and_gradients
-from ..maps import CHANNELS, SVBRDF, Bsdf
-from ..metrics import gradient_error, image_error
+from ..material.maps import SVBRDF
+from ..measure.gradients import Measured, render_and_gradients
+from ..measure.metrics import gradient_error, image_error
 from ..render import Renderer, RendererName, make_renderer
 from ..views import Views
 from .page import Figure, Row, failure, gradient_row, view_rows
@@ -81,16 +80,6 @@ def assert_renderers_agree(maps: SVBRDF, views: Views, renderers: Sequence[Rende
         names = sorted({f.name.split(":")[0] for f in figures if f.missed})
         raise failure(f"{' and '.join(names)} differ{'s' * (len(names) == 1)} from {engines[0].name}", figures,
                       lambda: [row for each in rows for row in each()])
-
-
-def random_material(bsdf: Bsdf, resolution: int = 48, seed: int = 0) -> SVBRDF:
-    """A material harder than any real one, float32: random colours, normals tilted by 0.15 a texel, roughness from 0.15."""
-    g = torch.Generator().manual_seed(seed)
-    maps = {name: torch.rand(resolution, resolution, channels, generator=g) for name, channels in CHANNELS[bsdf].items()}
-    slopes = 0.15 * torch.randn(resolution, resolution, 2, generator=g)
-    maps["normal"] = F.normalize(torch.cat((slopes, torch.ones(resolution, resolution, 1)), -1), dim=-1)
-    maps["roughness"] = 0.15 + 0.8 * maps["roughness"]
-    return SVBRDF(bsdf, maps)
 
 
 def _limits(name: str, *given: float | None) -> Limits:

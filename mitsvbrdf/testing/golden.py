@@ -16,10 +16,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .. import color, files
+from .. import color
 from ..errors import ConfigError, MapsError
-from ..maps import SVBRDF
-from ..metrics import flip as flip_error
+from ..material.maps import SVBRDF
+from ..measure.metrics import flip as flip_error
+from ..system import files
 from .page import Figure, Row, failure, left_behind, row
 from .running import Caller, current
 

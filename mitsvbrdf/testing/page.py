@@ -13,10 +13,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .. import color, files
+from .. import color
 from ..errors import OutputError
-from ..metrics import flip, relative_error
-from ..report.page import error_picture, png_uri, write_page
+from ..measure.metrics import flip, relative_error
+from ..pages.page import write_page
+from ..pages.pictures import error_picture, png_uri
+from ..system import files
 from .running import current
 
 LARGEST = 256  # pixels along a side of the pictures in a page

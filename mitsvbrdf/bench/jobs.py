@@ -1,0 +1,161 @@
+"""Error against run time: a list of jobs, each one record of the benchmark's file.
+
+``renderers`` holds every renderer against the float64 truth. ``methods`` fits known materials and real captures with every
+method, each budget a fit of its own, for schedules follow the budget. ``ablation`` does the same with the default method and
+with one of its ingredients after the other taken away. ``capture`` goes from a phone's raw photos to maps.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from ..errors import MitsvbrdfError
+from ..fit import FitConfig
+from ..render import Renderer
+from .from_phone import CaptureJob
+from .methods import fit, settings_of
+from .renderers import RenderJob
+from .store import Store
+from .tasks import Task
+
+Report = Callable[[str, float], None]
+
+AROUND = 3.0  # seconds a fit takes besides its budget, before there is anything to go by
+
+
+@dataclass(frozen=True)
+class FitJob:
+    """One fit: a method with its own budget and seed on one material or capture.
+
+    Args:
+        suite: ``methods`` or ``ablation``.
+        method: its name.
+        config: its settings; budget and seed are set here.
+        task: what is fitted.
+        budget: seconds.
+        seed: of the fit.
+        renderer: carries the gradients.
+    """
+
+    suite: str
+    method: str
+    config: FitConfig
+    task: Task
+    budget: float
+    seed: int
+    renderer: Renderer
+
+    @property
+    def key(self) -> dict:
+        """What identifies the record."""
+        return {"suite": self.suite, "method": self.method, "kind": self.task.kind, "name": self.task.name,
+                "budget": self.budget, "seed": self.seed}
+
+    @property
+    def settings(self) -> dict:
+        """What else shapes the record."""
+        return settings_of(self.config)
+
+    @property
+    def title(self) -> str:
+        """For the progress line."""
+        return f"{self.method}, {self.task.name}, {self.budget:g} s, seed {self.seed}"
+
+    @property
+    def group(self) -> str:
+        """Jobs whose guesses of run time are off by the same factor."""
+        return self.method
+
+    @property
+    def cost(self) -> float:
+        """A guess of its seconds."""
+        return self.budget + AROUND
+
+    @property
+    def shape(self) -> tuple:
+        """Fits of one shape run the same kernels."""
+        return self.method, len(self.task.photos), self.task.photos.resolution
+
+    def warm_up(self) -> None:
+        """Two steps, so that no fit that counts waits for kernels."""
+        fit(self.task.photos, self.renderer, replace(self.config, budget=None, iterations=2, seed=self.seed))
+
+    def run(self, report: Callable[[float], None] = lambda share: None) -> dict:
+        """The figures. A fit that cannot be done is a result too: it has no errors, and says why."""
+        config = replace(self.config, budget=self.budget, seed=self.seed)
+        try:
+            found = fit(self.task.photos, self.renderer, config, lambda entry, share: report(share))
+            errors = self.task.errors(found)
+        except MitsvbrdfError as reason:
+            return {"seconds": 0.0, "wall": 0.0, "iterations": 0, "stopped": "failed", "why": str(reason), "errors": {}}
+        return {"seconds": found.seconds, "wall": round(found.wall, 3), "iterations": found.iterations,
+                "stopped": found.stopped, "why": None, "errors": errors}
+
+
+Job = FitJob | RenderJob | CaptureJob
+
+
+def fit_jobs(suite: str, methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequence[float],
+             seeds: Sequence[int], renderer: Renderer) -> list[FitJob]:
+    """Every method on every task with every budget and seed; methods take turns, so that drift of the machine hits all."""
+    return [FitJob(suite, method, config, task, budget, seed, renderer)
+            for seed in seeds for budget in budgets for task in tasks for method, config in methods.items()]
+
+
+def run(jobs: Sequence[Job], store: Store, report: Report = lambda text, share: None) -> None:
+    """Do the jobs whose records are missing, and keep each record as soon as it is there.
+
+    Args:
+        jobs: in the order in which they run.
+        store: the file.
+        report: told what is going on, with the time left, and the share done.
+    """
+    pending, clock, warm = store.pending(list(jobs)), _Clock(), set()
+    whole = sum(job.cost for job in pending)
+    for number, job in enumerate(pending):
+        done, later = sum(j.cost for j in pending[:number]), clock.left(pending[number + 1:])
+        text = f"{job.title} ({number + 1} of {len(pending)})"
+
+        def tell(share: float, job: Job = job, done: float = done, later: float = later, text: str = text) -> None:
+            left = clock.left([job]) * (1 - share) + later
+            report(f"{text}, {duration(left)} left", (done + share * job.cost) / whole)
+
+        tell(0.0)
+        if isinstance(job, FitJob) and job.shape not in warm:
+            warm.add(job.shape)
+            try:
+                job.warm_up()
+            except MitsvbrdfError:
+                pass  # the fit itself will say it
+        started = time.perf_counter()
+        figures = job.run(tell)
+        clock.count(job, time.perf_counter() - started)
+        store.add(job.key | {"config": job.settings} | figures)
+
+
+class _Clock:
+    """How long jobs will take, by what those of their group took beside their guess."""
+
+    def __init__(self) -> None:
+        self.taken: dict[str, tuple[float, float]] = {}
+
+    def count(self, job: Job, seconds: float) -> None:
+        taken, guessed = self.taken.get(job.group, (0.0, 0.0))
+        self.taken[job.group] = taken + seconds, guessed + job.cost
+
+    def left(self, jobs: Sequence[Job]) -> float:
+        total = 0.0
+        for job in jobs:
+            taken, guessed = self.taken.get(job.group, (1.0, 1.0))
+            total += job.cost * taken / guessed
+        return total
+
+
+def duration(seconds: float) -> str:
+    """A rough time as people say it: 40 s, 12 min, 3 h 20 min."""
+    minutes = round(seconds / 60)
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60:02d} min"

@@ -1,0 +1,131 @@
+"""What competes: each method a name and its settings, and one fit of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from typing import get_args, get_type_hints
+
+from ..capture import Capture
+from ..errors import ConfigError
+from ..evaluate import evaluate_capture, evaluate_fit
+from ..fit import FitConfig, GanConfig, fit_svbrdf
+from ..fit.loop import Loop
+from ..material.maps import SVBRDF
+from ..render import Renderer
+from ..views import Falloff
+from .peers_baseline import PeersBaseline, PeersConfig
+
+VARIANTS: dict[str, dict[str, object]] = {
+    "one basis material": {"materials": 1},
+    "no neighbours as starts": {"neighbours": False},
+    "sharing not enforced": {"spread": 10.0},  # deviations as large as expectation-maximisation finds them
+    "relief 5 times as deep": {"relief": 0.1},
+    "no freedom at full size": {"own": 0.0},
+    "all pixels alike at 64 px": {"tails": 0.0},
+    "burn-in not taken out": {"independent": False},
+    "no flash offset": {"flash_offset": False},  # common to all photos; each flash is still refined within 0.01
+    "views as calibrated": {"calibrate": False},  # neither camera nor flash
+}
+
+FULL = "full"  # the default method as it is, among its variants
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What a fit ended in.
+
+    Args:
+        svbrdf: the material of the lowest re-rendering error.
+        rmse: that error, over the photos used.
+        predict: its error over the photos of another capture of the same material, in display values.
+        seconds: of the loop, by its own clock.
+        wall: seconds with the preparation before and the reckoning after it.
+        iterations: steps made.
+        stopped: why it ended.
+    """
+
+    svbrdf: SVBRDF
+    rmse: float
+    predict: Callable[[Capture], float]
+    seconds: float
+    wall: float
+    iterations: int
+    stopped: str
+
+
+def method_table(configs: Mapping[str, type[FitConfig]]) -> dict[str, FitConfig]:
+    """Name -> settings: the methods of ``fit``, one entry for each preset where a method has presets, and the baseline.
+
+    Args:
+        configs: the configuration class of each method, the default first.
+    """
+    table: dict[str, FitConfig] = {}
+    for name, config in configs.items():
+        presets = get_args(get_type_hints(config)["preset"]) if any(f.name == "preset" for f in fields(config)) else ()
+        table |= {f"{name}-{preset.removeprefix('paper-')}": config(preset=preset) for preset in presets}  # type: ignore[call-arg]
+        table |= {} if presets else {name: config()}
+    return table | {"peers-baseline": PeersConfig()}
+
+
+def variant_table(config: FitConfig, variants: Mapping[str, Mapping[str, object]]) -> dict[str, FitConfig]:
+    """Name -> settings: the configuration as it is, and with the changes of each variant.
+
+    Raises:
+        ConfigError: a variant that changes what the configuration does not have, or to a value it refuses.
+    """
+    table = {FULL: config}
+    for name, changes in variants.items():
+        unknown = [key for key in changes if key not in {f.name for f in fields(config)}]
+        if unknown or name == FULL:
+            raise ConfigError(f"a variant of {type(config).__name__}", f"{name!r} with {unknown or 'the name of the whole'}",
+                              "mend mitsvbrdf/evaluate/bench/ablation.py")
+        table[name] = replace(config, **changes)  # type: ignore[arg-type]
+        table[name].check()
+    return table
+
+
+def settings_of(config: FitConfig) -> dict:
+    """The settings as JSON has them, but for budget and seed, which each fit sets."""
+    plain = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(config).items()}
+    return {"class": type(config).__name__} | {k: v for k, v in plain.items() if k not in ("budget", "seed")}
+
+
+def as_lit(capture: Capture, config: FitConfig) -> Capture:
+    """The capture with the light that the method takes for granted: the paper's falls off with nothing."""
+    falloff: Falloff = "none" if isinstance(config, GanConfig) else "inverse-square"
+    return replace(capture, views=replace(capture.views, falloff=falloff))
+
+
+def fit(capture: Capture, renderer: Renderer, config: FitConfig,
+        report: Callable[[dict, float], None] | None = None) -> Fitted:
+    """One fit of any method of the table.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C ended it.
+        MitsvbrdfError: it cannot be done: no step of it stays finite, or its budget ends before the first.
+    """
+    started, capture = time.perf_counter(), as_lit(capture, config)
+    if isinstance(config, PeersConfig):
+        config.check()
+        loop = Loop(PeersBaseline(capture, renderer, config), capture, renderer, config, report=report)
+        stopped, trace = loop.run(), loop.trace
+        assert loop.best is not None
+        rmse, svbrdf, _ = loop.best
+
+        def predicted(shots: Capture) -> dict:
+            return evaluate_capture(svbrdf, shots, renderer)
+    else:
+        result = fit_svbrdf(capture, renderer, config, report=report)
+        stopped, trace, rmse, svbrdf = result.stopped, result.trace, result.rerender_rmse, result.svbrdf
+
+        def predicted(shots: Capture) -> dict:
+            return evaluate_fit(result, shots)
+    if stopped == "interrupted":
+        raise KeyboardInterrupt
+    wall, iterations = time.perf_counter() - started, trace[-1]["iteration"]
+    if iterations == 0:  # the budget counts what comes before the first step too
+        raise ConfigError("a fit of one step or more", f"none in {wall:.2g} s", "give a longer budget")
+    return Fitted(svbrdf.detach(), rmse, lambda shots: predicted(as_lit(shots, config))["rerender_rmse"],
+                  trace[-1]["seconds"], wall, iterations, stopped)

@@ -1,0 +1,264 @@
+"""The pictures of a benchmark: error against run time, as SVG. They show numbers of the record's summary and compute none."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Mapping, Sequence
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
+
+from ..verify.crosscheck import TOLERANCES
+from . import summary
+
+# The default method first; told apart by lightness too.
+COLOURS = ("#c8501e", "#2a6fb0", "#7fb2dd", "#1b8a5a", "#5b6270", "#8a4fa3", "#b8860b")
+QUIET, GRID, PUBLISHED = "#6b7280", "#e6e8ec", "#3f444d"
+SIZES = {"title": 10, "label": 8.5, "tick": 8, "small": 7}
+RENDERERS = {"mitsuba": COLOURS[0], "mitsuba-scene": COLOURS[1], "analytic": COLOURS[3]}  # the twin has no error to show
+SIDES: dict = {"linestyle": "-", "marker": "o", "linewidth": 1.6, "markersize": 4}
+VIEWS: dict = {"linestyle": ":", "marker": "s", "linewidth": 0.9, "markersize": 3.2}
+
+
+def methods_figure(record: Mapping) -> Figure | None:
+    """Error against seconds for all materials and all captures together, two errors of each; None without fits."""
+    kinds = {kind: fits for kind in summary.ERRORS if (fits := summary.of(record["records"], "methods", kind))}
+    if not kinds:
+        return None
+    drawing = Figure(figsize=(10, 3.2 * len(kinds) + 0.3))
+    height = drawing.get_figheight()
+    panels = drawing.subplots(len(kinds), 2, squeeze=False)
+    drawing.subplots_adjust(left=0.055, right=0.835, wspace=0.6, hspace=0.38, top=1 - 0.45 / height, bottom=0.45 / height)
+    for row, (kind, fits) in zip(panels, kinds.items()):
+        for panel, (error, title) in zip(row, summary.ERRORS[kind].items()):
+            found = summary.curves(fits, error)
+            lines = summary.published_mean(record["published"], kind, summary.names(fits), error)
+            how = "saw them" if error == "left_out" else "published"
+            _curves(panel, found, colours(fits), {f"{who} ({how})": value for who, value in lines.items()}, direct=True)
+            _headed(panel, title, f"RMSE, {names_of(kind, fits)}")
+    return drawing
+
+
+def small_multiples(record: Mapping, kind: str, error: str) -> Figure | None:
+    """One panel for each material or capture, all on the same axes; None where there is but one or none."""
+    fits = [r for r in summary.of(record["records"], "methods", kind) if error in r["errors"]]
+    each = summary.names(fits)
+    if len(each) < 2:
+        return None
+    across, down = min(4, len(each)), math.ceil(len(each) / 4)
+    drawing = Figure(figsize=(10, 1.95 * down + 0.95))
+    height = drawing.get_figheight()
+    panels = drawing.subplots(down, across, squeeze=False, sharex=True, sharey=True).flatten()
+    drawing.subplots_adjust(left=0.055, right=0.985, wspace=0.08, hspace=0.3, top=1 - 0.82 / height, bottom=0.4 / height)
+    for number, (panel, name) in enumerate(zip(panels, each)):
+        lines = {who: errors[error] for who, errors in record["published"].get(kind, {}).get(name, {}).items()
+                 if error in errors}
+        _curves(panel, summary.curves(fits, error, [name]), colours(fits), lines, direct=False)
+        panel.set_title(name, loc="left", fontsize=SIZES["label"], pad=3)
+        panel.set_xlabel("seconds" if number >= len(each) - across else "", fontsize=SIZES["small"])
+        panel.tick_params(labelbottom=number >= len(each) - across)
+    for panel in panels[len(each):]:
+        panel.set_visible(False)
+    for panel in panels[:len(each)]:
+        _inner_labels(panel)
+    handles = [Line2D([], [], color=colour, linewidth=2, label=name) for name, colour in colours(fits).items()]
+    drawing.text(0.055, 1 - 0.1 / height, f"{summary.ERRORS[kind][error]}, RMSE", fontsize=SIZES["title"], fontweight="bold",
+                 va="top")
+    drawing.legend(handles=handles, loc="upper left", ncols=len(handles), fontsize=SIZES["tick"], frameon=False,
+                   bbox_to_anchor=(0.047, 1 - 0.26 / height), handlelength=1.4, columnspacing=1.6, borderaxespad=0)
+    return drawing
+
+
+def renderers_figure(record: Mapping) -> Figure | None:
+    """Error of image and gradient against seconds, over sizes and numbers of views, and of jittered pixels."""
+    cases = [r for r in record["records"] if r["suite"] == "renderers"]
+    if not cases:
+        return None
+    bsdfs = list(dict.fromkeys(r["bsdf"] for r in cases))
+    drawing = Figure(figsize=(10, 2.6 * len(bsdfs) + 0.6))
+    height = drawing.get_figheight()
+    panels = drawing.subplots(len(bsdfs), 3, squeeze=False, sharex="col", sharey="col")
+    drawing.subplots_adjust(left=0.07, right=0.985, wspace=0.27, hspace=0.42, top=1 - 0.85 / height, bottom=0.45 / height)
+    whose = {row["renderer"] for r in cases for row in r["rows"]}
+    shades = {name: colour for name, colour in RENDERERS.items() if name in whose}
+    tolerances = {"image": TOLERANCES["image"]["mean"], "gradient": TOLERANCES["gradients"]["relative_l2"]}
+    for row, bsdf in zip(panels, bsdfs):
+        texels = [r for r in cases if r["bsdf"] == bsdf and r["truth"] == "texels"]
+        for panel, (error, time, title) in zip(row, (("image", "forward", "Image, forward"),
+                                                     ("gradient", "both", "Gradient, forward and backward"))):
+            _sweeps(panel, texels, error, time, shades)
+            panel.axhline(tolerances[error], color=PUBLISHED, linewidth=1.0, linestyle=(0, (5, 3)), zorder=1)
+            panel.annotate("stated tolerance", (0.985, tolerances[error]), (0, 2), xycoords=("axes fraction", "data"),
+                           textcoords="offset points", ha="right", fontsize=6.5, fontstyle="italic", color=PUBLISHED)
+            panel.set_ylim(2e-8, 1e-5)
+            _plain(panel)
+            _headed(panel, title, f"relative error, {bsdf}")
+        jittered = next((r for r in cases if r["bsdf"] == bsdf and r["truth"] == "pixels"), None)
+        if jittered:
+            _samples(row[2], jittered, shades)
+        row[2].set_visible(jittered is not None)
+    for panel in panels[-1]:
+        panel.set_xlabel("seconds", fontsize=SIZES["small"])
+    handles = [Line2D([], [], color=colour, linewidth=2, label=name) for name, colour in shades.items()]
+    sides, counts = _grown([r for r in cases if r["truth"] == "texels"])
+    if sides:
+        handles.append(Line2D([], [], color=QUIET, **SIDES, label=f"9 views of {sides[0]['resolution']} to "
+                                                                  f"{sides[-1]['resolution']} px"))
+    if counts:
+        handles.append(Line2D([], [], color=QUIET, **VIEWS, label=f"{counts[0]['views']} to {counts[-1]['views']} views of "
+                                                                  f"{counts[0]['resolution']} px"))
+    handles.append(Line2D([], [], color=QUIET, linestyle="none", marker="D", markersize=4.5, label="one ray to the centre"))
+    drawing.legend(handles=handles, loc="upper left", ncols=len(handles), fontsize=SIZES["tick"], frameon=False,
+                   bbox_to_anchor=(0.062, 1 - 0.08 / height), handlelength=1.8, columnspacing=1.6, borderaxespad=0)
+    return drawing
+
+
+def svg(drawing: Figure) -> bytes:
+    """The file: white ground, text as text, the same bytes for the same record."""
+    data = io.BytesIO()
+    with matplotlib.rc_context({"svg.hashsalt": "mitsvbrdf", "svg.fonttype": "none"}):
+        drawing.set_facecolor("white")
+        FigureCanvasSVG(drawing).print_svg(data, metadata={"Date": None})
+    return data.getvalue()
+
+
+def colours(fits: Sequence[Mapping]) -> dict[str, str]:
+    """Method -> its colour, in the order of the records."""
+    methods = dict.fromkeys(r["method"] for r in fits)
+    return {name: COLOURS[i % len(COLOURS)] for i, name in enumerate(methods)}
+
+
+def names_of(kind: str, fits: Sequence[Mapping]) -> str:
+    """How many materials or captures, and of how many seeds the median is."""
+    count, seeds = len(summary.names(fits)), len({r["seed"] for r in fits})
+    what = {"material": "known material", "capture": "real capture"}[kind] + ("s" if count > 1 else "")
+    return f"{count} {what}" + (f", median and quartiles of {seeds} seeds" if seeds > 1 else ", one seed")
+
+
+def _curves(panel: Axes, found: Mapping[str, Sequence[summary.Point]], shades: Mapping[str, str], lines: Mapping[str, float],
+            direct: bool) -> None:
+    """Median lines with bands, dashed published lines, and labels at their ends (``direct``) or on the dashed lines."""
+    budgets = sorted({p.budget for points in found.values() for p in points})
+    last = max((p.seconds for points in found.values() for p in points), default=1.0)
+    right = max([last, *budgets]) * 1.12
+    ends = []
+    for number, (name, points) in enumerate(reversed(found.items())):  # the default method on top
+        x, y = [p.seconds for p in points], [p.median for p in points]
+        if any(p.high > p.low for p in points):
+            panel.fill_between(x, [p.low for p in points], [p.high for p in points], color=shades[name], alpha=0.16,
+                               linewidth=0, zorder=2)
+        panel.plot(x, y, color=shades[name], linewidth=2.0 if direct else 1.5, marker="o", markersize=4 if direct else 2.6,
+                   zorder=3 + number, solid_capstyle="round")
+        if points[-1].seconds < 0.8 * points[-1].budget:  # it ended before its time was up
+            panel.plot([x[-1], right], [y[-1]] * 2, color=shades[name], linewidth=0.9, linestyle=(0, (1, 2)), zorder=2)
+        ends.append((name, y[-1], shades[name], "normal"))
+    for who, value in lines.items():
+        until = 1.0 if direct or len(lines) == 1 else 0.45  # several leave room for their names
+        panel.axhline(value, xmax=until, color=PUBLISHED, linewidth=1.0, linestyle=(0, (5, 3)), zorder=1)
+        ends.append((who, value, PUBLISHED, "italic"))
+    panel.set(xscale="log", yscale="log")
+    panel.set_xlim(min([p.seconds for points in found.values() for p in points] or [1.0]) / 1.25, right)
+    panel.xaxis.set_major_locator(FixedLocator(budgets))
+    panel.xaxis.set_minor_locator(NullLocator())
+    _plain(panel)
+    if direct:
+        panel.set_xlabel("seconds", fontsize=SIZES["small"], labelpad=1)
+        _labels(panel, ends)
+    else:
+        panel.published = lines  # labelled once the shared axes are known
+
+
+def _labels(panel: Axes, ends: Sequence[tuple[str, float, str, str]]) -> None:
+    """Names beside the right edge at the height of their lines, pushed apart where they would overlap."""
+    low, high = map(math.log, panel.get_ylim())
+    at = sorted((((math.log(value) - low) / (high - low)), name, colour, style) for name, value, colour, style in ends)
+    places = spaced([each[0] for each in at], 0.072)
+    for (height, name, colour, style), place in zip(at, places):
+        panel.annotate(name, xy=(1.0, height), xytext=(1.045, place), xycoords="axes fraction", textcoords="axes fraction",
+                       color=colour, fontsize=SIZES["label"], fontstyle=style, va="center", annotation_clip=False,
+                       arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.7, "shrinkA": 1, "shrinkB": 0})
+
+
+def spaced(heights: Sequence[float], gap: float) -> list[float]:
+    """Sorted heights moved as little as needed to lie at least ``gap`` apart: neighbours share their centre of gravity."""
+    groups: list[list[float]] = []  # sum of (height - its rank's shift), count
+    for height in heights:
+        groups.append([height, 1])
+        while len(groups) > 1 and groups[-2][0] / groups[-2][1] + (groups[-2][1] + groups[-1][1]) / 2 * gap > (
+                groups[-1][0] / groups[-1][1]):
+            total, count = groups.pop()
+            groups[-1] = [groups[-1][0] + total, groups[-1][1] + count]
+    return [total / count + (k - (count - 1) / 2) * gap for total, count in groups for k in range(int(count))]
+
+
+def _inner_labels(panel: Axes) -> None:
+    """Names of published lines: above the one line, else behind the ends of several."""
+    low, high = map(math.log, panel.get_ylim())
+    lines = sorted(panel.published.items(), key=lambda line: line[1])
+    places = spaced([(math.log(value) - low) / (high - low) for _, value in lines], 0.085)
+    where = {"x": 0.985, "ha": "right", "va": "bottom"} if len(lines) == 1 else {"x": 0.465, "ha": "left", "va": "center"}
+    for (who, _), place in zip(lines, places):
+        panel.text(y=place, s=who, transform=panel.transAxes, fontsize=6.3, fontstyle="italic", color=PUBLISHED, zorder=20,
+                   path_effects=[withStroke(linewidth=2.2, foreground="white")], **where)
+
+
+def _sweeps(panel: Axes, cases: Sequence[Mapping], error: str, time: str, shades: Mapping[str, str]) -> None:
+    """One line a renderer over growing sides, one over growing numbers of views, with the quartiles of their times."""
+    sides, counts = _grown(cases)
+    for name, colour in shades.items():
+        for sweep, style in ((counts, VIEWS), (sides, SIDES)):
+            rows = [row for r in sweep for row in r["rows"] if row["renderer"] == name and row[error] > 0]
+            panel.plot([row[time]["median"] for row in rows], [row[error] for row in rows], color=colour, **style)
+            for row in rows:
+                panel.hlines(row[error], row[time]["low"], row[time]["high"], color=colour, linewidth=4, alpha=0.3)
+    panel.set(xscale="log", yscale="log")
+    _plain(panel)
+
+
+def _grown(cases: Sequence[Mapping]) -> tuple[list[Mapping], list[Mapping]]:
+    """The cases of nine views by their side, and those of one side by their number of views."""
+    sizes = {r["resolution"] for r in cases if r["views"] != 9}
+    return (sorted((r for r in cases if r["views"] == 9), key=lambda r: r["resolution"]),
+            sorted((r for r in cases if r["resolution"] in sizes), key=lambda r: r["views"]))
+
+
+def _samples(panel: Axes, case: Mapping, shades: Mapping[str, str]) -> None:
+    """The traced scene with more and more jittered rays a pixel, and what one ray through each centre does."""
+    jittered = [row for row in case["rows"] if row["samples"] > 1]
+    panel.plot([r["forward"]["median"] for r in jittered], [r["image"] for r in jittered], color=shades.get("mitsuba-scene"),
+               marker="o", markersize=4, linewidth=1.6)
+    for row in jittered:
+        panel.annotate(str(row["samples"]), (row["forward"]["median"], row["image"]), (5, 4), fontsize=SIZES["small"],
+                       textcoords="offset points", color=shades.get("mitsuba-scene"))
+    for row in case["rows"]:
+        if row["samples"] == 1 and row["renderer"] in shades:
+            panel.plot(row["forward"]["median"], row["image"], "D", color=shades[row["renderer"]], markersize=5, zorder=4)
+    panel.set(xscale="log", yscale="log")
+    panel.margins(0.12, 0.15)
+    _headed(panel, "Image of whole pixels, forward", f"{case['bsdf']}, {case['resolution']} px; number: jittered rays")
+    _plain(panel)
+
+
+def _headed(panel: Axes, title: str, about: str) -> None:
+    panel.set_title(title, loc="left", fontsize=SIZES["title"], fontweight="bold", pad=14)
+    panel.text(0, 1.025, about, transform=panel.transAxes, fontsize=SIZES["small"], color=QUIET, va="bottom")
+
+
+def _plain(panel: Axes) -> None:
+    """Quiet axes whose numbers are written out."""
+    for axis, limits in ((panel.xaxis, panel.get_xlim()), (panel.yaxis, panel.get_ylim())):
+        if not isinstance(axis.get_major_locator(), FixedLocator):
+            axis.set_major_locator(LogLocator(subs=(1, 2, 5) if limits[1] / limits[0] < 60 else (1,)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+    panel.grid(True, which="major", color=GRID, linewidth=0.7)
+    panel.set_axisbelow(True)
+    panel.spines[["top", "right"]].set_visible(False)
+    panel.spines[["left", "bottom"]].set_color("#b9bec6")
+    panel.tick_params(labelsize=SIZES["tick"], which="both", color="#b9bec6", labelcolor=PUBLISHED, length=2.5)

@@ -1,0 +1,57 @@
+"""Published results for the materials and captures of a benchmark, from ``peers.json`` in the folder of data."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..errors import ConfigError
+from .tasks import KnownMaterial, Task
+
+RESOLUTION = 256  # the published numbers are for photos and maps of this size
+NAMES = {"materialgan": "MaterialGAN", "gao2019": "Gao 2019", "deschaintre2019": "Deschaintre 2019",
+         "deschaintre2019-gao2019": "Deschaintre + Gao 2019"}
+MAPS = ("diffuse", "specular", "roughness", "normal")
+
+Published = dict[str, dict[str, dict[str, dict[str, float]]]]
+
+
+def published(path: Path, tasks: Sequence[Task], resolution: int) -> Published:
+    """Kind -> name -> whose -> error -> value, in the names that records use; empty at another size than the numbers' own.
+
+    Materials have RMSE of each map and their ``mean``, on the publishers' own photos of them. Captures have MaterialGAN's
+    errors of the photos that fits here see and leave out; it saw all of them.
+
+    Args:
+        path: ``peers.json``; a missing file has nothing.
+        tasks: what is fitted.
+        resolution: of the fits.
+
+    Raises:
+        ConfigError: the file cannot be understood.
+    """
+    found: Published = {"material": {}, "capture": {}}
+    if not path.is_file() or resolution != RESOLUTION:
+        return found
+    try:
+        stated = json.loads(path.read_text())
+        for task in tasks:
+            if isinstance(task, KnownMaterial):
+                if task.folder is not None and task.name in stated["materials"]:
+                    found["material"][task.name] = {NAMES.get(who, who): _with_mean(maps)
+                                                    for who, maps in stated["materials"][task.name].items()}
+            elif task.name in stated["captures"]:
+                each = stated["captures"][task.name]["per_view"]
+                parts = {"seen": task.photos.index} | ({"left_out": task.left_out.index} if task.left_out else {})
+                found["capture"][task.name] = {"MaterialGAN": {
+                    part: math.sqrt(sum(each[i] ** 2 for i in index) / len(index)) for part, index in parts.items()}}
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError) as reason:
+        raise ConfigError("peers.json with materials and captures", f"{path}: {reason!r}", "mend it, or take it away") from None
+    return found
+
+
+def _with_mean(maps: dict[str, float]) -> dict[str, float]:
+    values = {name: float(maps[name]) for name in MAPS}
+    return values | {"mean": sum(values.values()) / len(values)}

@@ -1,0 +1,159 @@
+"""The JSON of a benchmark, version 1: what it holds, and whether a file is one."""
+
+from __future__ import annotations
+
+import math
+import types
+from typing import Any, Literal, TypedDict, Union, get_args, get_origin, get_type_hints, is_typeddict
+
+from ..errors import ConfigError
+
+SCHEMA_VERSION: Literal[1] = 1
+
+
+class Spread(TypedDict):
+    """Repeated timings, in seconds: median and quartiles."""
+
+    median: float
+    low: float
+    high: float
+    repeats: int
+
+
+class RenderRow(TypedDict):
+    """One renderer of a case; ``image`` is the mean relative error over texels of roughness 0.1 and more, ``gradient`` the
+    relative L2 error of the worst map there, ``forward`` a picture without gradients, ``both`` forward and backward."""
+
+    renderer: str
+    samples: int
+    image: float
+    gradient: float
+    forward: Spread
+    both: Spread
+
+
+class RenderRecord(TypedDict):
+    """One case of the suite ``renderers``; ``truth``: texel centres, or averages over pixels."""
+
+    suite: Literal["renderers"]
+    bsdf: Literal["roughconductor", "principled"]
+    resolution: int
+    views: int
+    truth: Literal["texels", "pixels"]
+    config: dict[str, Any]
+    rows: list[RenderRow]
+    skipped: list[dict[str, str]]
+
+
+class FitRecord(TypedDict):
+    """One fit. ``seconds`` by the loop's clock, ``wall`` with preparation and reckoning. ``errors`` of a known ``material``:
+    each map, ``mean``, ``novel_light``, ``photos``; of a real ``capture``: ``seen``, ``left_out``; none of a fit that failed,
+    which ``why`` explains."""
+
+    suite: Literal["methods", "ablation"]
+    method: str
+    kind: Literal["material", "capture"]
+    name: str
+    budget: float
+    seed: int
+    config: dict[str, Any]
+    seconds: float
+    wall: float
+    iterations: int
+    stopped: str
+    why: str | None
+    errors: dict[str, float]
+
+
+class CaptureRecord(TypedDict):
+    """One capture made without calibration: of a known ``material`` by the simulated phone, with or without ``sheet``, or a
+    real ``capture`` whose views were taken away. ``seconds`` by stage; ``errors`` as evaluate/bench/capture.py counts them,
+    none of what failed, which ``why`` explains."""
+
+    suite: Literal["capture"]
+    kind: Literal["material", "capture"]
+    name: str
+    sheet: bool
+    config: dict[str, Any]
+    seconds: dict[str, float]
+    errors: dict[str, float]
+    stopped: Literal["done", "failed"]
+    why: str | None
+
+
+class Benchmark(TypedDict):
+    """The whole file. ``published``: kind -> name -> whose -> error -> value, of what was fitted here."""
+
+    schema_version: Literal[1]
+    settings: dict[str, Any]
+    machine: dict[str, Any]
+    versions: dict[str, str | None]
+    seeds: list[int]
+    published: dict[str, dict[str, dict[str, dict[str, float]]]]
+    records: list[RenderRecord | FitRecord | CaptureRecord]
+
+
+def identity(record: dict) -> tuple:
+    """What no two records of a file share."""
+    names = {"renderers": ("suite", "bsdf", "resolution", "views", "truth"), "capture": ("suite", "kind", "name", "sheet")}
+    return tuple(record[name] for name in names.get(record["suite"], ("suite", "method", "kind", "name", "budget", "seed")))
+
+
+def check_benchmark(value: Any, where: str) -> Benchmark:
+    """The value itself, when it is a benchmark of this version.
+
+    Args:
+        value: what a JSON file held.
+        where: the name of that file, for the message.
+
+    Raises:
+        ConfigError: naming the first place that is wrong.
+    """
+    if not isinstance(value, dict) or value.get("schema_version") != SCHEMA_VERSION:
+        version = value.get("schema_version") if isinstance(value, dict) else None
+        raise ConfigError(f"a benchmark of schema version {SCHEMA_VERSION}", f"version {version} in {where}",
+                          "choose another file, or --overwrite to start anew")
+    problem = _problem(value, Benchmark, where)
+    records = [] if problem else [identity(record) for record in value["records"]]
+    if len(set(records)) < len(records):
+        twice = next(r for r in records if records.count(r) > 1)
+        problem = f"{where}.records", "each fit and case once", f"{twice} twice"
+    if problem:
+        place, expected, got = problem
+        raise ConfigError(f"{expected} at {place}", got, "choose another file, or --overwrite to start anew")
+    return value  # type: ignore[return-value]
+
+
+def _problem(value: Any, kind: Any, place: str) -> tuple[str, str, str] | None:
+    """Where a value is not of a type: place, expected, got; None where it is."""
+    origin, arguments = get_origin(kind), get_args(kind)
+    if kind is Any:
+        return None
+    if is_typeddict(kind):
+        return _of_dict(value, kind, place)
+    if origin in (Union, types.UnionType):
+        if all(map(is_typeddict, arguments)):  # the suite tells which
+            suite = value.get("suite") if isinstance(value, dict) else None
+            arguments = tuple(a for a in arguments if suite in get_args(get_type_hints(a)["suite"])) or arguments[:1]
+        problems = [_problem(value, a, place) for a in arguments]
+        return None if None in problems else problems[0]
+    if origin is Literal:
+        return None if value in arguments else (place, f"one of {list(arguments)}", repr(value))
+    if origin in (list, dict):
+        if not isinstance(value, origin):
+            return place, f"a {origin.__name__}", repr(value)[:60]
+        inside = value.items() if origin is dict else enumerate(value)
+        return next(filter(None, (_problem(v, arguments[-1], f"{place}.{k}") for k, v in inside)), None)
+    if kind is float:
+        right = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    else:
+        right = value is None if kind in (None, type(None)) else type(value) is kind
+    return None if right else (place, getattr(kind, "__name__", str(kind)), repr(value)[:60])
+
+
+def _of_dict(value: Any, kind: Any, place: str) -> tuple[str, str, str] | None:
+    hints = get_type_hints(kind)
+    if not isinstance(value, dict) or set(value) != set(hints):
+        got = sorted(value) if isinstance(value, dict) else repr(value)[:60]
+        return place, f"the fields {sorted(hints)}", str(got)
+    return next(filter(None, (_problem(value[name], hint, f"{place}.{name}") for name, hint in hints.items())), None)

@@ -1,0 +1,1 @@
+"""Where camera and flash stood."""

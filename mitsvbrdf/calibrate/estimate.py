@@ -1,0 +1,241 @@
+"""Views from rectified photos alone: where camera and flash stood, and how strong the flash was.
+
+One material for all texels' lobes explains the photos roughly, with flash and camera together at (x, y, z):
+
+    radiance = e s(d, z) (rho + k lobe(roughness)),   s = z / d^3 (z / d)^b
+
+rho of each texel and k, held near one level, are eliminated (variable projection, Golub and Pereyra 1973); what is left to find
+are the places, exposures e and three numbers for all: the roughness, the level of k and b. b is what the light falls off faster
+than a point's: the beam of a flash and the darker corners of a lens. Without it real photos seem taken from half as far.
+
+- Where a highlight is, there is the mirror point: the flash stands above it, for sure and in patch sides.
+- How far away is hardly told: flash, material and lens can all make the same gradient. So heights lie around what phones do
+  (:data:`HEIGHT`, :data:`SPREAD`), and how sure they are is stated.
+- How much light there was is told by nothing but what materials usually reflect (:data:`F0`, :data:`ALBEDO`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from scipy.ndimage import gaussian_filter
+from scipy.optimize import least_squares
+from torch import Tensor
+
+from .. import color
+from ..capture import Capture
+from ..color import CLIPPED
+from ..material.maps import DIELECTRIC_F0
+from ..views import Views
+
+LEAST_PHOTOS = 3
+SIDE = 32  # pixels a side that are looked at
+GAMMA = 2.2  # errors are counted in radiance^(1 / GAMMA), whatever the photos' transfer
+NOISE = 0.05  # of these: one lobe for all is rough
+ALIKE = 40.0  # pixels count as one: what this model lacks hangs together
+ROBUST = 1.5  # errors beyond so many times the noise count by their size alone
+DARK, SAME = 0.01, 0.01  # radiance, and change of its logarithm between photos, below which nothing is told
+
+# (What is usual, and by how many natural logarithms it varies.) Of twelve real captures with known views heights were 1.7 to
+# 4.0 patch sides with a median of 1.9, and cameras were spread over 0.10 to 0.18 of their height, root mean square by axis.
+HEIGHT, SPREAD = (2.2, 0.15), (0.14, 0.15)
+HEIGHTS, EXPOSURES = 0.06, 0.05  # how unlike those of the photos of one capture are
+SIDEWAYS = 0.5  # patch sides, around the centre
+BEAM = (2.5, 1.5)  # b, and how it varies; the same captures, with known views: 0.7 to 5 but for the mattest
+ROUGHNESS = (0.3, 0.5)  # alpha
+LEVELS = (0.1, 1.0)  # level of k as a share of the brightest diffuse
+OWN = 0.7  # how far a texel's own k may be from the level, as a share of it
+F0, ALBEDO = (DIELECTRIC_F0, 0.4), (0.12, 1.2)  # median albedos; of ten known materials 0.001 to 0.22
+POWER = (F0[1] ** -2 + ALBEDO[1] ** -2) ** -0.5  # how well both tell the logarithm of the light power
+WHITEST = 0.95  # diffuse albedo that 99 % of the texels stay below
+
+
+@dataclass(frozen=True)
+class EstimatedViews:
+    """Views estimated from photos, and how sure they are; the same lateral place for camera and flash.
+
+    Args:
+        views: the N views, in the unit of the capture's.
+        deviation: standard deviations N x 4: camera x, y, z in patch sides, and the logarithm of the exposure.
+        power_deviation: of the logarithm of the light power of all photos.
+        beam: how much faster than a point's the light falls off, as an exponent of the cosine; the views leave it out.
+    """
+
+    views: Views
+    deviation: Tensor
+    power_deviation: float
+    beam: float
+
+
+def why_not(capture: Capture) -> str | None:
+    """Why the views cannot be estimated from the photos; None where they can, or need not be."""
+    if len(capture) < LEAST_PHOTOS:
+        return f"{LEAST_PHOTOS} photos or more are needed"
+    if capture.views.falloff == "none":
+        return "without falloff there is nothing to tell them by"
+    light = _radiance(capture, SIDE)
+    if not light.mean(axis=(1, 2)).min() > DARK:
+        return "the photos are too dark"
+    logs = np.log(light + DARK)
+    logs -= logs.mean(axis=(1, 2), keepdims=True)
+    return "the photos are all alike" if (logs - logs.mean(axis=0)).std() < SAME else None
+
+
+def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
+    """The capture with views estimated from its photos, if it has none of its own.
+
+    Args:
+        capture: rectified photos.
+
+    Returns:
+        The capture, with a note, and what was found; itself and None where views are known. Where they cannot be estimated
+        (:func:`why_not`) the default geometry stays, and a note says why.
+    """
+    if capture.calibrated:
+        return capture, None
+    why = why_not(capture)
+    if why:
+        return replace(capture, notes=(*capture.notes, f"views not estimated: {why}; the default geometry stays")), None
+    found = estimate_views(capture)
+    height, sure = float(found.views.camera[:, 2].mean()) / found.views.size, found.deviation.mean(dim=0).tolist()
+    note = (f"views estimated from the photos alone: cameras about {height:.2f} patch sides away, to about {sure[2]:.2f}, and "
+            f"sideways to {max(sure[:2]):.2f}; the light power to a factor of {math.exp(found.power_deviation):.1f}")
+    return replace(capture, views=found.views, notes=(*capture.notes, note)), found
+
+
+def estimate_views(capture: Capture) -> EstimatedViews:
+    """The most probable views of photos of an unknown material; a few seconds. See the module.
+
+    Args:
+        capture: N >= 3 photos that :func:`why_not` has nothing against; its views are not looked at, but for their unit.
+    """
+    problem = Problem(capture)
+    start = np.zeros(problem.size)
+    start[:problem.count * 4].reshape(-1, 4)[:, :2] = problem.mirror_points() / SIDEWAYS
+    found = least_squares(problem.errors, start, max_nfev=40, ftol=1e-4, xtol=1e-4)
+    camera, exposure, shared = problem.places(found.x)
+    covariance = np.linalg.pinv(found.jac.T @ found.jac)
+    slope = problem.slopes(found.x)  # of x, y, z, log exposure by the unknowns
+    deviation = np.sqrt(np.einsum("npu,uv,npv->np", slope, covariance, slope))
+    power, power_deviation = problem.power(found.x)
+    size = capture.views.size
+    camera, power = torch.from_numpy(camera * size), torch.from_numpy(power * exposure[:, None] * size**2).repeat(1, 3)
+    views = Views(camera, camera.clone(), power, size)
+    return EstimatedViews(views, torch.from_numpy(deviation), power_deviation, shared["beam"])
+
+
+class Problem:
+    """The least-squares problem in unknowns whose prior is the standard normal distribution.
+
+    They are x, y, height and exposure of each photo, then the height, b, roughness and level of all, and what the brightest
+    diffuse is.
+    """
+
+    def __init__(self, capture: Capture) -> None:
+        photos = capture.photos.permute(0, 3, 1, 2)
+        self.light = _radiance(capture, SIDE)
+        self.side = self.light.shape[1]
+        self.shown = self.light ** (1 / GAMMA)
+        self.clipped = (F.adaptive_max_pool2d(photos.amax(dim=1), self.side) >= CLIPPED).numpy()
+        self.count = len(capture)
+        self.size = 4 * self.count + 4
+        line = (np.arange(self.side) + 0.5) / self.side - 0.5
+        self.texels = np.stack([*np.meshgrid(line, -line), np.zeros((self.side, self.side))], axis=-1)
+        self.typical = float(np.median(self.light, axis=0).max())
+
+    def mirror_points(self) -> np.ndarray:
+        """Where each photo is brightest beside the others, N x 2: where its highlight is, or what is nearest the flash."""
+        level = np.median(self.light, axis=(1, 2), keepdims=True) + DARK
+        logs = np.log(self.light / level + DARK)
+        excess = logs - np.median(logs, axis=0)
+        found = []
+        for picture in excess:
+            smooth = gaussian_filter(picture, self.side / 27)
+            peak = self.texels[np.unravel_index(smooth.argmax(), smooth.shape)]
+            near = np.linalg.norm(self.texels - peak, axis=-1) < 0.15
+            weight = near * np.clip(smooth - np.quantile(smooth, 0.97), 1e-9, None)
+            found.append((weight[..., None] * self.texels[..., :2]).sum(axis=(0, 1)) / weight.sum())
+        return np.array(found)
+
+    def places(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
+        """Cameras N x 3, exposures N, and the numbers shared by all."""
+        own, (height, beam, alpha, level) = u[:-4].reshape(-1, 4), u[-4:]
+        shared = {"height": HEIGHT[0] * math.exp(HEIGHT[1] * height), "beam": BEAM[0] + BEAM[1] * beam,
+                  "alpha": min(ROUGHNESS[0] * math.exp(ROUGHNESS[1] * alpha), 1.0),
+                  "level": self.typical * LEVELS[0] * math.exp(LEVELS[1] * level)}
+        camera = np.concatenate((own[:, :2] * SIDEWAYS, shared["height"] * np.exp(HEIGHTS * own[:, 2:3])), axis=1)
+        return camera, np.exp(EXPOSURES * own[:, 3]), shared
+
+    def slopes(self, u: np.ndarray) -> np.ndarray:
+        """N x 4 x U: of camera x, y, z and the logarithm of the exposure by the unknowns."""
+        camera, _, _ = self.places(u)
+        slope = np.zeros((self.count, 4, self.size))
+        for i in range(self.count):
+            slope[i, 0, 4 * i] = slope[i, 1, 4 * i + 1] = SIDEWAYS
+            slope[i, 2, 4 * i + 2], slope[i, 2, -4] = HEIGHTS * camera[i, 2], HEIGHT[1] * camera[i, 2]
+            slope[i, 3, 4 * i + 3] = EXPOSURES
+        return slope
+
+    def shading(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+        """What rho and k of a texel are multiplied by, N x R x R each, 1 below a flash at the common height; and k's level."""
+        camera, exposure, shared = self.places(u)
+        away = camera[:, None, None] - self.texels
+        square = (away**2).sum(axis=-1)
+        cosine = away[..., 2] / np.sqrt(square)
+        bright = exposure[:, None, None] * shared["height"] ** 2 * cosine ** (1 + shared["beam"]) / square
+        a2 = shared["alpha"] ** 2
+        smith = 2 / (cosine + np.sqrt(a2 + (1 - a2) * cosine**2))  # G1 / cosine
+        return bright, bright * a2 / (a2 * cosine**2 + 1 - cosine**2) ** 2 * smith**2 / 4, shared["level"]
+
+    def texel_fit(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The best rho and k of each texel, R x R, and the errors that they leave, N x R x R."""
+        diffuse, lobe, level = self.shading(u)
+        rho = np.median(np.maximum(self.light - level * lobe, 1e-4) / diffuse, axis=0)
+        k = np.full_like(rho, level)
+        for _ in range(4):
+            error, slope = self._error(rho * diffuse + k * lobe)
+            weight = slope**2 / (1 + (error / NOISE) ** 2) / NOISE**2
+            along, residual = error / slope, (k - level) / (OWN * level) ** 2
+            rr, rk = (weight * diffuse**2).sum(axis=0) + 1e-6, (weight * diffuse * lobe).sum(axis=0)
+            kk = (weight * lobe**2).sum(axis=0) + 1 / (OWN * level) ** 2
+            r, s = (weight * diffuse * along).sum(axis=0), (weight * lobe * along).sum(axis=0) + residual
+            common = rr * kk - rk**2
+            rho = np.maximum(rho - (kk * r - rk * s) / common, 1e-4)
+            k = np.clip(k - (rr * s - rk * r) / common, 0.05 * level, 5 * level)
+        return rho, k, self._error(rho * diffuse + k * lobe)[0]
+
+    def _error(self, radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Errors, 0 where a clipped photo is met by enough light, and their slope by the radiance."""
+        error = radiance ** (1 / GAMMA) - self.shown
+        return np.where(self.clipped & (error > 0), 0, error), np.maximum(radiance, 1e-3) ** (1 / GAMMA - 1) / GAMMA
+
+    def errors(self, u: np.ndarray) -> np.ndarray:
+        """Errors of the photos and of the priors, in standard deviations; their squares' sum is least."""
+        _, k, error = self.texel_fit(u)
+        camera, _, shared = self.places(u)
+        own = (k / shared["level"] - 1) / OWN / 3  # counts little: one lobe for all is a picture of speech
+        left = np.concatenate((error / NOISE, own[None])).ravel()
+        robust = np.sign(left) * np.sqrt(2 * (np.sqrt(1 + (left / ROBUST) ** 2) - 1)) * ROBUST / math.sqrt(ALIKE)
+        spread = camera[:, :2].std(axis=0)
+        ratio = math.sqrt((spread**2).mean() + 1e-6) / shared["height"]
+        return np.concatenate((robust, u, [math.log(ratio / SPREAD[0]) / SPREAD[1]]))
+
+    def power(self, u: np.ndarray) -> tuple[float, float]:
+        """Radiant intensity in patch sides squared, such that albedo and F0 are as usual, and its deviation in logarithms."""
+        rho, _, _ = self.texel_fit(u)
+        _, _, shared = self.places(u)
+        votes = [(math.log(shared["level"] / F0[0]), F0[1]), (math.log(np.median(rho) / ALBEDO[0]), ALBEDO[1])]
+        weight = sum(sd**-2 for _, sd in votes)
+        white = math.exp(sum(value * sd**-2 for value, sd in votes) / weight)
+        white = max(white, float(np.quantile(rho, 0.99)) / WHITEST)  # radiance of a white texel below the flash
+        return math.pi * white * shared["height"] ** 2, POWER
+
+
+def _radiance(capture: Capture, side: int) -> np.ndarray:
+    """Linear grey N x R x R, float64, area-averaged to ``side`` at most."""
+    grey = color.decode(capture.photos.double(), capture.transfer).mean(dim=-1)
+    return F.adaptive_avg_pool2d(grey, min(side, capture.resolution)).numpy()

@@ -1,0 +1,103 @@
+"""The patch that all photos show: the largest upright square of the plane, and the world around it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..lens import Lens, Pose, on_plane
+
+Array = NDArray[np.float64]
+
+MARGIN = 0.01  # of a photo's sides: kept off its border
+CENTRED = 0.95  # of the largest square's side: so much of it is kept to have the patch below the cameras
+GAIN = 1.25  # a photo without which the patch's side would grow by more than this factor is better left out
+
+# Where the top of a photo as shown is in its stored pixels, by EXIF orientation.
+TOP = {1: (0, -1), 2: (0, -1), 3: (0, 1), 4: (0, 1), 5: (-1, 0), 6: (-1, 0), 7: (1, 0), 8: (1, 0)}
+
+
+def upright(pose: Pose, orientation: int) -> float:
+    """The angle (rad) by which the plane must be turned about z so that its y points up in a photo as shown."""
+    x, y, _ = pose.rotation.T @ np.array([*TOP[orientation], 0.0])
+    return float(np.arctan2(x, y))
+
+
+def turned(pose: Pose, angle: float) -> Pose:
+    """A pose in the world turned by an angle (rad) about z."""
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+    return Pose(turn @ pose.position, pose.rotation @ turn.T)
+
+
+def framed(poses: dict[str, Pose], centre: Array, side: float) -> dict[str, Pose]:
+    """Poses in the world whose origin is ``centre`` (x, y) and whose unit is ``side``."""
+    return {name: Pose((p.position - (*centre, 0.0)) / side, p.rotation) for name, p in poses.items()}
+
+
+def outline(lens: Lens, pose: Pose) -> Array:
+    """Half planes n . (x, y) <= b that a photo shows all of, as rows (n_x, n_y, b): one for each of its sides, 4 x 3."""
+    size = np.array(lens.size)
+    low, high = MARGIN * size - 0.5, (1 - MARGIN) * size - 0.5
+    corners = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
+    middle = on_plane(lens, pose, (low + high)[None] / 2)[0]
+    rows = []
+    for a, b in zip(corners, np.roll(corners, -1, axis=0)):
+        points = on_plane(lens, pose, a + np.linspace(0, 1, 9)[:, None] * (b - a))  # a side is bent by distortion
+        edge = points[-1] - points[0]
+        normal = np.array([edge[1], -edge[0]]) / np.linalg.norm(edge)
+        normal *= np.sign(normal @ (points[0] - middle))
+        rows.append((*normal, (points @ normal).min()))
+    return np.array(rows)
+
+
+def largest_square(outlines: Sequence[Array]) -> tuple[Array, float]:
+    """Centre (x, y) and side of the largest upright square in all outlines; a side below 0 where there is none.
+
+    A linear programme: a square of half side h lies in a half plane where n . centre + h (|n_x| + |n_y|) <= b.
+    """
+    from scipy.optimize import linprog
+
+    rows = np.concatenate(outlines)
+    reach = np.abs(rows[:, :2]).sum(axis=1)
+    found = linprog((0, 0, -1.0), np.column_stack((rows[:, :2], reach)), rows[:, 2], bounds=(None, None))
+    return (found.x[:2], 2 * found.x[2]) if found.success else (np.zeros(2), -1.0)
+
+
+def centred_square(outlines: Sequence[Array], side: float, below: Array) -> Array:
+    """Centre (x, y) nearest to ``below`` of an upright square of this side in all outlines; a linear programme, too."""
+    from scipy.optimize import linprog
+
+    rows = np.concatenate(outlines)
+    left = rows[:, 2] - side / 2 * np.abs(rows[:, :2]).sum(axis=1)
+    away = np.array([[1, 0, -1, 0], [-1, 0, -1, 0], [0, 1, 0, -1], [0, -1, 0, -1.0]])  # the last two: |x - below|, |y - below|
+    found = linprog((0, 0, 1.0, 1.0), np.concatenate((np.pad(rows[:, :2], ((0, 0), (0, 2))), away)),
+                    np.concatenate((left, away[:, :2] @ below)), bounds=(None, None))
+    return found.x[:2]
+
+
+def choose_patch(outlines: dict[str, Array], least: int = 3, always: str | None = None) -> tuple[Array, float, list[str]]:
+    """The largest square that all photos show, but for those that would cost too much of it.
+
+    Args:
+        outlines: by name of the photo.
+        least: so many photos are kept.
+        always: a photo that is kept.
+
+    Returns:
+        Centre, side, and the names of those left out; a side of 0 or below where too few photos show the same.
+    """
+    kept, out = dict(outlines), []
+    while True:
+        centre, side = largest_square(list(kept.values()))
+        if len(kept) <= least:
+            return centre, side, out
+        without = {name: largest_square([o for n, o in kept.items() if n != name])[1] for name in kept
+                   if name != always}
+        worst = max(without, key=without.__getitem__)
+        if side > 0 and without[worst] < GAIN * side:
+            return centre, side, out
+        out.append(worst)
+        del kept[worst]

@@ -1,0 +1,199 @@
+"""The sheet of tags that is laid on the material: its layout, what of it is white paper, and a file to print.
+
+Sixteen AprilTags of the family 36h11 (Olson 2011; Wang and Olson 2016), ids 0 to 15, on the border of a 5 x 5 grid with a
+pitch of two tags: the layout of svbrdf-diff-renderer, whose sheets and ours stand for each other. Everything lies on a
+grid of cells, eight of which are a tag with its black border; the frame spans 72 of them, outer edges of the tags.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...errors import ConfigError
+from ...system import files
+
+Paper = Literal["a4", "letter"]
+
+# The middle 6 x 6 cells of ids 0 to 15 of AprilTag's tag36h11, 1 is white, row by row from the top left.
+CODES = (0xD5D628584, 0xD97F18B49, 0xDD280910E, 0xE479E9C98, 0xEBCBCA822, 0xF31DAB3AC, 0x056A5D085, 0x10652E1D4,
+         0x22B1DFEAD, 0x265AD0472, 0x34FE91B86, 0x3FF962CD5, 0x43A25329A, 0x474B4385F, 0x4E9D243E9, 0x5246149AE)
+TAG, PITCH, FRAME = 8, 16, 72  # in cells, as are the two next
+HOLE = 52  # side of the square to cut out; two cells are left inside the tags, and six outside the patch
+OUTER = 76  # side of what counts as the sheet: two white cells around the tags
+PATCH = 0.64  # of the frame: what svbrdf-diff-renderer crops, 1024 of 1600 pixels
+SMALLEST = 5.0  # cm: cells of 0.7 mm, which a phone half a metre away still sees in 3 pixels
+SHEETS: dict[Paper, tuple[float, float]] = {"a4": (21.0, 29.7), "letter": (21.59, 27.94)}  # cm
+MARGIN = 0.5  # cm that many printers leave white
+ABOVE = 2.0  # cm between the upper edge of the paper and the sheet
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """Where everything is on the sheet; x right, y up, origin in the middle, z = 0.
+
+    Args:
+        size: cm from outer edge to outer edge of the frame of tags.
+    """
+
+    size: float = 18.0
+
+    @property
+    def cell(self) -> float:
+        """Side of a cell of the tags, cm."""
+        return self.size / FRAME
+
+    @property
+    def patch(self) -> float:
+        """Side of the square of material that is recovered, cm."""
+        return self.size * PATCH
+
+    @property
+    def hole(self) -> float:
+        """Side of the square to cut out, cm."""
+        return self.cell * HOLE
+
+    @property
+    def outer(self) -> float:
+        """Side of the sheet, cm."""
+        return self.cell * OUTER
+
+    @cached_property
+    def corners(self) -> dict[int, NDArray[np.float64]]:
+        """Corners of the tags (4 x 3, cm) by id: top left, top right, bottom right, bottom left."""
+        square = np.array([[0, 0], [TAG, 0], [TAG, TAG], [0, TAG]])
+        at = {number: square + place - OUTER / 2 for number, place in enumerate(_PLACES)}
+        return {number: np.column_stack((xy * (1, -1), np.zeros(4))) * self.cell for number, xy in at.items()}
+
+    def white(self, points: NDArray) -> NDArray[np.bool_]:
+        """Which points (K x 2, cm, of the sheet's plane) are surely white paper: a cell or more from anything else."""
+        column, row = np.floor(np.asarray(points).T * ((1,), (-1,)) / self.cell + OUTER / 2).astype(int)
+        inside = (column >= 0) & (column < OUTER) & (row >= 0) & (row < OUTER)
+        return inside & _WHITE[np.clip(row, 0, OUTER - 1), np.clip(column, 0, OUTER - 1)]
+
+    def picture(self, pixels_per_cm: float) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+        """The sheet seen from above, row 0 at the top, each pixel the average over its area; it spans ``outer``.
+
+        Returns:
+            N x N, paper 255 and black 0; and N x N, the pixels whose centre is in the hole.
+        """
+        count = max(1, round(self.outer * pixels_per_cm))
+        edges = np.linspace(0, OUTER, count + 1)
+        low, high = edges[:-1, None], edges[1:, None]
+        share = np.clip(np.minimum(high, np.arange(1, OUTER + 1)) - np.maximum(low, np.arange(OUTER)), 0, None)
+        share /= share.sum(axis=1, keepdims=True)
+        middle = np.abs((edges[:-1] + edges[1:]) / 2 - OUTER / 2) < HOLE / 2
+        return np.rint(share @ (255.0 * _CELLS) @ share.T).astype(np.uint8), middle[:, None] & middle
+
+
+def _places() -> list[tuple[int, int]]:
+    """Column and row of the top left cell of each tag: along the top, down the right, back along the bottom, up the left."""
+    ring = [(i, 0) for i in range(5)] + [(4, i) for i in range(1, 4)]
+    ring += [(4 - i, 4) for i in range(5)] + [(0, 4 - i) for i in range(1, 4)]
+    first = (OUTER - FRAME) // 2
+    return [(first + PITCH * column, first + PITCH * row) for column, row in ring]
+
+
+def tag_cells(number: int) -> NDArray[np.bool_]:
+    """The 8 x 8 cells of a tag, True is white, row 0 at the top."""
+    bits = [CODES[number] >> i & 1 for i in reversed(range(36))]
+    return np.pad(np.array(bits, dtype=bool).reshape(6, 6), 1)
+
+
+def _grids() -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """White cells of the sheet (the hole counts as white), and those that are white paper with all their neighbours."""
+    cells, paper = np.ones((2, OUTER, OUTER), dtype=bool)
+    for number, (column, row) in enumerate(_PLACES):
+        tag = slice(row, row + TAG), slice(column, column + TAG)
+        cells[tag], paper[tag] = tag_cells(number), False
+    edge = (OUTER - HOLE) // 2
+    paper[edge:-edge, edge:-edge] = False
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(paper, 1), (3, 3))
+    return cells, around.all(axis=(2, 3))
+
+
+_PLACES = _places()
+_CELLS, _WHITE = _grids()
+
+
+def write_sheet(path: str | Path, size_cm: float = 18.0, paper: Paper = "a4") -> None:
+    """The sheet at its true size on a page of A4 or Letter, to print at 100 %, with what to do in small print.
+
+    Args:
+        path: .pdf or .svg (lines and areas), or .png (600 dots an inch).
+        size_cm: of the frame, outer edge to outer edge of the tags.
+
+    Raises:
+        ConfigError: a size that does not fit on the paper, or too small to be seen; a file of another kind.
+    """
+    path, (width, height) = Path(path), SHEETS[paper]
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in ("pdf", "svg", "png"):
+        raise ConfigError("a file .pdf, .svg or .png", str(path), "end its name like that")
+    largest = np.floor((width - 2 * MARGIN) * FRAME / OUTER * 10) / 10
+    if not SMALLEST <= size_cm <= largest:
+        raise ConfigError(f"a size of {SMALLEST:g} to {largest:g} cm on {paper.upper() if paper == 'a4' else 'Letter'}",
+                          f"{size_cm:g} cm", "give another size, or print a larger one elsewhere")
+    from matplotlib import rc_context
+    from matplotlib.figure import Figure
+
+    with rc_context({"pdf.compression": 0, "svg.hashsalt": "sheet"}), files.beside(path) as temporary:
+        figure = Figure(figsize=(width / 2.54, height / 2.54))
+        _draw(figure.add_axes((0, 0, 1, 1)), Sheet(size_cm), width, height)
+        date = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}[kind]
+        figure.savefig(temporary, format=kind, dpi=600, metadata={"Title": "Tags around a material"} | date)
+
+
+def _draw(axes, sheet: Sheet, width: float, height: float) -> None:
+    """A page; cm from its lower left corner."""
+    from matplotlib.patches import PathPatch, Rectangle
+    from matplotlib.path import Path as Outline
+
+    axes.set(xlim=(0, width), ylim=(0, height))
+    axes.set_axis_off()
+    left, top = (width - sheet.outer) / 2, height - ABOVE
+    middle, bottom = width / 2, top - sheet.outer
+    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [0, 0]])
+    runs = []
+    for row, line in enumerate(_CELLS):
+        steps = np.flatnonzero(np.diff(np.concatenate(([True], line, [True]))))
+        runs += [((left, top) + ((first, -row - 1) + square * (last - first, 1)) * sheet.cell)
+                 for first, last in zip(steps[::2], steps[1::2])]
+    codes = [Outline.MOVETO, *[Outline.LINETO] * 3, Outline.CLOSEPOLY] * len(runs)
+    axes.add_patch(PathPatch(Outline(np.concatenate(runs), codes), facecolor="black", linewidth=0))  # one area: no seams
+    for side, dashes in ((sheet.outer, "-"), (sheet.hole, (0, (6, 4)))):
+        corner = middle - side / 2, top - (sheet.outer + side) / 2
+        axes.add_patch(Rectangle(corner, side, side, fill=False, edgecolor="0.6", linewidth=0.5, linestyle=dashes))
+
+    def text(x, y, words, size=8, **options):
+        axes.text(x, y, words, fontsize=size, **{"ha": "center", "va": "center", "linespacing": 1.5} | options)
+
+    def arrow(start, end, style):
+        axes.annotate("", end, start, arrowprops={"arrowstyle": style, "linewidth": 1, "shrinkA": 0, "shrinkB": 0,
+                                                  "mutation_scale": 8})
+
+    arrow((middle - 0.6, top + 0.3), (middle - 0.6, top + 1.1), "-|>")
+    text(middle - 0.3, top + 0.65, "this side up", 12, ha="left")
+    text(middle, top - sheet.outer / 2 + 0.2, "cut out along the dashes", 6, color="0.5")
+    arrow((middle - sheet.size / 2, bottom - 0.45), (middle + sheet.size / 2, bottom - 0.45), "<|-|>")
+    for x in (middle - sheet.size / 2, middle + sheet.size / 2):
+        axes.plot([x, x], [bottom - 0.6, bottom - 0.3], color="black", linewidth=0.5, solid_capstyle="butt")
+    text(middle, bottom - 0.8, f"measure this arrow: {sheet.size:g} cm, outer edge to outer edge of the tags")
+    ruler = bottom - 2.0
+    axes.plot([middle - 5, middle + 5], [ruler, ruler], color="black", linewidth=0.5, solid_capstyle="butt")
+    for i in range(101):
+        x, tall = middle - 5 + i / 10, 0.4 if i % 10 == 0 else 0.3 if i % 5 == 0 else 0.2
+        axes.plot([x, x], [ruler, ruler + tall], color="black", linewidth=0.5, solid_capstyle="butt")
+        if i % 10 == 0:
+            text(x, ruler + 0.55, f"{i // 10}", 6)
+    text(middle, ruler - 0.25, "10 cm")
+    text(middle, ruler - 0.6, "Print at 100 % (\"actual size\"), on matt paper, and hold a ruler to the scale above.\n"
+         "Cut out the dashed square, keep the white rim around the tags, and lay the sheet flat on the material.\n"
+         f"Photograph with the flash, all tags in view:  mitsvbrdf capture PHOTOS -o CAPTURE --sheet {sheet.size:g}\n"
+         "Where the arrow is longer or shorter on paper, give its length instead. "
+         "A sheet that lies higher than the material: --depth CM.", va="top")

@@ -1,0 +1,108 @@
+"""The least-squares problem whose unknowns are vignetting, flash, exposures and albedo."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..lens import Array
+from ..rig import Rig
+from .samples import Samples, falloff_of, transmission_of
+
+# Priors, standard deviations. A phone's flash is 1 to 3 cm beside its lens, in the same plane.
+FLASH_SD = {"cm": (2.0, 2.0, 0.3), "patch sides": (0.1, 0.1, 0.02)}
+VIGNETTING_SD = 0.3, 0.3
+EXPOSURE_SD = 0.05  # natural logarithm; a locked exposure repeats itself to some per cent
+LOBE = (math.log(0.3), 1.0), (math.log(0.16), 1.5)  # natural logarithms of alpha, and of F0 over the median albedo; and sd
+MIRROR = math.radians(10), math.radians(20)  # from the mirror direction: nothing counts up to here, everything from there on
+LEAST_WEIGHT = 0.05  # of what lies there, so that texels with no other photo are not lost
+DARKEST = -7.0  # natural logarithm of albedo over the median: nothing tells it from 0
+ALBEDO_STEPS = 6  # of Gauss-Newton, where there is a lobe
+
+
+class Problem:
+    """The residuals of a rig's samples in unknowns over their prior's deviations."""
+
+    def __init__(self, rig: Rig, samples: Samples) -> None:
+        self.samples = samples
+        poses = [rig.poses[name] for name in samples.names]
+        self.cameras, self.turns = np.stack([p.position for p in poses]), np.stack([p.rotation.T for p in poses])
+        self.spread = np.array([*FLASH_SD[rig.unit], *VIGNETTING_SD, *[EXPOSURE_SD] * len(poses), *(sd for _, sd in LOBE)])
+        apparent = samples.log - self.model(np.zeros(len(self.spread)))
+        self.typical, self.start = float(np.median(apparent)), np.full(samples.texel.max() + 1, np.inf)
+        np.minimum.at(self.start, samples.texel, apparent)
+        self.start = np.where(np.isfinite(self.start), self.start, self.typical).clip(self.typical + DARKEST)
+
+    def flashes(self, unknowns: Array) -> Array:
+        """Places of the flash in the world, N x 3."""
+        return self.cameras + self.turns @ unknowns[:3]
+
+    def falloff(self, unknowns: Array) -> Array:
+        """Logarithm of cos / d^2 at each point."""
+        return falloff_of(self.flashes(unknowns)[self.samples.photo], self.samples.points)
+
+    def model(self, unknowns: Array) -> Array:
+        """Logarithm of radiance over albedo / pi * I."""
+        s = self.samples
+        return unknowns[5:-2][s.photo] + self.falloff(unknowns) + np.log(transmission_of(s.radius2, unknowns[3:5]))
+
+    def half2(self, unknowns: Array) -> Array:
+        """Squared sine of the angle between half vector and upright at each point."""
+        light, eye = (x[self.samples.photo] - self.samples.points for x in (self.flashes(unknowns), self.cameras))
+        half = light / np.linalg.norm(light, axis=1, keepdims=True) + eye / np.linalg.norm(eye, axis=1, keepdims=True)
+        return np.square(half[:, :2]).sum(axis=1) / np.square(half).sum(axis=1)
+
+    def away(self, unknowns: Array) -> Array:
+        """Weight of each point by its angle to the mirror direction, where there is no lobe to explain what happens there."""
+        if self.samples.glossy:
+            return np.ones(len(self.samples.log))
+        angle = 2 * np.arcsin(np.sqrt(self.half2(unknowns)))
+        return ((angle - MIRROR[0]) / (MIRROR[1] - MIRROR[0])).clip(LEAST_WEIGHT, 1)
+
+    def lobe(self, unknowns: Array) -> Array | float:
+        """pi F0 D / 4 of GGX at each point, in units of the albedo over pi; shadowing left out, normals flat."""
+        if not self.samples.glossy:
+            return 0.0
+        (alpha, _), (level, _) = LOBE
+        alpha2, half2 = math.exp(2 * (alpha + unknowns[-2])), self.half2(unknowns)
+        return math.exp(self.typical + level + unknowns[-1]) / 4 * alpha2 / (alpha2 * (1 - half2) + half2) ** 2
+
+    def explain(self, unknowns: Array, weights: Array) -> tuple[Array, Array, Array]:
+        """Logarithm of albedo / pi of each texel for an intensity of 1, what suits its points best (Gauss-Newton); the
+        logarithm of what the lobe multiplies each point by; and the error that is left."""
+        texel, apparent, lobe = self.samples.texel, self.samples.log - self.model(unknowns), self.lobe(unknowns)
+        albedo = self.start
+        for _ in range(ALBEDO_STEPS if self.samples.glossy else 1):
+            share = 1 / (1 + lobe / np.exp(albedo)[texel])
+            step = np.bincount(texel, weights * share * (apparent - albedo[texel] + np.log(share)), len(albedo))
+            step /= np.bincount(texel, weights * (share**2 + 1e-3), len(albedo)).clip(1e-12)
+            albedo = np.maximum(albedo + step, self.typical + DARKEST)
+        gloss = np.log1p(lobe / np.exp(albedo)[texel])
+        return albedo, gloss, apparent - albedo[texel] - gloss
+
+    def slopes(self, unknowns: Array, albedo: Array) -> Array:
+        """Derivatives of each point's log radiance by the unknowns, albedo held: K x unknowns."""
+        def shown(unknowns: Array) -> Array:
+            return self.model(unknowns) + np.log1p(self.lobe(unknowns) / np.exp(albedo)[self.samples.texel])
+
+        count = len(self.samples.names)
+        out = np.zeros((len(self.samples.log), len(unknowns)))
+        out[np.arange(len(out)), 5 + self.samples.photo] = 1  # exposures
+        for k in (*range(5), *range(5 + count, 7 + count)):
+            step = np.zeros(len(unknowns))
+            step[k] = 1e-4 * self.spread[k]
+            out[:, k] = (shown(unknowns + step) - shown(unknowns - step)) / (2 * step[k])
+        return out
+
+    def residuals(self, x: Array, weights: Array, scale: float) -> Array:
+        return np.concatenate((np.sqrt(weights) / scale * self.explain(x * self.spread, weights)[-1], x))
+
+    def jacobian(self, x: Array, weights: Array, scale: float) -> Array:
+        """Of the residuals, the albedo following (Kaufman's form of variable projection, 1975)."""
+        albedo, gloss, _ = self.explain(x * self.spread, weights)
+        out, texel, share = self.slopes(x * self.spread, albedo), self.samples.texel, np.exp(-gloss)
+        total = np.bincount(texel, weights * share**2).clip(1e-12)
+        for column in out.T:
+            column -= share * (np.bincount(texel, weights * share * column) / total)[texel]
+        return np.concatenate((-np.sqrt(weights)[:, None] / scale * out * self.spread, np.eye(len(x))))

@@ -1,0 +1,28 @@
+"""How much each sample is trusted."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..lens import Array
+
+LEAST_NOISE = 0.002  # of log radiance
+BELOW, ABOVE = 2.0, 3.0  # standard deviations from where residuals count less
+
+
+def noise_of(error: Array, weights: Array) -> float:
+    """Standard deviation of residuals that have company, from the weighted median of their size."""
+    order = np.argsort(np.abs(error))
+    half = np.searchsorted(np.cumsum(weights[order]), weights.sum() / 2)
+    return max(LEAST_NOISE, 1.4826 * float(np.abs(error)[order][min(half, len(error) - 1)]))
+
+
+def trust_of(size: Array) -> Array:
+    """Weights of residuals over their deviation: 1 / |r| below, as Huber (1981), 1 / r^4 above, as Geman and McClure (1985)."""
+    return np.where(size < 0, 1 / (np.abs(size) / BELOW).clip(1), 1 / (1 + (size / ABOVE) ** 2) ** 2)
+
+
+def alike(error: Array, weights: Array, cell: np.ndarray) -> float:
+    """How many residuals count as one: the mean square of sums over cells, over that of independent ones."""
+    sums, squares = (np.bincount(cell, v) for v in (weights * error, (weights * error) ** 2))
+    return max(1.0, float(np.square(sums).sum() / max(squares.sum(), 1e-30)))

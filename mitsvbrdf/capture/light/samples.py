@@ -1,0 +1,139 @@
+"""What photos show of the light: means over small blocks of paper and material, with their place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from ... import color
+from ...color import CLIPPED
+from ...errors import CaptureError
+from ...views import texel_positions
+from ..lens import Array, Lens, Pose, on_plane, project
+from ..rig import Rig
+
+FAINTEST_CORNER = 0.2  # of the transmission
+
+LONG_SIDE, BLOCKS_ALONG = 1024, 96  # pixels of a photo that are read, and blocks along it that are paper samples
+SIDE = 32  # texels a side of a material that are compared
+DARK = 0.03  # display values below are noise
+DIM = 0.1  # display value at which noise in the logarithm is as large as the model's error
+CELLS = 8  # a side; residuals within a cell of a photo may err alike
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Points of one photo: place in the world (K x 3), pixel (K x 2), linear radiance and display value (K x 3)."""
+
+    points: Array
+    pixels: Array
+    linear: Array
+    display: Array
+    usable: np.ndarray
+    texels: np.ndarray
+    cells: np.ndarray
+
+
+def paper_samples(pixels: np.ndarray, lens: Lens, pose: Pose, white: Callable[[Array], np.ndarray], depth: float,
+           transfer: color.Transfer) -> _Seen:
+    """Blocks of a photo that show nothing but white paper."""
+    height, width = pixels.shape[:2]
+    step = max(1, max(height, width) // BLOCKS_ALONG)
+    rows, columns = height // step, width // step
+    whole = float(np.iinfo(pixels.dtype).max) if np.issubdtype(pixels.dtype, np.integer) else 1.0
+    blocks = pixels[:rows * step, :columns * step].reshape(rows, step, columns, step, 3)
+    display, darkest, brightest = (f(blocks, axis=(1, 3)).reshape(-1, 3).astype(np.float64) / whole
+                                   for f in (np.mean, np.min, np.max))
+    row, column = (index.ravel() for index in np.mgrid[:rows, :columns])
+    scale = 1 / max(1, round(lens.size[0] / width))
+    here, usable = [], np.ones(len(row), dtype=bool)
+    for down, right in ((0.5, 0.5), (0, 0), (0, 1), (1, 0), (1, 1)):
+        at = np.stack(((column + right) * step, (row + down) * step), axis=1) / scale - 0.5
+        points = on_plane(lens, pose, at, depth)
+        there = np.concatenate((points, np.full_like(points[:, :1], depth)), axis=1)
+        usable &= np.isfinite(project(lens, pose, there)[:, 0]) & np.asarray(white(points), dtype=bool)
+        here.append((there, at))
+    usable &= (brightest < CLIPPED).all(axis=1) & ((brightest - darkest).max(axis=1) < 0.25)
+    cells = row * CELLS // rows * CELLS + column * CELLS // columns
+    return _Seen(*here[0], _decoded(display, transfer), display, usable, np.zeros(len(row), dtype=int), cells)
+
+
+def material_samples(photo: np.ndarray, lens: Lens, pose: Pose, size: float, transfer: color.Transfer) -> _Seen:
+    """Texels of a rectified photo, averaged to SIDE x SIDE at most."""
+    side = min(SIDE, photo.shape[0])
+    step = photo.shape[0] // side
+    blocks = np.asarray(photo, dtype=np.float64)[:side * step, :side * step].reshape(side, step, side, step, 3)
+    display, brightest = blocks.mean(axis=(1, 3)).reshape(-1, 3), blocks.max(axis=(1, 3)).reshape(-1, 3)
+    points = texel_positions(photo.shape[0]).numpy()[:side * step, :side * step]
+    points = points.reshape(side, step, side, step, 3).mean(axis=(1, 3)).reshape(-1, 3) * size
+    row, column = (index.ravel() for index in np.mgrid[:side, :side])
+    usable = (brightest < CLIPPED).all(axis=1)  # NaN is no number below
+    cells = row * CELLS // side * CELLS + column * CELLS // side
+    return _Seen(points, project(lens, pose, points), _decoded(display, transfer), display, usable, row * side + column, cells)
+
+
+def _decoded(display: Array, transfer: color.Transfer) -> Array:
+    return color.decode(torch.from_numpy(display), transfer).numpy()
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Usable points of all photos, one after the other: K values each, or K x 3.
+
+    Args:
+        names: of the photos; ``photo`` is the number of each point's.
+        log: natural logarithm of the mean of its channels; ``colour`` those of the channels over it.
+        weight: 1 / (1 + noise of the logarithm / error of the model)^2.
+        texel: points of one texel have one albedo.
+        cell: points of one cell may err alike.
+        glossy: whether there may be a lobe.
+    """
+
+    names: list[str]
+    photo: np.ndarray
+    points: Array
+    radius2: Array
+    log: Array
+    colour: Array
+    weight: Array
+    texel: np.ndarray
+    cell: np.ndarray
+    glossy: bool
+
+    @classmethod
+    def of(cls, rig: Rig, seen: Mapping[str, _Seen], what: str, glossy: bool) -> Samples:
+        kept = {name: s.usable & (s.display.mean(axis=1) > DARK) & np.isfinite(s.pixels).all(axis=1)
+                for name, s in seen.items()}
+        if not any(k.any() for k in kept.values()):
+            clipped = [name for name, s in seen.items() if np.nanmax(s.display, initial=0.0) >= CLIPPED]
+            raise CaptureError(f"photos that show {what} neither clipped nor dark", f"none of {len(seen)}"
+                               + (f" ({len(clipped)} clipped)" if clipped else ""),
+                               "take them again with another exposure, or check depth and size of the sheet")
+
+        def joined(get: Callable[[_Seen], np.ndarray]) -> np.ndarray:
+            return np.concatenate([get(s)[kept[name]] for name, s in seen.items()])
+
+        linear, display = joined(lambda s: s.linear), joined(lambda s: s.display).mean(axis=1)
+        log = np.log(linear.mean(axis=1))
+        counts = [int(k.sum()) for k in kept.values()]
+        photo = np.repeat(np.arange(len(seen)), counts)
+        return cls(list(seen), photo, joined(lambda s: s.points), radius2_of(rig.lens, joined(lambda s: s.pixels)), log,
+                   np.log(linear.clip(1e-6)) - log[:, None], 1 / (1 + (DIM / display) ** 2), joined(lambda s: s.texels),
+                   photo * CELLS**2 + joined(lambda s: s.cells), glossy)
+
+
+def radius2_of(lens: Lens, pixels: Array) -> Array:
+    return replace(lens, vignetting=(1.0, 0.0)).transmission(pixels) - 1
+
+
+def transmission_of(radius2: Array, vignetting: Array) -> Array:
+    return (1 + vignetting[0] * radius2 + vignetting[1] * radius2**2).clip(FAINTEST_CORNER)
+
+
+def falloff_of(flash: Array, points: Array) -> Array:
+    """Logarithm of cos / d^2 at points (K x 3) of the upright."""
+    to_flash = flash - points
+    return np.log(to_flash[:, 2].clip(1e-9)) - 1.5 * np.log(np.square(to_flash).sum(axis=1))

@@ -1,0 +1,121 @@
+"""Solves for the light: robust least squares in rounds."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..lens import Array, Lens
+from ..rig import Rig
+from .evenness import EVEN, evenness_of
+from .problem import LOBE, Problem
+from .robust import alike, noise_of, trust_of
+from .samples import Samples
+
+MISFIT = 4.0  # times: how far beyond what noise explains unknowns of known materials, which share no one lobe, were off
+ROUNDS = 10  # of reweighting
+
+
+@dataclass(frozen=True)
+class Shading:
+    """What shading says of a rig, and how sure that is.
+
+    Args:
+        lens: the rig's, with ``flash`` and ``vignetting``.
+        intensity: radiant intensity of the flash (rgb), of a photo of ``log_exposure`` 0; display value 1 is radiance 1.
+        log_exposure: natural logarithm of the relative exposure, by name of the photo.
+        deviations: standard deviations of ``flash_x``, ``flash_y``, ``flash_z`` (the rig's unit), ``v1``, ``v2`` and
+            ``log_intensity``.
+        exposure_deviations: those of ``log_exposure``.
+        residuals: RMS of log radiance, by name, each point by its weight; 0 where nothing can be compared.
+        evenness: by name, 0 where light falls off as a flash's, 1 where it is even; 0 too where that cannot be told.
+        notes: what was assumed and left out.
+    """
+
+    lens: Lens
+    intensity: tuple[float, float, float]
+    log_exposure: dict[str, float]
+    deviations: dict[str, float]
+    exposure_deviations: dict[str, float]
+    residuals: dict[str, float]
+    evenness: dict[str, float]
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Found:
+    """The unknowns at the optimum, and what follows."""
+
+    rig: Rig
+    samples: Samples
+    unknowns: Array  # flash x, y, z, v1, v2, exposures, lobe's alpha and level
+    deviations: Array
+    typical: float  # logarithm of albedo over pi, for an intensity of 1, before anything is known
+    level: float  # that of paper
+    level_sd: float
+    colour: Array
+    albedo: Array  # logarithm, over pi, of each texel, for an intensity of 1; NaN where nothing is known
+    error: Array  # of each point, in log radiance
+    weights: Array
+    evenness: dict[str, float]
+    left_out: tuple[str, ...]
+
+    @property
+    def lens(self) -> Lens:
+        flash, vignetting = map(float, self.unknowns[:3]), map(float, self.unknowns[3:5])
+        return replace(self.rig.lens, flash=tuple(flash), vignetting=tuple(vignetting))
+
+    @property
+    def lobe(self) -> float:
+        """F0 over pi of the lobe, for an intensity of 1."""
+        return math.exp(self.typical + LOBE[1][0] + self.unknowns[-1])
+
+    def shading(self, intensity: Array, log_intensity_sd: float, notes: tuple[str, ...]) -> Shading:
+        names, photo = self.samples.names, self.samples.photo
+        known = ("flash_x", "flash_y", "flash_z", "v1", "v2")
+        squares, total = (np.bincount(photo, w, len(names)) for w in (self.weights * self.error**2, self.weights))
+        if self.left_out:
+            notes += (f"no flash in {', '.join(self.left_out)}: light is even there",)
+        elif even := sum(e > EVEN for e in self.evenness.values()):
+            notes += (f"light does not fall off as a flash's in {even} of {len(names)} photos: where it comes from is a guess",)
+        return Shading(
+            self.lens, tuple(float(i) for i in intensity), dict(zip(names, map(float, self.unknowns[5:-2]))),
+            dict(zip(known, map(float, self.deviations))) | {"log_intensity": float(log_intensity_sd)},
+            dict(zip(names, map(float, self.deviations[5:-2]))),
+            dict(zip(names, map(float, np.sqrt(squares / total.clip(1e-12))))), self.evenness, notes)
+
+
+def solve_light(rig: Rig, samples: Samples) -> _Found:
+    """The most probable unknowns; once more without the photos whose light is even, if there are any."""
+    found = _most_probable(rig, samples, np.ones(len(samples.names)))
+    even = np.array([found.evenness[name] > EVEN for name in samples.names])
+    if even.any() and 2 * even.sum() < len(even):
+        again = _most_probable(rig, samples, 1.0 - even)
+        found = replace(again, left_out=tuple(name for name, e in zip(samples.names, even) if e))
+    return found
+
+
+def _most_probable(rig: Rig, samples: Samples, counts: Array) -> _Found:
+    from scipy.optimize import least_squares
+
+    problem, x = Problem(rig, samples), np.zeros(7 + len(samples.names))
+    weights, scale = samples.weight * counts[samples.photo].clip(1e-9), 1.0
+    for _ in range(ROUNDS):
+        unknowns = x * problem.spread
+        error = problem.explain(unknowns, weights)[-1]
+        noise = noise_of(error, weights)
+        weights = samples.weight * counts[samples.photo].clip(1e-9) * problem.away(unknowns) * trust_of(error / noise)
+        scale = noise * math.sqrt(alike(error, weights, samples.cell)) * (MISFIT if samples.glossy else 1.0)
+        x = least_squares(problem.residuals, x, problem.jacobian, method="lm", args=(weights, scale), max_nfev=3).x
+    solution = least_squares(problem.residuals, x, problem.jacobian, method="lm", args=(weights, scale), max_nfev=20)
+    unknowns = solution.x * problem.spread
+    albedo, gloss, error = problem.explain(unknowns, weights)
+    covariance = np.linalg.inv(solution.jac.T @ solution.jac) * np.outer(problem.spread, problem.spread)
+    total = np.bincount(samples.texel, weights)
+    colour = np.average(samples.colour, axis=0, weights=weights)
+    slope = np.average(problem.slopes(unknowns, albedo), axis=0, weights=weights)
+    level_sd = math.sqrt(slope @ covariance @ slope + scale**2 / weights.sum())
+    return _Found(rig, samples, unknowns, np.sqrt(covariance.diagonal()), problem.typical, float(albedo[0]), level_sd, colour,
+                  np.where(total > 1e-3, albedo, np.nan), error, weights, evenness_of(problem, unknowns, weights, gloss), ())

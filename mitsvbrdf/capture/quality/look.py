@@ -1,0 +1,146 @@
+"""How good each photo is: clipped, dark, blurred, or unlike the others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ... import color
+from ...color import CLIPPED
+from ...material.resample import averaged
+from ...views import Views, texel_positions
+
+SIDE, FINE_SIDE = 32, 512  # texels a side at which radiance is compared, and at most at which detail is
+# half of it: 0.28 to 0.52, and where its colour is that of the material 0.35 to 0.39
+COLOUR, DARKER = 0.3, 1.4  # of a texel that is unlike the others: sum of differences of chromaticity, log of radiance
+AGREE, DISAGREE = 0.5, 0.3  # correlation of a texel's detail with the median photo's: of the photos in the median; of this one
+SLIGHT_COLOUR, SLIGHT = 0.1, 0.3  # and by how much the texel must be of another colour or brightness besides
+
+
+@dataclass(frozen=True)
+class PhotoQuality:
+    """Numbers of one photo.
+
+    Args:
+        name: of the file.
+        overlap: share of the patch it shows.
+        clipped: share of its texels with a channel at the limit.
+        level: mean display value.
+        sharpness: how much detail it has in the direction that has least, relative to the median photo.
+        stops: how much brighter than the others it shows the same texels, as powers of two.
+        residual: median of the difference of log radiance from the others'.
+        unlike: share of the patch, in one piece, that is of a colour or a darkness that no other photo shows.
+        unlike_detail: the same, of texels that lack the detail that the others agree on.
+        evenness: 0 where light falls off as a flash's, 1 where it is even; None where that was not asked.
+    """
+
+    name: str
+    overlap: float
+    clipped: float
+    level: float
+    sharpness: float
+    stops: float
+    residual: float
+    unlike: float
+    unlike_detail: float
+    evenness: float | None = None
+
+
+def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, names: Sequence[str],
+          overlap: Mapping[str, float] | None = None, evenness: Mapping[str, float] | None = None) -> list[PhotoQuality]:
+    """Numbers of each photo beside the others.
+
+    Args:
+        photos: N x R x R x 3 display values in [0, 1], rectified; N >= 3 for the comparison to mean anything.
+        views: theirs; a light's place and power need be no better than roughly right.
+        transfer: of the photos.
+        names: of the files.
+        overlap: share of the patch that a photo shows; left out: all of it.
+        evenness: see :class:`Look`.
+    """
+    clipped = (photos >= CLIPPED).any(dim=-1)
+    linear = averaged(color.decode(photos, transfer), SIDE)
+    apparent = torch.log((linear.mean(dim=-1) / _irradiance(views, SIDE)).clamp_min(1e-4))
+    beside = apparent - apparent.median(dim=0).values
+    offset = beside.flatten(1).median(dim=1).values
+    beside = beside - offset[:, None, None]
+    hue = linear / linear.sum(dim=-1, keepdim=True).clamp_min(1e-3)
+    colour = (hue - hue.median(dim=0).values).abs().sum(dim=-1)
+    luminance = averaged(photos, FINE_SIDE).mean(dim=-1).numpy()
+    plain = F.interpolate(((beside.abs() < 0.35) & (averaged(clipped[..., None].float(), SIDE)[..., 0] == 0)).float()[:, None],
+                          luminance.shape[1:])[:, 0].bool().numpy()
+    sharp, agreement = _sharpness(luminance, plain), _agreement(luminance)
+    unlike = (colour > COLOUR) | (beside < -DARKER)
+    lost = (agreement < DISAGREE) & (np.median(agreement, axis=0) > AGREE)
+    lost &= ((colour > SLIGHT_COLOUR) | (beside.abs() > SLIGHT)).numpy()
+    usual = float(offset.median())
+    return [PhotoQuality(name, float((overlap or {}).get(name, 1.0)), float(clipped[i].float().mean()), float(photos[i].mean()),
+                 float(sharp[i]), (float(offset[i]) - usual) / math.log(2), float(beside[i].abs().median()),
+                 _largest_piece(unlike[i].numpy()), _largest_piece(lost[i]), (evenness or {}).get(name))
+            for i, name in enumerate(names)]
+
+
+def detail_of(pixels: np.ndarray) -> float:
+    """Finest detail of a whole photo (H x W x 3, 8 or 16 bits) over coarser detail, to compare with others of its kind."""
+    luminance = pixels.mean(axis=2, dtype=np.float32) / np.float32(np.iinfo(pixels.dtype).max)
+    smooth = cv2.GaussianBlur(luminance, (0, 0), 1.5)
+    return _rms(luminance - smooth) / max(_rms(smooth - cv2.GaussianBlur(luminance, (0, 0), 6)), 1e-9)
+
+
+def _irradiance(views: Views, side: int) -> Tensor:
+    """Mean radiance of a white diffuse texel in each photo, N x S x S."""
+    views, at = views.in_patch_sides(), texel_positions(side)
+    ray = views.light.double()[:, None, None] - at
+    return (views.intensity.double().mean(dim=1)[:, None, None] * ray[..., 2] / ray.norm(dim=-1) ** 3 / math.pi).float()
+
+
+def _sharpness(luminance: np.ndarray, plain: np.ndarray) -> np.ndarray:
+    """Detail of N x S x S display values in the direction that has least of it, relative to the median photo, N.
+
+    A hand that moves takes detail away along its way only. Second differences over 4 texels are divided by those over 16 and by
+    brightness (their geometric mean: either alone differs more between real photos of a relief), at the ``plain`` texels.
+    """
+    plain = plain.copy()
+    plain[:, :16] = plain[:, -16:] = plain[:, :, :16] = plain[:, :, -16:] = False  # differences reach over the rim
+    fine, coarse, level = (np.stack([cv2.GaussianBlur(image, (0, 0), width) for image in luminance]) for width in (1, 3, 24))
+
+    def differences(values: np.ndarray, way: np.ndarray) -> np.ndarray:
+        return values - (np.roll(values, way, (1, 2)) + np.roll(values, -way, (1, 2))) / 2
+
+    ratios = np.array([[_rms(f[p]) / math.sqrt(_rms(c[p]) * _rms(b[p]) or math.nan) if p.any() else math.nan for f, c, b, p in
+                        zip(differences(fine, 4 * way), differences(coarse, 16 * way), level, plain)]
+                       for way in np.array([(0, 1), (1, 0), (1, 1), (1, -1)])])
+    if not np.isfinite(ratios).any():
+        return np.ones(len(luminance))
+    return np.nan_to_num((ratios / np.nanmedian(ratios, axis=1, keepdims=True)).min(axis=0), nan=1.0)
+
+
+def _agreement(luminance: np.ndarray) -> np.ndarray:
+    """How the detail of the logarithm of N x S x S display values correlates with the median photo's, N x SIDE x SIDE."""
+    logs = [np.log(np.maximum(image, 0.02)) for image in luminance]
+    band = np.stack([cv2.GaussianBlur(image, (0, 0), 1.5) - cv2.GaussianBlur(image, (0, 0), 8) for image in logs])
+    usual = np.median(band, axis=0)
+    window = max(9, luminance.shape[1] // 10 | 1)
+
+    def around(product: np.ndarray) -> np.ndarray:
+        mean = cv2.blur(product, (window, window))
+        return cv2.resize(mean, (min(SIDE, mean.shape[1]),) * 2, interpolation=cv2.INTER_AREA)
+
+    return np.stack([around(b * usual) / np.sqrt(around(b * b) * around(usual * usual) + 1e-12) for b in band])
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.square(values).mean()))
+
+
+def _largest_piece(mask: np.ndarray) -> float:
+    """The largest connected part of a mask as a share of it all."""
+    sizes = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)[2][1:, cv2.CC_STAT_AREA]
+    return float(sizes.max() / mask.size) if len(sizes) else 0.0

@@ -1,0 +1,76 @@
+"""Where the next photo would tell most."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+
+from ...views import Views, coverage_angle
+
+LOBE = math.radians(7)  # half vectors this close to the upright show a highlight (of roughness 0.35: alpha is tan 7 degrees)
+STEP, REACH, SLANT = 0.05, 1.0, math.radians(35)  # where to stand: grid in patch sides, farthest, and most slanted
+WORTH = 0.02  # of the patch: less is no reason to stand anywhere
+
+
+@dataclass(frozen=True)
+class NextView:
+    """A place to take one more photo from.
+
+    Args:
+        camera: x, y, z in the unit of the views.
+        gain: share of the patch that it would be the first to show a highlight of.
+        near: number of the photo that was taken closest to it.
+        words: what to do, for a person.
+    """
+
+    camera: tuple[float, float, float]
+    gain: float
+    near: int
+    words: str
+
+
+def next_best_view(views: Views, names: Sequence[str], unit: str, lobe: float = LOBE) -> NextView | None:
+    """The place at the usual height from which one more photo shows most highlights that no photo has; None: hardly any left.
+
+    Args:
+        views: of the photos there are.
+        names: of their files.
+        unit: ``cm`` or ``patch sides``.
+        lobe: angle (rad) between half vector and upright up to which a highlight counts as seen.
+    """
+    side, size = 32, views.size
+    sides = views.in_patch_sides().to(torch.float64)
+    unseen = coverage_angle(sides, side) > lobe
+    height, beside = float(sides.camera[:, 2].median()), (sides.light - sides.camera).mean(dim=0)
+    far = min(REACH, height * math.tan(SLANT))
+    steps = torch.arange(-round(far / STEP), round(far / STEP) + 1, dtype=torch.float64) * STEP
+    places = torch.cartesian_prod(steps, steps)
+    places = torch.cat((places, torch.full((len(places), 1), height, dtype=torch.float64)), dim=1)[places.norm(dim=1) <= far]
+    tried = replace(sides, camera=places, light=places + beside, intensity=sides.intensity[:1].expand(len(places), 3))
+    new = [unseen & (coverage_angle(tried.pick([i]), side) <= lobe) for i in range(len(places))]
+    gains = torch.stack([shown.double().mean() for shown in new])
+    # Of places that show as much, the one closest to the middle: the least slanted view.
+    best = int((gains - 1e-3 * places[:, :2].norm(dim=1)).argmax())
+    if gains[best] < WORTH:
+        return None
+    near = int((sides.camera - places[best]).norm(dim=1).argmin())
+    way = (places[best] - sides.camera[near]).tolist()
+    at = places[best] * size
+    return NextView(tuple(at.tolist()), float(gains[best]), near, _words(way, height, names[near], unit, size))
+
+
+def _words(way: Sequence[float], height: float, name: str, unit: str, size: float) -> str:
+    def length(x: float) -> str:
+        return f"{abs(x) * size:.0f} cm" if unit == "cm" else f"{abs(x):.0%} of the patch's side"
+
+    least = (*[0.5 / size if unit == "cm" else 0.03] * 2, 0.1 * height)
+    ways = ("further left", "further right"), ("nearer to you", "further away from you"), ("lower", "higher")
+    moves = [f"{length(x)} {a if x < 0 else b}" for x, (a, b), enough in zip(way, ways, least) if abs(x) >= enough]
+    above = length(height) if unit == "cm" else f"{height:.1f} patch sides"
+    if abs(way[2]) < least[2]:
+        moves.append(f"at the same height ({above})")
+    upright = "; the sheet's arrow points away from you" if unit == "cm" else ""  # else the photos say what is up
+    return f"from where {name} was taken, hold the phone {', '.join(moves)}{upright}"

@@ -1,0 +1,108 @@
+"""Photos rectified to the frontal view of the patch."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from .. import color
+from .lens import Lens, Pose, project
+from .light.samples import LONG_SIDE
+from .light.shading import undo_vignetting
+from .photo import Photo, reduced
+from .rig import Rig
+
+LEAST_SIDE = 8  # pixels of the rectified photos
+
+
+@dataclass(frozen=True)
+class Rectified:
+    """Photos as they came: rectified (R x R x 3, NaN beyond their edges), and whole ones made small, by name."""
+
+    rectified: dict[str, np.ndarray]
+    small: dict[str, np.ndarray]
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(cls, rig: Rig, photos: Sequence[Photo], resolution: int, report: Callable[[str, float], object]) -> Rectified:
+        photos = [photo for photo in photos if photo.name in rig.poses]
+        shown = int(np.median([_resolved(rig.lens, pose, rig.size) for pose in rig.poses.values()]))
+        side, pictures, small = max(LEAST_SIDE, min(resolution, shown)), {}, {}
+        for n, photo in enumerate(photos):
+            report(f"rectifying {photo.name}", n / len(photos))
+            pixels = photo.pixels()
+            pictures[photo.name] = rectified(pixels, rig.lens, rig.poses[photo.name], rig.size, side)
+            small[photo.name] = reduced(pixels, LONG_SIDE)
+        few = (f"the photos show the patch in {shown} pixels a side, so it is not enlarged to {resolution}",)
+        return cls(pictures, small, few if side < resolution else ())
+
+
+def _resolved(lens: Lens, pose: Pose, size: float) -> float:
+    """Pixels of a photo along a side of the patch, the shortest."""
+    corners = np.array([[x, y, 0.0] for x, y in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))]) * size
+    at = project(lens, pose, corners)
+    return float(np.nan_to_num(np.linalg.norm(np.roll(at, -1, axis=0) - at, axis=1)).min())
+
+
+def without_vignetting(picture: np.ndarray, rig: Rig, name: str, transfer: color.Transfer) -> np.ndarray:
+    if rig.lens.vignetting == (0.0, 0.0):
+        return picture
+    linear = color.decode(torch.from_numpy(picture), transfer).numpy()
+    linear = undo_vignetting(linear, rig.lens, rig.poses[name], rig.size, transfer)
+    return color.to_display(torch.from_numpy(linear), transfer).numpy()
+
+
+def filled(pictures: Sequence[np.ndarray]) -> torch.Tensor:
+    """Photos with what lies beyond their edges taken from the mean of the others; black where none shows it."""
+    stack = np.stack(pictures)
+    known = np.isfinite(stack)
+    if not known.all():
+        mean = np.where(known, stack, 0).sum(axis=0) / known.sum(axis=0).clip(1)
+        stack = np.where(known, stack, mean)
+    return torch.from_numpy(stack).clamp(0, 1)
+
+
+def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolution: int) -> np.ndarray:
+    """A photo as seen straight from above: the patch in R x R pixels, row 0 at the top, lens distortion undone.
+
+    Each pixel is the average over its area, from as many samples as the photo has pixels there, or more.
+
+    Args:
+        pixels: H x W x 3 as stored, 8 or 16 bits, or float32; its size may be that of ``lens`` divided by a whole number.
+        size: side of the patch.
+        resolution: R.
+
+    Returns:
+        R x R x 3 float32 in [0, 1] (integers are divided by their largest), NaN where the photo does not reach.
+    """
+    import cv2
+
+    height, width = pixels.shape[:2]
+    scale = 1 / max(1, round(lens.size[0] / width))
+    corners = np.array([[x, y, 0.0] for x, y in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))]) * size
+    at = project(lens, pose, corners) * scale
+    longest = np.linalg.norm(np.roll(at, -1, axis=0) - at, axis=1).max()
+    times = max(1, int(np.ceil(np.nan_to_num(longest, nan=0.0) / resolution))) if np.isfinite(longest) else 1
+    whole = float(np.iinfo(pixels.dtype).max) if np.issubdtype(pixels.dtype, np.integer) else 1.0
+    # Positions of texels as in views.texel_positions, but a band of rows at a time.
+    steps = ((np.arange(resolution * times) + 0.5) / (resolution * times) - 0.5) * size
+    out = np.empty((resolution, resolution, 3), dtype=np.float32)
+    rows = max(1, 2**21 // (resolution * times * times))  # of the result at once: memory stays small
+    for first in range(0, resolution, rows):
+        y = -steps[first * times : (first + rows) * times, None]
+        part = np.stack(np.broadcast_arrays(steps, y, 0.0), axis=-1)
+        where = (project(lens, pose, part.reshape(-1, 3)).reshape(*part.shape[:2], 2) + 0.5) * scale - 0.5
+        where = np.nan_to_num(where, nan=-1e6).astype(np.float32)
+        low = np.clip(np.floor(where.min(axis=(0, 1))).astype(int) - 2, 0, (width - 1, height - 1))
+        high = np.clip(np.ceil(where.max(axis=(0, 1))).astype(int) + 3, low + 1, (width, height))
+        window = pixels[low[1] : high[1], low[0] : high[0]].astype(np.float32) / whole
+        sampled = cv2.remap(window, where - low.astype(np.float32), None, cv2.INTER_LINEAR,
+                            borderMode=cv2.BORDER_REPLICATE)
+        outside = ((where < -0.5) | (where > np.array((width, height)) - 0.5)).any(axis=-1)
+        sampled[outside] = np.nan
+        count = part.shape[0] // times
+        out[first : first + count] = sampled.reshape(count, times, resolution, times, 3).mean(axis=(1, 3))
+    return out

@@ -1,0 +1,27 @@
+"""``mitsvbrdf guess``."""
+
+from __future__ import annotations
+
+from tyro.conf import Positional
+
+from ..capture import guess_diffuse
+from ..fit.config import GuessMethod
+from ..system import result_folder
+from ..system.progress import say
+from .options import Out, Overwrite, Photos, TransferOption, ViewList, keep_apart, read_photos
+
+
+def guess(capture: Positional[Photos], out: Out, method: GuessMethod = "robust", resolution: int = 256,
+          views: ViewList = None, transfer: TransferOption = "auto", overwrite: Overwrite = False) -> int:
+    """Make the guessed diffuse map only: OUT/diffuse.exr and .png.
+
+    Methods: min is the paper's per-pixel minimum; mean-blur the older baseline; robust undoes falloff and highlights.
+    """
+    from ..system.images import write_linear
+
+    keep_apart(capture, out)
+    shots = read_photos(capture, resolution, views, transfer, "inverse-square")
+    with result_folder.output_folder(out, overwrite) as folder:
+        write_linear(folder / "diffuse", guess_diffuse(shots, method), "srgb")
+    say(f"wrote {out}/diffuse.exr, diffuse.png")
+    return 0

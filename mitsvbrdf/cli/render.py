@@ -1,0 +1,62 @@
+"""``mitsvbrdf render``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from ..render import RendererName, make_renderer
+from ..system import images, result_folder
+from ..system.progress import say
+from .options import (
+    FalloffOption,
+    Material,
+    Out,
+    Overwrite,
+    TransferOption,
+    Variant,
+    ViewSource,
+    fit_of_maps,
+    keep_apart,
+    material_of,
+    views_of,
+)
+
+
+def render(maps: Positional[Material], out: Out, views: ViewSource = "builtin:grid", renderer: RendererName = "mitsuba",
+           falloff: Annotated[FalloffOption, arg(help="auto: as in the fit.")] = "auto",
+           transfer: Annotated[TransferOption, arg(help="How the PNGs encode light; auto: as in the fit.")] = "auto",
+           flash_offset: Annotated[Literal["fitted", "none"],
+                                   arg(help="fitted: the light stands beside the camera as the fit found it.")] = "none",
+           diffuse: Annotated[Literal["fitted", "guessed"], arg(help="guessed: show the guessed diffuse map of the fit "
+                                                                     "instead of its own (paper IV.B).")] = "fitted",
+           variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
+    """Render maps for the views of a capture: OUT/NN.png (display values) and NN.exr (linear)."""
+    from ..evaluate import shift_lights
+    from ..system.images import write_linear
+
+    svbrdf, fit = material_of(maps), fit_of_maps(maps)
+    if diffuse == "guessed":
+        svbrdf = _with_guessed_diffuse(svbrdf, Path(maps))
+    names, lit = views_of(views, fit.falloff if falloff == "auto" else falloff, fit)
+    lit = shift_lights(lit, fit.flash_offset if flash_offset == "fitted" else None)
+    transfer = (fit.transfer or "gamma2.2") if transfer == "auto" else transfer
+    keep_apart(Path(views), out)
+    images = make_renderer(renderer, variant).render(svbrdf, lit)
+    with result_folder.output_folder(out, overwrite) as folder:
+        for name, image in zip(names, images):
+            write_linear(folder / name, image, transfer)
+    say(f"wrote {len(names)} images to {out}")
+    return 0
+
+
+def _with_guessed_diffuse(svbrdf, maps: Path):
+    from ..errors import MapsError
+    from ..material.maps import SVBRDF
+
+    folder = maps.parent if maps.name == "maps" else maps
+    guessed = images.read_image(folder / "guess" / "diffuse.exr", MapsError)
+    name = "diffuse" if svbrdf.bsdf == "roughconductor" else "base_color"
+    return SVBRDF(svbrdf.bsdf, dict(svbrdf.maps) | {name: guessed})

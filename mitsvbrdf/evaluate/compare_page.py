@@ -1,0 +1,80 @@
+"""The page of a comparison: it shows the numbers of the record and computes none."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from torch import Tensor
+
+from ..capture import Capture
+from ..material.maps import SVBRDF, TITLES, shown_map
+from ..pages.page import write_page
+from ..pages.pictures import at_most, png_uri
+from .compare import Entry
+
+LARGEST = 256  # pixels along a side of a picture
+MAPS = ("diffuse", "specular", "roughness", "normal")
+
+
+def write_compare_page(path: str | Path, record: dict, entries: Sequence[Entry], capture: Capture, pictures: Sequence[Tensor],
+                       guess: Tensor, reference: SVBRDF | None = None) -> None:
+    """One self-contained HTML file: the input, the maps of each method, errors, and each photo beside its re-renderings.
+
+    Args:
+        path: the file to write or replace.
+        record: of :func:`mitsvbrdf.evaluate.compare.compare`.
+        entries: what was compared.
+        capture: the N photos.
+        pictures: for each method N x R x R x 3, display values, as the same call gave them.
+        guess: guessed diffuse map of the photos, R x R x 3, linear.
+        reference: the known maps, if there are any.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    methods, side = record["methods"], record["resolution"]
+    rows = [] if reference is None else [{"name": "Known maps", "note": record["reference"], "maps": _maps(reference, side)}]
+    for entry, method in zip(entries, methods):
+        size = "" if method["resolution"] == side else f", {method['resolution']} px"
+        light = "" if method["falloff"] == "inverse-square" else ", light without falloff"
+        own = [] if entry.guess is None else [("Guessed diffuse, its own", _uri("diffuse", entry.guess))]
+        rows.append({"name": entry.name, "note": f"{entry.folder}{size}; {method['views']}{light}",
+                     "maps": _maps(entry.svbrdf, side) + own})
+    photos = [{"name": name, "photo": png_uri(at_most(photo, LARGEST)),
+               "rendered": [(method, png_uri(at_most(images[i], LARGEST))) for method, images in zip(methods, pictures)]}
+              for i, (name, photo) in enumerate(zip(record["photos"], capture.photos))]
+    write_page(path, "compare.html", title=f"{record['capture'] or 'Capture'}: {', '.join(m['name'] for m in methods)}",
+               record=record, rows=rows, photos=photos, guess=_uri("diffuse", guess), groups=_table(record))
+
+
+def _maps(svbrdf: SVBRDF, resolution: int) -> list[tuple[str, str]]:
+    maps = svbrdf.as_roughconductor().resized(resolution)
+    return [(TITLES[name], _uri(name, maps[name])) for name in MAPS]
+
+
+def _uri(name: str, value: Tensor) -> str:
+    return png_uri(at_most(shown_map(name, value.detach().cpu()), LARGEST))
+
+
+def _table(record: dict) -> list[dict]:
+    """Groups of rows: what was measured, its value for each method, and whether the values were counted alike."""
+    methods, groups = record["methods"], []
+
+    def row(name: str, values: list[float], alike: bool = True) -> dict:
+        return {"name": name, "values": values, "best": min(values) if alike and len(values) > 1 else None}
+
+    if record["reference"] is not None:
+        groups.append({"title": "Map RMSE", "rows": [row(TITLES.get(name, name), [m["map_rmse"][name] for m in methods])
+                                                     for name in (*MAPS, "mean")]})
+    unmoved = not any(m["flash_offset"] for m in methods)
+    calibrated = not any(m["fitted_views"] for m in methods)
+    alike = calibrated and unmoved
+    rows = [row("all photos, as pictured", [m["rerender_rmse"] for m in methods], alike)]
+    if not calibrated:
+        rows.append(row("all, calibration and flash offset", [m["calibrated"]["rerender_rmse"] for m in methods], unmoved))
+    if methods[0]["refined"]:
+        rows.append(row("all, views refined for every method", [m["refined"]["rerender_rmse"] for m in methods]))
+    rows += [row(f"photo {name}", [m["per_photo"][name] for m in methods], alike) for name in record["photos"]]
+    groups.append({"title": "Re-rendering RMSE", "rows": rows})
+    return groups

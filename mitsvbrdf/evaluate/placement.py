@@ -1,0 +1,79 @@
+"""Where the lights of a fit stand when its photos, or others, are rendered again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from ..calibrate.estimate import self_calibrated, why_not
+from ..capture import Capture
+from ..errors import CaptureError
+from ..fit.record import Fit
+from ..material.maps import SVBRDF
+from ..measure.rerender import rerender
+from ..render import Renderer
+from ..views import Views
+
+
+def shift_lights(views: Views, flash_offset: tuple[float, float] | None) -> Views:
+    """The views with every light moved sideways by this much, in patch sides."""
+    if flash_offset is None:
+        return views
+    return replace(views, light=views.light + torch.tensor([*flash_offset, 0.0], dtype=torch.float64) * views.size)
+
+
+def placed(capture: Capture, fit: Fit) -> Capture:
+    """A capture that states no views, with views estimated from all of its photos; any other as it is.
+
+    Where the fit saw some of these photos, all are moved together until those are, in the mean, where the fit has them:
+    sideways by an offset, heights and light power by a factor. So photos that it did not see can be predicted, though nothing
+    but the photos themselves says where they were taken. A fit that took the default geometry is shown with that. Of stated
+    views the light power alone changes, where the fit's maps told another one.
+
+    Args:
+        capture: all photos, those left out of the fit and those it saw.
+        fit: what is known of it.
+
+    Raises:
+        CaptureError: the fit estimated views, and these photos do not allow it.
+    """
+    if capture.calibrated and fit.power != 1 and not fit.estimated and fit.of(capture):
+        return replace(capture, views=replace(capture.views, intensity=capture.views.intensity * fit.power))
+    if capture.calibrated or not (fit.estimated or fit.views is None):
+        return capture
+    if fit.estimated and (why := why_not(capture)):
+        raise CaptureError("photos from which views can be estimated, as for this fit", f"{len(capture)} of which {why}",
+                           "give all photos of the capture")
+    capture, _ = self_calibrated(capture)
+    both = [(capture.index.index(number), row) for row, number in enumerate(fit.seen) if number in capture.index]
+    if fit.views is None or not both or not fit.of(capture):
+        return capture
+    here, there = (views.in_patch_sides().pick(rows) for views, rows in zip((capture.views, fit.views), zip(*both)))
+    shift = torch.cat([(there.camera - here.camera).mean(dim=0)[:2], torch.zeros(1)]) * capture.views.size
+    higher = (there.camera[:, 2] / here.camera[:, 2]).log().mean().exp()
+    brighter = (there.intensity.sum(dim=1) / here.intensity.sum(dim=1)).log().mean().exp()
+    camera = capture.views.camera * torch.stack([torch.ones(()), torch.ones(()), higher]) + shift
+    return replace(capture, views=replace(capture.views, camera=camera, light=camera.clone(),
+                                          intensity=capture.views.intensity * brighter))
+
+
+def predict(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
+            flash_offset: tuple[float, float] | None) -> tuple[Tensor, float, list[float]]:
+    """Photos that a fit did not use, from their views and the flash offset that all its photos share.
+
+    Args:
+        svbrdf: the fitted material.
+        capture: the N photos left out.
+        renderer: draws them, one at a time.
+        flash_offset: (x, y) of the flash beside the lens in patch sides, as the fit found it, or None.
+
+    Returns:
+        Linear radiance N x R x R x 3; RMSE over all in display values, as :func:`mitsvbrdf.evaluate.evaluate_capture` finds it;
+        and that of each.
+    """
+    material, lit = svbrdf.resized(capture.resolution), shift_lights(capture.views, flash_offset)
+    found = [rerender(renderer, material, lit.pick([k]), capture.pick([number])) for k, number in enumerate(capture.index)]
+    each = [error for _, error, _ in found]
+    return torch.cat([images for images, _, _ in found]), (sum(e * e for e in each) / len(each)) ** 0.5, each

@@ -1,0 +1,106 @@
+"""Maps that a fit holds fixed: ``--fix NAME=VALUE`` checked, and made into tensors."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from ..errors import ConfigError
+from ..material.map_files import ENCODINGS, read_map, read_material_json
+from ..material.maps import CHANNELS, SVBRDF, flat
+
+LEAST_ROUGHNESS = 1 / 512  # what half a step of an 8-bit file is read as; a mirror of roughness 0 shows no light at a point
+
+
+def stated_maps(fix: Sequence[str], bsdf: str, grey_specular: bool = False) -> dict[str, str]:
+    """What ``--fix`` says, as map name -> value, checked but for the files it names.
+
+    Args:
+        fix: ``NAME=VALUE`` each; a value is ``flat`` (normal), a number, three numbers ``r,g,b``, or an image file.
+        bsdf: the parameter set.
+        grey_specular: whether specular has one level instead of three channels.
+
+    Raises:
+        ConfigError: an unknown map, a number out of range, a map twice, or nothing left to fit.
+    """
+    stated: dict[str, str] = {}
+    for item in fix:
+        name, sign, value = item.partition("=")
+        if name not in CHANNELS[bsdf] or not sign:
+            raise ConfigError(f"--fix NAME=VALUE with a map of {list(CHANNELS[bsdf])}", repr(item),
+                              "e.g. --fix normal=flat --fix roughness=0.5")
+        if name in stated:
+            raise ConfigError(f"--fix {name}=... once", f"{stated[name]!r} and {value!r}", "take one of them out")
+        _check_value(name, value, CHANNELS[bsdf][name])
+        stated[name] = value
+    if len(stated) == len(CHANNELS[bsdf]):
+        raise ConfigError("at least one map to fit", "all of them fixed", "take one --fix out, or use `mitsvbrdf evaluate`")
+    if grey_specular and ("specular" not in CHANNELS[bsdf] or "specular" in stated):
+        raise ConfigError("--grey-specular with a specular map to fit", f"{bsdf} with {list(stated) or 'nothing'} fixed",
+                          "take one of the options out")
+    return stated
+
+
+def fixed_maps(fix: Sequence[str], bsdf: str, resolution: int) -> dict[str, Tensor]:
+    """The maps held fixed, name -> R x R x C, float32, linear. A constant takes no memory: its strides are 0.
+
+    Args:
+        fix: as in :func:`stated_maps`; files are read as those of a folder of maps, and brought to R by area averages.
+        bsdf: the parameter set.
+        resolution: R.
+
+    Raises:
+        ConfigError: see :func:`stated_maps`; a file that is not there; roughness to fit without a specular lobe.
+        MapsError: a file that is no such map.
+    """
+    held = {name: _tensor(name, value, bsdf, resolution) for name, value in stated_maps(fix, bsdf).items()}
+    if "roughness" not in held and "specular" in held and not held["specular"].any():
+        raise ConfigError("roughness held fixed too", "specular held at 0, without which no photo shows roughness",
+                          "add --fix roughness=1")
+    return held
+
+
+def described(fix: Sequence[str]) -> dict[str, str]:
+    """Map name -> "held at VALUE", for lists of what a fit left out."""
+    return {name: f"held at {value}" for name, _, value in (item.partition("=") for item in fix)}
+
+
+def _numbers(value: str) -> list[float] | None:
+    """The numbers of ``0.5`` or ``r,g,b``; None for the name of a file."""
+    try:
+        return [float(part) for part in value.split(",")]
+    except ValueError:
+        return None
+
+
+def _check_value(name: str, value: str, channels: int) -> None:
+    numbers = _numbers(value)
+    if name == "normal":
+        if numbers is not None:
+            raise ConfigError("normal=flat or normal=FILE", f"normal={value}", "flat is a normal that points up everywhere")
+    elif value == "flat":
+        raise ConfigError(f"a number or a file for {name}", "flat, which only a normal can be", f"e.g. --fix {name}=0.5")
+    elif numbers is not None:
+        least = LEAST_ROUGHNESS if name == "roughness" else 0.0
+        if len(numbers) not in {1, channels}:
+            raise ConfigError(f"{' or '.join(map(str, sorted({1, channels})))} numbers for {name}", value, "separate by commas")
+        if not all(math.isfinite(x) and least <= x <= 1 for x in numbers):
+            raise ConfigError(f"{name} from {least:.2g} to 1", value, "values are linear")
+
+
+def _tensor(name: str, value: str, bsdf: str, resolution: int) -> Tensor:
+    channels, numbers = CHANNELS[bsdf][name], [0.0, 0.0, 1.0] if value == "flat" else _numbers(value)
+    if numbers is not None:
+        return torch.tensor(numbers).expand(resolution, resolution, channels)
+    if not os.path.isfile(value):  # unlike Path.is_file, False for a name the system refuses
+        raise ConfigError(f"a number or an image file for {name}", f"{value!r}, which is neither", "check the path")
+    codes = ENCODINGS["gamma 2.2"] | read_material_json(Path(value).parent).get("encoding", {})
+    image = read_map(Path(value), name, channels, codes)
+    # Checked and resized as a part of a material, so that both are done as for any other map.
+    others: Mapping[str, Tensor] = flat(image.shape[0], bsdf).maps
+    return SVBRDF(bsdf, dict(others) | {name: image}).check().resized(resolution)[name].contiguous()

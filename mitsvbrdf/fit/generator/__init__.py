@@ -1,0 +1,1 @@
+"""Fits by a generator: the hybrid method and the paper's GAN."""

@@ -1,0 +1,158 @@
+"""``hybrid``: a generator that sees all photos, trained through the renderer against all of them.
+
+The generator idea, the adversarial and the diffuse loss are the paper's; the photometric loss over all calibrated views,
+the conditioning on all photos and the priors are ours. Untrained weights are the prior: a convolutional network fits what
+repeats and what has structure before it fits noise (Ulyanov et al. 2018, deep image prior).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from ... import color
+from ...capture import Capture
+from ...material.maps import SVBRDF
+from ...render import Renderer
+from ...system.profile import profiled, switch_at
+from ...views import Views
+from .. import losses
+from ..checkpoint import load_module_state, load_optimizer_state, module_state, optimizer_state
+from ..config import HybridConfig
+from ..fixed_maps import fixed_maps
+from ..left_out import no_flash_offset
+from ..method import cosine, descend
+from ..parameters import streams_of, to_raw, to_svbrdf
+from ..start import robust_start
+from .networks import AllPhotosGenerator, PatchDiscriminator, seeded
+
+PATCH = 128  # side of the crops the discriminator compares
+
+
+class Hybrid:
+    """Steps of the hybrid method; see :class:`mitsvbrdf.fit.method.Method`.
+
+    Args:
+        capture: photos and views.
+        renderer: carries the gradients, to the lights too when the flash offset is fitted.
+        guess: guessed diffuse map, R x R x 3 linear.
+        config: weights and sizes.
+    """
+
+    def __init__(self, capture: Capture, renderer: Renderer, guess: Tensor, config: HybridConfig) -> None:
+        self.capture, self.renderer, self.guess, self.config = capture, renderer, guess, config
+        self.views = capture.views
+        self.random = torch.Generator().manual_seed(config.seed)
+        self.held = fixed_maps(config.fix, config.bsdf, capture.resolution)
+        self.unused = losses.unused(config, self.held)
+        streams = streams_of(config.bsdf, self.held, config.grey_specular)
+        start = robust_start(capture, guess, config.bsdf, self.held)
+        self.start = to_raw(start, streams)
+        self.edges = losses.edge_weights(guess)
+        photos = capture.photos.permute(0, 3, 1, 2)
+        clipped = (photos >= color.CLIPPED).any(dim=1).float()
+        condition = torch.cat((photos.flatten(0, 1), clipped, color.encode(guess).permute(2, 0, 1)))
+        self.condition = (condition[None] * 2 - 1).contiguous(memory_format=torch.channels_last)
+        with seeded(config.seed):
+            self.generator = AllPhotosGenerator(condition.shape[0], streams, config.width).to(
+                memory_format=torch.channels_last)
+        self.offset = torch.zeros(2, dtype=torch.float64, requires_grad=True)  # patch sides
+        self.fits_offset = no_flash_offset(capture, renderer, config) is None
+        groups = [{"params": list(self.generator.parameters()), "lr": config.learning_rate}]
+        if self.fits_offset:
+            groups.append({"params": [self.offset], "lr": 0.5 * config.learning_rate})
+        self.optimizer = torch.optim.Adam(groups)
+        self.peaks = [group["lr"] for group in groups]
+        if "adversarial" not in self.unused:
+            with seeded(config.seed + 1):
+                self.discriminator = PatchDiscriminator(max(8, config.width))
+            self.judge = torch.optim.Adam(self.discriminator.parameters(), lr=2e-4, betas=(0.5, 0.999))
+
+    def step(self, progress: float) -> dict[str, float]:
+        """One Adam step on all photos; the discriminator learns from one random patch of one photo."""
+        c = self.config
+        for group, peak in zip(self.optimizer.param_groups, self.peaks):
+            group["lr"] = peak * cosine(progress)
+        with profiled("network"):
+            svbrdf, views = self._material(), self._views()
+        with profiled("renderer"):
+            rendered = self.renderer.render(svbrdf, views)
+            switch_at("renderer, backward", rendered)
+        logged: dict[str, float] = {}
+
+        def adversarial() -> Tensor:
+            real, fake = self._patches(rendered)
+            switch_at("losses, backward", fake)
+            with profiled("discriminator"):
+                logged["discriminator"] = self._teach_discriminator(real, fake.detach())
+                loss = losses.adversarial(self.discriminator(fake))
+                switch_at("discriminator, backward", loss)
+            return loss
+
+        terms = {"photometric": lambda: losses.photometric(rendered, self.capture.photos, self.capture.transfer),
+                 "diffuse": lambda: losses.diffuse(svbrdf, self.guess),
+                 "smooth": lambda: losses.total_variation(svbrdf, self.edges, self.held),
+                 "flat": lambda: losses.tilt(svbrdf), "adversarial": adversarial}
+        with profiled("losses"):
+            terms = {name: term() for name, term in terms.items() if name not in self.unused}
+            total = sum(getattr(c, name) * value for name, value in terms.items())
+        with profiled("losses, backward"):
+            logged["gradient"] = descend(total, self.optimizer)
+        return {name: float(value.detach()) for name, value in terms.items()} | logged
+
+    def estimate(self) -> tuple[SVBRDF, Views]:
+        with torch.no_grad():
+            return self._material().map(Tensor.contiguous), self._views()
+
+    def _material(self) -> SVBRDF:
+        change = self.generator(self.condition)
+        # The patch is flat as a whole (it lies in z = 0): without this a common tilt would hide the flash offset.
+        if "normal" in change:
+            change["normal"] = change["normal"] - change["normal"].mean(dim=(1, 2), keepdim=True)
+        switch_at("network, backward", *change.values())
+        with profiled("hand-over"):
+            svbrdf = to_svbrdf(self.config.bsdf, {name: self.start[name] + change[name] for name in self.start}, self.held)
+            switch_at("hand-over, backward", *svbrdf.maps.values())
+        return svbrdf
+
+    def _views(self) -> Views:
+        if not self.fits_offset:
+            return self.views
+        offset = torch.cat((self.offset, torch.zeros(1, dtype=torch.float64))) * self.views.size
+        return replace(self.views, light=self.views.light + offset)
+
+    def _patches(self, rendered: Tensor) -> tuple[Tensor, Tensor]:
+        side = min(PATCH, self.capture.resolution)
+        photo, top, left = (int(torch.randint(high, (1,), generator=self.random)) for high in (
+            len(self.capture), self.capture.resolution - side + 1, self.capture.resolution - side + 1))
+        cut = (slice(photo, photo + 1), slice(top, top + side), slice(left, left + side))
+        fake = color.to_display(rendered[cut], self.capture.transfer)
+        return self.capture.photos[cut].permute(0, 3, 1, 2), fake.permute(0, 3, 1, 2)
+
+    def _teach_discriminator(self, real: Tensor, fake: Tensor) -> float:
+        loss = losses.discriminator(self.discriminator(real), self.discriminator(fake))
+        return float(loss.detach()) + descend(loss, self.judge)
+
+    def cut_step(self) -> None:
+        self.peaks = [peak / 2 for peak in self.peaks]
+
+    def state(self) -> dict[str, Tensor]:
+        state = module_state("generator", self.generator) | optimizer_state("optimizer", self.optimizer) | {
+            "offset": self.offset.detach().clone(), "random": self.random.get_state(),
+            "peaks": torch.tensor(self.peaks, dtype=torch.float64)}
+        if "adversarial" not in self.unused:
+            state |= module_state("discriminator", self.discriminator) | optimizer_state("judge", self.judge)
+        return state
+
+    def load_state(self, state: dict[str, Tensor]) -> None:
+        load_module_state("generator", self.generator, state)
+        load_optimizer_state("optimizer", self.optimizer, state)
+        with torch.no_grad():
+            self.offset.copy_(state["offset"])
+        self.random.set_state(state["random"])
+        self.peaks = state["peaks"].tolist()
+        if "adversarial" not in self.unused:
+            load_module_state("discriminator", self.discriminator, state)
+            load_optimizer_state("judge", self.judge, state)

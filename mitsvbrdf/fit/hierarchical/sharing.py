@@ -1,0 +1,64 @@
+"""Evidence shared between texels that look alike: the prior of one texel is what the others say (empirical Bayes).
+
+A texel whose highlight no photo caught knows nothing of its specular level and roughness; texels of the same stuff do. The
+model is hierarchical: a texel's number is that of its basis materials, plus a deviation of its own with standard deviation
+tau. From each texel's posterior the prior it had is divided out again, which leaves what its photos alone say; the means of
+the basis materials are averages of that, weighted by how sure each texel is, and tau follows by expectation-maximisation
+(Dempster et al. 1977; the division is that of expectation propagation, Minka 2001).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ...material.maps import DIELECTRIC_F0
+
+ROUNDS = 10  # of expectation-maximisation; tau changes by less than 1 % afterwards
+LEAST_SPREAD = 0.01  # of tau; below it the common level moves too little a round
+FARTHEST = 0.15  # a texel's own evidence counts as at most so far from its prior: divisions of small differences know no more
+LEAST_EVIDENCE = 1.0  # precision below which photos say nothing of a number between 0 and 1
+TYPICAL = {"specular": (DIELECTRIC_F0 ** (1 / 2.2), 0.05)}  # mean and standard deviation of a texel of which nothing is known
+UNKNOWN = 0.0, float("inf")
+NOBODY = 1e-30
+
+
+class Shared(NamedTuple):
+    """What texels share: ``mean`` S x M of each number and ``spread`` S, the standard deviation tau around it."""
+
+    mean: Tensor
+    spread: Tensor
+
+
+def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, prior_precision: Tensor, member: Tensor,
+           spread: Tensor, typical: bool = True) -> Shared:
+    """The prior that texels get from each other.
+
+    Args:
+        names: the map of each of the S numbers.
+        x: posterior means, S x M.
+        variance: posterior variances, S x M.
+        prior_mean: of the prior that these had, S x M.
+        prior_precision: the same.
+        member: M x K, of :func:`mitsvbrdf.fit.likeness.membership`.
+        spread: S, tau so far.
+        typical: whether :data:`TYPICAL` counts. It decides where photos leave a whole material open, as they do a broad lobe
+            that looks like a diffuse one; where photos do not follow the model it would weigh more than their highlights.
+    """
+    precision = (1 / variance - prior_precision).clamp_min(1e-3)  # of the photos alone
+    alone = torch.where(precision > LEAST_EVIDENCE, (x / variance - prior_mean * prior_precision) / precision, x)
+    alone = torch.minimum(torch.maximum(alone, prior_mean - FARTHEST), prior_mean + FARTHEST).clamp(0, 1)
+    usual, rare = torch.tensor([TYPICAL.get(name, UNKNOWN) if typical else UNKNOWN for name in names]).T[..., None]
+    vague = 1 / rare.square()
+    tau2 = spread.square()[:, None]
+    for _ in range(ROUNDS):
+        weight = 1 / (1 / precision + tau2)
+        # A basis material of which no texel is any has weight 0, here and in the mean.
+        basis = (weight * alone + vague * usual) @ member / ((weight + vague) @ member).clamp_min(NOBODY)
+        mean = basis @ member.T
+        own = 1 / (precision + 1 / tau2)
+        off = own * (precision * alone + mean / tau2) - mean
+        tau2 = (off.square() + own).mean(dim=1, keepdim=True)
+    return Shared(mean, tau2[:, 0].sqrt().clamp_min(LEAST_SPREAD))

@@ -1,0 +1,45 @@
+"""How strong the light was, told by the maps: so strong that highlights are those of usual materials.
+
+Light of twice the power on a material of half the diffuse and specular albedo makes the same photos (but for the Fresnel curve
+beside the lens). Nearly all materials but metals have an F0 near 0.04 (:data:`~mitsvbrdf.maps.DIELECTRIC_F0`), and a fit
+knows it of every texel that showed its highlight, where one lobe for all texels only guesses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from ..material.maps import DIELECTRIC_F0, SVBRDF
+from .confidence import DETERMINED
+
+METAL = 0.2  # F0 from which on a texel is no dielectric
+MOST_TEXELS = 0.5  # share of the texels that must tell
+WHITEST = 0.95  # diffuse albedo that 99 % of the texels stay below
+
+
+def light_power_told(svbrdf: SVBRDF, deviations: Mapping[str, Tensor]) -> float | None:
+    """By what the light power is to be multiplied, and the maps divided; None where too few texels tell.
+
+    Args:
+        svbrdf: fitted maps, all with a freedom of their own; of ``principled`` F0 is known, and nothing is told.
+        deviations: of the maps, as :func:`mitsvbrdf.fit.confidence.deviations` finds them.
+    """
+    if svbrdf.bsdf != "roughconductor" or not {"diffuse", "specular"} <= set(deviations):
+        return None
+    sure = deviations["specular"].square().mean(dim=-1).sqrt()
+    level = svbrdf.resized(sure.shape[0])["specular"].mean(dim=-1)
+    told = (sure < DETERMINED) & (level < METAL)
+    if float(told.float().mean()) < MOST_TEXELS:
+        return None
+    factor = float(level[told].median()) / DIELECTRIC_F0
+    white = float(torch.quantile(svbrdf["diffuse"].amax(dim=-1).flatten(), 0.99)) / WHITEST
+    return max(factor, min(white, 1.0))
+
+
+def with_light_power(svbrdf: SVBRDF, factor: float) -> SVBRDF:
+    """Maps under a light so many times as strong that reflect as much."""
+    return SVBRDF(svbrdf.bsdf, {name: (value / factor).clamp(0, 1) if name in ("diffuse", "specular") else value
+                                for name, value in svbrdf.maps.items()})

@@ -1,0 +1,199 @@
+"""``fit.json``: written, and read back."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import get_args
+
+from .. import color
+from ..capture import Capture
+from ..errors import MapsError, MitsvbrdfError
+from ..material.map_files import load_maps
+from ..material.maps import SVBRDF
+from ..measure.burn_in import burn_in
+from ..render import Renderer, RendererName, make_renderer
+from ..system.provenance import machine, versions
+from ..views import Falloff, Views
+from .confidence import confidence
+from .config import METHODS
+from .result import FitResult
+
+NUMBER = (int, float)
+# What a page needs of fit.json, as types; {str: X} is an object of X, [X] a list of X.
+_SHAPE = {
+    "method": str, "renderer": str, "bsdf": str, "rerender_rmse": NUMBER, "per_photo": {str: NUMBER},
+    "confidence": {str: {"median_sd": NUMBER, "determined_share": NUMBER}}, "burn_in": {str: NUMBER}, "warnings": [str],
+    "stopped": str, "undone_steps": int, "undone": [{"iteration": int, "reason": str}],
+    "restarts": [{"iteration": int, "reason": str}], "seconds": NUMBER, "iterations": int, "seed": int,
+    "config": {"fix": [str], "grey_specular": bool}, "command": {str: object}, "left_out": [{"what": str, "why": str}],
+    "capture": {"photos": [int], "resolution": int, "transfer": str, "calibrated": bool, "notes": [str]},
+    "versions": {str: object}, "machine": {str: object}, "trace": [{str: NUMBER}]}
+
+SCHEMA_VERSION = 1
+
+
+def capture_name(capture: Capture) -> str:
+    return capture.source.name if capture.source else ""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """What has to be known of a fit to show or measure its maps as it did.
+
+    Args:
+        falloff: of its light.
+        transfer: of its photos; None when unknown.
+        flash_offset: (x, y) of the flash beside the lens in patch sides, or None.
+        capture: name of the folder of its photos; None when unknown.
+        seen: numbers of the photos it used.
+        views: theirs, as fitted; None when unknown.
+        method: how it was fitted; None when unknown.
+        estimated: whether the views were estimated from the photos.
+        power: what the light power that the capture states is to be multiplied by, as its maps told.
+    """
+
+    falloff: Falloff = "inverse-square"
+    transfer: color.Transfer | None = None
+    flash_offset: tuple[float, float] | None = None
+    capture: str | None = None
+    seen: tuple[int, ...] = ()
+    views: Views | None = None
+    method: str | None = None
+    estimated: bool = False
+    power: float = 1.0
+
+    def of(self, capture: Capture) -> bool:
+        """Whether it was fitted to photos of this capture, as the names of the folders tell."""
+        return self.capture == capture_name(capture)
+
+    def label(self, capture: Capture, number: int) -> str:
+        """Name of a photo, and whether the fit saw it, where it was fitted to this capture."""
+        if not self.of(capture):
+            return f"{number:02d}"
+        return f"{number:02d} ({'seen' if number in self.seen else 'left out'})"
+
+
+def fit_of(maps: str | Path) -> Fit:
+    """What ``fit.json`` says, in a fit's folder or beside the ``maps`` folder inside it; defaults where there is none.
+
+    Raises:
+        MapsError: it is there but cannot be understood.
+    """
+    folder = Path(os.path.abspath(maps))
+    path = (folder.parent if folder.name == "maps" else folder) / "fit.json"
+    if not path.is_file():
+        return Fit()
+    try:
+        record = json.loads(path.read_text())
+        offset, views, known = record["flash_offset"], record["views"], record.get("calibration", {})
+        fit = Fit(views["falloff"], record["capture"]["transfer"],
+                  None if offset is None else (float(offset["x"]), float(offset["y"])),
+                  record["capture"]["name"], tuple(record["capture"]["photos"]),
+                  Views.of(views["camera"], views["light"], views["intensity"], views["size"], views["falloff"]),
+                  record.get("method"), known.get("estimated", False) is True, float(known.get("power_told") or 1.0))
+        if fit.transfer not in get_args(color.Transfer):
+            raise ValueError("unknown transfer")
+    except (ValueError, KeyError, TypeError, MitsvbrdfError) as reason:
+        raise MapsError("a fit.json of this package", f"{path}: {reason!r}", "move it away to read the maps alone") from None
+    return fit
+
+
+@dataclass(frozen=True)
+class FitFolder:
+    """What ``fit`` left on disk.
+
+    Args:
+        path: the folder.
+        record: ``fit.json``, its shape checked.
+        fit: the same as the other commands read it.
+        svbrdf: the maps.
+    """
+
+    path: Path
+    record: dict
+    fit: Fit
+    svbrdf: SVBRDF
+
+    @property
+    def fixed(self) -> list[str]:
+        """Names of the maps that were held fixed."""
+        return [entry.split("=")[0] for entry in self.record["config"]["fix"]]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the photos that the fit used."""
+        return list(self.record["per_photo"])
+
+    def renderer(self) -> Renderer | None:
+        """That of the fit; None for one that is not ours."""
+        name, variant = self.record["renderer"], self.record.get("variant")
+        return make_renderer(name, variant or "llvm_ad_rgb") if name in get_args(RendererName) else None
+
+
+def read_fit(folder: str | Path) -> FitFolder:
+    """A fit's folder, checked.
+
+    Raises:
+        MapsError: it is none, or not a whole one.
+    """
+    folder = Path(folder)
+    path = folder / "fit.json"
+    if not path.is_file():
+        raise MapsError("a folder that `mitsvbrdf fit` wrote", f"{folder}, which has no fit.json", "give the OUT of a fit")
+    fit, record = fit_of(folder), json.loads(path.read_text())
+    wrong = "schema_version" if record.get("schema_version") != 1 else misfit(record, _SHAPE)
+    names = [f"{number:02d}" for number in fit.seen] if not wrong else []
+    if not wrong and not (names == list(record["per_photo"]) and len(fit.views) == len(names) > 0
+                          and all({"seconds", "rerender_rmse"} <= set(row) for row in record["trace"])):
+        wrong = "per_photo, views or trace"
+    if wrong:
+        raise MapsError("a fit.json of schema version 1", f"{path}, whose {wrong} is missing or of another kind",
+                        "fit again with this version")
+    return FitFolder(folder, record, fit, load_maps(folder / "maps", record["bsdf"]))
+
+
+def misfit(value: object, shape: object, where: str = "") -> str:
+    """Where a value does not have a shape as in ``_SHAPE``; empty text where it has."""
+    if isinstance(shape, list):
+        parts = [(part, shape[0], where) for part in value] if isinstance(value, list) else None
+    elif isinstance(shape, dict) and isinstance(value, dict):
+        keys = list(value) if list(shape) == [str] else list(shape)
+        parts = [(value.get(key), shape.get(key, shape.get(str)), f"{where}.{key}" if where else key) for key in keys]
+    else:
+        return "" if not isinstance(shape, dict) and isinstance(value, shape) else where  # type: ignore[arg-type]
+    return where if parts is None else next(filter(None, (misfit(*part) for part in parts)), "")
+
+
+def fit_record(result: FitResult, capture: Capture, command: dict) -> dict:
+    """Everything about a fit that fits into JSON; ``docs/formats.md`` explains each field."""
+    views = result.views
+    offset = result.flash_offset
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "method": METHODS[type(result.config).__name__],
+        "renderer": result.renderer, "variant": result.variant, "bsdf": result.svbrdf.bsdf,
+        "rerender_rmse": result.rerender_rmse,
+        "per_photo": dict(zip(capture.names, result.per_photo)),
+        "confidence": confidence(result.deviations), "burn_in": burn_in(result.svbrdf, views),
+        "warnings": list(result.warnings),
+        "stopped": result.stopped, "undone_steps": len(result.undone), "undone": list(result.undone),
+        "restarts": list(result.restarts),
+        "seconds": result.trace[-1]["seconds"], "iterations": result.trace[-1]["iteration"],
+        "seed": result.config.seed, "config": asdict(result.config), "command": command,
+        "left_out": [{"what": what, "why": why} for what, why in result.left_out],
+        "capture": {"name": capture.source.name if capture.source else None, "photos": list(capture.index),
+                    "resolution": capture.resolution, "transfer": capture.transfer,
+                    "calibrated": capture.calibrated, "notes": list(capture.notes)},
+        "views": {"size": views.size, "falloff": views.falloff, "camera": views.camera.tolist(),
+                  "light": views.light.tolist(), "intensity": views.intensity.tolist()},
+        "flash_offset": None if offset is None else {"x": offset[0] / views.size, "y": offset[1] / views.size,
+                                                     "unit": "patch sides"},
+        "calibration": result.calibration,
+        **({"profile": result.profile} if result.profile else {}),
+        "versions": versions(),
+        "machine": machine(),
+        "trace": result.trace,
+    }

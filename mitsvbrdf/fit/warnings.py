@@ -1,0 +1,99 @@
+"""What a user should doubt about a fit, in sentences: what was seen, and what it may mean."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterator, Sequence, Sized
+
+from ..capture import Capture
+from ..color import CLIPPED
+from ..measure.burn_in import burn_in
+from .confidence import confidence
+from .result import FitResult
+
+# Behind each number, what twelve real captures of nine photos had, fitted with `hybrid` and `direct` at 64 px.
+CLIPPED_SHARE = 0.05  # of the pixels; eleven had up to 0.015, one 0.08
+ALIKE = 2 / 255  # display values, root mean square
+DARK = 8 / 255  # display values, median
+GAIN = 1.25  # photos over re-rendering, or the other way round; 0.93 to 1.01
+USABLE = 0.1  # share of the pixels that must be neither dark nor clipped, to speak of a gain
+WHITE, WHITE_SHARE = 0.97, 0.1  # diffuse albedo, and the share of texels that may have it; ten had 0, two 0.3 and more
+FAINT = 0.015  # F0, median; eleven had 0.0156 and more, one 0.013. Water has 0.02, and nothing known less
+WORSE = 2.5  # times the median error of a photo; 1.1 to 2.3
+POOR = 0.1  # re-rendering RMSE
+BURNT_IN = 0.3  # share of specular or roughness that lies as the highlights do; ten had up to 0.18, the two of wood 0.4 to 0.74
+
+
+def fit_warnings(result: FitResult, capture: Capture) -> Iterator[str]:
+    """Warnings about the photos, the calibration and the fit, one sentence each."""
+    yield from about_photos(capture)
+    yield from _light(result, capture)
+    yield from _errors(result, capture)
+    yield from _burnt_in(result)
+    if result.trace[-1]["iteration"] == 0:
+        yield "no step was made, so the maps are where the fit starts: give more seconds"
+    yield from about_steps(result.undone, result.restarts)
+    if result.stopped == "unstable":
+        yield "too many steps had to be undone, so the fit ended early: lower the learning rate or check the calibration"
+
+
+def about_steps(undone: Sequence[dict], restarts: Sequence[dict]) -> Iterator[str]:
+    """Warnings about steps taken back so far."""
+    if undone:
+        yield f"{_count(undone, 'step')} undone; the first at iteration {undone[0]['iteration']}: {undone[0]['reason']}"
+    if restarts:
+        yield f"the fit diverged and went back to its lowest loss {_count(restarts, 'time')}"
+
+
+def about_photos(capture: Capture) -> Iterator[str]:
+    """Warnings about the photos by themselves."""
+    photos = capture.photos
+    clipped = float((photos >= CLIPPED).any(dim=-1).float().mean())
+    if clipped > CLIPPED_SHARE:
+        yield f"{clipped:.0%} of the pixels are clipped: highlights are only bounded from below; expose less"
+    if float(photos.median()) < DARK:
+        yield "the photos are nearly black: 8 bits leave few steps there; expose more"
+    if float((photos - photos.mean(dim=(1, 2), keepdim=True)).square().mean().sqrt()) < ALIKE:
+        yield "every photo is of one colour: it shows no texture, relief or highlight"
+    if len(capture) == 1:
+        yield "one photo: specular, roughness and normals are hardly determined; take more from other places"
+    elif float((photos - photos.mean(dim=0)).square().mean().sqrt()) < ALIKE:
+        yield "the photos are all alike: no highlight moves, so specular, roughness and normals are hardly determined"
+
+
+def _light(result: FitResult, capture: Capture) -> Iterator[str]:
+    photos, images = capture.linear, result.rerendered
+    usable = (capture.photos < CLIPPED) & (capture.photos > DARK) & (images > 0)
+    if float(usable.float().mean()) > USABLE:
+        gain = float((photos[usable] / images[usable]).median())
+        if not 1 / GAIN < gain < GAIN:
+            how, times = ("darker", gain) if gain > 1 else ("brighter", 1 / gain)
+            yield f"the re-rendering is {how} than the photos by {times:.2g}x: light power or distances may be off"
+    material = result.svbrdf.as_roughconductor()
+    white = float((material["diffuse"].amax(dim=-1) > WHITE).float().mean())
+    if white > WHITE_SHARE:
+        yield f"{white:.0%} of the diffuse map is as white as can be: the light may be stronger than stated"
+    specular, sure = float(material["specular"].median()), confidence(result.deviations).get("specular")
+    if sure and sure["determined_share"] > 0.25 and specular < FAINT:
+        yield f"specular of {specular:.2g} is below that of any known material: the light may be weaker than stated"
+
+
+def _errors(result: FitResult, capture: Capture) -> Iterator[str]:
+    if result.rerender_rmse > POOR:
+        yield f"the photos are only met to {result.rerender_rmse:.2g}: fit longer, or check views, light and transfer function"
+    if len(capture) > 2:
+        typical = statistics.median(result.per_photo)
+        for name, error in zip(capture.names, result.per_photo):
+            if error > WORSE * max(typical, 0.01):
+                yield f"photo {name} fits worse than the rest ({error:.2g}, median {typical:.2g}): its view may be off"
+
+
+def _burnt_in(result: FitResult) -> Iterator[str]:
+    fixed = {entry.split("=")[0] for entry in result.config.fix}
+    for name, share in burn_in(result.svbrdf, result.views).items():
+        if share > BURNT_IN and name not in fixed:
+            yield f"{share:.0%} of the {name} map lies as the photos' highlights do: it may be theirs, not the material's"
+
+
+def _count(events: Sized, what: str) -> str:
+    return f"{len(events)} {what}{'s' if len(events) > 1 else ''}"

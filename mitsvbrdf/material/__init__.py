@@ -1,0 +1,1 @@
+"""A material: its maps, their files, made ones."""

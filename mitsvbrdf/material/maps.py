@@ -1,0 +1,180 @@
+"""The material value type: an SVBRDF as named maps, checked once, with loading and saving.
+
+Maps are linear tensors of shape R x R x C, row 0 at the top. Two parameter sets exist, named after the Mitsuba
+plugins that shade them; :data:`CHANNELS` lists their maps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from .. import color
+from ..errors import ConfigError, MapsError
+from ..pages.notebook import Picture, html_of, uri_of
+from ..pages.page import figure
+
+TITLES = {"diffuse": "Diffuse", "specular": "Specular", "roughness": "Roughness", "normal": "Normal",
+          "base_color": "Base colour", "metallic": "Metallic"}
+
+Bsdf = Literal["roughconductor", "principled"]
+
+CHANNELS: dict[str, dict[str, int]] = {
+    "roughconductor": {"diffuse": 3, "specular": 3, "roughness": 1, "normal": 3},
+    "principled": {"base_color": 3, "metallic": 1, "roughness": 1, "normal": 3},
+}
+COLOURS = ("diffuse", "specular", "base_color")
+
+UNIT = 1e-3  # how far a normal's length may be from 1
+LOWEST_Z = 1e-5  # 89.9994 degrees; 16-bit files reach 1.5e-5. Closer to the plane, float32 shading frames have no digits left
+
+# F0 of Mitsuba's `principled` dielectric part with its default `specular` = 0.5 (eta = 1.5).
+DIELECTRIC_F0 = 0.04
+
+
+@dataclass(frozen=True)
+class SVBRDF:
+    """A spatially varying material.
+
+    Args:
+        bsdf: ``roughconductor`` (diffuse + specular lobe) or ``principled`` (base colour, metallic).
+        maps: linear tensors R x R x C under the names of :data:`CHANNELS`: colours and metallic in [0, 1], roughness
+            in (0, 1] (GGX alpha = roughness^2), normal as unit vectors, +Y up, z > 0.
+    """
+
+    bsdf: Bsdf
+    maps: Mapping[str, Tensor]
+
+    def __post_init__(self) -> None:
+        if self.bsdf not in CHANNELS:
+            raise ConfigError(f"a BSDF of {get_args(Bsdf)}", repr(self.bsdf), "choose one of these")
+        wanted = CHANNELS[self.bsdf]
+        if set(self.maps) != set(wanted):
+            raise MapsError(f"the maps {sorted(wanted)}", str(sorted(self.maps)), "give exactly these")
+        size = self.maps["normal"].shape[0]
+        for name, channels in wanted.items():
+            if tuple(self.maps[name].shape) != (size, size, channels):
+                raise MapsError(f"{name} of shape {(size, size, channels)}", str(tuple(self.maps[name].shape)),
+                                "all maps are square, of one size, height x width x channels")
+
+    def __getitem__(self, name: str) -> Tensor:
+        return self.maps[name]
+
+    def __repr__(self) -> str:
+        return f"SVBRDF({self.bsdf}, {self.resolution} px)"
+
+    @property
+    def resolution(self) -> int:
+        """Texels along a side."""
+        return self.maps["normal"].shape[0]
+
+    def map(self, function) -> SVBRDF:
+        """The same material with ``function`` applied to each map tensor."""
+        return SVBRDF(self.bsdf, {name: function(value) for name, value in self.maps.items()})
+
+    def to(self, dtype: torch.dtype) -> SVBRDF:
+        """The same material in another float type."""
+        return self.map(lambda t: t.to(dtype))
+
+    def detach(self) -> SVBRDF:
+        """The same material, cut off from the gradient graph."""
+        return self.map(Tensor.detach)
+
+    def check(self) -> SVBRDF:
+        """Itself, when every value is finite and in range; else MapsError naming map, texel and value."""
+        for name, value in self.maps.items():
+            bad = ~torch.isfinite(value)
+            if bad.any():
+                raise MapsError("finite values", f"{int(bad.sum())} NaN or infinite in {name}, first at "
+                                f"(row, column, channel) {tuple(bad.nonzero()[0].tolist())}", "mend or re-export the map")
+            if name == "normal":
+                if (value[..., 2] <= 0).any():
+                    raise MapsError("normals with z > 0", "normals that point into the surface",
+                                    "check that blue is z and the map is +Y up, tangent space")
+                length = value.norm(dim=-1)
+                if not bool(((length - 1).abs() <= UNIT).all()):
+                    raise MapsError("unit normals", f"lengths from {float(length.min()):.4g} to {float(length.max()):.4g}",
+                                    "normalise them")
+                if value[..., 2].min() < LOWEST_Z:
+                    raise MapsError(f"normals with z >= {LOWEST_Z:g}", f"z = {float(value[..., 2].min()):.3g}",
+                                    "such a texel can hardly be seen: tilt it less, or leave it out")
+            elif value.min() < 0 or value.max() > 1:
+                raise MapsError(f"{name} in [0, 1]", f"[{value.min():.4g}, {value.max():.4g}]", "check its encoding")
+        if self.maps["roughness"].min() <= 0:
+            raise MapsError("roughness > 0", "0", "raise it to 0.01 or more: a perfect mirror shows no light at a point")
+        return self
+
+    def as_roughconductor(self) -> SVBRDF:
+        """Diffuse and specular maps of a principled material (exact at normal incidence but for Burley's diffuse)."""
+        if self.bsdf == "roughconductor":
+            return self
+        base, metallic = self["base_color"], self["metallic"]
+        return SVBRDF("roughconductor", {
+            "diffuse": base * (1 - metallic), "specular": base * metallic + DIELECTRIC_F0 * (1 - metallic),
+            "roughness": self["roughness"], "normal": self["normal"]})
+
+    def resized(self, resolution: int) -> SVBRDF:
+        """The material at another resolution: area average when shrinking, bilinear when growing; unit normals."""
+        if resolution == self.resolution:
+            return self
+        mode = "area" if resolution < self.resolution else "bilinear"
+
+        def scale(value: Tensor) -> Tensor:
+            chw = value.permute(2, 0, 1)[None]
+            size = (resolution, resolution)
+            out = F.interpolate(chw, size, mode=mode) if mode == "area" else F.interpolate(
+                chw, size, mode=mode, align_corners=False)
+            return out[0].permute(1, 2, 0)
+
+        maps = {name: scale(value) for name, value in self.maps.items()}
+        maps["normal"] = F.normalize(maps["normal"], dim=-1)
+        return SVBRDF(self.bsdf, maps)
+
+    def _repr_html_(self) -> str:
+        """The maps as small pictures, for notebooks."""
+        pass
+        return svbrdf_html(self)
+
+
+def flat(resolution: int, bsdf: Bsdf = "roughconductor", dtype: torch.dtype = torch.float32, **values: float) -> SVBRDF:
+    """A constant material with an up-pointing normal.
+
+    Args:
+        values: a value for each map but the normal, e.g. ``diffuse=0.5``; left out: 0.5 for colours and roughness, 0.04
+            specular, 0 metallic.
+    """
+    defaults = {"diffuse": 0.5, "specular": 0.04, "roughness": 0.5, "base_color": 0.5, "metallic": 0.0}
+    maps = {}
+    for name, channels in CHANNELS[bsdf].items():
+        if name == "normal":
+            maps[name] = torch.tensor([0.0, 0.0, 1.0], dtype=dtype).expand(resolution, resolution, 3).clone()
+        else:
+            maps[name] = torch.full((resolution, resolution, channels), values.get(name, defaults[name]), dtype=dtype)
+    return SVBRDF(bsdf, maps)
+
+
+def svbrdf_html(svbrdf: SVBRDF) -> str:
+    """The maps, each with the smallest and the largest of its values, as an HTML fragment."""
+    side = svbrdf.resolution
+    return html_of(f"SVBRDF · {svbrdf.bsdf} · {side} × {side} px", [("", maps_html(svbrdf))])
+
+
+def maps_html(svbrdf: SVBRDF) -> list[Picture]:
+    found = []
+    for name in CHANNELS[svbrdf.bsdf]:
+        value = svbrdf[name].detach()
+        span = "" if name == "normal" else f" {figure(float(value.min()))} to {figure(float(value.max()))}"
+        found.append((TITLES[name] + span, uri_of(shown_map(name, value))))
+    return found
+
+
+def shown_map(name: str, value: Tensor) -> Tensor:
+    """A map as display values: colours in sRGB, normals as (n + 1) / 2, the rest as it is."""
+    if name == "normal":
+        return (value + 1) / 2
+    return color.to_display(value, "srgb") if name in COLOURS else value

@@ -1,0 +1,1 @@
+"""Errors of maps, of photos and of gradients."""

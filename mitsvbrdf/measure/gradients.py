@@ -1,0 +1,64 @@
+"""What the cross-check, the sweeps and the benchmarks share: gradients under fixed random numbers, and fair timing."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ..errors import ConfigError
+from ..material.maps import SVBRDF
+from ..render import Renderer
+from ..views import Views
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One forward and one backward pass.
+
+    Args:
+        image: linear radiance N x R x R x 3.
+        gradients: of the product of image and cotangent, by map name, each of the map's shape.
+        forward: seconds of the forward pass.
+        backward: seconds of the backward pass.
+    """
+
+    image: Tensor
+    gradients: dict[str, Tensor]
+    forward: float
+    backward: float
+
+
+def fixed_cotangent(shape: torch.Size, seed: int = 1) -> Tensor:
+    """The same normally distributed numbers in every run, float32, so that all renderers are asked the same question."""
+    return torch.randn(shape, generator=torch.Generator().manual_seed(seed))
+
+
+def render_and_gradients(renderer: Renderer, svbrdf: SVBRDF, views: Views, cotangent: Tensor | None = None,
+                         ) -> Measured:
+    """Render, and differentiate the product of the image with fixed numbers with respect to every map.
+
+    Args:
+        renderer: any; ``analytic64`` gets the maps in float64, so its gradients are float64 too.
+        svbrdf: the material, float32.
+        views: camera and light positions.
+        cotangent: N x R x R x 3; left out: :func:`fixed_cotangent`.
+
+    Raises:
+        ConfigError: the image carries no gradient.
+    """
+    dtype = torch.float64 if renderer.name == "analytic64" else torch.float32
+    leaves = svbrdf.to(dtype).map(lambda t: t.detach().clone().requires_grad_())
+    started = time.perf_counter()
+    image = renderer.render(leaves, views)
+    forward = time.perf_counter() - started
+    if not image.requires_grad:
+        raise ConfigError("an image that carries gradients to the maps", f"one of {renderer.name} without", "make the renderer "
+                          "differentiable, or compare the images alone (gradients=math.inf in assert_renderers_agree)")
+    cotangent = (fixed_cotangent(image.shape) if cotangent is None else cotangent).to(image)
+    started = time.perf_counter()
+    gradients = torch.autograd.grad(image, list(leaves.maps.values()), cotangent)
+    backward = time.perf_counter() - started
+    return Measured(image.detach(), dict(zip(leaves.maps, gradients)), forward, backward)

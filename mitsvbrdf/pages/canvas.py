@@ -1,0 +1,53 @@
+"""Sheets of labelled pictures."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter
+from torch import Tensor
+
+from .. import color
+from ..system import files
+
+# In pixels of the sheet. Between the margins 9, 5 and 4 squares with their gaps fit without a remainder.
+WIDTH, MARGIN, GAP, LABEL, HEADER = 1680, 34, 8, 34, 92
+BACK, TEXT, QUIET, ACCENT = "#131519", "#eceef1", "#9198a3", "#f2b84b"
+
+
+def square_side(count: int, largest: int) -> int:
+    """Side of each of ``count`` squares in one row."""
+    return min((WIDTH - 2 * MARGIN - (count - 1) * GAP) // count, largest)
+
+
+class Canvas:
+    """A dark page addressed in pixels from its top left."""
+
+    def __init__(self, height: int) -> None:
+        self.height = height
+        self.figure = Figure(figsize=(WIDTH / 100, height / 100), dpi=100, facecolor=BACK)
+
+    def text(self, x: int, y: int, text: str, points: float, colour: str, **how) -> None:
+        self.figure.text(x / WIDTH, 1 - y / self.height, text, fontsize=points, color=colour, parse_math=False, **how)
+
+    def image(self, x: int, y: int, side: int, image: Tensor) -> None:
+        axes = self.figure.add_axes((x / WIDTH, 1 - (y + side) / self.height, side / WIDTH, side / self.height))
+        pixels = color.clip(image.detach().cpu().float()).numpy()
+        axes.imshow(np.broadcast_to(pixels, (*pixels.shape[:2], 3)), interpolation="antialiased", aspect="auto")
+        axes.set_axis_off()
+
+    def write(self, path: Path) -> None:
+        data = io.BytesIO()
+        FigureCanvasAgg(self.figure).print_png(data)
+        files.write_bytes(path, data.getvalue())
+
+
+class PlainNumbers(LogFormatter):
+    """Numbers as 0.02, at the ticks that matplotlib would label."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return f"{x:g}" if super().__call__(x, pos) else ""

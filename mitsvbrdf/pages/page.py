@@ -1,0 +1,66 @@
+"""Self-contained HTML pages: one file that opens from disk, in light and dark, with no network request.
+
+A page computes nothing: it gets numbers that stand in a JSON, and pictures that are made here from tensors or by
+matplotlib. ``templates/base.html`` holds the look they share.
+"""
+
+from __future__ import annotations
+
+import functools
+import io
+import math
+from pathlib import Path
+
+import jinja2
+import matplotlib
+from matplotlib.figure import Figure
+
+from ..system import files
+
+
+def write_page(path: str | Path, template: str, **context: object) -> None:
+    """Render ``templates/TEMPLATE`` (which extends ``base.html``) into one file, beside first, then renamed.
+
+    Args:
+        path: the file to write.
+        template: file name in ``mitsvbrdf/report/templates``.
+        context: what the template asks for; text is escaped.
+    """
+    text = page_text(template, **context)
+    with files.beside(Path(path)) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def page_text(template: str, **context: object) -> str:
+    """``templates/TEMPLATE`` as text, with the arguments of :func:`write_page`; what UTF-8 cannot write becomes a ?."""
+    return _environment().get_template(template).render(context).encode(errors="replace").decode()
+
+
+@functools.cache
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(loader=jinja2.PackageLoader("mitsvbrdf", "report/templates"), autoescape=True,
+                                     undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment.filters |= {"figure": figure, "seconds": seconds}
+    return environment
+
+
+def figure(value: float | None) -> str:
+    """A number as people read it: 3.2e-07, 0.0123, 12.3; a dash for None."""
+    if value is None:
+        return "–"
+    if not math.isfinite(value):
+        return str(value)
+    return f"{value:.1e}" if value and not 1e-3 <= abs(value) < 1e4 else f"{value:.3g}"
+
+
+def seconds(value: float) -> str:
+    """Seconds as people read them: 31 ms, 2.4 s."""
+    return f"{value * 1e3:.3g} ms" if value < 1 else f"{value:.3g} s"
+
+
+def svg(drawing: Figure) -> str:
+    """A matplotlib figure as inline SVG text, transparent, to be marked ``|safe`` in a template."""
+    text = io.StringIO()
+    with matplotlib.rc_context({"svg.hashsalt": "mitsvbrdf", "svg.fonttype": "none"}):
+        drawing.savefig(text, format="svg", transparent=True, metadata={"Date": None})
+    return text.getvalue()[text.getvalue().index("<svg"):]

@@ -1,0 +1,70 @@
+"""Pictures inside a page."""
+
+from __future__ import annotations
+
+import base64
+import math
+
+import cv2
+import matplotlib
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from .. import color
+
+
+def magma(share: Tensor) -> Tensor:
+    return torch.as_tensor(matplotlib.colormaps["magma"](share.clamp(0, 1).numpy())[..., :3], dtype=torch.float32)
+
+
+def png_uri(display: Tensor) -> str:
+    """A picture for ``<img src>``.
+
+    Args:
+        display: H x W x 3 (or x 1), display values; clipped to [0, 1].
+    """
+    pixels = (color.clip(display.detach().float()) * 255).round().to(torch.uint8)
+    pixels = pixels.expand(*pixels.shape[:2], 3).flip(-1).contiguous().numpy()  # OpenCV writes BGR
+    return "data:image/png;base64," + base64.b64encode(cv2.imencode(".png", pixels)[1].tobytes()).decode()
+
+
+def picture_uri(display: Tensor, exact_up_to: int = 64 * 1024) -> str:
+    """A picture for ``<img src>``, exact as :func:`png_uri` makes it while that is small, else a JPEG of quality 85.
+
+    Args:
+        display: H x W x 3 (or x 1), display values; clipped to [0, 1].
+        exact_up_to: bytes that the PNG may have.
+    """
+    exact = png_uri(display)
+    if len(exact) < 4 / 3 * exact_up_to:
+        return exact
+    pixels = np.rint(color.clip(display.detach().float()).expand(*display.shape[:2], 3).numpy() * 255).astype(np.uint8)
+    ok, data = cv2.imencode(".jpg", np.ascontiguousarray(pixels[..., ::-1]), [
+        cv2.IMWRITE_JPEG_QUALITY, 85, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444])
+    assert ok
+    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
+
+
+def at_most(picture: Tensor, side: int) -> Tensor:
+    """A picture H x W x C area-averaged so that no side is longer than this many pixels."""
+    height, width = picture.shape[:2]
+    if max(height, width) <= side:
+        return picture
+    size = [max(1, round(length * side / max(height, width))) for length in (height, width)]
+    return F.adaptive_avg_pool2d(picture.permute(2, 0, 1), size).permute(1, 2, 0)
+
+
+def error_picture(error: Tensor, high: float, low: float | None = None) -> Tensor:
+    """Sizes of an error in the colours of matplotlib's ``magma``, log scale, H x W x 3 display values.
+
+    Args:
+        error: H x W, not negative.
+        high: the value shown brightest.
+        low: the value shown black; left out: ``high`` / 1e4.
+    """
+    low = low or high / 1e4
+    share = (torch.log(error.double().clamp_min(1e-300) / low) / math.log(high / low)).clamp(0, 1)
+    share = torch.where(torch.isfinite(error), share, torch.ones_like(share))
+    return torch.as_tensor(matplotlib.colormaps["magma"](share.numpy())[..., :3], dtype=torch.float32)

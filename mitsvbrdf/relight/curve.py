@@ -1,0 +1,64 @@
+"""The error of renders over time, as a picture."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+
+from ..pages.canvas import PlainNumbers
+from ..system import files
+
+INK, QUIET, TARGET = "#c2571a", "#9aa0a8", "#2a6fb0"
+
+
+def error_curve(path: str | Path, curves: Sequence[Sequence[Mapping]], target: float | None = None, title: str = "") -> None:
+    """An SVG of the estimated error against seconds, one line a frame, both axes logarithmic.
+
+    The target is a dashed line; a dotted one falls as the root of time through the end of the last frame's.
+
+    Args:
+        path: the SVG to write or replace.
+        curves: of each frame, points with ``seconds`` > 0 and ``error``; points whose error is 0 are left out.
+        target: the error asked for.
+        title: the heading.
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    figure = Figure(figsize=(6.4, 3.4), layout="constrained")
+    axes = figure.subplots()
+    lines = [[(p["seconds"], p["error"]) for p in curve if p["seconds"] > 0 and p["error"] > 0] for curve in curves]
+    lines = [line for line in lines if line]
+    alone = len(lines) == 1
+    for number, line in enumerate(lines):
+        axes.plot(*zip(*line), color=INK, linewidth=1.8 if alone else 0.8, alpha=1 if alone else 0.5, marker="o", markersize=3,
+                  label=None if number else "estimated error" if alone else f"estimated error, {len(lines)} frames")
+    if lines:
+        t, e = lines[-1][-1]  # the first frame also compiles
+        ends = np.array([min(x for line in lines for x, _ in line), max(x for line in lines for x, _ in line)])
+        axes.plot(ends, e * np.sqrt(t / ends), color=QUIET, linewidth=1, linestyle=":", label="1 / \N{SQUARE ROOT}seconds")
+        axes.set(xscale="log", yscale="log")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter(PlainNumbers())
+            axis.set_minor_formatter(PlainNumbers())
+    if target:
+        axes.axhline(target, color=TARGET, linewidth=1, linestyle="--", label=f"target {target:g}")
+    axes.set_title(title, loc="left", fontsize=9)
+    axes.set_xlabel("seconds", fontsize=8)
+    axes.set_ylabel("RMSE in display values", fontsize=8)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.grid(True, which="major", color="#e3e5e8", linewidth=0.6)
+    axes.tick_params(labelsize=7, which="both", color="#9aa0a8")
+    if lines or target:
+        axes.legend(fontsize=7, frameon=False)
+    data = io.BytesIO()
+    # Text stays text, and the same curves give the same file.
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "mitsvbrdf"}):
+        FigureCanvasSVG(figure).print_svg(data, metadata={"Date": None})
+    files.write_bytes(Path(path), data.getvalue())

@@ -1,0 +1,142 @@
+"""What a fit's page says beyond ``fit.json``: photos left out, checks of the renderer on this very material, what was saved."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from .. import color
+from ..errors import BackendError
+from ..material.maps import SVBRDF
+from ..measure.gradients import fixed_cotangent
+from ..measure.metrics import image_error
+from ..render import Renderer, make_renderer
+from ..render.needs import Needs
+from ..system.provenance import machine, versions
+from ..system.timing import side_by_side
+from ..verify.crosscheck import crosscheck
+from ..verify.stability.conditioning import condition, jacobian
+from ..views import Views
+
+SCHEMA_VERSION = 1
+QUICK_SIDE, QUICK_VIEWS = 64, 2  # what a fit checks beside its own work: below half a second
+LARGEST, MOST_VIEWS = 256, 25  # texels a side; errors and ratios hardly hang on it. Float64 takes 50 MB a view
+CONDITION_SIDE = 16
+RENDERERS = ("mitsuba", "mitsuba-scene", "analytic")
+
+Report = Callable[[str, float], object]
+
+
+def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names: Sequence[str], transfer: color.Transfer,
+               fixed: Sequence[str] = (), grey_specular: bool = False, quick: bool = False,
+               report: Report = lambda text, share: None) -> dict:
+    """Measure renderers on fitted maps, in the views of the fit.
+
+    Args:
+        svbrdf: the fitted material, float32.
+        views: N views as fitted.
+        renderer: of the fit; None, for one that is not ours, measures nothing that needs it.
+        names: of the photos, one for each view.
+        transfer: how display values encode light.
+        fixed: names of the maps that were held fixed.
+        grey_specular: whether the fit had one specular level instead of three channels.
+        quick: check the fit's renderer alone, at 64 px in two views, and time nothing; else at 256 px at most, in 25 views at
+            most, evenly chosen.
+        report: told what is going on and the share done.
+
+    Returns:
+        A record for JSON: ``quick``, ``maps`` (``low``, ``high``, ``mean`` of each), ``condition``, ``crosscheck``, ``saved``,
+        ``machine``, ``versions``; docs/formats.md explains them.
+    """
+    engines = [] if renderer is None else [renderer]
+    if not quick:
+        engines += [other for name in RENDERERS if renderer is None or name != renderer.name
+                    for other in _available(name, renderer)]
+    side = min(QUICK_SIDE if quick else LARGEST, svbrdf.resolution)
+    every = 1 if quick else math.ceil(len(views) / MOST_VIEWS)
+    chosen = range(0, len(views), every)[:QUICK_VIEWS if quick else None]
+    shown = views.pick(chosen)
+    maps = {name: {"low": float(t.min()), "high": float(t.max()), "mean": float(t.mean())} for name, t in svbrdf.maps.items()}
+    checked = None if not engines else crosscheck(
+        {"fit": svbrdf.resized(side)}, shown, [svbrdf.bsdf], engines, 1 if quick else 5, names=[names[k] for k in chosen],
+        transfer=transfer, report=lambda text, share: report("renderers against float64", 0.7 * share))
+    saved = None if quick or renderer is None else _saved(
+        svbrdf.resized(side), shown, renderer, fixed, grey_specular, lambda share: report("what was saved", 0.7 + 0.3 * share))
+    return {"schema_version": SCHEMA_VERSION, "quick": quick, "maps": maps, "condition": _condition(svbrdf, views, transfer),
+            "crosscheck": checked and _figures(checked, timed=not quick), "saved": saved, "machine": machine(),
+            "versions": versions()}
+
+
+def _available(name: str, beside: Renderer | None) -> list[Renderer]:
+    """The renderer of this name, or none where Mitsuba or libLLVM is missing."""
+    try:
+        return [make_renderer(name, (beside and beside.variant) or "llvm_ad_rgb")]
+    except BackendError:
+        return []
+
+
+def _condition(svbrdf: SVBRDF, views: Views, transfer: color.Transfer) -> dict:
+    side = min(CONDITION_SIDE, svbrdf.resolution)
+    slopes = jacobian(make_renderer("analytic64"), svbrdf.resized(side).to(torch.float64), views,
+                      partial(color.encode, transfer=transfer))
+    return condition(slopes) | {"resolution": side}
+
+
+def _figures(record: dict, timed: bool) -> dict:
+    """Of a cross-check of one material, what a page shows."""
+    (about,), rows = record["materials"].values(), []
+    for found in record["configurations"]:
+        for texels in ("rough", "smooth"):
+            if found[texels]:
+                part = found[texels]
+                rows.append({"renderer": found["renderer"], "texels": texels, "count": part["texels"], "image": part["image"],
+                             "gradients": {name: {"relative_l2": g["relative_l2"], "cosine": g["cosine"]}
+                                           for name, g in part["gradients"].items()},
+                             "limit": part["limit"], "seconds": found["seconds"] if timed else None})
+    return {"reference": record["reference"], "resolution": about["resolution"], "views": record["views"]["names"],
+            "rough_from": record["rough_from"], "tolerances": record["tolerances"], "rows": rows,
+            "violations": [{name: v[name] for name in ("renderer", "what", "value", "tolerance", "limit")}
+                           for v in record["violations"]]}
+
+
+def _saved(svbrdf: SVBRDF, views: Views, renderer: Renderer, fixed: Sequence[str], grey_specular: bool,
+           report: Callable[[float], object], repeats: int = 5) -> dict:
+    """Forward and backward with everything computed, and with what the fit's material needs, in turn.
+
+    ``difference`` is the worst relative one between the picture of a row and that of the last row, the leanest.
+    """
+    every = tuple(svbrdf.maps)
+    wanted = tuple(name for name in every if name not in fixed)
+    rows = [("everything, traced", "mitsuba-scene", every, Needs(), False)] if renderer.name in RENDERERS[:2] else []
+    rows += [("everything", renderer.name, every, Needs(), False)] if renderer.name != "mitsuba-scene" else []
+    rows += [("what this fit needs", renderer.name, wanted, None, grey_specular)]
+    jobs = {what: _pass(make_renderer(name, renderer.variant or "llvm_ad_rgb", needs), svbrdf, views, maps, grey)
+            for what, name, maps, needs, grey in rows}
+    images = {what: job() for what, job in jobs.items()}
+    lean = rows[-1][0]
+    seconds = side_by_side(jobs, repeats)
+    report(1.0)
+    return {"resolution": svbrdf.resolution, "views": len(views), "rows": [
+        {"what": what, "renderer": name, "seconds": seconds[what],
+         "ratio": seconds[what]["median"] / seconds[lean]["median"],
+         "difference": None if what == lean else image_error(images[what], images[lean])["worst"]}
+        for what, name, *_ in rows]}
+
+
+def _pass(engine: Renderer, svbrdf: SVBRDF, views: Views, wanted: Sequence[str], grey_specular: bool) -> Callable[[], Tensor]:
+    def forward_and_backward() -> Tensor:
+        leaves: Mapping[str, Tensor] = {name: value.detach().clone().requires_grad_(name in wanted)
+                                        for name, value in svbrdf.maps.items()}
+        if grey_specular and "specular" in wanted:
+            one = svbrdf["specular"][..., :1].detach().clone().requires_grad_()
+            leaves = {**leaves, "specular": one.expand_as(svbrdf["specular"])}
+        image = engine.render(SVBRDF(svbrdf.bsdf, leaves), views)
+        if image.requires_grad:  # not where all maps were held fixed
+            image.backward(fixed_cotangent(image.shape))
+        return image.detach()
+
+    return forward_and_backward

@@ -1,0 +1,136 @@
+"""The HTTP server of the live page: this machine alone, a handful of addresses, nothing to write to."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import secrets
+import sys
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+from ...errors import ConfigError
+from ...pages.page import page_text
+from .watch import REPORT, SHEET, Watch
+
+ADDRESS = "127.0.0.1"
+PORT = 8350  # the same each time, so that an open tab or a forwarded port finds the next server too
+NAMES = ("127.0.0.1", "localhost", "[::1]")  # what this machine is called; forwarding a port may change its number
+OURS = "default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'; connect-src 'self'; frame-src 'self'; " \
+       "script-src 'nonce-{nonce}'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+# A report is one file: whatever it holds, it asks nobody for anything.
+REPORTS = "default-src 'none'; script-src 'unsafe-inline' blob:; style-src 'unsafe-inline'; img-src data: blob:; " \
+          "media-src data: blob:; font-src data:; connect-src data: blob:; worker-src blob:; base-uri 'none'; " \
+          "form-action 'none'; frame-ancestors 'self'"
+
+
+class Server(ThreadingHTTPServer):
+    """Serves one :class:`Watch`; made by :func:`make_server`."""
+
+    daemon_threads = True
+    allow_reuse_address = os.name != "nt"  # where Windows would let two servers share a port
+
+    def __init__(self, watch: Watch, port: int) -> None:
+        self.watch = watch
+        super().__init__((ADDRESS, port), Handler)
+
+    @property
+    def url(self) -> str:
+        return f"http://{ADDRESS}:{self.server_address[1]}/"
+
+    def handle_error(self, request, client_address) -> None:
+        """A browser that hangs up, or falls asleep over an answer, is no error."""
+        if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
+            super().handle_error(request, client_address)
+
+
+def make_server(watch: Watch, port: int | None = None) -> Server:
+    """A server that listens already; ``serve_forever`` answers, ``server_close`` ends it.
+
+    Args:
+        watch: what to serve.
+        port: left out, :data:`PORT`, or a free one where that is taken; 0: a free one.
+
+    Raises:
+        ConfigError: a port that is taken, not allowed or none.
+    """
+    if port is not None and not 0 <= port < 65536:
+        raise ConfigError("--port from 0 to 65535", str(port), "leave it out")
+    try:
+        return Server(watch, PORT if port is None else port)
+    except OSError as reason:
+        if port is None:
+            return Server(watch, 0)
+        raise ConfigError(f"port {port} to be free", reason.strerror or str(reason),
+                          "leave --port out, or name another one") from None
+
+
+class Handler(BaseHTTPRequestHandler):
+    """Answers GET and HEAD for the addresses of :meth:`answer`; no part of a request is ever used as a path."""
+
+    server: Server
+    server_version, sys_version = "mitsvbrdf", ""
+    timeout = 60  # seconds for a request to arrive; each has a connection of its own
+
+    def do_GET(self) -> None:
+        if self.named_here():
+            self.answer(self.path.partition("?")[0])
+
+    do_HEAD = do_GET
+
+    def refuse(self) -> None:
+        if self.named_here():
+            self.reply(405, b"only GET\n", "text/plain", {"Allow": "GET, HEAD"})
+
+    do_POST = do_PUT = do_DELETE = do_PATCH = do_OPTIONS = refuse
+
+    def named_here(self) -> bool:
+        """Whether the request was meant for this machine: a foreign name that leads here is an attack (DNS rebinding)."""
+        hosts = self.headers.get_all("Host", [])
+        name = hosts[0].lower() if len(hosts) == 1 else ""
+        if name in NAMES or name.rpartition(":")[0] in NAMES:
+            return True
+        self.reply(403, b"served as 127.0.0.1 and localhost only\n", "text/plain", {})
+        return False
+
+    def answer(self, path: str) -> None:
+        watch = self.server.watch
+        if path == "/":
+            nonce = secrets.token_urlsafe(16)
+            page = page_text("live.html", title=watch.out.name or "mitsvbrdf", nonce=nonce).encode()
+            return self.reply(200, page, "text/html; charset=utf-8", {"Content-Security-Policy": OURS.format(nonce=nonce)})
+        if path == "/state.json":
+            state = json.dumps(watch.state(), allow_nan=False).encode()
+            tag = f'"{hashlib.sha256(state).hexdigest()[:32]}"'
+            same = self.headers.get("If-None-Match") == tag
+            return self.reply(304 if same else 200, b"" if same else state, "application/json", {"ETag": tag})
+        if path == f"/{REPORT}":
+            return self.file(REPORT, "text/html; charset=utf-8", {"Content-Security-Policy": REPORTS})
+        if path == f"/{SHEET}":
+            return self.file(SHEET, "image/png", {})
+        name = path.removeprefix("/maps/").removesuffix(".png")
+        picture = watch.picture(name) if path == f"/maps/{name}.png" else None
+        if picture is None:
+            return self.reply(404, b"not here\n", "text/plain", {})
+        return self.reply(200, picture, "image/png", {})
+
+    def file(self, name: str, kind: str, headers: dict[str, str]) -> None:
+        try:
+            content = (self.server.watch.out / name).read_bytes()
+        except OSError:
+            return self.reply(404, b"not here now\n", "text/plain", {})
+        return self.reply(200, content, kind, headers)
+
+    def reply(self, status: int, content: bytes, kind: str, headers: dict[str, str]) -> None:
+        self.send_response(status)
+        for name, value in {"Content-Type": kind, "Content-Length": str(len(content)), "Cache-Control": "no-store",
+                            "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
+                            "Cross-Origin-Resource-Policy": "same-origin", **headers}.items():
+            if status != 304 or name not in ("Content-Type", "Content-Length"):
+                self.send_header(name, value)
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(content)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Quiet: the terminal is for what the user should know."""

@@ -1,0 +1,5 @@
+"""Simulated photos of known maps."""
+
+from .photograph import photograph
+
+__all__ = ["photograph"]

@@ -1,0 +1,159 @@
+"""A simulated phone: raw photos of known maps, taken by hand, to test on what the road from a phone to maps brings back.
+
+What it has of a phone: a lens with distortion, vignetting and a principal point off the middle, a flash beside it, one
+manual exposure, noise, 8 bits, JPEG and EXIF. What it has not: a mosaic of colours, sharpening, noise reduction, local
+tone curves, a focus that changes the lens, a lens that follows another model than :mod:`mitsvbrdf.capture.lens`. Errors
+measured on it are therefore those of noise, resolution and method, not of a model that does not fit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, get_args
+
+import numpy as np
+
+from ..capture.align.sheet import Sheet
+from ..capture.lens import Lens, Pose, project
+from ..errors import ConfigError
+from ..views import nine_view_grid
+
+Spoil = Literal["blurred", "finger", "noflash", "duplicate", "rotated", "unrelated"]
+
+WITHOUT_SHEET = 24.0  # cm, the sample's side
+SEEN = 0.48  # of the sample, the patch that poses are meant for where no sheet says; 11.5 cm
+DIAGONAL_35MM = math.hypot(36, 24)
+
+
+@dataclass(frozen=True)
+class HandheldPhone:
+    """A phone, the hand that holds it, and what lies under it. Lengths in cm, angles in degrees."""
+
+    megapixels: float = 12.0
+    """Size of the photos, 4 : 3; 12 is 4032 x 3024."""
+    photos: int = 9
+    """How many photos, from positions like those of the nine-view grid."""
+    sheet: float | None = None
+    """Size of the sheet of tags that lies on the material, over the tags' outer edges; left out: no sheet."""
+    depth: float = 0.02
+    """Of the material under the sheet: 0.02 is paper."""
+    side: float | None = None
+    """Side of the sample; left out: 24, or that of the sheet."""
+    focal_35mm: float = 26.4
+    """35 mm equivalent focal length, by the diagonal; EXIF rounds it to whole millimetres."""
+    centre: tuple[float, float] = (6.0, -5.0)
+    """Principal point from the middle, in pixels of a photo of 12 megapixels."""
+    distortion: tuple[float, float] = (0.06, -0.04)
+    """k1 and k2 of the lens."""
+    vignetting: tuple[float, float] = (-0.25, 0.05)
+    """v1 and v2 of the lens."""
+    flash: tuple[float, float, float] = (1.5, 0.4, 0.0)
+    """Of the light from the lens: right and down in the photo as stored, and forward."""
+    tilt: float = 12.0
+    """Largest angle between view and vertical."""
+    grain: float = 1.0
+    """Noise, over that of a phone in good light; 0: none."""
+    jpeg: int = 92
+    """Quality of the JPEG files; 0: PNG."""
+    seed: int = 0
+    """Of positions, turns, aims and noise."""
+
+    def check(self) -> None:
+        """Raise ConfigError for an option out of range."""
+        numbers = [("megapixels from 0.05 to 100", self.megapixels, 0.05, 100), ("1 to 999 photos", self.photos, 1, 999),
+                   ("a sheet of 5 to 100 cm", self.sheet, 5, 100), ("a depth of 0 to 5 cm", self.depth, 0, 5),
+                   ("a side of 5 to 200 cm", self.side, 5, 200), ("a focal length of 10 to 200 mm", self.focal_35mm, 10, 200),
+                   ("a tilt of 1 to 40 degrees", self.tilt, 1, 40), ("grain from 0 to 100", self.grain, 0, 100),
+                   ("a JPEG quality of 0 to 100", self.jpeg, 0, 100)]
+        for wanted, value, low, high in numbers:
+            if value is not None and not low <= value <= high:
+                raise ConfigError(wanted, str(value), "choose a value in this range")
+        if self.sheet and self.side and self.side < Sheet(self.sheet).hole:
+            raise ConfigError(f"a side of {Sheet(self.sheet).hole:g} cm or more, the sheet's hole", f"{self.side:g}",
+                              "leave it out")
+
+    @property
+    def lens(self) -> Lens:
+        """The lens, for photos of this size."""
+        scale = math.sqrt(self.megapixels / 12)
+        unit = round(1008 * scale)
+        centre = (4 * unit - 1) / 2 + self.centre[0] * scale, (3 * unit - 1) / 2 + self.centre[1] * scale
+        focal = self.focal_35mm / DIAGONAL_35MM * 5 * unit
+        return Lens((4 * unit, 3 * unit), focal, centre, self.distortion, self.vignetting, self.flash)
+
+    @property
+    def sample(self) -> float:
+        """Side of the sample, cm."""
+        return self.side or (Sheet(self.sheet).outer if self.sheet else WITHOUT_SHEET)
+
+    @property
+    def patch(self) -> float:
+        """Side of the square that every photo is meant to show, cm."""
+        return Sheet(self.sheet).patch if self.sheet else SEEN * self.sample
+
+
+@dataclass(frozen=True)
+class Shot:
+    """What one photo is to be: its file, where the phone is, what is wrong with it, and its EXIF orientation."""
+
+    name: str
+    pose: Pose
+    kind: Spoil | None = None
+    orientation: int = 1
+    of: str | None = field(default=None)
+
+
+def shots(phone: HandheldPhone, poses: Sequence[Pose] | None = None, spoil: Sequence[Spoil] = ()) -> list[Shot]:
+    """The photos to take: good ones first, then one for each way to spoil one; file names tell nothing.
+
+    Args:
+        phone: the phone.
+        poses: of the good photos, instead of those of :func:`handheld_poses`.
+        spoil: kinds, each at most once.
+
+    Raises:
+        ConfigError: an unknown kind, or one given twice.
+    """
+    unknown = [kind for kind in spoil if kind not in get_args(Spoil)]
+    if unknown or len(set(spoil)) < len(spoil):
+        raise ConfigError(f"kinds of {get_args(Spoil)}, each once", ", ".join(unknown or spoil), "choose from these")
+    suffix = "jpg" if phone.jpeg else "png"
+    drawn = handheld_poses(phone, (phone.photos if poses is None else 0) + len(spoil))
+    good = drawn[: phone.photos] if poses is None else list(poses)
+    found = [Shot(f"IMG_{i + 1:04d}.{suffix}", pose) for i, pose in enumerate(good)]
+    copied = found[min(2, len(found) - 1)]
+    for kind, pose in zip(spoil, drawn[len(drawn) - len(spoil) :]):
+        name = f"IMG_{len(found) + 1:04d}.{suffix}"
+        if kind == "duplicate":
+            found.append(replace(copied, name=name, kind=kind, of=copied.name))
+        elif kind == "rotated":  # the phone upright: its flash turns with it, and EXIF says so
+            quarter = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+            found.append(Shot(name, Pose(pose.position, quarter @ pose.rotation), kind, 6))
+        else:
+            found.append(Shot(name, pose, kind))
+    return found
+
+
+def handheld_poses(phone: HandheldPhone, count: int) -> list[Pose]:
+    """Where a hand would hold the phone: near the nine-view grid, aimed roughly at the middle, a little turned.
+
+    The patch, and all of the sheet where there is one, is within each photo; the phone is held higher where it would not be.
+    """
+    rng, lens = np.random.default_rng([phone.seed, 1]), phone.lens
+    half = (Sheet(phone.sheet).outer if phone.sheet else phone.patch) / 2
+    square = np.array([[x, y, 0.0] for x, y in ((-half, -half), (half, -half), (half, half), (-half, half))])
+    grid, found = nine_view_grid().camera.numpy(), []
+    for i in range(count):
+        higher = 1.0
+        while True:
+            position = (grid[i % len(grid)] + rng.normal(0, 0.04, 3)) * phone.patch * (1, 1, higher)
+            aim = np.append(position[:2] * rng.uniform(0, 1) + rng.normal(0, 0.06, 2) * phone.patch, 0.0)
+            pose = Pose.looking_at(position, aim, math.radians(rng.normal(0, 4)))
+            seen = project(lens, pose, square) / lens.size
+            if -pose.rotation[2, 2] >= math.cos(math.radians(phone.tilt)) and seen.min() > 0.01 and seen.max() < 0.99:
+                break
+            higher += 0.005
+        found.append(pose)
+    return found

@@ -1,0 +1,29 @@
+"""Photos of known maps, to test fits on."""
+
+from __future__ import annotations
+
+import torch
+
+from .. import color
+from ..capture.capture import Capture
+from ..material.maps import SVBRDF
+from ..views import Views
+
+
+def photograph(svbrdf: SVBRDF, views: Views, renderer, noise: float = 0.0, seed: int = 0,
+               transfer: color.Transfer = "gamma2.2") -> Capture:
+    """What a camera would store of a material: 8 bits, clipped, with sensor noise.
+
+    Args:
+        svbrdf: the material.
+        views: camera, light and intensity of each photo.
+        renderer: a :class:`mitsvbrdf.render.Renderer`.
+        noise: standard deviation of normally distributed noise, in linear radiance.
+        seed: of the noise.
+        transfer: how the photos encode radiance.
+    """
+    with torch.no_grad():
+        radiance = renderer.render(svbrdf, views).float()
+    grain = torch.randn(radiance.shape, generator=torch.Generator().manual_seed(seed))
+    photos = color.to_display((radiance + noise * grain).clamp_min(0), transfer)
+    return Capture((photos * 255).round() / 255, views, transfer)

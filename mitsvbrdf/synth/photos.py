@@ -1,0 +1,170 @@
+"""Photos of a simulated phone, and what spoils them."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from .. import color
+from ..capture.align.sheet import Sheet
+from ..capture.lens import Lens, Pose
+from ..capture.rig import Rig, rig_to_json
+from ..material.made import make_material
+from ..material.map_files import save_maps
+from ..material.maps import SVBRDF
+from ..system import files
+from .phone import DIAGONAL_35MM, HandheldPhone, Shot, Spoil, shots
+
+USABLE = ("rotated",)  # an odd photo that nothing is wrong with
+SENSOR_DIAGONAL = 9.5  # mm
+FROM_METER = 0.1  # megapixels of the photo that the exposure is measured on
+BRIGHTNESS, CLIPPED = 0.25, 0.02  # mean radiance of the first photo, and share of its values that may be clipped
+READ, SHOT = 0.001, 2e-4  # noise: standard deviation at black, and variance over radiance (5000 electrons are white)
+AMBIENT = 0.35  # radiance of the room in a photo without flash
+FINGER = (0.05, 0.012, 0.008)  # radiance of a finger on the lens
+OTHER, OTHER_SEED = "leather", 7  # what an unrelated photo shows
+
+
+def handheld_photos(svbrdf: SVBRDF, phone: HandheldPhone, renderer, poses: Sequence[Pose] | None = None,
+                    spoil: Sequence[Spoil] = ()) -> tuple[Iterator[tuple[Shot, NDArray[np.uint8]]], dict[str, Any]]:
+    """Photos of a material, each taken when it is asked for, and the truth about them.
+
+    Args:
+        svbrdf: the material, over the whole sample.
+        phone: the phone.
+        renderer: :class:`mitsvbrdf.render.handheld.HandheldRenderer`, or what makes one like it.
+        poses: of the good photos; left out: held by hand.
+        spoil: extra photos that something is odd about.
+
+    Returns:
+        The photos, H x W x 3 display values (sRGB, 8 bits), and what ``truth.json`` says: ``rig`` (see
+        :func:`mitsvbrdf.capture.rig.rig_to_json`, of all photos, in cm), ``intensity`` of the flash (a white diffuse texel
+        has the radiance I cos / (pi d^2), d in cm, where radiance 1 is display value 1), ``falloff``, ``transfer``,
+        ``sample_cm``, ``sheet_cm``, ``depth_cm``, ``spoiled`` by name of the photo, and the ``phone``.
+
+    Raises:
+        ConfigError: an option out of range.
+    """
+    phone.check()
+    plan, lens = shots(phone, poses, spoil), phone.lens
+    sheet = Sheet(phone.sheet) if phone.sheet else None
+    scene = renderer(svbrdf, phone.sample, sheet, phone.depth)
+    power = _metered(scene, phone, plan[0].pose)
+
+    def take() -> Iterator[tuple[Shot, NDArray[np.uint8]]]:
+        for number, shot in enumerate(plan):
+            here = scene
+            if shot.kind == "unrelated":
+                here = renderer(make_material(OTHER, 512, OTHER_SEED), phone.sample, None, 0.0)
+            light = {"ambient": AMBIENT} if shot.kind == "noflash" else {"intensity": power}
+            radiance = spoiled(here.render(lens, shot.pose, seed=number, **light), shot.kind)
+            yield shot, developed(radiance, lens, phone.grain, [phone.seed, 2, number])
+
+    rig = Rig(lens, {shot.name: shot.pose for shot in plan}, phone.patch, "cm", "sheet" if sheet else "photos")
+    odd = {shot.name: {"kind": shot.kind, "usable": shot.kind in USABLE} | ({"of": shot.of} if shot.of else {})
+           for shot in plan if shot.kind}
+    return take(), {"rig": rig_to_json(rig), "intensity": [power] * 3, "falloff": "inverse-square", "transfer": "srgb",
+                    "sample_cm": phone.sample, "sheet_cm": phone.sheet, "depth_cm": phone.depth if sheet else 0.0,
+                    "spoiled": odd, "phone": asdict(phone)}
+
+
+def _metered(scene, phone: HandheldPhone, pose: Pose) -> float:
+    """Intensity of the flash, in display values: the mean of the first photo is right, or fewer of its values are clipped."""
+    lens = replace(phone, megapixels=FROM_METER).lens
+    radiance = scene.render(lens, pose, intensity=1.0) * _transmission(lens, 0, lens.size[1])
+    return float(min(BRIGHTNESS / radiance.mean(), 1 / np.quantile(radiance, 1 - CLIPPED)))
+
+
+def _transmission(lens: Lens, first: int, count: int) -> NDArray[np.float32]:
+    """Of ``count`` rows of pixels, count x W x 1."""
+    columns, rows = np.meshgrid(np.arange(lens.size[0]), np.arange(first, first + count))
+    return lens.transmission(np.stack((columns, rows), axis=-1)).astype(np.float32)[..., None]
+
+
+def spoiled(radiance: NDArray[np.float32], kind: Spoil | None) -> NDArray[np.float32]:
+    """The light that a shaken camera, or one with a finger on its lens, would get; others as they are."""
+    import cv2
+
+    height, width = radiance.shape[:2]
+    if kind == "blurred":  # a hand that moves: a line of 1.5 % of the photo, beside being out of focus
+        length = max(3, round(0.015 * width)) | 1
+        along = cv2.getRotationMatrix2D((length // 2, length // 2), 30, 1)
+        line = np.zeros((length, length), dtype=np.float32)
+        line[length // 2] = 1
+        line = cv2.warpAffine(line, along, (length, length))
+        return cv2.GaussianBlur(cv2.filter2D(radiance, -1, line / line.sum()), (0, 0), 0.002 * width)
+    if kind == "finger":  # an ellipse over the left half with a soft edge
+        y, x = np.mgrid[:height, :width].astype(np.float32) / width
+        middle = height / width / 2
+        reach = np.hypot((x - 0.08) / 0.45, (y - middle) / (1.1 * middle))
+        cover = (1 / (1 + np.exp((reach - 1) * 25)))[..., None].astype(np.float32)
+        return radiance * (1 - cover) + cover * np.array(FINGER, dtype=np.float32)
+    return radiance
+
+
+def developed(radiance: NDArray[np.float32], lens: Lens, noise: float = 1.0, seed: int | Sequence[int] = 0
+              ) -> NDArray[np.uint8]:
+    """Radiance at the lens as the phone stores it: vignetting, noise of light and sensor, clipping, sRGB, 8 bits.
+
+    Args:
+        radiance: H x W x 3, where 1 is white.
+        lens: whose vignetting counts.
+        noise: of a phone's sensor, how much.
+        seed: of the noise.
+    """
+    out, rng = np.empty(radiance.shape, dtype=np.uint8), np.random.default_rng(seed)
+    for first in range(0, len(out), 256):  # rows: memory stays small
+        rows = slice(first, first + 256)
+        light = radiance[rows] * _transmission(lens, first, len(radiance[rows]))
+        if noise:
+            grain = rng.standard_normal(light.shape, dtype=np.float32)
+            light = light + noise * np.sqrt(READ**2 + SHOT * light) * grain
+        display = color.to_display(torch.from_numpy(light).clamp_min(0), "srgb")
+        out[rows] = (display * 255).round().numpy().astype(np.uint8)
+    return out
+
+
+def write_photo(path: Path, pixels: NDArray[np.uint8], phone: HandheldPhone, shot: Shot) -> None:
+    """A JPEG (or PNG) file with the EXIF of a phone."""
+    from PIL import Image
+    from PIL.TiffImagePlugin import IFDRational
+
+    exif = Image.Exif()
+    exif[0x0112] = shot.orientation
+    focal = IFDRational(round(phone.focal_35mm / DIAGONAL_35MM * SENSOR_DIAGONAL * 100), 100)
+    exif.get_ifd(0x8769).update({0x829A: IFDRational(1, 60), 0x8827: 100, 0x9209: 0x10 if shot.kind == "noflash" else 0x09,
+                                 0x920A: focal, 0xA405: round(phone.focal_35mm)})
+    data = io.BytesIO()
+    options = {"format": "JPEG", "quality": phone.jpeg} if phone.jpeg else {"format": "PNG"}
+    Image.fromarray(pixels).save(data, exif=exif, **options)
+    files.write_bytes(path, data.getvalue())
+
+
+def write_handheld(svbrdf: SVBRDF, phone: HandheldPhone, renderer, folder: Path, spoil: Sequence[Spoil] = (),
+                   poses: Sequence[Pose] | None = None, report=None, **about: object) -> dict[str, Any]:
+    """Take the photos of :func:`handheld_photos` and write them, ``truth/truth.json`` and the sample's maps ``truth/maps``.
+
+    Args:
+        folder: for the photos.
+        report: is told (done, of how many) after each photo.
+        about: more fields for truth.json.
+
+    Returns:
+        The truth.
+    """
+    folder = Path(folder)
+    photos, truth = handheld_photos(svbrdf, phone, renderer, poses, spoil)
+    for done, (shot, pixels) in enumerate(photos, 1):
+        write_photo(folder / shot.name, pixels, phone, shot)
+        if report:
+            report(done, len(truth["rig"]["poses"]))
+    save_maps(svbrdf, folder / "truth" / "maps")
+    files.write_json(folder / "truth" / "truth.json", truth | about)
+    return truth | about

@@ -1,0 +1,199 @@
+"""What a phone's camera sees of a flat material on a table, traced by Mitsuba: no photo is warped, each ray goes where the
+lens bends it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..material.maps import SVBRDF
+from ..render.bsdf import needed_maps, plugin, slot_values
+from ..render.llvm import mitsuba_module
+from ..render.needs import material_needs
+from ..render.plugins import INTEGRATOR, NORMAL_MAP, register
+
+CAMERA = "lens_camera"
+NEWTON = 8  # steps from a bent to a straight ray; five reach float32's last digit for phones
+MOST_RAYS = 2**22  # at once: about 1 GB
+TABLE, TABLE_ALBEDO = 200.0, 0.2  # side in cm
+BELOW = 0.3  # the table under the sample, cm
+PICTURE = 3040  # pixels along the sheet's picture, 40 a cell of its tags
+PAPER, INK = 0.8, 0.04  # albedo
+AMBIENT_SAMPLES = 16  # samples a pixel where light comes from everywhere
+
+
+class HandheldRenderer:
+    """Photos of a square sample in z = 0, centred at the origin, on a grey table, lit by a flash or from everywhere.
+
+    The maps are read bilinearly. Light arrives straight from the flash, with shadows; light reflected twice is left out.
+
+    Args:
+        svbrdf: the material.
+        side: of the sample in cm.
+        sheet: a :class:`mitsvbrdf.capture.sheet.Sheet` that lies on it, or None.
+        depth: of the sample under the sheet in cm.
+        samples: rays a pixel, stratified and jittered: 1, 4, 16, ...
+        variant: the Mitsuba variant.
+
+    Raises:
+        BackendError: Mitsuba, the variant or libLLVM is missing.
+    """
+
+    def __init__(self, svbrdf: SVBRDF, side: float, sheet=None, depth: float = 0.0, samples: int = 4,
+                 variant: str = "llvm_ad_rgb") -> None:
+        self.variant, self.samples = variant, samples
+        mi = self.mi = mitsuba_module(variant)
+        register(mi)
+        _register(mi.variant())
+        shapes = _sample(mi, svbrdf, side) | _surroundings(mi, side) | (_paper(mi, sheet, depth) if sheet else {})
+        self._shapes = {name: mi.load_dict(shape) for name, shape in shapes.items()}
+        self._scenes: dict[tuple, object] = {}
+
+    def render(self, lens, pose, intensity: float = 0.0, ambient: float = 0.0, seed: int = 0) -> NDArray[np.float32]:
+        """Linear radiance H x W x 3 at the lens, before its vignetting; each pixel the average over its area.
+
+        Args:
+            lens: a :class:`mitsvbrdf.capture.lens.Lens`, lengths in cm.
+            pose: a :class:`mitsvbrdf.capture.lens.Pose`.
+            intensity: radiant intensity of the flash: a white diffuse texel has radiance I cos / (pi d^2), d in cm.
+            ambient: radiance of surroundings that are everywhere the same, instead of the flash.
+            seed: of the jitter.
+        """
+        import drjit as dr
+
+        mi = mitsuba_module(self.variant)
+        samples = max(self.samples, AMBIENT_SAMPLES) if ambient else self.samples
+        width, height = lens.size
+        rows = min(height, max(1, MOST_RAYS // (width * samples)))
+        scene, held = self._scene(width, rows, bool(ambient), samples)
+        sensor = scene.sensors()[0]
+        opaque = lambda value: dr.opaque(mi.Float, float(value))  # noqa: E731 - a number that is not compiled in
+        sensor.set(lens, pose, opaque)
+        if ambient:
+            held["ambient.radiance.value"] = dr.opaque(mi.Color3f, ambient)
+        else:
+            held["flash.position"] = mi.Point3f(*(opaque(x) for x in pose.flash(lens)))
+            held["flash.intensity.value"] = dr.opaque(mi.Color3f, intensity)
+        held.update()
+        out = np.empty((height, width, 3), dtype=np.float32)
+        for block, first in enumerate(range(0, height, rows)):
+            first = min(first, height - rows)  # the last block overlaps: all have one size, and so one kernel
+            sensor.first = opaque(first)
+            image = scene.integrator().render(scene, sensor, seed=seed * 65536 + block, spp=samples)
+            out[first : first + rows] = np.array(image)
+        return out
+
+    def _scene(self, width: int, rows: int, ambient: bool, samples: int):
+        key = (width, rows, ambient, samples)
+        if key not in self._scenes:
+            rgb = {"type": "rgb", "value": 1.0}
+            light = ({"ambient": {"type": "constant", "radiance": rgb}} if ambient else
+                     {"flash": {"type": "point", "position": [0.0, 0.0, 1.0], "intensity": rgb}})
+            # Surroundings that are everywhere the same are found without noise by the rays that a diffuse texel sends out.
+            integrator = ({"type": "direct", "emitter_samples": 0, "bsdf_samples": 1} if ambient else
+                          {"type": INTEGRATOR, "shadow_rays": True, "bounces": 0, "environment": False})
+            scene = self.mi.load_dict({
+                "type": "scene", "integrator": integrator, **light, **self._shapes,
+                "sensor": {"type": CAMERA, "film": {"type": "hdrfilm", "width": width, "height": rows, "pixel_format": "rgb",
+                                                    "component_format": "float32", "rfilter": {"type": "box"}},
+                           "sampler": {"type": "stratified", "sample_count": samples, "jitter": samples > 1}}})
+            self._scenes[key] = scene, self.mi.traverse(scene)
+        return self._scenes[key]
+
+
+def _texture(mi, value):
+    """A float bitmap, read bilinearly; row 0 of ``value`` (H x W x C) is the top."""
+    pixels = np.ascontiguousarray(np.asarray(value, dtype=np.float32)[::-1])  # texture row 0 is v = 0
+    return mi.load_dict({"type": "bitmap", "data": mi.TensorXf(pixels), "raw": True, "filter_type": "bilinear",
+                         "wrap_mode": "clamp"})
+
+
+def _square(mi, side: float, height: float, bsdf: dict) -> dict:
+    to_world = mi.ScalarTransform4f().translate([0, 0, height]).scale([side / 2, side / 2, 1])
+    return {"type": "rectangle", "to_world": to_world, "bsdf": bsdf}
+
+
+def _sample(mi, svbrdf: SVBRDF, side: float) -> dict:
+    svbrdf = svbrdf.detach()
+    needs = material_needs(svbrdf)
+    flat, maps = replace(needs, normal_map=False), needed_maps(svbrdf, needs)
+    slots = slot_values(svbrdf.bsdf, maps, flat)
+    material = plugin(svbrdf.bsdf, flat, lambda slot: _texture(mi, slots[slot].numpy()))
+    if needs.normal_map:
+        material = {"type": NORMAL_MAP, "normals": _texture(mi, maps["normal"].numpy()), "shading": material}
+    return {"sample": _square(mi, side, 0.0, material)}
+
+
+def _surroundings(mi, side: float) -> dict:
+    grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": TABLE_ALBEDO}}
+    return {"table": _square(mi, max(TABLE, 4 * side), -BELOW, grey)}
+
+
+def _paper(mi, sheet, depth: float) -> dict:
+    """Four rectangles around the hole, each with its part of the picture; a mask would cast the hole's shadow too."""
+    picture, _ = sheet.picture(PICTURE / sheet.outer)
+    albedo = INK + (PAPER - INK) * picture.astype(np.float32)[..., None] / 255
+    n, edge = len(albedo), round(len(albedo) * (1 - sheet.hole / sheet.outer) / 2)
+    shapes = {}
+    for name, (left, top, right, bottom) in {"top": (0, 0, n, edge), "bottom": (0, n - edge, n, n),
+                                             "left": (0, edge, edge, n - edge), "right": (n - edge, edge, n, n - edge)}.items():
+        x, y = (np.array([left + right, -top - bottom]) / n + (-1, 1)) * sheet.outer / 2
+        across, up = (np.array([right - left, bottom - top]) / n) * sheet.outer / 2
+        shapes[f"paper_{name}"] = {
+            "type": "rectangle", "to_world": mi.ScalarTransform4f().translate([x, y, depth]).scale([across, up, 1]),
+            "bsdf": {"type": "diffuse", "reflectance": _texture(mi, albedo[top:bottom, left:right])}}
+    return shapes
+
+
+@cache
+def _register(variant: str) -> None:
+    import drjit as dr
+    import mitsuba as mi
+
+    class LensCamera(mi.Sensor):
+        """A :class:`mitsvbrdf.capture.lens.Lens` at a pose: film position (u, v) of a block of rows to the ray that
+        ``lens.rays`` says, whatever the distortion.
+        """
+
+        def __init__(self, props):
+            super().__init__(props)
+            self.first = mi.Float(0)  # row of the photo that the film begins with
+            size = self.film().size()
+            self.columns, self.rows = int(size[0]), int(size[1])
+
+        def set(self, lens, pose, opaque) -> None:
+            """Take a lens and a pose; ``opaque`` makes numbers that are not compiled into the kernel."""
+            self.focal, self.k = opaque(lens.focal), [opaque(k) for k in lens.distortion]
+            self.middle = [opaque(x) for x in lens.middle]
+            self.origin = mi.Point3f(*(opaque(x) for x in pose.position))
+            self.axes = [mi.Vector3f(*(opaque(x) for x in row)) for row in pose.rotation]
+
+        def sample_ray(self, time, wavelength_sample, position_sample, aperture_sample, active=True):
+            x = (position_sample.x * self.columns - 0.5 - self.middle[0]) / self.focal
+            y = (position_sample.y * self.rows - 0.5 + self.first - self.middle[1]) / self.focal
+            bent = dr.sqrt(x * x + y * y)
+            straight = bent
+            for _ in range(NEWTON):
+                r2 = straight * straight
+                error = straight * (1 + r2 * (self.k[0] + r2 * self.k[1])) - bent
+                straight = straight - error / (1 + r2 * (3 * self.k[0] + 5 * r2 * self.k[1]))
+            scale = dr.select(bent > 0, straight / bent, 1)
+            right, down, forward = self.axes
+            ray = dr.zeros(mi.Ray3f)
+            ray.o = self.origin
+            ray.d = dr.normalize(right * (x * scale) + down * (y * scale) + forward)
+            ray.time, ray.maxt = time, dr.largest(mi.Float)
+            return ray, mi.Color3f(1)
+
+        def sample_ray_differential(self, time, wavelength_sample, position_sample, aperture_sample, active=True):
+            ray, weight = self.sample_ray(time, wavelength_sample, position_sample, aperture_sample, active)
+            return mi.RayDifferential3f(ray.o, ray.d, ray.time), weight
+
+        def to_string(self):
+            return "LensCamera[]"
+
+    mi.register_sensor(CAMERA, LensCamera)

@@ -1,0 +1,1 @@
+"""Files, images, progress and timing: nothing of materials."""

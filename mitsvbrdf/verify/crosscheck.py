@@ -1,0 +1,281 @@
+"""Every renderer and BSDF against the float64 twin: images, gradients and run time of the same maps in one run.
+
+Figures are counted over the texels of roughness 0.1 and more (``rough``), where :data:`TOLERANCES` hold, and over those
+below (``smooth``), each beside what float32 allows there (:mod:`mitsvbrdf.evaluate.limits`).
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
+
+import torch
+from torch import Tensor
+
+from .. import color
+from ..material.corner_cases import CONVERSION, as_bsdf
+from ..material.maps import SVBRDF, Bsdf
+from ..measure.gradients import Measured, fixed_cotangent, render_and_gradients
+from ..measure.metrics import error_statistics, flip, gradient_error, relative_error
+from ..render import Renderer, make_renderer
+from ..render.needs import scene_needs
+from ..system.provenance import machine, versions
+from ..system.timing import in_turns, spread
+from ..views import Views
+from .float32_limits import ROUNDING, Limit, Truth, diffuse_radiance, float32_limit, worst_texels
+
+SCHEMA_VERSION = 1
+ROUGH_FROM = 0.1
+# The largest errors allowed over texels of at least that roughness, all views together; gradients for each map. A view
+# alone rests on the few texels of its highlight: it is held to the same or, where that is more, to float32's limit.
+TOLERANCES = {"image": {"mean": 5e-7, "p99.9": 5e-6}, "gradients": {"relative_l2": 2e-6, "1 - cosine": 1e-9}}
+
+Report = Callable[[str, float], object]
+
+
+def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequence[Bsdf], renderers: Sequence[Renderer],
+               repeats: int = 5, *, names: Sequence[str] | None = None, transfer: color.Transfer = "gamma2.2",
+               error_maps: MutableMapping[tuple[str, str, str], Tensor] | None = None,
+               command: dict | None = None, report: Report = lambda text, share: None) -> dict:
+    """Compare renderers with the float64 twin on every material and BSDF.
+
+    Args:
+        svbrdf_by_name: materials, float32; one of the other BSDF is converted (:func:`mitsvbrdf.evaluate.corners.as_bsdf`).
+        views: camera and light positions.
+        bsdfs: the BSDFs to render each material with.
+        renderers: from :func:`mitsvbrdf.render.make_renderer`.
+        repeats: timed passes of each configuration, in turn with all others.
+        names: of the views; left out: 00, 01, ...
+        transfer: how display values and FLIP encode light.
+        error_maps: filled with the relative error of each configuration's worst view, R x R, largest channel, by
+            (material, BSDF, renderer).
+        command: options of the command line, kept in the record.
+        report: told what is going on and the share done.
+
+    Returns:
+        A record for JSON, without NaN; docs/evaluation.md explains each field.
+    """
+    names = list(names or (f"{i:02d}" for i in range(len(views))))
+    twin, found, jobs = make_renderer("analytic64"), [], {}
+    pairs = [(name, bsdf) for name in svbrdf_by_name for bsdf in bsdfs]
+    for number, (name, bsdf) in enumerate(pairs):
+        report(f"{name}, {bsdf}", 0.7 * number / len(pairs))
+        svbrdf = as_bsdf(svbrdf_by_name[name], bsdf)
+        case = _Case(twin, svbrdf, views, names, transfer)
+        for renderer in renderers:
+            figures, error_map = case.compare(renderer)
+            found.append({"material": name, "bsdf": bsdf, "renderer": renderer.name} | figures)
+            jobs[len(found) - 1] = _timed(renderer, svbrdf, views)
+            if error_maps is not None:
+                error_maps[name, bsdf, renderer.name] = error_map
+    turns = in_turns(jobs, repeats, 0, lambda share: report("run times", 0.7 + 0.3 * share))
+    for number, passes in turns.items():
+        forward, backward = zip(*passes)
+        found[number]["seconds"] = {"forward": spread(forward), "backward": spread(backward)}
+    record = {
+        "schema_version": SCHEMA_VERSION, "reference": twin.name, "tolerances": TOLERANCES, "rough_from": ROUGH_FROM,
+        "transfer": transfer, "command": command or {},
+        "views": {"names": names, "size": views.size, "falloff": views.falloff, "camera": views.camera.tolist(),
+                  "light": views.light.tolist(), "intensity": views.intensity.tolist()},
+        "materials": {name: {"resolution": m.resolution, "bsdf": m.bsdf,
+                             "converted": {bsdf: CONVERSION[bsdf] for bsdf in bsdfs if bsdf != m.bsdf}}
+                      for name, m in svbrdf_by_name.items()},
+        "configurations": found, "machine": machine(), "versions": versions()}
+    return record | {"summary": summary(found), "violations": violations(record)}
+
+
+class _Case:
+    """One material as one BSDF: what the float64 twin and float32's limit say, and how far a renderer is from it."""
+
+    def __init__(self, twin: Renderer, svbrdf: SVBRDF, views: Views, names: list[str], transfer: color.Transfer) -> None:
+        self.svbrdf, self.transfer = svbrdf, transfer
+        everything = fixed_cotangent(torch.Size((len(views), svbrdf.resolution, svbrdf.resolution, 3)))
+        # All views together, then each alone.
+        self.views = [views, *(views.pick([k]) for k in range(len(views)))]
+        self.cotangents = [everything, *everything.split(1)]
+        self.exact = [render_and_gradients(twin, svbrdf, v, c) for v, c in zip(self.views, self.cotangents)]
+        self.limits = [float32_limit(twin, svbrdf, *each) for each in zip(self.views, self.exact, self.cotangents)]
+        image = self.exact[0].image
+        limit = ROUNDING + relative_error(image + self.limits[0].image, image)
+        self.truth = Truth(svbrdf, views, names, image, diffuse_radiance(twin, svbrdf, views), limit)
+        rough = svbrdf["roughness"][..., 0] >= ROUGH_FROM
+        self.classes = {"rough": rough, "smooth": ~rough}
+
+    def compare(self, renderer: Renderer) -> tuple[dict, Tensor]:
+        """A renderer's part of the record but for run times, and the error map of its worst view."""
+        got = [render_and_gradients(renderer, self.svbrdf, v, c) for v, c in zip(self.views, self.cotangents)]
+        with torch.no_grad():  # as it is shown: a metallic map that wants its slope at 1 adds a rounding to dark texels
+            image, exact = renderer.render(self.svbrdf, self.views[0]), self.truth.image
+        off = relative_error(image, exact)
+        looks = [flip(torch.nan_to_num(a), b, self.transfer) for a, b in zip(image, exact)]
+        shown = (color.to_display(image.double(), self.transfer) - color.to_display(exact, self.transfer)).abs()
+        per_view = [{"view": name, "flip": _flip(look)} | self._figures(off[k:k + 1], k + 1, got[k + 1])
+                    for k, (name, look) in enumerate(zip(self.truth.names, looks))]
+        figures = {
+            "left_out": self._left_out(renderer.name),
+            **self._figures(off, 0, got[0]),
+            "display": _finite({"mean": float(shown.mean()), "worst": float(shown.max())}),
+            "flip": _flip(torch.stack(looks)), "per_view": per_view,
+            "worst_texels": [texel for texels in self.classes.values() for texel in worst_texels(self.truth, image, texels)],
+        }
+        error_map = torch.nan_to_num(off.abs(), nan=torch.inf).amax(dim=-1)
+        worst = int(error_map.flatten(1).mean(dim=1).argmax())
+        return figures | {"worst_view": self.truth.names[worst]}, error_map[worst]
+
+    def _figures(self, off: Tensor, which: int, got: Measured) -> dict:
+        """Errors and limits over each class of texels, None for a class without any.
+
+        Args:
+            off: relative error of the image, n x R x R x 3.
+            which: 0 for all views together, k + 1 for view k alone.
+            got: what the renderer found for these views.
+        """
+        limit = self.truth.limit if which == 0 else self.truth.limit[which - 1:which]
+        return {name: None if not texels.any() else {
+            "texels": int(texels.sum()),
+            "image": _image_figures(off[:, texels]),
+            "gradients": {n: _gradient_figures(got.gradients[n][texels], g[texels])
+                          for n, g in self.exact[which].gradients.items()},
+            "limit": {"image": {n: value for n, value in error_statistics(limit[:, texels]).items() if n != "bias"},
+                      "gradients": _gradient_limits(self.limits[which], self.exact[which], texels)},
+        } for name, texels in self.classes.items()}
+
+    def _left_out(self, renderer: str) -> list[dict[str, str]]:
+        """As :func:`render_and_gradients` asks for it: every map wants a gradient."""
+        needs = scene_needs(self.svbrdf.map(lambda t: t.detach().clone().requires_grad_()), self.views[0], renderer)
+        return [{"what": what, "why": reason} for what, reason in needs.left_out]
+
+
+def _timed(renderer: Renderer, svbrdf: SVBRDF, views: Views) -> Callable[[], tuple[float, float]]:
+    def run() -> tuple[float, float]:
+        passes = render_and_gradients(renderer, svbrdf, views)
+        return passes.forward, passes.backward
+    return run
+
+
+def _finite(figures: dict) -> dict:
+    """The figures with None for those that are not finite, which JSON does not have."""
+    return {name: value if math.isfinite(value) else None for name, value in figures.items()}
+
+
+def _flip(look: Tensor) -> dict:
+    return {"mean": float(look.mean()), "worst": float(look.max())}
+
+
+def _image_figures(off: Tensor) -> dict:
+    return _finite(error_statistics(off)) | {"not_finite": int((~torch.isfinite(off)).sum())}
+
+
+def _gradient_figures(gradient: Tensor, reference: Tensor) -> dict:
+    """:func:`gradient_error`, None where the reference is 0, with the lengths of reference and difference."""
+    difference = (gradient.double() - reference).norm()
+    figures = gradient_error(gradient, reference) | {"reference": float(reference.norm()), "difference": float(difference)}
+    return _finite(figures) | {"not_finite": int((~torch.isfinite(gradient)).sum())}
+
+
+def _gradient_limits(limit: Limit, exact: Measured, texels: Tensor) -> dict[str, float | None]:
+    lengths = {name: (float(limit.gradients[name][texels].norm()), float(value[texels].norm()))
+               for name, value in exact.gradients.items()}
+    return {name: ROUNDING + change / length if length else None for name, (change, length) in lengths.items()}
+
+
+def summary(configurations: Sequence[dict]) -> list[dict]:
+    """The worst figures over all materials of each BSDF and renderer, ``rough`` and ``smooth`` apart; run times: medians."""
+    rows = []
+    for texels in ("rough", "smooth"):
+        groups: dict[tuple[str, str], list[dict]] = {}
+        for configuration in configurations:
+            if configuration[texels]:
+                groups.setdefault((configuration["bsdf"], configuration["renderer"]), []).append(configuration)
+        rows += [{"texels": texels, "bsdf": bsdf, "renderer": renderer, "materials": len(group)} | _summary_row(group, texels)
+                 for (bsdf, renderer), group in groups.items()]
+    return rows
+
+
+def _summary_row(group: list[dict], texels: str) -> dict:
+    images = [c[texels]["image"] for c in group]
+    gradients = [g for c in group for g in c[texels]["gradients"].values()]
+    limits = [c[texels]["limit"] for c in group]
+
+    def largest(values) -> float | None:
+        return max((value for value in values if value is not None), key=abs, default=None)
+
+    return {"image": {name: largest(i[name] for i in images) for name in ("mean", "p99.9", "worst", "bias")},
+            "gradients": {"relative_l2": largest(g["relative_l2"] for g in gradients),
+                          "cosine": min((g["cosine"] for g in gradients if g["cosine"] is not None), default=None)},
+            "limit": {"mean": largest(limit["image"]["mean"] for limit in limits),
+                      "p99.9": largest(limit["image"]["p99.9"] for limit in limits),
+                      "relative_l2": largest(value for limit in limits for value in limit["gradients"].values())},
+            "display": largest(c["display"]["worst"] for c in group), "flip": largest(c["flip"]["worst"] for c in group),
+            "seconds": {way: statistics.median(c["seconds"][way]["median"] for c in group) for way in ("forward", "backward")}}
+
+
+def left_out(record: dict) -> list[dict]:
+    """What was left out and why, once each, ``by`` which renderers (and BSDF, where only one)."""
+    found: dict[tuple[str, str], list[dict]] = {}
+    for configuration in record["configurations"]:
+        for each in configuration["left_out"]:
+            found.setdefault((each["what"], each["why"]), []).append(configuration)
+    bsdfs = len({c["bsdf"] for c in record["configurations"]})
+
+    def by(configurations: list[dict]) -> str:
+        names, kinds = (list(dict.fromkeys(c[key] for c in configurations)) for key in ("renderer", "bsdf"))
+        return ", ".join(names) + ("" if len(kinds) == bsdfs else f" ({', '.join(kinds)})")
+
+    return [{"what": what, "why": why, "by": by(configurations)} for (what, why), configurations in found.items()]
+
+
+def violations(record: dict) -> list[dict]:
+    """What exceeds the stated tolerances.
+
+    Returns:
+        One dict each with ``material``, ``bsdf``, ``renderer``, ``what``, ``value``, ``tolerance``, and ``limit``: what
+        float32 allows there, None where that is not known. Of the views alone only the worst is named for each map.
+    """
+    found = []
+    for configuration in record["configurations"]:
+        where = {name: configuration[name] for name in ("material", "bsdf", "renderer")}
+        found += [where | each for each in _exceeded(configuration)]
+    return found
+
+
+def _exceeded(configuration: dict) -> list[dict]:
+    found = [{"what": f"values that are not finite in {place}", "value": count, "tolerance": 0, "limit": None}
+             for place, count in _not_finite(configuration) if count]
+    rough = configuration["rough"]
+    if rough is None:
+        return found
+    for name, tolerance in TOLERANCES["image"].items():
+        found += _over(f"{name} relative image error", rough["image"][name], tolerance, rough["limit"]["image"][name])
+    for name in rough["gradients"]:
+        found += _gradient_exceeded(f"gradient of {name}", rough, name)
+        alone = [each for view in configuration["per_view"]
+                 for each in _gradient_exceeded(f"gradient of {name}, view {view['view']} alone", view["rough"], name, True)]
+        found += [max(alone, key=lambda each: each["value"] / (each["tolerance"] or 1e-300))] if alone else []
+    return found
+
+
+def _gradient_exceeded(what: str, figures: dict, name: str, alone: bool = False) -> list[dict]:
+    """The tolerances of one map's gradient that do not hold; ``alone``: of a single view."""
+    gradient, limit = figures["gradients"][name], figures["limit"]["gradients"][name]
+    if gradient["reference"] == 0:
+        return _over(f"{what}: length, 0 in the reference", gradient["difference"], 0, None)
+    tolerance = max(TOLERANCES["gradients"]["relative_l2"], limit if alone else 0)
+    turned = None if gradient["cosine"] is None else 1 - gradient["cosine"]
+    return [*_over(f"{what}: relative L2", gradient["relative_l2"], tolerance, limit),
+            *_over(f"{what}: 1 - cosine", turned, TOLERANCES["gradients"]["1 - cosine"], None)]
+
+
+def _over(what: str, value: float | None, tolerance: float, limit: float | None) -> list[dict]:
+    """One violation, or none; a figure that is missing stands for values that are not finite, which are counted apart."""
+    exceeded = value is not None and value > tolerance
+    return [{"what": what, "value": value, "tolerance": tolerance, "limit": limit}] if exceeded else []
+
+
+def _not_finite(configuration: dict) -> list[tuple[str, int]]:
+    """How many values of image and gradients are not finite, by place, all views together."""
+    classes = [configuration[name] for name in ("rough", "smooth") if configuration[name]]
+    return [("the image", sum(c["image"]["not_finite"] for c in classes)),
+            *((f"the gradient of {name}", sum(c["gradients"][name]["not_finite"] for c in classes))
+              for name in classes[0]["gradients"])]

@@ -1,0 +1,158 @@
+"""What leaving things out saves, and that it changes nothing: each item measured against the scene that has it.
+
+Every case renders one material twice, forward and backward, nine co-located views: once with the item computed although
+it changes nothing, once without. The two run in turn in one process, so their ratio is fair where their seconds are not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from ..capture import Capture
+from ..color import to_display
+from ..fit.config import HybridConfig
+from ..material.made import make_material
+from ..material.maps import SVBRDF
+from ..measure.gradients import fixed_cotangent
+from ..measure.metrics import image_error
+from ..render import make_renderer
+from ..render.needs import Needs, scene_needs
+from ..system.provenance import machine, versions
+from ..system.timing import side_by_side
+from ..views import Views, nine_view_grid
+
+SCHEMA_VERSION = 1
+FULL = Needs()
+CO_LOCATED = replace(FULL, fresnel_curve=False)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One item to leave out.
+
+    Args:
+        what: its name.
+        where: what renders: a renderer's name, or ``hybrid`` for a step of the fit.
+        why: when it is not needed.
+        full: computes with the item; returns the image, or the maps, to compare.
+        lean: computes without.
+        truth: the same image by the float64 twin, or None.
+    """
+
+    what: str
+    where: str
+    why: str
+    full: Callable[[], Tensor]
+    lean: Callable[[], Tensor]
+    truth: Tensor | None = None
+
+
+def measure_leave_out(resolution: int = 256, repeats: int = 9, report: Callable[[str], None] | None = None) -> dict:
+    """Measure every case.
+
+    Args:
+        resolution: side of the maps in texels.
+        repeats: measured turns of each pair.
+        report: told the name of each case before it runs.
+
+    Returns:
+        ``items``: what, where, why; ``worst`` and ``mean`` relative difference of the two; ``full_error`` and
+        ``lean_error``, the worst of each against float64 (two float32 results may differ by their sum); seconds of both
+        with their spread, and ``ratio`` of the medians. ``left_out``: what the leanest case did without.
+    """
+    items = []
+    for case in cases(resolution):
+        if report:
+            report(case.what)
+        full, lean = case.full(), case.lean()
+        difference = image_error(lean, full)
+        errors = [None if case.truth is None else image_error(found, case.truth)["worst"] for found in (full, lean)]
+        seconds = side_by_side({"full": case.full, "lean": case.lean}, repeats)
+        items.append({"what": case.what, "where": case.where, "why": case.why, "worst": difference["worst"],
+                      "mean": difference["mean"], "full_error": errors[0], "lean_error": errors[1], "seconds": seconds,
+                      "ratio": seconds["full"]["median"] / seconds["lean"]["median"]})
+    lean = scene_needs(lean_material(resolution), nine_view_grid(), "mitsuba")
+    return {"schema_version": SCHEMA_VERSION, "resolution": resolution, "views": 9, "items": items,
+            "left_out": [{"what": what, "why": why} for what, why in lean.left_out],
+            "machine": machine(), "versions": versions()}
+
+
+def lean_material(resolution: int) -> SVBRDF:
+    """Inlaid wood and metal whose specular map is grey and whose normals are flat."""
+    svbrdf = make_material("inlay", resolution)
+    up = torch.tensor([0.0, 0.0, 1.0]).expand(resolution, resolution, 3).contiguous()
+    grey = svbrdf["specular"].mean(dim=-1, keepdim=True).expand(resolution, resolution, 3).contiguous()
+    return SVBRDF("roughconductor", dict(svbrdf.maps) | {"specular": grey, "normal": up})
+
+
+def cases(resolution: int) -> Iterator[Case]:
+    """The items in the order of the table, from single ones to all at once."""
+    views, coloured, lean = nine_view_grid(), make_material("inlay", resolution), lean_material(resolution)
+    black = torch.zeros(resolution, resolution, 3)
+    matte, mirror = _with(coloured, specular=black), _with(coloured, diffuse=black)
+    metal = SVBRDF("principled", {"base_color": coloured["diffuse"], "metallic": black[..., :1],
+                                  "roughness": coloured["roughness"], "normal": coloured["normal"]})
+
+    def pair(what, why, svbrdf, without, fixed=(), needs=CO_LOCATED, renderer="mitsuba"):
+        wanted = tuple(name for name in svbrdf.maps if name not in fixed)
+        lean_needs = replace(needs, **dict.fromkeys(without, False))
+        return Case(what, renderer, why, _pass(renderer, svbrdf, views, wanted, needs),
+                    _pass(renderer, svbrdf, views, wanted, lean_needs), twin.render(svbrdf, views))
+
+    def across(what, why, svbrdf, wanted, needs, lean_needs):
+        return Case(what, "mitsuba-scene, mitsuba", why, _pass("mitsuba-scene", svbrdf, views, tuple(svbrdf.maps), needs),
+                    _pass("mitsuba", svbrdf, views, wanted, lean_needs), twin.render(svbrdf, views))
+
+    every, twin = tuple(coloured.maps), make_renderer("analytic64")
+    bare = replace(CO_LOCATED, shadow_rays=False, path_depth=False, environment=False)
+    yield pair("specular lobe", "the specular map is 0", matte, ("specular_lobe",), ("specular", "roughness"))
+    yield pair("diffuse lobe", "the diffuse map is 0", mirror, ("diffuse_lobe",), ("diffuse",))
+    yield pair("colour of the specular map", "it is grey", lean, ("coloured_specular",), ("specular",))
+    yield pair("normal map", "it is flat", lean, ("normal_map",), ("normal",))
+    yield pair("metallic map", "it is 0", metal, ("metallic",), ("metallic",))
+    yield pair("Fresnel curve", "the light is at the camera", coloured, ("fresnel_curve",), needs=FULL)
+    yield Case("gradients of three maps", "mitsuba", "they are held fixed", _pass("mitsuba", coloured, views, every, bare),
+               _pass("mitsuba", coloured, views, ("diffuse",), bare), twin.render(coloured, views))
+    yield pair("environment", "the flash is the only light", coloured, ("environment",), renderer="mitsuba-scene")
+    yield pair("path depth", "a plane does not see itself", coloured, ("path_depth",), renderer="mitsuba-scene")
+    yield pair("shadow rays", "nothing stands in the way", coloured, ("shadow_rays",), renderer="mitsuba-scene")
+    yield across("ray tracing", "the texel behind each pixel is known", coloured, every, bare, bare)
+    yield Case("discriminator", "hybrid", "its weight is 0", _steps(coloured, views, 1e-30), _steps(coloured, views, 0.0))
+    yield across("all of these", "a flat, grey material; normal and specular held fixed", lean, ("diffuse", "roughness"),
+                 FULL, None)
+
+
+def _with(svbrdf: SVBRDF, **maps: Tensor) -> SVBRDF:
+    return SVBRDF(svbrdf.bsdf, dict(svbrdf.maps) | maps)
+
+
+def _pass(renderer: str, svbrdf: SVBRDF, views: Views, wanted: tuple[str, ...], needs: Needs | None) -> Callable[[], Tensor]:
+    engine = make_renderer(renderer, needs=needs)
+
+    def forward_and_backward() -> Tensor:
+        leaves = SVBRDF(svbrdf.bsdf, {n: t.detach().clone().requires_grad_(n in wanted) for n, t in svbrdf.maps.items()})
+        image = engine.render(leaves, views)
+        image.backward(fixed_cotangent(image.shape))
+        return image.detach()
+
+    return forward_and_backward
+
+
+def _steps(svbrdf: SVBRDF, views: Views, adversarial: float) -> Callable[[], Tensor]:
+    """Three steps of a small hybrid fit from its start; the maps they end at, one after the other."""
+    from ..fit.generator.hybrid import Hybrid
+
+    engine, small = make_renderer("mitsuba"), svbrdf.resized(min(svbrdf.resolution, 128))
+    capture = Capture(to_display(engine.render(small, views)), views, "gamma2.2")
+
+    def three_steps() -> Tensor:
+        method = Hybrid(capture, engine, small["diffuse"], HybridConfig(adversarial=adversarial, iterations=3))
+        for step in range(3):
+            method.step(step / 3)
+        return torch.cat([t.flatten() for t in method.estimate()[0].maps.values()])
+
+    return three_steps
