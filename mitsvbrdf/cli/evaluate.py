@@ -1,4 +1,4 @@
-"""``mitsvbrdf evaluate``."""
+"""``mitsvbrdf evaluate``: maps measured against known maps or photos."""
 
 from __future__ import annotations
 

@@ -1,10 +1,9 @@
-"""``mitsvbrdf guess``."""
+"""``mitsvbrdf guess``: the guessed diffuse map alone."""
 
 from __future__ import annotations
 
 from tyro.conf import Positional
 
-from ..capture import guess_diffuse
 from ..fit.config import GuessMethod
 from ..system import result_folder
 from ..system.progress import say
@@ -17,6 +16,7 @@ def guess(capture: Positional[Photos], out: Out, method: GuessMethod = "robust",
 
     Methods: min is the paper's per-pixel minimum; mean-blur the older baseline; robust undoes falloff and highlights.
     """
+    from ..capture import guess_diffuse
     from ..system.images import write_linear
 
     keep_apart(capture, out)

@@ -11,8 +11,6 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from ..errors import ConfigError
-from ..fit.config import check_seed
-from ..render.llvm import mitsuba_module
 from ..system import result_folder
 from ..system.interrupts import stop_signals
 from ..system.progress import progress_bar, say
@@ -53,11 +51,13 @@ def relight(maps: Positional[Material],
 
     Ctrl-C keeps the frames done and the one at hand as it is; the same command with --resume goes on.
     """
+    from ..fit.config import check_seed
     from ..fit.record import Fit, fit_of
     from ..relight.frames import begin, go_on, kept_names, render_stages
     from ..relight.movie import av_module
     from ..relight.passes import Stop
     from ..relight.stage import PRESETS, make_stage
+    from ..render.llvm import mitsuba_module
 
     stop = Stop(target_error, budget, samples)
     check_seed(seed)

@@ -1,4 +1,4 @@
-"""``mitsvbrdf render``."""
+"""``mitsvbrdf render``: maps rendered for the views of a capture."""
 
 from __future__ import annotations
 
