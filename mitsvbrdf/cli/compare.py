@@ -17,7 +17,7 @@ from ..system import files, images
 from ..system.progress import print_numbers, say, say_written
 from .options import Out, Overwrite, TransferOption, Variant, ViewList, check_new_file, material_of, photo_numbers, read_photos
 
-LARGEST = 256  # pixels a side, where nothing else is asked for
+LARGEST_SIDE = 256  # pixels a side, where nothing else is asked for
 
 
 def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", help=(
@@ -50,8 +50,8 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
         raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
     check_new_file(out, overwrite)
     files.check_output(json_file)
-    entries = _named_apart([_entry(text, resolution or LARGEST) for text in maps])
-    size = resolution or min(LARGEST, *(entry.svbrdf.resolution for entry in entries))
+    entries = _named_apart([_entry(text, resolution or LARGEST_SIDE) for text in maps])
+    size = resolution or min(LARGEST_SIDE, *(entry.svbrdf.resolution for entry in entries))
     photos, chosen = read_photos(capture, size, None, transfer, "inverse-square"), photo_numbers(views)
     shots = photos if chosen is None else photos.pick(chosen)
     for entry in entries:

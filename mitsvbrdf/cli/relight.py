@@ -16,7 +16,7 @@ from ..system.interrupts import stop_signals
 from ..system.progress import progress_bar, say
 from .options import Material, Overwrite, Variant, keep_apart_from_maps, material_of, name_of
 
-SIDES = (8, 8192)
+PICTURE_SIDES = (8, 8192)  # smallest and largest, pixels
 MOVIES = ("mp4", "gif")
 
 
@@ -169,8 +169,9 @@ def _size(text: str) -> tuple[int, int]:
         sides = [int(part) for part in text.lower().split("x")]
     except ValueError:
         sides = []
-    if len(sides) not in (1, 2) or not all(SIDES[0] <= side <= SIDES[1] for side in sides):
-        raise ConfigError(f"--size N or WxH with sides of {SIDES[0]} to {SIDES[1]} pixels", repr(text), "try 512 or 640x360")
+    if len(sides) not in (1, 2) or not all(PICTURE_SIDES[0] <= side <= PICTURE_SIDES[1] for side in sides):
+        raise ConfigError(f"--size N or WxH with sides of {PICTURE_SIDES[0]} to {PICTURE_SIDES[1]} pixels", repr(text),
+                          "try 512 or 640x360")
     return sides[0], sides[-1]
 
 

@@ -18,8 +18,8 @@ from .crosscheck import RENDERERS
 from .options import Variant
 
 Sweep = Literal["roughness", "tilt", "distance", "colour", "intensity", "clipped", "flat", "resolution", "views", "stiff"]
-COLOURS = {"exact": "green", "clamped": "dim", "degraded": "yellow", "limited": "yellow", "refused": "dim",
-           "wrong": "bold red", "not finite": "bold red"}
+VERDICT_COLOURS = {"exact": "green", "clamped": "dim", "degraded": "yellow", "limited": "yellow", "refused": "dim",
+                   "wrong": "bold red", "not finite": "bold red"}
 
 
 def stability(
@@ -79,8 +79,8 @@ def _table(title: str, rows: list[dict], renderers: list[str]) -> Table:
     for name in (*renderers, "rounding"):
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
-        cells = [f"[{COLOURS[figures['verdict']]}]{figures['verdict']}[/]{_figure(largest(figures.get('errors', {}), None))}"
-                 for figures in row["renderers"].values()]
+        cells = [f"[{VERDICT_COLOURS[found['verdict']]}]{found['verdict']}[/]{_figure(largest(found.get('errors', {}), None))}"
+                 for found in row["renderers"].values()]
         table.add_row(row["label"], *cells, _figure(largest(row["limit"], None)))
     return table
 

@@ -20,7 +20,7 @@ from ..system import result_folder
 from ..system.progress import say
 from .options import Material, Out, Overwrite, Variant, ViewSource, keep_apart, material_of, name_of, views_of
 
-RECTIFIED, MADE = 256, 1024  # --resolution where it is left out
+RECTIFIED_SIDE, MADE_SIDE = 256, 1024  # --resolution where it is left out
 PHONE = HandheldPhone()
 
 
@@ -48,12 +48,12 @@ def synth(material: Positional[Material], out: Out, phone: OmitArgPrefixes[Handh
         if any(given.values()):
             raise ConfigError("options of the phone beside --handheld", ", ".join(k for k, v in given.items() if v),
                               "leave these out; --grain is the phone's noise")
-        return _handheld(material, out, phone, spoil, MADE if resolution is None else resolution, variant, overwrite)
+        return _handheld(material, out, phone, spoil, MADE_SIDE if resolution is None else resolution, variant, overwrite)
     given = [f"--{f.name.replace('_', '-')}" for f in fields(phone) if getattr(phone, f.name) != f.default and f.name != "seed"]
     if given or spoil:
         raise ConfigError("--handheld beside options of the phone", ", ".join([*given, *["--spoil"] * bool(spoil)]),
                           "add --handheld, or leave these out")
-    return _rectified(material, out, views, RECTIFIED if resolution is None else resolution, noise, phone.seed,
+    return _rectified(material, out, views, RECTIFIED_SIDE if resolution is None else resolution, noise, phone.seed,
                       make_renderer(renderer, variant), transfer, overwrite)
 
 

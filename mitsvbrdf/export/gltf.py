@@ -15,7 +15,7 @@ from torch import Tensor
 from .. import __version__, color
 from ..material.conversion import as_principled, with_specular_color
 from ..material.maps import DIELECTRIC_F0, SVBRDF
-from ..system import files
+from ..system import files, images
 from .textures import LINEAR, SRGB, Export, Texture, described, residual, stored
 
 FILE = "material.glb"
@@ -38,7 +38,7 @@ NOTES = (
 def write_gltf(folder: Path, svbrdf: SVBRDF) -> Export:
     """Write ``folder/material.glb``: base colour, metallic and roughness packed, normal; F0 by KHR_materials_specular.
 
-    Base colour and metallic are those of :func:`mitsvbrdf.conversion.as_principled`. The extension, for
+    Base colour and metallic are those of :func:`mitsvbrdf.material.conversion.as_principled`. The extension, for
     ``roughconductor`` materials only, carries what metallic cannot say of F0; viewers without it show the conversion alone.
 
     Args:
