@@ -17,7 +17,7 @@ _HOME = {"Capture": "capture", "guess_diffuse": "guess", "read_capture": "read",
 __all__ = ["Capture", "guess_diffuse", "read_capture", "write_capture"]
 
 
-def __getattr__(name: str):
+def __getattr__(name: str) -> object:
     if name in _HOME:
         return getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -7,15 +7,18 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 from tyro.conf import arg
 
 from ..errors import ConfigError
-from ..render import RendererName
+from ..render import Renderer, RendererName
 from ..system import files
 from ..system.progress import progress_bar, say, say_written
 from .options import Overwrite, Variant, views_of
+
+if TYPE_CHECKING:
+    from ..bench.jobs import Job
 
 T = TypeVar("T")
 Names = Annotated[str | None, arg(metavar="NAME,...")]
@@ -91,7 +94,7 @@ def bench(
 
 
 def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str | None, data: Path | None,
-          renderer: RendererName, variant: str, quick: bool):
+          renderer: RendererName, variant: str, quick: bool) -> tuple[list[Job], dict, dict]:
     """All jobs, what their records share, and the numbers published for what they fit."""
     from ..bench.jobs import fit_jobs
     from ..bench.methods import VARIANTS, method_table, variant_table
@@ -140,7 +143,7 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
     return jobs, settings, published(data / "peers.json", tasks, chosen["resolution"]) if data else {}
 
 
-def _tasks(chosen: dict, source: str, data: Path | None, engine) -> list:
+def _tasks(chosen: dict, source: str, data: Path | None, engine: Renderer) -> list:
     from ..bench.tasks import known_material, real_capture
 
     materials, captures = _sources(chosen, data)

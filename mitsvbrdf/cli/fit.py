@@ -6,7 +6,7 @@ import contextlib
 import inspect
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
@@ -17,7 +17,7 @@ from ..fit.checkpoint import load_tensors
 from ..fit.confidence import confidence
 from ..fit.config import CONFIGS, FitConfig
 from ..fit.result import FitResult
-from ..render import RendererName, make_renderer
+from ..render import Renderer, RendererName, make_renderer
 from ..system import result_folder
 from ..system.interrupts import undisturbed
 from ..system.profile import profiling
@@ -86,8 +86,8 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig,
     return 0
 
 
-def _fit_into(out: Path, photos: Capture, shots: Capture, engine, config: FitConfig, asked: dict, title: str, profile: bool,
-              resume: bool, overwrite: bool) -> tuple[FitResult, int | None]:
+def _fit_into(out: Path, photos: Capture, shots: Capture, engine: Renderer, config: FitConfig, asked: dict, title: str,
+              profile: bool, resume: bool, overwrite: bool) -> tuple[FitResult, int | None]:
     """Fit, and write the result; also tells the iteration of the checkpoint gone on from."""
     from ..report.folder import write_fit
 
@@ -95,7 +95,7 @@ def _fit_into(out: Path, photos: Capture, shots: Capture, engine, config: FitCon
     earlier = next((path for path in (each / result_folder.CHECKPOINT for each in folders) if path.is_file()), None)
     if resume and earlier is None:
         raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
-    before = load_tensors(earlier)[1].get("iteration") if resume else None
+    before = load_tensors(earlier)[1].get("iteration") if resume and earlier else None
     unused = [number for number in photos.index if number not in shots.index][:PREDICTED]
     shown = photos.pick(sorted({*shots.index, *unused})) if unused else None
     with result_folder.output_folder(out, overwrite or resume, resume) as folder:
@@ -127,11 +127,11 @@ def _say_result(result: FitResult, shots: Capture, before: int | None) -> None:
 
 def fit_command(arguments: Sequence[str]) -> Callable[..., int]:
     """``fit`` with the settings of the method that the arguments name as its options."""
-    def command(*values, **options) -> int:
+    def command(*values: Any, **options: Any) -> int:
         return fit(*values, **options)
 
     # One flat set of options, those of the method; --fix may be repeated.
-    settings = UseAppendAction[OmitArgPrefixes[CONFIGS[_method_named(arguments)]]]  # type: ignore[misc]
+    settings = UseAppendAction[OmitArgPrefixes[CONFIGS[_method_named(arguments)]]]  # type: ignore[misc, valid-type]
     command.__doc__, command.__signature__ = fit.__doc__, inspect.signature(fit)  # type: ignore[attr-defined]
     command.__annotations__ = fit.__annotations__ | {"config": settings}
     return command

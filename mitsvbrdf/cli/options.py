@@ -32,7 +32,8 @@ Material = Annotated[str, arg(metavar="MAPS", help="The OUT of a fit, a folder o
                                                    "leather, plates).")]
 ViewSource = Annotated[str, arg(help="A capture whose views to use, or builtin:grid (nine views from two sides away).")]
 Photos = Annotated[Path, arg(metavar="CAPTURE", help="A folder of photos, calibrated or plain; see docs/formats.md.")]
-TransferOption = Annotated[Literal["auto", "gamma2.2", "srgb", "linear"],
+TransferChoice = Literal["auto", "gamma2.2", "srgb", "linear"]
+TransferOption = Annotated[TransferChoice,
                            arg(help="How photos encode light; auto: as the capture states, else gamma2.2 for calibrated "
                                     "captures and srgb for plain photos.")]
 FalloffOption = Literal["auto", "inverse-square", "none"]
@@ -67,7 +68,8 @@ def check_new_file(out: Path, overwrite: bool) -> None:
     files.check_output(out)
 
 
-def read_photos(capture: Path, resolution: int, views: str | None, transfer, falloff: Falloff) -> Capture:
+def read_photos(capture: Path, resolution: int, views: str | None, transfer: TransferChoice,
+                falloff: Falloff) -> Capture:
     """The photos as asked for, with what was noticed about them said."""
     from ..capture import read_capture
 

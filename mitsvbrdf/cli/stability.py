@@ -11,7 +11,7 @@ from rich.table import Table
 from tyro.conf import arg
 
 from ..errors import ConfigError
-from ..render import make_renderer
+from ..render import RendererName, make_renderer
 from ..system import files
 from ..system.progress import console, progress_bar, say, say_written
 from .crosscheck import RENDERERS
@@ -45,7 +45,8 @@ def stability(
     if md:
         from ..verify.stability.page import around_tables
         around_tables(md)  # refused now rather than after the work
-    renderers = [make_renderer(name, variant) for name in (RENDERERS if renderer == "all" else (renderer,))]
+    names: tuple[RendererName, ...] = RENDERERS if renderer == "all" else (renderer,)
+    renderers = [make_renderer(name, variant) for name in names]
     with progress_bar("stability") as report:
         record = run(renderers, only or tuple(SWEEPS), report)
     with contextlib.suppress(BrokenPipeError):
