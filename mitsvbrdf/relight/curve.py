@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from ..pages.canvas import PlainNumbers
 from ..system import files
 
-ERROR_INK, ROOT_INK, TARGET_INK = "#c2571a", "#9aa0a8", "#2a6fb0"
+INK, QUIET, TARGET = "#c2571a", "#9aa0a8", "#2a6fb0"
 
 
 def error_curve(path: str | Path, curves: Sequence[Sequence[Mapping]], target: float | None = None, title: str = "") -> None:
@@ -36,20 +36,19 @@ def error_curve(path: str | Path, curves: Sequence[Sequence[Mapping]], target: f
     lines = [[(p["seconds"], p["error"]) for p in curve if p["seconds"] > 0 and p["error"] > 0] for curve in curves]
     lines = [line for line in lines if line]
     alone = len(lines) == 1
-    label = "estimated error" if alone else f"estimated error, {len(lines)} frames"
     for number, line in enumerate(lines):
-        axes.plot(*zip(*line), color=ERROR_INK, linewidth=1.8 if alone else 0.8, alpha=1 if alone else 0.5, marker="o",
-                  markersize=3, label=None if number else label)
+        axes.plot(*zip(*line), color=INK, linewidth=1.8 if alone else 0.8, alpha=1 if alone else 0.5, marker="o", markersize=3,
+                  label=None if number else "estimated error" if alone else f"estimated error, {len(lines)} frames")
     if lines:
         t, e = lines[-1][-1]  # the first frame also compiles
         ends = np.array([min(x for line in lines for x, _ in line), max(x for line in lines for x, _ in line)])
-        axes.plot(ends, e * np.sqrt(t / ends), color=ROOT_INK, linewidth=1, linestyle=":", label="1 / \N{SQUARE ROOT}seconds")
+        axes.plot(ends, e * np.sqrt(t / ends), color=QUIET, linewidth=1, linestyle=":", label="1 / \N{SQUARE ROOT}seconds")
         axes.set(xscale="log", yscale="log")
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_formatter(PlainNumbers())
             axis.set_minor_formatter(PlainNumbers())
     if target:
-        axes.axhline(target, color=TARGET_INK, linewidth=1, linestyle="--", label=f"target {target:g}")
+        axes.axhline(target, color=TARGET, linewidth=1, linestyle="--", label=f"target {target:g}")
     axes.set_title(title, loc="left", fontsize=9)
     axes.set_xlabel("seconds", fontsize=8)
     axes.set_ylabel("RMSE in display values", fontsize=8)
