@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -31,16 +32,19 @@ class Canvas:
         self.height = height
         self.figure = Figure(figsize=(WIDTH / 100, height / 100), dpi=100, facecolor=BACK)
 
-    def text(self, x: int, y: int, text: str, points: float, colour: str, **how) -> None:
+    def text(self, x: int, y: int, text: str, points: float, colour: str, **how: Any) -> None:
+        """Write a line whose left end, or what ``how`` says to matplotlib, is at x, y."""
         self.figure.text(x / WIDTH, 1 - y / self.height, text, fontsize=points, color=colour, parse_math=False, **how)
 
     def image(self, x: int, y: int, side: int, image: Tensor) -> None:
+        """Show display values R x R x 3 or x 1 as a square with its top left at x, y."""
         axes = self.figure.add_axes((x / WIDTH, 1 - (y + side) / self.height, side / WIDTH, side / self.height))
         pixels = color.clip(image.detach().cpu().float()).numpy()
         axes.imshow(np.broadcast_to(pixels, (*pixels.shape[:2], 3)), interpolation="antialiased", aspect="auto")
         axes.set_axis_off()
 
     def write(self, path: Path) -> None:
+        """Write the page as a PNG."""
         data = io.BytesIO()
         FigureCanvasAgg(self.figure).print_png(data)
         files.write_bytes(path, data.getvalue())
@@ -50,4 +54,5 @@ class PlainNumbers(LogFormatter):
     """Numbers as 0.02, at the ticks that matplotlib would label."""
 
     def __call__(self, x: float, pos: int | None = None) -> str:
+        """The tick at x; empty where matplotlib labels none."""
         return f"{x:g}" if super().__call__(x, pos) else ""

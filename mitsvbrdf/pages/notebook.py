@@ -18,7 +18,9 @@ LISTED = 10  # notes and warnings
 Picture = tuple[str, str]  # caption and address
 
 
-def html_of(title: str, groups: Sequence[tuple[str, list[Picture]]], facts: Sequence[str] = (), notes: Sequence[str] = ()) -> str:
+def html_of(title: str, groups: Sequence[tuple[str, list[Picture]]], facts: Sequence[str] = (),
+            notes: Sequence[str] = ()) -> str:
+    """What a notebook shows of a value: its facts and notes, and its pictures in groups, each with a heading."""
     return page_text("notebook.html", title=title, groups=groups, facts=facts, notes=notes[:LISTED], side=LARGEST)
 
 
@@ -29,8 +31,10 @@ def uri_of(display: Tensor) -> str:
 
 
 def point_words(position: tuple[float, float, float]) -> str:
+    """A position as people read it: (0.12, -0.50, 2.00)."""
     return "(" + ", ".join(f"{x:.2f}" for x in position) + ")"
 
 
 def count_words(photos: int) -> str:
+    """How many photos there are, and how many of them are shown."""
     return "1 photo" if photos == 1 else f"{photos} photos" + (f", {SHOWN} shown" if photos > SHOWN else "")

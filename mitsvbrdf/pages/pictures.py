@@ -16,6 +16,7 @@ from .. import color
 
 
 def magma(share: Tensor) -> Tensor:
+    """Shares in [0, 1] (clipped) in the colours of matplotlib's ``magma``: one more axis, of 3 display values."""
     return torch.as_tensor(matplotlib.colormaps["magma"](share.clamp(0, 1).numpy())[..., :3], dtype=torch.float32)
 
 
@@ -25,8 +26,8 @@ def png_uri(display: Tensor) -> str:
     Args:
         display: H x W x 3 (or x 1), display values; clipped to [0, 1].
     """
-    pixels = (color.clip(display.detach().float()) * 255).round().to(torch.uint8)
-    pixels = pixels.expand(*pixels.shape[:2], 3).flip(-1).contiguous().numpy()  # OpenCV writes BGR
+    levels = (color.clip(display.detach().float()) * 255).round().to(torch.uint8)
+    pixels = levels.expand(*levels.shape[:2], 3).flip(-1).contiguous().numpy()  # OpenCV writes BGR
     return "data:image/png;base64," + base64.b64encode(cv2.imencode(".png", pixels)[1].tobytes()).decode()
 
 
@@ -52,8 +53,8 @@ def at_most(picture: Tensor, side: int) -> Tensor:
     height, width = picture.shape[:2]
     if max(height, width) <= side:
         return picture
-    size = [max(1, round(length * side / max(height, width))) for length in (height, width)]
-    return F.adaptive_avg_pool2d(picture.permute(2, 0, 1), size).permute(1, 2, 0)
+    rows, columns = (max(1, round(length * side / max(height, width))) for length in (height, width))
+    return F.adaptive_avg_pool2d(picture.permute(2, 0, 1), (rows, columns)).permute(1, 2, 0)
 
 
 def error_picture(error: Tensor, high: float, low: float | None = None) -> Tensor:

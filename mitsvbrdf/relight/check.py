@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import ModuleType
+
 import torch
 from torch import Tensor
 
@@ -15,7 +17,7 @@ PASSES, SAMPLES = 16, 64  # independent pictures, and the samples a pixel of eac
 FINER, FINEST = 8, 2048  # points along a texel's side at which the reference is evaluated, but no more along the patch's
 
 
-def check_novel(mi, svbrdf: SVBRDF, views: Views | None = None, *, frame: int = 0, frames: int = 1, seed: int = 0,
+def check_novel(mi: ModuleType, svbrdf: SVBRDF, views: Views | None = None, *, frame: int = 0, frames: int = 1, seed: int = 0,
                 reference: AnalyticRenderer | None = None) -> ZTest:
     """Path trace a frame of ``novel``, a pixel for each texel, and test it against the analytic renderer.
 
@@ -44,5 +46,6 @@ def _reference(svbrdf: SVBRDF, stage: Stage, frame: int, renderer: AnalyticRende
     side = svbrdf.resolution
     finer = min(max(FINEST // side, 2), FINER)
     fine = svbrdf.map(lambda each: each.repeat_interleave(finer, dim=0).repeat_interleave(finer, dim=1))
+    assert stage.views is not None  # novel has them
     image = renderer.render(fine, stage.views.pick([frame]))[0]
     return image.reshape(side, finer, side, finer, 3).mean(dim=(1, 3))

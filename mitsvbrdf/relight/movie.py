@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import torch
@@ -84,7 +86,7 @@ def write_gif(path: str | Path, frames: Sequence[Tensor], fps: float) -> None:
                        optimize=False, disposal=1)
 
 
-def _palette_image(Image, pixels: np.ndarray):
+def _palette_image(Image: ModuleType, pixels: np.ndarray) -> Any:
     whole = Image.fromarray(pixels)
     return whole.quantize(palette=whole.quantize(COLOURS), dither=Image.Dither.FLOYDSTEINBERG)
 
@@ -113,7 +115,7 @@ def _no_frames() -> MapsError:
     return MapsError("at least one frame", "none", "render some first")
 
 
-def av_module():
+def av_module() -> ModuleType:
     """PyAV.
 
     Raises:

@@ -69,6 +69,7 @@ class Profile:
 
     @contextlib.contextmanager
     def scope(self, part: str) -> Iterator[None]:
+        """Count what happens within for this part, but for what inner scopes take."""
         self._turn()
         self._scopes.append(part)
         if part == STEP:

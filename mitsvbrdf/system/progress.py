@@ -82,6 +82,7 @@ class Progress:
             self.live.stop()
 
     def __call__(self, entry: dict, share: float) -> None:
+        """Show a line of a fit's log and the share done."""
         now = time.perf_counter()
         first_iteration, first_time = self.first = self.first or (entry["iteration"], now)
         speed = (entry["iteration"] - first_iteration) / max(now - first_time, 1e-9)
