@@ -41,7 +41,7 @@ def write_quality(made: CaptureResult, folder: str | Path) -> None:
     _contact_sheet(folder / "contact.jpg", made, record, left_out)
     pictures = {name: picture_uri(at_most(photo, THUMBNAIL), 0) for name, photo in
                 [*zip(made.used, made.capture.photos), *((n, p) for n, p in left_out.items() if p is not None)]}
-    write_page(folder / "quality.html", "capture.html", title=f"Capture: {_name(made)}", record=record, pictures=pictures,
+    write_page(folder / "quality.html", "capture/page.html", title=f"Capture: {_name(made)}", record=record, pictures=pictures,
                coverage=png_uri(_coverage_picture(made.coverage)), plan=_plan(made))
 
 

@@ -19,7 +19,15 @@ Picture = tuple[str, str]  # caption and address
 
 
 def html_of(title: str, groups: Sequence[tuple[str, list[Picture]]], facts: Sequence[str] = (), notes: Sequence[str] = ()) -> str:
-    return page_text("notebook.html", title=title, groups=groups, facts=facts, notes=notes[:LISTED], side=LARGEST)
+    """The HTML of a value in a notebook.
+
+    Args:
+        title: the heading.
+        groups: rows of pictures, each a heading and its pictures.
+        facts: one line each, below the heading.
+        notes: notes and warnings; the first :data:`LISTED` are shown.
+    """
+    return page_text("pages/notebook.html", title=title, groups=groups, facts=facts, notes=notes[:LISTED], side=LARGEST)
 
 
 def uri_of(display: Tensor) -> str:

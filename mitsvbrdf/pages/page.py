@@ -1,7 +1,7 @@
 """Self-contained HTML pages: one file that opens from disk, in light and dark, with no network request.
 
 A page computes nothing: it gets numbers that stand in a JSON, and pictures that are made here from tensors or by
-matplotlib. ``templates/base.html`` holds the look they share.
+matplotlib. Its template stands beside the module that fills it; ``pages/base.html`` holds the look they share.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from ..system import files
 
 
 def write_page(path: str | Path, template: str, **context: object) -> None:
-    """Render ``templates/TEMPLATE`` (which extends ``base.html``) into one file, beside first, then renamed.
+    """Render a template (which extends ``pages/base.html``) into one file, beside first, then renamed.
 
     Args:
         path: the file to write.
-        template: file name in ``mitsvbrdf/report/templates``.
+        template: path inside the package, such as ``report/report.html``.
         context: what the template asks for; text is escaped.
     """
     text = page_text(template, **context)
@@ -32,13 +32,13 @@ def write_page(path: str | Path, template: str, **context: object) -> None:
 
 
 def page_text(template: str, **context: object) -> str:
-    """``templates/TEMPLATE`` as text, with the arguments of :func:`write_page`; what UTF-8 cannot write becomes a ?."""
+    """A template as text, with the arguments of :func:`write_page`; what UTF-8 cannot write becomes a ?."""
     return _environment().get_template(template).render(context).encode(errors="replace").decode()
 
 
 @functools.cache
 def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(loader=jinja2.PackageLoader("mitsvbrdf", "report/templates"), autoescape=True,
+    environment = jinja2.Environment(loader=jinja2.PackageLoader("mitsvbrdf", ""), autoescape=True,
                                      undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {"figure": figure, "seconds": seconds}
     return environment

@@ -21,7 +21,7 @@ LEVELS = {"square": 4095, "plain": 65535, "octahedral": 65535}  # highest intege
 
 
 def viewer_html(svbrdf: SVBRDF, *, largest: int = LARGEST) -> str:
-    """The viewer as an HTML fragment, to be put once into a page that extends ``templates/base.html``, marked ``|safe``.
+    """The viewer as an HTML fragment, to be put once into a page that extends ``pages/base.html``, marked ``|safe``.
 
     It asks nothing of the network, opens from disk, and puts ``window.mitsvbrdfViewer`` into the page (``viewer.js``).
 
@@ -38,7 +38,7 @@ def viewer_html(svbrdf: SVBRDF, *, largest: int = LARGEST) -> str:
     about, payload = encode_maps(svbrdf)
     about |= {"bsdf": svbrdf.bsdf, "resolution": svbrdf.resolution, "f0_range": F0_RANGE, "dielectric_f0": DIELECTRIC_F0,
               "min_alpha": MIN_ALPHA[svbrdf.bsdf], "titles": {name: TITLES[name] for name in CHANNELS[svbrdf.bsdf]}}
-    return page_text("viewer.html", about=about, payload=base64.b64encode(payload).decode())
+    return page_text("report/viewer.html", about=about, payload=base64.b64encode(payload).decode())
 
 
 def encode_maps(svbrdf: SVBRDF) -> tuple[dict, bytes]:

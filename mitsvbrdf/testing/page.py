@@ -66,7 +66,7 @@ def failure(title: str, figures: Sequence[Figure], rows: Callable[[], list[Row]]
     """
     lines = [title, *(f"  {f.name}: {f.value:.3g}, limit {f.limit:.3g}" for f in figures if f.missed),
              *(f"  {note}" for note in notes)]
-    page = left_behind(suffix, lambda path: write_page(path, "comparison.html", title=title, test=current().id,
+    page = left_behind(suffix, lambda path: write_page(path, "testing/comparison.html", title=title, test=current().id,
                                                        figures=figures, rows=rows(), notes=notes))
     return AssertionError("\n".join([*lines, f"  page: {page}"]))
 

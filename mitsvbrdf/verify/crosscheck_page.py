@@ -35,8 +35,8 @@ def write_crosscheck_page(path: str | Path, record: dict, error_maps: Mapping[tu
     ramp = torch.logspace(-8, -4, 256, dtype=torch.float64).expand(16, 256)
     converted = {bsdf: how for material in record["materials"].values() for bsdf, how in material["converted"].items()}
     materials = {name: [c for c in record["configurations"] if c["material"] == name] for name in record["materials"]}
-    write_page(path, "crosscheck.html", title="Renderers against float64", record=record, materials=materials, error_maps=maps,
-               ramp=png_uri(error_picture(ramp, BRIGHTEST, DARKEST)), darkest=DARKEST, brightest=BRIGHTEST,
+    write_page(path, "verify/crosscheck.html", title="Renderers against float64", record=record, materials=materials,
+               error_maps=maps, ramp=png_uri(error_picture(ramp, BRIGHTEST, DARKEST)), darkest=DARKEST, brightest=BRIGHTEST,
                plot=svg(error_against_time(record)), left_out=left_out(record), converted=converted, cosine=_cosine,
                digits=_digits)
 

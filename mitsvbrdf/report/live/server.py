@@ -97,7 +97,7 @@ class Handler(BaseHTTPRequestHandler):
         watch = self.server.watch
         if path == "/":
             nonce = secrets.token_urlsafe(16)
-            page = page_text("live.html", title=watch.out.name or "mitsvbrdf", nonce=nonce).encode()
+            page = page_text("report/live/live.html", title=watch.out.name or "mitsvbrdf", nonce=nonce).encode()
             return self.reply(200, page, "text/html; charset=utf-8", {"Content-Security-Policy": OURS.format(nonce=nonce)})
         if path == "/state.json":
             state = json.dumps(watch.state(), allow_nan=False).encode()
