@@ -18,7 +18,8 @@ LISTED = 10  # notes and warnings
 Picture = tuple[str, str]  # caption and address
 
 
-def html_of(title: str, groups: Sequence[tuple[str, list[Picture]]], facts: Sequence[str] = (), notes: Sequence[str] = ()) -> str:
+def html_of(title: str, groups: Sequence[tuple[str, list[Picture]]], facts: Sequence[str] = (),
+            notes: Sequence[str] = ()) -> str:
     """The HTML of a value in a notebook.
 
     Args:

@@ -1,7 +1,8 @@
 """Self-contained HTML pages: one file that opens from disk, in light and dark, with no network request.
 
 A page computes nothing: it gets numbers that stand in a JSON, and pictures that are made here from tensors or by
-matplotlib. Its template stands beside the module that fills it; ``pages/base.html`` holds the look they share.
+matplotlib. Its template stands beside the module that fills it; ``pages/base.html`` holds the look they share. Jinja2
+and matplotlib are loaded with the first page.
 """
 
 from __future__ import annotations
@@ -10,12 +11,13 @@ import functools
 import io
 import math
 from pathlib import Path
-
-import jinja2
-import matplotlib
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING
 
 from ..system import files
+
+if TYPE_CHECKING:
+    import jinja2
+    from matplotlib.figure import Figure
 
 
 def write_page(path: str | Path, template: str, **context: object) -> None:
@@ -38,6 +40,8 @@ def page_text(template: str, **context: object) -> str:
 
 @functools.cache
 def _environment() -> jinja2.Environment:
+    import jinja2
+
     environment = jinja2.Environment(loader=jinja2.PackageLoader("mitsvbrdf", ""), autoescape=True,
                                      undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {"figure": figure, "seconds": seconds}
@@ -60,6 +64,8 @@ def seconds(value: float) -> str:
 
 def svg(drawing: Figure) -> str:
     """A matplotlib figure as inline SVG text, transparent, to be marked ``|safe`` in a template."""
+    import matplotlib
+
     text = io.StringIO()
     with matplotlib.rc_context({"svg.hashsalt": "mitsvbrdf", "svg.fonttype": "none"}):
         drawing.savefig(text, format="svg", transparent=True, metadata={"Date": None})

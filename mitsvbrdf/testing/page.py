@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -17,7 +16,7 @@ from .. import color
 from ..errors import OutputError
 from ..measure.metrics import flip, relative_error
 from ..pages.page import write_page
-from ..pages.pictures import error_picture, png_uri
+from ..pages.pictures import at_most, error_picture, magma, png_uri, shrunk
 from ..system import files
 from .running import current
 
@@ -103,13 +102,13 @@ def row(title: str, new: Tensor, reference: Tensor | None, show: Callable[[Tenso
         show: turns H x W x C into display values H x W x 3.
     """
     if reference is None:
-        return Row(title, [("new", png_uri(_small(_marked(show(new), new))))])
+        return Row(title, [("new", png_uri(at_most(_marked(show(new), new), LARGEST)))])
     first, second = (_marked(show(x.float()), x) for x in (new, reference))
     look = flip(first, second, "linear")
     return Row(title, [
-        ("new", png_uri(_small(first))), ("reference", png_uri(_small(second))),
+        ("new", png_uri(at_most(first, LARGEST))), ("reference", png_uri(at_most(second, LARGEST))),
         heat("relative difference", relative_difference(new[None], reference[None])[0]),
-        (f"FLIP: mean {float(look.mean()):.2g}, worst {float(look.max()):.2g}, bright 1", png_uri(_magma(_peaks(look))))])
+        (f"FLIP: mean {float(look.mean()):.2g}, worst {float(look.max()):.2g}, bright 1", png_uri(magma(_peaks(look))))])
 
 
 def gradient_row(title: str, new: Tensor, reference: Tensor) -> Row:
@@ -134,23 +133,8 @@ def _marked(display: Tensor, linear: Tensor) -> Tensor:
     return torch.where(torch.isfinite(linear).all(dim=-1, keepdim=True), display, torch.tensor([1.0, 0.0, 1.0]))
 
 
-def _magma(share: Tensor) -> Tensor:
-    return torch.as_tensor(matplotlib.colormaps["magma"](share.numpy())[..., :3], dtype=torch.float32)
-
-
-def _small(display: Tensor) -> Tensor:
-    if max(display.shape[:2]) <= LARGEST:
-        return display
-    return F.adaptive_avg_pool2d(display.permute(2, 0, 1), _fitting(display)).permute(1, 2, 0)
-
-
 def _peaks(size: Tensor) -> Tensor:
     """Shrunk so that a single bad pixel stays visible."""
     if max(size.shape) <= LARGEST:
         return size
-    return F.adaptive_max_pool2d(size[None], _fitting(size))[0]
-
-
-def _fitting(picture: Tensor) -> tuple[int, int]:
-    height, width = picture.shape[:2]
-    return tuple(max(1, side * LARGEST // max(height, width)) for side in (height, width))  # type: ignore[return-value]
+    return F.adaptive_max_pool2d(size[None], shrunk(size, LARGEST))[0]
