@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 
-from ..verify.crosscheck import TOLERANCES
+from ..measure.tolerances import TOLERANCES
 from . import summary
 
 # The default method first; told apart by lightness too.

@@ -20,9 +20,9 @@ from ..material.made import make_material
 from ..material.maps import SVBRDF, Bsdf
 from ..measure.gradients import fixed_cotangent, render_and_gradients
 from ..measure.metrics import gradient_error, relative_error
+from ..measure.tolerances import ROUGH_FROM
 from ..render import Renderer, make_renderer
 from ..system.timing import in_turns, spread
-from ..verify.crosscheck import ROUGH_FROM
 from ..views import Views
 
 MATERIAL = "inlay"

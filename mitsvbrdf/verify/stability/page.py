@@ -34,8 +34,8 @@ def write_stability_page(path: str | Path, record: dict) -> None:
     plots = [(key, svg(errors_along(record, key))) for key in PLOTTED if key in record["sweeps"]]
     counts = {name: Counter(row["renderers"][name]["verdict"] for row in record["rows"]) for name in record["renderers"]}
     write_page(path, "verify/stability/stability.html", title="Numerical stability of the renderers", record=record,
-               plots=plots, clamps=CLAMPS, counts=counts, verdicts=VERDICTS, worst=worst_errors, largest=largest, condition=condition_text, step=step_text,
-               because=because)
+               plots=plots, clamps=CLAMPS, counts=counts, verdicts=VERDICTS, worst=worst_errors, largest=largest,
+               condition=condition_text, step=step_text, because=because)
 
 
 def errors_along(record: dict, sweep: str) -> Figure:
