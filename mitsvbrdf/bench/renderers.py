@@ -6,10 +6,9 @@ The twin ``analytic64`` takes part as the truth that costs what it costs. All re
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import torch
@@ -22,7 +21,7 @@ from ..measure.gradients import fixed_cotangent, render_and_gradients
 from ..measure.metrics import gradient_error, relative_error
 from ..measure.tolerances import ROUGH_FROM
 from ..render import Renderer, make_renderer
-from ..system.timing import in_turns, spread
+from ..system.timing import in_turns, spread, timed
 from ..views import Views
 
 MATERIAL = "inlay"
@@ -99,7 +98,7 @@ class RenderJob:
             del got
             report(0.4 * (number + 1) / len(engines))
         del image, gradients
-        turns = in_turns({key: _timed(engine, svbrdf, views) for key, engine in engines.items()}, self.repeats,
+        turns = in_turns({key: partial(_seconds, engine, svbrdf, views) for key, engine in engines.items()}, self.repeats,
                          report=lambda share: report(0.4 + 0.6 * share))
         rows = []
         for name, samples in engines:
@@ -187,16 +186,12 @@ def _image_error(image: Tensor, truth: Tensor, rough: Tensor) -> float:
     return sum(float(relative_error(a, b)[rough].abs().mean()) for a, b in zip(image, truth)) / len(truth)
 
 
-def _timed(renderer: Renderer, svbrdf: SVBRDF, views: Views) -> Callable[[], tuple[float, float]]:
+def _seconds(renderer: Renderer, svbrdf: SVBRDF, views: Views) -> tuple[float, float]:
     """Seconds of a picture without gradients, and of one with them, forward and backward."""
-    def run() -> tuple[float, float]:
-        started = time.perf_counter()
-        with torch.no_grad():
-            renderer.render(svbrdf, views)
-        forward = time.perf_counter() - started
-        passes = render_and_gradients(renderer, svbrdf, views)
-        return forward, passes.forward + passes.backward
-    return run
+    with torch.no_grad():
+        _, alone = timed(renderer.render, svbrdf, views)
+    passes = render_and_gradients(renderer, svbrdf, views)
+    return alone, passes.forward + passes.backward
 
 
 @lru_cache(maxsize=1)

@@ -19,7 +19,8 @@ def verdict(figures: Mapping, limit: Mapping[str, float], clamps: Sequence[str] 
         figures: ``errors``, the relative L2 error of ``image`` and each map's gradient, None for infinite; ``not_finite``
             and ``silenced``, how many values by the same names; or ``refused``, the error message, alone.
         limit: what one rounding of every normal changes (:func:`mitsvbrdf.verify.float32_limits.float32_limit`), by the
-            names of ``errors``; empty where it was not looked at. Measured errors reach a third of it where nothing else is wrong.
+            names of ``errors``; empty where it was not looked at. Measured errors reach a third of it where nothing else is
+            wrong.
         clamps: names of the cuts that act.
         known: the largest error that is known and explained, and its cause.
     """
