@@ -37,9 +37,9 @@ from ..views import Views, default_views
 from .methods import settings_of
 from .tasks import LEFT_OUT
 
-SHEET = 18.0  # cm
-MATERIAL_SIDE = 1024  # texels of made materials over the whole sample
-TAKING, MAKING = 60.0, 60.0  # seconds, before there is anything to go by
+SHEET_CM = 18.0
+SAMPLE_SIDE = 1024  # texels of made materials over the whole sample
+TAKING_SECONDS, MAKING_SECONDS = 60.0, 60.0  # seconds, before there is anything to go by
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ class CaptureJob:
     def cost(self) -> float:
         """A guess of its seconds."""
         fits = (2 if self.kind == "material" else 4) * (self.config.budget or 120.0)
-        return fits + (TAKING + MAKING if self.kind == "material" else 0.0)
+        return fits + (TAKING_SECONDS + MAKING_SECONDS if self.kind == "material" else 0.0)
 
     def run(self, report: Callable[[float], object] = lambda share: None) -> dict:
         """The figures. What cannot be done is a result too: it has no errors, and says why."""
@@ -116,8 +116,8 @@ class CaptureJob:
         from ..synth.traced import HandheldRenderer
 
         made = self.source.startswith("builtin:")
-        maps = make_material(self.name, MATERIAL_SIDE) if made else load_maps(self.source)
-        phone = replace(self.phone, sheet=SHEET if self.sheet else None)
+        maps = make_material(self.name, SAMPLE_SIDE) if made else load_maps(self.source)
+        phone = replace(self.phone, sheet=SHEET_CM if self.sheet else None)
         _, taking = timed(write_handheld, maps, phone, partial(HandheldRenderer, variant=self.variant), folder / "raw")
         report(0.2)
         result = make_capture([Photo.open(path) for path in photos_in(folder / "raw")], phone.sheet,

@@ -22,7 +22,7 @@ from .tasks import Task
 
 Report = Callable[[str, float], None]
 
-AROUND = 3.0  # seconds a fit takes besides its budget, before there is anything to go by
+SECONDS_BESIDE_BUDGET = 3.0  # seconds a fit takes besides its budget, before there is anything to go by
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class FitJob:
     @property
     def cost(self) -> float:
         """A guess of its seconds."""
-        return self.budget + AROUND
+        return self.budget + SECONDS_BESIDE_BUDGET
 
     @property
     def shape(self) -> tuple:

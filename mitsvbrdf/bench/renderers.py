@@ -24,15 +24,15 @@ from ..render import Renderer, make_renderer
 from ..system.timing import in_turns, spread, timed
 from ..views import Views
 
-MATERIAL = "inlay"
+RENDERED_MATERIAL = "inlay"
 FLASH_BESIDE = 0.1  # patch sides between lens and flash, as fits find them; with it the Fresnel curve takes part
 
 # Bytes a texel and view of a forward and backward pass, rounded up from what was measured at 256 and 512 px, nine views:
 # 1060, 290, 30 and 90. A renderer that would need more than there is sits a case out.
-BYTES = {"analytic64": 1200, "analytic": 350, "mitsuba": 100, "mitsuba-scene": 150}
-SECONDS = 2.5e-6  # of all renderers together, a texel and view, forward and backward; only to say how long it will take
+BYTES_A_TEXEL = {"analytic64": 1200, "analytic": 350, "mitsuba": 100, "mitsuba-scene": 150}
+SECONDS_A_TEXEL = 2.5e-6  # of all renderers together, a texel and view, forward and backward; only to say how long it will take
 
-FINER = 4, 8  # points along a pixel's side for the truth of jittered pixels, extrapolated from both
+POINTS_A_SIDE = 4, 8  # points along a pixel's side for the truth of jittered pixels, extrapolated from both
 
 
 @dataclass(frozen=True)
@@ -81,14 +81,14 @@ class RenderJob:
     @property
     def cost(self) -> float:
         """A guess of its seconds."""
-        rays = sum(self.samples) + (sum(k * k for k in FINER) if self.samples else 1)
-        return 3 + SECONDS * self.resolution**2 * self.views * (rays + self.repeats + 2)
+        rays = sum(self.samples) + (sum(k * k for k in POINTS_A_SIDE) if self.samples else 1)
+        return 3 + SECONDS_A_TEXEL * self.resolution**2 * self.views * (rays + self.repeats + 2)
 
     def run(self, report: Callable[[float], object] = lambda share: None) -> dict:
         """The figures: ``rows``, one for each renderer and number of samples, and ``skipped`` with the reason."""
         svbrdf, views = _material(self.bsdf, self.resolution), spread_views(self.views)
         engines, skipped = self._engines()
-        image, gradients = exact(svbrdf, views, FINER if self.samples else (1,))
+        image, gradients = exact(svbrdf, views, POINTS_A_SIDE if self.samples else (1,))
         rough = svbrdf["roughness"][..., 0] >= ROUGH_FROM
         errors = {}
         for number, (key, engine) in enumerate(engines.items()):
@@ -109,7 +109,7 @@ class RenderJob:
     def _engines(self) -> tuple[Mapping[tuple[str, int], Renderer], list[dict[str, str]]]:
         engines: dict[tuple[str, int], Renderer] = {}
         skipped, available = [], memory_available()
-        for name, size in BYTES.items():
+        for name, size in BYTES_A_TEXEL.items():
             needed = size * self.resolution**2 * self.views
             if available is not None and needed > available:
                 skipped.append({"renderer": name, "why": f"needs about {needed / 2**30:.0f} GiB of memory"})
@@ -196,7 +196,7 @@ def _seconds(renderer: Renderer, svbrdf: SVBRDF, views: Views) -> tuple[float, f
 
 @lru_cache(maxsize=1)
 def _made(resolution: int) -> SVBRDF:
-    return make_material(MATERIAL, resolution)
+    return make_material(RENDERED_MATERIAL, resolution)
 
 
 def _material(bsdf: Bsdf, resolution: int) -> SVBRDF:

@@ -32,10 +32,10 @@ from ..system.provenance import machine, versions
 from ..system.timing import timed
 from ..views import Views, nine_view_grid
 
-NOISE = 0.003  # of the made photos, linear
+PHOTO_NOISE = 0.003  # of the made photos, linear
 
 # The methods as they come: `hierarchical` may end before its budget, `gan` has steps large enough to move at all in seconds.
-METHODS: dict[str, Callable[[float, int], FitConfig]] = {
+CONFIGS: dict[str, Callable[[float, int], FitConfig]] = {
     "hierarchical": lambda budget, seed: HierarchicalConfig(budget=budget, seed=seed),
     "hybrid": lambda budget, seed: HybridConfig(budget=budget, seed=seed),
     "direct": lambda budget, seed: DirectConfig(budget=budget, seed=seed),
@@ -70,7 +70,7 @@ def steeper(normal: Tensor, factor: float) -> Tensor:
 
 def shot(truth: SVBRDF, told: Views | None = None, views: Views | None = None) -> Case:
     """Photos of a material from nine views (or ``views``), and the views the fit is told (left out: the right ones)."""
-    capture = photograph(truth, views or nine_view_grid(), make_renderer("analytic"), NOISE)
+    capture = photograph(truth, views or nine_view_grid(), make_renderer("analytic"), PHOTO_NOISE)
     return Case(replace(capture, views=told or capture.views), truth)
 
 
@@ -171,7 +171,7 @@ def main(json: Annotated[Path, tyro.conf.arg(metavar="FILE", help="Where the rec
         for method in methods:
             row = {"case": name, "method": method}
             try:
-                row |= run(case, METHODS[method](budget, seed), engine, f"{name} · {method}")
+                row |= run(case, CONFIGS[method](budget, seed), engine, f"{name} · {method}")
             except MitsvbrdfError as error:
                 row |= {"error": str(error)}
                 failed += 1

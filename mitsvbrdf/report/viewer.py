@@ -16,11 +16,11 @@ from ..pages.page import page_text
 from ..render.analytic import MIN_ALPHA
 from ..render.bsdf import F0_RANGE
 
-LARGEST = 512  # texels along a side; maps of noise are 5.3 MB then, those of materials 2 to 4.5 MB
-LEVELS = {"square": 4095, "plain": 65535, "octahedral": 65535}  # highest integer of each coding
+VIEWER_SIDE = 512  # texels along a side; maps of noise are 5.3 MB then, those of materials 2 to 4.5 MB
+TOP_LEVELS = {"square": 4095, "plain": 65535, "octahedral": 65535}  # highest integer of each coding
 
 
-def viewer_html(svbrdf: SVBRDF, *, largest: int = LARGEST) -> str:
+def viewer_html(svbrdf: SVBRDF, *, largest: int = VIEWER_SIDE) -> str:
     """The viewer as an HTML fragment, to be put once into a page that extends ``pages/base.html``, marked ``|safe``.
 
     It asks nothing of the network, opens from disk, and puts ``window.mitsvbrdfViewer`` into the page (``viewer.js``).
@@ -63,7 +63,7 @@ def encode_maps(svbrdf: SVBRDF) -> tuple[dict, bytes]:
         elif coding == "square":
             value = np.sqrt(value)
         low, high = value.min((0, 1)), value.max((0, 1))
-        span, top = np.where(high > low, high - low, 1), LEVELS[coding]
+        span, top = np.where(high > low, high - low, 1), TOP_LEVELS[coding]
         levels = np.rint((value - low) / span * top).astype(np.uint16)
         for channel in np.moveaxis(levels, -1, 0):
             planes += [(channel >> 8).astype(np.uint8).tobytes(), (channel & 255).astype(np.uint8).tobytes()]

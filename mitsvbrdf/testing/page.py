@@ -20,8 +20,8 @@ from ..pages.pictures import at_most, error_picture, magma, png_uri, shrunk
 from ..system import files
 from .running import current
 
-LARGEST = 256  # pixels along a side of the pictures in a page
-ROWS = 3  # views shown, the worst first
+PICTURE_SIDE = 256  # pixels along a side of the pictures in a page
+VIEWS_SHOWN = 3  # views shown, the worst first
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ def left_behind(suffix: str, write: Callable[[Path], None]) -> str:
 def view_rows(new: Tensor, reference: Tensor, whose: str) -> list[Row]:
     """The views N x H x W x 3 (linear) that differ most, the worst first; ``whose`` they are stands in the title."""
     error = relative_difference(new, reference).flatten(1).mean(1)
-    worst = error.nan_to_num(nan=torch.inf).argsort(descending=True)[:ROWS].tolist()
+    worst = error.nan_to_num(nan=torch.inf).argsort(descending=True)[:VIEWS_SHOWN].tolist()
     return [row(f"{whose}, view {k}" if len(new) > 1 else whose, new[k], reference[k], color.to_display) for k in worst]
 
 
@@ -102,11 +102,11 @@ def row(title: str, new: Tensor, reference: Tensor | None, show: Callable[[Tenso
         show: turns H x W x C into display values H x W x 3.
     """
     if reference is None:
-        return Row(title, [("new", png_uri(at_most(_marked(show(new), new), LARGEST)))])
+        return Row(title, [("new", png_uri(at_most(_marked(show(new), new), PICTURE_SIDE)))])
     first, second = (_marked(show(x.float()), x) for x in (new, reference))
     look = flip(first, second, "linear")
     return Row(title, [
-        ("new", png_uri(at_most(first, LARGEST))), ("reference", png_uri(at_most(second, LARGEST))),
+        ("new", png_uri(at_most(first, PICTURE_SIDE))), ("reference", png_uri(at_most(second, PICTURE_SIDE))),
         heat("relative difference", relative_difference(new[None], reference[None])[0]),
         (f"FLIP: mean {float(look.mean()):.2g}, worst {float(look.max()):.2g}, bright 1", png_uri(magma(_peaks(look))))])
 
@@ -135,6 +135,6 @@ def _marked(display: Tensor, linear: Tensor) -> Tensor:
 
 def _peaks(size: Tensor) -> Tensor:
     """Shrunk so that a single bad pixel stays visible."""
-    if max(size.shape) <= LARGEST:
+    if max(size.shape) <= PICTURE_SIDE:
         return size
-    return F.adaptive_max_pool2d(size[None], shrunk(size, LARGEST))[0]
+    return F.adaptive_max_pool2d(size[None], shrunk(size, PICTURE_SIDE))[0]

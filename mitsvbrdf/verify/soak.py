@@ -32,7 +32,7 @@ from ..views import Views
 
 SLOPE_LIMIT = 0.5  # MiB of resident memory per 100 steps
 WARM_UP = 0.2  # share of the steps during which pools and caches may still fill
-SHOWN = 100  # memory samples kept in the record of a case
+SAMPLES_KEPT = 100  # memory samples kept in the record of a case
 
 
 def soak(renderers: Sequence[Renderer], bsdf: Bsdf, work: str, steps: int, resolution: int = 64) -> dict:
@@ -77,7 +77,7 @@ def soak(renderers: Sequence[Renderer], bsdf: Bsdf, work: str, steps: int, resol
         "renderers": [renderer.name for renderer in renderers], "bsdf": bsdf, "work": work, "steps": steps,
         "resolution": resolution, "warm_up": warm,
         "memory": {"slope": slope(memory[warm:]) * 100, "first": memory[0], "last": memory[-1],
-                   "samples": [[step, memory[step]] for step in range(0, steps, -(-steps // SHOWN))]},
+                   "samples": [[step, memory[step]] for step in range(0, steps, -(-steps // SAMPLES_KEPT))]},
         "kernels": {"first": kernels[2 * turn] - kernels[0], "late": kernels[-1] - kernels[2 * turn], "late_steps": late[:20]},
         "drjit": growth or None,
         "step": {"first": first, "last": last, "drift": last / first - 1},

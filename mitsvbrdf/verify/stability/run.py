@@ -25,7 +25,7 @@ from .sweeps import SWEEPS, Case
 from .verdict import verdict
 
 SCHEMA_VERSION = 1
-SMALLEST = 1e-5  # a gradient entry of this share of its texel's is above float32's rounding: 0 in its place was put there
+ABOVE_ROUNDING = 1e-5  # a gradient entry of this share of its texel's is above float32's rounding: 0 in its place was put there
 
 Report = Callable[[str, float], object]
 
@@ -170,7 +170,7 @@ def _not_finite(tensor: Tensor) -> int:
 
 def _silenced(found: Tensor, reference: Tensor) -> int:
     """Entries that came back as 0 though they are not small beside the others of their texel."""
-    return int(((found == 0) & (reference.abs() > SMALLEST * reference.norm(dim=-1, keepdim=True))).sum())
+    return int(((found == 0) & (reference.abs() > ABOVE_ROUNDING * reference.norm(dim=-1, keepdim=True))).sum())
 
 
 def _limit(twin: Renderer, case: Case, exact: Measured, cotangent: Tensor) -> dict[str, float]:
