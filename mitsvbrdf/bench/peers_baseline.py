@@ -26,9 +26,9 @@ from ..render import Renderer
 from ..views import Views
 
 START = {"diffuse": 0.5, "specular": 0.04, "roughness": 0.2}  # gamma-encoded
-CHANNELS = {"diffuse": 3, "specular": 3, "roughness": 1, "normal": 2}
-DARKEST = 1e-6  # what renderings are cut to from below
-LEAST = 2 * float(color.encode(torch.tensor(LEAST_ROUGHNESS))) - 1  # renderers take no roughness of 0
+TEXTURE_CHANNELS = {"diffuse": 3, "specular": 3, "roughness": 1, "normal": 2}
+LEAST_RENDERED = 1e-6  # what renderings are cut to from below
+LEAST_ROUGHNESS_UNIT = 2 * float(color.encode(torch.tensor(LEAST_ROUGHNESS))) - 1  # renderers take no roughness of 0
 
 
 @dataclass(frozen=True)
@@ -56,17 +56,17 @@ class PeersBaseline:
         self.held: Mapping[str, Tensor] = {}
         size = capture.resolution
         self.textures = {name: torch.full((size, size, channels), 2 * START[name] - 1 if name in START else 0.0)
-                         .requires_grad_() for name, channels in CHANNELS.items()}
+                         .requires_grad_() for name, channels in TEXTURE_CHANNELS.items()}
         self.optimizer = torch.optim.Adam(list(self.textures.values()), lr=config.learning_rate)
 
     def step(self, progress: float) -> dict[str, float]:
         """One Adam step on all photos; ``progress`` does not matter."""
-        rendered = self.renderer.render(self._material(), self.views).clamp(DARKEST, 1)
+        rendered = self.renderer.render(self._material(), self.views).clamp(LEAST_RENDERED, 1)
         loss = (color.encode(rendered, self.capture.transfer) - self.capture.photos).square().mean()
         gradient = descend(loss, self.optimizer)
         with torch.no_grad():
             for name, texture in self.textures.items():
-                texture.clamp_(LEAST if name == "roughness" else -1, 1)
+                texture.clamp_(LEAST_ROUGHNESS_UNIT if name == "roughness" else -1, 1)
         return {"l2": float(loss.detach()), "gradient": gradient}
 
     def _material(self) -> SVBRDF:

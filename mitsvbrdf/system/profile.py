@@ -20,6 +20,8 @@ from time import perf_counter
 
 from torch import Tensor
 
+from .timing import spread
+
 STEP = "step"  # the scope around one step of a method; what else is measured counts beside the steps
 OTHER = "other"
 
@@ -106,8 +108,6 @@ class Profile:
             ``parts``: the same for each part, over the steps that have it, and its ``share`` of all their time. ``warm_up``:
             seconds of the steps left out. ``beside``: seconds between the steps, by what ran then.
         """
-        from .timing import spread  # which needs the renderers: not before anybody asks
-
         kinds = set[frozenset[str]]()
         first, later = list[dict[str, float]](), list[dict[str, float]]()
         for step in self.steps:

@@ -26,8 +26,8 @@ from ..system.timing import side_by_side
 from ..views import Views, nine_view_grid
 
 SCHEMA_VERSION = 1
-FULL = Needs()
-CO_LOCATED = replace(FULL, fresnel_curve=False)
+EVERYTHING = Needs()
+CO_LOCATED = replace(EVERYTHING, fresnel_curve=False)
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def cases(resolution: int) -> Iterator[Case]:
     yield pair("colour of the specular map", "it is grey", lean, ("coloured_specular",), ("specular",))
     yield pair("normal map", "it is flat", lean, ("normal_map",), ("normal",))
     yield pair("metallic map", "it is 0", metal, ("metallic",), ("metallic",))
-    yield pair("Fresnel curve", "the light is at the camera", coloured, ("fresnel_curve",), needs=FULL)
+    yield pair("Fresnel curve", "the light is at the camera", coloured, ("fresnel_curve",), needs=EVERYTHING)
     yield Case("gradients of three maps", "mitsuba", "they are held fixed", _pass("mitsuba", coloured, views, every, bare),
                _pass("mitsuba", coloured, views, ("diffuse",), bare), twin.render(coloured, views))
     yield pair("environment", "the flash is the only light", coloured, ("environment",), renderer="mitsuba-scene")
@@ -123,7 +123,7 @@ def cases(resolution: int) -> Iterator[Case]:
     yield across("ray tracing", "the texel behind each pixel is known", coloured, every, bare, bare)
     yield Case("discriminator", "hybrid", "its weight is 0", _steps(coloured, views, 1e-30), _steps(coloured, views, 0.0))
     yield across("all of these", "a flat, grey material; normal and specular held fixed", lean, ("diffuse", "roughness"),
-                 FULL, None)
+                 EVERYTHING, None)
 
 
 def _with(svbrdf: SVBRDF, **maps: Tensor) -> SVBRDF:

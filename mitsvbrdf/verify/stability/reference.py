@@ -18,7 +18,7 @@ from ...render.needs import half_angle_bound
 from ...views import Views
 
 DIGITS = 50
-STEP = mpf(10) ** -18  # of the central differences: their error goes like its square, rounding like 10^-50 over it
+DIFFERENCE_STEP = mpf(10) ** -18  # of the central differences: their error goes like its square, rounding like 10^-50 over it
 
 Maps = dict[str, list]
 
@@ -56,7 +56,8 @@ def _slope(total, maps: Maps, name: str, i: int) -> mpf:
         return total(maps | {name: [x + step * (j == i) for j, x in enumerate(maps[name])]})
 
     value = maps[name][i]
-    up, down = (0 if name != "normal" and value >= 1 else STEP), (0 if name != "normal" and value <= 0 else STEP)
+    bounded = name != "normal"
+    up, down = (0 if bounded and value >= 1 else DIFFERENCE_STEP), (0 if bounded and value <= 0 else DIFFERENCE_STEP)
     return (at(up) - at(-down)) / (up + down)
 
 
