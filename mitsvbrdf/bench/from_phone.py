@@ -68,6 +68,7 @@ class CaptureJob:
 
     @property
     def name(self) -> str:
+        """Of the material or the capture."""
         return self.source.removeprefix("builtin:") if self.source.startswith("builtin:") else Path(self.source).name
 
     @property
@@ -131,8 +132,8 @@ class CaptureJob:
         for number, (whose, shots) in enumerate((
                 ("found", read_capture(folder / "capture", self.resolution)),
                 ("true", true_capture(folder / "capture", truth, resolution=self.resolution)))):
-            result, seconds[f"fit, {whose} views"] = timed(self._fit, shots, self.config)
-            fitted = result.svbrdf.detach()
+            fit, seconds[f"fit, {whose} views"] = timed(self._fit, shots, self.config)
+            fitted = fit.svbrdf.detach()
             errors |= {f"{whose} {name}": value for name, value in map_rmse(fitted, known).items()}
             errors[f"{whose} scaled diffuse"] = scaled_diffuse_rmse(fitted, known)
             report(0.65 + 0.35 * number)

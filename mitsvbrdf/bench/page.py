@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from matplotlib.figure import Figure
 from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table as Shown
@@ -29,6 +30,8 @@ from .tables import (
     judged,
     renderer_tables,
 )
+
+Picture = Callable[[str, Figure | None, str], list[str]]  # name, drawing, what it shows -> lines of Markdown
 
 
 def print_benchmark(record: Mapping) -> None:
@@ -62,7 +65,7 @@ def write_benchmark_page(path: str | Path, record: Mapping) -> list[Path]:
     """
     path, pictures = Path(path), dict[str, bytes]()
 
-    def picture(name: str, drawing, what: str) -> list[str]:
+    def picture(name: str, drawing: Figure | None, what: str) -> list[str]:
         if drawing is None:
             return []
         pictures[f"{path.stem}-{name}.svg"] = svg(drawing)
@@ -141,7 +144,7 @@ def _beside_published(record: Mapping, kind: str, error: str, title: str, fits: 
     return [f"- {title}, `{default}` after {longest:g} s against MaterialGAN as published: {text}."]
 
 
-def _methods(record: Mapping, picture) -> list[str]:
+def _methods(record: Mapping, picture: Picture) -> list[str]:
     lines = []
     for kind, heading, text in (
             ("material", "## Known materials", "Photos made of known maps, 8 bits, without noise; the error of the maps is the "
@@ -162,7 +165,7 @@ def _methods(record: Mapping, picture) -> list[str]:
     return lines
 
 
-def _renderers(record: Mapping, picture) -> list[str]:
+def _renderers(record: Mapping, picture: Picture) -> list[str]:
     tables = renderer_tables(record)
     if not tables:
         return []

@@ -41,6 +41,7 @@ class PeersConfig(FitConfig):
     """Adam's step size, on values from -1 to 1."""
 
     def check(self) -> None:
+        """Raise ConfigError where the peers' baseline cannot do what is asked."""
         super().check()
         if self.bsdf != "roughconductor" or self.fix:
             raise ConfigError("diffuse, specular, roughness and normal to fit", f"{self.bsdf} with {list(self.fix)} fixed",
@@ -77,18 +78,22 @@ class PeersBaseline:
         return SVBRDF("roughconductor", maps | {"normal": normal})
 
     def estimate(self) -> tuple[SVBRDF, Views]:
+        """The maps as they are now, and the views as they were given."""
         with torch.no_grad():
             return self._material().map(Tensor.contiguous), self.views
 
     def cut_step(self) -> None:
+        """Halve Adam's step."""
         self.optimizer.param_groups[0]["lr"] /= 2
 
     def state(self) -> dict[str, Tensor]:
+        """What a checkpoint keeps."""
         rate = torch.tensor(self.optimizer.param_groups[0]["lr"], dtype=torch.float64)
         return {f"texture.{name}": t.detach().clone() for name, t in self.textures.items()} | {"rate": rate} | optimizer_state(
             "optimizer", self.optimizer)
 
     def load_state(self, state: dict[str, Tensor]) -> None:
+        """Go on from :meth:`state`."""
         with torch.no_grad():
             for name, texture in self.textures.items():
                 texture.copy_(state[f"texture.{name}"])

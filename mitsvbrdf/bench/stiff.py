@@ -75,25 +75,30 @@ def shot(truth: SVBRDF, told: Views | None = None, views: Views | None = None) -
 
 
 def smooth_metal(resolution: int) -> Case:
+    """A metal whose highlight is narrow."""
     return shot(made("tiles", resolution, diffuse=torch.zeros(3), specular=torch.tensor(GOLD), roughness=torch.tensor([0.05])))
 
 
 def black_albedo(resolution: int) -> Case:
+    """A dielectric that reflects nothing diffusely."""
     return shot(made("leather", resolution, diffuse=torch.zeros(3)))
 
 
 def deep_relief(resolution: int) -> Case:
+    """Normals three times as steep."""
     leather = make_material("leather", resolution)
     return shot(made("leather", resolution, normal=steeper(leather["normal"], 3.0)))
 
 
 def clipped(resolution: int) -> Case:
+    """Photos burnt out in three texels of ten."""
     truth, views = make_material("inlay", resolution), nine_view_grid()
     radiance = make_renderer("analytic").render(truth, views).amax(dim=-1)
     return shot(truth, views=replace(views, intensity=views.intensity / float(radiance.quantile(0.7))))
 
 
 def light_stated(factor: float) -> Callable[[int], Case]:
+    """The light stated this many times as strong as it was."""
     def case(resolution: int) -> Case:
         views = nine_view_grid()
         return shot(make_material("tiles", resolution), told=replace(views, intensity=views.intensity * factor))
@@ -101,6 +106,7 @@ def light_stated(factor: float) -> Callable[[int], Case]:
 
 
 def cameras_off(resolution: int) -> Case:
+    """Cameras told to stand off by 5 percent of their distance."""
     views = nine_view_grid()
     rng = torch.Generator().manual_seed(0)
     off = F.normalize(torch.randn(views.camera.shape, generator=rng, dtype=torch.float64), dim=1)
@@ -109,15 +115,18 @@ def cameras_off(resolution: int) -> Case:
 
 
 def one_photo(resolution: int) -> Case:
+    """A single photo."""
     return shot(make_material("inlay", resolution), views=nine_view_grid().pick([0]))
 
 
 def same_photos(resolution: int) -> Case:
+    """Nine views with one and the same photo."""
     case = shot(make_material("inlay", resolution))
     return replace(case, capture=replace(case.capture, photos=case.capture.photos[:1].repeat(9, 1, 1, 1)))
 
 
 def constant_grey(resolution: int) -> Case:
+    """Photos of one grey, which no material explains."""
     return Case(Capture(torch.full((9, resolution, resolution, 3), 0.5), nine_view_grid()))
 
 

@@ -45,7 +45,8 @@ def write_compare_page(path: str | Path, record: dict, entries: Sequence[Entry],
                "rendered": [(method, png_uri(at_most(images[i], LARGEST))) for method, images in zip(methods, pictures)]}
               for i, (name, photo) in enumerate(zip(record["photos"], capture.photos))]
     title = f"{record['capture'] or 'Capture'}: {', '.join(m['name'] for m in methods)}"
-    write_page(path, "evaluate/compare.html", title=title, record=record, rows=rows, photos=photos, guess=_uri("diffuse", guess), groups=_table(record))
+    write_page(path, "evaluate/compare.html", title=title, record=record, rows=rows, photos=photos,
+               guess=_uri("diffuse", guess), groups=_table(record))
 
 
 def _maps(svbrdf: SVBRDF, resolution: int) -> list[tuple[str, str]]:

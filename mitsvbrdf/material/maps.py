@@ -24,7 +24,7 @@ TITLES = {"diffuse": "Diffuse", "specular": "Specular", "roughness": "Roughness"
 
 Bsdf = Literal["roughconductor", "principled"]
 
-CHANNELS: dict[str, dict[str, int]] = {
+CHANNELS: dict[Bsdf, dict[str, int]] = {
     "roughconductor": {"diffuse": 3, "specular": 3, "roughness": 1, "normal": 3},
     "principled": {"base_color": 3, "metallic": 1, "roughness": 1, "normal": 3},
 }

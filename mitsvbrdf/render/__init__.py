@@ -43,7 +43,7 @@ class Renderer(Protocol):
         ...
 
 
-def make_renderer(name: RendererName = "mitsuba", variant: str = "llvm_ad_rgb", needs: Needs | None = None) -> Renderer:
+def make_renderer(name: str = "mitsuba", variant: str = "llvm_ad_rgb", needs: Needs | None = None) -> Renderer:
     """A renderer by name; Mitsuba is loaded only for the two that need it.
 
     Args:

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, MutableMapping, Sequence
 from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -197,7 +198,7 @@ def _summary_row(group: list[dict], texels: str) -> dict:
     gradients = [g for c in group for g in c[texels]["gradients"].values()]
     limits = [c[texels]["limit"] for c in group]
 
-    def largest(values) -> float | None:
+    def largest(values: Iterable[float | None]) -> float | None:
         return max((value for value in values if value is not None), key=abs, default=None)
 
     return {"image": {name: largest(i[name] for i in images) for name in ("mean", "p99.9", "worst", "bias")},
@@ -240,8 +241,9 @@ def violations(record: dict) -> list[dict]:
 
 
 def _exceeded(configuration: dict) -> list[dict]:
-    found = [{"what": f"values that are not finite in {place}", "value": count, "tolerance": 0, "limit": None}
-             for place, count in _not_finite(configuration) if count]
+    found: list[dict[str, Any]] = [
+        {"what": f"values that are not finite in {place}", "value": count, "tolerance": 0, "limit": None}
+        for place, count in _not_finite(configuration) if count]
     rough = configuration["rough"]
     if rough is None:
         return found
@@ -255,7 +257,7 @@ def _exceeded(configuration: dict) -> list[dict]:
     return found
 
 
-def _gradient_exceeded(what: str, figures: dict, name: str, alone: bool = False) -> list[dict]:
+def _gradient_exceeded(what: str, figures: dict, name: str, alone: bool = False) -> list[dict[str, Any]]:
     """The tolerances of one map's gradient that do not hold; ``alone``: of a single view."""
     gradient, limit = figures["gradients"][name], figures["limit"]["gradients"][name]
     if gradient["reference"] == 0:
@@ -266,7 +268,7 @@ def _gradient_exceeded(what: str, figures: dict, name: str, alone: bool = False)
             *_over(f"{what}: 1 - cosine", turned, TOLERANCES["gradients"]["1 - cosine"], None)]
 
 
-def _over(what: str, value: float | None, tolerance: float, limit: float | None) -> list[dict]:
+def _over(what: str, value: float | None, tolerance: float, limit: float | None) -> list[dict[str, Any]]:
     """One violation, or none; a figure that is missing stands for values that are not finite, which are counted apart."""
     exceeded = value is not None and value > tolerance
     return [{"what": what, "value": value, "tolerance": tolerance, "limit": limit}] if exceeded else []

@@ -8,6 +8,7 @@ import os
 import secrets
 import sys
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
 
 from ...errors import ConfigError
 from ...pages.page import page_text
@@ -36,9 +37,10 @@ class Server(ThreadingHTTPServer):
 
     @property
     def url(self) -> str:
+        """Where a browser finds it."""
         return f"http://{ADDRESS}:{self.server_address[1]}/"
 
-    def handle_error(self, request, client_address) -> None:
+    def handle_error(self, request: Any, client_address: Any) -> None:
         """A browser that hangs up, or falls asleep over an answer, is no error."""
         if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
             super().handle_error(request, client_address)
@@ -72,13 +74,15 @@ class Handler(BaseHTTPRequestHandler):
     server_version, sys_version = "mitsvbrdf", ""
     timeout = 60  # seconds for a request to arrive; each has a connection of its own
 
-    def do_GET(self) -> None:
+    def do_GET(self) -> None:  # the name that http.server looks for
+        """Answer a request that was meant for this machine."""
         if self.named_here():
             self.answer(self.path.partition("?")[0])
 
     do_HEAD = do_GET
 
     def refuse(self) -> None:
+        """Say that only GET is known."""
         if self.named_here():
             self.reply(405, b"only GET\n", "text/plain", {"Allow": "GET, HEAD"})
 
@@ -94,6 +98,7 @@ class Handler(BaseHTTPRequestHandler):
         return False
 
     def answer(self, path: str) -> None:
+        """Send the page, its state, a map, or one of the two files of a finished fit."""
         watch = self.server.watch
         if path == "/":
             nonce = secrets.token_urlsafe(16)
@@ -116,6 +121,7 @@ class Handler(BaseHTTPRequestHandler):
         return self.reply(200, picture, "image/png", {})
 
     def file(self, name: str, kind: str, headers: dict[str, str]) -> None:
+        """Send a file of the folder watched."""
         try:
             content = (self.server.watch.out / name).read_bytes()
         except OSError:
@@ -123,6 +129,7 @@ class Handler(BaseHTTPRequestHandler):
         return self.reply(200, content, kind, headers)
 
     def reply(self, status: int, content: bytes, kind: str, headers: dict[str, str]) -> None:
+        """Send an answer with the headers that all have."""
         self.send_response(status)
         for name, value in {"Content-Type": kind, "Content-Length": str(len(content)), "Cache-Control": "no-store",
                             "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",

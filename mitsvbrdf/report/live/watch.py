@@ -8,6 +8,7 @@ import os
 import threading
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ...errors import OutputError
 from ...fit.checkpoint import load_tensors
@@ -96,7 +97,7 @@ class Watch:
 
     def _says(self, phase: str, shown: Shown | None) -> str:
         stopped = shown.note["stopped"] if shown else None
-        why = ENDED.get(stopped, stopped)
+        why = ENDED.get(stopped, stopped) if stopped else None
         if phase == "died":
             resumes = (self.partial / result_folder.CHECKPOINT).is_file()
             return ("The fit ended without a result. " if shown else "A fit was left unfinished here. ") + (
@@ -156,7 +157,7 @@ def _time(path: Path) -> int:
         return 0
 
 
-def _for_json(value):
+def _for_json(value: Any) -> Any:
     """The same without NaN and infinity, which JSON has not."""
     if isinstance(value, dict):
         return {str(key): _for_json(inner) for key, inner in value.items()}
