@@ -67,7 +67,7 @@ class FitRecord(TypedDict):
 
 class CaptureRecord(TypedDict):
     """One capture made without calibration: of a known ``material`` by the simulated phone, with or without ``sheet``, or a
-    real ``capture`` whose views were taken away. ``seconds`` by stage; ``errors`` as evaluate/bench/capture.py counts them,
+    real ``capture`` whose views were taken away. ``seconds`` by stage; ``errors`` as bench/from_phone.py counts them,
     none of what failed, which ``why`` explains."""
 
     suite: Literal["capture"]

@@ -37,8 +37,8 @@ def write_crosscheck_page(path: str | Path, record: dict, error_maps: Mapping[tu
     materials = {name: [c for c in record["configurations"] if c["material"] == name] for name in record["materials"]}
     write_page(path, "verify/crosscheck.html", title="Renderers against float64", record=record, materials=materials,
                error_maps=maps, ramp=png_uri(error_picture(ramp, MOST_SHOWN, LEAST_SHOWN)), darkest=LEAST_SHOWN,
-               brightest=MOST_SHOWN, plot=svg(error_against_time(record)), left_out=left_out(record), converted=converted, cosine=_cosine,
-               digits=_digits)
+               brightest=MOST_SHOWN, plot=svg(error_against_time(record)), left_out=left_out(record), converted=converted,
+               cosine=_cosine, digits=_digits)
 
 
 def error_against_time(record: dict) -> Figure:
