@@ -35,7 +35,8 @@ def error_curve(path: str | Path, curves: Sequence[Sequence[Mapping]], target: f
     alone = len(lines) == 1
     for number, line in enumerate(lines):
         axes.plot(*zip(*line), color=CHART_LINES[0], linewidth=1.8 if alone else 0.8, alpha=1 if alone else 0.5, marker="o",
-                  markersize=3, label=None if number else "estimated error" if alone else f"estimated error, {len(lines)} frames")
+                  markersize=3,
+                  label=None if number else "estimated error" if alone else f"estimated error, {len(lines)} frames")
     if lines:
         t, e = lines[-1][-1]  # the first frame also compiles
         ends = np.array([min(x for line in lines for x, _ in line), max(x for line in lines for x, _ in line)])
