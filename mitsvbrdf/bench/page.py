@@ -12,10 +12,11 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table as Shown
 
+from ..pages.page import svg_file
 from ..system import files
 from ..system.progress import console
 from . import summary
-from .plots import methods_figure, renderers_figure, small_multiples, svg
+from .plots import methods_figure, renderers_figure, small_multiples
 from .summary import ERRORS
 from .tables import (
     Table,
@@ -55,7 +56,7 @@ def write_benchmark_page(path: str | Path, record: Mapping) -> list[Path]:
 
     Args:
         path: the page, e.g. ``docs/benchmark.md``.
-        record: a :class:`mitsvbrdf.evaluate.bench.schema.Benchmark`.
+        record: a :class:`mitsvbrdf.bench.schema.Benchmark`.
 
     Returns:
         Every file that was written, the page first.
@@ -68,7 +69,7 @@ def write_benchmark_page(path: str | Path, record: Mapping) -> list[Path]:
     def picture(name: str, drawing: Figure | None, what: str) -> list[str]:
         if drawing is None:
             return []
-        pictures[f"{path.stem}-{name}.svg"] = svg(drawing)
+        pictures[f"{path.stem}-{name}.svg"] = svg_file(drawing)
         return [f"![{what}]({path.stem}-{name}.svg)", ""]
 
     whole = picture("methods", methods_figure(record), "Error against run time of all methods")

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import matplotlib
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
@@ -123,15 +120,6 @@ def _renderer_keys(cases: Sequence[Mapping], shades: Mapping[str, str]) -> list[
                            label=f"{counts[0]['views']} to {counts[-1]['views']} views of {counts[0]['resolution']} px"))
     return [*keys, Line2D([], [], color=CHART_QUIET, linestyle="none", marker="D", markersize=4.5,
                           label="one ray to the centre")]
-
-
-def svg(drawing: Figure) -> bytes:
-    """The file: white ground, text as text, the same bytes for the same record."""
-    data = io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": "mitsvbrdf", "svg.fonttype": "none"}):
-        drawing.set_facecolor("white")
-        FigureCanvasSVG(drawing).print_svg(data, metadata={"Date": None})
-    return data.getvalue()
 
 
 def colours(fits: Sequence[Mapping]) -> dict[str, str]:

@@ -1,4 +1,7 @@
-"""Whether two noisy pictures differ by more than their noise."""
+"""Whether two noisy pictures differ by more than their noise: a two-sided Z-test of every value and of the means.
+
+What is assumed, and what was measured of it, stands at :func:`mitsvbrdf.testing.assert_z_test` (``testing/noise.py``).
+"""
 
 from __future__ import annotations
 
@@ -42,7 +45,7 @@ class ZTest:
 
 def z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, *, reference_variance: Tensor | float = 0.0,
            significance: float = 0.01, outliers: float = 0.0) -> ZTest:
-    """Test a noisy picture against a reference; see the module's text for what is assumed.
+    """Test a noisy picture against a reference; ``testing/noise.py`` says what is assumed.
 
     Args:
         image: H x W x C, linear, the mean of many samples a pixel.

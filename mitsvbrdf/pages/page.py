@@ -64,9 +64,19 @@ def seconds(value: float) -> str:
 
 def svg(drawing: Figure) -> str:
     """A matplotlib figure as inline SVG text, transparent, to be marked ``|safe`` in a template."""
+    text = _svg_text(drawing, transparent=True).decode()
+    return text[text.index("<svg"):]
+
+
+def svg_file(drawing: Figure) -> bytes:
+    """A matplotlib figure as the content of an SVG file: white ground, text as text, the same bytes for the same figure."""
+    return _svg_text(drawing, facecolor="white")
+
+
+def _svg_text(drawing: Figure, **look: object) -> bytes:
     import matplotlib
 
-    text = io.StringIO()
+    data = io.BytesIO()
     with matplotlib.rc_context({"svg.hashsalt": "mitsvbrdf", "svg.fonttype": "none"}):
-        drawing.savefig(text, format="svg", transparent=True, metadata={"Date": None})
-    return text.getvalue()[text.getvalue().index("<svg"):]
+        drawing.savefig(data, format="svg", metadata={"Date": None}, **look)
+    return data.getvalue()

@@ -1,4 +1,8 @@
-"""Image files."""
+"""Image files to tensors and back: PNG and JPEG as display values, EXR as it is; row 0 at the top, RGB order.
+
+Photos with EXIF, HEIC or raw data are read by :mod:`mitsvbrdf.capture.photo`, whole sets of maps by
+:mod:`mitsvbrdf.material.map_files`.
+"""
 
 from __future__ import annotations
 

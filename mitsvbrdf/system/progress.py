@@ -141,7 +141,7 @@ def say_written(*paths: Path | None) -> None:
 
 
 def print_profile(profile: dict) -> None:
-    """Where the time of a fit's steps went, as :meth:`mitsvbrdf.profile.Profile.summary` counts it."""
+    """Where the time of a fit's steps went, as :meth:`mitsvbrdf.system.profile.Profile.summary` counts it."""
     table = Table(title=f"Seconds a step, {profile['steps']} steps", title_justify="left")
     for name in ("part", "median", "quartiles", "share", "steps"):
         table.add_column(name, justify="left" if name == "part" else "right")

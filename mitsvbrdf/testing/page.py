@@ -124,7 +124,7 @@ def heat(name: str, size: Tensor) -> tuple[str, str]:
 
 
 def relative_difference(new: Tensor, reference: Tensor) -> Tensor:
-    """N x H x W: size of the relative error (:func:`mitsvbrdf.metrics.relative_error`) of the worst channel."""
+    """N x H x W: size of the relative error (:func:`mitsvbrdf.measure.metrics.relative_error`) of the worst channel."""
     return relative_error(new, reference).abs().amax(dim=-1)
 
 

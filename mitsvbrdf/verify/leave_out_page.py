@@ -1,4 +1,5 @@
-"""The leave-out table as Markdown, for the documentation."""
+"""The leave-out table as Markdown, for the documentation; it shows the numbers of the record and computes none.
+"""
 
 from __future__ import annotations
 
