@@ -15,6 +15,7 @@ def main() -> int:
         sys.stdout.reconfigure(errors="replace")  # a terminal that lacks a letter gets a question mark
     try:
         from .cli import main as run
+        return run()
     except KeyboardInterrupt:
         return 130
     except ImportError as missing:
@@ -23,8 +24,6 @@ def main() -> int:
             return doctor(json="--json" in sys.argv)
         print(f"error: expected all packages installed, got: {missing}; type ./run setup, or mitsvbrdf doctor", file=sys.stderr)
         return 2
-    try:
-        return run()
     except BrokenPipeError:  # the reader, `head` say, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

@@ -33,10 +33,10 @@ def error_curve(path: str | Path, curves: Sequence[Sequence[Mapping]], target: f
     lines = [[(p["seconds"], p["error"]) for p in curve if p["seconds"] > 0 and p["error"] > 0] for curve in curves]
     lines = [line for line in lines if line]
     alone = len(lines) == 1
+    label = "estimated error" if alone else f"estimated error, {len(lines)} frames"
     for number, line in enumerate(lines):
         axes.plot(*zip(*line), color=CHART_LINES[0], linewidth=1.8 if alone else 0.8, alpha=1 if alone else 0.5, marker="o",
-                  markersize=3,
-                  label=None if number else "estimated error" if alone else f"estimated error, {len(lines)} frames")
+                  markersize=3, label=None if number else label)
     if lines:
         t, e = lines[-1][-1]  # the first frame also compiles
         ends = np.array([min(x for line in lines for x, _ in line), max(x for line in lines for x, _ in line)])

@@ -16,7 +16,7 @@ from ..material.maps import SVBRDF
 from ..render.bsdf import needed_maps, plugin, slot_values
 from ..render.needs import Needs, material_needs
 from ..views import Views, nine_view_grid
-from .environment import WHITE, Environment, make_environment
+from .environment import WHITE_LUMINANCE, Environment, make_environment
 from .scene_file import read_scene
 from .shapes import heights, mitsuba_mesh, relief
 
@@ -36,7 +36,7 @@ ROUND = ("sphere", "shaderball")  # shapes without relief
 FPS = 24.0
 DIMMEST = 1e-3  # reflections are followed until less of the light than this is left
 OFF_LENS = 0.5  # radius of the circle of lights around the lens, over the camera's height
-FINEST = 512  # quads along a side of a relief
+RELIEF_QUADS = 512  # quads along a side of a relief
 MOST_TILES = 64  # along a side
 
 
@@ -170,7 +170,7 @@ def _material(mi: ModuleType, svbrdf: SVBRDF, needs: Needs, tiling: int, preset:
 
 def _displace(mi: ModuleType, scene: dict[str, Any], svbrdf: SVBRDF, tiling: int, displacement: float) -> None:
     """The patch of a scene as a mesh with relief; a table stays below it."""
-    height = displacement / tiling * heights(svbrdf.resized(min(svbrdf.resolution, FINEST // tiling))["normal"])
+    height = displacement / tiling * heights(svbrdf.resized(min(svbrdf.resolution, RELIEF_QUADS // tiling))["normal"])
     material = mi.load_dict(scene.pop("material"))
     scene["patch"] = mitsuba_mesh(mi, relief(height.repeat(tiling, tiling)), "patch", material)
     if "table" in scene:
@@ -189,7 +189,7 @@ def _reflections(svbrdf: SVBRDF) -> tuple[int, str]:
 def _sweep(mi: ModuleType, scene: dict[str, Any], frames: int) -> Place:
     x, behind, z = scene["light"]["position"]
     radius = math.hypot(x, z)
-    scene["light"]["intensity"] = {"type": "rgb", "value": WHITE * math.pi * math.hypot(x, behind, z) ** 2}
+    scene["light"]["intensity"] = {"type": "rgb", "value": WHITE_LUMINANCE * math.pi * math.hypot(x, behind, z) ** 2}
 
     def place(frame: int) -> dict[str, Any]:
         angle = math.radians(90 + 42 * math.sin(2 * math.pi * frame / frames + math.pi / 6))
