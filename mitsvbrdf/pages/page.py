@@ -7,6 +7,8 @@ and matplotlib are loaded with the first page.
 
 from __future__ import annotations
 
+from typing import Any
+
 import functools
 import io
 import math
@@ -73,7 +75,7 @@ def svg_file(drawing: Figure) -> bytes:
     return _svg_text(drawing, facecolor="white")
 
 
-def _svg_text(drawing: Figure, **look: object) -> bytes:
+def _svg_text(drawing: Figure, **look: Any) -> bytes:
     import matplotlib
 
     data = io.BytesIO()
