@@ -7,13 +7,11 @@ and matplotlib are loaded with the first page.
 
 from __future__ import annotations
 
-from typing import Any
-
 import functools
 import io
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..system import files
 
