@@ -21,7 +21,7 @@ from ..calibrate.estimate import self_calibrated
 from ..capture import Capture, read_capture, write_capture
 from ..errors import MitsvbrdfError
 from ..evaluate import evaluate_fit
-from ..fit import FitConfig, fit_svbrdf
+from ..fit import HierarchicalConfig, fit_svbrdf
 from ..fit.result import FitResult
 from ..material.made import make_material
 from ..material.map_files import load_maps
@@ -61,7 +61,7 @@ class CaptureJob:
     source: str
     sheet: bool
     phone: HandheldPhone
-    config: FitConfig
+    config: HierarchicalConfig
     resolution: int
     renderer: Renderer
     variant: str = "llvm_ad_rgb"
@@ -147,7 +147,7 @@ class CaptureJob:
         seconds = {"views estimated": taken}
         errors = {f"estimated {name}": value for name, value in recovered(estimated.views, given.views).items()}
 
-        def fitted(shots: Capture, name: str, config: FitConfig) -> FitResult:
+        def fitted(shots: Capture, name: str, config: HierarchicalConfig) -> FitResult:
             result, seconds[f"fit, {name}"] = timed(self._fit, shots, config)
             report(len(seconds) / 5)
             return result
@@ -162,7 +162,7 @@ class CaptureJob:
             errors[f"{name} left out"] = evaluate_fit(result, given.pick(held))["rerender_rmse"]
         return seconds, errors
 
-    def _fit(self, shots: Capture, config: FitConfig) -> FitResult:
+    def _fit(self, shots: Capture, config: HierarchicalConfig) -> FitResult:
         result = fit_svbrdf(shots, self.renderer, config)
         if result.stopped == "interrupted":
             raise KeyboardInterrupt
@@ -201,7 +201,7 @@ def _flat(compared: dict) -> dict[str, float]:
             "photos": float(len(compared["photos"]["used"]))}
 
 
-def capture_jobs(materials: list[str], captures: list[str], phone: HandheldPhone, config: FitConfig, resolution: int,
+def capture_jobs(materials: list[str], captures: list[str], phone: HandheldPhone, config: HierarchicalConfig, resolution: int,
                  renderer: Renderer, variant: str) -> list[CaptureJob]:
     """Each material with and without a sheet, and each real capture."""
     rest = phone, config, resolution, renderer, variant
