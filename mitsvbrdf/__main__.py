@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 
@@ -10,7 +11,8 @@ def main() -> int:
     """Run ``mitsvbrdf`` with the arguments of the process; returns the exit code."""
     # Idle threads sleep instead of spinning: torch and Dr.Jit have a pool each and take turns. Read when torch loads.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    sys.stdout.reconfigure(errors="replace")  # a terminal that lacks a letter gets a question mark
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a terminal that lacks a letter gets a question mark
     try:
         from .cli import main as run
         return run()

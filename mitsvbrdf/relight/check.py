@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import ModuleType
+
 import torch
 from torch import Tensor
 
@@ -16,7 +18,7 @@ PASSES, PASS_SAMPLES = 16, 64  # independent pictures, and the samples a pixel o
 POINTS_ALONG_TEXEL, POINTS_ALONG_PATCH = 8, 2048
 
 
-def check_novel(mi, svbrdf: SVBRDF, views: Views | None = None, *, frame: int = 0, frames: int = 1, seed: int = 0,
+def check_novel(mi: ModuleType, svbrdf: SVBRDF, views: Views | None = None, *, frame: int = 0, frames: int = 1, seed: int = 0,
                 reference: AnalyticRenderer | None = None) -> ZTest:
     """Path trace a frame of ``novel``, a pixel for each texel, and test it against the analytic renderer.
 
@@ -45,5 +47,6 @@ def _reference(svbrdf: SVBRDF, stage: Stage, frame: int, renderer: AnalyticRende
     side = svbrdf.resolution
     finer = min(max(POINTS_ALONG_PATCH // side, 2), POINTS_ALONG_TEXEL)
     fine = svbrdf.map(lambda each: each.repeat_interleave(finer, dim=0).repeat_interleave(finer, dim=1))
+    assert stage.views is not None  # novel has them
     image = renderer.render(fine, stage.views.pick([frame]))[0]
     return image.reshape(side, finer, side, finer, 3).mean(dim=(1, 3))

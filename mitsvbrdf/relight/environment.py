@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ class Environment:
     left_out: tuple[tuple[str, str], ...] = ()
 
 
-def make_environment(mi, name: str) -> Environment:
+def make_environment(mi: ModuleType, name: str) -> Environment:
     """An environment by its name in :data:`ENVIRONMENTS`, or from an .exr or .hdr file.
 
     Raises:
@@ -67,7 +68,7 @@ def make_environment(mi, name: str) -> Environment:
     if white <= 0:
         raise ConfigError("an environment with light above the horizon", f"{name}, black there", "turn it upside down")
 
-    def orientation(angle: float, transform=mi.ScalarTransform4f):
+    def orientation(angle: float, transform: Any = mi.ScalarTransform4f) -> Any:
         return transform().rotate([0, 0, 1], 180 + angle).rotate([1, 0, 0], 90)  # Mitsuba's up is y, its middle +z
 
     pixels = np.ascontiguousarray((image * (WHITE_LUMINANCE / white)).to(torch.float32).numpy())

@@ -17,6 +17,8 @@ import time
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from types import ModuleType
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -130,14 +132,14 @@ def render_passes(draw: Callable[[int, int], Tensor], stop: Stop, *, pixels: int
         looking = now - began
         if error is not None:
             curve.append({"seconds": now - started, "samples": mean.samples, "error": error})
-        if why or stop.samples == mean.samples or (stop.target_error and error <= stop.target_error):
+        if why or stop.samples == mean.samples or (stop.target_error and error is not None and error <= stop.target_error):
             break
         aim = _next(mean.samples, error, stop.target_error)
     why = why or ("samples" if stop.samples else "target")
     return Rendered(mean.image, mean.samples, time.perf_counter() - started, error, tuple(curve), why)
 
 
-def render_frame(mi, scene, stop: Stop, *, seed: int = 0, name: str = "", exposure: float = 0.0,
+def render_frame(mi: ModuleType, scene: Any, stop: Stop, *, seed: int = 0, name: str = "", exposure: float = 0.0,
                  report: Callable[[str, float], object] = lambda text, share: None,
                  interrupted: Sequence = ()) -> Rendered:
     """Render a loaded Mitsuba scene with its own sensor and integrator; see :func:`render_passes`.
@@ -209,9 +211,9 @@ def _power_of_two(most: int) -> int:
     return 1 << (most.bit_length() - 1)
 
 
-def _next(samples: int, error: float, target: float | None) -> int:
+def _next(samples: int, error: float | None, target: float | None) -> int:
     """How many samples to have next: what the target should need, as the error falls with their root."""
-    if target is None:
+    if target is None or error is None:
         return 2 * samples
     needed = math.ceil(samples * (error / target) ** 2)
     if samples < DOUBLED_UP_TO:

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import torch
@@ -131,11 +133,11 @@ def _sheet(positions: np.ndarray, normals: np.ndarray, uv: np.ndarray) -> Mesh:
 
 def _joined(first: Mesh, second: Mesh) -> Mesh:
     """Both as one mesh."""
-    both = [np.concatenate((getattr(first, name), getattr(second, name))) for name in ("positions", "normals", "uv")]
-    return Mesh(*both, np.concatenate((first.faces, second.faces + len(first.positions))))
+    both = {name: np.concatenate((getattr(first, name), getattr(second, name))) for name in ("positions", "normals", "uv")}
+    return Mesh(**both, faces=np.concatenate((first.faces, second.faces + len(first.positions))))
 
 
-def mitsuba_mesh(mi, mesh: Mesh, name: str, material=None):
+def mitsuba_mesh(mi: ModuleType, mesh: Mesh, name: str, material: Any = None) -> Any:
     """The mesh as a Mitsuba shape, with this BSDF where one is given."""
     props = mi.Properties()
     if material is not None:
