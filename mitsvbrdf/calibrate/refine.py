@@ -25,7 +25,7 @@ from torch import Tensor
 from .. import color
 from ..capture import Capture
 from ..capture.capture import Calibration
-from ..color import CLIPPED, LEAST_NOISE
+from ..color import CLIPPED, QUANTIZATION_NOISE
 from ..errors import CaptureError, ConfigError
 from ..material.maps import SVBRDF
 from ..measure.metrics import photo_rmse
@@ -215,7 +215,7 @@ class Problem:
         is, so many count as one.
         """
         sizes = torch.where(self._bright_enough(error), torch.nan, error.abs()).flatten(1)
-        noise = (sizes.nanmedian(dim=1).values.nan_to_num(0) * 1.4826).clamp_min(LEAST_NOISE).reshape(-1, 1, 1, 1)
+        noise = (sizes.nanmedian(dim=1).values.nan_to_num(0) * 1.4826).clamp_min(QUANTIZATION_NOISE).reshape(-1, 1, 1, 1)
         cut = error.clamp(-HUBER * noise, HUBER * noise)
         block = max(1, error.shape[1] // BLOCKS)
         means = F.avg_pool2d(cut.permute(0, 3, 1, 2), block).mean(dim=1).square().mean(dim=(1, 2))

@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..color import CLIPPED
+from ..color import NEARLY_CLIPPED
 from ..errors import ConfigError
 from ..material.resample import resized
 from ..views import Views, geometry
@@ -96,7 +96,7 @@ def _robust(capture: Capture) -> Tensor:
         fitted = [_shade(_fit(prior, *part), *part[2:]) for part in zip(*(x.split(CHUNK) for x in texels))]
     shading, lobe = (resized(torch.cat(x).T.reshape(-1, size, size, 1), capture.resolution) for x in zip(*fitted))
 
-    seen = (capture.photos < CLIPPED) | (capture.photos == capture.photos.amin(dim=0))
+    seen = (capture.photos < NEARLY_CLIPPED) | (capture.photos == capture.photos.amin(dim=0))
     diffuse = torch.where(seen, (albedo - lobe) / shading, torch.nan)
     return diffuse.nanmedian(dim=0).values.clamp(0, 1)
 

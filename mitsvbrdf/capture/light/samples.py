@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from ... import color
-from ...color import CLIPPED
+from ...color import NEARLY_CLIPPED
 from ...errors import CaptureError
 from ...views import texel_positions
 from ..lens import Array, Lens, Pose, on_plane, project
@@ -56,7 +56,7 @@ def paper_samples(pixels: np.ndarray, lens: Lens, pose: Pose, white: Callable[[A
         there = np.concatenate((points, np.full_like(points[:, :1], depth)), axis=1)
         usable &= np.isfinite(project(lens, pose, there)[:, 0]) & np.asarray(white(points), dtype=bool)
         here.append((there, at))
-    usable &= (brightest < CLIPPED).all(axis=1) & ((brightest - darkest).max(axis=1) < 0.25)
+    usable &= (brightest < NEARLY_CLIPPED).all(axis=1) & ((brightest - darkest).max(axis=1) < 0.25)
     cells = row * CELLS // rows * CELLS + column * CELLS // columns
     return _Seen(*here[0], _decoded(display, transfer), display, usable, np.zeros(len(row), dtype=int), cells)
 
@@ -70,7 +70,7 @@ def material_samples(photo: np.ndarray, lens: Lens, pose: Pose, size: float, tra
     points = texel_positions(photo.shape[0]).numpy()[:side * step, :side * step]
     points = points.reshape(side, step, side, step, 3).mean(axis=(1, 3)).reshape(-1, 3) * size
     row, column = (index.ravel() for index in np.mgrid[:side, :side])
-    usable = (brightest < CLIPPED).all(axis=1)  # NaN is no number below
+    usable = (brightest < NEARLY_CLIPPED).all(axis=1)  # NaN is no number below
     cells = row * CELLS // side * CELLS + column * CELLS // side
     return _Seen(points, project(lens, pose, points), _decoded(display, transfer), display, usable, row * side + column, cells)
 
@@ -108,7 +108,7 @@ class Samples:
         kept = {name: s.usable & (s.display.mean(axis=1) > DARK) & np.isfinite(s.pixels).all(axis=1)
                 for name, s in seen.items()}
         if not any(k.any() for k in kept.values()):
-            clipped = [name for name, s in seen.items() if np.nanmax(s.display, initial=0.0) >= CLIPPED]
+            clipped = [name for name, s in seen.items() if np.nanmax(s.display, initial=0.0) >= NEARLY_CLIPPED]
             raise CaptureError(f"photos that show {what} neither clipped nor dark", f"none of {len(seen)}"
                                + (f" ({len(clipped)} clipped)" if clipped else ""),
                                "take them again with another exposure, or check depth and size of the sheet")

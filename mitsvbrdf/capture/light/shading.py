@@ -24,7 +24,7 @@ import numpy as np
 import torch
 
 from ... import color
-from ...color import CLIPPED
+from ...color import NEARLY_CLIPPED
 from ...views import texel_positions
 from ..lens import Array, Lens, Pose, project
 from ..photo import Photo
@@ -104,5 +104,5 @@ def undo_vignetting(linear: np.ndarray, lens: Lens, pose: Pose, size: float, tra
     points = texel_positions(linear.shape[0]).numpy().reshape(-1, 3) * size
     passed = transmission_of(radius2_of(lens, project(lens, pose, points)), np.array(lens.vignetting))
     out = linear / passed.reshape(*linear.shape[:2], 1)
-    clipped = linear >= float(color.decode(torch.tensor(CLIPPED, dtype=torch.float64), transfer))
+    clipped = linear >= float(color.decode(torch.tensor(NEARLY_CLIPPED, dtype=torch.float64), transfer))
     return np.where(clipped, np.maximum(out, linear), out).astype(linear.dtype)

@@ -13,7 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ... import color
-from ...color import CLIPPED
+from ...color import NEARLY_CLIPPED
 from ...material.resample import averaged
 from ...views import Views, texel_positions
 
@@ -65,7 +65,7 @@ def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, name
         overlap: share of the patch that a photo shows; left out: all of it.
         evenness: see :class:`Look`.
     """
-    clipped = (photos >= CLIPPED).any(dim=-1)
+    clipped = (photos >= NEARLY_CLIPPED).any(dim=-1)
     linear = averaged(color.decode(photos, transfer), SIDE)
     apparent = torch.log((linear.mean(dim=-1) / _irradiance(views, SIDE)).clamp_min(1e-4))
     beside = apparent - apparent.median(dim=0).values
