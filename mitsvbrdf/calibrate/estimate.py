@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import torch
@@ -30,6 +31,7 @@ from .. import color
 from ..capture import Capture
 from ..color import CLIPPED
 from ..material.maps import DIELECTRIC_F0
+from ..system.layout import Layout
 from ..views import Views
 
 LEAST_PHOTOS = 3
@@ -52,6 +54,8 @@ OWN = 0.7  # how far a texel's own k may be from the level, as a share of it
 F0, ALBEDO = (DIELECTRIC_F0, 0.4), (0.12, 1.2)  # median albedos; of ten known materials 0.001 to 0.22
 POWER = (F0[1] ** -2 + ALBEDO[1] ** -2) ** -0.5  # how well both tell the logarithm of the light power
 WHITEST = 0.95  # diffuse albedo that 99 % of the texels stay below
+
+PHOTO = Layout(place=(2,), height=(), exposure=())  # the unknowns of one photo
 
 
 @dataclass(frozen=True)
@@ -114,8 +118,8 @@ def estimate_views(capture: Capture) -> EstimatedViews:
         capture: N >= 3 photos that :func:`why_not` has nothing against; its views are not looked at, but for their unit.
     """
     problem = Problem(capture)
-    start = np.zeros(problem.size)
-    start[:problem.count * 4].reshape(-1, 4)[:, :2] = problem.mirror_points() / SIDEWAYS
+    start = np.zeros(problem.layout.size)
+    problem.photos(start).place[:] = problem.mirror_points() / SIDEWAYS
     found = least_squares(problem.errors, start, max_nfev=40, ftol=1e-4, xtol=1e-4)
     camera, exposure, shared = problem.places(found.x)
     covariance = np.linalg.pinv(found.jac.T @ found.jac)
@@ -131,8 +135,8 @@ def estimate_views(capture: Capture) -> EstimatedViews:
 class Problem:
     """The least-squares problem in unknowns whose prior is the standard normal distribution.
 
-    They are x, y, height and exposure of each photo, then the height, b, roughness and level of all, and what the brightest
-    diffuse is.
+    By ``layout`` they are ``photos``, those of each (:data:`PHOTO`: x and y, height beside the common one, exposure), and of all
+    the ``height``, ``beam`` (b), ``alpha`` (roughness) and ``level`` (of k, beside the brightest diffuse).
     """
 
     def __init__(self, capture: Capture) -> None:
@@ -142,7 +146,7 @@ class Problem:
         self.shown = self.light ** (1 / GAMMA)
         self.clipped = (F.adaptive_max_pool2d(photos.amax(dim=1), self.side) >= CLIPPED).numpy()
         self.count = len(capture)
-        self.size = 4 * self.count + 4
+        self.layout = Layout(photos=(self.count, PHOTO.size), height=(), beam=(), alpha=(), level=())
         line = (np.arange(self.side) + 0.5) / self.side - 0.5
         self.texels = np.stack([*np.meshgrid(line, -line), np.zeros((self.side, self.side))], axis=-1)
         self.typical = float(np.median(self.light, axis=0).max())
@@ -161,23 +165,28 @@ class Problem:
             found.append((weight[..., None] * self.texels[..., :2]).sum(axis=(0, 1)) / weight.sum())
         return np.array(found)
 
+    def photos(self, u: np.ndarray) -> SimpleNamespace:
+        """The unknowns of all photos by :data:`PHOTO`: views into ``u``."""
+        return PHOTO.unpack(self.layout.unpack(u).photos)
+
     def places(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
         """Cameras N x 3, exposures N, and the numbers shared by all."""
-        own, (height, beam, alpha, level) = u[:-4].reshape(-1, 4), u[-4:]
-        shared = {"height": HEIGHT[0] * math.exp(HEIGHT[1] * height), "beam": BEAM[0] + BEAM[1] * beam,
-                  "alpha": min(ROUGHNESS[0] * math.exp(ROUGHNESS[1] * alpha), 1.0),
-                  "level": self.typical * LEVELS[0] * math.exp(LEVELS[1] * level)}
-        camera = np.concatenate((own[:, :2] * SIDEWAYS, shared["height"] * np.exp(HEIGHTS * own[:, 2:3])), axis=1)
-        return camera, np.exp(EXPOSURES * own[:, 3]), shared
+        own, common = self.photos(u), self.layout.unpack(u)
+        shared = {"height": HEIGHT[0] * math.exp(HEIGHT[1] * common.height), "beam": BEAM[0] + BEAM[1] * common.beam,
+                  "alpha": min(ROUGHNESS[0] * math.exp(ROUGHNESS[1] * common.alpha), 1.0),
+                  "level": self.typical * LEVELS[0] * math.exp(LEVELS[1] * common.level)}
+        camera = np.column_stack((own.place * SIDEWAYS, shared["height"] * np.exp(HEIGHTS * own.height)))
+        return camera, np.exp(EXPOSURES * own.exposure), shared
 
     def slopes(self, u: np.ndarray) -> np.ndarray:
         """N x 4 x U: of camera x, y, z and the logarithm of the exposure by the unknowns."""
         camera, _, _ = self.places(u)
-        slope = np.zeros((self.count, 4, self.size))
-        for i in range(self.count):
-            slope[i, 0, 4 * i] = slope[i, 1, 4 * i + 1] = SIDEWAYS
-            slope[i, 2, 4 * i + 2], slope[i, 2, -4] = HEIGHTS * camera[i, 2], HEIGHT[1] * camera[i, 2]
-            slope[i, 3, 4 * i + 3] = EXPOSURES
+        x, y, z, exposure = range(4)
+        slope, common = np.zeros((self.count, 4, self.layout.size)), self.layout.numbers
+        own, photo = PHOTO.unpack(common.photos), np.arange(self.count)
+        slope[photo, x, own.place[:, 0]] = slope[photo, y, own.place[:, 1]] = SIDEWAYS
+        slope[photo, z, own.height], slope[:, z, common.height] = HEIGHTS * camera[:, 2], HEIGHT[1] * camera[:, 2]
+        slope[photo, exposure, own.exposure] = EXPOSURES
         return slope
 
     def shading(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:

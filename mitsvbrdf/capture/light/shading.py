@@ -85,7 +85,7 @@ def shading_of_material(rig: Rig, photos: Mapping[str, np.ndarray], transfer: co
             for name, pose in rig.poses.items() if name in photos}
     found = solve_light(rig, Samples.of(rig, seen, "the material", glossy=True))
     middle, most = math.pi * np.exp(np.nanpercentile(found.albedo, (50, 99)))  # of albedo, for an intensity of 1
-    by_albedo, by_lobe = 1 / ALBEDO[1] ** 2, 1 / (REFLECTANCE[1] ** 2 + found.deviations[-1] ** 2)
+    by_albedo, by_lobe = 1 / ALBEDO[1] ** 2, 1 / (REFLECTANCE[1] ** 2 + float(found.deviations.log_f0) ** 2)
     power = (by_albedo * math.log(middle / ALBEDO[0]) + by_lobe * math.log(math.pi * found.lobe / REFLECTANCE[0]))
     intensity = max(math.exp(power / (by_albedo + by_lobe)), most / MOST_ALBEDO)
     notes = ("how bright the flash is cannot be told from these photos; it is taken to be such that highlights reflect "
