@@ -29,12 +29,12 @@ from torch import Tensor
 
 from .. import color
 from ..capture import Capture
+from ..capture.rig import LEAST_PHOTOS
 from ..color import CLIPPED
 from ..material.maps import DIELECTRIC_F0
 from ..system.layout import Layout
 from ..views import Views
 
-LEAST_PHOTOS = 3
 SIDE = 32  # pixels a side that are looked at
 GAMMA = 2.2  # errors are counted in radiance^(1 / GAMMA), whatever the photos' transfer
 NOISE = 0.05  # of these: one lobe for all is rough
@@ -135,8 +135,8 @@ def estimate_views(capture: Capture) -> EstimatedViews:
 class Problem:
     """The least-squares problem in unknowns whose prior is the standard normal distribution.
 
-    By ``layout`` they are ``photos``, those of each (:data:`PHOTO`: x and y, height beside the common one, exposure), and of all
-    the ``height``, ``beam`` (b), ``alpha`` (roughness) and ``level`` (of k, beside the brightest diffuse).
+    By ``layout`` they are ``photos``, those of each (:data:`PHOTO`: x and y, height beside the common one, exposure), and of
+    all the ``height``, ``beam`` (b), ``alpha`` (roughness) and ``level`` (of k, beside the brightest diffuse).
     """
 
     def __init__(self, capture: Capture) -> None:

@@ -157,9 +157,9 @@ class Linear(NamedTuple):
 class Problem:
     """The least-squares problem in whitened unknowns u, whose prior is the standard normal distribution.
 
-    The changes of all photos are ``expected + spread @ u``: by ``whitened``, one u for each unknown of each photo (``own``), and
-    two for the offset of the flash that all share (``common_flash``). The cost is |u|^2 / 2 plus, for each photo, the sum of Huber's function of residuals over noise, divided by
-    the number of pixels that count as one.
+    The changes of all photos are ``expected + spread @ u``: by ``whitened``, one u for each unknown of each photo (``own``),
+    and two for the offset of the flash that all share (``common_flash``). The cost is |u|^2 / 2 plus, for each photo, the sum
+    of Huber's function of residuals over noise, divided by the number of pixels that count as one.
 
     Args:
         svbrdf, views, capture, priors: as for :func:`refine_views`.

@@ -15,6 +15,8 @@ from ..errors import CaptureError
 from ..pages.notebook import SHOWN, count_words, html_of, point_words, uri_of
 from ..views import Views
 
+LEAST_SIDE = 8  # pixels
+
 KNOWN = {"given": "as calibrated", "sheet": "from a sheet of tags", "photos": "from features that the photos share",
          "none": "of no calibration"}
 
@@ -104,7 +106,6 @@ class Capture:
 
     def _repr_html_(self) -> str:
         """The photos as small pictures with their positions, for notebooks."""
-        pass
         return capture_html(self)
 
 
@@ -118,4 +119,5 @@ def capture_html(capture: Capture) -> str:
     facts = [f"transfer {capture.transfer}, falloff {capture.views.falloff}; positions in patch sides, "
              f"{KNOWN[capture.calibration]}"]
     name = capture.source.name if capture.source else "without a folder"
-    return html_of(f"Capture · {name} · {count_words(len(capture))}, {width} × {height} px", [("", photos)], facts, capture.notes)
+    title = f"Capture · {name} · {count_words(len(capture))}, {width} × {height} px"
+    return html_of(title, [("", photos)], facts, capture.notes)

@@ -137,7 +137,6 @@ class SVBRDF:
 
     def _repr_html_(self) -> str:
         """The maps as small pictures, for notebooks."""
-        pass
         return svbrdf_html(self)
 
 

@@ -17,7 +17,7 @@ from ...errors import CaptureError
 from ...system.layout import Layout
 from ..lens import Lens, Pose, project
 from ..photo import Photo, other_sizes
-from ..rig import Rig
+from ..rig import LEAST_PHOTOS, Rig
 from .from_photos import expected_lens, unsure_note
 from .planar import POSE
 from .sheet import Sheet
@@ -26,7 +26,6 @@ from .tag_edges import POINTS, Edges, find_edges
 Array = NDArray[np.float64]
 
 LEAST_TAGS = 4
-LEAST_PHOTOS = 3
 # Deviations of the priors: EXIF's focal length is rounded to a millimetre and means the diagonal or the long side; without
 # it a phone is somewhere between its wide and its tele lens. The principal point as a share of the long side.
 FOCAL_SHARE, FOCAL_SHARE_UNKNOWN, CENTRE_SD, DISTORTION_SD = 0.05, 0.4, 0.005, 0.1
@@ -141,9 +140,9 @@ def _bundle(lens: Lens, focal_share: float, sheet: Sheet, depth: float, seen: di
 
 
 class _Bundle:
-    """The least-squares problem of all photos: the prior of the lens, then the errors of each photo's points across their edges.
+    """The least-squares problem of all photos: the prior of the lens, then each photo's points, off across their edges.
 
-    Unknowns by ``layout``: ``lens``, by :data:`LENS` over its prior's deviations; then by the name of each photo, a rotation after
+    Unknowns by ``layout``: ``lens``, by :data:`LENS` over its prior's deviations; ``poses``, of each photo a rotation after
     that of the start and a shift as a share of the distance (:data:`~.planar.POSE`), their deviations 1.
     """
 
