@@ -11,7 +11,8 @@ than a point's: the beam of a flash and the darker corners of a lens. Without it
 - Where a highlight is, there is the mirror point: the flash stands above it, for sure and in patch sides.
 - How far away is hardly told: flash, material and lens can all make the same gradient. So heights lie around what phones do
   (:data:`HEIGHT`, :data:`SPREAD`), and how sure they are is stated.
-- How much light there was is told by nothing but what materials usually reflect (:data:`F0`, :data:`ALBEDO`).
+- How much light there was is told by nothing but what materials usually reflect (:data:`F0`,
+  :data:`~mitsvbrdf.material.maps.USUAL_ALBEDO`).
 """
 
 from __future__ import annotations
@@ -31,16 +32,16 @@ from .. import color
 from ..capture import Capture
 from ..capture.rig import LEAST_PHOTOS
 from ..color import CLIPPED
-from ..material.maps import DIELECTRIC_F0
+from ..material.maps import DIELECTRIC_F0, USUAL_ALBEDO, WHITEST
 from ..system.layout import Layout
 from ..views import Views
 
-SIDE = 32  # pixels a side that are looked at
+ESTIMATE_SIDE = 32  # pixels a side that are looked at
 GAMMA = 2.2  # errors are counted in radiance^(1 / GAMMA), whatever the photos' transfer
 NOISE = 0.05  # of these: one lobe for all is rough
 ALIKE = 40.0  # pixels count as one: what this model lacks hangs together
 ROBUST = 1.5  # errors beyond so many times the noise count by their size alone
-DARK, SAME = 0.01, 0.01  # radiance, and change of its logarithm between photos, below which nothing is told
+DARK_RADIANCE, SAME_LOG = 0.01, 0.01  # radiance, and change of its logarithm between photos, below which nothing is told
 
 # (What is usual, and by how many natural logarithms it varies.) Of twelve real captures with known views heights were 1.7 to
 # 4.0 patch sides with a median of 1.9, and cameras were spread over 0.10 to 0.18 of their height, root mean square by axis.
@@ -51,9 +52,8 @@ BEAM = (2.5, 1.5)  # b, and how it varies; the same captures, with known views: 
 ROUGHNESS = (0.3, 0.5)  # alpha
 LEVELS = (0.1, 1.0)  # level of k as a share of the brightest diffuse
 OWN = 0.7  # how far a texel's own k may be from the level, as a share of it
-F0, ALBEDO = (DIELECTRIC_F0, 0.4), (0.12, 1.2)  # median albedos; of ten known materials 0.001 to 0.22
-POWER = (F0[1] ** -2 + ALBEDO[1] ** -2) ** -0.5  # how well both tell the logarithm of the light power
-WHITEST = 0.95  # diffuse albedo that 99 % of the texels stay below
+F0 = (DIELECTRIC_F0, 0.4)  # median
+POWER = (F0[1] ** -2 + USUAL_ALBEDO[1] ** -2) ** -0.5  # how well both tell the logarithm of the light power
 
 PHOTO = Layout(place=(2,), height=(), exposure=())  # the unknowns of one photo
 
@@ -81,12 +81,12 @@ def why_not(capture: Capture) -> str | None:
         return f"{LEAST_PHOTOS} photos or more are needed"
     if capture.views.falloff == "none":
         return "without falloff there is nothing to tell them by"
-    light = _radiance(capture, SIDE)
-    if not light.mean(axis=(1, 2)).min() > DARK:
+    light = _radiance(capture, ESTIMATE_SIDE)
+    if not light.mean(axis=(1, 2)).min() > DARK_RADIANCE:
         return "the photos are too dark"
-    logs = np.log(light + DARK)
+    logs = np.log(light + DARK_RADIANCE)
     logs -= logs.mean(axis=(1, 2), keepdims=True)
-    return "the photos are all alike" if (logs - logs.mean(axis=0)).std() < SAME else None
+    return "the photos are all alike" if (logs - logs.mean(axis=0)).std() < SAME_LOG else None
 
 
 def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
@@ -141,7 +141,7 @@ class Problem:
 
     def __init__(self, capture: Capture) -> None:
         photos = capture.photos.permute(0, 3, 1, 2)
-        self.light = _radiance(capture, SIDE)
+        self.light = _radiance(capture, ESTIMATE_SIDE)
         self.side = self.light.shape[1]
         self.shown = self.light ** (1 / GAMMA)
         self.clipped = (F.adaptive_max_pool2d(photos.amax(dim=1), self.side) >= CLIPPED).numpy()
@@ -153,8 +153,8 @@ class Problem:
 
     def mirror_points(self) -> np.ndarray:
         """Where each photo is brightest beside the others, N x 2: where its highlight is, or what is nearest the flash."""
-        level = np.median(self.light, axis=(1, 2), keepdims=True) + DARK
-        logs = np.log(self.light / level + DARK)
+        level = np.median(self.light, axis=(1, 2), keepdims=True) + DARK_RADIANCE
+        logs = np.log(self.light / level + DARK_RADIANCE)
         excess = logs - np.median(logs, axis=0)
         found = []
         for picture in excess:
@@ -237,7 +237,7 @@ class Problem:
         """Radiant intensity in patch sides squared, such that albedo and F0 are as usual, and its deviation in logarithms."""
         rho, _, _ = self.texel_fit(u)
         _, _, shared = self.places(u)
-        votes = [(math.log(shared["level"] / F0[0]), F0[1]), (math.log(np.median(rho) / ALBEDO[0]), ALBEDO[1])]
+        votes = [(math.log(shared["level"] / F0[0]), F0[1]), (math.log(np.median(rho) / USUAL_ALBEDO[0]), USUAL_ALBEDO[1])]
         weight = sum(sd**-2 for _, sd in votes)
         white = math.exp(sum(value * sd**-2 for value, sd in votes) / weight)
         white = max(white, float(np.quantile(rho, 0.99)) / WHITEST)  # radiance of a white texel below the flash

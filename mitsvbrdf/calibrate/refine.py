@@ -36,7 +36,7 @@ from ..views import NEAREST, Views
 
 UNKNOWNS = ("camera_x", "camera_y", "camera_z", "flash_x", "flash_y", "flash_z", "log_exposure")
 CHANGE = Layout(camera=(3,), flash=(3,), log_exposure=())  # the same, as parts
-SIDE = 128  # pixels a side that are looked at; larger photos and maps are area-averaged
+REFINE_SIDE = 128  # pixels a side that are looked at; larger photos and maps are area-averaged
 STEP = 1e-5  # of the differences, in patch sides: 1e-3 of the sharpest highlight; its error is 1e-6 of the slope
 HUBER = 1.345  # residuals beyond so many deviations count by their size alone: 95 % efficient on normal noise (Huber 1981)
 BLOCKS = 8  # a side; averages over these show how far residuals hang together
@@ -169,7 +169,7 @@ class Problem:
         count = len(views)
         if count != len(capture):
             raise CaptureError(f"a view for each of {len(capture)} photos", f"{count} views", "give the views of these photos")
-        side = min(SIDE, svbrdf.resolution, capture.resolution)
+        side = min(REFINE_SIDE, svbrdf.resolution, capture.resolution)
         self.maps = svbrdf.detach().to(torch.float64).resized(side)
         self.given, self.transfer = views.to(torch.float64), capture.transfer
         photos = capture.photos.double().permute(0, 3, 1, 2)

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-import torch.nn.functional as F
 from torch import Tensor
 
 from .. import color
 from ..errors import CaptureError
+from ..material.resample import area_averaged
 from ..pages.notebook import SHOWN, count_words, html_of, point_words, uri_of
 from ..views import Views
 
@@ -82,8 +82,7 @@ class Capture:
 
     def averaged(self, resolution: int) -> Capture:
         """The photos at another size, by area averages of display values."""
-        chw = F.adaptive_avg_pool2d(self.photos.permute(0, 3, 1, 2), resolution)
-        return replace(self, photos=chw.permute(0, 2, 3, 1).contiguous())
+        return replace(self, photos=area_averaged(self.photos, resolution).contiguous())
 
     def sampled(self, resolution: int) -> Capture:
         """Every k-th pixel of the photos, the middle one, for the greatest k that leaves at least ``resolution`` a side."""

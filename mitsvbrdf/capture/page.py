@@ -25,7 +25,7 @@ SCHEMA_VERSION = 1
 PICTURES = ("contact.jpg", "quality.html", "quality.json")
 A_ROW, SMALL_A_ROW = 5, 8  # photos in a row of the contact sheet; used, left out
 THUMBNAIL, FULL = 240, 400  # pixels on the page, and of a left-out photo as it is read
-REACH = 0.75  # half the side of the plan, patch sides, at least
+PLAN_REACH = 0.75  # half the side of the plan, patch sides, at least
 SEEN, UNSEEN = (0.93, 0.80, 0.50), (0.36, 0.42, 0.50)  # of the coverage map; readable beside each other in grey, too
 
 
@@ -97,7 +97,7 @@ def _plan(result: CaptureResult) -> dict:
     sides = {name: (np.asarray(pose.position) / result.rig.size).tolist() for name, pose in result.rig.poses.items()}
     next_place = None if result.next_view is None else [x / result.rig.size for x in result.next_view.camera]
     places = [*sides.values(), *([next_place] if next_place else [])]
-    half = max(REACH, 0.1 + max(abs(x) for place in places for x in place[:2]))
+    half = max(PLAN_REACH, 0.1 + max(abs(x) for place in places for x in place[:2]))
     return {"half": half, "cameras": [(name, x, -y) for name, (x, y, _) in sides.items()],
             "stand": next_place and (next_place[0], -next_place[1])}
 

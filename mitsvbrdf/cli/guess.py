@@ -5,7 +5,7 @@ from __future__ import annotations
 from tyro.conf import Positional
 
 from ..capture import guess_diffuse
-from ..fit.config import GuessMethod
+from ..capture.guess import GuessMethod
 from ..system import result_folder
 from ..system.progress import say
 from .options import Out, Overwrite, Photos, TransferOption, ViewList, keep_apart, read_photos

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 HALF_PLANE = Layout(normal=(2,), offset=())  # n . (x, y) <= offset
 SQUARE = Layout(centre=(2,), half=())  # an upright square by half its side
 
-MARGIN = 0.01  # of a photo's sides: kept off its border
+PHOTO_MARGIN = 0.01  # of a photo's sides: kept off its border
 CENTRED = 0.95  # of the largest square's side: so much of it is kept to have the patch below the cameras
 GAIN = 1.25  # a photo without which the patch's side would grow by more than this factor is better left out
 
@@ -43,7 +43,7 @@ def framed(poses: dict[str, Pose], centre: Array, side: float) -> dict[str, Pose
 def outline(lens: Lens, pose: Pose) -> Array:
     """Half planes that a photo shows all of, one for each of its sides: 4 x 3, rows by :data:`HALF_PLANE`."""
     size = np.array(lens.size)
-    low, high = MARGIN * size - 0.5, (1 - MARGIN) * size - 0.5
+    low, high = PHOTO_MARGIN * size - 0.5, (1 - PHOTO_MARGIN) * size - 0.5
     corners = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
     middle = on_plane(lens, pose, (low + high)[None] / 2)[0]
     rows = []

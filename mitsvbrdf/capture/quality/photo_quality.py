@@ -18,7 +18,7 @@ from torch import Tensor
 
 from ... import color
 from ...color import NEARLY_CLIPPED
-from ...material.resample import averaged
+from ...material.resample import resized
 from ...views import Views, texel_positions
 
 RADIANCE_SIDE, DETAIL_SIDE = 32, 512  # texels a side at which radiance is compared, and at most at which detail is
@@ -71,15 +71,15 @@ def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, name
         evenness: see :class:`PhotoQuality`.
     """
     clipped = (photos >= NEARLY_CLIPPED).any(dim=-1)
-    linear = averaged(color.decode(photos, transfer), RADIANCE_SIDE)
+    linear = resized(color.decode(photos, transfer), min(RADIANCE_SIDE, photos.shape[1]))
     apparent = torch.log((linear.mean(dim=-1) / _irradiance(views, RADIANCE_SIDE)).clamp_min(1e-4))
     beside = apparent - apparent.median(dim=0).values
     offset = beside.flatten(1).median(dim=1).values
     beside = beside - offset[:, None, None]
     hue = linear / linear.sum(dim=-1, keepdim=True).clamp_min(1e-3)
     colour = (hue - hue.median(dim=0).values).abs().sum(dim=-1)
-    luminance = averaged(photos, DETAIL_SIDE).mean(dim=-1).numpy()
-    unclipped = averaged(clipped[..., None].float(), RADIANCE_SIDE)[..., 0] == 0
+    luminance = resized(photos, min(DETAIL_SIDE, photos.shape[1])).mean(dim=-1).numpy()
+    unclipped = resized(clipped[..., None].float(), min(RADIANCE_SIDE, photos.shape[1]))[..., 0] == 0
     plain = F.interpolate(((beside.abs() < 0.35) & unclipped).float()[:, None],
                           luminance.shape[1:])[:, 0].bool().numpy()
     sharp, agreement = _sharpness(luminance, plain), _agreement(luminance)

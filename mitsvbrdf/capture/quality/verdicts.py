@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 
 from torch import Tensor
 
-from ...material.resample import averaged
+from ...material.resample import resized
 from ...views import Views
 from .photo_quality import PhotoQuality
 
@@ -46,7 +46,7 @@ def verdicts(found: Sequence[PhotoQuality], photos: Tensor, views: Views,
             what = "taken without flash: its light does not fall off as that of the others does"
         if what:
             reasons[quality.name] = what
-    small, camera = averaged(photos, 64), views.in_patch_sides().camera
+    small, camera = resized(photos, min(64, photos.shape[1])), views.in_patch_sides().camera
     for i, quality in enumerate(found):
         for j, first in enumerate(found[:i]):
             near = (camera[i] - camera[j]).norm() < SAME_PLACE and (small[i] - small[j]).abs().mean() < SAME_PICTURE
