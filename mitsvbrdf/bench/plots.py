@@ -130,7 +130,7 @@ def colours(fits: Sequence[Mapping]) -> dict[str, str]:
 def names_of(kind: str, fits: Sequence[Mapping]) -> str:
     """How many materials or captures, and of how many seeds the median is."""
     count, seeds = len(summary.names(fits)), len({r["seed"] for r in fits})
-    what = {"material": "known material", "capture": "real capture"}[kind] + ("s" if count > 1 else "")
+    what = summary.KINDS[kind] + ("s" if count > 1 else "")
     return f"{count} {what}" + (f", median and quartiles of {seeds} seeds" if seeds > 1 else ", one seed")
 
 
