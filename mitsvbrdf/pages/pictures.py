@@ -32,8 +32,8 @@ def png_uri(display: Tensor) -> str:
     """
     import cv2
 
-    pixels = (color.clip(display.detach().float()) * 255).round().to(torch.uint8)
-    pixels = pixels.expand(*pixels.shape[:2], 3).flip(-1).contiguous().numpy()  # OpenCV writes BGR
+    levels = (color.clip(display.detach().float()) * 255).round().to(torch.uint8)
+    pixels = levels.expand(*levels.shape[:2], 3).flip(-1).contiguous().numpy()  # OpenCV writes BGR
     return "data:image/png;base64," + base64.b64encode(cv2.imencode(".png", pixels)[1].tobytes()).decode()
 
 

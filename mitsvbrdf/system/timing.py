@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import ParamSpec, TypeVar
 
-K, T, P = TypeVar("K"), TypeVar("T"), ParamSpec("P")
+K = TypeVar("K")
+T = TypeVar("T")
+P = ParamSpec("P")
 
 
 def timed(job: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> tuple[T, float]:
@@ -21,7 +23,7 @@ def timed(job: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> tuple[T, fl
     return found, time.perf_counter() - started
 
 
-def spread(seconds: list[float]) -> dict[str, float]:
+def spread(seconds: Sequence[float]) -> dict[str, float]:
     """``median``, ``low`` and ``high`` (quartiles) of repeated timings, and how many they were."""
     quarters = statistics.quantiles(seconds, n=4, method="inclusive") if len(seconds) > 1 else [seconds[0]] * 3
     return {"median": quarters[1], "low": quarters[0], "high": quarters[2], "repeats": len(seconds)}
