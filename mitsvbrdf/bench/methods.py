@@ -110,8 +110,11 @@ def fit(capture: Capture, renderer: Renderer, config: FitConfig, report: Report 
         KeyboardInterrupt: Ctrl-C ended it.
         MitsvbrdfError: it cannot be done: no step of it stays finite, or its budget ends before the first.
     """
-    one_fit = _fit_of_peers if isinstance(config, PeersConfig) else _fit_of_ours
-    found, wall = timed(one_fit, as_lit(capture, config), renderer, config, report)
+    lit = as_lit(capture, config)
+    if isinstance(config, PeersConfig):
+        found, wall = timed(_fit_of_peers, lit, renderer, config, report)
+    else:
+        found, wall = timed(_fit_of_ours, lit, renderer, config, report)
     if found.stopped == "interrupted":
         raise KeyboardInterrupt
     if found.iterations == 0:  # the budget counts what comes before the first step too

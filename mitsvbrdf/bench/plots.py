@@ -52,17 +52,19 @@ def small_multiples(record: Mapping, kind: str, error: str) -> Figure | None:
     height = drawing.get_figheight()
     panels = drawing.subplots(down, across, squeeze=False, sharex=True, sharey=True).flatten()
     drawing.subplots_adjust(left=0.055, right=0.985, wspace=0.08, hspace=0.3, top=1 - 0.82 / height, bottom=0.4 / height)
+    published = []
     for number, (panel, name) in enumerate(zip(panels, each)):
         lines = {who: errors[error] for who, errors in record["published"].get(kind, {}).get(name, {}).items()
                  if error in errors}
         _curves(panel, summary.curves(fits, error, [name]), colours(fits), lines, direct=False)
+        published.append(lines)
         panel.set_title(name, loc="left", fontsize=FONT_SIZES["label"], pad=3)
         panel.set_xlabel("seconds" if number >= len(each) - across else "", fontsize=FONT_SIZES["small"])
         panel.tick_params(labelbottom=number >= len(each) - across)
     for panel in panels[len(each):]:
         panel.set_visible(False)
-    for panel in panels[:len(each)]:
-        _inner_labels(panel)
+    for panel, lines in zip(panels, published):  # now that the shared axes are known
+        _inner_labels(panel, lines)
     handles = [Line2D([], [], color=colour, linewidth=2, label=name) for name, colour in colours(fits).items()]
     drawing.text(0.055, 1 - 0.1 / height, f"{summary.ERRORS[kind][error]}, RMSE", fontsize=FONT_SIZES["title"],
                  fontweight="bold", va="top")
@@ -136,7 +138,7 @@ def names_of(kind: str, fits: Sequence[Mapping]) -> str:
 
 def _curves(panel: Axes, found: Mapping[str, Sequence[summary.Point]], shades: Mapping[str, str], lines: Mapping[str, float],
             direct: bool) -> None:
-    """Median lines with bands, dashed published lines, and labels at their ends (``direct``) or on the dashed lines."""
+    """Median lines with bands, dashed published lines, and labels at their ends (``direct``)."""
     budgets = sorted({p.budget for points in found.values() for p in points})
     last = max((p.seconds for points in found.values() for p in points), default=1.0)
     right = max([last, *budgets]) * 1.12
@@ -163,8 +165,6 @@ def _curves(panel: Axes, found: Mapping[str, Sequence[summary.Point]], shades: M
     if direct:
         panel.set_xlabel("seconds", fontsize=FONT_SIZES["small"], labelpad=1)
         _labels(panel, ends)
-    else:
-        panel.published = lines  # labelled once the shared axes are known
 
 
 def _labels(panel: Axes, ends: Sequence[tuple[str, float, str, str]]) -> None:
@@ -190,10 +190,10 @@ def spaced(heights: Sequence[float], gap: float) -> list[float]:
     return [total / count + (k - (count - 1) / 2) * gap for total, count in groups for k in range(int(count))]
 
 
-def _inner_labels(panel: Axes) -> None:
+def _inner_labels(panel: Axes, published: Mapping[str, float]) -> None:
     """Names of published lines: above the one line, else behind the ends of several."""
     low, high = map(math.log, panel.get_ylim())
-    lines = sorted(panel.published.items(), key=lambda line: line[1])
+    lines = sorted(published.items(), key=lambda line: line[1])
     places = spaced([(math.log(value) - low) / (high - low) for _, value in lines], 0.085)
     where = {"x": 0.985, "ha": "right", "va": "bottom"} if len(lines) == 1 else {"x": 0.465, "ha": "left", "va": "center"}
     for (who, _), place in zip(lines, places):

@@ -19,7 +19,7 @@ from ..material.made import make_material
 from ..material.maps import SVBRDF
 from ..measure.gradients import fixed_cotangent
 from ..measure.metrics import image_error
-from ..render import make_renderer
+from ..render import RendererName, make_renderer
 from ..render.needs import Needs, scene_needs
 from ..system.provenance import machine, versions
 from ..system.timing import side_by_side
@@ -75,9 +75,9 @@ def measure_leave_out(resolution: int = 256, repeats: int = 9, report: Callable[
         items.append({"what": case.what, "where": case.where, "why": case.why, "worst": difference["worst"],
                       "mean": difference["mean"], "full_error": errors[0], "lean_error": errors[1], "seconds": seconds,
                       "ratio": seconds["full"]["median"] / seconds["lean"]["median"]})
-    lean = scene_needs(lean_material(resolution), nine_view_grid(), "mitsuba")
+    leanest = scene_needs(lean_material(resolution), nine_view_grid(), "mitsuba")
     return {"schema_version": SCHEMA_VERSION, "resolution": resolution, "views": 9, "items": items,
-            "left_out": [{"what": what, "why": why} for what, why in lean.left_out],
+            "left_out": [{"what": what, "why": why} for what, why in leanest.left_out],
             "machine": machine(), "versions": versions()}
 
 
@@ -130,7 +130,9 @@ def _with(svbrdf: SVBRDF, **maps: Tensor) -> SVBRDF:
     return SVBRDF(svbrdf.bsdf, dict(svbrdf.maps) | maps)
 
 
-def _pass(renderer: str, svbrdf: SVBRDF, views: Views, wanted: tuple[str, ...], needs: Needs | None) -> Callable[[], Tensor]:
+def _pass(renderer: RendererName, svbrdf: SVBRDF, views: Views, wanted: tuple[str, ...],
+          needs: Needs | None) -> Callable[[], Tensor]:
+    """A forward and a backward pass with gradients of the maps ``wanted``; it returns the image."""
     engine = make_renderer(renderer, needs=needs)
 
     def forward_and_backward() -> Tensor:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -74,9 +75,10 @@ def violations(rows: Sequence[dict]) -> list[dict]:
 
 def measured(case: Case, renderers: Sequence[Renderer]) -> dict:
     """The record of one configuration."""
-    about = {"sweep": case.sweep, "label": case.label, "value": case.value, "bsdf": case.svbrdf.bsdf,
-             "resolution": case.svbrdf.resolution, "views": len(case.views), "refused": case.refused}
-    nothing = {"condition": None, "limit": {}, "fifty_digits": {}, "functions": {}, "clamps": [], "step": None}
+    about: dict[str, Any] = {"sweep": case.sweep, "label": case.label, "value": case.value, "bsdf": case.svbrdf.bsdf,
+                             "resolution": case.svbrdf.resolution, "views": len(case.views), "refused": case.refused}
+    nothing: dict[str, Any] = {"condition": None, "limit": {}, "fifty_digits": {}, "functions": {}, "clamps": [],
+                               "step": None}
     try:
         case.svbrdf.check()
         case.views.check()
