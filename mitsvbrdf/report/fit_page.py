@@ -94,11 +94,11 @@ def check_photos(found: FitFolder, capture: Capture) -> None:
         raise CaptureError(f"a capture {'without' if capture.calibrated else 'with'} calibration, as that of this fit",
                            f"{capture.source}, which has {'one' if capture.calibrated else 'none'}",
                            "give the capture that was fitted")
-    images = torch.stack([images.read_image(found.path / "rerendered" / f"{name}.exr", MapsError) for name in found.names])
-    if images.shape != capture.photos.shape:
-        raise CaptureError(f"photos of {images.shape[1]} px", f"{capture.resolution} px in {capture.source}",
+    rendered = torch.stack([images.read_image(found.path / "rerendered" / f"{name}.exr", MapsError) for name in found.names])
+    if rendered.shape != capture.photos.shape:
+        raise CaptureError(f"photos of {rendered.shape[1]} px", f"{capture.resolution} px in {capture.source}",
                            "give the capture that was fitted")
-    errors = photo_rmse(images, capture.photos, found.record["capture"]["transfer"])[1]
+    errors = photo_rmse(rendered, capture.photos, found.record["capture"]["transfer"])[1]
     for name, error in zip(found.names, errors):
         if abs(error - found.record["per_photo"][name]) > SAME_PHOTO:
             raise CaptureError("the photos of this fit", f"{capture.source}, whose photo {name} is another (error {error:.4f} "
@@ -112,9 +112,9 @@ def _there(folder: Path, name: str) -> str | None:
 def _predicted(found: FitFolder, capture: Capture, engine: Renderer) -> tuple[list[dict], float]:
     capture = placed(capture, found.fit)
     capture = capture.pick([number for number in capture.index if number not in found.fit.seen])
-    images, error, each = predict(found.svbrdf, capture, engine, found.fit.flash_offset)
+    rendered, error, each = predict(found.svbrdf, capture, engine, found.fit.flash_offset)
     keep_photos(found.path, capture)
-    for name, image in zip(capture.names, images):
+    for name, image in zip(capture.names, rendered):
         images.write_png(found.path / "predicted" / f"{name}.png", color.to_display(image, capture.transfer))
     return [{"name": name, "left_out": True, "rmse": rmse, "photo": f"photos/{name}.png", "rerendered": f"predicted/{name}.png"}
             for name, rmse in zip(capture.names, each)], error
