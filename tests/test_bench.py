@@ -132,8 +132,8 @@ def test_every_variant_is_one_of_the_default_method():
 
 @pytest.mark.slow
 def test_every_ingredient_changes_real_fits_and_two_of_them_exact_ones(monkeypatch):
-    # What ablation.py says. The largest change of a map's value was 0.01 or more, and exactly 0 where it must be.
-    monkeypatch.setattr("mitsvbrdf.fit.hierarchical.CHANCE", 0.0)  # there is hardly any burn-in to take out of these maps
+    # What VARIANTS of methods.py says. The largest change of a map's value was 0.01 or more, and exactly 0 where it must be.
+    monkeypatch.setattr("mitsvbrdf.fit.hierarchical.rounds.CHANCE", 0.0)  # they hold hardly any burn-in
 
     def maps(shots, config):
         return torch.cat(list(fit_svbrdf(shots, ANALYTIC, config).svbrdf.maps.values()), dim=-1)
@@ -522,7 +522,7 @@ def test_interrupted_runs_go_on_with_the_same_records(out, monkeypatch, capsys):
 @pytest.mark.slow
 def test_quick_measures_everything(out, monkeypatch, tmp_path):
     monkeypatch.setattr(sys.modules["mitsvbrdf.cli.bench"], "QUICK_CASES", {"sizes": (8,), "views": (1,), "samples": ()})
-    monkeypatch.setattr("mitsvbrdf.evaluate.bench.ablation.VARIANTS", {"no neighbours": {"neighbours": False}})
+    monkeypatch.setattr("mitsvbrdf.bench.methods.VARIANTS", {"no neighbours": {"neighbours": False}})
     for suite in ("ablation", "all"):
         assert cli.main(["bench", "--quick", "--suite", suite, "--renderer", "analytic", "--resolution", "16", "--budgets",
                          "0.1", "--repeats", "1", "--json", str(out), "--page", str(tmp_path / "p.md")]) == 0

@@ -343,8 +343,8 @@ def test_help_shows_the_options_of_the_method(capsys):
     ["stability", "--html"], ["stability", "--md"], ["evaluate", "builtin:tiles", "--reference", "builtin:tiles", "--json"]])
 def test_bad_outputs_are_found_before_the_work(command, tmp_path, monkeypatch, capsys):
     for name in ("crosscheck.crosscheck", "leave_out.measure_leave_out", "stability.stability"):
-        monkeypatch.setattr(f"mitsvbrdf.evaluate.{name}", lambda *_, **__: pytest.fail("worked first"))
-    monkeypatch.setattr(cli, "material_of", lambda *_: pytest.fail("worked first"))
+        monkeypatch.setattr(f"mitsvbrdf.verify.{name}", lambda *_, **__: pytest.fail("worked first"))
+    monkeypatch.setattr("mitsvbrdf.material.made.make_material", lambda *_: pytest.fail("worked first"))
     (tmp_path / "file").write_text("mine")
     fails(capsys, tmp_path, [*command, tmp_path], "a file to write")
     fails(capsys, tmp_path, [*command, tmp_path / "file/record"], "file/record")

@@ -1,6 +1,7 @@
 """Files are replaced whole or not at all, and nothing that is not ours is touched."""
 
 import os
+import shutil
 import signal
 from pathlib import Path
 
@@ -120,8 +121,8 @@ def test_a_folder_is_in_use_until_it_is_cleaned_up(kept, tmp_path, monkeypatch):
     with pytest.raises(ZeroDivisionError), result_folder.output_folder(out, overwrite=False) as folder:
         if kept:
             files.write_bytes(folder / result_folder.CHECKPOINT, b"state")
-        monkeypatch.setattr(files.shutil, "rmtree", watched(files.shutil.rmtree))
-        monkeypatch.setattr(files, "_empty", watched(result_folder._empty))
+        monkeypatch.setattr(shutil, "rmtree", watched(shutil.rmtree))
+        monkeypatch.setattr(result_folder, "_empty", watched(result_folder._empty))
         raise ZeroDivisionError
     assert busy == [True] and not result_folder.in_use(out)
 

@@ -365,7 +365,7 @@ def test_ctrl_c_while_a_frame_is_written_is_heard(tmp_path, monkeypatch):
         return write_exr(*arguments)
 
     write_exr = images.write_exr
-    monkeypatch.setattr(files, "write_exr", pressed)
+    monkeypatch.setattr(images, "write_exr", pressed)
     run(tmp_path / "o", preset="sweep", frames=2)
     frame, = record(tmp_path / "o")["presets"]["sweep"]["frames"]
     assert frame["stopped"] == "samples"  # it was whole

@@ -236,7 +236,7 @@ def test_a_rig_from_photos(photos):
 
 
 def test_photos_are_measured_at_a_size_that_memory_holds(photos, monkeypatch):
-    monkeypatch.setattr("mitsvbrdf.capture.tag_edges.MOST_PIXELS", 510)
+    monkeypatch.setattr("mitsvbrdf.capture.align.tag_edges.MOST_PIXELS", 510)
     # Cells of three pixels, whose white bleeds into the black: 0.06 % and 0.15 texels were seen; half a pixel is 0.9 texels.
     check(rig_from_sheet(photos, 18.0), {photo.name: pose for photo, pose in zip(photos, POSES)}, position=0.002, texels=0.4)
 

@@ -23,6 +23,7 @@ from mitsvbrdf.export.mitsuba import write_scene
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.render import make_renderer
+from mitsvbrdf.measure.z_test import _normal_score
 from mitsvbrdf.testing import (
     assert_matches_golden,
     assert_renderers_agree,

@@ -358,7 +358,7 @@ def test_a_fit_that_ends_while_somebody_looks_has_not_died(tmp_path, capture, ev
     def look(entry, share):
         if entry and entry["iteration"] == 10:
             with monkeypatch.context() as patch:
-                patch.setattr(files, "in_use", ends_just_before)
+                patch.setattr(result_folder, "in_use", ends_just_before)
                 states.append(watch.state()["phase"])
 
     with pytest.raises(ZeroDivisionError):

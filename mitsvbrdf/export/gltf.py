@@ -15,7 +15,7 @@ from torch import Tensor
 from .. import __version__, color
 from ..material.conversion import as_principled, with_specular_color
 from ..material.maps import DIELECTRIC_F0, SVBRDF
-from ..system import files
+from ..system import files, images
 from .textures import LINEAR, SRGB, Export, Texture, described, residual, stored
 
 FILE = "material.glb"
