@@ -29,7 +29,7 @@ from mitsvbrdf.relight.passes import GroupedMean, Stop, one_sample, render_frame
 from mitsvbrdf.render.analytic import AnalyticRenderer
 from mitsvbrdf.render.llvm import mitsuba_module
 from mitsvbrdf.render.needs import Needs
-from mitsvbrdf.system import files, images, result_folder
+from mitsvbrdf.system import images, result_folder
 
 
 def srgb(x):

@@ -22,8 +22,8 @@ from mitsvbrdf.errors import ConfigError, MapsError
 from mitsvbrdf.export.mitsuba import write_scene
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF, flat
-from mitsvbrdf.render import make_renderer
 from mitsvbrdf.measure.z_test import _normal_score
+from mitsvbrdf.render import make_renderer
 from mitsvbrdf.testing import (
     assert_matches_golden,
     assert_renderers_agree,
