@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from mitsvbrdf.capture.align import from_photos, pairs
 from mitsvbrdf.capture.align.features import Features, find_features, homography, match
 from mitsvbrdf.capture.align.from_photos import rig_from_photos
-from mitsvbrdf.capture.align.pairs import Pair, chained_pairs
+from mitsvbrdf.capture.align.pairs import SIGMA, Pair, chained_pairs
 from mitsvbrdf.capture.align.patch import centred_square, choose_patch, largest_square, turned, upright
 from mitsvbrdf.capture.align.planar import Match, adjust, carried, starts
 from mitsvbrdf.capture.lens import Lens, Pose, on_plane, project
@@ -323,7 +323,7 @@ def test_a_photo_that_agrees_with_each_other_differently_is_left_out():
         points = np.pad(on_plane(LENS, poses[a], at_a), ((0, 0), (0, 1)))
         at_b = project(LENS, poses[b], points) + (15.0 * n if b == "4.png" else 0.0)
         warp, agree = homography(at_a, at_b, 1.0)
-        pairs.append(Pair(Match(a, b, at_a, at_b, pairs.SIGMA), agree, warp))
+        pairs.append(Pair(Match(a, b, at_a, at_b, SIGMA), agree, warp))
     hub, warps = chained_pairs(poses, pairs)
     left_out = {}
     lens, found, _, _ = from_photos._posed(replace(LENS, distortion=(0.0, 0.0)), 0.02, hub, warps, pairs, left_out)

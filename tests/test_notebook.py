@@ -166,7 +166,7 @@ def test_importing_stays_light():
             "from mitsvbrdf import SVBRDF, Capture, FitResult\n"
             "found = {'mitsuba', 'drjit', 'cv2', 'matplotlib', 'jinja2'} & set(sys.modules)\n"
             "assert not found, found\n"
-            "from mitsvbrdf.maps import flat\nassert '<img' in flat(2)._repr_html_()\n"
+            "from mitsvbrdf.material.maps import flat\nassert '<img' in flat(2)._repr_html_()\n"
             "assert not {'mitsuba', 'drjit'} & set(sys.modules)\n")
     subprocess.run([sys.executable, "-c", code], check=True)
 

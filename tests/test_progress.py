@@ -74,13 +74,13 @@ def on_a_terminal(code):
 
 
 def test_a_bar_on_a_terminal_shows_names_as_they_are():
-    said = on_a_terminal("from mitsvbrdf.progress import progress_bar\n"
+    said = on_a_terminal("from mitsvbrdf.system.progress import progress_bar\n"
                          "with progress_bar('relight wall[red]') as report:\n    report('one', 0.5)\n")
     assert "relight wall[red]: one" in said and "50%" in said
 
 
 def test_on_a_terminal_one_live_line():
-    said = on_a_terminal("from mitsvbrdf.progress import Progress\n"
+    said = on_a_terminal("from mitsvbrdf.system.progress import Progress\n"
                          f"with Progress('a fit') as report:\n    report({ENTRY}, 0.25)\n    report({ENTRY}, 1.0)\n")
     assert "a fit" in said and "100%" in said and "rmse 0.1250" in said
     assert "\x1b[?25l" in said and said.rindex("\x1b[?25h") > said.rindex("100%")  # the cursor is hidden, and shown again
@@ -118,7 +118,7 @@ def test_a_bar_in_a_notebook_stays_where_it_broke_off(displays, clock):
 
 def test_a_real_kernel_keeps_the_last_of_it(tmp_path, monkeypatch):
     nbformat = pytest.importorskip("nbformat")
-    cells = ["import sys\nprint(sys.executable)\nfrom mitsvbrdf.progress import Progress, progress_bar\n"
+    cells = ["import sys\nprint(sys.executable)\nfrom mitsvbrdf.system.progress import Progress, progress_bar\n"
              f"entry = {ENTRY}",
              "with Progress('first') as report:\n    for i in range(5000):\n        report(entry | {'iteration': i}, i / 1e4)",
              "report = Progress('second')\nreport(entry, 0.5)\nreport(entry, 1.0)",

@@ -65,7 +65,7 @@ def test_a_set_up_checkout_runs_at_once_from_anywhere(checkout, tmp_path):
     slow = sh(checkout / "run", "slow", cwd=tmp_path, env=environment)
     assert slow.stdout == f"{checkout}|python|-m|pytest|-m|slow|", slow.stderr
     soak = sh(checkout / "run", "soak", "--steps", "40", cwd=tmp_path, env=environment)
-    assert soak.stdout == f"{tmp_path}|python|-P|-m|mitsvbrdf.evaluate.soak|--steps|40|", soak.stderr
+    assert soak.stdout == f"{tmp_path}|python|-P|-m|mitsvbrdf.verify.soak|--steps|40|", soak.stderr
 
 
 def test_slow_tests_get_their_tools_once(checkout):

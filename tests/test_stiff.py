@@ -26,7 +26,7 @@ ANALYTIC = make_renderer("analytic")
 
 
 @pytest.fixture(scope="module")
-def capture():
+def leather():
     return photograph(make_material("leather", SIDE), nine_view_grid(), ANALYTIC)
 
 
@@ -126,9 +126,9 @@ def poison_averages(loop):
 
 @pytest.mark.parametrize("poison, word", [(poison_parameters, "raw.roughness"), (poison_averages, "exp_avg_sq")])
 @pytest.mark.parametrize("at", [19, 23])  # seen where a measurement is due, and at the very end of the run
-def test_what_a_step_leaves_behind_is_checked(poison, word, at, capture):
+def test_what_a_step_leaves_behind_is_checked(poison, word, at, leather):
     # The losses of this step are fine, and a raw number of infinity even renders: only the state shows it.
-    loop = loop_of(capture, DirectConfig(iterations=24))
+    loop = loop_of(leather, DirectConfig(iterations=24))
     step, peak = loop.method.step, loop.method.peak
 
     def poisoned(progress):
@@ -146,7 +146,7 @@ def test_what_a_step_leaves_behind_is_checked(poison, word, at, capture):
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_a_photo_that_is_not_finite_is_never_the_best(value, capture):
+def test_a_photo_that_is_not_finite_is_never_the_best(value, leather):
     # Infinity is white once clipped: the error of such a picture is finite, and could be the lowest.
     class Broken:
         name, variant, calls = "analytic", None, 0
@@ -159,29 +159,29 @@ def test_a_photo_that_is_not_finite_is_never_the_best(value, capture):
                 image[0, 0, 0, 0] = value
             return image
 
-    loop = loop_of(capture, DirectConfig(iterations=20), Broken())
+    loop = loop_of(leather, DirectConfig(iterations=20), Broken())
     loop.run()
     assert [event["reason"] for event in loop.undone] == ["a re-rendered photo not finite"]
     assert loop.undone[0]["iteration"] == 10 and math.isfinite(loop.best[0])
 
 
-def test_a_start_that_is_not_finite_is_one_error(capture):
-    loop = loop_of(capture, DirectConfig(iterations=5))
+def test_a_start_that_is_not_finite_is_one_error(leather):
+    loop = loop_of(leather, DirectConfig(iterations=5))
     poison_parameters(loop, math.nan)
     with pytest.raises(ConfigError, match="finite start"):
         loop.run()
 
 
-def test_a_fit_that_breaks_for_good_keeps_its_best(capture, tmp_path):
-    loop = loop_of(capture, DirectConfig(iterations=1000), checkpoint=tmp_path / "c.safetensors")
+def test_a_fit_that_breaks_for_good_keeps_its_best(leather, tmp_path):
+    loop = loop_of(leather, DirectConfig(iterations=1000), checkpoint=tmp_path / "c.safetensors")
     step = loop.method.step
     loop.method.step = lambda progress: step(progress) if loop.iteration < 25 else {"photometric": math.nan}
     assert loop.run() == "unstable" and len(loop.undone) == MAX_UNDONE + 1
     assert loop.best[0] < loop.trace[0]["rerender_rmse"] and (tmp_path / "c.safetensors").is_file()
 
 
-def test_a_broken_state_is_not_saved(capture, tmp_path):
-    loop = loop_of(capture, DirectConfig(iterations=3), checkpoint=tmp_path / "c.safetensors")
+def test_a_broken_state_is_not_saved(leather, tmp_path):
+    loop = loop_of(leather, DirectConfig(iterations=3), checkpoint=tmp_path / "c.safetensors")
     poison_parameters(loop)
     loop.save()
     assert not loop.checkpoint.exists()
@@ -189,19 +189,19 @@ def test_a_broken_state_is_not_saved(capture, tmp_path):
 
 @pytest.mark.parametrize("config", [DirectConfig(learning_rate=20, iterations=250),
                                     HybridConfig(learning_rate=1, iterations=80, width=4)])
-def test_a_fit_that_diverges_goes_back_with_smaller_steps(config, capture):
-    result = fit_svbrdf(capture, ANALYTIC, config)
+def test_a_fit_that_diverges_goes_back_with_smaller_steps(config, leather):
+    result = fit_svbrdf(leather, ANALYTIC, config)
     assert result.restarts[0]["iteration"] == 50 and "1.5 times its lowest" in result.restarts[0]["reason"]
     assert not result.undone and any("diverged" in warning for warning in result.warnings)
     if isinstance(config, DirectConfig):  # in time, the step size is right: measured 0.0012 from 0.026
         assert result.rerender_rmse < 0.1 * result.trace[0]["rerender_rmse"]
 
 
-def test_restarts_are_bit_equal_after_resuming(capture, tmp_path):
+def test_restarts_are_bit_equal_after_resuming(leather, tmp_path):
     config, path = DirectConfig(learning_rate=20, iterations=120), tmp_path / "c.safetensors"
-    whole = fit_svbrdf(capture, ANALYTIC, config)
+    whole = fit_svbrdf(leather, ANALYTIC, config)
     assert len(whole.restarts) == 2
-    fit_svbrdf(capture, ANALYTIC, dataclasses.replace(config, iterations=77), checkpoint=path)  # between the two restarts
+    fit_svbrdf(leather, ANALYTIC, dataclasses.replace(config, iterations=77), checkpoint=path)  # between the two restarts
 
     class Stop(Exception):
         pass
@@ -210,8 +210,8 @@ def test_restarts_are_bit_equal_after_resuming(capture, tmp_path):
         if entry["iteration"] == 80:
             raise Stop
 
-    loop = loop_of(capture, config, checkpoint=path)
-    loop.method = make_method(capture, ANALYTIC, whole.guess, config)
+    loop = loop_of(leather, config, checkpoint=path)
+    loop.method = make_method(leather, ANALYTIC, whole.guess, config)
     step = loop.method.step
 
     def saving_step(progress):
@@ -222,7 +222,7 @@ def test_restarts_are_bit_equal_after_resuming(capture, tmp_path):
     loop.method.step, loop.report = saving_step, crash
     with pytest.raises(Stop):
         loop.run()
-    resumed = fit_svbrdf(capture, ANALYTIC, config, resume=path)
+    resumed = fit_svbrdf(leather, ANALYTIC, config, resume=path)
     assert resumed.restarts == whole.restarts
     assert all(torch.equal(whole.svbrdf[name], resumed.svbrdf[name]) for name in whole.svbrdf.maps)
 
@@ -299,8 +299,8 @@ def test_the_deviation_predicts_where_the_error_is():
         assert 1 / 3 < float(spread.square().mean(dim=-1).sqrt().mean() / error.sqrt().mean()) < 3, name
 
 
-def test_one_photo_determines_less_than_nine(capture):
-    results = [fit_svbrdf(c, ANALYTIC, DirectConfig(iterations=40)) for c in (capture, capture.pick([0]))]
+def test_one_photo_determines_less_than_nine(leather):
+    results = [fit_svbrdf(c, ANALYTIC, DirectConfig(iterations=40)) for c in (leather, leather.pick([0]))]
     nine, one = (confidence(r.deviations) for r in results)
     for name in ("specular", "roughness", "normal"):
         assert nine[name]["determined_share"] > 0.9 and one[name]["determined_share"] < 0.1, name
@@ -318,19 +318,19 @@ def test_large_maps_are_looked_at_small():
 # ---- what to doubt ----
 
 @pytest.fixture(scope="module")
-def fitted(capture):
-    return fit_svbrdf(capture, ANALYTIC, DirectConfig(iterations=60))
+def fitted(leather):
+    return fit_svbrdf(leather, ANALYTIC, DirectConfig(iterations=60))
 
 
 def test_a_good_fit_raises_no_doubt(fitted):
     assert fitted.warnings == () and fitted.stopped == "iterations"
 
 
-def test_a_photo_from_elsewhere_is_named(capture):
+def test_a_photo_from_elsewhere_is_named(leather):
     views = nine_view_grid()
     wrong = views.camera.clone()
     wrong[4] = torch.tensor([1.2, -1.2, 3.5])
-    result = fit_svbrdf(dataclasses.replace(capture, views=Views.of(wrong, intensity=views.intensity)), ANALYTIC,
+    result = fit_svbrdf(dataclasses.replace(leather, views=Views.of(wrong, intensity=views.intensity)), ANALYTIC,
                         DirectConfig(iterations=40))
     assert any(warning.startswith("photo 04 fits worse") for warning in result.warnings)
 
@@ -342,24 +342,24 @@ def test_a_photo_from_elsewhere_is_named(capture):
     ({"trace": [{"iteration": 0, "seconds": 0.0, "rerender_rmse": 0.1}]}, "no step was made"),
     ({"restarts": ({"iteration": 50, "reason": "x"},) * 2}, "diverged and went back to its lowest loss 2 times"),
 ])
-def test_each_doubt(change, words, fitted, capture):
+def test_each_doubt(change, words, fitted, leather):
     if "rerendered" in change:
         change = {"rerendered": fitted.rerendered / change["rerendered"]}
-    (warning,) = fit_warnings(dataclasses.replace(fitted, **change), capture)
+    (warning,) = fit_warnings(dataclasses.replace(fitted, **change), leather)
     assert words in warning
 
 
 @pytest.mark.parametrize("fix, count", [((), 1), (("roughness=0.5",), 0)])  # a map that was given is the caller's own
-def test_roughness_that_lies_as_the_highlights_do(fix, count, fitted, capture):
+def test_roughness_that_lies_as_the_highlights_do(fix, count, fitted, leather):
     follows = 0.2 + coverage_angle(fitted.views, SIDE)[..., None].float()
     burnt = SVBRDF("roughconductor", dict(fitted.svbrdf.maps) | {"roughness": follows})
     found = dataclasses.replace(fitted, svbrdf=burnt, config=dataclasses.replace(fitted.config, fix=fix))
-    warnings = list(fit_warnings(found, capture))
+    warnings = list(fit_warnings(found, leather))
     assert len(warnings) == count and all("100% of the roughness map lies as" in warning for warning in warnings)
 
 
-def test_dark_photos(fitted, capture):
-    dark = dataclasses.replace(capture, photos=capture.photos * 0.05)
+def test_dark_photos(fitted, leather):
+    dark = dataclasses.replace(leather, photos=leather.photos * 0.05)
     assert any("nearly black" in warning for warning in fit_warnings(fitted, dark))
 
 

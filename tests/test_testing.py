@@ -131,7 +131,7 @@ def test_a_page_that_cannot_be_written_does_not_hide_the_failure(report):
 
 FOREIGN = """
     import torch
-    from mitsvbrdf.maps import flat
+    from mitsvbrdf.material.maps import flat
     from mitsvbrdf.testing import assert_matches_golden
 
     def test_picture():

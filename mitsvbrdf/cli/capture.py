@@ -75,7 +75,7 @@ def _print(made: CaptureResult) -> None:
     for heading in ("photo", "", "reprojection", "sharpness", "clipped"):
         table.add_column(heading, justify="left" if heading in ("photo", "") else "right")
     for photo in made.photos:
-        look, error = made.looks.get(photo.name), made.rig.errors.get(photo.name)
+        look, error = made.photo_qualities.get(photo.name), made.rig.errors.get(photo.name)
         table.add_row(photo.name, made.rig.left_out.get(photo.name, "used"), "" if error is None else f"{error:.2f} px",
                       f"{look.sharpness:.2f}" if look else "", f"{look.clipped:.0%}" if look else "")
     with contextlib.suppress(BrokenPipeError):
