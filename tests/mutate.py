@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-TESTS = ("tests/test_render.py", "tests/test_needs.py", "tests/test_conventions.py", "tests/test_cli.py")
+TESTS = ("tests/render/test_render.py", "tests/render/test_needs.py", "tests/test_conventions.py", "tests/cli")
 CROSSCHECK = ("crosscheck", "--resolution", "32", "--repeats", "1")
 
 

@@ -1,7 +1,5 @@
 """Fixtures that the tests of this folder share."""
 
-
-
 import pytest
 
 from mitsvbrdf import cli

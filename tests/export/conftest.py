@@ -1,6 +1,5 @@
 """Fixtures that the tests of this folder share."""
 
-
 import pytest
 from helpers.exported import BSDFS
 

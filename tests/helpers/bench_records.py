@@ -1,6 +1,5 @@
 """Records of a benchmark, made by hand."""
 
-
 SETTINGS = {"resolution": 16, "views": "builtin:grid", "renderer": "analytic", "variant": "llvm_ad_rgb", "quick": False}
 
 

@@ -23,7 +23,6 @@ FOREIGN = """
         assert_matches_golden(flat(4, roughness={roughness}), "maps")
 """
 
-
 class Suite:
     """A tiny test suite of somebody else, and where its golden files and pages go."""
 

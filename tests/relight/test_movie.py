@@ -9,6 +9,13 @@ from mitsvbrdf.errors import MapsError, OutputError
 from mitsvbrdf.relight.movie import durations, write_gif, write_mp4
 
 
+@pytest.fixture(scope="module")
+def frames():
+    """Twelve frames of odd size, smooth colours that move."""
+    y, x = torch.meshgrid(torch.linspace(0, 1, 63), torch.linspace(0, 1, 65), indexing="ij")
+    return [torch.stack((x, y, torch.full_like(x, 0.2 + k / 20)), dim=-1) for k in range(12)]
+
+
 def decoded(frame):
     """A yuv420p frame as RGB, by the equations of BT.709 with limited range."""
     def plane(k, width):

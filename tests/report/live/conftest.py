@@ -1,6 +1,5 @@
 """Fixtures that the tests of this folder share."""
 
-
 import pytest
 from helpers import ANALYTIC
 from helpers.live_fits import SIDE

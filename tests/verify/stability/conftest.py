@@ -1,6 +1,5 @@
 """Fixtures that the tests of this folder share."""
 
-
 import pytest
 from helpers.one_sweep import FEW
 
