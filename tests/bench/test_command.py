@@ -52,7 +52,6 @@ def test_a_changed_variant_is_measured_anew(tmp_path):
     assert [r["method"] for r in store.records] == ["full", "full"]  # what was measured with the old settings is gone
 
 
-# -------------------------------------------------------------------------------------------------------------- the command
 @pytest.fixture
 def out(tmp_path, monkeypatch):
     monkeypatch.delenv("MITSVBRDF_DATA", raising=False)

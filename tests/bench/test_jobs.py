@@ -57,7 +57,6 @@ def test_a_fit_that_cannot_be_done_is_a_record(monkeypatch):
     assert summary.curves([found], "mean") == {} and summary.failures([found]) == [found]
 
 
-# --------------------------------------------------------------------------------------------------------------------- tasks
 def test_novel_light_stands_where_no_photo_had_it():
     views = replace(nine_view_grid(), size=2.0, camera=nine_view_grid().camera * 2, light=nine_view_grid().light * 2)
     lit = novel_views(views)
@@ -112,7 +111,6 @@ def test_known_materials_are_judged_as_evaluate_judges_them(tmp_path):
     assert errors["photos"] == found.rmse and errors["novel_light"] > 0
 
 
-# ----------------------------------------------------------------------------------------------------------------- published
 def test_published_numbers_are_those_of_the_same_photos(tmp_path):
     shots = photograph(make_material("inlay", 16), nine_view_grid(), ANALYTIC)
     write_capture(shots, tmp_path / "cards")

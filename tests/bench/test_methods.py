@@ -16,7 +16,6 @@ from mitsvbrdf.synth.photograph import photograph
 from mitsvbrdf.views import nine_view_grid
 
 
-# ------------------------------------------------------------------------------------------------------------------- methods
 def test_the_table_has_every_method_and_preset():
     table = method_table(config.CONFIGS)
     assert {"hierarchical", "hybrid", "direct", "gan-one-stage", "gan-two-stage", "peers-baseline"} <= set(table)

@@ -11,7 +11,6 @@ from mitsvbrdf.synth.photograph import photograph
 from mitsvbrdf.views import nine_view_grid
 
 
-# ------------------------------------------------------------------------------------------------------ the peers' baseline
 def test_peers_baseline_is_plain_adam_on_clamped_gamma_values():
     views = nine_view_grid().pick([0, 2, 5])
     capture = photograph(make_material("inlay", 8), views, ANALYTIC)

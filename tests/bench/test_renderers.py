@@ -12,7 +12,6 @@ from mitsvbrdf.render import make_renderer
 from mitsvbrdf.render.scene import SceneRenderer
 
 
-# ----------------------------------------------------------------------------------------------------------------- renderers
 def test_the_truth_of_whole_pixels_is_their_average():
     svbrdf, views = make_material("inlay", 8), renderers.spread_views(2)
     image, gradients = renderers.exact(svbrdf, views, renderers.FINER)

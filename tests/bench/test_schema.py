@@ -9,7 +9,6 @@ from mitsvbrdf.bench.schema import check_benchmark
 from mitsvbrdf.errors import ConfigError
 
 
-# ------------------------------------------------------------------------------------------------------------ schema, store
 @pytest.mark.parametrize("spoil, words", [
     (lambda b: b.update(schema_version=2), "version 2"),
     (lambda b: b.pop("machine"), "the fields"),

@@ -18,8 +18,6 @@ from mitsvbrdf.views import nine_view_grid
 
 SIDE = 16
 
-# ---- stiff cases ----
-
 WARNS = {"30 % of the pixels clipped": "% of the pixels are clipped", "light stated 4x too weak": "as white as can be",
          "light stated 4x too strong": "below that of any known material", "a single photo": "one photo",
          "nine identical photos": "all alike", "constant grey photos": "one colour"}

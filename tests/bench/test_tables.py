@@ -6,7 +6,6 @@ from helpers.bench_records import GIVEN, METHODS, benchmark, record
 from mitsvbrdf.bench import summary
 from mitsvbrdf.bench.tables import equal_error, equal_time
 
-# ------------------------------------------------------------------------------------------------------------------- summary
 TWO = [record("hybrid", b, s, n, mean=e) for b, s, n, e in (
     (10.0, 0, "a", 0.30), (10.0, 0, "b", 0.10), (10.0, 1, "a", 0.20), (10.0, 1, "b", 0.10), (10.0, 2, "a", 0.50),
     (10.0, 2, "b", 0.30), (30.0, 0, "a", 0.08), (30.0, 0, "b", 0.04), (30.0, 1, "a", 0.02))]

@@ -22,8 +22,6 @@ def test_a_principled_material_loses_nothing(tmp_path):
         assert not written.conversion
 
 
-# The command
-
 def test_export_command(tmp_path, capsys):
     save_maps(make_material("plates", 16), tmp_path / "brick/maps")
     assert cli.main(["export", str(tmp_path / "brick"), "--to", "gltf,maps", "--naming", "polyhaven", "--normal", "dx"]) == 0

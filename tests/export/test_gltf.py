@@ -15,8 +15,6 @@ from mitsvbrdf.export.gltf import write_gltf
 from mitsvbrdf.material.conversion import as_principled, with_specular_color
 from mitsvbrdf.material.maps import flat
 
-# glTF
-
 def parsed(path):
     """JSON and binary chunk of a GLB, by section 4.4 of the specification."""
     data = path.read_bytes()
@@ -117,8 +115,6 @@ def test_khronos_validator_has_nothing_to_say(material, tmp_path):
     done = subprocess.run([node, "-e", code, str(tmp_path / "material.glb")], capture_output=True, text=True, check=True)
     assert json.loads(done.stdout)["messages"] == []
 
-
-# Base colour and metallic
 
 def test_khr_specular_restores_f0(material):
     metal, factor = with_specular_color(material, as_principled(material))

@@ -18,8 +18,6 @@ def loop_of(capture, config, renderer=ANALYTIC, **options):
     return Loop(make_method(capture, renderer, torch.full((SIDE, SIDE, 3), 0.2), config), capture, renderer, config, **options)
 
 
-# ---- steps taken back ----
-
 def poison_parameters(loop, value=math.inf):
     loop.method.raw["roughness"].data[0, 3, 3] = value
 

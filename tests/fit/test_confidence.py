@@ -19,8 +19,6 @@ from mitsvbrdf.views import Views, nine_view_grid
 
 SIDE = 16
 
-# ---- how sure ----
-
 @pytest.mark.parametrize("bsdf", ["roughconductor", "principled"])
 def test_slopes_are_those_of_reverse_mode(bsdf):
     # Measured: 1.5e-7. Every texel's slopes at once, under random weights of its display values.

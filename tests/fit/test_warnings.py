@@ -13,8 +13,6 @@ from mitsvbrdf.views import Views, coverage_angle, nine_view_grid
 
 SIDE = 16
 
-# ---- what to doubt ----
-
 @pytest.fixture(scope="module")
 def fitted(leather):
     return fit_svbrdf(leather, ANALYTIC, DirectConfig(iterations=60))

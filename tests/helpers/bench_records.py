@@ -27,7 +27,6 @@ def benchmark(records, given=None):
             "published": given or {}, "records": records}
 
 
-# ------------------------------------------------------------------------------------------------------- tables and pictures
 METHODS = [record(m, b, s, n, k, **{e: base * (30 / b) ** 0.5 * (1 + s / 10) * (1.5 if n == "b" else 1)
                                      for e in (("mean", "novel_light", "diffuse", "specular", "roughness", "normal", "photos")
                                                if k == "material" else ("seen", "left_out"))})

@@ -52,8 +52,8 @@ def state_of(ask):
 def fit_into(out, capture, config, report=None, overwrite=False, fails=None):
     """What `mitsvbrdf fit` does with its folder, with results that a test can tell apart."""
     with result_folder.output_folder(out, overwrite) as folder:
-        result = fit_svbrdf(capture, ANALYTIC, config, checkpoint=folder / result_folder.CHECKPOINT, live=folder / result_folder.LIVE,
-                            report=report)
+        result = fit_svbrdf(capture, ANALYTIC, config, checkpoint=folder / result_folder.CHECKPOINT,
+                            live=folder / result_folder.LIVE, report=report)
         if report:
             report(None, 1.0)
         if fails:

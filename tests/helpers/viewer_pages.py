@@ -19,9 +19,6 @@ def changed(svbrdf: SVBRDF, **maps) -> SVBRDF:
                                                     for name, value in maps.items()})
 
 
-# ---- In a browser -----------------------------------------------------------------------------------------------------------
-
-
 @contextmanager
 def shown(svbrdf: SVBRDF, folder, width: int = 420, **window):
     """The viewer in a page like ours, drawn once; a small window is a small canvas, which software draws soon."""

@@ -10,8 +10,6 @@ from mitsvbrdf.relight.curve import error_curve
 from mitsvbrdf.render.analytic import AnalyticRenderer
 from mitsvbrdf.render.needs import Needs
 
-# Pictures of renders
-
 def test_error_curve_shows_target_and_frames(tmp_path):
     curve = [{"seconds": 0.5 * 2**k, "samples": 2**k, "error": 0.1 / 2 ** (k / 2)} for k in range(6)]
     error_curve(tmp_path / "a.svg", [curve, curve[1:]], 0.02, "two")
@@ -22,8 +20,6 @@ def test_error_curve_shows_target_and_frames(tmp_path):
     error_curve(tmp_path / "empty.svg", [[]])
     assert "<svg" in (tmp_path / "empty.svg").read_text()
 
-
-# Off-axis light: path traced against float64
 
 def test_novel_is_the_analytic_picture_and_has_real_fresnel(mi):
     material = make_material("leather", 32)

@@ -22,8 +22,6 @@ from mitsvbrdf.relight import frames as frames_module
 from mitsvbrdf.relight.passes import render_frame
 from mitsvbrdf.system import images, result_folder
 
-# The command
-
 SMALL = {"size": "24", "samples": 4}
 
 

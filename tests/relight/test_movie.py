@@ -3,6 +3,7 @@
 import av
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from mitsvbrdf.errors import MapsError, OutputError

@@ -27,8 +27,6 @@ def scenes(mi):
             for name, environment in kinds.items()}
 
 
-# The error of a frame
-
 @pytest.mark.parametrize("preset", ["sweep", *(pytest.param(each, marks=pytest.mark.slow) for each in ("turntable", "sphere"))])
 def test_estimated_error_is_the_scatter_of_repeated_renders(mi, scenes, preset):
     truth = render_frame(mi, scenes[preset], Stop(samples=2048), seed=99).image.numpy()
@@ -104,8 +102,6 @@ def test_one_sample_that_is_enough_is_noticed():
     found = render_passes(lambda call, samples: picture, Stop(target_error=0.01), pixels=64)
     assert found.samples == 2 and found.error == one_sample(found.curve) == 0 and torch.equal(found.image, picture)
 
-
-# Limits
 
 def test_number_of_samples_is_kept_and_calls_are_independent():
     calls = []

@@ -17,8 +17,6 @@ from mitsvbrdf.synth.against_truth import PIXELS, compare_with_truth
 from mitsvbrdf.synth.truth import Similarity, Truth, rig_of, similarity, true_capture, truth_maps
 from mitsvbrdf.views import Views
 
-# What a capture is told about the truth.
-
 MOVED = Similarity(12.0, 0.3, (0.7, -0.4))
 
 

@@ -125,8 +125,6 @@ def test_command_exits_with_1_and_names_the_renderer(monkeypatch, capsys, tmp_pa
     assert json.loads((tmp_path / "f.json").read_text())["violations"]
 
 
-# --- materials ----------------------------------------------------------------------------------------------------------
-
 def test_builtin_materials_cover_the_corners():
     made = {name: svbrdf.check() for name, svbrdf in builtin_materials(32).items()}
     roughness = torch.cat([m["roughness"].flatten() for m in made.values()])

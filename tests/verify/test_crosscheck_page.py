@@ -15,8 +15,6 @@ from mitsvbrdf.system import files
 from mitsvbrdf.verify.crosscheck import TOLERANCES, crosscheck
 from mitsvbrdf.verify.crosscheck_page import write_crosscheck_page
 
-# --- the record ---------------------------------------------------------------------------------------------------------
-
 NUMBER = (int, float)
 IMAGE = {"mean": NUMBER, "p99.9": NUMBER, "worst": NUMBER, "bias": NUMBER, "not_finite": int}
 GRADIENT = {"relative_l2": NUMBER, "cosine": NUMBER, "worst": NUMBER, "bias": NUMBER, "reference": NUMBER,
@@ -81,8 +79,6 @@ def test_figures_are_those_of_the_metrics():
         off = (got.gradients[name].double() - exact.gradients[name]).norm() / exact.gradients[name].norm()
         assert g["relative_l2"] == pytest.approx(float(off), rel=1e-9)
 
-
-# --- the command and its page -------------------------------------------------------------------------------------------
 
 def test_page_shows_every_configuration_and_needs_no_network(real, tmp_path):
     record, maps = real

@@ -15,8 +15,6 @@ from mitsvbrdf.measure.metrics import image_error
 from mitsvbrdf.verify.float32_limits import ROUNDING, diffuse_radiance, float32_limit, turned_normals, why, worst_texels
 from mitsvbrdf.views import Views
 
-# --- what float32 can do ------------------------------------------------------------------------------------------------
-
 def limit_of(svbrdf, views):
     cotangent = fixed_cotangent(torch.Size((len(views), svbrdf.resolution, svbrdf.resolution, 3)))
     exact = render_and_gradients(TWIN, svbrdf, views, cotangent)

@@ -173,7 +173,8 @@ def test_two_bad_copies_are_both_left_out(shots):
 def test_numbers_do_not_depend_on_the_unit_of_length(shots):
     v = shots.views
     scaled = Views.of(v.camera * 11, v.light * 11, v.intensity * 121, 11.0)
-    for a, b in zip(photo_qualities(shots.photos, v, shots.transfer, NAMES), photo_qualities(shots.photos, scaled, shots.transfer, NAMES)):
+    of_each = (photo_qualities(shots.photos, views, shots.transfer, NAMES) for views in (v, scaled))
+    for a, b in zip(*of_each):
         for key in ("sharpness", "stops", "residual", "unlike", "unlike_detail"):
             assert getattr(a, key) == pytest.approx(getattr(b, key), abs=1e-4)  # float32 rounds differently
 

@@ -11,8 +11,6 @@ from helpers.live_fits import FAST, fit_into, served, state_of
 from mitsvbrdf import cli
 from mitsvbrdf.report.live import ADDRESS
 
-# ---- a real browser ----
-
 PHASE = "document.body.dataset.phase"
 
 

@@ -97,8 +97,6 @@ def test_hierarchical_shows_each_round(tmp_path, capture, every_step):
     assert len(maps) == 3 and not torch.equal(maps[1], maps[2])
 
 
-# ---- what it costs ----
-
 @pytest.mark.parametrize("cost, step", [(0.0004, 0.05), (0.2, 0.05), (3.0, 0.7), (0.1, 30.0)])
 def test_records_are_a_second_apart_and_take_five_percent(cost, step, tmp_path, monkeypatch):
     now, written = 0.0, []
@@ -127,8 +125,6 @@ def test_a_record_that_cannot_be_written_ends_no_fit(tmp_path, capture, every_st
     result = fit_svbrdf(capture, ANALYTIC, FAST, live=tmp_path / "file" / result_folder.LIVE)
     assert result.stopped == "iterations" and [p.name for p in tmp_path.iterdir()] == ["file"]
 
-
-# ---- what stays, and what does not ----
 
 def test_the_command_leaves_no_record(tmp_path, capture, monkeypatch):
     seen, write = [], LiveRecord.write
