@@ -15,6 +15,7 @@ from mitsvbrdf.export.gltf import write_gltf
 from mitsvbrdf.material.conversion import as_principled, with_specular_color
 from mitsvbrdf.material.maps import flat
 
+
 def parsed(path):
     """JSON and binary chunk of a GLB, by section 4.4 of the specification."""
     data = path.read_bytes()

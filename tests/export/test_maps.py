@@ -17,6 +17,7 @@ from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.render.analytic import AnalyticRenderer
 from mitsvbrdf.views import Views
 
+
 @pytest.mark.parametrize("normal", ["gl", "dx"])
 @pytest.mark.parametrize("bits", [8, 16])
 @pytest.mark.parametrize("naming", NAMES)

@@ -7,6 +7,7 @@ from helpers.exported import decoded, stated
 from mitsvbrdf.export import export_material
 from mitsvbrdf.testing import random_material
 
+
 def test_materialx_validates_and_names_every_texture(material, tmp_path):
     mx = pytest.importorskip("MaterialX", reason="needs MaterialX, of the test extra")
     export_material(material, tmp_path, ["materialx"])

@@ -10,6 +10,7 @@ from mitsvbrdf.relight.curve import error_curve
 from mitsvbrdf.render.analytic import AnalyticRenderer
 from mitsvbrdf.render.needs import Needs
 
+
 def test_error_curve_shows_target_and_frames(tmp_path):
     curve = [{"seconds": 0.5 * 2**k, "samples": 2**k, "error": 0.1 / 2 ** (k / 2)} for k in range(6)]
     error_curve(tmp_path / "a.svg", [curve, curve[1:]], 0.02, "two")

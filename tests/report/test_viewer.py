@@ -19,6 +19,7 @@ from mitsvbrdf.material.maps import CHANNELS, COLOURS, SVBRDF, TITLES, flat
 from mitsvbrdf.report.viewer import viewer_html
 from mitsvbrdf.testing import random_material
 
+
 def decoded(fragment: str) -> dict[str, np.ndarray]:
     """The maps of a fragment, float64, by what ``encode_maps`` promises."""
     about = json.loads(re.search(r'class="about">(.*?)</script>', fragment, re.S)[1])

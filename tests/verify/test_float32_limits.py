@@ -15,6 +15,7 @@ from mitsvbrdf.measure.metrics import image_error
 from mitsvbrdf.verify.float32_limits import ROUNDING, diffuse_radiance, float32_limit, turned_normals, why, worst_texels
 from mitsvbrdf.views import Views
 
+
 def limit_of(svbrdf, views):
     cotangent = fixed_cotangent(torch.Size((len(views), svbrdf.resolution, svbrdf.resolution, 3)))
     exact = render_and_gradients(TWIN, svbrdf, views, cotangent)
