@@ -38,7 +38,7 @@ NOTES = (
 def write_gltf(folder: Path, svbrdf: SVBRDF) -> Export:
     """Write ``folder/material.glb``: base colour, metallic and roughness packed, normal; F0 by KHR_materials_specular.
 
-    Base colour and metallic are those of :func:`mitsvbrdf.conversion.as_principled`. The extension, for
+    Base colour and metallic are those of :func:`mitsvbrdf.material.conversion.as_principled`. The extension, for
     ``roughconductor`` materials only, carries what metallic cannot say of F0; viewers without it show the conversion alone.
 
     Args:

@@ -26,4 +26,5 @@ def area_averaged(image: Tensor, side: int) -> Tensor:
 
 
 def enlarged(planes: Tensor, side: int) -> Tensor:
+    """C x R x R, interpolated to this side."""
     return F.interpolate(planes[None], (side, side), mode="bilinear", align_corners=False)[0].contiguous()

@@ -141,7 +141,7 @@ def _write_page(found: FitFolder, record: dict) -> None:
     fit = found.record
     side = int(max(SMALLEST_PHOTO, min(LARGEST_PHOTO, PHOTOS_WIDE / len(record["photos"])**0.5)))
     title = f"{fit['capture'].get('name') or 'Capture'}: recovered material"
-    write_page(found.path / "report.html", "report.html", title=title, fit=fit, record=record, maps=_maps(found),
+    write_page(found.path / "report.html", "report/report.html", title=title, fit=fit, record=record, maps=_maps(found),
                photos=[_photo(found.path, photo, side) for photo in record["photos"]], viewer=viewer_html(found.svbrdf),
                curves=_curves(fit["trace"]), measured=_thinned(fit["trace"]), unknown=UNKNOWN, ramp=_ramp(), titles=TITLES,
                scalar=_scalar, from_where=about_views(fit.get("calibration") or {}))

@@ -10,7 +10,7 @@ import torch
 from helpers.exported import decoded, stated
 
 from mitsvbrdf.export import export_material
-from mitsvbrdf.export.maps import NAMES
+from mitsvbrdf.export.maps import FILE_NAMES
 from mitsvbrdf.material.conversion import as_principled
 from mitsvbrdf.material.map_files import load_maps
 from mitsvbrdf.material.maps import SVBRDF, flat
@@ -20,7 +20,7 @@ from mitsvbrdf.views import Views
 
 @pytest.mark.parametrize("normal", ["gl", "dx"])
 @pytest.mark.parametrize("bits", [8, 16])
-@pytest.mark.parametrize("naming", NAMES)
+@pytest.mark.parametrize("naming", FILE_NAMES)
 def test_maps_are_what_export_json_says(material, naming, bits, normal, tmp_path):
     export_material(material, tmp_path, ["maps"], "Old brick!", naming, normal, bits)
     folder, said = tmp_path / "maps", stated(tmp_path / "maps")

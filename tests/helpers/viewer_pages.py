@@ -23,7 +23,7 @@ def changed(svbrdf: SVBRDF, **maps) -> SVBRDF:
 def shown(svbrdf: SVBRDF, folder, width: int = 420, **window):
     """The viewer in a page like ours, drawn once; a small window is a small canvas, which software draws soon."""
     file = folder / "viewer.html"
-    file.write_text(page_text("base.html", title="A material").replace("</body>", viewer_html(svbrdf) + "</body>"))
+    file.write_text(page_text("pages/base.html", title="A material").replace("</body>", viewer_html(svbrdf) + "</body>"))
     with opened(file, width=width, **window) as page:
         assert page.evaluate("mitsvbrdfViewer.ready") is True
         yield page

@@ -10,9 +10,10 @@ from helpers.broken_renderers import THREE
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.measure.gradients import render_and_gradients
 from mitsvbrdf.measure.metrics import image_error
+from mitsvbrdf.measure.tolerances import TOLERANCES
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.system import files
-from mitsvbrdf.verify.crosscheck import TOLERANCES, crosscheck
+from mitsvbrdf.verify.crosscheck import crosscheck
 from mitsvbrdf.verify.crosscheck_page import write_crosscheck_page
 
 NUMBER = (int, float)

@@ -47,8 +47,8 @@ def test_the_page_in_docs_has_every_sweep_and_clamp():
 
 
 def test_command_knows_every_sweep(tmp_path, capsys):
-    from mitsvbrdf.cli.stability import COLOURS, Sweep
+    from mitsvbrdf.cli.stability import VERDICT_COLOURS, Sweep
 
-    assert get_args(Sweep) == tuple(SWEEPS) and set(COLOURS) == set(VERDICTS)
+    assert get_args(Sweep) == tuple(SWEEPS) and set(VERDICT_COLOURS) == set(VERDICTS)
     assert cli.main(["stability", "--only", "flat", "--json", str(tmp_path)]) == 2
     assert "a file to write" in capsys.readouterr().err

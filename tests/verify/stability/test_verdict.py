@@ -2,8 +2,10 @@
 
 import pytest
 
-from mitsvbrdf.verify.stability.verdict import GRADIENT, IMAGE, VERDICTS, verdict
+from mitsvbrdf.measure.tolerances import EXACT
+from mitsvbrdf.verify.stability.verdict import VERDICTS, verdict
 
+IMAGE, GRADIENT = EXACT["image"], EXACT["gradient"]
 GOOD = {"errors": {"image": IMAGE / 3, "roughness": GRADIENT / 3}, "not_finite": {"image": 0}, "silenced": {"roughness": 0}}
 
 
