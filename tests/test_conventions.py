@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from helpers import ROOT, TWIN
+from helpers import GRID, ROOT, TWIN
 
 from mitsvbrdf import color
 from mitsvbrdf.capture import read_capture, write_capture
@@ -18,7 +18,7 @@ from mitsvbrdf.errors import CaptureError, MapsError
 from mitsvbrdf.material.map_files import load_maps, save_maps
 from mitsvbrdf.material.maps import SVBRDF
 from mitsvbrdf.material.maps import flat as flat_of
-from mitsvbrdf.views import Views, nine_view_grid, texel_positions
+from mitsvbrdf.views import Views, texel_positions
 
 flat = functools.partial(flat_of, dtype=torch.float64)
 
@@ -174,7 +174,7 @@ def test_closed_form():
 
 def test_fresnel_at_the_camera():
     # The specular part is proportional to F0 at any tilt and distance when camera and light coincide.
-    views = nine_view_grid()
+    views = GRID
     dark, bright = (TWIN.render(flat(8, diffuse=0.0, specular=s, dtype=torch.float64), views) for s in (0.1, 0.8))
     assert torch.allclose(bright, 8 * dark, rtol=1e-12)
 

@@ -4,7 +4,7 @@ import json
 import sys
 
 import pytest
-from helpers import ANALYTIC
+from helpers import ANALYTIC, GRID, photos_of
 from helpers.bench_records import SETTINGS, record
 
 from mitsvbrdf import cli
@@ -18,8 +18,6 @@ from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import DirectConfig, config
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
-from mitsvbrdf.synth.photograph import photograph
-from mitsvbrdf.views import nine_view_grid
 
 TINY = ["bench", "--renderer", "analytic", "--materials", "inlay", "--captures", "none", "--resolution", "16", "--budgets",
         "0.1,0.2", "--seeds", "0,1"]
@@ -41,7 +39,7 @@ def test_other_settings_are_refused(tmp_path):
 
 
 def test_a_changed_variant_is_measured_anew(tmp_path):
-    task = known_material("builtin:inlay", 16, nine_view_grid(), ANALYTIC)
+    task = known_material("builtin:inlay", 16, GRID, ANALYTIC)
     old, new = ({"full": DirectConfig(), "less": DirectConfig(smooth=smooth)} for smooth in (0.0, 0.005))
     store = Store(tmp_path / "b.json", SETTINGS)
     for job in jobs.fit_jobs("ablation", old, [task], [0.1], [0, 1], ANALYTIC):
@@ -108,7 +106,7 @@ def test_quick_measures_everything(out, monkeypatch, tmp_path):
 
 
 def test_data_is_found_where_it_is_named(out, monkeypatch, tmp_path):
-    shots = photograph(make_material("inlay", 16), nine_view_grid(), ANALYTIC)
+    shots = photos_of(make_material("inlay", 16))
     write_capture(shots, tmp_path / "data/captures/cards-blue")
     save_maps(make_material("leather", 16), tmp_path / "data/materials/hide")
     arguments = ["bench", "--suite", "methods", "--methods", "direct", "--renderer", "analytic", "--resolution", "16",

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from helpers import ANALYTIC, GRID, photos_of
 
 from mitsvbrdf import cli
 from mitsvbrdf.bench import from_phone as suite
@@ -17,17 +18,14 @@ from mitsvbrdf.fit import HierarchicalConfig
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF
 from mitsvbrdf.measure.metrics import map_rmse
-from mitsvbrdf.render import make_renderer
 from mitsvbrdf.synth.phone import HandheldPhone
-from mitsvbrdf.synth.photograph import photograph
-from mitsvbrdf.views import nine_view_grid
 
 TINY = ["bench", "--suite", "capture", "--renderer", "analytic", "--resolution", "16", "--budgets", "0.2", "--seeds", "0",
         "--megapixels", "0.2"]
 
 
 def test_recovered_cameras_are_compared_after_scale_and_shift():
-    given = nine_view_grid()
+    given = GRID
     moved = replace(given, camera=given.camera / 1.3 + torch.tensor([0.2, -0.1, 0.0]))
     found = recovered(moved, given)
     assert found["lateral"] < 1e-12 and found["depth"] < 1e-12 and found["scale"] == pytest.approx(1.3)
@@ -38,7 +36,7 @@ def test_recovered_cameras_are_compared_after_scale_and_shift():
 
 
 def test_recovered_is_in_patch_sides():
-    given = nine_view_grid()
+    given = GRID
     in_cm = replace(given, camera=given.camera * 11.5, light=given.light * 11.5, size=11.5)
     assert recovered(in_cm, given)["scale"] == pytest.approx(1)
 
@@ -55,7 +53,7 @@ def test_scaled_diffuse_error_does_not_see_a_factor():
 def test_a_phone_with_a_sheet_from_end_to_end(monkeypatch):
     monkeypatch.setattr(suite, "MATERIAL_SIDE", 128)
     job = CaptureJob("material", "builtin:leather", True, HandheldPhone(megapixels=0.2, photos=4),
-                     HierarchicalConfig(budget=0.2), 16, make_renderer("analytic"))
+                     HierarchicalConfig(budget=0.2), 16, ANALYTIC)
     made = job.run()
     errors = made["errors"]
     assert made["stopped"] == "done", made["why"]
@@ -74,7 +72,7 @@ def test_each_material_has_a_sheet_and_none():
 
 
 def test_a_real_capture_by_the_command_which_goes_on(tmp_path, capsys):
-    shots = photograph(make_material("inlay", 16), nine_view_grid(), make_renderer("analytic"))
+    shots = photos_of(make_material("inlay", 16))
     write_capture(shots, tmp_path / "given")
     out, page = tmp_path / "b.json", tmp_path / "b.md"
     arguments = [*TINY, "--materials", "none", "--captures", str(tmp_path / "given"), "--json", str(out)]
@@ -92,7 +90,7 @@ def test_a_real_capture_by_the_command_which_goes_on(tmp_path, capsys):
 
 def test_what_cannot_be_done_is_a_record_and_a_note(tmp_path):
     job = CaptureJob("capture", str(tmp_path / "nowhere"), False, HandheldPhone(), HierarchicalConfig(), 16,
-                     make_renderer("analytic"))
+                     ANALYTIC)
     made = job.key | {"config": job.settings} | job.run()
     assert made["stopped"] == "failed" and not made["errors"] and "nowhere" in made["why"]
     table = capture_tables({"records": [made]})[0]

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from helpers import ANALYTIC
+from helpers import ANALYTIC, GRID, photos_of
 from helpers.bench_records import benchmark
 
 from mitsvbrdf.bench import jobs, methods, summary
@@ -21,13 +21,11 @@ from mitsvbrdf.fit import DirectConfig, GanConfig
 from mitsvbrdf.fit.loop import Loop
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
-from mitsvbrdf.synth.photograph import photograph
-from mitsvbrdf.views import nine_view_grid
 
 
 @pytest.mark.parametrize("config", [DirectConfig(iterations=2), GanConfig(iterations=1, width=8), PeersConfig(iterations=2)])
 def test_one_fit_of_each_kind(config):
-    shots = photograph(make_material("inlay", 16), nine_view_grid(), ANALYTIC)
+    shots = photos_of(make_material("inlay", 16))
     found = fit(shots, ANALYTIC, config)
     assert found.iterations == config.iterations and found.stopped == "iterations" and 0 < found.seconds <= found.wall
     # What it predicts for the photos it saw is the error of the fit, whatever light the method takes for granted.
@@ -40,7 +38,7 @@ def test_one_fit_of_each_kind(config):
 def test_a_fit_without_a_step_is_no_result(config, monkeypatch):
     # As where the budget is over before the first step, on any machine.
     monkeypatch.setattr(Loop, "_limit_reached", lambda loop: "budget")
-    task = known_material("builtin:inlay", 16, nine_view_grid(), ANALYTIC)
+    task = known_material("builtin:inlay", 16, GRID, ANALYTIC)
     found = jobs.FitJob("methods", "any", config, task, 0.1, 0, ANALYTIC).run()
     assert found["stopped"] == "failed" and "longer budget" in found["why"] and found["errors"] == {}
 
@@ -49,7 +47,7 @@ def test_a_fit_that_cannot_be_done_is_a_record(monkeypatch):
     def refused(*_, **__):
         raise ConfigError("a fit that stays finite", "none", "lower the learning rate")
     monkeypatch.setattr(jobs, "fit", refused)
-    task = known_material("builtin:inlay", 16, nine_view_grid(), ANALYTIC)
+    task = known_material("builtin:inlay", 16, GRID, ANALYTIC)
     job = jobs.FitJob("methods", "direct", DirectConfig(), task, 0.1, 0, ANALYTIC)
     found = job.key | {"config": job.settings} | job.run()
     assert found["stopped"] == "failed" and "stays finite" in found["why"] and found["errors"] == {}
@@ -58,7 +56,7 @@ def test_a_fit_that_cannot_be_done_is_a_record(monkeypatch):
 
 
 def test_novel_light_stands_where_no_photo_had_it():
-    views = replace(nine_view_grid(), size=2.0, camera=nine_view_grid().camera * 2, light=nine_view_grid().light * 2)
+    views = replace(GRID, size=2.0, camera=GRID.camera * 2, light=GRID.light * 2)
     lit = novel_views(views)
     assert lit.size == 1.0 and torch.equal(lit.camera, torch.tensor([[0.0, 0.0, 2.0]], dtype=torch.float64).expand(8, 3))
     tilt = torch.rad2deg(torch.acos(lit.light[:, 2] / lit.light.norm(dim=1)))
@@ -72,8 +70,8 @@ def test_novel_light_error_of_two_flat_greys_is_that_of_their_lambert_shading():
         up = torch.tensor([0.0, 0.0, 1.0]).expand(8, 8, 3).contiguous()
         return type(make_material("inlay", 8))("roughconductor", maps | {
             "diffuse": torch.full((8, 8, 3), rho), "specular": torch.zeros(8, 8, 3), "normal": up})
-    error, squares = novel_light_rmse(grey(0.2), grey(0.5), nine_view_grid()), []
-    for light, power in zip(novel_views(nine_view_grid()).light.tolist(), [math.pi * 4] * 8):
+    error, squares = novel_light_rmse(grey(0.2), grey(0.5), GRID), []
+    for light, power in zip(novel_views(GRID).light.tolist(), [math.pi * 4] * 8):
         for i in range(8):
             for j in range(8):
                 x, y = (j + 0.5) / 8 - 0.5, 0.5 - (i + 0.5) / 8
@@ -84,7 +82,7 @@ def test_novel_light_error_of_two_flat_greys_is_that_of_their_lambert_shading():
 
 
 def test_photos_4_and_7_are_left_out(tmp_path):
-    shots = photograph(make_material("inlay", 16), nine_view_grid(), ANALYTIC)
+    shots = photos_of(make_material("inlay", 16))
     write_capture(shots, tmp_path / "shots")
     task = real_capture(tmp_path / "shots", 16)
     assert task.photos.index == (0, 1, 2, 3, 5, 6, 8) and task.left_out.index == (4, 7) and task.name == "shots"
@@ -102,7 +100,7 @@ def test_known_materials_are_judged_as_evaluate_judges_them(tmp_path):
     from mitsvbrdf.evaluate import evaluate_maps
 
     save_maps(make_material("leather", 32), tmp_path / "leather")
-    task = known_material(str(tmp_path / "leather"), 16, nine_view_grid(), ANALYTIC)
+    task = known_material(str(tmp_path / "leather"), 16, GRID, ANALYTIC)
     assert task.photos.resolution == 16 and task.truth.resolution == 32
     found = fit(task.photos, ANALYTIC, DirectConfig(iterations=2))
     errors = task.errors(found)
@@ -112,11 +110,11 @@ def test_known_materials_are_judged_as_evaluate_judges_them(tmp_path):
 
 
 def test_published_numbers_are_those_of_the_same_photos(tmp_path):
-    shots = photograph(make_material("inlay", 16), nine_view_grid(), ANALYTIC)
+    shots = photos_of(make_material("inlay", 16))
     write_capture(shots, tmp_path / "cards")
     save_maps(make_material("leather", 16), tmp_path / "leather")
-    tasks = [real_capture(tmp_path / "cards", 16), known_material(str(tmp_path / "leather"), 16, nine_view_grid(), ANALYTIC),
-             known_material("builtin:inlay", 16, nine_view_grid(), ANALYTIC)]
+    tasks = [real_capture(tmp_path / "cards", 16), known_material(str(tmp_path / "leather"), 16, GRID, ANALYTIC),
+             known_material("builtin:inlay", 16, GRID, ANALYTIC)]
     maps = {"diffuse": 0.01, "specular": 0.02, "roughness": 0.03, "normal": 0.06}
     stated = {"materials": {"leather": {"materialgan": maps}, "inlay": {"materialgan": maps}},
               "captures": {"cards": {"per_view": [0.1, 0.2, 0.1, 0.1, 0.3, 0.1, 0.1, 0.4, 0.2]}}}

@@ -5,15 +5,13 @@ from dataclasses import replace
 
 import pytest
 import torch
-from helpers import ANALYTIC
+from helpers import ANALYTIC, photos_of
 
 from mitsvbrdf.bench.methods import VARIANTS, method_table, settings_of, variant_table
 from mitsvbrdf.bench.stiff import cameras_off
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import HierarchicalConfig, HybridConfig, config, fit_svbrdf
 from mitsvbrdf.material.made import make_material
-from mitsvbrdf.synth.photograph import photograph
-from mitsvbrdf.views import nine_view_grid
 
 
 def test_the_table_has_every_method_and_preset():
@@ -51,6 +49,6 @@ def test_every_ingredient_changes_real_fits_and_two_of_them_exact_ones(monkeypat
         assert (maps(off, replace(full, **changes)) - whole).abs().max() > 1e-3, name
     both = {"materials", "neighbours"}
     assert [set(changes) <= both for changes in VARIANTS.values()] == [True, True] + [False] * (len(VARIANTS) - 2)
-    exact = photograph(make_material("inlay", 16), nine_view_grid(), ANALYTIC)
+    exact = photos_of(make_material("inlay", 16))
     others = {key: value for changes in VARIANTS.values() for key, value in changes.items() if key not in both}
     assert torch.equal(maps(exact, replace(full, **others)), maps(exact, full))

@@ -2,18 +2,16 @@
 
 import pytest
 import torch
-from helpers import ANALYTIC
+from helpers import ANALYTIC, GRID, photos_of
 
 from mitsvbrdf.bench.peers_baseline import PeersBaseline, PeersConfig
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.material.made import make_material
-from mitsvbrdf.synth.photograph import photograph
-from mitsvbrdf.views import nine_view_grid
 
 
 def test_peers_baseline_is_plain_adam_on_clamped_gamma_values():
-    views = nine_view_grid().pick([0, 2, 5])
-    capture = photograph(make_material("inlay", 8), views, ANALYTIC)
+    views = GRID.pick([0, 2, 5])
+    capture = photos_of(make_material("inlay", 8), views)
     method, config = PeersBaseline(capture, ANALYTIC, PeersConfig()), PeersConfig()
     losses = [method.step(k / 6)["l2"] for k in range(6)]
 
@@ -41,7 +39,7 @@ def test_peers_baseline_is_plain_adam_on_clamped_gamma_values():
 
 
 def test_peers_baseline_goes_on_bit_by_bit_and_stays_in_range():
-    capture = photograph(make_material("tiles", 8), nine_view_grid(), ANALYTIC)
+    capture = photos_of(make_material("tiles", 8))
     method = PeersBaseline(capture, ANALYTIC, PeersConfig(learning_rate=0.7))  # large steps, so that every bound is met
     for _ in range(5):
         method.step(0.0)

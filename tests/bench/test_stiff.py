@@ -6,7 +6,7 @@ import math
 
 import pytest
 import torch
-from helpers import ANALYTIC
+from helpers import ANALYTIC, GRID
 
 from mitsvbrdf.bench import stiff
 from mitsvbrdf.capture import Capture
@@ -14,7 +14,6 @@ from mitsvbrdf.errors import exit_code
 from mitsvbrdf.fit import DirectConfig, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.synth.photograph import photograph
-from mitsvbrdf.views import nine_view_grid
 
 SIDE = 16
 
@@ -59,7 +58,7 @@ def test_the_default_settles_and_ends_finite(name):
 def test_the_table_and_its_record(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(stiff, "CASES", {"a single photo": stiff.one_photo, "none": lambda side: 1 / 0})
     monkeypatch.setitem(stiff.CASES, "none", lambda side: stiff.Case(Capture(torch.full((1, side, side, 3), math.nan),
-                                                                             nine_view_grid().pick([0]))))
+                                                                             GRID.pick([0]))))
     assert stiff.main(tmp_path / "s.json", budget=0.2, resolution=SIDE, methods=("direct",), renderer="analytic") == 1
     single, broken = json.loads((tmp_path / "s.json").read_text())["rows"]
     assert single["case"] == "a single photo" and single["rerender_rmse"] >= 0 and single["map_rmse"]["mean"] > 0
@@ -89,7 +88,7 @@ def test_ctrl_c_ends_the_table_and_keeps_what_is_finished(tmp_path, monkeypatch,
 @pytest.mark.parametrize("strength", [1e-9, 1e9])
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
 def test_light_far_too_weak_or_strong(strength, value):
-    views = nine_view_grid()
+    views = GRID
     views = dataclasses.replace(views, intensity=views.intensity * strength)
     result = fit_svbrdf(Capture(torch.full((9, SIDE, SIDE, 3), value), views), ANALYTIC, DirectConfig(iterations=11))
     result.svbrdf.check()
@@ -97,7 +96,7 @@ def test_light_far_too_weak_or_strong(strength, value):
 
 
 def test_photographs_are_8_bits_and_noisy():
-    truth, views = flat(8, diffuse=0.3), nine_view_grid()
+    truth, views = flat(8, diffuse=0.3), GRID
     clean, noisy = (photograph(truth, views, ANALYTIC, noise, seed=1, transfer="srgb") for noise in (0.0, 0.01))
     assert torch.equal((clean.photos * 255).round() / 255, clean.photos) and clean.transfer == "srgb"
     assert float((noisy.linear - clean.linear).std()) == pytest.approx(0.01, rel=0.1)

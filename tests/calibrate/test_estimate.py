@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from helpers import ANALYTIC, MITSUBA
+from helpers import ANALYTIC, MITSUBA, photos_of
 
 from mitsvbrdf import cli
 from mitsvbrdf.calibrate.estimate import Problem, estimate_views, self_calibrated, why_not
@@ -22,8 +22,6 @@ from mitsvbrdf.fit.record import Fit, fit_of
 from mitsvbrdf.fit.view_record import about_views, record
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF, flat
-from mitsvbrdf.render import make_renderer
-from mitsvbrdf.synth.photograph import photograph
 from mitsvbrdf.views import Views
 
 DEFAULT = Views.of([[0.0, 0.0, 2.0]] * 9, intensity=4 * math.pi)
@@ -40,7 +38,7 @@ def handheld(seed=0, height=2.0):
 
 def photos(material, views, noise=0.003):
     """What a phone stores, of which nothing is known."""
-    shots = photograph(material, views, ANALYTIC, noise)
+    shots = photos_of(material, views, noise)
     return Capture(shots.photos, DEFAULT.pick(range(len(views))), shots.transfer, calibration="none")
 
 
@@ -117,7 +115,7 @@ def test_shading_is_that_of_the_renderer(glossy):
     views = Views.of(camera, intensity=power)
     for wanted, level, albedo in ((diffuse, 0.0, 1.0), (lobe, 1.0, 0.0)):
         maps = flat(32, specular=level, roughness=math.sqrt(shared["alpha"]), diffuse=albedo)
-        seen = make_renderer("analytic").render(maps, views)[..., 0].numpy()
+        seen = ANALYTIC.render(maps, views)[..., 0].numpy()
         assert np.allclose(wanted, seen, rtol=1e-4, atol=1e-6)  # float32: measured 2e-6
 
 
@@ -237,7 +235,7 @@ def test_views_are_called_what_they_are(kind, glossy):
 def test_a_small_flash_offset_of_exact_photos_is_found():
     # Normals that lean explain it as well. Measured: off by 0.009, and the error of the normals 0.0087 instead of 0.0193.
     material, views, offset = make_material("inlay", 32), handheld(2), torch.tensor([-0.1, 0.03, 0.0])
-    shots = photograph(material, replace(views, light=views.light + offset), ANALYTIC, 0.003)
+    shots = photos_of(material, replace(views, light=views.light + offset), 0.003)
     found = [fit_svbrdf(replace(shots, views=views, calibration=kind), MITSUBA,
                         HierarchicalConfig(iterations=100, calibrate=calibrate))
              for kind, calibrate in (("given", None), ("given", True), ("photos", None))]

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from helpers import ANALYTIC
+from helpers import ANALYTIC, GRID
 
 from mitsvbrdf import cli
 from mitsvbrdf.calibrate.refine import UNKNOWNS, Priors, Problem, refine_views
@@ -18,7 +18,6 @@ from mitsvbrdf.material.map_files import load_maps, save_maps
 from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.synth.photograph import photograph
-from mitsvbrdf.views import nine_view_grid
 
 SPREAD = torch.tensor([0.03, 0.03, 0.05, 0.03, 0.03, 0.03, 0.1], dtype=torch.float64)  # of the default priors
 
@@ -41,7 +40,7 @@ def photos_from(material, views, change, seed=0, noise=0.01):
 
 @pytest.mark.parametrize("name, seed", [("inlay", 0), ("leather", 1), ("tiles", 2)])
 def test_perturbed_calibration_is_found_within_the_stated_errors(name, seed):
-    material, views, truth = make_material(name, 64), nine_view_grid(), drawn(9, seed)
+    material, views, truth = make_material(name, 64), GRID, drawn(9, seed)
     shots = photos_from(material, views, truth, seed)
     found = refine_views(material, views, shots)
     # 63 numbers, normal where the model is linear: 1 +- 0.09 and about 2.5 at worst, the three of a photo's camera and flash
@@ -61,7 +60,7 @@ def test_perturbed_calibration_is_found_within_the_stated_errors(name, seed):
 
 
 def test_photos_do_not_depend_on_each_other_nor_on_the_unit():
-    material, views, truth = make_material("inlay", 48), nine_view_grid(), drawn(9, 3)
+    material, views, truth = make_material("inlay", 48), GRID, drawn(9, 3)
     shots = photos_from(material, views, truth)
     both = refine_views(material, views.pick([3, 7]), shots.pick([3, 7]))
     alone = refine_views(material, views.pick([7]), shots.pick([7]))
@@ -75,7 +74,7 @@ def test_photos_do_not_depend_on_each_other_nor_on_the_unit():
 
 def test_wrong_maps_make_it_less_sure():
     # Specks that are in no map hang together over blocks of pixels: they must not count as evidence, pixel by pixel.
-    material, views = make_material("inlay", 64), nine_view_grid().pick([0, 3])
+    material, views = make_material("inlay", 64), GRID.pick([0, 3])
     shots = photos_from(material, views, drawn(2, 0))
     specks = torch.nn.functional.interpolate(0.1 * torch.randn(2, 3, 8, 8, generator=torch.Generator().manual_seed(0)), 64)
     spoilt = replace(shots, photos=(shots.photos + specks.permute(0, 2, 3, 1)).clamp(0, 1))
@@ -87,7 +86,7 @@ def test_wrong_maps_make_it_less_sure():
 
 @pytest.mark.parametrize("expected", [(0.0,) * 7, (0.01, -0.02, 0.03, -0.1, 0.05, 0.0, 0.2)])
 def test_priors_hold_where_nothing_is_seen(expected):
-    black, views = flat(16, diffuse=0.0, specular=0.0), nine_view_grid().pick([1, 2])
+    black, views = flat(16, diffuse=0.0, specular=0.0), GRID.pick([1, 2])
     shots = Capture(torch.full((2, 16, 16, 3), 0.3), views)
     found = refine_views(black, views, shots, Priors(expected=expected, common_flash=(0.15, 0.2)))
     assert torch.allclose(found.change, torch.tensor(expected, dtype=torch.float64).expand(2, 7), atol=1e-12)
@@ -98,7 +97,7 @@ def test_priors_hold_where_nothing_is_seen(expected):
 
 
 def test_what_is_held_does_not_move():
-    material, views = make_material("inlay", 32), nine_view_grid().pick([0, 5])
+    material, views = make_material("inlay", 32), GRID.pick([0, 5])
     shots = photos_from(material, views, torch.tensor([[0, 0, 0, 0, 0.02, 0, 0], [0, 0, 0, 0, -0.03, 0, 0]]).double())
     found = refine_views(material, views, shots, Priors(camera=(0, 0, 0), flash=(0, 0.03, 0), exposure=0))
     held = [i for i, name in enumerate(UNKNOWNS) if name != "flash_y"]
@@ -109,7 +108,7 @@ def test_what_is_held_does_not_move():
 
 def test_one_flash_offset_for_all_photos():
     # Lit from (-0.1, 0.04) beside the lens, +-0.005: far beyond the default prior of a photo, little for an offset of all.
-    material, views = make_material("leather", 48), nine_view_grid()
+    material, views = make_material("leather", 48), GRID
     own = torch.tensor([0, 0, 0, 0.005, 0.005, 0, 0], dtype=torch.float64)
     truth = drawn(9, 0, own)
     truth[:, 3:5] += torch.tensor([-0.1, 0.04])
@@ -136,7 +135,7 @@ def test_gradient_is_that_of_the_cost():
     # A bright material: clipped highlights, robust residuals. Against central differences of the cost itself, in u; the cost's
     # second derivative jumps where a residual passes from one branch to the other. Measured 3e-10.
     material = flat(24, diffuse=0.5, specular=0.3, roughness=0.4)
-    problem = problem_of(material, nine_view_grid().pick([0, 3]), drawn(2, 0))
+    problem = problem_of(material, GRID.pick([0, 3]), drawn(2, 0))
     assert 0.01 < float((problem.photos >= CLIPPED).double().mean()) < 0.5
     u = torch.randn(16, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     here = problem.linear(u)
@@ -151,7 +150,7 @@ def test_gradient_is_that_of_the_cost():
 def test_matrix_is_the_curvature_where_the_model_is_right():
     # Residuals of 0, so that what Gauss-Newton leaves out of the second derivative is 0 too; differences of the gradient, with
     # the evidence held. Measured 6e-11.
-    problem = problem_of(make_material("leather", 24), nine_view_grid().pick([0, 3]), torch.zeros(2, 7), exact=True)
+    problem = problem_of(make_material("leather", 24), GRID.pick([0, 3]), torch.zeros(2, 7), exact=True)
     here = problem.linear(torch.zeros(16, dtype=torch.float64))
     columns = []
     for step in 1e-4 * torch.eye(16, dtype=torch.float64):
@@ -161,7 +160,7 @@ def test_matrix_is_the_curvature_where_the_model_is_right():
 
 
 def test_a_clipped_pixel_only_asks_for_enough():
-    views = nine_view_grid().pick([0])
+    views = GRID.pick([0])
     bright = flat(8, diffuse=0.9, specular=0.5, roughness=0.3)
     shots = Capture(torch.ones(1, 8, 8, 3), views)
     brighter = refine_views(bright, replace(views, intensity=views.intensity * 9), shots)
@@ -171,7 +170,7 @@ def test_a_clipped_pixel_only_asks_for_enough():
 
 
 def test_mistakes_are_refused():
-    material, views = flat(8), nine_view_grid()
+    material, views = flat(8), GRID
     shots = Capture(torch.rand(9, 8, 8, 3), views)
     with pytest.raises(CaptureError, match="9 photos"):
         refine_views(material, views.pick([1, 2]), shots)
@@ -183,7 +182,7 @@ def test_mistakes_are_refused():
 
 def test_evaluate_prints_and_writes_both(tmp_path, capsys):
     shots, folder, figures = tmp_path / "shots", tmp_path / "maps", tmp_path / "e.json"
-    material, views = make_material("inlay", 32), nine_view_grid()
+    material, views = make_material("inlay", 32), GRID
     write_capture(photos_from(material, views, drawn(9, 0)), shots)
     save_maps(material, folder)
     arguments = ["evaluate", str(folder), "--capture", str(shots), "--views", "4,7", "--renderer", "analytic"]
@@ -206,7 +205,7 @@ def test_evaluate_prints_and_writes_both(tmp_path, capsys):
 
 
 def test_principled_materials_too():
-    material, views, truth = make_material("inlay", 32), nine_view_grid().pick([0, 3]), drawn(2, 5)
+    material, views, truth = make_material("inlay", 32), GRID.pick([0, 3]), drawn(2, 5)
     metal = SVBRDF("principled", dict(flat(32, "principled", metallic=0.3, roughness=0.35).maps)
                    | {"base_color": material["diffuse"], "normal": material["normal"]})
     found = refine_views(metal, views, photos_from(metal, views, truth))

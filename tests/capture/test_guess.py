@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from helpers import GRID
 
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture, guess, guess_diffuse
@@ -23,7 +24,7 @@ def colours(seed=0, low=0.1, high=0.6):
 
 def shot(diffuse, f0=0.0, roughness=0.3, views=None, levels=255):
     """A capture of a flat material under co-located light: Lambert plus a GGX lobe, clipped, gamma 2.2, 8 bit."""
-    views = views or nine_view_grid()
+    views = views or GRID
     photos = []
     for view in views:
         to = (torch.tensor(view.light) - texel_positions(diffuse.shape[0]))
@@ -85,7 +86,7 @@ def test_robust_takes_the_highlight_away(roughness):
 @pytest.mark.parametrize("value", [0.0, 0.25, 1.0])
 @pytest.mark.parametrize("count", [1, 2, 9])
 def test_finite_for_constant_black_and_white_photos(method, value, count):
-    views = nine_view_grid().pick(range(count))
+    views = GRID.pick(range(count))
     found = guess_diffuse(Capture(torch.full((count, 8, 8, 3), value), views), method)
     assert found.shape == (8, 8, 3) and found.dtype == torch.float32
     assert torch.isfinite(found).all() and found.min() >= 0 and found.max() <= 1
@@ -97,7 +98,7 @@ def test_finite_for_constant_black_and_white_photos(method, value, count):
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
 def test_light_far_too_weak_or_strong(value, strength):
     # The albedo is cut to what it can be; from grazing lights too, where the falloff is largest.
-    for views in (nine_view_grid(), Views.of([[5, 0, 0.01], [-5, 0, 0.01]], [[-5, 0, 0.01], [5, 0, 0.01]])):
+    for views in (GRID, Views.of([[5, 0, 0.01], [-5, 0, 0.01]], [[-5, 0, 0.01], [5, 0, 0.01]])):
         views = Views(views.camera, views.light, views.intensity * strength)
         found = guess_diffuse(Capture(torch.full((len(views), 8, 8, 3), value), views))
         assert torch.isfinite(found).all() and 0 <= found.min() and found.max() <= 1

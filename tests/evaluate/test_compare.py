@@ -11,7 +11,7 @@ import numpy as np
 import PIL.Image
 import pytest
 import torch
-from helpers import ANALYTIC
+from helpers import ANALYTIC, GRID, photos_of
 
 from mitsvbrdf import cli
 from mitsvbrdf.capture import read_capture, write_capture
@@ -68,9 +68,9 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def shots(tmp_path_factory):
     """Three photos of the inlay, whose flash stands 0.1 patch sides to the right of the camera; calibrated as if it did not."""
-    views = nine_view_grid().pick([0, 1, 3])
+    views = GRID.pick([0, 1, 3])
     beside = replace(views, light=views.light + torch.tensor([0.1, 0.0, 0.0], dtype=torch.float64))
-    capture = photograph(make_material("inlay", SIDE), beside, ANALYTIC)
+    capture = photos_of(make_material("inlay", SIDE), beside)
     folder = tmp_path_factory.mktemp("compare") / "photos"
     write_capture(replace(capture, views=views), folder)
     return read_capture(folder), beside

@@ -4,16 +4,16 @@ import json
 
 import numpy as np
 import torch
+from helpers import GRID
 
 from mitsvbrdf.export import export_material
 from mitsvbrdf.render.analytic import AnalyticRenderer
-from mitsvbrdf.views import nine_view_grid
 
 
 def test_mitsuba_renders_scene_and_dictionary_as_the_float64_twin(material, tmp_path):
     from mitsvbrdf.render.llvm import mitsuba_module
 
-    mi, views = mitsuba_module(), nine_view_grid().pick([3])
+    mi, views = mitsuba_module(), GRID.pick([3])
     export_material(material, tmp_path, ["mitsuba"], views=views)
     folder = tmp_path / "mitsuba"
     scene = mi.load_file(str(folder / "scene.xml"))

@@ -5,7 +5,7 @@ import math
 
 import pytest
 import torch
-from helpers import ANALYTIC
+from helpers import ANALYTIC, GRID, photos_of
 
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture
@@ -15,14 +15,14 @@ from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.synth.photograph import photograph
-from mitsvbrdf.views import Views, nine_view_grid
+from mitsvbrdf.views import Views
 
 SIDE = 16
 
 @pytest.mark.parametrize("bsdf", ["roughconductor", "principled"])
 def test_slopes_are_those_of_reverse_mode(bsdf):
     # Measured: 1.5e-7. Every texel's slopes at once, under random weights of its display values.
-    made, views = make_material("plates", SIDE).to(torch.float64), nine_view_grid()
+    made, views = make_material("plates", SIDE).to(torch.float64), GRID
     if bsdf == "principled":
         made = SVBRDF(bsdf, {"base_color": made["diffuse"] + 0.05, "metallic": made["roughness"] / 2,
                              "roughness": made["roughness"], "normal": made["normal"]})
@@ -40,7 +40,7 @@ def test_slopes_are_those_of_reverse_mode(bsdf):
 def test_deviation_of_a_matt_texel_in_closed_form():
     # Only diffuse unknown: a display value is u (E / pi)^(1/2.2) with u = rho^(1/2.2), E the irradiance, so the deviation is
     # (sum_k (E_k / pi)^(2/2.2) / s^2 + 12)^-1/2. Photos are off by 0.02 everywhere; of 27 values the fit took out 3.
-    views, truth = nine_view_grid(), flat(SIDE, diffuse=0.3, specular=0.0, roughness=1.0)
+    views, truth = GRID, flat(SIDE, diffuse=0.3, specular=0.0, roughness=1.0)
     images = ANALYTIC.render(truth, views)
     capture = Capture(color.to_display(images) + 0.02, views)
     config = DirectConfig(fix=("normal=flat", "specular=0", "roughness=1"))
@@ -65,9 +65,9 @@ def test_only_texels_that_saw_the_highlight_know_their_roughness():
 
 
 def test_clipped_pixels_say_nothing():
-    views, truth = nine_view_grid(), flat(SIDE, diffuse=0.3)
+    views, truth = GRID, flat(SIDE, diffuse=0.3)
     images = ANALYTIC.render(truth, views)
-    capture = photograph(truth, views, ANALYTIC)
+    capture = photos_of(truth, views)
     blind = Capture(torch.ones_like(capture.photos), views)
     for name, value in deviations(truth, views, images, blind, DirectConfig()).items():
         assert torch.allclose(value, torch.tensor(UNKNOWN)), name
@@ -80,7 +80,7 @@ def test_clipped_pixels_say_nothing():
 def test_the_deviation_predicts_where_the_error_is():
     # Spearman's rank correlation over texels. Measured: 0.73 (diffuse), 0.85, 0.79, 0.83.
     truth = make_material("plates", SIDE)
-    result = fit_svbrdf(photograph(truth, nine_view_grid(), ANALYTIC), ANALYTIC, DirectConfig(iterations=150))
+    result = fit_svbrdf(photos_of(truth), ANALYTIC, DirectConfig(iterations=150))
     for name, spread in result.deviations.items():
         error = (_numbers(name, result.svbrdf[name]) - _numbers(name, truth[name])).square().mean(dim=-1).flatten()
         ranks = torch.stack([x.argsort().argsort().double() for x in (error, spread.square().mean(dim=-1).flatten())])
@@ -98,8 +98,8 @@ def test_one_photo_determines_less_than_nine(leather):
 
 
 def test_large_maps_are_looked_at_small():
-    truth, views = make_material("leather", 80), nine_view_grid().pick([0, 1])
+    truth, views = make_material("leather", 80), GRID.pick([0, 1])
     images = ANALYTIC.render(truth, views)
-    found = deviations(truth, views, images, photograph(truth, views, ANALYTIC), DirectConfig(grey_specular=True))
+    found = deviations(truth, views, images, photos_of(truth, views), DirectConfig(grey_specular=True))
     assert {name: tuple(value.shape) for name, value in found.items()} == {
         "diffuse": (64, 64, 3), "specular": (64, 64, 1), "roughness": (64, 64, 1), "normal": (64, 64, 2)}

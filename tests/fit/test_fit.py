@@ -8,7 +8,7 @@ import signal
 
 import pytest
 import torch
-from helpers import photos_of
+from helpers import ANALYTIC, GRID, photos_of
 
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.errors import ConfigError
@@ -21,7 +21,6 @@ from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import CHANNELS, flat
 from mitsvbrdf.measure.metrics import map_rmse
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.views import nine_view_grid
 
 SMALL = {"hybrid": HybridConfig(width=8), "direct": DirectConfig(), "gan": GanConfig(width=8),
          "gan, two stages": GanConfig(width=8, preset="paper-two-stage")}
@@ -62,7 +61,7 @@ def test_hybrid_improves_on_its_start(capture):
 @pytest.mark.slow
 def test_hybrid_finds_the_flash_beside_the_lens():
     # The calibration claims light at the camera; the photos were lit from 0.1 patch sides to the left.
-    views = nine_view_grid()
+    views = GRID
     lit = type(views)(views.camera, views.light + torch.tensor([-0.1, 0.0, 0.0]), views.intensity)
     truth = flat(32, diffuse=0.2, specular=0.3, roughness=0.3)
     photos = photos_of(truth, lit).photos
@@ -115,14 +114,14 @@ def test_ctrl_c_keeps_the_best_result(capture, tmp_path):
 
 
 def test_budget_in_seconds(capture):
-    renderer, config = make_renderer("analytic"), DirectConfig(budget=1.0)
+    renderer, config = ANALYTIC, DirectConfig(budget=1.0)
     loop = Loop(make_method(capture, renderer, torch.full((32, 32, 3), 0.3), config), capture, renderer, config)
     # The last measurement may be a moment older than the end of the budget.
     assert loop.run() == "budget" and loop.seconds >= 1.0 >= loop.trace[-2]["seconds"]
 
 
 def test_a_step_that_goes_wrong_is_undone(capture):
-    renderer, config = make_renderer("analytic"), DirectConfig(iterations=30)
+    renderer, config = ANALYTIC, DirectConfig(iterations=30)
     loop = Loop(make_method(capture, renderer, torch.full((32, 32, 3), 0.3), config), capture, renderer, config)
     step, failures = loop.method.step, iter([True])
 
@@ -141,7 +140,7 @@ def test_a_step_that_goes_wrong_is_undone(capture):
 @pytest.mark.parametrize("method", ["hybrid", "direct", "gan"])
 def test_step_sizes_are_cut_until_the_fit_stays_finite(method, capture):
     # Steps fail until the step size is below an eighth: it has to be cut four times, also when resumed off the beat.
-    renderer, config = make_renderer("analytic"), with_limits(SMALL[method], iterations=3)
+    renderer, config = ANALYTIC, with_limits(SMALL[method], iterations=3)
     loop = Loop(make_method(capture, renderer, torch.full((32, 32, 3), 0.3), config), capture, renderer, config)
     loop.iteration = 1
     step, cut, cuts = loop.method.step, loop.method.cut_step, []
@@ -157,7 +156,7 @@ def test_torchs_own_random_numbers_are_left_alone(capture):
     torch.manual_seed(3)
     expected = torch.rand(4)
     torch.manual_seed(3)
-    fit_svbrdf(capture, make_renderer("analytic"), HybridConfig(width=8, iterations=1))
+    fit_svbrdf(capture, ANALYTIC, HybridConfig(width=8, iterations=1))
     assert torch.equal(torch.rand(4), expected)
 
 
@@ -170,7 +169,7 @@ def test_no_step_is_made_along_a_gradient_that_is_not_finite():
 
 
 def test_a_fit_that_stays_broken_ends_with_one_error(capture):
-    renderer, config = make_renderer("analytic"), DirectConfig(iterations=30)
+    renderer, config = ANALYTIC, DirectConfig(iterations=30)
     loop = Loop(make_method(capture, renderer, torch.full((32, 32, 3), 0.3), config), capture, renderer, config)
     loop.method.step = lambda progress: {"photometric": math.nan}
     with pytest.raises(ConfigError, match="stays finite"):
@@ -192,7 +191,7 @@ def test_pretrained_generator_is_taken_over(capture, tmp_path):
 
 def test_checkpoints_hold_tensors_only(capture, tmp_path):
     path = tmp_path / "c.safetensors"
-    fit_svbrdf(capture, make_renderer("analytic"), DirectConfig(iterations=2), checkpoint=path)
+    fit_svbrdf(capture, ANALYTIC, DirectConfig(iterations=2), checkpoint=path)
     raw = path.read_bytes()
     header = json.loads(raw[8:8 + int.from_bytes(raw[:8], "little")])  # the whole format: a JSON header and raw numbers
     assert all(set(v) == {"dtype", "shape", "data_offsets"} for k, v in header.items() if k != "__metadata__")
@@ -203,7 +202,7 @@ def test_checkpoints_hold_tensors_only(capture, tmp_path):
 
 
 def test_resume_refuses_another_fit(capture, tmp_path):
-    path, renderer = tmp_path / "c.safetensors", make_renderer("analytic")
+    path, renderer = tmp_path / "c.safetensors", ANALYTIC
     fit_svbrdf(capture, renderer, DirectConfig(iterations=2), checkpoint=path)
     others = [(photos_of(make_material("tiles", 32)), {}), (capture.pick([1, 0, *range(2, 9)]), {}),
               (capture.pick([0, 1]), {}), (dataclasses.replace(capture, transfer="srgb"), {}), (capture, {"seed": 1}),

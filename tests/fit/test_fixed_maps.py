@@ -4,7 +4,7 @@ import json
 
 import pytest
 import torch
-from helpers import photos_of
+from helpers import ANALYTIC, GRID, photos_of
 
 from mitsvbrdf import cli, color
 from mitsvbrdf.capture import Capture
@@ -16,7 +16,6 @@ from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import CHANNELS, flat
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.system import images
-from mitsvbrdf.views import nine_view_grid
 
 SIDE = 16
 METHODS = {"hybrid": HybridConfig, "direct": DirectConfig, "gan": GanConfig}
@@ -55,7 +54,7 @@ def test_what_is_held_comes_out_as_it_went_in(method, renderer, capture):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_nothing_is_allocated_for_a_map_that_is_held(method, capture):
-    renderer, guess = make_renderer("analytic"), torch.full((SIDE, SIDE, 3), 0.2)
+    renderer, guess = ANALYTIC, torch.full((SIDE, SIDE, 3), 0.2)
     everything = unknowns(make_method(capture, renderer, guess, config_of(method)))
     made = make_method(capture, renderer, guess, config_of(method, fix=("normal=flat", "specular=0.04")))
     channels = 5  # two slopes and three specular levels
@@ -78,7 +77,7 @@ def test_nothing_is_allocated_for_a_map_that_is_held(method, capture):
 @pytest.mark.parametrize("method", METHODS)
 def test_one_grey_specular_level(method, capture):
     settings = config_of(method, grey_specular=True, iterations=3)
-    made = make_method(capture, make_renderer("analytic"), torch.full((SIDE, SIDE, 3), 0.2), settings)
+    made = make_method(capture, ANALYTIC, torch.full((SIDE, SIDE, 3), 0.2), settings)
     seen = []
     render = made.renderer.render
     made.renderer.render = lambda svbrdf, views: (seen.append(svbrdf["specular"]), render(svbrdf, views))[1]
@@ -92,13 +91,13 @@ def test_one_grey_specular_level(method, capture):
 
 def test_the_search_for_a_start_keeps_to_what_is_held(capture):
     # All is held at the truth but one map, of which the best constant is found: 0.4 on the grid; 0.2 by least squares.
-    views = nine_view_grid()
+    views = GRID
     truth = flat(SIDE, diffuse=0.3, specular=0.2, roughness=0.4)
-    photos = color.to_display(make_renderer("analytic").render(truth, views))
+    photos = color.to_display(ANALYTIC.render(truth, views))
     for free, value in (("roughness", 0.4), ("specular", 0.2)):
         others = {"diffuse": 0.3, "specular": 0.2, "roughness": 0.4}
         fix = ("normal=flat", *(f"{name}={v}" for name, v in others.items() if name != free))
-        made = make_method(Capture(photos, views), make_renderer("analytic"), truth["diffuse"], DirectConfig(fix=fix))
+        made = make_method(Capture(photos, views), ANALYTIC, truth["diffuse"], DirectConfig(fix=fix))
         assert made.estimate()[0][free].mean().item() == pytest.approx(value, abs=2e-3)
 
 
@@ -162,11 +161,11 @@ def test_losses_without_weight_or_subject_are_not_computed(settings, unused, cap
 
     for name in ("total_variation", "tilt", "diffuse", "discriminator", "photometric"):
         monkeypatch.setattr(losses, name, counted(name, getattr(losses, name)))
-    made = make_method(capture, make_renderer("analytic"), torch.full((SIDE, SIDE, 3), 0.2), HybridConfig(width=4, **settings))
+    made = make_method(capture, ANALYTIC, torch.full((SIDE, SIDE, 3), 0.2), HybridConfig(width=4, **settings))
     made.step(0.0)
     assert called == {"total_variation", "tilt", "diffuse", "discriminator", "photometric"} - unused
     assert hasattr(made, "discriminator") == ("discriminator" not in unused)
-    said = dict(left_out(capture, make_renderer("analytic"), made.config))
+    said = dict(left_out(capture, ANALYTIC, made.config))
     names = {"total_variation": "smooth", "tilt": "flat", "discriminator": "adversarial", "diffuse": "diffuse"}
     assert {losses.NAMES[names[loss]] for loss in unused} == set(losses.NAMES.values()) & set(said)
 
@@ -176,13 +175,13 @@ def test_losses_without_weight_or_subject_are_not_computed(settings, unused, cap
     (GanConfig(fix=("diffuse=0.5", "normal=flat")), {"diffuse loss"}),
     (HybridConfig(fix=("diffuse=0.5", "normal=flat")), {"diffuse loss", "price on tilted normals"})])
 def test_only_losses_of_the_method_are_left_out(config, wanted, capture):
-    said = dict(left_out(capture, make_renderer("analytic"), config))
+    said = dict(left_out(capture, ANALYTIC, config))
     assert set(losses.NAMES.values()) & set(said) == wanted
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_kept_state_does_not_move(method, capture):
-    made = make_method(capture, make_renderer("analytic"), torch.full((SIDE, SIDE, 3), 0.2), config_of(method))
+    made = make_method(capture, ANALYTIC, torch.full((SIDE, SIDE, 3), 0.2), config_of(method))
     made.step(0.0)
     kept = made.state()
     before = {name: value.clone() for name, value in kept.items()}
@@ -207,7 +206,7 @@ def test_a_fit_that_looks_at_no_photo_is_refused():
 def test_resume_asks_for_the_same_held_maps_not_the_same_names(capture, tmp_path):
     save_maps(flat(SIDE, roughness=0.3), tmp_path / "a")
     save_maps(flat(SIDE, roughness=0.3), tmp_path / "b")
-    path, renderer = tmp_path / "c.safetensors", make_renderer("analytic")
+    path, renderer = tmp_path / "c.safetensors", ANALYTIC
 
     def fit(folder, iterations, **resume):
         fix = (f"roughness={tmp_path}/{folder}/roughness.exr",)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers import GRID, photos_of
 
 from mitsvbrdf.evaluate import evaluate_fit
 from mitsvbrdf.fit import HierarchicalConfig, fit_svbrdf
@@ -14,8 +15,7 @@ from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.measure.metrics import map_rmse
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.synth.photograph import photograph
-from mitsvbrdf.views import Views, nine_view_grid
+from mitsvbrdf.views import Views
 
 SURE = {"diffuse": torch.zeros(8, 8, 3), "specular": torch.zeros(8, 8, 3)}
 
@@ -38,7 +38,7 @@ def test_maps_that_are_known_tell_nothing():
 
 
 def test_photos_stay_as_they_are():
-    maps, views, renderer = make_material("inlay", 16), nine_view_grid(), make_renderer("analytic64")
+    maps, views, renderer = make_material("inlay", 16), GRID, make_renderer("analytic64")
     bright = replace(views, intensity=views.intensity * 1.7)
     before, after = renderer.render(maps.to(torch.float64), views), renderer.render(
         with_light_power(maps, 1.7).to(torch.float64), bright)
@@ -50,7 +50,7 @@ def test_a_wrong_power_of_features_is_mended_and_that_of_a_sheet_kept(kind):
     draw = np.random.default_rng(0)
     camera = np.c_[draw.normal(0, 0.35, (9, 2)), draw.normal(2.0, 0.05, 9)]
     views, material = Views.of(camera, intensity=4 * math.pi), make_material("leather", 24)
-    shots = photograph(material, views, make_renderer("analytic"), 0.003)
+    shots = photos_of(material, views, 0.003)
     stated = replace(views, intensity=views.intensity * 0.5)
     result = fit_svbrdf(replace(shots, views=stated, calibration=kind), make_renderer("mitsuba"),
                         HierarchicalConfig(iterations=100))

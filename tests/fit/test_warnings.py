@@ -4,12 +4,12 @@ import dataclasses
 
 import pytest
 import torch
-from helpers import ANALYTIC
+from helpers import ANALYTIC, GRID
 
 from mitsvbrdf.fit import DirectConfig, fit_svbrdf
 from mitsvbrdf.fit.warnings import fit_warnings
 from mitsvbrdf.material.maps import SVBRDF
-from mitsvbrdf.views import Views, coverage_angle, nine_view_grid
+from mitsvbrdf.views import Views, coverage_angle
 
 SIDE = 16
 
@@ -23,7 +23,7 @@ def test_a_good_fit_raises_no_doubt(fitted):
 
 
 def test_a_photo_from_elsewhere_is_named(leather):
-    views = nine_view_grid()
+    views = GRID
     wrong = views.camera.clone()
     wrong[4] = torch.tensor([1.2, -1.2, 3.5])
     result = fit_svbrdf(dataclasses.replace(leather, views=Views.of(wrong, intensity=views.intensity)), ANALYTIC,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mitsvbrdf import color
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.material.maps import SVBRDF
 from mitsvbrdf.render import make_renderer
+from mitsvbrdf.synth.photograph import photograph
 from mitsvbrdf.views import Views, nine_view_grid
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -15,6 +15,6 @@ ANALYTIC, MITSUBA, TWIN = make_renderer("analytic"), make_renderer("mitsuba"), m
 GRID = nine_view_grid()
 
 
-def photos_of(material: SVBRDF, views: Views = GRID) -> Capture:
-    """8-bit photos of a material without noise, as the analytic renderer draws them."""
-    return Capture((color.to_display(ANALYTIC.render(material, views)) * 255).round() / 255, views)
+def photos_of(material: SVBRDF, views: Views = GRID, noise: float = 0.0) -> Capture:
+    """8-bit photos of a material as the analytic renderer draws them, with sensor noise of this standard deviation."""
+    return photograph(material, views, ANALYTIC, noise)

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from helpers import GRID
 
 from mitsvbrdf import cli
 from mitsvbrdf.capture import read_capture
@@ -13,9 +14,7 @@ from mitsvbrdf.fit.record import fit_of
 from mitsvbrdf.material.map_files import load_maps
 from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.measure.burn_in import burn_in, explained_share
-from mitsvbrdf.views import Views, coverage_angle, nine_view_grid
-
-VIEWS = nine_view_grid()
+from mitsvbrdf.views import Views, coverage_angle
 
 
 def test_angle_below_a_co_located_view():
@@ -57,7 +56,7 @@ def test_share_of_a_curve(shape, wanted):
 @pytest.mark.parametrize("name", ["roughness", "specular"])
 def test_maps_of_a_known_share(name, share):
     # A cubic of the angle plus noise without any cubic in it; float32 maps and the encoding of specular leave 1e-6.
-    angle = coverage_angle(VIEWS, 64).flatten()
+    angle = coverage_angle(GRID, 64).flatten()
     powers = torch.stack([angle**k for k in range(4)], dim=1)
     noise = torch.randn(64 * 64, 1, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     noise = noise - powers @ torch.linalg.lstsq(powers, noise).solution
@@ -65,21 +64,21 @@ def test_maps_of_a_known_share(name, share):
     mixed = math.sqrt(share) * (burnt - burnt.mean()) / burnt.std() + math.sqrt(1 - share) * noise / noise.std()
     shown = (0.4 + 0.04 * mixed).reshape(64, 64, 1)
     maps = dict(flat(64).maps) | {name: (shown**2.2).expand(64, 64, 3) if name == "specular" else shown}
-    found = burn_in(SVBRDF("roughconductor", maps).to(torch.float32), VIEWS)
+    found = burn_in(SVBRDF("roughconductor", maps).to(torch.float32), GRID)
     assert found == pytest.approx({"specular": 0, "roughness": 0} | {name: share}, abs=1e-5)
 
 
 def test_noise_has_next_to_none():
     # n texels of noise, 3 powers: a beta variable of mean 3 / (n - 1) and deviation 0.8 of that; the mean of twenty, 18 %.
     generator = torch.Generator().manual_seed(0)
-    angle = coverage_angle(VIEWS, 48)
+    angle = coverage_angle(GRID, 48)
     found = [explained_share(torch.rand(48, 48, generator=generator), angle) for _ in range(20)]
     assert sum(found) / 20 == pytest.approx(3 / (48**2 - 1), rel=0.6)
 
 
 def test_constant_maps_and_angles_have_none():
-    assert burn_in(flat(32, roughness=0.3, specular=0.07), VIEWS) == {"specular": 0.0, "roughness": 0.0}
-    assert burn_in(flat(32, "principled", base_color=0.3, metallic=0.7), VIEWS) == {"specular": 0.0, "roughness": 0.0}
+    assert burn_in(flat(32, roughness=0.3, specular=0.07), GRID) == {"specular": 0.0, "roughness": 0.0}
+    assert burn_in(flat(32, "principled", base_color=0.3, metallic=0.7), GRID) == {"specular": 0.0, "roughness": 0.0}
     assert explained_share(torch.rand(9, 9), torch.full((9, 9), 0.2)) == pytest.approx(0, abs=1e-12)
 
 

@@ -12,15 +12,13 @@ import numpy as np
 import PIL.Image
 import pytest
 import torch
+from helpers import ANALYTIC, GRID, photos_of
 
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.fit import fit_svbrdf
 from mitsvbrdf.fit.config import DirectConfig
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF, flat
-from mitsvbrdf.render import make_renderer
-from mitsvbrdf.synth.photograph import photograph
-from mitsvbrdf.views import nine_view_grid
 
 HOSTILE = "<script>alert('&\"')</script>"
 
@@ -58,12 +56,12 @@ class Shown(HTMLParser):
 
 @pytest.fixture(scope="module")
 def shots():
-    return photograph(make_material("inlay", 16), nine_view_grid(), make_renderer("analytic"))
+    return photos_of(make_material("inlay", 16))
 
 
 @pytest.fixture(scope="module")
 def result(shots):
-    return fit_svbrdf(shots, make_renderer("analytic"), DirectConfig(iterations=2))
+    return fit_svbrdf(shots, ANALYTIC, DirectConfig(iterations=2))
 
 
 def test_maps_are_shown_for_display():
@@ -113,7 +111,7 @@ def test_photos_with_their_positions(shots):
 
 def test_many_large_photos_of_noise_stay_small():
     # PNG cannot shrink noise; more photos than fit are counted, not shown.
-    views = nine_view_grid().pick([0] * 30)
+    views = GRID.pick([0] * 30)
     photos = torch.rand(30, 128, 128, 3, generator=torch.Generator().manual_seed(0))
     shown = Shown(Capture(photos, views))
     assert len(shown.sources) == 9 and "30 photos, 9 shown" in shown.words

@@ -6,22 +6,20 @@ from dataclasses import replace
 
 import pytest
 import torch
-from helpers import ANALYTIC
+from helpers import GRID, photos_of
 from helpers.fit_pages import FAST, HOSTILE, SIDE, Page
 
 from mitsvbrdf import cli
 from mitsvbrdf.capture import write_capture
 from mitsvbrdf.material.made import make_material
-from mitsvbrdf.synth.photograph import photograph
-from mitsvbrdf.views import nine_view_grid
 
 
 @pytest.fixture(scope="session")
 def photos(tmp_path_factory):
     """Five photos of the inlay in a folder with a hostile name; the flash stands beside the camera."""
-    folder, views = tmp_path_factory.mktemp("capture") / HOSTILE, nine_view_grid().pick([0, 1, 3, 5, 7])
+    folder, views = tmp_path_factory.mktemp("capture") / HOSTILE, GRID.pick([0, 1, 3, 5, 7])
     beside = replace(views, light=views.light + torch.tensor([0.05, 0.02, 0.0], dtype=torch.float64))
-    write_capture(photograph(make_material("inlay", SIDE), beside, ANALYTIC), folder)
+    write_capture(photos_of(make_material("inlay", SIDE), beside), folder)
     return folder
 
 

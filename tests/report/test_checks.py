@@ -5,7 +5,7 @@ import re
 
 import pytest
 import torch
-from helpers import ANALYTIC
+from helpers import ANALYTIC, GRID
 from helpers.fit_pages import SIDE, Page
 
 from mitsvbrdf import cli
@@ -17,7 +17,6 @@ from mitsvbrdf.measure.gradients import fixed_cotangent
 from mitsvbrdf.pages.page import figure
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.report.checks import fit_report
-from mitsvbrdf.views import nine_view_grid
 
 
 def test_the_quick_check_is_the_error_of_the_fits_renderer(fitted):
@@ -64,7 +63,7 @@ def test_of_many_photos_some_views_are_checked(monkeypatch):
     monkeypatch.setattr("mitsvbrdf.report.checks._available", lambda *_: [])
     names = [f"{k:02d}" for k in range(60)]
     for count, quick, chosen in ((60, False, names[::3]), (25, False, names[:25]), (60, True, names[:2])):
-        record = fit_report(make_material("tiles", 8), nine_view_grid().pick([k % 9 for k in range(count)]), ANALYTIC,
+        record = fit_report(make_material("tiles", 8), GRID.pick([k % 9 for k in range(count)]), ANALYTIC,
                             names=names[:count], transfer="gamma2.2", quick=quick)
         assert record["crosscheck"]["views"] == chosen and (quick or record["saved"]["views"] == len(chosen))
 

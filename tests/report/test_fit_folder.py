@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from helpers import ANALYTIC
+from helpers import ANALYTIC, photos_of
 from helpers.fit_pages import FAST, SIDE, Page
 
 from mitsvbrdf import cli
@@ -20,9 +20,7 @@ from mitsvbrdf.report import fit_page
 from mitsvbrdf.report.checks import fit_report
 from mitsvbrdf.report.fit_page import write_report
 from mitsvbrdf.report.folder import write_fit
-from mitsvbrdf.synth.photograph import photograph
 from mitsvbrdf.system import images
-from mitsvbrdf.views import nine_view_grid
 
 
 def test_trouble_is_told(copy):
@@ -126,7 +124,7 @@ def test_photos_are_never_written_over_those_of_the_capture(copy, photos, tmp_pa
 
 
 def test_a_second_fit_in_the_same_folder_shows_nothing_of_the_first(tmp_path):
-    shots = photograph(make_material("tiles", 8), nine_view_grid(), ANALYTIC)
+    shots = photos_of(make_material("tiles", 8))
     for fix, others in (((), shots.pick([5])), (("roughness=0.5",), None)):
         write_fit(fit_svbrdf(shots.pick([0, 1]), ANALYTIC, DirectConfig(iterations=1, fix=fix)), shots.pick([0, 1]), tmp_path,
                   left_out=others)

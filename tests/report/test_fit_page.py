@@ -9,7 +9,7 @@ import numpy as np
 import PIL.Image
 import pytest
 import torch
-from helpers import ANALYTIC, ROOT
+from helpers import ANALYTIC, GRID, ROOT
 from helpers.fit_pages import HOSTILE, SIDE, Page
 
 from mitsvbrdf import cli
@@ -21,7 +21,6 @@ from mitsvbrdf.pages.page import figure
 from mitsvbrdf.report.fit_page import write_report
 from mitsvbrdf.report.folder import write_fit
 from mitsvbrdf.system import images
-from mitsvbrdf.views import nine_view_grid
 
 
 def shown(path):
@@ -166,7 +165,7 @@ def test_a_page_of_noise_at_512_px_is_below_ten_megabytes(copy):
     noise["roughness"] = noise["roughness"].clamp_min(0.05)
     shutil.rmtree(copy / "maps")
     save_maps(SVBRDF("roughconductor", noise), copy / "maps")
-    views, names = nine_view_grid(), [f"{i:02d}" for i in range(9)]
+    views, names = GRID, [f"{i:02d}" for i in range(9)]
     for name in names:
         for folder in ("photos", "rerendered"):
             images.write_png(copy / folder / f"{name}.png", torch.rand(512, 512, 3, generator=random))

@@ -8,22 +8,20 @@ import PIL.Image
 import pytest
 import torch
 from browser import opened
-from helpers import ANALYTIC
+from helpers import photos_of
 
 from mitsvbrdf import cli
 from mitsvbrdf.capture import write_capture
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.report.fit_page import write_report
-from mitsvbrdf.synth.photograph import photograph
 from mitsvbrdf.system import images
-from mitsvbrdf.views import nine_view_grid
 
 
 @pytest.fixture(scope="module")
 def larger(tmp_path_factory):
     """A fit at 64 px with two photos left out, as `fit` leaves it."""
     folder = tmp_path_factory.mktemp("larger")
-    write_capture(photograph(make_material("inlay", 64), nine_view_grid(), ANALYTIC), folder / "inlay")
+    write_capture(photos_of(make_material("inlay", 64)), folder / "inlay")
     options = ["--resolution", "64", "--views", "0,1,2,3,5,6,8"]
     assert cli.main(["fit", str(folder / "inlay"), "-o", str(folder / "out"), *options]) == 0
     return folder / "out" / "report.html"

@@ -7,16 +7,15 @@ import shutil
 import numpy as np
 import pytest
 import torch
-from helpers import ANALYTIC
+from helpers import GRID, photos_of
 from helpers.fit_pages import FAST, SIDE, Page
 
 from mitsvbrdf import cli
 from mitsvbrdf.capture import write_capture
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import load_maps
-from mitsvbrdf.synth.photograph import photograph
 from mitsvbrdf.system import result_folder
-from mitsvbrdf.views import Views, nine_view_grid
+from mitsvbrdf.views import Views
 
 
 def test_a_fit_is_not_lost_with_its_page(photos, tmp_path, monkeypatch, capsys):
@@ -74,9 +73,9 @@ def test_the_next_fit_takes_the_pages_files_away(copy, photos):
 
 
 def test_a_fit_predicts_nine_photos_and_report_all(tmp_path):
-    views = nine_view_grid()
+    views = GRID
     twelve = Views(*(torch.cat((t, t[:3])) for t in (views.camera, views.light, views.intensity)))
-    write_capture(photograph(make_material("tiles", 8), twelve, ANALYTIC), tmp_path / "photos")
+    write_capture(photos_of(make_material("tiles", 8), twelve), tmp_path / "photos")
     options = ["--method", "direct", "--renderer", "analytic", "--iterations", "2", "--resolution", "8", "--views", "11"]
     out = tmp_path / "out"
     assert cli.main(["fit", str(tmp_path / "photos"), "-o", str(out), *options]) == 0

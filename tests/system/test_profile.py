@@ -6,16 +6,15 @@ from time import perf_counter
 
 import pytest
 import torch
+from helpers import ANALYTIC, photos_of
 
 from mitsvbrdf import cli
 from mitsvbrdf.fit import DirectConfig, GanConfig, HybridConfig, fit_svbrdf, make_method
 from mitsvbrdf.fit.generator import networks
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.synth.photograph import photograph
 from mitsvbrdf.system import profile
 from mitsvbrdf.system.profile import OTHER, STEP, Profile, profile_summary, profiled, profiling, switch_at
-from mitsvbrdf.views import nine_view_grid
 
 CONFIGS = {"hybrid": HybridConfig(width=8), "direct": DirectConfig(), "gan": GanConfig(width=8)}
 
@@ -51,7 +50,7 @@ def taking(clock, forward, backward):
 
 @pytest.fixture
 def capture():
-    return photograph(make_material("inlay", 32), nine_view_grid(), make_renderer("analytic"))
+    return photos_of(make_material("inlay", 32))
 
 
 def test_a_second_counts_once(clock):
@@ -108,7 +107,7 @@ def test_methods_name_their_parts(method, renders, clock, capture, monkeypatch):
     monkeypatch.setattr(generator, name, lambda *a: put_out(*a) | {
         k: slow_maps(v) for k, v in put_out(*a).items() if k == "roughness"})
     monkeypatch.setattr(networks.PatchDiscriminator, "forward", lambda *a: slow_verdict(judge(*a)))
-    analytic = make_renderer("analytic")
+    analytic = ANALYTIC
 
     class Slow:
         name, variant = "analytic", None
@@ -152,7 +151,7 @@ def test_parts_sum_to_the_step_and_change_nothing(method, capture):
 
 def test_off_nothing_is_collected(capture):
     assert profiled("a") is profiled("b")
-    fit = make_method(capture, make_renderer("analytic"), torch.full((32, 32, 3), 0.3), CONFIGS["direct"])
+    fit = make_method(capture, ANALYTIC, torch.full((32, 32, 3), 0.3), CONFIGS["direct"])
     seen = []
     render = fit.renderer.render
     fit.renderer.render = lambda *a: seen.append(render(*a)) or seen[-1]

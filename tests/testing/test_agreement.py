@@ -9,11 +9,11 @@ from pathlib import Path
 import flip_evaluator  # noqa: F401  (what is loaded here stays loaded after the small suites in this process)
 import pytest
 import torch
+from helpers import ANALYTIC
 from helpers.golden_suite import TWO
 
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.material.maps import SVBRDF, flat
-from mitsvbrdf.render import make_renderer
 from mitsvbrdf.testing import (
     assert_renderers_agree,
     random_material,
@@ -26,7 +26,7 @@ class Wrong:
     name = "wrong"
 
     def __init__(self, maps=lambda maps: maps, image=lambda image: image):
-        self.twin, self.maps, self.image = make_renderer("analytic"), maps, image
+        self.twin, self.maps, self.image = ANALYTIC, maps, image
 
     def render(self, svbrdf, views):
         return self.image(self.twin.render(SVBRDF(svbrdf.bsdf, self.maps(dict(svbrdf.maps))), views))

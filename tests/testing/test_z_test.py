@@ -9,6 +9,7 @@ import mpmath
 import numpy as np
 import pytest
 import torch
+from helpers import GRID
 
 from mitsvbrdf.errors import ConfigError, MapsError
 from mitsvbrdf.export.mitsuba import write_scene
@@ -19,7 +20,6 @@ from mitsvbrdf.testing import (
     assert_z_test,
     z_test,
 )
-from mitsvbrdf.views import nine_view_grid
 
 
 def noisy(seed, bias=1.0, side=16, passes=16):
@@ -127,7 +127,7 @@ def traced(tmp_path_factory):
 
     def trace(maps, light, passes, spp, first_seed=0):
         folder = tmp_path_factory.mktemp("scene")
-        write_scene(folder, maps, nine_view_grid())
+        write_scene(folder, maps, GRID)
         resolution, at = maps.resolution, mi.ScalarTransform4f()
         film = {"type": "hdrfilm", "width": resolution, "height": resolution, "pixel_format": "rgb",
                 "component_format": "float32", "rfilter": {"type": "box"}}

@@ -5,7 +5,7 @@ import re
 
 import pytest
 import torch
-from helpers import GRID, TWIN
+from helpers import ANALYTIC, GRID, TWIN
 from helpers.broken_renderers import BOTH, THREE, command
 
 from mitsvbrdf import cli
@@ -25,7 +25,7 @@ class Broken:
     name, variant = "broken", None
 
     def __init__(self, spoil):
-        self.inner, self.spoil = make_renderer("analytic"), spoil
+        self.inner, self.spoil = ANALYTIC, spoil
 
     def render(self, svbrdf, views):
         return self.spoil(self.inner, svbrdf, views)
@@ -165,7 +165,7 @@ def test_command_on_a_fit(tmp_path, capsys):
 
 def test_a_black_material_has_figures_too():
     record = crosscheck({"black": flat(8, diffuse=0.0, specular=0.0)}, GRID, BOTH,
-                        [make_renderer("analytic")], repeats=1)
+                        [ANALYTIC], repeats=1)
     json.dumps(record, allow_nan=False)
     texels = [texel for c in record["configurations"] for texel in c["worst_texels"] if not texel["reference"]]
     assert texels and all(texel["relative_error"] == 0 for texel in texels) and not record["violations"]

@@ -4,14 +4,13 @@ import json
 import re
 
 import pytest
-from helpers import ROOT, TWIN
+from helpers import ANALYTIC, ROOT, TWIN
 from helpers.broken_renderers import THREE
 
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.measure.gradients import render_and_gradients
 from mitsvbrdf.measure.metrics import image_error
 from mitsvbrdf.measure.tolerances import TOLERANCES
-from mitsvbrdf.render import make_renderer
 from mitsvbrdf.system import files
 from mitsvbrdf.verify.crosscheck import crosscheck
 from mitsvbrdf.verify.crosscheck_page import write_crosscheck_page
@@ -68,7 +67,7 @@ def test_schema_of_the_record(real, tmp_path):
 
 def test_figures_are_those_of_the_metrics():
     # All texels of leather are rough, so the figures have to be those of the plain comparison.
-    svbrdf, renderer = make_material("leather", 16), make_renderer("analytic")
+    svbrdf, renderer = make_material("leather", 16), ANALYTIC
     (c,) = crosscheck({"leather": svbrdf}, THREE, ["roughconductor"], [renderer], repeats=1)["configurations"]
     exact, got = render_and_gradients(TWIN, svbrdf, THREE), render_and_gradients(renderer, svbrdf, THREE)
     assert c["rough"]["image"] == pytest.approx(image_error(got.image, exact.image) | {"not_finite": 0}, rel=1e-9)

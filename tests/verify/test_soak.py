@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from helpers import ANALYTIC
 
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.render import make_renderer
@@ -30,7 +31,7 @@ class Leaking:
     name = "leaking"
 
     def __init__(self):
-        self.twin, self.kept = make_renderer("analytic"), []
+        self.twin, self.kept = ANALYTIC, []
 
     def render(self, svbrdf, views):
         self.kept.append(written_to(2**22))
@@ -44,7 +45,7 @@ class Compiling:
 
     def __init__(self, changes):
         make_renderer("mitsuba")
-        self.twin, self.changes, self.drawn = make_renderer("analytic"), changes, 0
+        self.twin, self.changes, self.drawn = ANALYTIC, changes, 0
 
     def render(self, svbrdf, views):
         import drjit
@@ -97,7 +98,7 @@ def test_a_step_that_takes_longer_and_longer_drifts(monkeypatch):
         return now[0]
 
     monkeypatch.setattr(timing.time, "perf_counter", later)
-    step = soak.soak([make_renderer("analytic")], "principled", "images", 100, resolution=8)["step"]
+    step = soak.soak([ANALYTIC], "principled", "images", 100, resolution=8)["step"]
     # Warm-up ends at 20. Means of turns: 22, 24, ..., 100; the first and the last four of forty have medians 25 and 97.
     assert (step["first"], step["last"]) == (25e3, 97e3)
     assert step["drift"] == pytest.approx(97 / 25 - 1)
@@ -153,6 +154,6 @@ def test_the_entry_ends_with_one_line(tmp_path, monkeypatch, capsys):
 
 def test_too_few_steps():
     with pytest.raises(ConfigError, match="20 steps or more, got 19"):
-        soak.soak([make_renderer("analytic")], "principled", "images", 19)
+        soak.soak([ANALYTIC], "principled", "images", 19)
     with pytest.raises(ConfigError, match="24 steps or more"):
-        soak.soak([make_renderer("analytic")] * 3, "principled", "images", 20)
+        soak.soak([ANALYTIC] * 3, "principled", "images", 20)

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from helpers import GRID, photos_of
 
 from mitsvbrdf.capture import read_capture
 from mitsvbrdf.capture.lens import Lens, Pose
@@ -18,9 +19,7 @@ from mitsvbrdf.capture.quality.next_view import next_best_view
 from mitsvbrdf.capture.quality.verdicts import spoils, verdicts
 from mitsvbrdf.capture.rig import Rig
 from mitsvbrdf.material.made import make_material
-from mitsvbrdf.render import make_renderer
-from mitsvbrdf.synth.photograph import photograph
-from mitsvbrdf.views import Views, coverage_angle, nine_view_grid
+from mitsvbrdf.views import Views, coverage_angle
 
 R = 192
 NAMES = [f"{i}.jpg" for i in range(9)]
@@ -28,7 +27,7 @@ NAMES = [f"{i}.jpg" for i in range(9)]
 
 @pytest.fixture(scope="module")
 def shots():
-    return photograph(make_material("leather", R), nine_view_grid(), make_renderer("analytic"), 0.002)
+    return photos_of(make_material("leather", R), noise=0.002)
 
 
 def judged(shots, photos, views=None, names=NAMES, fired=None, **how):
@@ -45,7 +44,7 @@ def changed(shots, number, photo):
 
 @pytest.mark.parametrize("material", ["leather", "inlay", "tiles", "plates"])
 def test_nothing_is_wrong_with_photos_of_made_materials(material):
-    shots = photograph(make_material(material, R), nine_view_grid(), make_renderer("analytic"), 0.002)
+    shots = photos_of(make_material(material, R), noise=0.002)
     assert judged(shots, shots.photos)[0] == {}
 
 
@@ -82,7 +81,7 @@ def test_blurred(shots):
 @pytest.mark.parametrize("angle", [0, 22.5, 120])  # 22.5: as far as can be from the directions that are looked at
 def test_a_hand_that_moved(angle):
     """Detail goes in one direction, and noise is in the photo all the same."""
-    shots = photograph(make_material("leather", 256), nine_view_grid(), make_renderer("analytic"), 0.002)
+    shots = photos_of(make_material("leather", 256), noise=0.002)
     far = 0.04 * 256
     line = np.zeros((33, 33), np.float32)
     steps = np.linspace(-far / 2, far / 2, 101)[:, None] * (np.sin(np.radians(angle)), np.cos(np.radians(angle)))
@@ -121,8 +120,8 @@ def test_without_flash(shots):
 
 @pytest.mark.parametrize(("stops", "word"), [(2.0, "brighter"), (-2.0, "darker")])
 def test_another_exposure(stops, word):
-    dim = replace(nine_view_grid(), intensity=nine_view_grid().intensity * 0.2)  # so that brighter is not only clipped
-    shots = photograph(make_material("leather", R), dim, make_renderer("analytic"))
+    dim = replace(GRID, intensity=GRID.intensity * 0.2)  # so that brighter is not only clipped
+    shots = photos_of(make_material("leather", R), dim)
     reasons, found = judged(shots, changed(shots, 1, (shots.linear[1] * 2**stops).clamp(0, 1) ** (1 / 2.2)))
     assert reasons.keys() == {"1.jpg"} and f"stops {word}" in reasons["1.jpg"]
     assert found["1.jpg"].stops == pytest.approx(stops, abs=0.15)  # measured 1.9: some clipped

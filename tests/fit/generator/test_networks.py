@@ -2,21 +2,20 @@
 
 import pytest
 import torch
+from helpers import ANALYTIC, GRID
 
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.fit import GanConfig, make_method
 from mitsvbrdf.fit.generator.networks import AllPhotosGenerator, PatchDiscriminator, TwoStreamGenerator
 from mitsvbrdf.material.made import make_material
-from mitsvbrdf.render import make_renderer
-from mitsvbrdf.views import nine_view_grid
 
 
 def test_input_and_rendering_of_the_gan_show_the_same_blend():
     # Were the generator right, its picture would be the input itself, for one photo and for blends of two.
-    truth, views = make_material("inlay", 16), nine_view_grid()
-    photos = color.to_display(make_renderer("analytic").render(truth, views))
-    gan = make_method(Capture(photos, views), make_renderer("analytic"), truth["diffuse"], GanConfig(width=8))
+    truth, views = make_material("inlay", 16), GRID
+    photos = color.to_display(ANALYTIC.render(truth, views))
+    gan = make_method(Capture(photos, views), ANALYTIC, truth["diffuse"], GanConfig(width=8))
     seen = set()
     for _ in range(20):
         photo, picked, weights = gan._draw_input()

@@ -1,18 +1,16 @@
 """Fixtures that the tests of this folder share."""
 
 import pytest
-from helpers import ANALYTIC
+from helpers import photos_of
 from helpers.live_fits import SIDE
 
 from mitsvbrdf.fit import live as fit_live
 from mitsvbrdf.material.made import make_material
-from mitsvbrdf.synth.photograph import photograph
-from mitsvbrdf.views import nine_view_grid
 
 
 @pytest.fixture(scope="session")
 def capture():
-    return photograph(make_material("inlay", SIDE), nine_view_grid(), ANALYTIC, 0.003)
+    return photos_of(make_material("inlay", SIDE), noise=0.003)
 
 
 @pytest.fixture

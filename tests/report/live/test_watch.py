@@ -118,13 +118,12 @@ def test_a_fit_that_is_killed_shows_its_last_state(tmp_path, capture):
 import os, signal, sys
 from pathlib import Path
 sys.path.insert(0, {str(ROOT / "tests")!r})
-from helpers import ANALYTIC, GRID
+from helpers import photos_of
 from helpers.live_fits import FAST, SIDE, fit_into
 from mitsvbrdf.fit import live as fit_live
 from mitsvbrdf.material.made import make_material
-from mitsvbrdf.synth.photograph import photograph
 fit_live.SECONDS, fit_live.SHARE = 0.0, 1.0
-capture = photograph(make_material("inlay", SIDE), GRID, ANALYTIC)
+capture = photos_of(make_material("inlay", SIDE))
 def die(entry, share):
     if entry["iteration"] == 10:
         os.kill(os.getpid(), signal.SIGKILL)

@@ -5,12 +5,11 @@ import math
 import pytest
 import torch
 import torch.nn.functional as F
-from helpers import TWIN
+from helpers import ANALYTIC, TWIN
 from helpers.one_sweep import FEW
 
 from mitsvbrdf.fit.losses import photometric
 from mitsvbrdf.material.maps import SVBRDF, flat
-from mitsvbrdf.render import make_renderer
 from mitsvbrdf.verify.stability.conditioning import condition, disturbed, jacobian, largest_step, tangents, valid
 from mitsvbrdf.verify.stability.sweeps import material, tilted
 from mitsvbrdf.views import Views
@@ -71,4 +70,4 @@ def test_the_largest_step_descends_and_twice_as_much_does_not(transfer):
 
 def test_no_step_where_nothing_is_seen():
     away = material(normal=tilted(85, 160))
-    assert largest_step(make_renderer("analytic"), away, Views.of([[3.0, 0.2, 0.4]])) == 0
+    assert largest_step(ANALYTIC, away, Views.of([[3.0, 0.2, 0.4]])) == 0

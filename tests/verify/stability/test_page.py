@@ -4,18 +4,17 @@ import json
 from typing import get_args
 
 import pytest
-from helpers import ROOT
+from helpers import ANALYTIC, ROOT
 
 from mitsvbrdf import cli
 from mitsvbrdf.errors import OutputError
-from mitsvbrdf.render import make_renderer
 from mitsvbrdf.verify.stability import SWEEPS, clamps, stability
 from mitsvbrdf.verify.stability.page import BEGIN, END, write_stability_markdown, write_stability_page
 from mitsvbrdf.verify.stability.verdict import VERDICTS
 
 
 def test_record_page_and_markdown(one_case, tmp_path):
-    record = stability([make_renderer("analytic")], ["tilt"])
+    record = stability([ANALYTIC], ["tilt"])
     json.dumps(record, allow_nan=False)
     assert record["violations"] == []
     (row,) = record["rows"]

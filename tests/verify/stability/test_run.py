@@ -6,12 +6,12 @@ import math
 
 import pytest
 import torch
+from helpers import ANALYTIC
 from helpers.one_sweep import FEW
 
 from mitsvbrdf import cli
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.material.maps import SVBRDF
-from mitsvbrdf.render import make_renderer
 from mitsvbrdf.render.analytic import AnalyticRenderer
 from mitsvbrdf.verify.stability import functions, run, stability
 from mitsvbrdf.verify.stability.page import write_stability_markdown
@@ -63,13 +63,13 @@ def test_an_unbroken_renderer_passes(one_case):
 def test_what_is_invalid_and_not_refused_is_found_out(monkeypatch):
     monkeypatch.setattr(SVBRDF, "check", lambda self: self)
     case = Case("tilt", "normals of length 2", None, material(normal=2 * tilted(0)), FEW, refused=True)
-    (found,) = run.violations([run.measured(case, [make_renderer("analytic")])])
+    (found,) = run.violations([run.measured(case, [ANALYTIC])])
     assert found["what"].endswith("not refused")
 
 
 def test_a_function_that_lets_out_nan_is_found_out(one_case, monkeypatch):
     monkeypatch.setattr(functions, "map_rmse", lambda *_: {"mean": math.nan})
-    (found,) = stability([make_renderer("analytic")], ["tilt"])["violations"]
+    (found,) = stability([ANALYTIC], ["tilt"])["violations"]
     assert found["renderer"] is None and found["what"] == "1 values of map_rmse are not finite"
 
 
