@@ -10,9 +10,7 @@ from helpers.golden_suite import TWO, Suite
 
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.testing import (
-    running,
-)
+from mitsvbrdf.testing import running
 
 
 @pytest.fixture

@@ -14,10 +14,7 @@ from helpers.golden_suite import TWO
 
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.material.maps import SVBRDF, flat
-from mitsvbrdf.testing import (
-    assert_renderers_agree,
-    random_material,
-)
+from mitsvbrdf.testing import assert_renderers_agree, random_material
 
 
 class Wrong:

@@ -13,10 +13,7 @@ import torch
 from helpers import ROOT
 
 from mitsvbrdf.errors import ConfigError, MapsError
-from mitsvbrdf.testing import (
-    assert_matches_golden,
-    running,
-)
+from mitsvbrdf.testing import assert_matches_golden, running
 
 
 @pytest.fixture

@@ -16,10 +16,7 @@ from mitsvbrdf.export.mitsuba import write_scene
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.measure.z_test import _normal_score
-from mitsvbrdf.testing import (
-    assert_z_test,
-    z_test,
-)
+from mitsvbrdf.testing import assert_z_test, z_test
 
 
 def noisy(seed, bias=1.0, side=16, passes=16):
