@@ -51,7 +51,7 @@ def quality_record(made: CaptureResult) -> dict:
     number = {name: f"{i:02d}" for i, name in enumerate(made.used)}
     rows = []
     for photo in made.photos:
-        name, look = photo.name, made.looks.get(photo.name)
+        name, look = photo.name, made.photo_qualities.get(photo.name)
         pose = made.rig.poses.get(name)
         numbers = {key: value for key, value in vars(look).items() if key != "name"} if look else {}
         rows.append({"name": name, "used": name in number, "number": number.get(name), "reason": made.rig.left_out.get(name),
