@@ -99,7 +99,7 @@ def cases(resolution: int) -> Iterator[Case]:
                                   "roughness": coloured["roughness"], "normal": coloured["normal"]})
 
     def pair(what: str, why: str, svbrdf: SVBRDF, without: Sequence[str], fixed: Sequence[str] = (),
-             needs: Needs = CO_LOCATED, renderer: str = "mitsuba") -> Case:
+             needs: Needs = CO_LOCATED, renderer: RendererName = "mitsuba") -> Case:
         wanted = tuple(name for name in svbrdf.maps if name not in fixed)
         less: dict[str, Any] = dict.fromkeys(without, False)
         return Case(what, renderer, why, _pass(renderer, svbrdf, views, wanted, needs),
