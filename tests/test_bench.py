@@ -23,8 +23,9 @@ from mitsvbrdf.bench.tables import equal_error, equal_time
 from mitsvbrdf.bench.tasks import known_material, novel_light_rmse, novel_views, real_capture
 from mitsvbrdf.capture import write_capture
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.fit import DirectConfig, GanConfig, HierarchicalConfig, HybridConfig, config, fit_svbrdf
+from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf
 from mitsvbrdf.fit.loop import Loop
+from mitsvbrdf.fit.methods import METHODS as FIT_METHODS
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.render import make_renderer
@@ -66,7 +67,7 @@ def benchmark(records, given=None):
 def test_peers_baseline_is_plain_adam_on_clamped_gamma_values():
     views = nine_view_grid().pick([0, 2, 5])
     capture = photograph(make_material("inlay", 8), views, ANALYTIC)
-    method, config = PeersBaseline(capture, ANALYTIC, PeersConfig()), PeersConfig()
+    method, config = PeersBaseline(FitTask(capture, ANALYTIC, PeersConfig())), PeersConfig()
     losses = [method.step(k / 6)["l2"] for k in range(6)]
 
     # The same by hand: gamma-encoded maps on [-1, 1], 9 channels in one tensor, and torch's Adam.
@@ -94,7 +95,7 @@ def test_peers_baseline_is_plain_adam_on_clamped_gamma_values():
 
 def test_peers_baseline_goes_on_bit_by_bit_and_stays_in_range():
     capture = photograph(make_material("tiles", 8), nine_view_grid(), ANALYTIC)
-    method = PeersBaseline(capture, ANALYTIC, PeersConfig(learning_rate=0.7))  # large steps, so that every bound is met
+    method = PeersBaseline(FitTask(capture, ANALYTIC, PeersConfig(learning_rate=0.7)))  # large steps: every bound is met
     for _ in range(5):
         method.step(0.0)
     state = method.state()
@@ -110,16 +111,16 @@ def test_peers_baseline_goes_on_bit_by_bit_and_stays_in_range():
 
 # ------------------------------------------------------------------------------------------------------------------- methods
 def test_the_table_has_every_method_and_preset():
-    table = method_table(config.CONFIGS)
+    table = method_table()
     assert {"hierarchical", "hybrid", "direct", "gan-one-stage", "gan-two-stage", "peers-baseline"} <= set(table)
-    assert next(iter(table)) == next(iter(config.CONFIGS))  # the default first
+    assert next(iter(table)) == next(iter(FIT_METHODS))  # the default first
     assert table["gan-two-stage"].preset == "paper-two-stage"
     assert "seed" not in settings_of(HybridConfig()) and settings_of(HybridConfig()) == json.loads(
         json.dumps(settings_of(HybridConfig())))
 
 
 def test_every_variant_is_one_of_the_default_method():
-    default = next(iter(method_table(config.CONFIGS).values()))
+    default = next(iter(method_table().values()))
     table = variant_table(default, VARIANTS)
     assert list(table) == ["full", *VARIANTS]
     for name, changes in VARIANTS.items():
@@ -529,7 +530,7 @@ def test_quick_measures_everything(out, monkeypatch, tmp_path):
     found = check_benchmark(json.loads(out.read_text()), "here")
     suites = [r["suite"] for r in found["records"]]
     assert suites.count("renderers") == 2 * (1 + 1) and suites.count("ablation") == 2
-    assert suites.count("methods") == len(method_table(config.CONFIGS))
+    assert suites.count("methods") == len(method_table())
     page = (tmp_path / "p.md").read_text()
     for heading in ("## In short", "## Known materials", "## Renderers", "## Each ingredient off"):
         assert heading in page

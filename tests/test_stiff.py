@@ -11,7 +11,7 @@ from mitsvbrdf import color
 from mitsvbrdf.bench import stiff
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.errors import ConfigError, exit_code
-from mitsvbrdf.fit import DirectConfig, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf, make_method
+from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf, make_method
 from mitsvbrdf.fit.confidence import UNKNOWN, _map, _numbers, confidence, deviations, jacobian
 from mitsvbrdf.fit.loop import MAX_UNDONE, Loop
 from mitsvbrdf.fit.warnings import fit_warnings
@@ -31,7 +31,8 @@ def capture():
 
 
 def loop_of(capture, config, renderer=ANALYTIC, **options):
-    return Loop(make_method(capture, renderer, torch.full((SIDE, SIDE, 3), 0.2), config), capture, renderer, config, **options)
+    task = FitTask(capture, renderer, config, torch.full((SIDE, SIDE, 3), 0.2))
+    return Loop(make_method(task), capture, renderer, config, **options)
 
 
 # ---- stiff cases ----
@@ -211,7 +212,7 @@ def test_restarts_are_bit_equal_after_resuming(capture, tmp_path):
             raise Stop
 
     loop = loop_of(capture, config, checkpoint=path)
-    loop.method = make_method(capture, ANALYTIC, whole.guess, config)
+    loop.method = make_method(FitTask(capture, ANALYTIC, config, whole.guess))
     step = loop.method.step
 
     def saving_step(progress):
@@ -254,7 +255,7 @@ def test_deviation_of_a_matt_texel_in_closed_form():
     images = ANALYTIC.render(truth, views)
     capture = Capture(color.to_display(images) + 0.02, views)
     config = DirectConfig(fix=("normal=flat", "specular=0", "roughness=1"))
-    found = deviations(truth, views, images, capture, config)["diffuse"][3, 5, 1]
+    found = deviations(truth, views, images, FitTask(capture, ANALYTIC, config))["diffuse"][3, 5, 1]
     texel = torch.tensor([(5 + 0.5) / SIDE - 0.5, 0.5 - (3 + 0.5) / SIDE, 0.0], dtype=torch.float64)
     to_light = views.light - texel
     lit = views.intensity[:, 0] * to_light[:, 2] / to_light.norm(dim=1) ** 3 / math.pi
@@ -268,7 +269,7 @@ def test_only_texels_that_saw_the_highlight_know_their_roughness():
     truth = flat(SIDE, diffuse=0.2, specular=0.04, roughness=0.3)
     images = ANALYTIC.render(truth, views)
     photos = photograph(truth, views, ANALYTIC, noise=0.01)
-    found = deviations(truth, views, images, photos, DirectConfig(fix=("normal=flat",)))
+    found = deviations(truth, views, images, FitTask(photos, ANALYTIC, DirectConfig(fix=("normal=flat",))))
     roughness = found["roughness"][..., 0]
     assert roughness[4:12, :4].median() < 0.1 and roughness[:, -4:].min() > 0.2  # measured 0.06, and 0.28 or more
     assert (roughness <= UNKNOWN).all()
@@ -279,11 +280,11 @@ def test_clipped_pixels_say_nothing():
     images = ANALYTIC.render(truth, views)
     capture = photograph(truth, views, ANALYTIC)
     blind = Capture(torch.ones_like(capture.photos), views)
-    for name, value in deviations(truth, views, images, blind, DirectConfig()).items():
+    for name, value in deviations(truth, views, images, FitTask(blind, ANALYTIC, DirectConfig())).items():
         assert torch.allclose(value, torch.tensor(UNKNOWN)), name
     half = dataclasses.replace(capture, photos=capture.photos.clone())
     half.photos[:, :, : SIDE // 2] = 1.0
-    found = deviations(truth, views, images, half, DirectConfig())["diffuse"].mean(dim=-1)
+    found = deviations(truth, views, images, FitTask(half, ANALYTIC, DirectConfig()))["diffuse"].mean(dim=-1)
     assert found[:, : SIDE // 2].min() > 5 * found[:, SIDE // 2:].max()
 
 
@@ -310,7 +311,8 @@ def test_one_photo_determines_less_than_nine(capture):
 def test_large_maps_are_looked_at_small():
     truth, views = make_material("leather", 80), nine_view_grid().pick([0, 1])
     images = ANALYTIC.render(truth, views)
-    found = deviations(truth, views, images, photograph(truth, views, ANALYTIC), DirectConfig(grey_specular=True))
+    task = FitTask(photograph(truth, views, ANALYTIC), ANALYTIC, DirectConfig(grey_specular=True))
+    found = deviations(truth, views, images, task)
     assert {name: tuple(value.shape) for name, value in found.items()} == {
         "diffuse": (64, 64, 3), "specular": (64, 64, 1), "roughness": (64, 64, 1), "normal": (64, 64, 2)}
 

@@ -10,11 +10,11 @@ from typing import get_args, get_type_hints
 from ..capture import Capture
 from ..errors import ConfigError
 from ..evaluate import evaluate_capture, evaluate_fit
-from ..fit import FitConfig, GanConfig, fit_svbrdf
+from ..fit import FitConfig, FitTask, fit_svbrdf
 from ..fit.loop import Loop
+from ..fit.methods import METHODS
 from ..material.maps import SVBRDF
 from ..render import Renderer
-from ..views import Falloff
 from .peers_baseline import PeersBaseline, PeersConfig
 
 VARIANTS: dict[str, dict[str, object]] = {
@@ -55,14 +55,10 @@ class Fitted:
     stopped: str
 
 
-def method_table(configs: Mapping[str, type[FitConfig]]) -> dict[str, FitConfig]:
-    """Name -> settings: the methods of ``fit``, one entry for each preset where a method has presets, and the baseline.
-
-    Args:
-        configs: the configuration class of each method, the default first.
-    """
+def method_table() -> dict[str, FitConfig]:
+    """Name -> settings: the methods of ``fit``, one entry for each preset where a method has presets, and the baseline."""
     table: dict[str, FitConfig] = {}
-    for name, config in configs.items():
+    for name, (config, *_) in METHODS.items():
         presets = get_args(get_type_hints(config)["preset"]) if any(f.name == "preset" for f in fields(config)) else ()
         table |= {f"{name}-{preset.removeprefix('paper-')}": config(preset=preset) for preset in presets}  # type: ignore[call-arg]
         table |= {} if presets else {name: config()}
@@ -80,7 +76,7 @@ def variant_table(config: FitConfig, variants: Mapping[str, Mapping[str, object]
         unknown = [key for key in changes if key not in {f.name for f in fields(config)}]
         if unknown or name == FULL:
             raise ConfigError(f"a variant of {type(config).__name__}", f"{name!r} with {unknown or 'the name of the whole'}",
-                              "mend mitsvbrdf/evaluate/bench/ablation.py")
+                              "mend VARIANTS in mitsvbrdf/bench/methods.py")
         table[name] = replace(config, **changes)  # type: ignore[arg-type]
         table[name].check()
     return table
@@ -94,8 +90,7 @@ def settings_of(config: FitConfig) -> dict:
 
 def as_lit(capture: Capture, config: FitConfig) -> Capture:
     """The capture with the light that the method takes for granted: the paper's falls off with nothing."""
-    falloff: Falloff = "none" if isinstance(config, GanConfig) else "inverse-square"
-    return replace(capture, views=replace(capture.views, falloff=falloff))
+    return replace(capture, views=replace(capture.views, falloff=config.falloff))
 
 
 def fit(capture: Capture, renderer: Renderer, config: FitConfig,
@@ -109,7 +104,7 @@ def fit(capture: Capture, renderer: Renderer, config: FitConfig,
     started, capture = time.perf_counter(), as_lit(capture, config)
     if isinstance(config, PeersConfig):
         config.check()
-        loop = Loop(PeersBaseline(capture, renderer, config), capture, renderer, config, report=report)
+        loop = Loop(PeersBaseline(FitTask(capture, renderer, config)), capture, renderer, config, report=report)
         stopped, trace = loop.run(), loop.trace
         assert loop.best is not None
         rmse, svbrdf, _ = loop.best

@@ -9,10 +9,11 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from ..errors import ConfigError
-from ..fit import fit_svbrdf, left_out
+from ..fit import FitTask, fit_svbrdf, left_out
 from ..fit.checkpoint import load_tensors
 from ..fit.confidence import confidence
-from ..fit.config import CONFIGS, FitConfig
+from ..fit.config import FitConfig
+from ..fit.methods import METHODS
 from ..render import RendererName, make_renderer
 from ..system import result_folder
 from ..system.interrupts import undisturbed
@@ -40,9 +41,7 @@ def fit_command(method: str) -> Callable:
         capture: Positional[Photos],
         out: Out,
         config: FitConfig,
-        method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"],
-                          arg(help="How to fit; `fit --method gan --help` shows that method's own options.")]
-        = method,  # type: ignore[assignment]
+        method: str = method,
         renderer: Annotated[RendererName, arg(help="What renders the maps and carries the gradients.")] = "mitsuba",
         resolution: Annotated[int, arg(help="Side of the maps in texels; photos are area-averaged down to it.")] = 256,
         views: ViewList = None,
@@ -71,14 +70,14 @@ def fit_command(method: str) -> Callable:
 
         config.check()
         if falloff == "auto":
-            falloff = "none" if method == "gan" else "inverse-square"
+            falloff = config.falloff
         chosen = photo_numbers(views)
         photos = read_photos(capture, resolution, None, transfer, falloff)
         shots = photos if chosen is None else photos.pick(chosen)
         engine = make_renderer(renderer, variant)
         keep_apart(capture, out)
         if explain:
-            for what, why in left_out(shots, engine, config):
+            for what, why in left_out(FitTask(shots, engine, config)):
                 say(f"left out: {what} ({why})")
             return 0
         earlier = next((p for p in (result_folder.partial_folder(out) / result_folder.CHECKPOINT, out / result_folder.CHECKPOINT) if p.is_file()), None)
@@ -117,15 +116,17 @@ def fit_command(method: str) -> Callable:
         return 0
 
     # One flat set of options, those of the method; --fix may be repeated.
-    fit.__annotations__["config"] = UseAppendAction[OmitArgPrefixes[CONFIGS[method]]]
+    fit.__annotations__["config"] = UseAppendAction[OmitArgPrefixes[METHODS[method].config]]
+    fit.__annotations__["method"] = Annotated[Literal[tuple(METHODS)], arg(  # type: ignore[valid-type]
+        help="How to fit; `fit --method gan --help` shows that method's own options.")]
     return fit
 
 
 def method_named(arguments: list[str]) -> str:
-    method = next(iter(CONFIGS))
+    method = next(iter(METHODS))
     for here, after in zip(arguments, [*arguments[1:], ""]):
         name = after if here == "--method" else here.removeprefix("--method=") if here.startswith("--method=") else None
-        method = name if name in CONFIGS else method
+        method = name if name in METHODS else method
     return method  # the last one counts, as for every option
 
 

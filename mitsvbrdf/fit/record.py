@@ -18,7 +18,7 @@ from ..render import Renderer, RendererName, make_renderer
 from ..system.provenance import machine, versions
 from ..views import Falloff, Views
 from .confidence import confidence
-from .config import METHODS
+from .methods import method_name
 from .result import FitResult
 
 NUMBER = (int, float)
@@ -173,7 +173,7 @@ def fit_record(result: FitResult, capture: Capture, command: dict) -> dict:
     offset = result.flash_offset
     return {
         "schema_version": SCHEMA_VERSION,
-        "method": METHODS[type(result.config).__name__],
+        "method": method_name(result.config),
         "renderer": result.renderer, "variant": result.variant, "bsdf": result.svbrdf.bsdf,
         "rerender_rmse": result.rerender_rmse,
         "per_photo": dict(zip(capture.names, result.per_photo)),
