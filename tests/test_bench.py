@@ -95,7 +95,7 @@ def test_peers_baseline_is_plain_adam_on_clamped_gamma_values():
 
 def test_peers_baseline_goes_on_bit_by_bit_and_stays_in_range():
     capture = photograph(make_material("tiles", 8), nine_view_grid(), ANALYTIC)
-    method = PeersBaseline(FitTask(capture, ANALYTIC, PeersConfig(learning_rate=0.7)))  # large steps: every bound is met
+    method = PeersBaseline(FitTask(capture, ANALYTIC, PeersConfig(learning_rate=0.7)))  # meets every bound
     for _ in range(5):
         method.step(0.0)
     state = method.state()

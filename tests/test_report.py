@@ -20,7 +20,7 @@ from mitsvbrdf import cli
 from mitsvbrdf.capture import read_capture, write_capture
 from mitsvbrdf.errors import OutputError
 from mitsvbrdf.fit import DirectConfig, fit_svbrdf
-from mitsvbrdf.fit.record import fit_of, read_fit
+from mitsvbrdf.fit.record import read_fit, read_whole_fit
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import load_maps, save_maps
 from mitsvbrdf.material.maps import SVBRDF
@@ -145,7 +145,7 @@ def test_fit_writes_the_page_with_photos_left_out_as_evaluate_finds_them(fitted,
 def test_the_quick_check_is_the_error_of_the_fits_renderer(fitted):
     record, svbrdf = json.loads((fitted / "report.json").read_text()), load_maps(fitted)
     check = record["crosscheck"]
-    views = fit_of(fitted).views.pick([0, 1])
+    views = read_fit(fitted).views.pick([0, 1])
     exact, found = ({}, {})
     for into, name, dtype in ((exact, "analytic64", torch.float64), (found, "analytic", torch.float32)):
         maps = {n: t.to(dtype).clone().requires_grad_() for n, t in svbrdf.maps.items()}
@@ -567,7 +567,7 @@ def test_formats_page_names_every_field(measured):
 
 
 def test_read_fit_gives_what_the_files_say(fitted):
-    found = read_fit(fitted)
+    found = read_whole_fit(fitted)
     assert found.names == ["00", "01", "03"] and found.svbrdf.resolution == SIDE and found.renderer().name == "analytic"
 
 

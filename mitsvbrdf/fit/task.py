@@ -16,7 +16,7 @@ from . import losses
 from .config import FitConfig
 from .fixed_maps import fixed_maps
 
-Config = TypeVar("Config", bound=FitConfig, covariant=True)
+Config = TypeVar("Config", bound=FitConfig)
 Refined = Literal["never", "unless exact", "always"]
 
 

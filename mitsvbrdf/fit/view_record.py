@@ -28,7 +28,8 @@ def views_record(capture: Capture, views: Views, estimated: EstimatedViews | Non
         estimated: how the former were estimated from the photos; None where they were stated.
         refined: standard deviations N x 7 of the changes since (:data:`mitsvbrdf.calibrate.refine.UNKNOWNS`); None for none.
         flash: standard deviations (x, y) of the flash offset that all photos share; None where it was not fitted.
-        light_power_factor: by what the maps changed the light power (:mod:`mitsvbrdf.fit.light_power`); None where they do not tell it.
+        light_power_factor: by what the maps changed the light power (:mod:`mitsvbrdf.fit.light_power`); None where they do not
+            tell it.
 
     Returns:
         ``from`` (the kind of calibration), ``estimated`` and ``refined`` (whether), by photo name ``camera``, ``camera_sd`` and

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import threading
@@ -11,10 +10,12 @@ from pathlib import Path
 
 from ...errors import OutputError
 from ...fit.checkpoint import load_tensors
+from ...fit.record import FILE as FIT
+from ...fit.record import record_in
 from ...material.maps import CHANNELS, TITLES, shown_map
 from ...system import images, result_folder
 
-FIT, REPORT, SHEET = "fit.json", "report.html", "sheet.png"
+REPORT, SHEET = "report.html", "sheet.png"
 ENDED = {"settled": "settled: going on would change little", "budget": "out of seconds", "iterations": "all iterations done",
          "interrupted": "interrupted by Ctrl-C", "unstable": "too many steps had to be undone"}
 
@@ -129,7 +130,7 @@ class Watch:
         version = _version(self.out / FIT)
         if version and not (self.result and self.result.version == version):
             try:
-                record = json.loads((self.out / FIT).read_text())
+                record = record_in(self.out)
                 note = {key: record[key] for key in ("method", "renderer", "bsdf", "stopped", "trace", "warnings", "seconds")}
                 note |= {"run": None, "capture": record["capture"]["name"], "resolution": record["capture"]["resolution"],
                          "iteration": record["iterations"], "share": 1.0, "latest": None}
