@@ -94,11 +94,11 @@ def check_photos(found: SavedFit, capture: Capture) -> None:
         raise CaptureError(f"a capture {'without' if capture.calibrated else 'with'} calibration, as that of this fit",
                            f"{capture.source}, which has {'one' if capture.calibrated else 'none'}",
                            "give the capture that was fitted")
-    images = torch.stack([images.read_image(found.path / "rerendered" / f"{name}.exr", MapsError) for name in found.names])
-    if images.shape != capture.photos.shape:
-        raise CaptureError(f"photos of {images.shape[1]} px", f"{capture.resolution} px in {capture.source}",
+    rendered = torch.stack([images.read_image(found.path / "rerendered" / f"{name}.exr", MapsError) for name in found.names])
+    if rendered.shape != capture.photos.shape:
+        raise CaptureError(f"photos of {rendered.shape[1]} px", f"{capture.resolution} px in {capture.source}",
                            "give the capture that was fitted")
-    errors = photo_rmse(images, capture.photos, found.record["capture"]["transfer"])[1]
+    errors = photo_rmse(rendered, capture.photos, found.record["capture"]["transfer"])[1]
     for name, error in zip(found.names, errors):
         if abs(error - found.record["per_photo"][name]) > SAME_PHOTO:
             raise CaptureError("the photos of this fit", f"{capture.source}, whose photo {name} is another (error {error:.4f} "
