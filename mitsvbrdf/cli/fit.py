@@ -80,7 +80,8 @@ def fit_command(method: str) -> Callable:
             for what, why in left_out(FitTask(shots, engine, config)):
                 say(f"left out: {what} ({why})")
             return 0
-        earlier = next((p for p in (result_folder.partial_folder(out) / result_folder.CHECKPOINT, out / result_folder.CHECKPOINT) if p.is_file()), None)
+        kept = (folder / result_folder.CHECKPOINT for folder in (result_folder.partial_folder(out), out))
+        earlier = next((path for path in kept if path.is_file()), None)
         if resume and earlier is None:
             raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
         before = load_tensors(earlier)[1].get("iteration") if resume else None

@@ -3,7 +3,7 @@
 What the photos say about one texel alone, in the model of the fit (Gauss-Newton, as in any nonlinear least squares): with
 J the derivative of its display values in all photos by its unknowns, s the noise, and a weak prior of standard deviation
 p, the covariance is (J^T J / s^2 + 1 / p^2)^-1. Neighbours, priors and networks, which share evidence between texels, do not
-count; nor does what is wrong for all photos alike, such as the power of the light.
+count; nor does what is wrong for all photos alike, such as the light power.
 
 All numbers are those in which map errors are counted (docs/conventions.md): diffuse and specular as linear^(1/2.2), roughness
 and metallic as they are, normals as (n + 1) / 2. Each has a range of 1, and the prior is that range: p = 1 / sqrt(12), the

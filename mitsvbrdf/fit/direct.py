@@ -46,7 +46,7 @@ class Direct(Method):
                 terms["smooth"] = losses.total_variation(svbrdf, self.edges, self.fixed)
             if "flat" not in self.unused:
                 terms["flat"] = losses.tilt(svbrdf)
-            total = sum(self.config.weights[name] * value for name, value in terms.items())
+            total = losses.weighted(terms, self.config.weights)
         with profiled("losses, backward"):
             gradient = descend(total, self.optimizer)
         return {name: float(value.detach()) for name, value in terms.items()} | {"gradient": gradient}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import operator
 from collections.abc import Collection, Mapping
 
 import torch
@@ -34,6 +36,11 @@ def unused(weights: Mapping[str, float], bsdf: Bsdf, fixed: Collection[str]) -> 
         elif about and set(about) <= set(fixed):
             reasons[name] = f"{' and '.join(about)} held fixed"
     return reasons
+
+
+def weighted(terms: Mapping[str, Tensor], weights: Mapping[str, float]) -> Tensor:
+    """The sum of losses, each times its weight."""
+    return functools.reduce(operator.add, (weights[name] * value for name, value in terms.items()))
 
 
 def photometric(rendered: Tensor, photos: Tensor, transfer: color.Transfer) -> Tensor:

@@ -19,7 +19,7 @@ FROM = {"given": "The views are those of the capture's calibration", "sheet": "T
 
 
 def views_record(capture: Capture, views: Views, estimated: EstimatedViews | None, refined: Tensor | None,
-           flash: Tensor | None, light_power_factor: float | None = None) -> dict:
+                 flash: Tensor | None, light_power_factor: float | None = None) -> dict:
     """What a fit knows of its views and how surely, lengths in patch sides, for ``fit.json``.
 
     Args:

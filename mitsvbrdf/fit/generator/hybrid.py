@@ -7,6 +7,7 @@ repeats and what has structure before it fits noise (Ulyanov et al. 2018, deep i
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
@@ -83,13 +84,14 @@ class Hybrid(Method):
                 switch_at("discriminator, backward", loss)
             return loss
 
-        terms = {"photometric": lambda: losses.photometric(rendered, self.capture.photos, self.capture.transfer),
-                 "diffuse": lambda: losses.diffuse(svbrdf, self.guess),
-                 "smooth": lambda: losses.total_variation(svbrdf, self.edges, self.fixed),
-                 "flat": lambda: losses.tilt(svbrdf), "adversarial": adversarial}
+        own: dict[str, Callable[[], Tensor]] = {
+            "photometric": lambda: losses.photometric(rendered, self.capture.photos, self.capture.transfer),
+            "diffuse": lambda: losses.diffuse(svbrdf, self.guess),
+            "smooth": lambda: losses.total_variation(svbrdf, self.edges, self.fixed),
+            "flat": lambda: losses.tilt(svbrdf), "adversarial": adversarial}
         with profiled("losses"):
-            terms = {name: term() for name, term in terms.items() if name not in self.unused}
-            total = sum(self.config.weights[name] * value for name, value in terms.items())
+            terms = {name: loss() for name, loss in own.items() if name not in self.unused}
+            total = losses.weighted(terms, self.config.weights)
         with profiled("losses, backward"):
             logged["gradient"] = descend(total, self.optimizer)
         return {name: float(value.detach()) for name, value in terms.items()} | logged
