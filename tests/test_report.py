@@ -218,7 +218,7 @@ def test_all_renderers_are_checked_and_what_was_saved_is_timed(measured):
 
 def test_of_many_photos_some_views_are_checked(monkeypatch):
     # Memory grows with texels and views; nothing is measured worse with 25 of them.
-    monkeypatch.setattr("mitsvbrdf.evaluate.fit_report._available", lambda *_: [])
+    monkeypatch.setattr("mitsvbrdf.report.checks._available", lambda *_: [])
     names = [f"{k:02d}" for k in range(60)]
     for count, quick, chosen in ((60, False, names[::3]), (25, False, names[:25]), (60, True, names[:2])):
         record = fit_report(make_material("tiles", 8), nine_view_grid().pick([k % 9 for k in range(count)]), ANALYTIC,
