@@ -159,6 +159,7 @@ def svbrdf_html(svbrdf: SVBRDF) -> str:
 
 
 def maps_html(svbrdf: SVBRDF) -> list[Picture]:
+    """Each map as a captioned picture, for notebooks."""
     found = []
     for name in CHANNELS[svbrdf.bsdf]:
         value = svbrdf[name].detach()
