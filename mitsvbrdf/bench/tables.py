@@ -1,9 +1,13 @@
-"""Tables of a benchmark: errors at equal time, times at equal error, each value beside the best of its row."""
+"""The tables of a benchmark as text, for the terminal and for the page; they print what the record and its summary hold.
+
+Of fits: errors at equal time, times to an equal error, each material and each map at the longest budget, ingredients taken
+away. Of renderers: seconds and errors by size. Of captures: what a phone's photos come to against the truth.
+"""
 
 from __future__ import annotations
 
 import statistics
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from ..pages.page import figure
@@ -108,7 +112,7 @@ def each_one(record: Mapping, kind: str, error: str, title: str) -> Table | None
         values.append([_value(found.get(m)) for m in methods] + [given.get(who, {}).get(error) for who in whose])
     if not rows:
         return None
-    return Table(f"{title}, {longest:g} s, each {'material' if kind == 'material' else 'capture'}",
+    return Table(f"{title}, {longest:g} s, each {kind}",
                  ["", *(f"`{m}`" for m in methods), *(f"{who}, published" for who in whose)], _best_in_row(rows, values))
 
 
@@ -135,7 +139,7 @@ def renderer_tables(record: Mapping) -> list[Table]:
     names = list(dict.fromkeys(row["renderer"] for r in texels for row in r["rows"]))
     heads = ["", *(f"`{name}`" for name in names)]
 
-    def rows(cell, best: str | None) -> list[list[str]]:
+    def rows(cell: Callable[[Mapping], str], best: str | None) -> list[list[str]]:
         made, values = [], []
         for r in texels:
             by_name = {row["renderer"]: row for row in r["rows"]}
@@ -173,8 +177,7 @@ def ablation_tables(record: Mapping) -> list[Table]:
         if rows:
             tables.append(Table(f"{title}, {count_of(kind, fits)}", ["", *(f"{budget:g} s" for budget in times)], rows,
                                 f"Behind the error: median difference to `{methods.FULL}` over pairs of the same "
-                                f"{'material' if kind == 'material' else 'capture'} and seed, quartiles in brackets; above 0 "
-                                "the ingredient helps."))
+                                f"{kind} and seed, quartiles in brackets; above 0 the ingredient helps."))
     return tables
 
 
@@ -213,6 +216,7 @@ def _counted(value: float | None, how: str) -> str:
 
 
 def judged(record: Mapping, suite: str) -> Iterator[tuple[str, str, str, list[Mapping]]]:
+    """Kind, error, its title and the fits, for each error that the fits of a suite are judged by."""
     for kind, errors in ERRORS.items():
         fits = summary.of(record["records"], suite, kind)
         for error, title in errors.items():
@@ -221,6 +225,7 @@ def judged(record: Mapping, suite: str) -> Iterator[tuple[str, str, str, list[Ma
 
 
 def at_time(points: Sequence[Point], budget: float) -> Point | None:
+    """The point of one budget."""
     return next((p for p in points if p.budget == budget), None)
 
 
@@ -275,9 +280,9 @@ def _method(name: str, fits: Sequence[Mapping]) -> str:
 
 
 def count_of(kind: str, fits: Sequence[Mapping]) -> str:
+    """Whose error it is: the only material's or capture's, or the mean over how many."""
     names = summary.names(fits)
-    what = {"material": "known material", "capture": "real capture"}[kind]
-    return names[0] if len(names) == 1 else f"mean of {len(names)} {what}s"
+    return names[0] if len(names) == 1 else f"mean of {len(names)} {summary.KINDS[kind]}s"
 
 
 def _spread_note(fits: Sequence[Mapping]) -> str:

@@ -12,7 +12,8 @@ import torch
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from torch import Tensor
 
-from ..pages.canvas import ACCENT, BACK, GAP, LABEL, MARGIN, QUIET, TEXT, WIDTH, Canvas
+from ..pages.canvas import LABEL_HEIGHT, PICTURE_GAP, SHEET_MARGIN, SHEET_WIDTH, Canvas
+from ..pages.colours import SHEET_ACCENT, SHEET_BACK, SHEET_QUIET, SHEET_TEXT
 from ..pages.page import write_page
 from ..pages.pictures import at_most, picture_uri, png_uri
 from ..system import files
@@ -41,7 +42,7 @@ def write_quality(result: CaptureResult, folder: str | Path) -> None:
     _contact_sheet(folder / "contact.jpg", result, record, left_out)
     pictures = {name: picture_uri(at_most(photo, THUMBNAIL), 0) for name, photo in
                 [*zip(result.used, result.capture.photos), *((n, p) for n, p in left_out.items() if p is not None)]}
-    write_page(folder / "quality.html", "capture.html", title=f"Capture: {_name(result)}", record=record, pictures=pictures,
+    write_page(folder / "quality.html", "capture/page.html", title=f"Capture: {_name(result)}", record=record, pictures=pictures,
                coverage=png_uri(_coverage_picture(result.coverage)), plan=_plan(result))
 
 
@@ -104,29 +105,30 @@ def _plan(result: CaptureResult) -> dict:
 
 def _contact_sheet(path: Path, result: CaptureResult, record: dict, left_out: dict[str, Tensor | None]) -> None:
     """Rectified photos with their numbers and a dot below each camera, then the left-out ones with the reason."""
-    large = (WIDTH - 2 * MARGIN - (A_ROW - 1) * GAP) // A_ROW
-    small = (WIDTH - 2 * MARGIN - (SMALL_A_ROW - 1) * GAP) // SMALL_A_ROW
+    large = (SHEET_WIDTH - 2 * SHEET_MARGIN - (A_ROW - 1) * PICTURE_GAP) // A_ROW
+    small = (SHEET_WIDTH - 2 * SHEET_MARGIN - (SMALL_A_ROW - 1) * PICTURE_GAP) // SMALL_A_ROW
     header, reason_height = 96, 112
     rows, small_rows = -(-len(result.used) // A_ROW), -(-len(left_out) // SMALL_A_ROW)
-    below = header + rows * (large + LABEL)
-    sheet = Canvas(below + 10 + (LABEL if left_out else 0) + small_rows * (small + reason_height))
-    sheet.text(MARGIN, 52, _name(result), 22, TEXT, weight="bold")
-    used = f"{len(result.used)} of {len(result.photos)} photos used"
-    sheet.text(WIDTH - MARGIN, 52, used, 16, ACCENT, weight="bold", ha="right")
+    below = header + rows * (large + LABEL_HEIGHT)
+    sheet = Canvas(below + 10 + (LABEL_HEIGHT if left_out else 0) + small_rows * (small + reason_height))
+    sheet.text(SHEET_MARGIN, 52, _name(result), 22, SHEET_TEXT, weight="bold")
+    sheet.text(SHEET_WIDTH - SHEET_MARGIN, 52, f"{len(result.used)} of {len(result.photos)} photos used", 16, SHEET_ACCENT,
+               weight="bold", ha="right")
     patch = f"patch of {result.rig.size:.3g} cm; " if result.rig.unit == "cm" else ""
-    sheet.text(MARGIN, 82, f"{patch}a dot is below where the camera stood", 11, QUIET)
+    sheet.text(SHEET_MARGIN, 82, f"{patch}a dot is below where the camera stood", 11, SHEET_QUIET)
     for i, (name, photo) in enumerate(zip(result.used, result.capture.photos)):
-        x, y = MARGIN + i % A_ROW * (large + GAP), header + i // A_ROW * (large + LABEL)
+        x, y = SHEET_MARGIN + i % A_ROW * (large + PICTURE_GAP), header + i // A_ROW * (large + LABEL_HEIGHT)
         sheet.image(x, y, large, at_most(photo, 512))
         at = np.asarray(result.rig.poses[name].position) / result.rig.size
         right, down = (int(large * np.clip(0.5 + way, 0.03, 0.97)) for way in (at[0], -at[1]))
-        for points, colour in ((18, BACK), (13, ACCENT)):
+        for points, colour in ((18, SHEET_BACK), (13, SHEET_ACCENT)):
             sheet.text(x + right, y + down, "●", points, colour, ha="center", va="center")
-        sheet.text(x, y + large + 20, f"{i:02d}  {name}", 10, TEXT)
+        sheet.text(x, y + large + 20, f"{i:02d}  {name}", 10, SHEET_TEXT)
     if left_out:
-        sheet.text(MARGIN, below + 22, "Left out", 12, TEXT)
+        sheet.text(SHEET_MARGIN, below + 22, "Left out", 12, SHEET_TEXT)
     for i, (name, photo) in enumerate(left_out.items()):
-        x, y = MARGIN + i % SMALL_A_ROW * (small + GAP), below + LABEL + i // SMALL_A_ROW * (small + reason_height)
+        x = SHEET_MARGIN + i % SMALL_A_ROW * (small + PICTURE_GAP)
+        y = below + LABEL_HEIGHT + i // SMALL_A_ROW * (small + reason_height)
         if photo is not None:
             side = max(photo.shape[:2])
             framed = torch.full((side, side, 3), 0.1)
@@ -135,7 +137,7 @@ def _contact_sheet(path: Path, result: CaptureResult, record: dict, left_out: di
             sheet.image(x, y, small, framed)
         reason = textwrap.wrap(result.rig.left_out[name], 30, max_lines=5, placeholder=" …")
         for n, line in enumerate([name, *reason]):
-            sheet.text(x, y + small + 16 + 16 * n, line, 8, QUIET if n else TEXT)
+            sheet.text(x, y + small + 16 + 16 * n, line, 8, SHEET_QUIET if n else SHEET_TEXT)
     data = io.BytesIO()
     FigureCanvasAgg(sheet.figure).print_jpg(data, pil_kwargs={"quality": 88})
     files.write_bytes(path, data.getvalue())

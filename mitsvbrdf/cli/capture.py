@@ -18,7 +18,7 @@ from .options import Out, Overwrite
 if TYPE_CHECKING:
     from ..capture.make import CaptureResult
 
-PAPER = 0.01  # cm
+PAPER_THICKNESS = 0.01  # cm
 
 
 def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A folder of raw photos: jpg, png, heic, dng, ...")],
@@ -26,7 +26,7 @@ def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A fo
             sheet: Annotated[float | None, arg(metavar="CM", help="A printed sheet of tags lies around the material: its "
                                                "measured size, over the outer edges of the tags.")] = None,
             depth: Annotated[float, arg(metavar="CM", help="How far the sheet lies above the material; left out: the paper's "
-                                                           "own thickness.")] = PAPER,
+                                                           "own thickness.")] = PAPER_THICKNESS,
             transfer: Annotated[Literal["auto", "srgb", "gamma2.2", "linear"],
                                 arg(help="How photos encode light; auto: linear for RAW files, else srgb.")] = "auto",
             resolution: Annotated[int, arg(help="Side of the rectified photos; never more than the photos show.")] = 1024,
@@ -50,7 +50,7 @@ def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A fo
 
     if os.path.realpath(photos) in (os.path.realpath(out), os.path.realpath(out / "target")):
         raise ConfigError("an output folder of its own", f"{out}, which holds the photos", "choose another folder")
-    if sheet is None and depth != PAPER:
+    if sheet is None and depth != PAPER_THICKNESS:
         raise ConfigError("--sheet CM beside --depth", f"--depth {depth:g} alone", "add --sheet, or leave --depth out")
     if (photos / "capture.json").is_file():
         raise ConfigError("a folder of raw photos", f"{photos}, which is a capture already", f"mitsvbrdf fit {photos} -o OUT")

@@ -6,7 +6,7 @@ plugins that shade them; :data:`CHANNELS` lists their maps.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -25,7 +25,7 @@ TITLES = {"diffuse": "Diffuse", "specular": "Specular", "roughness": "Roughness"
 
 Bsdf = Literal["roughconductor", "principled"]
 
-CHANNELS: dict[str, dict[str, int]] = {
+CHANNELS: dict[Bsdf, dict[str, int]] = {
     "roughconductor": {"diffuse": 3, "specular": 3, "roughness": 1, "normal": 3},
     "principled": {"base_color": 3, "metallic": 1, "roughness": 1, "normal": 3},
 }
@@ -77,7 +77,7 @@ class SVBRDF:
         """Texels along a side."""
         return self.maps["normal"].shape[0]
 
-    def map(self, function) -> SVBRDF:
+    def map(self, function: Callable[[Tensor], Tensor]) -> SVBRDF:
         """The same material with ``function`` applied to each map tensor."""
         return SVBRDF(self.bsdf, {name: function(value) for name, value in self.maps.items()})
 
@@ -159,7 +159,7 @@ def svbrdf_html(svbrdf: SVBRDF) -> str:
 
 
 def maps_html(svbrdf: SVBRDF) -> list[Picture]:
-    """Each map as a captioned picture, for notebooks."""
+    """The maps with their ranges, for a page in a notebook."""
     found = []
     for name in CHANNELS[svbrdf.bsdf]:
         value = svbrdf[name].detach()

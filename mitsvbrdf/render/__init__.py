@@ -4,7 +4,7 @@
 ``analytic``              torch, float32; the readable twin
 ``analytic64``            the same in float64: the truth the others are held against
 ``mitsuba``               Mitsuba's BSDF plugins evaluated at the texels: no rays, no texture look-ups
-``mitsuba-scene``         the traced Mitsuba scene: rectangle, point light, shifted perspective camera
+``mitsuba-scene``         the traced Mitsuba scene: rectangle, point light, the camera of a rectified photo
 ========================  ==========================================================================
 """
 
@@ -26,8 +26,15 @@ RendererName = Literal["mitsuba", "mitsuba-scene", "analytic", "analytic64"]
 class Renderer(Protocol):
     """What every renderer offers."""
 
-    name: str
-    variant: str | None
+    @property
+    def name(self) -> str:
+        """What a user calls it."""
+        ...
+
+    @property
+    def variant(self) -> str | None:
+        """The Mitsuba variant it runs in; None where there is none."""
+        ...
 
     def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
         """Linear radiance of the patch as each view sees it, rectified: N x R x R x 3, row 0 at the top.
@@ -38,7 +45,7 @@ class Renderer(Protocol):
         ...
 
 
-def make_renderer(name: RendererName = "mitsuba", variant: str = "llvm_ad_rgb", needs: Needs | None = None) -> Renderer:
+def make_renderer(name: str = "mitsuba", variant: str = "llvm_ad_rgb", needs: Needs | None = None) -> Renderer:
     """A renderer by name; Mitsuba is loaded only for the two that need it.
 
     Args:

@@ -15,7 +15,7 @@ from .needs import Needs
 
 MIN_ALPHA_PRINCIPLED = 0.001  # Mitsuba's `principled` never goes below; its gradient in roughness is 0 there
 
-FRESNEL = "exact_fresnel"  # the plugin of rectified.py that stands for roughconductor's own reflectance
+FRESNEL = "exact_fresnel"  # the plugin of plugins.py that stands for roughconductor's own reflectance
 
 BELOW_ONE = 2.0**-24  # from 1 to the next float32 below
 
@@ -110,7 +110,7 @@ def plugin(bsdf: str, needs: Needs, texture: Callable[[str], Any], stock: bool =
 
 
 def _lobes(needs: Needs, texture: Callable[[str], Any], stock: bool) -> dict:
-    diffuse = {"type": "diffuse", "reflectance": texture(f"diffuse_x{needs.lobes}")} if needs.diffuse_lobe else None
+    diffuse = {"type": "diffuse", "reflectance": texture(f"diffuse_x{needs.lobes}")} if needs.diffuse_lobe else {}
     if not needs.specular_lobe:
         return diffuse
     lobe = {"type": "roughconductor", "distribution": "ggx", "alpha": texture("alpha")}  # the default is Beckmann

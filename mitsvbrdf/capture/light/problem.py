@@ -77,7 +77,7 @@ class Problem:
         return ((angle - MIRROR[0]) / (MIRROR[1] - MIRROR[0])).clip(LEAST_WEIGHT, 1)
 
     def lobe(self, unknowns: Array) -> Array | float:
-        """pi F0 D / 4 of GGX at each point, in units of the albedo over pi; shadowing left out, normals flat."""
+        """Pi F0 D / 4 of GGX at each point, in units of the albedo over pi; shadowing left out, normals flat."""
         if not self.samples.glossy:
             return 0.0
         u, half2 = self.layout.unpack(unknowns), self.half2(unknowns)
@@ -86,7 +86,8 @@ class Problem:
 
     def explain(self, unknowns: Array, weights: Array) -> tuple[Array, Array, Array]:
         """Logarithm of albedo / pi of each texel for an intensity of 1, what suits its points best (Gauss-Newton); the
-        logarithm of what the lobe multiplies each point by; and the error that is left."""
+        logarithm of what the lobe multiplies each point by; and the error that is left.
+        """
         texel, apparent, lobe = self.samples.texel, self.samples.log - self.model(unknowns), self.lobe(unknowns)
         albedo = self.start
         for _ in range(ALBEDO_STEPS if self.samples.glossy else 1):

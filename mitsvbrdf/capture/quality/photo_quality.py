@@ -22,7 +22,6 @@ from ...material.resample import resized
 from ...views import Views, texel_positions
 
 RADIANCE_SIDE, DETAIL_SIDE = 32, 512  # texels a side at which radiance is compared, and at most at which detail is
-# half of it: 0.28 to 0.52, and where its colour is that of the material 0.35 to 0.39
 COLOUR, DARKER = 0.3, 1.4  # of a texel that is unlike the others: sum of differences of chromaticity, log of radiance
 AGREE, DISAGREE = 0.5, 0.3  # correlation of a texel's detail with the median photo's: of the photos in the median; of this one
 SLIGHT_COLOUR, SLIGHT = 0.1, 0.3  # and by how much the texel must be of another colour or brightness besides
@@ -130,7 +129,8 @@ def _sharpness(luminance: np.ndarray, plain: np.ndarray) -> np.ndarray:
 
 def _agreement(luminance: np.ndarray) -> np.ndarray:
     """How the detail of the logarithm of N x S x S display values correlates with the median photo's, N x T x T
-    with T of at most :data:`RADIANCE_SIDE`."""
+    with T of at most :data:`RADIANCE_SIDE`.
+    """
     logs = [np.log(np.maximum(image, 0.02)) for image in luminance]
     band = np.stack([cv2.GaussianBlur(image, (0, 0), 1.5) - cv2.GaussianBlur(image, (0, 0), 8) for image in logs])
     usual = np.median(band, axis=0)

@@ -1,0 +1,95 @@
+"""The sheet and the error curve: whole files or none, of the stated size, showing what they were given."""
+
+import xml.etree.ElementTree as ElementTree
+
+import pytest
+import torch
+
+from mitsvbrdf import color
+from mitsvbrdf.errors import CaptureError, OutputError
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.maps import flat
+from mitsvbrdf.pages.canvas import HEADER_HEIGHT as HEADER
+from mitsvbrdf.pages.canvas import LABEL_HEIGHT as LABEL
+from mitsvbrdf.pages.canvas import PICTURE_GAP as GAP
+from mitsvbrdf.pages.canvas import SHEET_MARGIN as MARGIN
+from mitsvbrdf.report.sheet import loss_curve, write_sheet
+from mitsvbrdf.system import images
+
+
+def sheet(path, svbrdf, count=9, **options):
+    photos = torch.rand(count, 16, 16, 3, generator=torch.Generator().manual_seed(0))
+    write_sheet(path, svbrdf, photos, photos.flip(0), rmse=0.1234, per_photo=[0.1] * count, **options)
+    return images.read_image(path, CaptureError)
+
+
+@pytest.mark.parametrize("count", [1, 4, 9, 12])
+def test_the_sheet_is_an_image_of_the_stated_width(tmp_path, count):
+    image = sheet(tmp_path / "new" / "sheet.png", make_material("tiles", 32), count)
+    assert image.shape[1:] == (1680, 3) and 800 < image.shape[0] < 1700
+    assert [p.name for p in (tmp_path / "new").iterdir()] == ["sheet.png"]
+
+
+def test_maps_are_shown_for_display(tmp_path):
+    # Four maps of 397 pixels, the last one a normal that points up.
+    image = sheet(tmp_path / "a.png", flat(8, diffuse=0.2, specular=0.04, roughness=0.7))
+    at = [image[HEADER + LABEL + 200, MARGIN + i * (397 + GAP) + 200] for i in range(4)]
+    wanted = [color.to_display(torch.full((3,), v), "srgb") for v in (0.2, 0.04)] + [torch.full((3,), 0.7),
+                                                                                    torch.tensor([0.5, 0.5, 1.0])]
+    for got, want in zip(at, wanted, strict=True):
+        assert (got - want).abs().max() <= 1.01 / 255  # one 8-bit step: matplotlib cuts where we round
+
+
+def test_a_principled_material_with_guess_and_names(tmp_path):
+    guess = torch.full((8, 8, 3), 0.5)
+    image = sheet(tmp_path / "a.png", flat(8, "principled", metallic=1.0), 2, guess=guess, names=["00", "07"],
+                  title="50 $ of $x^2$", note="hybrid, 12 s")
+    # Five maps of 316 pixels: metallic is the second, the guess the last.
+    assert image[HEADER + LABEL + 150, MARGIN + 316 + GAP + 150].min() == 1
+    assert image[HEADER + LABEL + 150, -MARGIN - 150].mean() == pytest.approx(0.735, abs=0.005)
+
+
+def test_numbers_that_do_not_belong_together_are_refused(tmp_path):
+    photos = torch.zeros(3, 4, 4, 3)
+    for again, errors, names in ((photos[:2], [0.1] * 3, None), (photos, [0.1] * 2, None), (photos, [0.1] * 3, ["00"])):
+        with pytest.raises(CaptureError, match="for each photo"):
+            write_sheet(tmp_path / "a.png", flat(4), photos, again, rmse=0.1, per_photo=errors, names=names)
+    assert not list(tmp_path.iterdir())
+
+
+def trace():
+    rows = [{"seconds": 0.0, "iteration": 0, "rerender_rmse": 0.3}]
+    return rows + [{"seconds": 0.5 * i, "iteration": 10 * i, "photo": 0.1 / i, "adversarial": 0.5 - i,
+                    "rerender_rmse": 0.2 / i} for i in range(1, 20)]
+
+
+def test_the_curve_is_an_svg_with_readable_text(tmp_path):
+    loss_curve(tmp_path / "a.svg", trace())
+    assert ElementTree.parse(tmp_path / "a.svg").getroot().tag.endswith("svg")
+    text = (tmp_path / "a.svg").read_text()
+    assert all(f">{label}<" in text for label in ("Re-rendering RMSE", "photo", "adversarial", "seconds"))
+
+
+def test_the_same_trace_gives_the_same_curve(tmp_path):
+    for name in ("a.svg", "b.svg"):
+        loss_curve(tmp_path / name, trace())
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+
+
+@pytest.mark.parametrize("rows", [0, 1, 2])
+def test_short_traces_make_a_curve_too(tmp_path, rows):
+    loss_curve(tmp_path / "a.svg", trace()[:rows])
+    assert ElementTree.parse(tmp_path / "a.svg").getroot() is not None
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.svg"])
+def test_a_failing_write_leaves_the_old_file_alone(tmp_path, monkeypatch, name):
+    (tmp_path / name).write_bytes(b"old")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.replace", full)
+    with pytest.raises(OutputError, match="No space left"):
+        sheet(tmp_path / name, flat(4)) if name == "a.png" else loss_curve(tmp_path / name, trace())
+    assert [p.name for p in tmp_path.iterdir()] == [name] and (tmp_path / name).read_bytes() == b"old"
