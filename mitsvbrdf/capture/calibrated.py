@@ -1,4 +1,8 @@
-"""Captures with a stated calibration: capture.json of svbrdf-diff-renderer, and MaterialGAN's text files."""
+"""Captures whose files state a calibration.
+
+:func:`from_json` reads ``capture.json`` (svbrdf-diff-renderer's, with our keys besides), :func:`from_text` the text files of
+MaterialGAN. Both check what they read, photo by photo and number by number, before a :class:`Capture` is made.
+"""
 
 from __future__ import annotations
 
@@ -19,6 +23,11 @@ PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 def from_json(path: Path, falloff: Falloff) -> Capture:
+    """The capture of a ``capture.json``; without ``camera_pos`` its views are the default geometry.
+
+    Raises:
+        CaptureError: naming what is missing or wrong.
+    """
     try:
         stated = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as reason:
@@ -82,6 +91,11 @@ def _assumed(stated: dict, path: Path, rows: int) -> dict:
 
 
 def from_text(folder: Path, falloff: Falloff) -> Capture:
+    """The capture of MaterialGAN's text files beside its photos.
+
+    Raises:
+        CaptureError: naming what is missing or wrong.
+    """
     photos = _numbered(folder)
     camera = _rows(_table(folder / "camera_pos.txt"), str(folder / "camera_pos.txt"))
     _same_count(str(folder / "camera_pos.txt"), len(camera), len(photos))

@@ -53,6 +53,7 @@ class Photo:
 
     @property
     def name(self) -> str:
+        """Name of the file."""
         return self.path.name
 
     @property

@@ -1,4 +1,4 @@
-"""Photos rectified to the frontal view of the patch."""
+"""Photos rectified to the frontal view of the patch, their vignetting undone, and what lies beyond their edges filled in."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the geometry of a set of raw photos is, however it was found, and photos rectified by it."""
+"""The rig: one lens, and where it stood in each photo, however that was found; and its JSON."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Maps in files: read and written."""
+"""Maps in files: folders of EXR, PNG or JPEG images, one a map, with their encodings in ``material.json``.
+
+:func:`load_maps` reads our own folders and those of the field; :func:`save_maps` writes ours.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""What made materials are painted with: noise, cell borders, bevels."""
+"""The brushes of made materials: fractal noise, cell borders, bevels and masks on R x R grids, and layers of them.
+
+Coordinates are patch sides around the centre; a :class:`Paint` becomes maps by :func:`painted`.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Photos of a simulated phone, and what spoils them."""
+"""Photos of a simulated phone, developed: metered, vignetted, noisy, 8 bits; some of them spoiled on purpose.
+
+:func:`handheld_photos` takes them one at a time with the truth about them; both are written beside each other for tests.
+"""
 
 from __future__ import annotations
 

@@ -91,6 +91,7 @@ class Truth:
 
     @property
     def spoiled(self) -> dict[str, dict]:
+        """What is odd about a photo (``kind``, ``usable``), by name of each that something is odd about."""
         return self.value["spoiled"]
 
 
@@ -120,6 +121,7 @@ def similarity(rig: Rig, truth: Truth) -> Similarity:
 
 
 def photos_of_both(rig: Rig, truth: Truth) -> list[str]:
+    """Names of the rig's photos that the truth knows, those of another material left out."""
     if tuple(rig.lens.size) != tuple(truth.rig.lens.size):
         raise CaptureError(f"photos of {truth.rig.lens.size}", f"a rig of {rig.lens.size}", "give the truth of these photos")
     names = [name for name in rig.poses if name in truth.rig.poses
@@ -130,6 +132,7 @@ def photos_of_both(rig: Rig, truth: Truth) -> list[str]:
 
 
 def grid_of(size: float) -> Array:
+    """Points of a patch of this side, 17 x 17 of them as rows (x, y, z)."""
     return texel_positions(POINTS).numpy().reshape(-1, 3) * size
 
 
@@ -148,6 +151,7 @@ def photo_names(shots: Capture, rig: Rig) -> list[str]:
 
 
 def rms_of(values: Array) -> float:
+    """Root mean square."""
     return float(np.sqrt(np.square(values).mean()))
 
 

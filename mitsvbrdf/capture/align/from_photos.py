@@ -1,4 +1,4 @@
-"""Raw photos of a flat material to lens and poses, from the features that they share; and the default geometry.
+"""Raw photos of a flat material to lens and poses, from the features that they share.
 
 Features agree with one homography between each pair of photos that overlap; a tree of the best of them places every photo,
 and bundle adjustment finds lens and poses (:mod:`.planar`). Photos that cannot be used are named with the reason.

@@ -36,10 +36,12 @@ class Pair:
 
     @property
     def a(self) -> str:
+        """Name of the first photo."""
         return self.matches.a
 
     @property
     def b(self) -> str:
+        """Name of the second photo."""
         return self.matches.b
 
     @property

@@ -1,4 +1,7 @@
-"""How evenly the paper is lit, once the light found is divided out."""
+"""How evenly each photo is lit: 0 where light falls off as a flash's, 1 where the room's light is all there is.
+
+Each photo's log radiance, less what the other photos say of its texels, is set against the pattern a flash would make.
+"""
 
 from __future__ import annotations
 

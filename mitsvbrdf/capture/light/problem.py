@@ -1,4 +1,7 @@
-"""The least-squares problem whose unknowns are vignetting, flash, exposures and albedo."""
+"""The least-squares problem of the light: flash, vignetting, exposures and one lobe for all are its unknowns.
+
+The albedo of each texel is eliminated (variable projection): for any unknowns it is what explains the samples best.
+"""
 
 from __future__ import annotations
 

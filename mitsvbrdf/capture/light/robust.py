@@ -1,4 +1,4 @@
-"""How much each sample is trusted."""
+"""Robust statistics of residuals: their noise, the weight of each, and how many count as one."""
 
 from __future__ import annotations
 

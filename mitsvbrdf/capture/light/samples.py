@@ -105,6 +105,7 @@ class Samples:
 
     @classmethod
     def of(cls, rig: Rig, seen: Mapping[str, _Seen], what: str, glossy: bool) -> Samples:
+        """What is neither clipped nor dark in photos ``seen``, by name; ``what`` they show is named in the error."""
         kept = {name: s.usable & (s.display.mean(axis=1) > DARK_VALUE) & np.isfinite(s.pixels).all(axis=1)
                 for name, s in seen.items()}
         if not any(k.any() for k in kept.values()):
@@ -126,10 +127,12 @@ class Samples:
 
 
 def radius2_of(lens: Lens, pixels: Array) -> Array:
+    """Squared distances of pixels (K x 2) from the middle of the photo, 1 at half its diagonal: K."""
     return replace(lens, vignetting=(1.0, 0.0)).transmission(pixels) - 1
 
 
 def transmission_of(radius2: Array, vignetting: Array) -> Array:
+    """Share of the light that arrives there, 1 in the middle, by v1 and v2: K."""
     return (1 + vignetting[0] * radius2 + vignetting[1] * radius2**2).clip(FAINTEST_CORNER)
 
 

@@ -1,4 +1,4 @@
-"""Solves for the light: robust least squares in rounds."""
+"""The most probable light: robust least squares, reweighted in rounds, once more without photos that had no flash."""
 
 from __future__ import annotations
 
@@ -65,6 +65,7 @@ class _Found:
 
     @property
     def lens(self) -> Lens:
+        """The rig's lens with the flash and vignetting found."""
         return replace(self.rig.lens, flash=tuple(self.unknowns.flash.tolist()),
                        vignetting=tuple(self.unknowns.vignetting.tolist()))
 
@@ -74,6 +75,7 @@ class _Found:
         return math.exp(self.typical + LOG_F0[0] + self.unknowns.log_f0)
 
     def shading(self, intensity: Array, log_intensity_sd: float, notes: tuple[str, ...]) -> Shading:
+        """What was found, in the rig's unit, with an intensity (rgb) that comes from elsewhere."""
         names, photo = self.samples.names, self.samples.photo
         shared = zip(("flash_x", "flash_y", "flash_z", "v1", "v2"),
                      (*self.deviations.flash.tolist(), *self.deviations.vignetting.tolist()))

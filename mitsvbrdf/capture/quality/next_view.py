@@ -1,4 +1,4 @@
-"""Where the next photo would tell most."""
+"""The next best view: where one more photo would show most highlights that no photo has, in words for a person."""
 
 from __future__ import annotations
 
