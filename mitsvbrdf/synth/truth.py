@@ -91,6 +91,7 @@ class Truth:
 
     @property
     def spoiled(self) -> dict[str, dict]:
+        """What was spoiled, by the name of the photo."""
         return self.value["spoiled"]
 
 
@@ -120,6 +121,7 @@ def similarity(rig: Rig, truth: Truth) -> Similarity:
 
 
 def photos_of_both(rig: Rig, truth: Truth) -> list[str]:
+    """Names of the photos that a rig has a pose for and that show the sample."""
     if tuple(rig.lens.size) != tuple(truth.rig.lens.size):
         raise CaptureError(f"photos of {truth.rig.lens.size}", f"a rig of {rig.lens.size}", "give the truth of these photos")
     names = [name for name in rig.poses if name in truth.rig.poses
@@ -130,6 +132,7 @@ def photos_of_both(rig: Rig, truth: Truth) -> list[str]:
 
 
 def grid_of(size: float) -> Array:
+    """Points spread over a patch of this size, K x 3."""
     return texel_positions(POINTS).numpy().reshape(-1, 3) * size
 
 
@@ -148,6 +151,7 @@ def photo_names(shots: Capture, rig: Rig) -> list[str]:
 
 
 def rms_of(values: Array) -> float:
+    """Root of the mean square."""
     return float(np.sqrt(np.square(values).mean()))
 
 
@@ -175,7 +179,7 @@ def truth_maps(truth: str | Path | Truth, rig: Rig, resolution: int) -> SVBRDF:
     return SVBRDF(maps.bsdf, found)
 
 
-def true_capture(folder: str | Path, truth: str | Path | Truth, **options) -> Capture:
+def true_capture(folder: str | Path, truth: str | Path | Truth, **options: Any) -> Capture:
     """The rectified photos of a written capture with the true cameras, lights and powers, in the frame of its patch.
 
     Args:
