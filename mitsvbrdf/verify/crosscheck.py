@@ -241,8 +241,9 @@ def violations(record: dict) -> list[dict]:
 
 
 def _exceeded(configuration: dict) -> list[dict]:
-    found: list[dict] = [{"what": f"values that are not finite in {place}", "value": count, "tolerance": 0, "limit": None}
-                         for place, count in _not_finite(configuration) if count]
+    found: list[dict[str, Any]] = [
+        {"what": f"values that are not finite in {place}", "value": count, "tolerance": 0, "limit": None}
+        for place, count in _not_finite(configuration) if count]
     rough = configuration["rough"]
     if rough is None:
         return found

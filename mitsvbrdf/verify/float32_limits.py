@@ -72,8 +72,8 @@ def turned_normals(svbrdf: SVBRDF, angle: float) -> tuple[SVBRDF, SVBRDF]:
     x = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64).expand_as(normal)
     first = F.normalize(torch.linalg.cross(normal, x), dim=-1)  # z > 0, so a normal is never along x
     second = F.normalize(torch.linalg.cross(normal, first), dim=-1)
-    one, other = (SVBRDF(svbrdf.bsdf, {**maps, "normal": normal + angle * axis}) for axis in (first, second))
-    return one, other
+    one, two = (SVBRDF(svbrdf.bsdf, {**maps, "normal": normal + angle * axis}) for axis in (first, second))
+    return one, two
 
 
 def _length(parts: list[Tensor]) -> Tensor:

@@ -97,7 +97,7 @@ class Watch:
 
     def _says(self, phase: str, shown: Shown | None) -> str:
         stopped = shown.note["stopped"] if shown else None
-        why = ENDED.get(stopped or "", stopped)
+        why = ENDED.get(stopped, stopped) if stopped else None
         if phase == "died":
             resumes = (self.partial / result_folder.CHECKPOINT).is_file()
             return ("The fit ended without a result. " if shown else "A fit was left unfinished here. ") + (

@@ -51,8 +51,8 @@ def errors_along(record: dict, sweep: str) -> Figure:
     named: set[str] = set()
     for row in rows:
         x = max(90 - row["value"], 0.05) if sweep == "tilt" else row["value"]
-        series: list[tuple] = [
-            ("one rounding of the normals", CHART_FAINT, "_", (row["limit"]["image"], largest(row["limit"])))]
+        series: list[tuple[str, Any, str, Any]]
+        series = [("one rounding of the normals", CHART_FAINT, "_", (row["limit"]["image"], largest(row["limit"])))]
         series += [(f"{name}, {row['bsdf']}", colours[name], BSDF_MARKS[row["bsdf"]], worst_errors(figures))
                    for name, figures in row["renderers"].items()]
         for label, colour, marker, values in series:
