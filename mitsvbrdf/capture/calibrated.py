@@ -19,6 +19,7 @@ PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 def from_json(path: Path, falloff: Falloff) -> Capture:
+    """A capture whose calibration stands in a capture.json."""
     try:
         stated = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as reason:
@@ -82,6 +83,7 @@ def _assumed(stated: dict, path: Path, rows: int) -> dict:
 
 
 def from_text(folder: Path, falloff: Falloff) -> Capture:
+    """A capture whose calibration stands in text files beside the photos."""
     photos = _numbered(folder)
     camera = _rows(_table(folder / "camera_pos.txt"), str(folder / "camera_pos.txt"))
     _same_count(str(folder / "camera_pos.txt"), len(camera), len(photos))

@@ -31,7 +31,9 @@ def read_capture(
     log: Callable[[str], None] | None = None,
     report: Callable[[str, float], object] = lambda text, share: None,
 ) -> Capture:
-    """Read photos of one patch. Three kinds of folder are understood, in this order:
+    """Read photos of one patch.
+
+    Three kinds of folder are understood, in this order:
 
     - ``capture.json`` as svbrdf-diff-renderer has it: ``camera_pos`` (rows x, y, z), ``light_pow`` (a number, r g b, or
       one row a photo), ``im_size``, ``target_dir``, and where given ``light_pos`` (else the light is at the camera),
@@ -78,8 +80,9 @@ def read_capture(
         capture = _from_plain(path, falloff, transfer, report)
     capture = capture if index is None else capture.pick(index)
     capture = _shrunk(replace(capture, transfer=transfer or capture.transfer), resolution)
-    for note in capture.notes if log else ():
-        log(note)
+    if log:
+        for note in capture.notes:
+            log(note)
     return capture
 
 

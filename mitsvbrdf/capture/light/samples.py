@@ -105,6 +105,7 @@ class Samples:
 
     @classmethod
     def of(cls, rig: Rig, seen: Mapping[str, _Seen], what: str, glossy: bool) -> Samples:
+        """What all photos say of the points that they show neither clipped nor dark."""
         kept = {name: s.usable & (s.display.mean(axis=1) > DARK_VALUE) & np.isfinite(s.pixels).all(axis=1)
                 for name, s in seen.items()}
         if not any(k.any() for k in kept.values()):
@@ -126,10 +127,12 @@ class Samples:
 
 
 def radius2_of(lens: Lens, pixels: Array) -> Array:
+    """Squared distance of pixels from the optical centre, as vignetting counts it."""
     return replace(lens, vignetting=(1.0, 0.0)).transmission(pixels) - 1
 
 
 def transmission_of(radius2: Array, vignetting: Array) -> Array:
+    """Share of the light that vignetting lets through."""
     return (1 + vignetting[0] * radius2 + vignetting[1] * radius2**2).clip(FAINTEST_CORNER)
 
 
