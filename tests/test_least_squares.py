@@ -50,8 +50,8 @@ class Case:
         truth = make_renderer("analytic64").render(random_material(self.bsdf, SIDE, seed=2), self.views)
         random = torch.Generator().manual_seed(3)
         weights = torch.rand(len(self.views), SIDE, SIDE, generator=random) if self.weighted else None
-        self.evidence = Observations(color.to_display(truth, self.transfer).float(), self.views, self.transfer, 0.02, self.robust,
-                                 weights)
+        photos = color.to_display(truth, self.transfer).float()
+        self.evidence = Observations(photos, self.views, self.transfer, 0.02, self.robust, weights)
         self.mean = torch.rand(self.x.shape, generator=random)
         self.precision = 12 + 100 * torch.rand(self.x.shape, generator=random)
 

@@ -196,11 +196,11 @@ class Problem:
 
     def views(self, change: Tensor) -> Views:
         """The views given, with these changes."""
-        change = CHANGE.unpack(change)
-        camera = change.camera * self.given.size
+        parts = CHANGE.unpack(change)
+        camera = parts.camera * self.given.size
         return replace(self.given, camera=self.given.camera + camera,
-                       light=self.given.light + camera + change.flash * self.given.size,
-                       intensity=self.given.intensity * change.log_exposure[:, None].exp())
+                       light=self.given.light + camera + parts.flash * self.given.size,
+                       intensity=self.given.intensity * parts.log_exposure[:, None].exp())
 
     def rmse(self, views: Views) -> list[float]:
         """Error of each photo, as :func:`~mitsvbrdf.measure.metrics.photo_rmse` counts it."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
@@ -72,7 +72,7 @@ class Pose:
     rotation: Array
 
     @classmethod
-    def looking_at(cls, position, target, turn: float = 0.0) -> Pose:
+    def looking_at(cls, position: ArrayLike, target: ArrayLike, turn: float = 0.0) -> Pose:
         """A camera at ``position`` that has ``target`` in its middle; at ``turn`` 0 (rad) the world's y points up in it."""
         position = np.asarray(position, dtype=np.float64)
         z = np.asarray(target, dtype=np.float64) - position

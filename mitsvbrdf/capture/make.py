@@ -114,7 +114,8 @@ def _made(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, tran
     if all(photo.exif.get("flash") == "off" for photo in photos):
         warnings.append("no photo was taken with the flash (says their EXIF); highlights then are those of the room's lights")
     transfer = transfer or ("linear" if photos[0].linear else "srgb")
-    left, left_out, found = list(photos), other_sizes(photos)[1], {}
+    left, left_out = list(photos), other_sizes(photos)[1]
+    found: dict[str, PhotoQuality] = {}
     _enough(photos, left_out)
     for attempt in (0, 1):
         left = [photo for photo in left if photo.name not in left_out]
@@ -126,7 +127,7 @@ def _made(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, tran
             rectified = Rectified.of(rig, left, resolution, _within(told, 0.6, 1))
         lit = _Lit.of(rig, rectified, sheet_cm, depth_cm, transfer)
         with profiled("quality"):
-            evenness = lit.shading and lit.shading.evenness
+            evenness = lit.shading.evenness if lit.shading else None
             qualities = photo_qualities(lit.pictures, lit.views, transfer, lit.names, lit.overlap, evenness)
             found |= {quality.name: quality for quality in qualities}
             fired = {photo.name: str(photo.exif["flash"]) for photo in left if "flash" in photo.exif}

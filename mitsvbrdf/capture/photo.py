@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -49,7 +50,7 @@ class Photo:
     path: Path
     size: tuple[int, int]
     orientation: int = 1
-    exif: dict[str, float | str] = field(default_factory=dict)
+    exif: dict[str, Any] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -238,9 +239,9 @@ def read_exif(path: Path) -> dict[str, float | str]:
             camera = " ".join(str(block.get(tag, "")).strip("\0 ") for tag in (271, 272)).strip()
     except Exception:  # no such package, or an EXIF block that cannot be read: the photo itself may still be fine
         return {}
-    found: dict[str, float | str] = {}
+    found: dict[str, Any] = {}
     for name, tag in NUMBERS.items():
-        value = tags.get(tag)
+        value: Any = tags.get(tag)
         value = value[0] if isinstance(value, tuple) and value else value
         try:
             number = float(value)

@@ -80,8 +80,9 @@ def read_capture(
         capture = _from_plain(path, falloff, transfer, report)
     capture = capture if index is None else capture.pick(index)
     capture = _shrunk(replace(capture, transfer=transfer or capture.transfer), resolution)
-    for note in capture.notes if log else ():
-        log(note)
+    if log:
+        for note in capture.notes:
+            log(note)
     return capture
 
 

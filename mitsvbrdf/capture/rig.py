@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -57,7 +57,7 @@ def rig_from_json(value: dict) -> Rig:
         CaptureError: something is missing or no number.
     """
     try:
-        lens = {name: tuple(x) if isinstance(x, list) else x for name, x in value["lens"].items()}
+        lens: dict[str, Any] = {name: tuple(x) if isinstance(x, list) else x for name, x in value["lens"].items()}
         poses = {name: Pose(np.array(pose["position"], dtype=np.float64).reshape(3),
                             np.array(pose["rotation"], dtype=np.float64).reshape(3, 3))
                  for name, pose in value["poses"].items()}

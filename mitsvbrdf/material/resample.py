@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch.nn.functional as F
 from torch import Tensor
 
@@ -22,7 +24,7 @@ def enlarged(planes: Tensor, side: int) -> Tensor:
     return F.interpolate(planes[None], (side, side), mode="bilinear", align_corners=False)[0].contiguous()
 
 
-def _interpolated(images: Tensor, side: int, **how) -> Tensor:
+def _interpolated(images: Tensor, side: int, **how: Any) -> Tensor:
     planes = images.movedim(-1, -3)
     found = F.interpolate(planes if planes.dim() == 4 else planes[None], (side, side), **how)
     return found.reshape(*planes.shape[:-2], side, side).movedim(-3, -1)

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,7 @@ FINGER = (0.05, 0.012, 0.008)  # radiance of a finger on the lens
 OTHER, OTHER_SEED = "leather", 7  # what an unrelated photo shows
 
 
-def handheld_photos(svbrdf: SVBRDF, phone: HandheldPhone, renderer, poses: Sequence[Pose] | None = None,
+def handheld_photos(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[..., Any], poses: Sequence[Pose] | None = None,
                     spoil: Sequence[Spoil] = ()) -> tuple[Iterator[tuple[Shot, NDArray[np.uint8]]], dict[str, Any]]:
     """Photos of a material, each taken when it is asked for, and the truth about them.
 
@@ -78,7 +78,7 @@ def handheld_photos(svbrdf: SVBRDF, phone: HandheldPhone, renderer, poses: Seque
                     "spoiled": odd, "phone": asdict(phone)}
 
 
-def _metered(scene, phone: HandheldPhone, pose: Pose) -> float:
+def _metered(scene: Any, phone: HandheldPhone, pose: Pose) -> float:
     """Intensity of the flash, in display values: the mean of the first photo is right, or fewer of its values are clipped."""
     lens = replace(phone, megapixels=FROM_METER).lens
     radiance = scene.render(lens, pose, intensity=1.0) * _transmission(lens, 0, lens.size[1])
@@ -102,7 +102,7 @@ def spoiled(radiance: NDArray[np.float32], kind: Spoil | None) -> NDArray[np.flo
         line = np.zeros((length, length), dtype=np.float32)
         line[length // 2] = 1
         line = cv2.warpAffine(line, along, (length, length))
-        return cv2.GaussianBlur(cv2.filter2D(radiance, -1, line / line.sum()), (0, 0), 0.002 * width)
+        return np.asarray(cv2.GaussianBlur(cv2.filter2D(radiance, -1, line / line.sum()), (0, 0), 0.002 * width), np.float32)
     if kind == "finger":  # an ellipse over the left half with a soft edge
         y, x = np.mgrid[:height, :width].astype(np.float32) / width
         middle = height / width / 2
@@ -150,8 +150,9 @@ def write_photo(path: Path, pixels: NDArray[np.uint8], phone: HandheldPhone, sho
     files.write_bytes(path, data.getvalue())
 
 
-def write_handheld(svbrdf: SVBRDF, phone: HandheldPhone, renderer, folder: Path, spoil: Sequence[Spoil] = (),
-                   poses: Sequence[Pose] | None = None, report=None, **about: object) -> dict[str, Any]:
+def write_handheld(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[..., Any], folder: Path,
+                   spoil: Sequence[Spoil] = (), poses: Sequence[Pose] | None = None,
+                   report: Callable[[int, int], object] | None = None, **about: object) -> dict[str, Any]:
     """Take the photos of :func:`handheld_photos` and write them, ``truth/truth.json`` and the sample's maps ``truth/maps``.
 
     Args:

@@ -6,10 +6,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..capture.align.sheet import Sheet
+from ..capture.lens import Lens, Pose
 from ..material.maps import SVBRDF
 from ..render.bsdf import needed_maps, plugin, slot_values
 from ..render.llvm import mitsuba_module
@@ -43,7 +47,7 @@ class HandheldRenderer:
         BackendError: Mitsuba, the variant or libLLVM is missing.
     """
 
-    def __init__(self, svbrdf: SVBRDF, side: float, sheet=None, depth: float = 0.0, samples: int = 4,
+    def __init__(self, svbrdf: SVBRDF, side: float, sheet: Sheet | None = None, depth: float = 0.0, samples: int = 4,
                  variant: str = "llvm_ad_rgb") -> None:
         self.variant, self.samples = variant, samples
         mi = self.mi = mitsuba_module(variant)
@@ -51,9 +55,10 @@ class HandheldRenderer:
         _register(mi.variant())
         shapes = _sample(mi, svbrdf, side) | _surroundings(mi, side) | (_paper(mi, sheet, depth) if sheet else {})
         self._shapes = {name: mi.load_dict(shape) for name, shape in shapes.items()}
-        self._scenes: dict[tuple, object] = {}
+        self._scenes: dict[tuple, tuple[Any, Any]] = {}
 
-    def render(self, lens, pose, intensity: float = 0.0, ambient: float = 0.0, seed: int = 0) -> NDArray[np.float32]:
+    def render(self, lens: Lens, pose: Pose, intensity: float = 0.0, ambient: float = 0.0,
+               seed: int = 0) -> NDArray[np.float32]:
         """Linear radiance H x W x 3 at the lens, before its vignetting; each pixel the average over its area.
 
         Args:
@@ -87,7 +92,7 @@ class HandheldRenderer:
             out[first : first + rows] = np.array(image)
         return out
 
-    def _scene(self, width: int, rows: int, ambient: bool, samples: int):
+    def _scene(self, width: int, rows: int, ambient: bool, samples: int) -> tuple[Any, Any]:
         key = (width, rows, ambient, samples)
         if key not in self._scenes:
             rgb = {"type": "rgb", "value": 1.0}
@@ -105,19 +110,19 @@ class HandheldRenderer:
         return self._scenes[key]
 
 
-def _texture(mi, value):
+def _texture(mi: ModuleType, value: NDArray) -> Any:
     """A float bitmap, read bilinearly; row 0 of ``value`` (H x W x C) is the top."""
     pixels = np.ascontiguousarray(np.asarray(value, dtype=np.float32)[::-1])  # texture row 0 is v = 0
     return mi.load_dict({"type": "bitmap", "data": mi.TensorXf(pixels), "raw": True, "filter_type": "bilinear",
                          "wrap_mode": "clamp"})
 
 
-def _square(mi, side: float, height: float, bsdf: dict) -> dict:
+def _square(mi: ModuleType, side: float, height: float, bsdf: dict) -> dict:
     to_world = mi.ScalarTransform4f().translate([0, 0, height]).scale([side / 2, side / 2, 1])
     return {"type": "rectangle", "to_world": to_world, "bsdf": bsdf}
 
 
-def _sample(mi, svbrdf: SVBRDF, side: float) -> dict:
+def _sample(mi: ModuleType, svbrdf: SVBRDF, side: float) -> dict:
     svbrdf = svbrdf.detach()
     needs = material_needs(svbrdf)
     flat, maps = replace(needs, normal_map=False), needed_maps(svbrdf, needs)
@@ -128,12 +133,12 @@ def _sample(mi, svbrdf: SVBRDF, side: float) -> dict:
     return {"sample": _square(mi, side, 0.0, material)}
 
 
-def _surroundings(mi, side: float) -> dict:
+def _surroundings(mi: ModuleType, side: float) -> dict:
     grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": TABLE_ALBEDO}}
     return {"table": _square(mi, max(TABLE, 4 * side), -BELOW, grey)}
 
 
-def _paper(mi, sheet, depth: float) -> dict:
+def _paper(mi: ModuleType, sheet: Sheet, depth: float) -> dict:
     """Four rectangles around the hole, each with its part of the picture; a mask would cast the hole's shadow too."""
     picture, _ = sheet.picture(PICTURE / sheet.outer)
     albedo = INK + (PAPER - INK) * picture.astype(np.float32)[..., None] / 255
@@ -159,20 +164,21 @@ def _register(variant: str) -> None:
         ``lens.rays`` says, whatever the distortion.
         """
 
-        def __init__(self, props):
+        def __init__(self, props: Any) -> None:
             super().__init__(props)
             self.first = mi.Float(0)  # row of the photo that the film begins with
             size = self.film().size()
             self.columns, self.rows = int(size[0]), int(size[1])
 
-        def set(self, lens, pose, opaque) -> None:
+        def set(self, lens: Lens, pose: Pose, opaque: Any) -> None:
             """Take a lens and a pose; ``opaque`` makes numbers that are not compiled into the kernel."""
             self.focal, self.k = opaque(lens.focal), [opaque(k) for k in lens.distortion]
             self.middle = [opaque(x) for x in lens.middle]
             self.origin = mi.Point3f(*(opaque(x) for x in pose.position))
             self.axes = [mi.Vector3f(*(opaque(x) for x in row)) for row in pose.rotation]
 
-        def sample_ray(self, time, wavelength_sample, position_sample, aperture_sample, active=True):
+        def sample_ray(self, time: Any, wavelength_sample: Any, position_sample: Any, aperture_sample: Any,
+                       active: Any = True) -> tuple[Any, Any]:
             x = (position_sample.x * self.columns - 0.5 - self.middle[0]) / self.focal
             y = (position_sample.y * self.rows - 0.5 + self.first - self.middle[1]) / self.focal
             bent = dr.sqrt(x * x + y * y)
@@ -189,11 +195,12 @@ def _register(variant: str) -> None:
             ray.time, ray.maxt = time, dr.largest(mi.Float)
             return ray, mi.Color3f(1)
 
-        def sample_ray_differential(self, time, wavelength_sample, position_sample, aperture_sample, active=True):
+        def sample_ray_differential(self, time: Any, wavelength_sample: Any, position_sample: Any, aperture_sample: Any,
+                                    active: Any = True) -> tuple[Any, Any]:
             ray, weight = self.sample_ray(time, wavelength_sample, position_sample, aperture_sample, active)
             return mi.RayDifferential3f(ray.o, ray.d, ray.time), weight
 
-        def to_string(self):
+        def to_string(self) -> str:
             return "LensCamera[]"
 
     mi.register_sensor(CAMERA, LensCamera)

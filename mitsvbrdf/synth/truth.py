@@ -179,7 +179,7 @@ def truth_maps(truth: str | Path | Truth, rig: Rig, resolution: int) -> SVBRDF:
     return SVBRDF(maps.bsdf, found)
 
 
-def true_capture(folder: str | Path, truth: str | Path | Truth, **options) -> Capture:
+def true_capture(folder: str | Path, truth: str | Path | Truth, **options: Any) -> Capture:
     """The rectified photos of a written capture with the true cameras, lights and powers, in the frame of its patch.
 
     Args:

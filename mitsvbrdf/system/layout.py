@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,7 +34,7 @@ class Layout:
         """Where a part lies."""
         return self._slices[name]
 
-    def unpack(self, vector) -> SimpleNamespace:
+    def unpack(self, vector: Any) -> SimpleNamespace:
         """The parts by name, each in its shape; of an array or tensor (... x size) ... x shape."""
         return SimpleNamespace(**{name: vector[..., self[name]].reshape((*vector.shape[:-1], *shape))
                                   for name, shape in self.shapes.items()})

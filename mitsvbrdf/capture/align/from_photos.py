@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Sized
 from dataclasses import replace
 from typing import Literal
 
@@ -55,30 +55,30 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
         CaptureError: fewer than three photos can be used together, with the reasons.
     """
     report = report or (lambda text, share: None)
-    photos = {photo.name: photo for photo in sorted(photos, key=lambda p: p.name)}
-    left_out = _of_another_lens(photos)
+    by_name = {photo.name: photo for photo in sorted(photos, key=lambda p: p.name)}
+    left_out = _of_another_lens(by_name)
     features = {}
-    for n, name in enumerate(photos):
+    for n, name in enumerate(by_name):
         report(f"features of {name}", 0.4 * n / len(photos))
         if name not in left_out:
-            features[name] = find_features(photos[name])
+            features[name] = find_features(by_name[name])
             if len(features[name]) < LEAST_INLIERS:
                 left_out[name] = f"{len(features.pop(name))} features, too few to align: blurred, dark or without detail"
     _enough(features, left_out)
-    size = photos[next(iter(features))].size
+    size = by_name[next(iter(features))].size
     pairs = find_pairs(features, size, lambda share: report("features in common", 0.4 + 0.3 * share))
     hub, warps = chained_pairs(features, pairs)
     left_out |= {name: apart(name, pairs) for name in features if name not in warps}
     _enough(warps, left_out)
 
     report("poses", 0.7)
-    lens, stated = expected_lens([photos[name] for name in warps], size)
+    lens, stated = expected_lens([by_name[name] for name in warps], size)
     focal_share = FOCAL_SHARE if stated else FOCAL_SHARE_ASSUMED
     pairs = [p for p in pairs if p.a in warps and p.b in warps]
     lens, poses, matches, unsure = _posed(lens, focal_share, hub, warps, pairs, left_out)
     _enough(poses, left_out)
 
-    placed, dropped = _placed(lens, poses, photos, reference)
+    placed, dropped = _placed(lens, poses, by_name, reference)
     left_out |= {name: "it shows too little of what the others show" for name in dropped}
     errors = _errors(lens, poses, matches)
     notes = [] if stated else [
@@ -111,7 +111,7 @@ def _of_another_lens(photos: dict[str, Photo]) -> dict[str, str]:
     return out
 
 
-def _enough(kept, left_out: dict[str, str]) -> None:
+def _enough(kept: Sized, left_out: dict[str, str]) -> None:
     if len(kept) < LEAST_PHOTOS:
         reasons = [f"{name}: {why}" for name, why in left_out.items()]
         more = [f"and {len(reasons) - 3} more"] if len(reasons) > 3 else []
@@ -185,7 +185,7 @@ def _limited(matches: list[Match], size: tuple[int, int], most: int = MOST_MATCH
 
 def _errors(lens: Lens, poses: dict[str, Pose], matches: list[Match]) -> dict[str, float]:
     """RMS distance in pixels of each photo to where other photos' features are carried."""
-    squares = {name: [] for name in poses}
+    squares: dict[str, list[Array]] = {name: [] for name in poses}
     for m in matches:
         squares[m.b].append(m.errors(lens, poses) ** 2)
         squares[m.a].append(replace(m, a=m.b, b=m.a, at_a=m.at_b, at_b=m.at_a).errors(lens, poses) ** 2)

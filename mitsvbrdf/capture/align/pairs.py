@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +60,7 @@ def find_pairs(features: dict[str, Features], size: tuple[int, int], report: Cal
         report(n / len(both))
         found[a, b] = _pair(features, a, b, size, few)
     linked = chained_pairs(features, list(found.values()))[1]
-    again = {}
+    again: dict[tuple[str, str], None] = {}
     for name in features:
         if name not in linked:
             own = sorted((p for p in found.values() if name in (p.a, p.b)), key=lambda p: -p.agree.sum())
@@ -72,17 +73,17 @@ def _pair(features: dict[str, Features], a: str, b: str, size: tuple[int, int], 
     pixel = features[a].pixel
     alike = Match(a, b, features[a].points[index[:, 0]], features[b].points[index[:, 1]], SIGMA * pixel)
     warp, agree = homography(alike.at_a, alike.at_b, pixel)
-    if warp is not None and (wild(warp, size) or wild(np.linalg.inv(warp), size)):
+    if warp is not None and (wild(warp, size) or wild(np.asarray(np.linalg.inv(warp), np.float64), size)):
         return Pair(alike, agree, None, wild=True)
     return Pair(alike, agree, warp)
 
 
-def chained_pairs(names, pairs: list[Pair]) -> tuple[str, dict[str, Array]]:
+def chained_pairs(names: Collection[str], pairs: list[Pair]) -> tuple[str, dict[str, Array]]:
     """Homographies from the photo that has most in common with others, the hub, to each that can be reached from it.
 
     The maximum spanning tree over the number of agreeing matches (Prim 1957), in the largest group of connected photos.
     """
-    links = {name: {} for name in names}
+    links: dict[str, dict[str, tuple[int, Any]]] = {name: {} for name in names}
     for pair in pairs:
         if pair.warp is not None:
             links[pair.a][pair.b] = (pair.count, pair.warp)

@@ -95,7 +95,8 @@ def choose_patch(outlines: dict[str, Array], least: int = 3, always: str | None 
     Returns:
         Centre, side, and the names of those left out; a side of 0 or below where too few photos show the same.
     """
-    kept, out = dict(outlines), []
+    kept = dict(outlines)
+    out: list[str] = []
     while True:
         centre, side = largest_square(list(kept.values()))
         if len(kept) <= least:

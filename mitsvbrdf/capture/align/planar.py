@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +51,7 @@ class Match:
     at_b: Array
     sigma: float
 
-    def pick(self, index) -> Match:
+    def pick(self, index: Any) -> Match:
         """Those with these indices."""
         return replace(self, at_a=self.at_a[index], at_b=self.at_b[index])
 
@@ -64,7 +65,8 @@ def carried(lens: Lens, a: Pose, b: Pose, pixels: Array) -> Array:
     return _carried(lens, a.rotation, a.position, b.rotation, b.position, rays(lens, pixels))
 
 
-def _carried(lens: Lens, rotation_a, position_a, rotation_b, position_b, directions: Array) -> Array:
+def _carried(lens: Lens, rotation_a: Array, position_a: Array, rotation_b: Array, position_b: Array,
+             directions: Array) -> Array:
     """As :func:`carried`; each row may have poses of its own (K x 3 x 3, K x 3)."""
     down = np.einsum("...ji,...j->...i", rotation_a, directions)
     point = position_a - down * (position_a[..., 2:] / down[..., 2:])
@@ -209,7 +211,7 @@ class _Bundle:
         out = np.zeros((2 * self.count + expected, len(values)))
         matched, match = out[: 2 * self.count].reshape(self.count, 2, -1), np.arange(self.count)
 
-        def ends(moving) -> list[tuple[Lens, Array, Array]]:
+        def ends(moving: Any) -> list[tuple[Lens, Array, Array]]:
             moved = [values.copy(), values.copy()]
             for each, sign in zip(moved, (1, -1)):
                 each[moving] += sign * step

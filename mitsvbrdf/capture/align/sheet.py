@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,7 +114,7 @@ def _grids() -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     edge = (OUTER - HOLE) // 2
     paper[edge:-edge, edge:-edge] = False
     around = np.lib.stride_tricks.sliding_window_view(np.pad(paper, 1), (3, 3))
-    return cells, around.all(axis=(2, 3))
+    return cells, np.all(around, axis=(2, 3))
 
 
 _PLACES = _places()
@@ -149,7 +149,7 @@ def write_sheet(path: str | Path, size_cm: float = 18.0, paper: Paper = "a4") ->
         figure.savefig(temporary, format=kind, dpi=600, metadata={"Title": "Tags around a material"} | date)
 
 
-def _draw(axes, sheet: Sheet, width: float, height: float) -> None:
+def _draw(axes: Any, sheet: Sheet, width: float, height: float) -> None:
     """A page; cm from its lower left corner."""
     from matplotlib.patches import PathPatch, Rectangle
     from matplotlib.path import Path as Outline
@@ -170,10 +170,10 @@ def _draw(axes, sheet: Sheet, width: float, height: float) -> None:
         corner = middle - side / 2, top - (sheet.outer + side) / 2
         axes.add_patch(Rectangle(corner, side, side, fill=False, edgecolor="0.6", linewidth=0.5, linestyle=dashes))
 
-    def text(x, y, words, size=8, **options):
+    def text(x: float, y: float, words: str, size: float = 8, **options: Any) -> None:
         axes.text(x, y, words, fontsize=size, **{"ha": "center", "va": "center", "linespacing": 1.5} | options)
 
-    def arrow(start, end, style):
+    def arrow(start: tuple[float, float], end: tuple[float, float], style: str) -> None:
         axes.annotate("", end, start, arrowprops={"arrowstyle": style, "linewidth": 1, "shrinkA": 0, "shrinkB": 0,
                                                   "mutation_scale": 8})
 

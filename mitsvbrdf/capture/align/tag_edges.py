@@ -66,8 +66,8 @@ def find_edges(photo: Photo, sheet: Sheet) -> Edges:
         pixels.append((at + 0.5) * times - 0.5)
         across.append(normals)
         corners[number] = (found + 0.5) * times - 0.5
-    joined = [np.concatenate(part) if part else np.zeros((0, 2)) for part in (plane, pixels, across)]
-    return Edges(*joined, corners)
+    on_sheet, in_photo, turned = (np.concatenate(part) if part else np.zeros((0, 2)) for part in (plane, pixels, across))
+    return Edges(on_sheet, in_photo, turned, corners)
 
 
 def _detected(grey: NDArray[np.uint8]) -> dict[int, Array]:

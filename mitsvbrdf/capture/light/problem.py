@@ -93,7 +93,7 @@ class Problem:
         for _ in range(ALBEDO_STEPS if self.samples.glossy else 1):
             share = 1 / (1 + lobe / np.exp(albedo)[texel])
             step = np.bincount(texel, weights * share * (apparent - albedo[texel] + np.log(share)), len(albedo))
-            step /= np.bincount(texel, weights * (share**2 + 1e-3), len(albedo)).clip(1e-12)
+            step = step / np.bincount(texel, weights * (share**2 + 1e-3), len(albedo)).clip(1e-12)
             albedo = np.maximum(albedo + step, self.typical + DARKEST)
         gloss = np.log1p(lobe / np.exp(albedo)[texel])
         return albedo, gloss, apparent - albedo[texel] - gloss

@@ -84,8 +84,9 @@ class _Found:
             notes += (f"no flash in {', '.join(self.left_out)}: light is even there",)
         elif even := sum(e > EVEN for e in self.evenness.values()):
             notes += (f"light does not fall off as a flash's in {even} of {len(names)} photos: where it comes from is a guess",)
+        red, green, blue = (float(i) for i in intensity)
         return Shading(
-            self.lens, tuple(float(i) for i in intensity), dict(zip(names, self.unknowns.exposures.tolist())),
+            self.lens, (red, green, blue), dict(zip(names, self.unknowns.exposures.tolist())),
             dict(shared) | {"log_intensity": float(log_intensity_sd)},
             dict(zip(names, self.deviations.exposures.tolist())),
             dict(zip(names, map(float, np.sqrt(squares / total.clip(1e-12))))), self.evenness, notes)
