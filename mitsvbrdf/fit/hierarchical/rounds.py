@@ -231,7 +231,7 @@ class Hierarchical:
         """The robust start with a vague prior around it."""
         guess = area_averaged(self.guess, capture.resolution)
         solver = self._solver(capture.resolution)
-        start = robust_start(capture, guess, self.config.bsdf, solver.held)
+        start = robust_start(capture, guess, self.config.bsdf, solver.fixed)
         self._look_at(capture, guess)
         x = solver.numbers(start)
         self.x = torch.minimum(torch.maximum(x, self.low[:, None, None]), self.high[:, None, None]).contiguous()
@@ -298,9 +298,9 @@ class Hierarchical:
             start[self.tilts[0]], start[self.tilts[1]] = steep * math.cos(along), steep * math.sin(along)
             yield start
 
-    def _steps(self, evidence: Observations, x: Tensor, count: int) -> Tensor:
+    def _steps(self, observations: Observations, x: Tensor, count: int) -> Tensor:
         """Move :attr:`x` from ``x``; returns each texel's cost."""
-        found = self._solver(x.shape[-1]).solve(evidence, x, torch.full_like(x[0], DAMPING), self.mean, self.precision,
+        found = self._solver(x.shape[-1]).solve(observations, x, torch.full_like(x[0], DAMPING), self.mean, self.precision,
                                                self.low, self.high, count)
         self.x = found.x
         return found.data + found.prior
