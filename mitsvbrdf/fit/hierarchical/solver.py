@@ -73,8 +73,8 @@ class Solved:
 class TexelSolver:
     """The unknowns of each texel of a material, and Levenberg-Marquardt for them.
 
-    The unknowns are those of the maps that are not fixed, in the order of :data:`mitsvbrdf.material.maps.CHANNELS`: colours channel by
-    channel as linear^(1/2.2), metallic and roughness as they are, of the normal the slopes n_x / n_z and n_y / n_z.
+    The unknowns are those of the maps that are not fixed, in the order of :data:`mitsvbrdf.material.maps.CHANNELS`: colours
+    channel by channel as linear^(1/2.2), metallic and roughness as they are, of the normal the slopes n_x / n_z and n_y / n_z.
     :attr:`unknowns` says how many belong to each map, and where they lie; U is their sum.
 
     Args:
