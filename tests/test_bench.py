@@ -133,7 +133,7 @@ def test_every_variant_is_one_of_the_default_method():
 @pytest.mark.slow
 def test_every_ingredient_changes_real_fits_and_two_of_them_exact_ones(monkeypatch):
     # What ablation.py says. The largest change of a map's value was 0.01 or more, and exactly 0 where it must be.
-    monkeypatch.setattr("mitsvbrdf.fit.hierarchical.CHANCE", 0.0)  # there is hardly any burn-in to take out of these maps
+    monkeypatch.setattr("mitsvbrdf.fit.hierarchical.highlights.CHANCE", 0.0)  # there is hardly any burn-in to take out of these maps
 
     def maps(shots, config):
         return torch.cat(list(fit_svbrdf(shots, ANALYTIC, config).svbrdf.maps.values()), dim=-1)

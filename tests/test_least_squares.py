@@ -50,15 +50,15 @@ class Case:
         truth = make_renderer("analytic64").render(random_material(self.bsdf, SIDE, seed=2), self.views)
         random = torch.Generator().manual_seed(3)
         weights = torch.rand(len(self.views), SIDE, SIDE, generator=random) if self.weighted else None
-        self.observations = Observations(color.to_display(truth, self.transfer).float(), self.views, self.transfer, 0.02, self.robust,
-                                 weights)
+        self.observations = Observations(color.to_display(truth, self.transfer).float(), self.views, self.transfer, 0.02,
+                                         self.robust, weights)
         self.mean = torch.rand(self.x.shape, generator=random)
         self.precision = 12 + 100 * torch.rand(self.x.shape, generator=random)
 
     def solve(self, x, iterations, damping=0.01, precision=None, **options):
         precision = self.precision if precision is None else precision
-        return self.solver.solve(self.observations, x, torch.full((SIDE, SIDE), damping), self.mean, precision, self.low, self.high,
-                                 iterations, **options)
+        return self.solver.solve(self.observations, x, torch.full((SIDE, SIDE), damping), self.mean, precision, self.low,
+                                 self.high, iterations, **options)
 
 
 CASES = {

@@ -75,7 +75,7 @@ class HierarchicalConfig(FitConfig):
     materials: int = 64
     """Basis materials, told apart by their look, between which texels share specular and roughness."""
     likeness: float = 0.02
-    """How alike texels must look to share: standard deviation, in the numbers of fit/likeness.py."""
+    """How alike texels must look to share: standard deviation, in the numbers of fit/hierarchical/appearance.py."""
     spread: float = 0.03
     """How far specular and roughness may be from those of look-alikes at 64 px, in photos that do not follow the model."""
     relief: float = 0.02

@@ -6,7 +6,7 @@ Everything here is traced by Dr.Jit: lists hold a value for each unknown, and ea
 from __future__ import annotations
 
 from functools import reduce
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ... import color
 from ...color import CLIPPED
@@ -18,7 +18,7 @@ from . import cholesky
 from .unknowns import Unknowns
 
 EASED, STIFFENED = 0.3, 4.0  # what an accepted and a refused step make of the damping
-DAMPING = 1e-6, 1e6  # its range
+DAMPING_RANGE = 1e-6, 1e6
 ROUNDING = 1e-5  # a cost that grows by less than this share has not grown: errors are differences of float32
 STILL = 1e-4  # a refused step no longer than this is one of a texel that has arrived: it leaves the damping alone
 
@@ -84,7 +84,7 @@ class Kernel:
         self.steps, self.posterior, self.equations = (
             frozen(function, self.shader) for function in (self._steps, self._posterior, self._equations))
 
-    def zeros(self, count: int, kind=None) -> list:
+    def zeros(self, count: int, kind: Any = None) -> list:
         """So many zeros for each texel, each an object of its own, since loops write into their state."""
         import drjit as dr
 
@@ -130,7 +130,7 @@ class Kernel:
         matrix = dict(zip(self.pairs, curve))
         return matrix | {(u, u): matrix[u, u] + p for u, p in enumerate(precision)}
 
-    def _linearised(self, problem: dict, x: list, kind=None) -> tuple:
+    def _linearised(self, problem: dict, x: list, kind: Any = None) -> tuple:
         """At x, the data cost, J^T W e, and J^T W J by :attr:`pairs`, summed in this kind of float."""
         import drjit as dr
 
@@ -155,7 +155,7 @@ class Texels:
         kind: of float that sums are made in.
     """
 
-    def __init__(self, kernel: Kernel, problem: dict, x: list, kind) -> None:
+    def __init__(self, kernel: Kernel, problem: dict, x: list, kind: Any) -> None:
         import drjit as dr
 
         mi, self.kernel, self.problem, self.kind = kernel.mi, kernel, problem, kind
@@ -194,8 +194,8 @@ class Texels:
         import drjit as dr
 
         kernel = self.kernel
-        position = [row(kernel.mi, rows, view) for rows in self.problem["views"]]
-        *directions, irradiance = view_geometry(kernel.mi, self.place, self.axes, *position, kernel.falloff)
+        camera, light, intensity = (row(kernel.mi, rows, view) for rows in self.problem["views"])
+        *directions, irradiance = view_geometry(kernel.mi, self.place, self.axes, camera, light, intensity, kernel.falloff)
         lit = (directions[0].z > 0) & (directions[1].z > 0)
         free = {name: type(self.maps[name])(self.maps[name]) for name in kernel.unknowns if name != "normal"}
         dr.enable_grad(free, directions)
@@ -226,7 +226,7 @@ def next_damping(damping, better, trial: list, x: list):
     import drjit as dr
 
     arrived = reduce(dr.maximum, [dr.abs(t - v) for t, v in zip(trial, x)]) <= STILL
-    return dr.clip(damping * dr.select(better, EASED, dr.select(arrived, 1, STIFFENED)), *DAMPING)
+    return dr.clip(damping * dr.select(better, EASED, dr.select(arrived, 1, STIFFENED)), *DAMPING_RANGE)
 
 
 def bounded_step(down: list, matrix: cholesky.Matrix, damping, x: list, low: list, high: list) -> list:
@@ -248,12 +248,13 @@ def chosen(better, new, old):
 
 def traced_maps(mi, unknowns: Unknowns, x: list, fixed: dict) -> tuple[dict, list]:
     """The maps as the plugin takes them (an unknown normal: its slopes), and the slope of each by its unknown."""
-    maps, stretch = {name: mi.Color3f(*planes) if len(planes) == 3 else planes[0] for name, planes in fixed.items()}, []
+    def whole(planes):
+        return mi.Color3f(*planes) if len(planes) == 3 else planes[0]
+
+    maps, stretch = {name: whole(planes) for name, planes in fixed.items()}, list[Any]()
     for name, of in unknowns.slices.items():
-        planes, by = x[of], [1.0] * unknowns[name]
-        if name in COLOURS:
-            planes, by = zip(*(traced_decode(v) for v in planes))
-        maps[name] = planes if name == "normal" else mi.Color3f(*planes) if len(planes) == 3 else planes[0]
+        planes, by = zip(*(traced_decode(v) if name in COLOURS else (v, 1.0) for v in x[of]))
+        maps[name] = planes if name == "normal" else whole(planes)
         stretch += by
     return maps, stretch
 

@@ -82,9 +82,9 @@ class Hierarchical:
         self.ties = Ties(self.scale.solver.unknowns, config)
         self.stages = Stages(rivals="roughness" in self.ties.unknowns)
         self.rivals = Rivals()
-        self.answer = self._start()
+        self.answer = self.start()
 
-    def _start(self) -> Answer:
+    def start(self) -> Answer:
         """The robust start with a vague prior around it."""
         scale = self.scale
         return self.ties.vague(scale.solver.numbers(
@@ -100,10 +100,10 @@ class Hierarchical:
         trial, had = stages.trial
         if stages.stage == Stage.RIVALS and had == 0:
             self._keep()
-            self.answer = self.rivals.start(self._start(), trial, self.ties)
+            self.answer = self.rivals.start(self.start(), trial, self.ties)
         stages.begin_round()
         with profiled("solver"):
-            cost = self._solve()
+            cost = self.solve()
         self._move_views()
         with profiled("sharing"):
             self._tie()
@@ -120,7 +120,7 @@ class Hierarchical:
         stage = self.stages.next
         if stage == Stage.TOGETHER:
             self.scale = self.scales.of(stage)
-            self.answer = self._start()
+            self.answer = self.start()
         if stage == Stage.FINE:
             self.scale, self.answer = self._at_full_size()
         self.stages.enter(stage)
@@ -134,7 +134,7 @@ class Hierarchical:
 
     def _keep(self) -> None:
         """Remember the answer to this start, if it is the best so far."""
-        self.rivals.keep(self.answer, self.scale.solver, self._observations(self.scale, self.answer), self.ties)
+        self.rivals.keep(self.answer, self.scale.solver, self.observations(self.scale, self.answer), self.ties)
 
     @property
     def done(self) -> bool:
@@ -143,9 +143,9 @@ class Hierarchical:
 
     # A round.
 
-    def _solve(self) -> Tensor:
+    def solve(self) -> Tensor:
         """Solve every texel, then try other starts where they lead to less; returns the mean cost."""
-        observations, solver = self._observations(self.scale, self.answer), self.scale.solver
+        observations, solver = self.observations(self.scale, self.answer), self.scale.solver
         found = stepped(solver, observations, self.answer, self.ties, STEPS)
         x, cost = found.x, found.data + found.prior
         for start in other_starts(self.ties, self.stages.rounds) if self.config.neighbours else ():
@@ -179,14 +179,14 @@ class Hierarchical:
     def _tie(self) -> None:
         """The prior of the next round, from what texels are seen to be."""
         scale, answer = self.scale, self.answer
-        variance = scale.solver.variances(self._observations(scale, answer), answer.x, answer.precision + LEAST_PRECISION)
+        variance = scale.solver.variances(self.observations(scale, answer), answer.x, answer.precision + LEAST_PRECISION)
         if scale.member is None:
             self.answer = self.ties.loosen(answer, variance)
         else:
             self.answer = self.ties.share(answer, variance, scale.member, self.stages.tied,
-                                          lambda planes: self._independent(planes, scale, answer))
+                                          lambda planes: self.independent(planes, scale, answer))
 
-    def _observations(self, scale: Scale, answer: Answer) -> Observations:
+    def observations(self, scale: Scale, answer: Answer) -> Observations:
         """The photos; those of a phone are seen with more trust in highlights while texels are tied by look-alikes."""
         noise, capture, tied = float(self.stages.noise), scale.capture, self.stages.tied
         free = tied and scale.member is None
@@ -198,7 +198,7 @@ class Hierarchical:
         roughness = scale.solver.svbrdf(answer.mean)["roughness"][..., 0]
         return trust(self.moved.moved(scale.capture.views), roughness, reach)
 
-    def _independent(self, planes: Tensor, scale: Scale, answer: Answer) -> Tensor:
+    def independent(self, planes: Tensor, scale: Scale, answer: Answer) -> Tensor:
         """Shared unknowns kept from following where the photos of a phone showed highlights."""
         if not (len(planes) and self.stages.tied and self.config.independent):
             return planes
@@ -229,10 +229,10 @@ class Hierarchical:
         scale, answer, ties = self.scale, self.answer, self.ties
         if self.stages.stage != Stage.FINE:
             scale, answer = self._at_full_size()
-            observations = self._observations(scale, answer)
+            observations = self.observations(scale, answer)
             answer = answer._replace(x=stepped(scale.solver, observations, answer, ties, LAST_STEPS).x)
-        observations, x = self._observations(scale, answer), answer.x.clone()
-        x[ties.shared] = ties.bounded(self._independent(x[ties.shared], scale, answer), ties.shared)
+        observations, x = self.observations(scale, answer), answer.x.clone()
+        x[ties.shared] = ties.bounded(self.independent(x[ties.shared], scale, answer), ties.shared)
         answer = ties.fixed_but_diffuse(answer._replace(x=x))
         return stepped(scale.solver, observations, answer, ties, LAST_STEPS).x
 

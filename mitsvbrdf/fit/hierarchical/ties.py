@@ -82,8 +82,8 @@ class Ties:
         mean, precision, spread = answer.mean.clone(), answer.precision.clone(), answer.spread
         if len(self.shared):
             names = [self.unknowns.names[i] for i in self.shared]
-            flat = [t[self.shared].flatten(1) for t in (answer.x, variance, answer.mean, answer.precision)]
-            found, spread = shared(names, *flat, member, answer.spread, typical=not tied)
+            x, unsure, *prior = (t[self.shared].flatten(1) for t in (answer.x, variance, answer.mean, answer.precision))
+            found, spread = shared(names, x, unsure, prior[0], prior[1], member, answer.spread, typical=not tied)
             mean[self.shared] = corrected(found.reshape(-1, *answer.x.shape[1:]))
             nearest = spread.clamp_max(self.config.spread) if tied else spread
             precision[self.shared] = (nearest**-2.0)[:, None, None].expand(-1, *answer.x.shape[1:])
