@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -13,6 +14,7 @@ from ...material.maps import SVBRDF
 from ...views import Views
 from .stages import Stage
 
+Refined = Literal["never", "unless exact", "always"]
 # Rounds of a stage after which the flash moves to level the patch, and by how much of what that asks for.
 LEVELLED, DAMPED = {Stage.ALONE: (5, 7, 9)}, 0.65
 REFINED = {Stage.ALONE: (12,), Stage.TOGETHER: (3, 5, 7, 9), Stage.FINE: (5,)}  # rounds after which the views are refined
@@ -26,12 +28,13 @@ class MovedViews:
 
     Args:
         capture: photos with the stated views, at full size.
-        unsure: whether the views were estimated from photos or are a default.
+        refined: when the views may move: ``always`` where they were estimated from photos or are a default, ``unless exact``
+            where they were stated (photos that follow the model say that they are right).
         fits_offset: whether a flash offset that all photos share is among what may change.
     """
 
-    def __init__(self, capture: Capture, unsure: bool, fits_offset: bool) -> None:
-        self.stated, self.unsure, self.fits_offset = capture.views, unsure, fits_offset
+    def __init__(self, capture: Capture, refined: Refined, fits_offset: bool) -> None:
+        self.stated, self.refined, self.fits_offset = capture.views, refined, fits_offset
         priors = PRIORS[capture.calibration]
         self.priors = priors if fits_offset else replace(priors, common_flash=(0.0, 0.0))
         self.change = torch.zeros(len(capture), len(UNKNOWNS), dtype=torch.float64)
@@ -43,6 +46,10 @@ class MovedViews:
         camera, flash = camera * views.size, flash * views.size
         return replace(views, camera=views.camera + camera, light=views.light + camera + flash,
                        intensity=views.intensity * log_exposure.exp())
+
+    def may_move(self, tied: bool) -> bool:
+        """Whether the views are refined now, with photos that are known to be a phone's or not."""
+        return self.refined == "always" or self.refined == "unless exact" and tied
 
     def level(self, slope: Tensor) -> None:
         """Move the flash of all photos until the patch as a whole is flat.
@@ -60,7 +67,7 @@ class MovedViews:
 
     def refine(self, svbrdf: SVBRDF, capture: Capture) -> None:
         """Find where camera and flash stood from the maps so far."""
-        found = refine_views(svbrdf, capture.views, capture, self.priors, FEW_STEPS if self.unsure else ITERATIONS)
+        found = refine_views(svbrdf, capture.views, capture, self.priors, FEW_STEPS if self.refined == "always" else ITERATIONS)
         self.change, self.deviation = found.change, found.deviation
         self.flash_deviation = found.common_covariance.diagonal().sqrt()
 

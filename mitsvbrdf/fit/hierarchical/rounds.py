@@ -20,8 +20,6 @@ explained from three starts, whose lobes are of very different width, and the mo
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import torch
 from torch import Tensor
 
@@ -37,7 +35,7 @@ from ..fixed_maps import fixed_maps
 from ..left_out import no_flash_offset
 from ..start import robust_start
 from .highlights import independent, trust
-from .moved_views import LEVELLED, REFINED, MovedViews
+from .moved_views import LEVELLED, REFINED, MovedViews, Refined
 from .scales import Scale, Scales
 from .solver import Observations
 from .stages import Stage, Stages, unexplained
@@ -71,12 +69,12 @@ class Hierarchical:
         self.config, self.views, self.resolution = config, capture.views, capture.resolution
         self.held = fixed_maps(config.fix, config.bsdf, capture.resolution)
         self.variant = renderer.variant or "llvm_ad_rgb"
-        # Views are refined from the start, and of exact photos too, where they were not stated.
-        unsure = bool(config.calibrate) or capture.calibration in ("photos", "none")
         fits_offset = config.calibrate is not False and no_flash_offset(capture, renderer, config) is None
-        self.may_move = config.calibrate is not False and (capture.calibrated or why_not(capture) is None)
+        refined: Refined = "always" if config.calibrate or capture.calibration in ("photos", "none") else "unless exact"
+        if config.calibrate is False or not capture.calibrated and why_not(capture) is not None:
+            refined = "never"
 
-        self.moved = MovedViews(capture, unsure, fits_offset)
+        self.moved = MovedViews(capture, refined, fits_offset)
         self.scales = Scales(capture, guess, self.held, config, self.variant)
         self.scale = self.scales.of(Stage.ALONE)
         self.ties = Ties(self.scale.solver.unknowns, config)
@@ -130,7 +128,7 @@ class Hierarchical:
         fine = self.scales.of(Stage.FINE)
         tied = not self.stages.exact
         answer = self.ties.enlarge(self.answer, self.scale, fine, tied)
-        return (replace(fine, member=None), self.ties.free(answer)) if tied else (fine, answer)
+        return (self.scales.of(Stage.FINE, free=True), self.ties.free(answer)) if tied else (fine, answer)
 
     def _keep(self) -> None:
         """Remember the answer to this start, if it is the best so far."""
@@ -159,7 +157,7 @@ class Hierarchical:
     def _move_views(self) -> None:
         """Move camera and flash where this round asks for it; the patch as a whole is flat (it lies in z = 0)."""
         stage, rounds, sloped = self.stages.stage, self.stages.rounds, len(self.ties.slopes) > 0
-        if not self.fits_views:
+        if not self.moved.may_move(self.stages.tied):
             return
         if rounds in LEVELLED.get(stage, ()) and self.moved.fits_offset and sloped:
             self.answer, slope = self.ties.levelled(self.answer)
@@ -170,29 +168,23 @@ class Hierarchical:
                     self.answer, _ = self.ties.levelled(self.answer)
                 self.moved.refine(self.preview(), self.scale.capture)
 
-    @property
-    def fits_views(self) -> bool:
-        """Whether views are refined in this stage: of photos that were stated, not alone, and not if they are exact."""
-        stated = not self.moved.unsure and (self.stages.exact or self.stages.stage == Stage.ALONE)
-        return self.may_move and not stated
-
     def _tie(self) -> None:
         """The prior of the next round, from what texels are seen to be."""
         scale, answer = self.scale, self.answer
         variance = scale.solver.variances(self.observations(scale, answer), answer.x, answer.precision + LEAST_PRECISION)
-        if scale.member is None:
+        if scale.free:
             self.answer = self.ties.loosen(answer, variance)
         else:
             self.answer = self.ties.share(answer, variance, scale.member, self.stages.tied,
                                           lambda planes: self.independent(planes, scale, answer))
 
     def observations(self, scale: Scale, answer: Answer) -> Observations:
-        """The photos; those of a phone are seen with more trust in highlights while texels are tied by look-alikes."""
-        noise, capture, tied = float(self.stages.noise), scale.capture, self.stages.tied
-        free = tied and scale.member is None
-        weights = self._trust(scale, answer, self.config.tails) if tied and not free and self.config.tails else None
+        """The photos; while texels are tied to look-alikes, pixels near highlights count most."""
+        noise, capture = float(self.stages.noise), scale.capture
+        weighted = self.stages.tied and not scale.free and self.config.tails
         return Observations(capture.photos, self.moved.moved(capture.views), capture.transfer, noise,
-                            (ROBUST_END if free else ROBUST) * noise, weights)
+                            (ROBUST_END if scale.free else ROBUST) * noise,
+                            self._trust(scale, answer, self.config.tails) if weighted else None)
 
     def _trust(self, scale: Scale, answer: Answer, reach: float) -> Tensor:
         roughness = scale.solver.svbrdf(answer.mean)["roughness"][..., 0]
@@ -256,6 +248,5 @@ class Hierarchical:
         self.answer = Answer(**{name: state[name].clone() for name in Answer._fields})
         for part in (self.stages, self.moved, self.rivals):
             part.load_state(state)
-        self.scale = self.scales.of(self.stages.stage)
-        if self.stages.tied and self.stages.stage == Stage.FINE:
-            self.scale = replace(self.scale, member=None)
+        stage = self.stages.stage
+        self.scale = self.scales.of(stage, free=self.stages.tied and stage == Stage.FINE)

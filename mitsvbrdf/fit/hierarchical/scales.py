@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 from torch import Tensor
 
@@ -17,7 +18,7 @@ from .stages import Stage
 COARSE = 64  # texels a side of the first stages
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scale:
     """What a stage works on.
 
@@ -25,13 +26,22 @@ class Scale:
         capture: the photos, N x R x R.
         guess: guessed diffuse map, R x R x 3.
         solver: of R x R texels.
-        member: how much of each basis material texels are, M x K; None where nobody asks.
+        basis: appearance of the basis materials, K x 5.
+        width: how alike texels must look to share.
+        free: whether texels have left what their look-alikes said.
     """
 
     capture: Capture
     guess: Tensor
     solver: TexelSolver
-    member: Tensor | None
+    basis: Tensor
+    width: float
+    free: bool = False
+
+    @cached_property
+    def member(self) -> Tensor:
+        """How much of each basis material texels are, M x K."""
+        return membership(appearance_of(self.capture, self.guess), self.basis, self.width)
 
 
 class Scales:
@@ -56,12 +66,11 @@ class Scales:
         guess = area_averaged(guess, averaged.resolution)
         self.basis = basis_materials(appearance_of(averaged, guess), config.materials, config.seed)
 
-    def of(self, stage: Stage) -> Scale:
-        """What this stage works on."""
+    def of(self, stage: Stage, free: bool = False) -> Scale:
+        """What this stage works on, with texels that are free or not."""
         capture = self.captures[stage]
         guess = area_averaged(self.guess, capture.resolution)
-        member = membership(appearance_of(capture, guess), self.basis, self.config.likeness)
-        return Scale(capture, guess, self.solver(capture.resolution), member)
+        return Scale(capture, guess, self.solver(capture.resolution), self.basis, self.config.likeness, free)
 
     def solver(self, side: int) -> TexelSolver:
         """The solver of so many texels a side, made once."""

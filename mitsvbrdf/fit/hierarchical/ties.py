@@ -100,7 +100,6 @@ class Ties:
             return answer
         x = enlarged(answer.x, side)
         if tied and len(self.shared):
-            assert coarse.member is not None and fine.member is not None
             own = answer.x[self.shared]
             alike = own.flatten(1) @ coarse.member / coarse.member.sum(dim=0).clamp_min(NOBODY)
             off = own - (alike @ coarse.member.T).reshape(own.shape)
