@@ -162,7 +162,7 @@ class Texels:
         self.index = dr.arange(mi.UInt32, kernel.texels)
         self.place = texel_position(mi, self.index, kernel.side)
         self.maps, self.stretch = traced_maps(mi, kernel.unknowns, x, problem["fixed"])
-        Vector = dr.float64_array_t(mi.Vector3f)
+        Vector: Any = dr.float64_array_t(mi.Vector3f)
         self.axes, self.turns = None, []
         if "normal" in kernel.unknowns:
             normal = Vector(*self.maps["normal"], 1)
