@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import torch
 import torch.nn.functional as F
@@ -66,7 +66,8 @@ class Views:
             raise ConfigError(f"falloff of {get_args(Falloff)}", repr(self.falloff), "choose one of these")
 
     @classmethod
-    def of(cls, camera, light=None, intensity=1.0, size: float = 1.0, falloff: Falloff = "inverse-square") -> Views:
+    def of(cls, camera: Any, light: Any = None, intensity: Any = 1.0, size: float = 1.0,
+           falloff: Falloff = "inverse-square") -> Views:
         """Views from anything array-like, checked: finite, z > 0, intensity >= 0 and not all black.
 
         Args:

@@ -139,7 +139,7 @@ def test_reference(nine, nine_rig):
 
 def test_photos_left_alone_by_few_features_are_compared_by_all(nine, monkeypatch):
     features = {photo.name: find_features(photo) for photo in nine[1][:3]}
-    monkeypatch.setattr(from_photos, "FEW_FEATURES", 20)
+    monkeypatch.setattr(pairs, "FEW_FEATURES", 20)
     assert all(pair.count > 100 for pair in pairs.find_pairs(features, SIZE, lambda share: None))
 
 

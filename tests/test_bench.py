@@ -261,7 +261,7 @@ def test_published_numbers_are_those_of_the_same_photos(tmp_path):
 # ----------------------------------------------------------------------------------------------------------------- renderers
 def test_the_truth_of_whole_pixels_is_their_average():
     svbrdf, views = make_material("inlay", 8), renderers.spread_views(2)
-    image, gradients = renderers.exact(svbrdf, views, renderers.FINER)
+    image, gradients = renderers.exact(svbrdf, views, renderers.POINTS_A_SIDE)
     twin, k = make_renderer("analytic64"), 48
     fine = svbrdf.map(lambda t: t.repeat_interleave(k, 0).repeat_interleave(k, 1))
     brute = twin.render(fine, views).reshape(2, 8, k, 8, k, 3).mean(dim=(2, 4))
@@ -284,7 +284,7 @@ def test_texel_centres_are_those_of_all_views_at_once():
 
 def test_jittered_rays_come_closer_to_whole_pixels():
     svbrdf, views = make_material("inlay", 16), renderers.spread_views(2)
-    image, _ = renderers.exact(svbrdf, views, renderers.FINER)
+    image, _ = renderers.exact(svbrdf, views, renderers.POINTS_A_SIDE)
     drawn = [SceneRenderer(samples=n).render(svbrdf, views) for n in (1, 4, 64)]
     one, few, many = (float(((picture - image) / image).abs().mean()) for picture in drawn)
     assert many < few / 8  # stratified: the error goes down as the number of rays goes up, 16 times; measured 18

@@ -16,13 +16,14 @@ from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.measure.gradients import fixed_cotangent, render_and_gradients
 from mitsvbrdf.measure.metrics import image_error
+from mitsvbrdf.measure.tolerances import TOLERANCES, UNIT_ROUNDOFF
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.system import files
 from mitsvbrdf.system.timing import in_turns
 from mitsvbrdf.testing import random_material
-from mitsvbrdf.verify.crosscheck import TOLERANCES, crosscheck, violations
+from mitsvbrdf.verify.crosscheck import crosscheck, violations
 from mitsvbrdf.verify.crosscheck_page import write_crosscheck_page
-from mitsvbrdf.verify.float32_limits import ROUNDING, diffuse_radiance, float32_limit, turned_normals, why, worst_texels
+from mitsvbrdf.verify.float32_limits import diffuse_radiance, float32_limit, turned_normals, why, worst_texels
 from mitsvbrdf.views import Views, nine_view_grid
 
 command = importlib.import_module("mitsvbrdf.cli.crosscheck")  # the package has the function under this name
@@ -230,7 +231,7 @@ def test_limit_at_the_steepest_of_a_ggx_lobe(roughness):
     tilted = torch.tensor([alpha, 0.0, 1.0]) / math.hypot(1, alpha)
     svbrdf = SVBRDF("roughconductor", {**flat(1, diffuse=0.0, roughness=roughness).maps, "normal": tilted.expand(1, 1, 3)})
     exact, limit = limit_of(svbrdf, Views.of([[0.0, 0.0, 2.0]]))
-    condition = limit.image / exact.image / ROUNDING
+    condition = limit.image / exact.image / UNIT_ROUNDOFF
     assert condition.flatten().tolist() == pytest.approx([2 * (1 - alpha**2) / alpha] * 3, rel=2e-3)
 
 
@@ -240,7 +241,7 @@ def test_limit_is_what_a_turn_of_the_normals_does():
     exact, limit = limit_of(svbrdf, THREE)
     first, second = (m["normal"] - svbrdf["normal"].double() for m in turned_normals(svbrdf, 1.0))
     angle = torch.rand(24, 24, 1, generator=torch.Generator().manual_seed(3), dtype=torch.float64) * 2 * torch.pi
-    turned = svbrdf["normal"].double() + ROUNDING * (angle.cos() * first + angle.sin() * second)
+    turned = svbrdf["normal"].double() + UNIT_ROUNDOFF * (angle.cos() * first + angle.sin() * second)
     moved = render_and_gradients(TWIN, SVBRDF("roughconductor", {**svbrdf.to(torch.float64).maps, "normal": turned}), THREE)
     shares = {"image": (moved.image - exact.image) / limit.image}
     shares |= {n: (moved.gradients[n] - exact.gradients[n]) / limit.gradients[n] for n in exact.gradients}
@@ -307,9 +308,9 @@ def test_worst_texels_are_found_and_placed():
                                                                 "float32 limit 3.0e-06"),
     ({"specular_share": 0.9, "limit": 3e-6, "roughness": 0.5}, "roughness 0.5,")])
 def test_why(change, words):
-    texel = {"value": 1.0, "reference": 1.0, "relative_error": 2 * ROUNDING, "share_of_mean": 1.0, "roughness": 0.5,
+    texel = {"value": 1.0, "reference": 1.0, "relative_error": 2 * UNIT_ROUNDOFF, "share_of_mean": 1.0, "roughness": 0.5,
              "half_vector_angle": 4.0, "incidence_angle": 4.0, "camera_angle": 4.0, "specular_share": 0.1,
-             "limit": 2 * ROUNDING}
+             "limit": 2 * UNIT_ROUNDOFF}
     assert words in why(texel | change)
 
 

@@ -18,7 +18,7 @@ from mitsvbrdf import cli
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.export import export_material
 from mitsvbrdf.export.gltf import write_gltf
-from mitsvbrdf.export.maps import NAMES
+from mitsvbrdf.export.maps import FILE_NAMES
 from mitsvbrdf.material.conversion import as_principled, with_specular_color
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import load_maps, save_maps
@@ -249,7 +249,7 @@ def test_mitsuba_renders_scene_and_dictionary_as_the_float64_twin(material, tmp_
 
 @pytest.mark.parametrize("normal", ["gl", "dx"])
 @pytest.mark.parametrize("bits", [8, 16])
-@pytest.mark.parametrize("naming", NAMES)
+@pytest.mark.parametrize("naming", FILE_NAMES)
 def test_maps_are_what_export_json_says(material, naming, bits, normal, tmp_path):
     export_material(material, tmp_path, ["maps"], "Old brick!", naming, normal, bits)
     folder, said = tmp_path / "maps", stated(tmp_path / "maps")

@@ -25,7 +25,7 @@ def test_every_shell_reads_it(shell):
 
 def test_help_names_the_commands():
     shown = sh(RUN, "help").stdout
-    assert all(f"./run {command}" in shown for command in ("demo", "test", "slow", "soak", "setup"))
+    assert all(f"./run {command}" in shown for command in ("demo", "test", "check", "slow", "soak", "setup"))
 
 
 @pytest.mark.parametrize("arguments", [[], ["tset"]])
@@ -41,7 +41,7 @@ def checkout(tmp_path):
     (root / ".venv" / "bin").mkdir(parents=True)
     for name in ("run", "pyproject.toml", "constraints.txt"):
         shutil.copy(ROOT / name, root / name)
-    for name in ("python", "mitsvbrdf"):
+    for name in ("python", "mitsvbrdf", "ruff", "mypy", "lint-imports"):
         program = root / ".venv" / "bin" / name
         program.write_text('#!/bin/sh\nprintf "%s|" "$PWD" "${0##*/}" "$@"\n')
         program.chmod(0o755)
@@ -65,7 +65,30 @@ def test_a_set_up_checkout_runs_at_once_from_anywhere(checkout, tmp_path):
     slow = sh(checkout / "run", "slow", cwd=tmp_path, env=environment)
     assert slow.stdout == f"{checkout}|python|-m|pytest|-m|slow|", slow.stderr
     soak = sh(checkout / "run", "soak", "--steps", "40", cwd=tmp_path, env=environment)
-    assert soak.stdout == f"{tmp_path}|python|-P|-m|mitsvbrdf.evaluate.soak|--steps|40|", soak.stderr
+    assert soak.stdout == f"{tmp_path}|python|-P|-m|mitsvbrdf.verify.soak|--steps|40|", soak.stderr
+
+
+def breaks(checkout: Path, *programs: str) -> None:
+    for name in programs:
+        (checkout / ".venv" / "bin" / name).write_text(f'#!/bin/sh\necho {name} found something >&2\nexit 1\n')
+
+
+def test_check_says_a_line_for_each_and_goes_on_after_a_red_one(checkout):
+    green = sh(checkout / "run", "check")
+    assert (green.returncode, green.stdout.split()) == (0, "style ok types ok imports ok lengths ok".split()), green.stderr
+    breaks(checkout, "ruff", "lint-imports")
+    red = sh(checkout / "run", "check")
+    assert red.returncode == 1 and red.stdout.splitlines() == [
+        "ruff found something", "style     FAILED", "types     ok",
+        "lint-imports found something", "imports   FAILED", "lengths   ok"]
+
+
+def test_all_tests_run_after_the_checks_and_a_red_check_is_not_forgotten(checkout):
+    done = sh(checkout / "run", "test")
+    assert done.returncode == 0 and done.stdout.startswith("style     ok\n") and "|-m|pytest|-n|" in done.stdout, done.stderr
+    breaks(checkout, "mypy")
+    red = sh(checkout / "run", "test")
+    assert red.returncode == 1 and "types     FAILED\n" in red.stdout and "|-m|pytest|-n|" in red.stdout
 
 
 def test_slow_tests_get_their_tools_once(checkout):
@@ -85,7 +108,7 @@ def test_slow_tests_get_their_tools_once(checkout):
 @pytest.mark.parametrize("given, used", [({"LC_ALL": "C"}, "C.UTF-8"), ({}, "C.UTF-8"), ({"LANG": "de_DE.utf8"}, "")])
 def test_python_gets_a_locale_that_can_spell_the_path(checkout, given, used):
     (checkout / ".venv" / "bin" / "python").write_text('#!/bin/sh\nprintf "%s" "${LC_ALL-}"\n')
-    assert sh(checkout / "run", "test", env={"PATH": "/usr/bin:/bin"} | given).stdout == used
+    assert sh(checkout / "run", "test", "-q", env={"PATH": "/usr/bin:/bin"} | given).stdout == used
 
 
 def test_changed_requirements_are_set_up_again(checkout):

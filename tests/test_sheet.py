@@ -9,7 +9,10 @@ from mitsvbrdf import color
 from mitsvbrdf.errors import CaptureError, OutputError
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import flat
-from mitsvbrdf.pages.canvas import GAP, HEADER, LABEL, MARGIN
+from mitsvbrdf.pages.canvas import HEADER_HEIGHT as HEADER
+from mitsvbrdf.pages.canvas import LABEL_HEIGHT as LABEL
+from mitsvbrdf.pages.canvas import PICTURE_GAP as GAP
+from mitsvbrdf.pages.canvas import SHEET_MARGIN as MARGIN
 from mitsvbrdf.report.sheet import loss_curve, write_sheet
 from mitsvbrdf.system import images
 

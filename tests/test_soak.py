@@ -11,6 +11,7 @@ import pytest
 
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.render import make_renderer
+from mitsvbrdf.system import timing
 from mitsvbrdf.verify import soak
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from Linux's /proc")
@@ -95,7 +96,7 @@ def test_a_step_that_takes_longer_and_longer_drifts(monkeypatch):
         now[0] += 0 if call % 2 == 0 else call // 2 + 3 * (call // 2 % 2)
         return now[0]
 
-    monkeypatch.setattr(soak.time, "perf_counter", later)
+    monkeypatch.setattr(timing.time, "perf_counter", later)
     step = soak.soak([make_renderer("analytic")], "principled", "images", 100, resolution=8)["step"]
     # Warm-up ends at 20. Means of turns: 22, 24, ..., 100; the first and the last four of forty have medians 25 and 97.
     assert (step["first"], step["last"]) == (25e3, 97e3)

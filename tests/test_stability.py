@@ -20,6 +20,7 @@ from mitsvbrdf.errors import CaptureError, ConfigError, MapsError, MitsvbrdfErro
 from mitsvbrdf.fit.losses import photometric
 from mitsvbrdf.material.maps import CHANNELS, SVBRDF, flat
 from mitsvbrdf.measure.gradients import fixed_cotangent, render_and_gradients
+from mitsvbrdf.measure.tolerances import EXACT
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.render.analytic import AnalyticRenderer
 from mitsvbrdf.verify.stability import SWEEPS, clamps, functions, run, stability
@@ -27,7 +28,7 @@ from mitsvbrdf.verify.stability.conditioning import condition, disturbed, jacobi
 from mitsvbrdf.verify.stability.page import BEGIN, END, write_stability_markdown, write_stability_page
 from mitsvbrdf.verify.stability.reference import texel_sum
 from mitsvbrdf.verify.stability.sweeps import APART, GRID, Case, aimed, material, tilted
-from mitsvbrdf.verify.stability.verdict import GRADIENT, IMAGE, VERDICTS, verdict
+from mitsvbrdf.verify.stability.verdict import VERDICTS, verdict
 from mitsvbrdf.views import BRIGHTEST, FARTHEST, NEAREST, Views
 
 TWIN = make_renderer("analytic64")
@@ -121,6 +122,7 @@ def test_no_step_where_nothing_is_seen():
     assert largest_step(make_renderer("analytic"), away, Views.of([[3.0, 0.2, 0.4]])) == 0
 
 
+IMAGE, GRADIENT = EXACT["image"], EXACT["gradient"]
 GOOD = {"errors": {"image": IMAGE / 3, "roughness": GRADIENT / 3}, "not_finite": {"image": 0}, "silenced": {"roughness": 0}}
 
 
@@ -350,8 +352,8 @@ def test_the_page_in_docs_has_every_sweep_and_clamp():
 
 
 def test_command_knows_every_sweep(tmp_path, capsys):
-    from mitsvbrdf.cli.stability import COLOURS, Sweep
+    from mitsvbrdf.cli.stability import VERDICT_COLOURS, Sweep
 
-    assert get_args(Sweep) == tuple(SWEEPS) and set(COLOURS) == set(VERDICTS)
+    assert get_args(Sweep) == tuple(SWEEPS) and set(VERDICT_COLOURS) == set(VERDICTS)
     assert cli.main(["stability", "--only", "flat", "--json", str(tmp_path)]) == 2
     assert "a file to write" in capsys.readouterr().err

@@ -138,7 +138,7 @@ def test_maps_that_are_no_maps_are_refused():
 def shown(svbrdf: SVBRDF, folder, width: int = 420, **window):
     """The viewer in a page like ours, drawn once; a small window is a small canvas, which software draws soon."""
     file = folder / "viewer.html"
-    file.write_text(page_text("base.html", title="A material").replace("</body>", viewer_html(svbrdf) + "</body>"))
+    file.write_text(page_text("pages/base.html", title="A material").replace("</body>", viewer_html(svbrdf) + "</body>"))
     with opened(file, width=width, **window) as page:
         assert page.evaluate("mitsvbrdfViewer.ready") is True
         yield page
@@ -449,7 +449,7 @@ def test_a_lost_context_comes_back(tmp_path):
 @pytest.mark.slow
 def test_without_webgl_a_sentence_says_so(tmp_path):
     file = tmp_path / "viewer.html"
-    file.write_text(page_text("base.html", title="A material").replace("</body>", viewer_html(flat(8)) + "</body>"))
+    file.write_text(page_text("pages/base.html", title="A material").replace("</body>", viewer_html(flat(8)) + "</body>"))
     with opened(file, flags=(FLAGS[0], "--disable-3d-apis")) as page:
         assert page.evaluate("mitsvbrdfViewer.ready") is False
         assert "needs WebGL2" in page.locator(".problem").first.inner_text()

@@ -1,1 +1,6 @@
-"""Error against run time, of renderers, methods and captures."""
+"""Error against run time, of renderers, methods and captures: what docs/benchmark.md shows.
+
+Jobs (``jobs``: ``renderers``, fits of the ``methods`` on ``tasks``, ``from_phone``) run one after the other and become records;
+``store`` keeps them in one JSON (``schema``); ``summary`` takes medians over seeds; ``tables``, ``plots`` and ``page`` show
+them beside ``published`` numbers. ``stiff`` stands apart: fits that are asked too much, and how they end.
+"""

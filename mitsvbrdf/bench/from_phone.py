@@ -8,9 +8,9 @@ captures lose their views; those found again are held against the ones given.
 from __future__ import annotations
 
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -32,13 +32,14 @@ from ..synth.against_truth import compare_with_truth
 from ..synth.phone import HandheldPhone
 from ..synth.photos import write_handheld
 from ..synth.truth import Truth, rig_of, true_capture, truth_maps
+from ..system.timing import timed
 from ..views import Views, default_views
 from .methods import settings_of
 from .tasks import LEFT_OUT
 
-SHEET = 18.0  # cm
-MATERIAL_SIDE = 1024  # texels of made materials over the whole sample
-TAKING, MAKING = 60.0, 60.0  # seconds, before there is anything to go by
+SHEET_CM = 18.0
+SAMPLE_SIDE = 1024  # texels of made materials over the whole sample
+TAKING_SECONDS, MAKING_SECONDS = 60.0, 60.0  # seconds, before there is anything to go by
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,7 @@ class CaptureJob:
 
     @property
     def name(self) -> str:
+        """Of the material or the capture."""
         return self.source.removeprefix("builtin:") if self.source.startswith("builtin:") else Path(self.source).name
 
     @property
@@ -95,7 +97,7 @@ class CaptureJob:
     def cost(self) -> float:
         """A guess of its seconds."""
         fits = (2 if self.kind == "material" else 4) * (self.config.budget or 120.0)
-        return fits + (TAKING + MAKING if self.kind == "material" else 0.0)
+        return fits + (TAKING_SECONDS + MAKING_SECONDS if self.kind == "material" else 0.0)
 
     def run(self, report: Callable[[float], object] = lambda share: None) -> dict:
         """The figures. What cannot be done is a result too: it has no errors, and says why."""
@@ -115,16 +117,14 @@ class CaptureJob:
         from ..synth.traced import HandheldRenderer
 
         made = self.source.startswith("builtin:")
-        maps = make_material(self.name, MATERIAL_SIDE) if made else load_maps(self.source)
-        phone = replace(self.phone, sheet=SHEET if self.sheet else None)
-        started = time.perf_counter()
-        write_handheld(maps, phone, lambda *scene: HandheldRenderer(*scene, variant=self.variant), folder / "raw")
-        seconds = {"taking": time.perf_counter() - started}
+        maps = make_material(self.name, SAMPLE_SIDE) if made else load_maps(self.source)
+        phone = replace(self.phone, sheet=SHEET_CM if self.sheet else None)
+        _, taking = timed(write_handheld, maps, phone, partial(HandheldRenderer, variant=self.variant), folder / "raw")
         report(0.2)
         result = make_capture([Photo.open(path) for path in photos_in(folder / "raw")], phone.sheet,
                               phone.depth if self.sheet else 0.0, resolution=max(512, self.resolution))
         write_capture(result.capture, folder / "capture", capture_keys(result))
-        seconds |= result.seconds
+        seconds = {"taking": taking} | result.seconds
         report(0.3)
         truth = Truth.read(folder / "raw")
         errors = _flat(compare_with_truth(folder / "capture", truth))
@@ -132,9 +132,8 @@ class CaptureJob:
         for number, (whose, shots) in enumerate((
                 ("found", read_capture(folder / "capture", self.resolution)),
                 ("true", true_capture(folder / "capture", truth, resolution=self.resolution)))):
-            started = time.perf_counter()
-            fitted = self._fit(shots, self.config).svbrdf.detach()
-            seconds[f"fit, {whose} views"] = time.perf_counter() - started
+            fit, seconds[f"fit, {whose} views"] = timed(self._fit, shots, self.config)
+            fitted = fit.svbrdf.detach()
             errors |= {f"{whose} {name}": value for name, value in map_rmse(fitted, known).items()}
             errors[f"{whose} scaled diffuse"] = scaled_diffuse_rmse(fitted, known)
             report(0.65 + 0.35 * number)
@@ -144,15 +143,12 @@ class CaptureJob:
         given = read_capture(self.source, self.resolution)
         unknown = replace(default_views(len(given)), falloff=given.views.falloff)
         without = replace(given, views=unknown, calibration="none")
-        started = time.perf_counter()
-        begun = self_calibrated(without)[0].views
-        seconds = {"views estimated": time.perf_counter() - started}
-        errors = {f"estimated {name}": value for name, value in recovered(begun, given.views).items()}
+        (estimated, *_), taken = timed(self_calibrated, without)
+        seconds = {"views estimated": taken}
+        errors = {f"estimated {name}": value for name, value in recovered(estimated.views, given.views).items()}
 
         def fitted(shots: Capture, name: str, config: HierarchicalConfig) -> FitResult:
-            started = time.perf_counter()
-            result = self._fit(shots, config)
-            seconds[f"fit, {name}"] = time.perf_counter() - started
+            result, seconds[f"fit, {name}"] = timed(self._fit, shots, config)
             report(len(seconds) / 5)
             return result
 
@@ -189,7 +185,7 @@ def recovered(found: Views, given: Views) -> dict[str, float]:
 
 
 def scaled_diffuse_rmse(svbrdf: SVBRDF, truth: SVBRDF) -> float:
-    """RMSE of the diffuse map, as :func:`mitsvbrdf.metrics.map_rmse` counts it, after the one factor that makes it least."""
+    """RMSE of the diffuse map (:func:`mitsvbrdf.measure.metrics.map_rmse`) after the one factor that makes it least."""
     size = min(svbrdf.resolution, truth.resolution)
     found, known = (color.encode(m.as_roughconductor().resized(size)["diffuse"].double()) for m in (svbrdf, truth))
     factor = (found * known).sum() / found.square().sum().clamp_min(torch.finfo(torch.float64).tiny)

@@ -7,13 +7,13 @@ with one of its ingredients after the other taken away. ``capture`` goes from a 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from ..errors import MitsvbrdfError
 from ..fit import FitConfig
 from ..render import Renderer
+from ..system.timing import timed
 from .from_phone import CaptureJob
 from .methods import fit, settings_of
 from .renderers import RenderJob
@@ -22,7 +22,7 @@ from .tasks import Task
 
 Report = Callable[[str, float], None]
 
-AROUND = 3.0  # seconds a fit takes besides its budget, before there is anything to go by
+SECONDS_BESIDE_BUDGET = 3.0  # seconds a fit takes besides its budget, before there is anything to go by
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class FitJob:
     @property
     def cost(self) -> float:
         """A guess of its seconds."""
-        return self.budget + AROUND
+        return self.budget + SECONDS_BESIDE_BUDGET
 
     @property
     def shape(self) -> tuple:
@@ -112,14 +112,14 @@ def run(jobs: Sequence[Job], store: Store, report: Report = lambda text, share: 
         store: the file.
         report: told what is going on, with the time left, and the share done.
     """
-    pending, clock, warm = store.pending(list(jobs)), _Clock(), set()
+    pending, forecast, warm = store.pending(list(jobs)), _Forecast(), set()
     whole = sum(job.cost for job in pending)
     for number, job in enumerate(pending):
-        done, later = sum(j.cost for j in pending[:number]), clock.left(pending[number + 1:])
+        done, later = sum(j.cost for j in pending[:number]), forecast.left(pending[number + 1:])
         text = f"{job.title} ({number + 1} of {len(pending)})"
 
         def tell(share: float, job: Job = job, done: float = done, later: float = later, text: str = text) -> None:
-            left = clock.left([job]) * (1 - share) + later
+            left = forecast.left([job]) * (1 - share) + later
             report(f"{text}, {duration(left)} left", (done + share * job.cost) / whole)
 
         tell(0.0)
@@ -129,23 +129,24 @@ def run(jobs: Sequence[Job], store: Store, report: Report = lambda text, share: 
                 job.warm_up()
             except MitsvbrdfError:
                 pass  # the fit itself will say it
-        started = time.perf_counter()
-        figures = job.run(tell)
-        clock.count(job, time.perf_counter() - started)
+        figures, seconds = timed(job.run, tell)
+        forecast.learn(job, seconds)
         store.add(job.key | {"config": job.settings} | figures)
 
 
-class _Clock:
-    """How long jobs will take, by what those of their group took beside their guess."""
+class _Forecast:
+    """How long the jobs still to come will take: their guesses, scaled by what jobs of their group took beside theirs."""
 
     def __init__(self) -> None:
         self.taken: dict[str, tuple[float, float]] = {}
 
-    def count(self, job: Job, seconds: float) -> None:
+    def learn(self, job: Job, seconds: float) -> None:
+        """A job has taken this long."""
         taken, guessed = self.taken.get(job.group, (0.0, 0.0))
         self.taken[job.group] = taken + seconds, guessed + job.cost
 
     def left(self, jobs: Sequence[Job]) -> float:
+        """Seconds that these jobs will take, one after the other."""
         total = 0.0
         for job in jobs:
             taken, guessed = self.taken.get(job.group, (1.0, 1.0))

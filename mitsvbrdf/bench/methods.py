@@ -1,4 +1,4 @@
-"""What competes: each method a name and its settings, and one fit of it."""
+"""What competes: every method of ``fit`` with its settings, the default with one ingredient off, and one fit of either."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from ..render import Renderer
 from ..views import Falloff
 from .peers_baseline import PeersBaseline, PeersConfig
 
+# The ablation: an ingredient of the default method that is off -> the settings that take it away.
 VARIANTS: dict[str, dict[str, object]] = {
     "one basis material": {"materials": 1},
     "no neighbours as starts": {"neighbours": False},
@@ -80,7 +81,7 @@ def variant_table(config: FitConfig, variants: Mapping[str, Mapping[str, object]
         unknown = [key for key in changes if key not in {f.name for f in fields(config)}]
         if unknown or name == FULL:
             raise ConfigError(f"a variant of {type(config).__name__}", f"{name!r} with {unknown or 'the name of the whole'}",
-                              "mend mitsvbrdf/evaluate/bench/ablation.py")
+                              "mend VARIANTS in mitsvbrdf/bench/methods.py")
         table[name] = replace(config, **changes)  # type: ignore[arg-type]
         table[name].check()
     return table

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from matplotlib.figure import Figure
 from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table as Shown
 
+from ..pages.page import svg_file
 from ..system import files
 from ..system.progress import console
 from . import summary
-from .plots import methods_figure, renderers_figure, small_multiples, svg
+from .plots import methods_figure, renderers_figure, small_multiples
 from .summary import ERRORS
 from .tables import (
     Table,
@@ -29,6 +31,8 @@ from .tables import (
     judged,
     renderer_tables,
 )
+
+Picture = Callable[[str, Figure | None, str], list[str]]  # name, drawing, what it shows -> lines of Markdown
 
 
 def print_benchmark(record: Mapping) -> None:
@@ -52,7 +56,7 @@ def write_benchmark_page(path: str | Path, record: Mapping) -> list[Path]:
 
     Args:
         path: the page, e.g. ``docs/benchmark.md``.
-        record: a :class:`mitsvbrdf.evaluate.bench.schema.Benchmark`.
+        record: a :class:`mitsvbrdf.bench.schema.Benchmark`.
 
     Returns:
         Every file that was written, the page first.
@@ -62,10 +66,10 @@ def write_benchmark_page(path: str | Path, record: Mapping) -> list[Path]:
     """
     path, pictures = Path(path), dict[str, bytes]()
 
-    def picture(name: str, drawing, what: str) -> list[str]:
+    def picture(name: str, drawing: Figure | None, what: str) -> list[str]:
         if drawing is None:
             return []
-        pictures[f"{path.stem}-{name}.svg"] = svg(drawing)
+        pictures[f"{path.stem}-{name}.svg"] = svg_file(drawing)
         return [f"![{what}]({path.stem}-{name}.svg)", ""]
 
     whole = picture("methods", methods_figure(record), "Error against run time of all methods")
@@ -141,7 +145,7 @@ def _beside_published(record: Mapping, kind: str, error: str, title: str, fits: 
     return [f"- {title}, `{default}` after {longest:g} s against MaterialGAN as published: {text}."]
 
 
-def _methods(record: Mapping, picture) -> list[str]:
+def _methods(record: Mapping, picture: Picture) -> list[str]:
     lines = []
     for kind, heading, text in (
             ("material", "## Known materials", "Photos made of known maps, 8 bits, without noise; the error of the maps is the "
@@ -162,7 +166,7 @@ def _methods(record: Mapping, picture) -> list[str]:
     return lines
 
 
-def _renderers(record: Mapping, picture) -> list[str]:
+def _renderers(record: Mapping, picture: Picture) -> list[str]:
     tables = renderer_tables(record)
     if not tables:
         return []

@@ -26,9 +26,9 @@ from ..render import Renderer
 from ..views import Views
 
 START = {"diffuse": 0.5, "specular": 0.04, "roughness": 0.2}  # gamma-encoded
-CHANNELS = {"diffuse": 3, "specular": 3, "roughness": 1, "normal": 2}
-DARKEST = 1e-6  # what renderings are cut to from below
-LEAST = 2 * float(color.encode(torch.tensor(LEAST_ROUGHNESS))) - 1  # renderers take no roughness of 0
+TEXTURE_CHANNELS = {"diffuse": 3, "specular": 3, "roughness": 1, "normal": 2}
+LEAST_RENDERED = 1e-6  # what renderings are cut to from below
+LEAST_ROUGHNESS_UNIT = 2 * float(color.encode(torch.tensor(LEAST_ROUGHNESS))) - 1  # renderers take no roughness of 0
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,7 @@ class PeersConfig(FitConfig):
     """Adam's step size, on values from -1 to 1."""
 
     def check(self) -> None:
+        """Raise ConfigError where the peers' baseline cannot do what is asked."""
         super().check()
         if self.bsdf != "roughconductor" or self.fix:
             raise ConfigError("diffuse, specular, roughness and normal to fit", f"{self.bsdf} with {list(self.fix)} fixed",
@@ -56,17 +57,17 @@ class PeersBaseline:
         self.held: Mapping[str, Tensor] = {}
         size = capture.resolution
         self.textures = {name: torch.full((size, size, channels), 2 * START[name] - 1 if name in START else 0.0)
-                         .requires_grad_() for name, channels in CHANNELS.items()}
+                         .requires_grad_() for name, channels in TEXTURE_CHANNELS.items()}
         self.optimizer = torch.optim.Adam(list(self.textures.values()), lr=config.learning_rate)
 
     def step(self, progress: float) -> dict[str, float]:
         """One Adam step on all photos; ``progress`` does not matter."""
-        rendered = self.renderer.render(self._material(), self.views).clamp(DARKEST, 1)
+        rendered = self.renderer.render(self._material(), self.views).clamp(LEAST_RENDERED, 1)
         loss = (color.encode(rendered, self.capture.transfer) - self.capture.photos).square().mean()
         gradient = descend(loss, self.optimizer)
         with torch.no_grad():
             for name, texture in self.textures.items():
-                texture.clamp_(LEAST if name == "roughness" else -1, 1)
+                texture.clamp_(LEAST_ROUGHNESS_UNIT if name == "roughness" else -1, 1)
         return {"l2": float(loss.detach()), "gradient": gradient}
 
     def _material(self) -> SVBRDF:
@@ -77,18 +78,22 @@ class PeersBaseline:
         return SVBRDF("roughconductor", maps | {"normal": normal})
 
     def estimate(self) -> tuple[SVBRDF, Views]:
+        """The maps as they are now, and the views as they were given."""
         with torch.no_grad():
             return self._material().map(Tensor.contiguous), self.views
 
     def cut_step(self) -> None:
+        """Halve Adam's step."""
         self.optimizer.param_groups[0]["lr"] /= 2
 
     def state(self) -> dict[str, Tensor]:
+        """What a checkpoint keeps."""
         rate = torch.tensor(self.optimizer.param_groups[0]["lr"], dtype=torch.float64)
         return {f"texture.{name}": t.detach().clone() for name, t in self.textures.items()} | {"rate": rate} | optimizer_state(
             "optimizer", self.optimizer)
 
     def load_state(self, state: dict[str, Tensor]) -> None:
+        """Go on from :meth:`state`."""
         with torch.no_grad():
             for name, texture in self.textures.items():
                 texture.copy_(state[f"texture.{name}"])

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
-import matplotlib
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter, NullLocator
 
-from ..verify.crosscheck import TOLERANCES
+from ..measure.tolerances import TOLERANCES
+from ..pages.colours import CHART_AXIS, CHART_GRID, CHART_LINES, CHART_QUIET, CHART_TEXT
 from . import summary
 
-# The default method first; told apart by lightness too.
-COLOURS = ("#c8501e", "#2a6fb0", "#7fb2dd", "#1b8a5a", "#5b6270", "#8a4fa3", "#b8860b")
-QUIET, GRID, PUBLISHED = "#6b7280", "#e6e8ec", "#3f444d"
-SIZES = {"title": 10, "label": 8.5, "tick": 8, "small": 7}
-RENDERERS = {"mitsuba": COLOURS[0], "mitsuba-scene": COLOURS[1], "analytic": COLOURS[3]}  # the twin has no error to show
-SIDES: dict = {"linestyle": "-", "marker": "o", "linewidth": 1.6, "markersize": 4}
-VIEWS: dict = {"linestyle": ":", "marker": "s", "linewidth": 0.9, "markersize": 3.2}
+FONT_SIZES = {"title": 10, "label": 8.5, "tick": 8, "small": 7}
+# The twin has no error to show.
+RENDERER_LINES = {"mitsuba": CHART_LINES[0], "mitsuba-scene": CHART_LINES[1], "analytic": CHART_LINES[3]}
+OVER_SIDES: dict = {"linestyle": "-", "marker": "o", "linewidth": 1.6, "markersize": 4}
+OVER_VIEWS: dict = {"linestyle": ":", "marker": "s", "linewidth": 0.9, "markersize": 3.2}
 
 
 def methods_figure(record: Mapping) -> Figure | None:
@@ -56,21 +53,21 @@ def small_multiples(record: Mapping, kind: str, error: str) -> Figure | None:
     height = drawing.get_figheight()
     panels = drawing.subplots(down, across, squeeze=False, sharex=True, sharey=True).flatten()
     drawing.subplots_adjust(left=0.055, right=0.985, wspace=0.08, hspace=0.3, top=1 - 0.82 / height, bottom=0.4 / height)
+    published = [{who: errors[error] for who, errors in record["published"].get(kind, {}).get(name, {}).items()
+                  if error in errors} for name in each]
     for number, (panel, name) in enumerate(zip(panels, each)):
-        lines = {who: errors[error] for who, errors in record["published"].get(kind, {}).get(name, {}).items()
-                 if error in errors}
-        _curves(panel, summary.curves(fits, error, [name]), colours(fits), lines, direct=False)
-        panel.set_title(name, loc="left", fontsize=SIZES["label"], pad=3)
-        panel.set_xlabel("seconds" if number >= len(each) - across else "", fontsize=SIZES["small"])
+        _curves(panel, summary.curves(fits, error, [name]), colours(fits), published[number], direct=False)
+        panel.set_title(name, loc="left", fontsize=FONT_SIZES["label"], pad=3)
+        panel.set_xlabel("seconds" if number >= len(each) - across else "", fontsize=FONT_SIZES["small"])
         panel.tick_params(labelbottom=number >= len(each) - across)
     for panel in panels[len(each):]:
         panel.set_visible(False)
-    for panel in panels[:len(each)]:
-        _inner_labels(panel)
+    for panel, lines in zip(panels, published):  # now that the shared axes are known
+        _inner_labels(panel, lines)
     handles = [Line2D([], [], color=colour, linewidth=2, label=name) for name, colour in colours(fits).items()]
-    drawing.text(0.055, 1 - 0.1 / height, f"{summary.ERRORS[kind][error]}, RMSE", fontsize=SIZES["title"], fontweight="bold",
-                 va="top")
-    drawing.legend(handles=handles, loc="upper left", ncols=len(handles), fontsize=SIZES["tick"], frameon=False,
+    drawing.text(0.055, 1 - 0.1 / height, f"{summary.ERRORS[kind][error]}, RMSE", fontsize=FONT_SIZES["title"],
+                 fontweight="bold", va="top")
+    drawing.legend(handles=handles, loc="upper left", ncols=len(handles), fontsize=FONT_SIZES["tick"], frameon=False,
                    bbox_to_anchor=(0.047, 1 - 0.26 / height), handlelength=1.4, columnspacing=1.6, borderaxespad=0)
     return drawing
 
@@ -86,16 +83,16 @@ def renderers_figure(record: Mapping) -> Figure | None:
     panels = drawing.subplots(len(bsdfs), 3, squeeze=False, sharex="col", sharey="col")
     drawing.subplots_adjust(left=0.07, right=0.985, wspace=0.27, hspace=0.42, top=1 - 0.85 / height, bottom=0.45 / height)
     whose = {row["renderer"] for r in cases for row in r["rows"]}
-    shades = {name: colour for name, colour in RENDERERS.items() if name in whose}
+    shades = {name: colour for name, colour in RENDERER_LINES.items() if name in whose}
     tolerances = {"image": TOLERANCES["image"]["mean"], "gradient": TOLERANCES["gradients"]["relative_l2"]}
     for row, bsdf in zip(panels, bsdfs):
         texels = [r for r in cases if r["bsdf"] == bsdf and r["truth"] == "texels"]
         for panel, (error, time, title) in zip(row, (("image", "forward", "Image, forward"),
                                                      ("gradient", "both", "Gradient, forward and backward"))):
             _sweeps(panel, texels, error, time, shades)
-            panel.axhline(tolerances[error], color=PUBLISHED, linewidth=1.0, linestyle=(0, (5, 3)), zorder=1)
+            panel.axhline(tolerances[error], color=CHART_TEXT, linewidth=1.0, linestyle=(0, (5, 3)), zorder=1)
             panel.annotate("stated tolerance", (0.985, tolerances[error]), (0, 2), xycoords=("axes fraction", "data"),
-                           textcoords="offset points", ha="right", fontsize=6.5, fontstyle="italic", color=PUBLISHED)
+                           textcoords="offset points", ha="right", fontsize=6.5, fontstyle="italic", color=CHART_TEXT)
             panel.set_ylim(2e-8, 1e-5)
             _plain(panel)
             _headed(panel, title, f"relative error, {bsdf}")
@@ -104,34 +101,31 @@ def renderers_figure(record: Mapping) -> Figure | None:
             _samples(row[2], jittered, shades)
         row[2].set_visible(jittered is not None)
     for panel in panels[-1]:
-        panel.set_xlabel("seconds", fontsize=SIZES["small"])
-    handles = [Line2D([], [], color=colour, linewidth=2, label=name) for name, colour in shades.items()]
-    sides, counts = _grown([r for r in cases if r["truth"] == "texels"])
-    if sides:
-        handles.append(Line2D([], [], color=QUIET, **SIDES, label=f"9 views of {sides[0]['resolution']} to "
-                                                                  f"{sides[-1]['resolution']} px"))
-    if counts:
-        handles.append(Line2D([], [], color=QUIET, **VIEWS, label=f"{counts[0]['views']} to {counts[-1]['views']} views of "
-                                                                  f"{counts[0]['resolution']} px"))
-    handles.append(Line2D([], [], color=QUIET, linestyle="none", marker="D", markersize=4.5, label="one ray to the centre"))
-    drawing.legend(handles=handles, loc="upper left", ncols=len(handles), fontsize=SIZES["tick"], frameon=False,
+        panel.set_xlabel("seconds", fontsize=FONT_SIZES["small"])
+    handles = _renderer_keys(cases, shades)
+    drawing.legend(handles=handles, loc="upper left", ncols=len(handles), fontsize=FONT_SIZES["tick"], frameon=False,
                    bbox_to_anchor=(0.062, 1 - 0.08 / height), handlelength=1.8, columnspacing=1.6, borderaxespad=0)
     return drawing
 
 
-def svg(drawing: Figure) -> bytes:
-    """The file: white ground, text as text, the same bytes for the same record."""
-    data = io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": "mitsvbrdf", "svg.fonttype": "none"}):
-        drawing.set_facecolor("white")
-        FigureCanvasSVG(drawing).print_svg(data, metadata={"Date": None})
-    return data.getvalue()
+def _renderer_keys(cases: Sequence[Mapping], shades: Mapping[str, str]) -> list[Line2D]:
+    """What the legend explains: the renderers by colour, the sweeps by line, the ray to the centre by its mark."""
+    keys = [Line2D([], [], color=colour, linewidth=2, label=name) for name, colour in shades.items()]
+    sides, counts = _grown([r for r in cases if r["truth"] == "texels"])
+    if sides:
+        keys.append(Line2D([], [], color=CHART_QUIET, **OVER_SIDES,
+                           label=f"9 views of {sides[0]['resolution']} to {sides[-1]['resolution']} px"))
+    if counts:
+        keys.append(Line2D([], [], color=CHART_QUIET, **OVER_VIEWS,
+                           label=f"{counts[0]['views']} to {counts[-1]['views']} views of {counts[0]['resolution']} px"))
+    return [*keys, Line2D([], [], color=CHART_QUIET, linestyle="none", marker="D", markersize=4.5,
+                          label="one ray to the centre")]
 
 
 def colours(fits: Sequence[Mapping]) -> dict[str, str]:
     """Method -> its colour, in the order of the records."""
     methods = dict.fromkeys(r["method"] for r in fits)
-    return {name: COLOURS[i % len(COLOURS)] for i, name in enumerate(methods)}
+    return {name: CHART_LINES[i % len(CHART_LINES)] for i, name in enumerate(methods)}
 
 
 def names_of(kind: str, fits: Sequence[Mapping]) -> str:
@@ -148,7 +142,7 @@ def _curves(panel: Axes, found: Mapping[str, Sequence[summary.Point]], shades: M
     last = max((p.seconds for points in found.values() for p in points), default=1.0)
     right = max([last, *budgets]) * 1.12
     ends = []
-    for number, (name, points) in enumerate(reversed(found.items())):  # the default method on top
+    for number, (name, points) in enumerate(reversed(list(found.items()))):  # the default method on top
         x, y = [p.seconds for p in points], [p.median for p in points]
         if any(p.high > p.low for p in points):
             panel.fill_between(x, [p.low for p in points], [p.high for p in points], color=shades[name], alpha=0.16,
@@ -160,18 +154,16 @@ def _curves(panel: Axes, found: Mapping[str, Sequence[summary.Point]], shades: M
         ends.append((name, y[-1], shades[name], "normal"))
     for who, value in lines.items():
         until = 1.0 if direct or len(lines) == 1 else 0.45  # several leave room for their names
-        panel.axhline(value, xmax=until, color=PUBLISHED, linewidth=1.0, linestyle=(0, (5, 3)), zorder=1)
-        ends.append((who, value, PUBLISHED, "italic"))
+        panel.axhline(value, xmax=until, color=CHART_TEXT, linewidth=1.0, linestyle=(0, (5, 3)), zorder=1)
+        ends.append((who, value, CHART_TEXT, "italic"))
     panel.set(xscale="log", yscale="log")
     panel.set_xlim(min([p.seconds for points in found.values() for p in points] or [1.0]) / 1.25, right)
     panel.xaxis.set_major_locator(FixedLocator(budgets))
     panel.xaxis.set_minor_locator(NullLocator())
     _plain(panel)
     if direct:
-        panel.set_xlabel("seconds", fontsize=SIZES["small"], labelpad=1)
+        panel.set_xlabel("seconds", fontsize=FONT_SIZES["small"], labelpad=1)
         _labels(panel, ends)
-    else:
-        panel.published = lines  # labelled once the shared axes are known
 
 
 def _labels(panel: Axes, ends: Sequence[tuple[str, float, str, str]]) -> None:
@@ -181,7 +173,7 @@ def _labels(panel: Axes, ends: Sequence[tuple[str, float, str, str]]) -> None:
     places = spaced([each[0] for each in at], 0.072)
     for (height, name, colour, style), place in zip(at, places):
         panel.annotate(name, xy=(1.0, height), xytext=(1.045, place), xycoords="axes fraction", textcoords="axes fraction",
-                       color=colour, fontsize=SIZES["label"], fontstyle=style, va="center", annotation_clip=False,
+                       color=colour, fontsize=FONT_SIZES["label"], fontstyle=style, va="center", annotation_clip=False,
                        arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.7, "shrinkA": 1, "shrinkB": 0})
 
 
@@ -197,14 +189,16 @@ def spaced(heights: Sequence[float], gap: float) -> list[float]:
     return [total / count + (k - (count - 1) / 2) * gap for total, count in groups for k in range(int(count))]
 
 
-def _inner_labels(panel: Axes) -> None:
+def _inner_labels(panel: Axes, published: Mapping[str, float]) -> None:
     """Names of published lines: above the one line, else behind the ends of several."""
     low, high = map(math.log, panel.get_ylim())
-    lines = sorted(panel.published.items(), key=lambda line: line[1])
+    lines = sorted(published.items(), key=lambda line: line[1])
     places = spaced([(math.log(value) - low) / (high - low) for _, value in lines], 0.085)
-    where = {"x": 0.985, "ha": "right", "va": "bottom"} if len(lines) == 1 else {"x": 0.465, "ha": "left", "va": "center"}
+    where: dict[str, Any] = {"x": 0.465, "ha": "left", "va": "center"}
+    if len(lines) == 1:
+        where = {"x": 0.985, "ha": "right", "va": "bottom"}
     for (who, _), place in zip(lines, places):
-        panel.text(y=place, s=who, transform=panel.transAxes, fontsize=6.3, fontstyle="italic", color=PUBLISHED, zorder=20,
+        panel.text(y=place, s=who, transform=panel.transAxes, fontsize=6.3, fontstyle="italic", color=CHART_TEXT, zorder=20,
                    path_effects=[withStroke(linewidth=2.2, foreground="white")], **where)
 
 
@@ -212,7 +206,7 @@ def _sweeps(panel: Axes, cases: Sequence[Mapping], error: str, time: str, shades
     """One line a renderer over growing sides, one over growing numbers of views, with the quartiles of their times."""
     sides, counts = _grown(cases)
     for name, colour in shades.items():
-        for sweep, style in ((counts, VIEWS), (sides, SIDES)):
+        for sweep, style in ((counts, OVER_VIEWS), (sides, OVER_SIDES)):
             rows = [row for r in sweep for row in r["rows"] if row["renderer"] == name and row[error] > 0]
             panel.plot([row[time]["median"] for row in rows], [row[error] for row in rows], color=colour, **style)
             for row in rows:
@@ -234,7 +228,7 @@ def _samples(panel: Axes, case: Mapping, shades: Mapping[str, str]) -> None:
     panel.plot([r["forward"]["median"] for r in jittered], [r["image"] for r in jittered], color=shades.get("mitsuba-scene"),
                marker="o", markersize=4, linewidth=1.6)
     for row in jittered:
-        panel.annotate(str(row["samples"]), (row["forward"]["median"], row["image"]), (5, 4), fontsize=SIZES["small"],
+        panel.annotate(str(row["samples"]), (row["forward"]["median"], row["image"]), (5, 4), fontsize=FONT_SIZES["small"],
                        textcoords="offset points", color=shades.get("mitsuba-scene"))
     for row in case["rows"]:
         if row["samples"] == 1 and row["renderer"] in shades:
@@ -246,8 +240,8 @@ def _samples(panel: Axes, case: Mapping, shades: Mapping[str, str]) -> None:
 
 
 def _headed(panel: Axes, title: str, about: str) -> None:
-    panel.set_title(title, loc="left", fontsize=SIZES["title"], fontweight="bold", pad=14)
-    panel.text(0, 1.025, about, transform=panel.transAxes, fontsize=SIZES["small"], color=QUIET, va="bottom")
+    panel.set_title(title, loc="left", fontsize=FONT_SIZES["title"], fontweight="bold", pad=14)
+    panel.text(0, 1.025, about, transform=panel.transAxes, fontsize=FONT_SIZES["small"], color=CHART_QUIET, va="bottom")
 
 
 def _plain(panel: Axes) -> None:
@@ -257,8 +251,8 @@ def _plain(panel: Axes) -> None:
             axis.set_major_locator(LogLocator(subs=(1, 2, 5) if limits[1] / limits[0] < 60 else (1,)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
-    panel.grid(True, which="major", color=GRID, linewidth=0.7)
+    panel.grid(True, which="major", color=CHART_GRID, linewidth=0.7)
     panel.set_axisbelow(True)
     panel.spines[["top", "right"]].set_visible(False)
-    panel.spines[["left", "bottom"]].set_color("#b9bec6")
-    panel.tick_params(labelsize=SIZES["tick"], which="both", color="#b9bec6", labelcolor=PUBLISHED, length=2.5)
+    panel.spines[["left", "bottom"]].set_color(CHART_AXIS)
+    panel.tick_params(labelsize=FONT_SIZES["tick"], which="both", color=CHART_AXIS, labelcolor=CHART_TEXT, length=2.5)

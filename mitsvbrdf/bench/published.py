@@ -10,10 +10,10 @@ from pathlib import Path
 from ..errors import ConfigError
 from .tasks import KnownMaterial, Task
 
-RESOLUTION = 256  # the published numbers are for photos and maps of this size
-NAMES = {"materialgan": "MaterialGAN", "gao2019": "Gao 2019", "deschaintre2019": "Deschaintre 2019",
+PUBLISHED_SIDE = 256  # the published numbers are for photos and maps of this size
+METHOD_NAMES = {"materialgan": "MaterialGAN", "gao2019": "Gao 2019", "deschaintre2019": "Deschaintre 2019",
          "deschaintre2019-gao2019": "Deschaintre + Gao 2019"}
-MAPS = ("diffuse", "specular", "roughness", "normal")
+PUBLISHED_MAPS = ("diffuse", "specular", "roughness", "normal")
 
 Published = dict[str, dict[str, dict[str, dict[str, float]]]]
 
@@ -33,14 +33,14 @@ def published(path: Path, tasks: Sequence[Task], resolution: int) -> Published:
         ConfigError: the file cannot be understood.
     """
     found: Published = {"material": {}, "capture": {}}
-    if not path.is_file() or resolution != RESOLUTION:
+    if not path.is_file() or resolution != PUBLISHED_SIDE:
         return found
     try:
         stated = json.loads(path.read_text())
         for task in tasks:
             if isinstance(task, KnownMaterial):
                 if task.folder is not None and task.name in stated["materials"]:
-                    found["material"][task.name] = {NAMES.get(who, who): _with_mean(maps)
+                    found["material"][task.name] = {METHOD_NAMES.get(who, who): _with_mean(maps)
                                                     for who, maps in stated["materials"][task.name].items()}
             elif task.name in stated["captures"]:
                 each = stated["captures"][task.name]["per_view"]
@@ -53,5 +53,5 @@ def published(path: Path, tasks: Sequence[Task], resolution: int) -> Published:
 
 
 def _with_mean(maps: dict[str, float]) -> dict[str, float]:
-    values = {name: float(maps[name]) for name in MAPS}
+    values = {name: float(maps[name]) for name in PUBLISHED_MAPS}
     return values | {"mean": sum(values.values()) / len(values)}

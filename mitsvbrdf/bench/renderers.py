@@ -6,10 +6,9 @@ The twin ``analytic64`` takes part as the truth that costs what it costs. All re
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import torch
@@ -20,20 +19,20 @@ from ..material.made import make_material
 from ..material.maps import SVBRDF, Bsdf
 from ..measure.gradients import fixed_cotangent, render_and_gradients
 from ..measure.metrics import gradient_error, relative_error
+from ..measure.tolerances import ROUGH_FROM
 from ..render import Renderer, make_renderer
-from ..system.timing import in_turns, spread
-from ..verify.crosscheck import ROUGH_FROM
+from ..system.timing import in_turns, spread, timed
 from ..views import Views
 
-MATERIAL = "inlay"
+RENDERED_MATERIAL = "inlay"
 FLASH_BESIDE = 0.1  # patch sides between lens and flash, as fits find them; with it the Fresnel curve takes part
 
 # Bytes a texel and view of a forward and backward pass, rounded up from what was measured at 256 and 512 px, nine views:
 # 1060, 290, 30 and 90. A renderer that would need more than there is sits a case out.
-BYTES = {"analytic64": 1200, "analytic": 350, "mitsuba": 100, "mitsuba-scene": 150}
-SECONDS = 2.5e-6  # of all renderers together, a texel and view, forward and backward; only to say how long it will take
+BYTES_A_TEXEL = {"analytic64": 1200, "analytic": 350, "mitsuba": 100, "mitsuba-scene": 150}
+SECONDS_A_TEXEL = 2.5e-6  # of all renderers together, a texel and view, forward and backward; only to say how long it will take
 
-FINER = 4, 8  # points along a pixel's side for the truth of jittered pixels, extrapolated from both
+POINTS_A_SIDE = 4, 8  # points along a pixel's side for the truth of jittered pixels, extrapolated from both
 
 
 @dataclass(frozen=True)
@@ -82,14 +81,14 @@ class RenderJob:
     @property
     def cost(self) -> float:
         """A guess of its seconds."""
-        rays = sum(self.samples) + (sum(k * k for k in FINER) if self.samples else 1)
-        return 3 + SECONDS * self.resolution**2 * self.views * (rays + self.repeats + 2)
+        rays = sum(self.samples) + (sum(k * k for k in POINTS_A_SIDE) if self.samples else 1)
+        return 3 + SECONDS_A_TEXEL * self.resolution**2 * self.views * (rays + self.repeats + 2)
 
     def run(self, report: Callable[[float], object] = lambda share: None) -> dict:
         """The figures: ``rows``, one for each renderer and number of samples, and ``skipped`` with the reason."""
         svbrdf, views = _material(self.bsdf, self.resolution), spread_views(self.views)
         engines, skipped = self._engines()
-        image, gradients = exact(svbrdf, views, FINER if self.samples else (1,))
+        image, gradients = exact(svbrdf, views, POINTS_A_SIDE if self.samples else (1,))
         rough = svbrdf["roughness"][..., 0] >= ROUGH_FROM
         errors = {}
         for number, (key, engine) in enumerate(engines.items()):
@@ -99,7 +98,7 @@ class RenderJob:
             del got
             report(0.4 * (number + 1) / len(engines))
         del image, gradients
-        turns = in_turns({key: _timed(engine, svbrdf, views) for key, engine in engines.items()}, self.repeats,
+        turns = in_turns({key: partial(_seconds, engine, svbrdf, views) for key, engine in engines.items()}, self.repeats,
                          report=lambda share: report(0.4 + 0.6 * share))
         rows = []
         for name, samples in engines:
@@ -110,7 +109,7 @@ class RenderJob:
     def _engines(self) -> tuple[Mapping[tuple[str, int], Renderer], list[dict[str, str]]]:
         engines: dict[tuple[str, int], Renderer] = {}
         skipped, available = [], memory_available()
-        for name, size in BYTES.items():
+        for name, size in BYTES_A_TEXEL.items():
             needed = size * self.resolution**2 * self.views
             if available is not None and needed > available:
                 skipped.append({"renderer": name, "why": f"needs about {needed / 2**30:.0f} GiB of memory"})
@@ -187,21 +186,17 @@ def _image_error(image: Tensor, truth: Tensor, rough: Tensor) -> float:
     return sum(float(relative_error(a, b)[rough].abs().mean()) for a, b in zip(image, truth)) / len(truth)
 
 
-def _timed(renderer: Renderer, svbrdf: SVBRDF, views: Views) -> Callable[[], tuple[float, float]]:
+def _seconds(renderer: Renderer, svbrdf: SVBRDF, views: Views) -> tuple[float, float]:
     """Seconds of a picture without gradients, and of one with them, forward and backward."""
-    def run() -> tuple[float, float]:
-        started = time.perf_counter()
-        with torch.no_grad():
-            renderer.render(svbrdf, views)
-        forward = time.perf_counter() - started
-        passes = render_and_gradients(renderer, svbrdf, views)
-        return forward, passes.forward + passes.backward
-    return run
+    with torch.no_grad():
+        _, alone = timed(renderer.render, svbrdf, views)
+    passes = render_and_gradients(renderer, svbrdf, views)
+    return alone, passes.forward + passes.backward
 
 
 @lru_cache(maxsize=1)
 def _made(resolution: int) -> SVBRDF:
-    return make_material(MATERIAL, resolution)
+    return make_material(RENDERED_MATERIAL, resolution)
 
 
 def _material(bsdf: Bsdf, resolution: int) -> SVBRDF:

@@ -21,8 +21,11 @@ class Spread(TypedDict):
 
 
 class RenderRow(TypedDict):
-    """One renderer of a case; ``image`` is the mean relative error over texels of roughness 0.1 and more, ``gradient`` the
-    relative L2 error of the worst map there, ``forward`` a picture without gradients, ``both`` forward and backward."""
+    """One renderer of a case.
+
+    ``image`` is the mean relative error over texels of roughness 0.1 and more, ``gradient`` the relative L2 error of the
+    worst map there, ``forward`` a picture without gradients, ``both`` forward and backward.
+    """
 
     renderer: str
     samples: int
@@ -46,9 +49,12 @@ class RenderRecord(TypedDict):
 
 
 class FitRecord(TypedDict):
-    """One fit. ``seconds`` by the loop's clock, ``wall`` with preparation and reckoning. ``errors`` of a known ``material``:
-    each map, ``mean``, ``novel_light``, ``photos``; of a real ``capture``: ``seen``, ``left_out``; none of a fit that failed,
-    which ``why`` explains."""
+    """One fit.
+
+    ``seconds`` by the loop's clock, ``wall`` with preparation and reckoning. ``errors`` of a known ``material``: each map,
+    ``mean``, ``novel_light``, ``photos``; of a real ``capture``: ``seen``, ``left_out``; none of a fit that failed, which
+    ``why`` explains.
+    """
 
     suite: Literal["methods", "ablation"]
     method: str
@@ -66,9 +72,12 @@ class FitRecord(TypedDict):
 
 
 class CaptureRecord(TypedDict):
-    """One capture made without calibration: of a known ``material`` by the simulated phone, with or without ``sheet``, or a
-    real ``capture`` whose views were taken away. ``seconds`` by stage; ``errors`` as evaluate/bench/capture.py counts them,
-    none of what failed, which ``why`` explains."""
+    """One capture made without calibration.
+
+    Of a known ``material`` by the simulated phone, with or without ``sheet``, or a real ``capture`` whose views were taken
+    away. ``seconds`` by stage; ``errors`` as :mod:`mitsvbrdf.bench.from_phone` counts them, none of what failed, which
+    ``why`` explains.
+    """
 
     suite: Literal["capture"]
     kind: Literal["material", "capture"]

@@ -1,13 +1,12 @@
 """Fits that are asked too much: extreme materials, wrong calibration, photos that say little. Do they end finite?
 
-``python -m mitsvbrdf.evaluate.stiff`` photographs made materials, spoils what the case says, fits each with every method,
+``python -m mitsvbrdf.bench.stiff`` photographs made materials, spoils what the case says, fits each with every method,
 prints how far it came, what had to be taken back, how sure it is and what it warns of, and keeps the record as JSON.
 """
 
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,12 +29,13 @@ from ..synth import photograph
 from ..system import files
 from ..system.progress import Progress, say
 from ..system.provenance import machine, versions
+from ..system.timing import timed
 from ..views import Views, nine_view_grid
 
-NOISE = 0.003  # of the made photos, linear
+PHOTO_NOISE = 0.003  # of the made photos, linear
 
 # The methods as they come: `hierarchical` may end before its budget, `gan` has steps large enough to move at all in seconds.
-METHODS: dict[str, Callable[[float, int], FitConfig]] = {
+CONFIGS: dict[str, Callable[[float, int], FitConfig]] = {
     "hierarchical": lambda budget, seed: HierarchicalConfig(budget=budget, seed=seed),
     "hybrid": lambda budget, seed: HybridConfig(budget=budget, seed=seed),
     "direct": lambda budget, seed: DirectConfig(budget=budget, seed=seed),
@@ -70,30 +70,35 @@ def steeper(normal: Tensor, factor: float) -> Tensor:
 
 def shot(truth: SVBRDF, told: Views | None = None, views: Views | None = None) -> Case:
     """Photos of a material from nine views (or ``views``), and the views the fit is told (left out: the right ones)."""
-    capture = photograph(truth, views or nine_view_grid(), make_renderer("analytic"), NOISE)
+    capture = photograph(truth, views or nine_view_grid(), make_renderer("analytic"), PHOTO_NOISE)
     return Case(replace(capture, views=told or capture.views), truth)
 
 
 def smooth_metal(resolution: int) -> Case:
+    """A metal whose highlight is narrow."""
     return shot(made("tiles", resolution, diffuse=torch.zeros(3), specular=torch.tensor(GOLD), roughness=torch.tensor([0.05])))
 
 
 def black_albedo(resolution: int) -> Case:
+    """A dielectric that reflects nothing diffusely."""
     return shot(made("leather", resolution, diffuse=torch.zeros(3)))
 
 
 def deep_relief(resolution: int) -> Case:
+    """Normals three times as steep."""
     leather = make_material("leather", resolution)
     return shot(made("leather", resolution, normal=steeper(leather["normal"], 3.0)))
 
 
 def clipped(resolution: int) -> Case:
+    """Photos burnt out in three texels of ten."""
     truth, views = make_material("inlay", resolution), nine_view_grid()
     radiance = make_renderer("analytic").render(truth, views).amax(dim=-1)
     return shot(truth, views=replace(views, intensity=views.intensity / float(radiance.quantile(0.7))))
 
 
 def light_stated(factor: float) -> Callable[[int], Case]:
+    """The light stated this many times as strong as it was."""
     def case(resolution: int) -> Case:
         views = nine_view_grid()
         return shot(make_material("tiles", resolution), told=replace(views, intensity=views.intensity * factor))
@@ -101,6 +106,7 @@ def light_stated(factor: float) -> Callable[[int], Case]:
 
 
 def cameras_off(resolution: int) -> Case:
+    """Cameras told to stand off by 5 percent of their distance."""
     views = nine_view_grid()
     rng = torch.Generator().manual_seed(0)
     off = F.normalize(torch.randn(views.camera.shape, generator=rng, dtype=torch.float64), dim=1)
@@ -109,15 +115,18 @@ def cameras_off(resolution: int) -> Case:
 
 
 def one_photo(resolution: int) -> Case:
+    """A single photo."""
     return shot(make_material("inlay", resolution), views=nine_view_grid().pick([0]))
 
 
 def same_photos(resolution: int) -> Case:
+    """Nine views with one and the same photo."""
     case = shot(make_material("inlay", resolution))
     return replace(case, capture=replace(case.capture, photos=case.capture.photos[:1].repeat(9, 1, 1, 1)))
 
 
 def constant_grey(resolution: int) -> Case:
+    """Photos of one grey, which no material explains."""
     return Case(Capture(torch.full((9, resolution, resolution, 3), 0.5), nine_view_grid()))
 
 
@@ -137,16 +146,15 @@ CASES: dict[str, Callable[[int], Case]] = {
 
 def run(case: Case, config: FitConfig, renderer: Renderer, title: str = "") -> dict:
     """Fit a case and say how it ended, as numbers and texts for JSON; Ctrl-C raises KeyboardInterrupt as elsewhere."""
-    started = time.perf_counter()
     with Progress(title) as progress:
-        result = fit_svbrdf(case.capture, renderer, config, report=progress)
+        result, seconds = timed(fit_svbrdf, case.capture, renderer, config, report=progress)
     if result.stopped == "interrupted":  # a fit keeps what it has; a table of fits cut short says nothing
         raise KeyboardInterrupt
     result.svbrdf.check()  # finite and in range, or a MapsError
     return {"rerender_rmse": result.rerender_rmse, "start_rmse": result.trace[0]["rerender_rmse"],
             "map_rmse": map_rmse(result.svbrdf, case.truth) if case.truth else None,
             "iterations": result.trace[-1]["iteration"], "stopped": result.stopped, "undone": list(result.undone),
-            "restarts": list(result.restarts), "seconds": round(time.perf_counter() - started, 2),
+            "restarts": list(result.restarts), "seconds": round(seconds, 2),
             "confidence": confidence(result.deviations), "warnings": list(result.warnings)}
 
 
@@ -172,7 +180,7 @@ def main(json: Annotated[Path, tyro.conf.arg(metavar="FILE", help="Where the rec
         for method in methods:
             row = {"case": name, "method": method}
             try:
-                row |= run(case, METHODS[method](budget, seed), engine, f"{name} · {method}")
+                row |= run(case, CONFIGS[method](budget, seed), engine, f"{name} · {method}")
             except MitsvbrdfError as error:
                 row |= {"error": str(error)}
                 failed += 1
@@ -190,5 +198,5 @@ def main(json: Annotated[Path, tyro.conf.arg(metavar="FILE", help="Where the rec
 
 
 if __name__ == "__main__":
-    sys.exit(exit_code(lambda: tyro.cli(main, prog="python -m mitsvbrdf.evaluate.stiff"),
+    sys.exit(exit_code(lambda: tyro.cli(main, prog="python -m mitsvbrdf.bench.stiff"),
                        "interrupted; the JSON file has each fit that was finished"))

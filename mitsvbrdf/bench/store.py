@@ -18,9 +18,10 @@ from .published import Published
 from .schema import SCHEMA_VERSION, Benchmark, check_benchmark, identity
 
 PACKAGE = Path(__file__).parents[1]
-# What shapes a record: everything else may change between two runs of one file.
+# The code that shapes a record: all else may change between two runs that add to one file.
 SHAPING = ("capture/**/*.py", "calibrate/*.py", "fit/**/*.py", "material/*.py", "measure/*.py", "render/*.py", "synth/*.py",
-           "color.py", "views.py", "bench/peers_baseline.py", "bench/tasks.py", "bench/renderers.py", "bench/from_phone.py")
+           "evaluate/*.py", "color.py", "views.py",
+           "bench/peers_baseline.py", "bench/tasks.py", "bench/renderers.py", "bench/from_phone.py")
 
 
 class Store:
@@ -111,7 +112,7 @@ def code() -> str:
 
 
 def this_machine() -> dict[str, Any]:
-    """:func:`mitsvbrdf.provenance.machine` with the processor's name and the GiB of memory, where Linux tells them."""
+    """:func:`mitsvbrdf.system.provenance.machine` with the processor's name and the GiB of memory, where Linux tells them."""
     model, memory = None, None
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()

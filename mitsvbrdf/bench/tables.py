@@ -1,9 +1,13 @@
-"""Tables of a benchmark: errors at equal time, times at equal error, each value beside the best of its row."""
+"""The tables of a benchmark as text, for the terminal and for the page; they print what the record and its summary hold.
+
+Of fits: errors at equal time, times to an equal error, each material and each map at the longest budget, ingredients taken
+away. Of renderers: seconds and errors by size. Of captures: what a phone's photos come to against the truth.
+"""
 
 from __future__ import annotations
 
 import statistics
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from ..pages.page import figure
@@ -135,7 +139,7 @@ def renderer_tables(record: Mapping) -> list[Table]:
     names = list(dict.fromkeys(row["renderer"] for r in texels for row in r["rows"]))
     heads = ["", *(f"`{name}`" for name in names)]
 
-    def rows(cell, best: str | None) -> list[list[str]]:
+    def rows(cell: Callable[[Mapping], str], best: str | None) -> list[list[str]]:
         made, values = [], []
         for r in texels:
             by_name = {row["renderer"]: row for row in r["rows"]}
@@ -213,6 +217,7 @@ def _counted(value: float | None, how: str) -> str:
 
 
 def judged(record: Mapping, suite: str) -> Iterator[tuple[str, str, str, list[Mapping]]]:
+    """The errors that a suite has fits for: kind, error, its title, and these fits."""
     for kind, errors in ERRORS.items():
         fits = summary.of(record["records"], suite, kind)
         for error, title in errors.items():
@@ -221,6 +226,7 @@ def judged(record: Mapping, suite: str) -> Iterator[tuple[str, str, str, list[Ma
 
 
 def at_time(points: Sequence[Point], budget: float) -> Point | None:
+    """The point of a curve at this budget, if it has one."""
     return next((p for p in points if p.budget == budget), None)
 
 
@@ -275,6 +281,7 @@ def _method(name: str, fits: Sequence[Mapping]) -> str:
 
 
 def count_of(kind: str, fits: Sequence[Mapping]) -> str:
+    """What a figure is the mean of: the one name, or how many there are."""
     names = summary.names(fits)
     what = {"material": "known material", "capture": "real capture"}[kind]
     return names[0] if len(names) == 1 else f"mean of {len(names)} {what}s"

@@ -1,63 +1,91 @@
 """The command line: parse, call, print, exit code.
 
 0 is success, and a fit that Ctrl-C ended early; 1 a check that does not hold; 2 a mistake the caller can mend; 130 Ctrl-C
-without a result.
+without a result. Only the module of the chosen command is imported: words about commands load neither torch nor Mitsuba.
 """
 
 from __future__ import annotations
 
+import importlib
 import sys
-
-import tyro
-from tyro.conf import FlagCreatePairsOff
+from collections.abc import Callable, Sequence
 
 from .. import __version__
 from ..errors import exit_code
-from ..system.progress import say
-from .bench import bench
-from .capture import capture
-from .compare import compare
-from .crosscheck import crosscheck
-from .demo import demo
-from .evaluate import evaluate
-from .export import export
-from .fit import fit_command, method_named, with_flags
-from .guess import guess
-from .leave_out import leave_out
-from .options import Variant
-from .pretrain import pretrain_command
-from .relight import relight
-from .render import render
-from .report import report
-from .sheet import sheet
-from .stability import stability
-from .synth import synth
-from .view import view
 
-
-def doctor(variant: Variant = "llvm_ad_rgb", json: bool = False) -> int:
-    """Show what is installed, prove libLLVM in a child process, and say what is missing and how to get it."""
-    from ..doctor import doctor as examine
-
-    return examine(variant=variant, json=json)
+# What each command does, the first line of its docstring. ``leave-out`` is the function leave_out of the module leave_out.
+COMMANDS = {
+    "capture": "Make a capture of raw photos, for `mitsvbrdf fit`: find out where the phone was, rectify, "
+               "leave bad photos out.",
+    "fit": "Recover the maps of a material from photos.",
+    "view": "Follow a fit in the browser: maps, curves and progress while it runs, then its report; Ctrl-C ends the page.",
+    "guess": "Make the guessed diffuse map only: OUT/diffuse.exr and .png.",
+    "render": "Render maps for the views of a capture: OUT/NN.png (display values) and NN.exr (linear).",
+    "evaluate": "Measure maps: against known maps (--reference) or against photos (--capture).",
+    "compare": "Show maps of several methods side by side: input, maps, errors, and every photo beside its re-renderings.",
+    "crosscheck": "Hold every renderer and BSDF against the float64 twin: images, gradients, run time.",
+    "leave-out": "Measure what is left out of a scene that does not need it: image difference, and time with and without.",
+    "stability": "Sweep every parameter to its ends: errors, gradients, conditioning, step sizes, and a verdict on "
+                 "each renderer.",
+    "bench": "Measure error against run time: renderers against float64, methods against known maps and photos left out.",
+    "synth": "Take photos of known maps: rectified ones with their calibration, to test fits on, or raw ones by a "
+             "simulated phone.",
+    "pretrain": "First stage of the paper's two-stage training: the generator learns from one picture with global features.",
+    "doctor": "Show what is installed, prove libLLVM in a child process, and say what is missing and how to get it.",
+    "export": "Write a material for other programs: OUT/FORMAT/, with an export.json that states what each file holds.",
+    "relight": "Show a material under other light, path traced with Mitsuba: stills as EXR and PNG, movies as MP4 and GIF.",
+    "report": "Write OUT/report.html, one page about a fit that opens from disk, and its numbers, OUT/report.json.",
+    "sheet": "Write a sheet of AprilTags to print: laid around a material, it tells `mitsvbrdf capture --sheet CM` where the "
+             "phone was.",
+    "demo": "Photograph a made material, recover it, and compare with the truth; about two minutes.",
+}
+RESUMED = ("fit", "relight")  # what these leave unfinished goes on with --resume
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a command; returns the exit code."""
+    """Run a command.
+
+    Args:
+        arguments: of the process where left out.
+
+    Returns:
+        The exit code.
+    """
     arguments = sys.argv[1:] if arguments is None else arguments
-    method = method_named(arguments)
-    commands = {"capture": capture, "fit": fit_command(method), "view": view, "guess": guess, "render": render,
-                "evaluate": evaluate, "compare": compare, "crosscheck": crosscheck, "leave-out": leave_out,
-                "stability": stability, "bench": bench, "synth": synth, "pretrain": pretrain_command,
-                "doctor": doctor, "export": export, "relight": relight, "report": report,
-                "sheet": sheet, "demo": demo}
     if arguments == ["--version"]:
-        say(f"mitsvbrdf {__version__}")
+        print(f"mitsvbrdf {__version__}")
         return 0
-    arguments = with_flags(arguments) if method == "hierarchical" else arguments
-    return exit_code(
-        lambda: tyro.extras.subcommand_cli_from_dict(
-            commands, prog="mitsvbrdf", args=arguments, config=(FlagCreatePairsOff,),
-            description="Recover the maps of a material (diffuse, specular, roughness, normal) from a few flash photos, "
-                        "fitted through Mitsuba 3, without any training data."),
-        "interrupted; what is unfinished goes on with --resume" if arguments[:1] in (["fit"], ["relight"]) else "interrupted")
+    unfinished = "; what is unfinished goes on with --resume" if arguments[:1] and arguments[0] in RESUMED else ""
+    return exit_code(lambda: _run(arguments), "interrupted" + unfinished)
+
+
+def command(name: str, arguments: Sequence[str] = ()) -> Callable[..., int]:
+    """The function of a command; that of ``fit`` has the options of the method that the arguments name."""
+    module = importlib.import_module(f".{name.replace('-', '_')}", __name__)
+    return module.fit_command(arguments) if name == "fit" else getattr(module, name.replace("-", "_"))
+
+
+def _run(arguments: list[str]) -> int:
+    """Parse the arguments with the chosen command's options, every other command known by name and help alone."""
+    import tyro
+
+    commands = {name: _named_only(text) for name, text in COMMANDS.items()}
+    chosen = next((word for word in arguments if not word.startswith("-")), "").replace("_", "-")  # tyro takes both
+    if chosen in COMMANDS:
+        commands[chosen] = command(chosen, arguments)
+    if chosen == "fit":
+        from .fit import with_flags
+        arguments = with_flags(arguments)
+    return tyro.extras.subcommand_cli_from_dict(
+        commands, prog="mitsvbrdf", args=arguments, config=(tyro.conf.FlagCreatePairsOff,),
+        description="Recover the maps of a material (diffuse, specular, roughness, normal) from a few flash photos, "
+                    "fitted through Mitsuba 3, without any training data.")
+
+
+def _named_only(text: str) -> Callable[[], int]:
+    """Stands for a command that was not chosen: its help, and nothing to call."""
+    def other() -> int:
+        raise AssertionError("only the chosen command is called")
+
+    other.__doc__ = text
+    return other

@@ -5,28 +5,30 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 from tyro.conf import arg
 
 from ..errors import ConfigError
-from ..render import RendererName
+from ..render import Renderer, RendererName
 from ..system import files
 from ..system.progress import progress_bar, say, say_written
 from .options import Overwrite, Variant, views_of
 
+if TYPE_CHECKING:
+    from ..bench.jobs import Job
+
 T = TypeVar("T")
 Names = Annotated[str | None, arg(metavar="NAME,...")]
 Suite = Literal["all", "renderers", "methods", "ablation", "capture", "none"]
-ALL = "renderers", "methods"  # the others are asked for by name: they take longer than both
+USUAL_SUITES = "renderers", "methods"  # the others are asked for by name: they take longer than both
 
 # What is measured where nothing else is said, and with --quick.
 WHOLE = {"resolution": 256, "budgets": "10,30,100,300", "seeds": "0,1,2", "repeats": 5, "megapixels": 3.0}
 QUICK = {"resolution": 64, "budgets": "2,5", "seeds": "0", "repeats": 2, "megapixels": 0.5, "materials": "builtin:inlay",
          "captures": "none"}
-CASES = {"sizes": (64, 128, 256, 512, 1024, 2048), "views": (1, 4, 16, 64), "samples": (1, 4, 16, 64, 256)}
+WHOLE_CASES = {"sizes": (64, 128, 256, 512, 1024, 2048), "views": (1, 4, 16, 64), "samples": (1, 4, 16, 64, 256)}
 QUICK_CASES = {"sizes": (32, 64, 128), "views": (1, 4), "samples": (1, 4, 16)}
 
 
@@ -70,7 +72,7 @@ def bench(
     if suite == "none":
         _show(dict(read_benchmark(json_file)), page)
         return 0
-    suites = ALL if suite == "all" else (suite,)
+    suites = USUAL_SUITES if suite == "all" else (suite,)
     jobs, settings, found = _jobs(suites, chosen, methods, views, _data(data), renderer, variant, quick)
     store = Store(json_file, settings, overwrite)
     store.publish(found)
@@ -91,7 +93,7 @@ def bench(
 
 
 def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str | None, data: Path | None,
-          renderer: RendererName, variant: str, quick: bool):
+          renderer: RendererName, variant: str, quick: bool) -> tuple[list[Job], dict, dict]:
     """All jobs, what their records share, and the numbers published for what they fit."""
     from ..bench.jobs import fit_jobs
     from ..bench.methods import VARIANTS, method_table, variant_table
@@ -121,16 +123,17 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
         tasks = _tasks(chosen, source, data, engine)
     jobs: list = []
     if "renderers" in suites:
-        jobs += render_jobs(**(QUICK_CASES if quick else CASES), repeats=chosen["repeats"], variant=variant)
+        jobs += render_jobs(**(QUICK_CASES if quick else WHOLE_CASES), repeats=chosen["repeats"], variant=variant)
     if "methods" in suites:
         jobs += fit_jobs("methods", picked, tasks, budgets, seeds, engine)
     if "capture" in suites:
         from ..bench.from_phone import capture_jobs
+        from ..fit import HierarchicalConfig
         from ..synth.phone import HandheldPhone
 
-        phone, default = HandheldPhone(megapixels=chosen["megapixels"], seed=seeds[0]), next(iter(table.values()))
+        phone = HandheldPhone(megapixels=chosen["megapixels"], seed=seeds[0])
         phone.check()
-        jobs += capture_jobs(*_sources(chosen, data), phone, replace(default, budget=max(budgets), seed=seeds[0]),
+        jobs += capture_jobs(*_sources(chosen, data), phone, HierarchicalConfig(budget=max(budgets), seed=seeds[0]),
                              chosen["resolution"], engine, variant)
     if "ablation" in suites:
         default = next(iter(table.values()))
@@ -140,7 +143,7 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
     return jobs, settings, published(data / "peers.json", tasks, chosen["resolution"]) if data else {}
 
 
-def _tasks(chosen: dict, source: str, data: Path | None, engine) -> list:
+def _tasks(chosen: dict, source: str, data: Path | None, engine: Renderer) -> list:
     from ..bench.tasks import known_material, real_capture
 
     materials, captures = _sources(chosen, data)

@@ -18,7 +18,7 @@ from .options import Out, Overwrite
 if TYPE_CHECKING:
     from ..capture.make import CaptureResult
 
-PAPER = 0.01  # cm
+PAPER_THICKNESS = 0.01  # cm
 
 
 def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A folder of raw photos: jpg, png, heic, dng, ...")],
@@ -26,7 +26,7 @@ def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A fo
             sheet: Annotated[float | None, arg(metavar="CM", help="A printed sheet of tags lies around the material: its "
                                                "measured size, over the outer edges of the tags.")] = None,
             depth: Annotated[float, arg(metavar="CM", help="How far the sheet lies above the material; left out: the paper's "
-                                                           "own thickness.")] = PAPER,
+                                                           "own thickness.")] = PAPER_THICKNESS,
             transfer: Annotated[Literal["auto", "srgb", "gamma2.2", "linear"],
                                 arg(help="How photos encode light; auto: linear for RAW files, else srgb.")] = "auto",
             resolution: Annotated[int, arg(help="Side of the rectified photos; never more than the photos show.")] = 1024,
@@ -50,7 +50,7 @@ def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A fo
 
     if os.path.realpath(photos) in (os.path.realpath(out), os.path.realpath(out / "target")):
         raise ConfigError("an output folder of its own", f"{out}, which holds the photos", "choose another folder")
-    if sheet is None and depth != PAPER:
+    if sheet is None and depth != PAPER_THICKNESS:
         raise ConfigError("--sheet CM beside --depth", f"--depth {depth:g} alone", "add --sheet, or leave --depth out")
     if (photos / "capture.json").is_file():
         raise ConfigError("a folder of raw photos", f"{photos}, which is a capture already", f"mitsvbrdf fit {photos} -o OUT")
@@ -59,28 +59,28 @@ def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A fo
         refuse_tags(raw)
     with result_folder.output_folder(out, overwrite) as folder:
         with progress_bar("capture") as report:
-            made = make_capture(raw, sheet, depth, None if transfer == "auto" else transfer, resolution, reference, report)
+            result = make_capture(raw, sheet, depth, None if transfer == "auto" else transfer, resolution, reference, report)
         with undisturbed():
-            write_capture(made.capture, folder, capture_keys(made))
-            write_quality(made, folder)
-    _print(made)
+            write_capture(result.capture, folder, capture_keys(result))
+            write_quality(result, folder)
+    _print(result)
     say(f"wrote {out}/quality.html, contact.jpg, capture.json, target/; next: mitsvbrdf fit {out} -o OUT")
     return 0
 
 
-def _print(made: CaptureResult) -> None:
+def _print(result: CaptureResult) -> None:
     from rich.table import Table
 
-    table = Table(title=f"{len(made.used)} of {len(made.photos)} photos used", title_justify="left")
+    table = Table(title=f"{len(result.used)} of {len(result.photos)} photos used", title_justify="left")
     for heading in ("photo", "", "reprojection", "sharpness", "clipped"):
         table.add_column(heading, justify="left" if heading in ("photo", "") else "right")
-    for photo in made.photos:
-        look, error = made.looks.get(photo.name), made.rig.errors.get(photo.name)
-        table.add_row(photo.name, made.rig.left_out.get(photo.name, "used"), "" if error is None else f"{error:.2f} px",
-                      f"{look.sharpness:.2f}" if look else "", f"{look.clipped:.0%}" if look else "")
+    for photo in result.photos:
+        quality, error = result.qualities.get(photo.name), result.rig.errors.get(photo.name)
+        table.add_row(photo.name, result.rig.left_out.get(photo.name, "used"), "" if error is None else f"{error:.2f} px",
+                      f"{quality.sharpness:.2f}" if quality else "", f"{quality.clipped:.0%}" if quality else "")
     with contextlib.suppress(BrokenPipeError):
         console.print(table)
-    for warning in made.warnings:
+    for warning in result.warnings:
         say(f"note: {warning}")
-    say(f"highlights shown of {made.covered:.0%} of the patch"
-        + (f"; one more photo would show most {made.stand.words}" if made.stand else ""))
+    say(f"highlights shown of {result.covered:.0%} of the patch"
+        + (f"; one more photo would show most {result.next_view.words}" if result.next_view else ""))

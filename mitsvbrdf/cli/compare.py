@@ -4,20 +4,23 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
 from ..capture import guess_diffuse
 from ..errors import ConfigError, MapsError
-from ..material.maps import SVBRDF
 from ..render import RendererName, make_renderer
 from ..system import files, images
 from ..system.progress import print_numbers, say, say_written
 from .options import Out, Overwrite, TransferOption, Variant, ViewList, check_new_file, material_of, photo_numbers, read_photos
 
-LARGEST = 256  # pixels a side, where nothing else is asked for
+if TYPE_CHECKING:
+    from ..evaluate.compare import Entry
+
+LARGEST_SIDE = 256  # pixels a side, where nothing else is asked for
 
 
 def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", help=(
@@ -50,19 +53,19 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
         raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
     check_new_file(out, overwrite)
     files.check_output(json_file)
-    entries = _named_apart([_entry(text, resolution or LARGEST) for text in maps])
-    size = resolution or min(LARGEST, *(entry.svbrdf.resolution for entry in entries))
+    entries = _named_apart([_entry(text, resolution or LARGEST_SIDE) for text in maps])
+    size = resolution or min(LARGEST_SIDE, *(entry.svbrdf.resolution for entry in entries))
     photos, chosen = read_photos(capture, size, None, transfer, "inverse-square"), photo_numbers(views)
     shots = photos if chosen is None else photos.pick(chosen)
     for entry in entries:
         if entry.svbrdf.resolution != shots.resolution:
             say(f"{entry.name}: maps of {entry.svbrdf.resolution} px are compared at {shots.resolution} px")
-    known = None if reference is None else material_of(reference, shots.resolution)
-
-    def map_errors(svbrdf: SVBRDF) -> dict[str, float]:
-        return map_rmse(svbrdf, known) if reference.startswith("builtin:") else evaluate_maps(svbrdf, reference)
-
-    record, pictures = measure(entries, photos, make_renderer(renderer, variant), None if known is None else map_errors,
+    known = map_errors = None
+    if reference is not None:
+        known = material_of(reference, shots.resolution)
+        map_errors = partial(map_rmse, reference=known) if reference.startswith("builtin:") else partial(
+            evaluate_maps, material=reference)
+    record, pictures = measure(entries, photos, make_renderer(renderer, variant), map_errors,
                                None if transfer == "auto" else transfer, Priors() if refine_views else None, shots.index)
     record["reference"] = reference
     for method in record["methods"]:
@@ -77,7 +80,7 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
     return 0
 
 
-def _entry(text: str, resolution: int):
+def _entry(text: str, resolution: int) -> Entry:
     """Maps, name and fit of ``[NAME=]MAPS``; an existing folder with a = in its name is that folder."""
     from ..evaluate.compare import Entry
     from ..fit.record import fit_of
@@ -94,7 +97,7 @@ def _entry(text: str, resolution: int):
                  images.read_image(guess, MapsError) if guess.is_file() else None)
 
 
-def _named_apart(entries: list) -> list:
+def _named_apart(entries: list[Entry]) -> list[Entry]:
     """Entries whose name another one has are called by their folder too."""
     names = [entry.name for entry in entries]
     return [replace(entry, name=f"{entry.name} ({entry.folder})") if names.count(entry.name) > 1 else entry

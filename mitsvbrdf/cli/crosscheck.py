@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from tyro.conf import Positional, arg
 
+from ..color import Transfer
 from ..errors import ConfigError
-from ..material.maps import CHANNELS
-from ..render import make_renderer
+from ..material.maps import SVBRDF, Bsdf
+from ..render import RendererName, make_renderer
 from ..system import files
 from ..system.progress import console, progress_bar, say, say_written
+from ..views import Falloff, Views
 from .options import Variant, ViewSource, material_of, name_of, views_of
 
-RENDERERS = ("mitsuba", "mitsuba-scene", "analytic")
+RENDERERS: tuple[RendererName, ...] = ("mitsuba", "mitsuba-scene", "analytic")
 
 
 def crosscheck(
@@ -46,8 +48,9 @@ def crosscheck(
     materials, falloff, offset, transfer = _materials(maps, resolution)
     names, lit = views_of(views, falloff)
     lit = _with_offset(lit, offset)
-    bsdfs = list(CHANNELS) if bsdf == "all" else [bsdf]
-    renderers = [make_renderer(name, variant) for name in (RENDERERS if renderer == "all" else (renderer,))]
+    bsdfs: list[Bsdf] = list(get_args(Bsdf)) if bsdf == "all" else [bsdf]
+    engines: tuple[RendererName, ...] = RENDERERS if renderer == "all" else (renderer,)
+    renderers = [make_renderer(name, variant) for name in engines]
     error_maps: dict = {}
     with progress_bar("crosscheck") as report:
         record = checks.crosscheck(materials, lit, bsdfs, renderers, repeats, names=names, transfer=transfer,
@@ -72,7 +75,8 @@ def _check_options(repeats: int, resolution: int | None) -> None:
         raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
 
 
-def _materials(maps: str | None, resolution: int | None):
+def _materials(maps: str | None, resolution: int | None,
+               ) -> tuple[dict[str, SVBRDF], Falloff, tuple[float, float] | None, Transfer]:
     """Materials by name, and falloff, flash offset and transfer of the fit they come from (or the defaults)."""
     from ..fit.record import Fit, fit_of
     from ..material.corner_cases import builtin_materials
@@ -86,7 +90,7 @@ def _materials(maps: str | None, resolution: int | None):
     return materials, fit.falloff, fit.flash_offset, fit.transfer or "gamma2.2"
 
 
-def _with_offset(views, offset: tuple[float, float] | None):
+def _with_offset(views: Views, offset: tuple[float, float] | None) -> Views:
     from ..evaluate import shift_lights
 
     if offset:
@@ -121,7 +125,8 @@ def _table(record: dict, texels: str, bsdf: str, rows: list[dict]) -> Table:
         table.add_column(heading, justify="right", no_wrap=True)
     stated = record["tolerances"] if texels == "rough" else {"image": {}, "gradients": {}}
 
-    def add(label: str, tolerance: float | None, limit: float | None, values: Sequence[float | None], form=figure) -> None:
+    def add(label: str, tolerance: float | None, limit: float | None, values: Sequence[float | None],
+            form: Callable[[Any], str] = figure) -> None:
         cells = [f"[red]{form(v)}[/]" if tolerance and v is not None and v > tolerance else form(v) for v in values]
         table.add_row(label, form(tolerance) if tolerance else "", form(limit) if limit else "", *cells)
 

@@ -1,23 +1,22 @@
-"""``mitsvbrdf demo``."""
+"""``mitsvbrdf demo``: a made material photographed, recovered and compared with the truth."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from ..fit.config import HierarchicalConfig
-from ..material.map_files import load_maps
 from ..system import result_folder
 from ..system.progress import print_numbers, say
-from .fit import fit_command
 from .options import Out, Overwrite
-from .synth import synth
 
 
 def demo(out: Out = Path("demo"), budget: float = 75.0, overwrite: Overwrite = True) -> int:
     """Photograph a made material, recover it, and compare with the truth; about two minutes."""
     from ..evaluate import evaluate_maps
+    from ..fit.config import HierarchicalConfig
     from ..material.made import make_material
-    from ..material.map_files import save_maps
+    from ..material.map_files import load_maps, save_maps
+    from .fit import fit
+    from .synth import synth
 
     truth, photos, result = out / "material", out / "capture", out / "fit"
     if result.exists():
@@ -25,7 +24,7 @@ def demo(out: Out = Path("demo"), budget: float = 75.0, overwrite: Overwrite = T
     with result_folder.output_folder(truth, overwrite) as folder:
         save_maps(make_material("inlay", 256), folder)
     synth(str(truth), photos, noise=0.003, overwrite=overwrite)
-    fit_command("hierarchical")(photos, result, HierarchicalConfig(budget=budget), overwrite=overwrite)
+    fit(photos, result, HierarchicalConfig(budget=budget), overwrite=overwrite)
     print_numbers("Map RMSE", evaluate_maps(load_maps(result), truth))
     say(f"look at {result}/report.html")
     return 0

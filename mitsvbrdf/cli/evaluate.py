@@ -1,10 +1,10 @@
-"""``mitsvbrdf evaluate``."""
+"""``mitsvbrdf evaluate``: maps measured against known maps or photos."""
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from tyro.conf import Positional, arg
 
@@ -58,11 +58,12 @@ def evaluate(maps: Positional[Material],
         raise ConfigError("--capture beside --refine-views", "--reference", "give the photos whose views to refine")
     files.check_output(json_file)
     svbrdf = material_of(maps)
+    found: dict[str, Any]
     if reference is not None:
         found = map_rmse(svbrdf, material_of(reference)) if reference.startswith("builtin:") else evaluate_maps(
             svbrdf, reference)
         print_numbers("Map RMSE", found)
-    else:
+    elif capture is not None:
         fit = fit_of_maps(maps)
         offset = fit.flash_offset if flash_offset == "fitted" else None
         if offset:

@@ -1,19 +1,23 @@
-"""``mitsvbrdf fit``."""
+"""``mitsvbrdf fit``: the maps of a material recovered from photos."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
-from typing import Annotated, Literal
+import inspect
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
+from ..capture import Capture
 from ..errors import ConfigError
 from ..fit import fit_svbrdf, left_out
 from ..fit.checkpoint import load_tensors
 from ..fit.confidence import confidence
 from ..fit.config import CONFIGS, FitConfig
-from ..render import RendererName, make_renderer
+from ..fit.result import FitResult
+from ..render import Renderer, RendererName, make_renderer
 from ..system import result_folder
 from ..system.interrupts import undisturbed
 from ..system.profile import profiling
@@ -34,15 +38,9 @@ from .options import (
 PREDICTED = 9  # photos left out of a fit that its page shows at once; `report --capture` shows all
 
 
-def fit_command(method: str) -> Callable:
-    """The ``fit`` command with the settings of one method as its options."""
-    def fit(
-        capture: Positional[Photos],
-        out: Out,
-        config: FitConfig,
+def fit(capture: Positional[Photos], out: Out, config: FitConfig,
         method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"],
-                          arg(help="How to fit; `fit --method gan --help` shows that method's own options.")]
-        = method,  # type: ignore[assignment]
+                          arg(help="How to fit; `fit --method gan --help` shows that method's own options.")] = "hierarchical",
         renderer: Annotated[RendererName, arg(help="What renders the maps and carries the gradients.")] = "mitsuba",
         resolution: Annotated[int, arg(help="Side of the maps in texels; photos are area-averaged down to it.")] = 256,
         views: ViewList = None,
@@ -54,85 +52,105 @@ def fit_command(method: str) -> Callable:
         profile: Annotated[bool, arg(help="Print where the time of a step goes: network, renderer, losses, forward and "
                                           "backward.")] = False,
         resume: Annotated[bool, arg(help="Go on from the checkpoint in OUT, same options, more --iterations.")] = False,
-        overwrite: Overwrite = False,
-    ) -> int:
-        """Recover the maps of a material from photos.
+        overwrite: Overwrite = False) -> int:
+    """Recover the maps of a material from photos.
 
-        `mitsvbrdf fit photos/ -o out --budget 120` is all it takes. Leave photos out with --views 0,1,2,3,5,6,8 and predict
-        them with `mitsvbrdf evaluate out --capture photos/ --views 4,7`: the honest test of a fit. The paper's method is
-        --method gan --preset paper-one-stage, shortened by --iterations 500. Known maps are held fixed with
-        --fix normal=flat --fix specular=0.04 --fix diffuse=map.exr, and cost nothing then.
+    `mitsvbrdf fit photos/ -o out --budget 120` is all it takes. Leave photos out with --views 0,1,2,3,5,6,8 and predict
+    them with `mitsvbrdf evaluate out --capture photos/ --views 4,7`: the honest test of a fit. The paper's method is
+    --method gan --preset paper-one-stage, shortened by --iterations 500. Known maps are held fixed with
+    --fix normal=flat --fix specular=0.04 --fix diffuse=map.exr, and cost nothing then.
 
-        Ctrl-C ends the fit and keeps its best result. OUT then holds report.html, the page to look at, maps/, guess/, photos/,
-        rerendered/, sheet.png, curve.svg, scene.xml (for plain Mitsuba), fit.json, report.json and the checkpoint that --resume
-        goes on from.
-        """
-        from ..report.folder import write_fit
-
-        config.check()
-        if falloff == "auto":
-            falloff = "none" if method == "gan" else "inverse-square"
-        chosen = photo_numbers(views)
-        photos = read_photos(capture, resolution, None, transfer, falloff)
-        shots = photos if chosen is None else photos.pick(chosen)
-        engine = make_renderer(renderer, variant)
-        keep_apart(capture, out)
-        if explain:
-            for what, why in left_out(shots, engine, config):
-                say(f"left out: {what} ({why})")
-            return 0
-        earlier = next((p for p in (result_folder.partial_folder(out) / result_folder.CHECKPOINT, out / result_folder.CHECKPOINT) if p.is_file()), None)
-        if resume and earlier is None:
-            raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
-        before = load_tensors(earlier)[1].get("iteration") if resume else None
-        unused = [number for number in photos.index if number not in shots.index][:PREDICTED]
-        shown = photos.pick(sorted({*shots.index, *unused})) if unused else None
-        with result_folder.output_folder(out, overwrite or resume, resume) as folder:
-            collecting = profiling() if profile else contextlib.nullcontext()
-            title = f"fit {shots.source.name if shots.source else ''} · {method} · {engine.name}"
-            with Progress(title) as progress, collecting:
-                result = fit_svbrdf(shots, engine, config, checkpoint=folder / result_folder.CHECKPOINT,
-                                    resume=earlier if resume else None, report=progress, live=folder / result_folder.LIVE)
-            with undisturbed():
-                write_fit(result, shots, folder, command={
-                    "renderer": renderer, "resolution": resolution, "views": views, "falloff": shots.views.falloff,
-                    "transfer": transfer, "variant": variant}, left_out=shown)
-        print_numbers("Re-rendering RMSE", dict(zip(shots.names, result.per_photo)) | {"all": result.rerender_rmse})
-        if result.profile:
-            print_profile(result.profile)
-        if result.stopped == "interrupted":
-            say("interrupted: the best result so far was kept; the same command with --resume goes on")
-        elif resume and result.trace[-1]["iteration"] == before:
-            say(f"nothing was left to do after {before} iterations and {result.trace[-1]['seconds']:.0f} s; "
-                "raise --iterations or --budget")
-        if shots.views.falloff == "none":
-            say("scene.xml has a light that falls off with the distance; this fit's did not")
-        sure = confidence(result.deviations).items()
-        say("how sure: " + ", ".join(f"{name} ±{c['median_sd']:.3f} ({c['determined_share']:.0%} determined)"
-                                     for name, c in sure))
-        for warning in result.warnings:
-            say(f"warning: {warning}")
-        page = "report.html, " if (out / "report.html").is_file() else ""
-        say(f"wrote {out}/{page}sheet.png, maps/, rerendered/, scene.xml, fit.json")
+    Ctrl-C ends the fit and keeps its best result. OUT then holds report.html, the page to look at, maps/, guess/, photos/,
+    rerendered/, sheet.png, curve.svg, scene.xml (for plain Mitsuba), fit.json, report.json and the checkpoint that --resume
+    goes on from.
+    """
+    config.check()
+    if falloff == "auto":
+        falloff = "none" if method == "gan" else "inverse-square"
+    chosen = photo_numbers(views)
+    photos = read_photos(capture, resolution, None, transfer, falloff)
+    shots = photos if chosen is None else photos.pick(chosen)
+    engine = make_renderer(renderer, variant)
+    keep_apart(capture, out)
+    if explain:
+        for what, why in left_out(shots, engine, config):
+            say(f"left out: {what} ({why})")
         return 0
+    title = f"fit {shots.source.name if shots.source else ''} · {method} · {engine.name}"
+    asked = {"renderer": renderer, "resolution": resolution, "views": views, "falloff": shots.views.falloff,
+             "transfer": transfer, "variant": variant}
+    result, before = _fit_into(out, photos, shots, engine, config, asked, title, profile, resume, overwrite)
+    _say_result(result, shots, before)
+    page = "report.html, " if (out / "report.html").is_file() else ""
+    say(f"wrote {out}/{page}sheet.png, maps/, rerendered/, scene.xml, fit.json")
+    return 0
+
+
+def _fit_into(out: Path, photos: Capture, shots: Capture, engine: Renderer, config: FitConfig, asked: dict, title: str,
+              profile: bool, resume: bool, overwrite: bool) -> tuple[FitResult, int | None]:
+    """Fit, and write the result; also tells the iteration of the checkpoint gone on from."""
+    from ..report.folder import write_fit
+
+    folders = result_folder.partial_folder(out), out
+    earlier = next((path for path in (each / result_folder.CHECKPOINT for each in folders) if path.is_file()), None)
+    if resume and earlier is None:
+        raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
+    before = load_tensors(earlier)[1].get("iteration") if resume and earlier else None
+    unused = [number for number in photos.index if number not in shots.index][:PREDICTED]
+    shown = photos.pick(sorted({*shots.index, *unused})) if unused else None
+    with result_folder.output_folder(out, overwrite or resume, resume) as folder:
+        with Progress(title) as progress, profiling() if profile else contextlib.nullcontext():
+            result = fit_svbrdf(shots, engine, config, checkpoint=folder / result_folder.CHECKPOINT,
+                                resume=earlier if resume else None, report=progress, live=folder / result_folder.LIVE)
+        with undisturbed():
+            write_fit(result, shots, folder, command=asked, left_out=shown)
+    return result, before
+
+
+def _say_result(result: FitResult, shots: Capture, before: int | None) -> None:
+    """Errors, how it ended, how sure it is, and its warnings; ``before`` is the iteration gone on from."""
+    print_numbers("Re-rendering RMSE", dict(zip(shots.names, result.per_photo)) | {"all": result.rerender_rmse})
+    if result.profile:
+        print_profile(result.profile)
+    if result.stopped == "interrupted":
+        say("interrupted: the best result so far was kept; the same command with --resume goes on")
+    elif before is not None and result.trace[-1]["iteration"] == before:
+        say(f"nothing was left to do after {before} iterations and {result.trace[-1]['seconds']:.0f} s; "
+            "raise --iterations or --budget")
+    if shots.views.falloff == "none":
+        say("scene.xml has a light that falls off with the distance; this fit's did not")
+    sure = confidence(result.deviations).items()
+    say("how sure: " + ", ".join(f"{name} ±{c['median_sd']:.3f} ({c['determined_share']:.0%} determined)" for name, c in sure))
+    for warning in result.warnings:
+        say(f"warning: {warning}")
+
+
+def fit_command(arguments: Sequence[str]) -> Callable[..., int]:
+    """``fit`` with the settings of the method that the arguments name as its options."""
+    def command(*values: Any, **options: Any) -> int:
+        return fit(*values, **options)
 
     # One flat set of options, those of the method; --fix may be repeated.
-    fit.__annotations__["config"] = UseAppendAction[OmitArgPrefixes[CONFIGS[method]]]
-    return fit
-
-
-def method_named(arguments: list[str]) -> str:
-    method = next(iter(CONFIGS))
-    for here, after in zip(arguments, [*arguments[1:], ""]):
-        name = after if here == "--method" else here.removeprefix("--method=") if here.startswith("--method=") else None
-        method = name if name in CONFIGS else method
-    return method  # the last one counts, as for every option
+    settings = UseAppendAction[OmitArgPrefixes[CONFIGS[_method_named(arguments)]]]  # type: ignore[misc, valid-type]
+    command.__doc__, command.__signature__ = fit.__doc__, inspect.signature(fit)  # type: ignore[attr-defined]
+    command.__annotations__ = fit.__annotations__ | {"config": settings}
+    return command
 
 
 def with_flags(arguments: list[str]) -> list[str]:
     """Arguments with --calibrate alone and --no-calibrate as True and False: unsaid is a third, which no flag of tyro's has."""
+    if _method_named(arguments) != "hierarchical":
+        return arguments
     found = []
     for here, after in zip(arguments, [*arguments[1:], ""]):
         alone = here == "--calibrate" and after not in ("True", "False", "None")
         found += ["--calibrate", "True"] if alone else ["--calibrate", "False"] if here == "--no-calibrate" else [here]
     return found
+
+
+def _method_named(arguments: Sequence[str]) -> str:
+    method = next(iter(CONFIGS))
+    for here, after in zip(arguments, [*arguments[1:], ""]):
+        name = after if here == "--method" else here.removeprefix("--method=") if here.startswith("--method=") else None
+        method = name if name in CONFIGS else method
+    return method  # the last one counts, as for every option

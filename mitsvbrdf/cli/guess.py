@@ -1,12 +1,11 @@
-"""``mitsvbrdf guess``."""
+"""``mitsvbrdf guess``: the guessed diffuse map alone."""
 
 from __future__ import annotations
 
 from tyro.conf import Positional
 
-from ..capture import guess_diffuse
-from ..fit.config import GuessMethod
-from ..system import result_folder
+from ..capture.guess import GuessMethod
+from ..system import images, result_folder
 from ..system.progress import say
 from .options import Out, Overwrite, Photos, TransferOption, ViewList, keep_apart, read_photos
 
@@ -17,11 +16,11 @@ def guess(capture: Positional[Photos], out: Out, method: GuessMethod = "robust",
 
     Methods: min is the paper's per-pixel minimum; mean-blur the older baseline; robust undoes falloff and highlights.
     """
-    from ..system.images import write_linear
+    from ..capture import guess_diffuse
 
     keep_apart(capture, out)
     shots = read_photos(capture, resolution, views, transfer, "inverse-square")
     with result_folder.output_folder(out, overwrite) as folder:
-        write_linear(folder / "diffuse", guess_diffuse(shots, method), "srgb")
+        images.write_linear(folder / "diffuse", guess_diffuse(shots, method), "srgb")
     say(f"wrote {out}/diffuse.exr, diffuse.png")
     return 0

@@ -1,4 +1,7 @@
-"""What the commands share: option types, and what a name on the command line stands for."""
+"""What the commands share: option types, and what a name on the command line stands for.
+
+Every command imports this module, so it imports what needs torch only where it is used.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +14,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import arg
 
-from ..capture import Capture, read_capture
 from ..errors import CaptureError, ConfigError, OutputError
-from ..material.map_files import load_maps
-from ..material.maps import SVBRDF
 from ..system import files
 from ..system.progress import progress_bar, say
-from ..views import Falloff, Views, nine_view_grid
 
 if TYPE_CHECKING:
+    from ..capture import Capture
     from ..fit.record import Fit
+    from ..material.maps import SVBRDF
+    from ..views import Falloff, Views
 
 Out = Annotated[Path, arg(aliases=["-o"], help="Folder (or file) to write.")]
 Overwrite = Annotated[bool, arg(help="Replace results that are there already.")]
@@ -30,7 +32,8 @@ Material = Annotated[str, arg(metavar="MAPS", help="The OUT of a fit, a folder o
                                                    "leather, plates).")]
 ViewSource = Annotated[str, arg(help="A capture whose views to use, or builtin:grid (nine views from two sides away).")]
 Photos = Annotated[Path, arg(metavar="CAPTURE", help="A folder of photos, calibrated or plain; see docs/formats.md.")]
-TransferOption = Annotated[Literal["auto", "gamma2.2", "srgb", "linear"],
+TransferChoice = Literal["auto", "gamma2.2", "srgb", "linear"]
+TransferOption = Annotated[TransferChoice,
                            arg(help="How photos encode light; auto: as the capture states, else gamma2.2 for calibrated "
                                     "captures and srgb for plain photos.")]
 FalloffOption = Literal["auto", "inverse-square", "none"]
@@ -65,8 +68,11 @@ def check_new_file(out: Path, overwrite: bool) -> None:
     files.check_output(out)
 
 
-def read_photos(capture: Path, resolution: int, views: str | None, transfer, falloff: Falloff) -> Capture:
+def read_photos(capture: Path, resolution: int, views: str | None, transfer: TransferChoice,
+                falloff: Falloff) -> Capture:
     """The photos as asked for, with what was noticed about them said."""
+    from ..capture import read_capture
+
     if resolution < 8:
         raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
     with ExitStack() as open_bar:
@@ -88,16 +94,20 @@ def photo_numbers(views: str | None) -> list[int] | None:
 
 def material_of(name: str, resolution: int = 256) -> SVBRDF:
     """Maps from a folder, or ``builtin:NAME`` made at this resolution."""
+    from ..material.made import make_material
+    from ..material.map_files import load_maps
+
     if name.startswith("builtin:"):
-        from ..material.made import make_material
         return make_material(name.removeprefix("builtin:"), resolution)
     return load_maps(name)
 
 
 def views_of(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[list[str], Views]:
     """Names and views of a capture (:func:`~mitsvbrdf.evaluate.placed` where it states none), or of ``builtin:grid``."""
+    from ..capture import read_capture
     from ..evaluate import placed
     from ..fit.record import Fit
+    from ..views import nine_view_grid
 
     if source == "builtin:grid":
         views = replace(nine_view_grid(), falloff=falloff)
@@ -111,14 +121,8 @@ def views_of(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[lis
     return list(shots.names), shots.views
 
 
-def check_new_checkpoint(out: Path, overwrite: bool) -> None:
-    """Raise ConfigError where a checkpoint cannot be written, before any work is done."""
-    if out.is_dir() or out.exists() and not overwrite:
-        raise ConfigError("a new checkpoint file", f"{out}, which exists", "add --overwrite, or choose another name")
-    files.check_output(out)
-
-
-def fit_of_maps(maps: str):
+def fit_of_maps(maps: str) -> Fit:
+    """The fit that maps come from; one that knows nothing for ``builtin:NAME``."""
     from ..fit.record import Fit, fit_of
 
     return Fit() if maps.startswith("builtin:") else fit_of(maps)

@@ -1,30 +1,42 @@
-"""``mitsvbrdf pretrain``."""
+"""``mitsvbrdf pretrain``: the first stage of the paper's two-stage training."""
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 
-from ..fit import pretrain
+from ..errors import ConfigError
 from ..fit.config import GanConfig
 from ..render import RendererName, make_renderer
+from ..system import files
 from ..system.progress import Progress, say
 from ..views import Falloff
-from .options import Out, Overwrite, Photos, Variant, check_new_checkpoint, read_photos
+from .options import Out, Overwrite, Photos, Variant, read_photos
 
 
-def pretrain_command(picture: Positional[Photos], out: Out, config: UseAppendAction[OmitArgPrefixes[GanConfig]],
-                     resolution: int = 256, renderer: RendererName = "mitsuba", falloff: Falloff = "none",
-                     variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
+def pretrain(picture: Positional[Photos], out: Out, config: UseAppendAction[OmitArgPrefixes[GanConfig]],
+             resolution: int = 256, renderer: RendererName = "mitsuba", falloff: Falloff = "none",
+             variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
     """First stage of the paper's two-stage training: the generator learns from one picture with global features.
 
     CAPTURE's first photo is used; a folder with one plain photo will do. OUT is a .safetensors file, for
     `fit --method gan --preset paper-two-stage --pretrained OUT`.
     """
+    from ..fit import pretrain as first_stage
+
     config.check()
-    check_new_checkpoint(out, overwrite)
+    _check_new_checkpoint(out, overwrite)
     shots = read_photos(picture, resolution, None, "auto", falloff)
     engine = make_renderer(renderer, variant)
     with Progress(f"pretrain · {engine.name}") as progress:
-        pretrain(shots, engine, config, out, progress)
+        first_stage(shots, engine, config, out, progress)
     say(f"wrote {out}")
     return 0
+
+
+def _check_new_checkpoint(out: Path, overwrite: bool) -> None:
+    """Raise ConfigError where a checkpoint cannot be written, before any work is done."""
+    if out.is_dir() or out.exists() and not overwrite:
+        raise ConfigError("a new checkpoint file", f"{out}, which exists", "add --overwrite, or choose another name")
+    files.check_output(out)

@@ -6,19 +6,25 @@ import contextlib
 import hashlib
 import os
 from pathlib import Path
-from typing import Annotated
+from types import ModuleType
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
 from ..errors import ConfigError
-from ..fit.config import check_seed
-from ..render.llvm import mitsuba_module
 from ..system import result_folder
 from ..system.interrupts import stop_signals
 from ..system.progress import progress_bar, say
 from .options import Material, Overwrite, Variant, keep_apart_from_maps, material_of, name_of
 
-SIDES = (8, 8192)
+if TYPE_CHECKING:
+    from ..material.maps import SVBRDF
+    from ..relight.frames import Record
+    from ..relight.passes import Stop
+    from ..relight.stage import Stage
+    from ..views import Views
+
+PICTURE_SIDES = (8, 8192)  # smallest and largest, pixels
 MOVIES = ("mp4", "gif")
 
 
@@ -53,11 +59,13 @@ def relight(maps: Positional[Material],
 
     Ctrl-C keeps the frames done and the one at hand as it is; the same command with --resume goes on.
     """
+    from ..fit.config import check_seed
     from ..fit.record import Fit, fit_of
     from ..relight.frames import begin, go_on, kept_names, render_stages
     from ..relight.movie import av_module
     from ..relight.passes import Stop
     from ..relight.stage import PRESETS, make_stage
+    from ..render.llvm import mitsuba_module
 
     stop = Stop(target_error, budget, samples)
     check_seed(seed)
@@ -102,7 +110,7 @@ def relight(maps: Positional[Material],
     return 0
 
 
-def _fingerprint(svbrdf, views) -> str:
+def _fingerprint(svbrdf: SVBRDF, views: Views | None) -> str:
     """Of the maps and the views: a fit made anew is another material."""
     digest = hashlib.sha256(svbrdf.bsdf.encode())
     for name, value in svbrdf.maps.items():
@@ -121,7 +129,7 @@ def _file_fingerprint(environment: str | None) -> str | None:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _check(mi, svbrdf, views, seed: int) -> int:
+def _check(mi: ModuleType, svbrdf: SVBRDF, views: Views | None, seed: int) -> int:
     from ..relight.check import check_novel
 
     test = check_novel(mi, svbrdf, views, seed=seed)
@@ -132,7 +140,7 @@ def _check(mi, svbrdf, views, seed: int) -> int:
     return 0 if test.passed else 1
 
 
-def _finish(stage, record, folder: Path, kinds: list[str], exposure: float, stop) -> None:
+def _finish(stage: Stage, record: Record, folder: Path, kinds: list[str], exposure: float, stop: Stop) -> None:
     """Curve and a line for a preset, and its movie where all frames are there."""
     from ..relight.curve import error_curve
     from ..relight.frames import display_frames
@@ -158,7 +166,7 @@ def _summary(name: str, frames: list[dict], target: float | None) -> str:
               + f" sample{'s' * (max(samples) > 1)} a pixel"]
     parts += [f"estimated error {max(errors):.4f}" + (" at most" if len(frames) > 1 else "")] if errors else (
         ["too few to estimate the error"])
-    one = [one_sample(f["curve"]) for f in frames if f["curve"]]
+    one = [error for f in frames if (error := one_sample(f["curve"])) is not None]
     if target and one and max(one) <= target:
         parts.append(f"a single sample is as good as free of noise (error {max(one):.2g})")
     return f"{name}: {', '.join(parts)}"
@@ -169,8 +177,9 @@ def _size(text: str) -> tuple[int, int]:
         sides = [int(part) for part in text.lower().split("x")]
     except ValueError:
         sides = []
-    if len(sides) not in (1, 2) or not all(SIDES[0] <= side <= SIDES[1] for side in sides):
-        raise ConfigError(f"--size N or WxH with sides of {SIDES[0]} to {SIDES[1]} pixels", repr(text), "try 512 or 640x360")
+    if len(sides) not in (1, 2) or not all(PICTURE_SIDES[0] <= side <= PICTURE_SIDES[1] for side in sides):
+        raise ConfigError(f"--size N or WxH with sides of {PICTURE_SIDES[0]} to {PICTURE_SIDES[1]} pixels", repr(text),
+                          "try 512 or 640x360")
     return sides[0], sides[-1]
 
 

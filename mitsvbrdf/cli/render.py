@@ -1,4 +1,4 @@
-"""``mitsvbrdf render``."""
+"""``mitsvbrdf render``: maps rendered for the views of a capture."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from ..errors import MapsError
+from ..material.maps import SVBRDF
 from ..render import RendererName, make_renderer
 from ..system import images, result_folder
 from ..system.progress import say
@@ -35,7 +37,6 @@ def render(maps: Positional[Material], out: Out, views: ViewSource = "builtin:gr
            variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
     """Render maps for the views of a capture: OUT/NN.png (display values) and NN.exr (linear)."""
     from ..evaluate import shift_lights
-    from ..system.images import write_linear
 
     svbrdf, fit = material_of(maps), fit_of_maps(maps)
     if diffuse == "guessed":
@@ -44,18 +45,15 @@ def render(maps: Positional[Material], out: Out, views: ViewSource = "builtin:gr
     lit = shift_lights(lit, fit.flash_offset if flash_offset == "fitted" else None)
     transfer = (fit.transfer or "gamma2.2") if transfer == "auto" else transfer
     keep_apart(Path(views), out)
-    images = make_renderer(renderer, variant).render(svbrdf, lit)
+    rendered = make_renderer(renderer, variant).render(svbrdf, lit)
     with result_folder.output_folder(out, overwrite) as folder:
-        for name, image in zip(names, images):
-            write_linear(folder / name, image, transfer)
+        for name, image in zip(names, rendered):
+            images.write_linear(folder / name, image, transfer)
     say(f"wrote {len(names)} images to {out}")
     return 0
 
 
-def _with_guessed_diffuse(svbrdf, maps: Path):
-    from ..errors import MapsError
-    from ..material.maps import SVBRDF
-
+def _with_guessed_diffuse(svbrdf: SVBRDF, maps: Path) -> SVBRDF:
     folder = maps.parent if maps.name == "maps" else maps
     guessed = images.read_image(folder / "guess" / "diffuse.exr", MapsError)
     name = "diffuse" if svbrdf.bsdf == "roughconductor" else "base_color"

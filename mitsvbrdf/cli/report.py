@@ -7,8 +7,6 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from ..capture import read_capture
-from ..pages.page import figure
 from ..system import result_folder
 from ..system.progress import print_numbers, progress_bar, say, say_written
 from .options import keep_apart
@@ -23,7 +21,9 @@ def report(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder t
     `fit` writes them too, quickly. This command holds every renderer against the float64 twin on the fitted maps in the views
     of the fit, with run times, and measures what was saved by leaving out what the material does not need.
     """
+    from ..capture import read_capture
     from ..fit.record import read_fit
+    from ..pages.page import figure
     from ..report.fit_page import check_photos, keep_photos, write_report
 
     found = read_fit(out)

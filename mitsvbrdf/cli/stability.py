@@ -11,15 +11,15 @@ from rich.table import Table
 from tyro.conf import arg
 
 from ..errors import ConfigError
-from ..render import make_renderer
+from ..render import RendererName, make_renderer
 from ..system import files
 from ..system.progress import console, progress_bar, say, say_written
 from .crosscheck import RENDERERS
 from .options import Variant
 
 Sweep = Literal["roughness", "tilt", "distance", "colour", "intensity", "clipped", "flat", "resolution", "views", "stiff"]
-COLOURS = {"exact": "green", "clamped": "dim", "degraded": "yellow", "limited": "yellow", "refused": "dim",
-           "wrong": "bold red", "not finite": "bold red"}
+VERDICT_COLOURS = {"exact": "green", "clamped": "dim", "degraded": "yellow", "limited": "yellow", "refused": "dim",
+                   "wrong": "bold red", "not finite": "bold red"}
 
 
 def stability(
@@ -45,7 +45,8 @@ def stability(
     if md:
         from ..verify.stability.page import around_tables
         around_tables(md)  # refused now rather than after the work
-    renderers = [make_renderer(name, variant) for name in (RENDERERS if renderer == "all" else (renderer,))]
+    names: tuple[RendererName, ...] = RENDERERS if renderer == "all" else (renderer,)
+    renderers = [make_renderer(name, variant) for name in names]
     with progress_bar("stability") as report:
         record = run(renderers, only or tuple(SWEEPS), report)
     with contextlib.suppress(BrokenPipeError):
@@ -79,8 +80,8 @@ def _table(title: str, rows: list[dict], renderers: list[str]) -> Table:
     for name in (*renderers, "rounding"):
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
-        cells = [f"[{COLOURS[figures['verdict']]}]{figures['verdict']}[/]{_figure(largest(figures.get('errors', {}), None))}"
-                 for figures in row["renderers"].values()]
+        cells = [f"[{VERDICT_COLOURS[found['verdict']]}]{found['verdict']}[/]{_figure(largest(found.get('errors', {}), None))}"
+                 for found in row["renderers"].values()]
         table.add_row(row["label"], *cells, _figure(largest(row["limit"], None)))
     return table
 

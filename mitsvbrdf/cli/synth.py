@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import fields
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
@@ -12,15 +13,15 @@ from .. import color
 from ..capture import write_capture
 from ..errors import ConfigError
 from ..fit.config import check_seed
-from ..render import RendererName, make_renderer
+from ..render import Renderer, RendererName, make_renderer
 from ..synth import photograph
-from ..synth.phone import HandheldPhone
+from ..synth.phone import HandheldPhone, Spoil
 from ..synth.photos import write_handheld
 from ..system import result_folder
 from ..system.progress import say
 from .options import Material, Out, Overwrite, Variant, ViewSource, keep_apart, material_of, name_of, views_of
 
-RECTIFIED, MADE = 256, 1024  # --resolution where it is left out
+RECTIFIED_SIDE, MADE_SIDE = 256, 1024  # --resolution where it is left out
 PHONE = HandheldPhone()
 
 
@@ -43,22 +44,22 @@ def synth(material: Positional[Material], out: Out, phone: OmitArgPrefixes[Handh
     """
     check_seed(phone.seed)
     if handheld:
-        given = {"--views": views != "builtin:grid", "--noise": noise != 0, "--renderer": renderer != "mitsuba",
-                 "--transfer": transfer != "gamma2.2"}
-        if any(given.values()):
-            raise ConfigError("options of the phone beside --handheld", ", ".join(k for k, v in given.items() if v),
+        unused = {"--views": views != "builtin:grid", "--noise": noise != 0, "--renderer": renderer != "mitsuba",
+                  "--transfer": transfer != "gamma2.2"}
+        if any(unused.values()):
+            raise ConfigError("options of the phone beside --handheld", ", ".join(k for k, v in unused.items() if v),
                               "leave these out; --grain is the phone's noise")
-        return _handheld(material, out, phone, spoil, MADE if resolution is None else resolution, variant, overwrite)
+        return _handheld(material, out, phone, spoil, MADE_SIDE if resolution is None else resolution, variant, overwrite)
     given = [f"--{f.name.replace('_', '-')}" for f in fields(phone) if getattr(phone, f.name) != f.default and f.name != "seed"]
     if given or spoil:
         raise ConfigError("--handheld beside options of the phone", ", ".join([*given, *["--spoil"] * bool(spoil)]),
                           "add --handheld, or leave these out")
-    return _rectified(material, out, views, RECTIFIED if resolution is None else resolution, noise, phone.seed,
+    return _rectified(material, out, views, RECTIFIED_SIDE if resolution is None else resolution, noise, phone.seed,
                       make_renderer(renderer, variant), transfer, overwrite)
 
 
-def _rectified(material: str, out: Path, views: str, resolution: int, noise: float, seed: int, renderer, transfer,
-               overwrite: bool) -> int:
+def _rectified(material: str, out: Path, views: str, resolution: int, noise: float, seed: int, renderer: Renderer,
+               transfer: color.Transfer, overwrite: bool) -> int:
     if not 0 <= noise <= 1:
         raise ConfigError("--noise from 0 to 1", str(noise), "give the standard deviation, e.g. 0.003")
     keep_apart(Path(views), out)
@@ -78,11 +79,11 @@ def _handheld(material: str, out: Path, phone: HandheldPhone, spoil: str, resolu
     from ..synth.traced import HandheldRenderer
 
     phone.check()
-    svbrdf = material_of(material, resolution)
+    svbrdf, kinds = material_of(material, resolution), tuple(kind.strip() for kind in spoil.split(",") if kind.strip())
     with result_folder.output_folder(out, overwrite) as folder:
         truth = write_handheld(
-            svbrdf, phone, lambda *scene: HandheldRenderer(*scene, variant=variant), folder,
-            tuple(kind.strip() for kind in spoil.split(",") if kind.strip()), material=name_of(material),
+            svbrdf, phone, functools.partial(HandheldRenderer, variant=variant), folder,
+            cast(tuple[Spoil, ...], kinds), material=name_of(material),
             report=lambda done, count: say(f"took {done} of {count} photos") if done % 3 == 0 or done == count else None)
     sheet = f" with the sheet of {phone.sheet:g} cm" if phone.sheet else ""
     say(f"wrote {len(truth['rig']['poses'])} photos{sheet} to {out}, and what is true of them to {out}/truth")

@@ -59,9 +59,12 @@ def evaluate_capture(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
 
 
 def evaluate_fit(result: FitResult, capture: Capture) -> dict:
-    """Error of a fit on the photos of its capture, placed by :func:`placed`, with the flash offset it found; see
-    :func:`evaluate_capture`."""
-    offset = result.flash_offset and tuple(x / result.views.size for x in result.flash_offset)
+    """Error of a fit on the photos of its capture; see :func:`evaluate_capture`.
+
+    They are placed by :func:`placed`, with the flash offset that the fit found.
+    """
+    x, y = result.flash_offset or (0.0, 0.0)
+    offset = result.flash_offset and (x / result.views.size, y / result.views.size)
     fit = Fit(capture=capture_name(capture), seen=tuple(map(int, result.calibration.get("camera", ()))), views=result.views,
               estimated=result.calibration.get("estimated", False), power=result.calibration.get("power_told") or 1.0)
     renderer = make_renderer(result.renderer, result.variant or "llvm_ad_rgb")

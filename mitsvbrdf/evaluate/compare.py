@@ -103,7 +103,8 @@ def fitted_views(fit: Fit, capture: Capture) -> tuple[Views, list[str]]:
     These are the photos that it saw, where it was fitted to this capture; the others have the capture's view and the flash
     offset of the fit. Lengths are in patch sides.
     """
-    views, names = shift_lights(capture.views, fit.flash_offset).in_patch_sides(), []
+    views = shift_lights(capture.views, fit.flash_offset).in_patch_sides()
+    names: list[str] = []
     if fit.views is None or not fit.of(capture):
         return views, names
     stored = fit.views.in_patch_sides()

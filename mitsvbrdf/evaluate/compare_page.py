@@ -44,8 +44,9 @@ def write_compare_page(path: str | Path, record: dict, entries: Sequence[Entry],
     photos = [{"name": name, "photo": png_uri(at_most(photo, LARGEST)),
                "rendered": [(method, png_uri(at_most(images[i], LARGEST))) for method, images in zip(methods, pictures)]}
               for i, (name, photo) in enumerate(zip(record["photos"], capture.photos))]
-    write_page(path, "compare.html", title=f"{record['capture'] or 'Capture'}: {', '.join(m['name'] for m in methods)}",
-               record=record, rows=rows, photos=photos, guess=_uri("diffuse", guess), groups=_table(record))
+    title = f"{record['capture'] or 'Capture'}: {', '.join(m['name'] for m in methods)}"
+    write_page(path, "evaluate/compare.html", title=title, record=record, rows=rows, photos=photos,
+               guess=_uri("diffuse", guess), groups=_table(record))
 
 
 def _maps(svbrdf: SVBRDF, resolution: int) -> list[tuple[str, str]]:

@@ -15,7 +15,7 @@ from torch import Tensor
 from .. import __version__, color
 from ..material.conversion import as_principled, with_specular_color
 from ..material.maps import DIELECTRIC_F0, SVBRDF
-from ..system import files
+from ..system import files, images
 from .textures import LINEAR, SRGB, Export, Texture, described, residual, stored
 
 FILE = "material.glb"
@@ -38,7 +38,7 @@ NOTES = (
 def write_gltf(folder: Path, svbrdf: SVBRDF) -> Export:
     """Write ``folder/material.glb``: base colour, metallic and roughness packed, normal; F0 by KHR_materials_specular.
 
-    Base colour and metallic are those of :func:`mitsvbrdf.conversion.as_principled`. The extension, for
+    Base colour and metallic are those of :func:`mitsvbrdf.material.conversion.as_principled`. The extension, for
     ``roughconductor`` materials only, carries what metallic cannot say of F0; viewers without it show the conversion alone.
 
     Args:
@@ -71,7 +71,7 @@ def write_gltf(folder: Path, svbrdf: SVBRDF) -> Export:
     return Export((FILE,), tuple(textures), NOTES, lost)
 
 
-def _glb(images: dict[str, Tensor], specular: dict) -> bytes:
+def _glb(textures: dict[str, Tensor], specular: dict) -> bytes:
     blob, views = bytearray(), []
 
     def add(data: bytes, **about: int) -> int:
@@ -92,7 +92,7 @@ def _glb(images: dict[str, Tensor], specular: dict) -> bytes:
                  {"bufferView": add(struct.pack("<6H", *TRIANGLES), target=ELEMENT_ARRAY_BUFFER),
                   "componentType": UNSIGNED_SHORT, "count": 6, "type": "SCALAR"}]
     pictures = [{"name": name, "mimeType": "image/png", "bufferView": add(images.encode_png(image))}
-                for name, image in images.items()]
+                for name, image in textures.items()]
     material: dict = {
         "name": "material",
         "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "metallicRoughnessTexture": {"index": 1}},
@@ -104,7 +104,7 @@ def _glb(images: dict[str, Tensor], specular: dict) -> bytes:
             "attributes": {"POSITION": 0, "NORMAL": 1, "TANGENT": 2, "TEXCOORD_0": 3}, "indices": 4, "material": 0}]}],
         "materials": [material], "accessors": accessors, "bufferViews": views, "images": pictures,
         "samplers": [{"magFilter": LINEAR_FILTER, "minFilter": MIPMAPS, "wrapS": CLAMP_TO_EDGE, "wrapT": CLAMP_TO_EDGE}],
-        "textures": [{"name": name, "sampler": 0, "source": k} for k, name in enumerate(images)],
+        "textures": [{"name": name, "sampler": 0, "source": k} for k, name in enumerate(textures)],
         "buffers": [{"byteLength": len(blob)}]}
     if specular:
         material["extensions"] = {"KHR_materials_specular": specular}

@@ -45,8 +45,8 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
     tree = ET.parse(SCENES / "patch.xml", comments)
     root = tree.getroot()
     for default in root.iter("default"):
-        default.set("value", view_parameters(views, svbrdf.resolution)[default.get("name")])
-    material = root.find("bsdf[@id='material']")
+        default.set("value", view_parameters(views, svbrdf.resolution)[default.attrib["name"]])
+    material = next(root.iterfind("bsdf[@id='material']"))
     material.attrib.clear()
     material.attrib.update(type="normalmap", id="material")
     _fill(material, _material(svbrdf.bsdf))

@@ -44,7 +44,7 @@ def stored(name: str, value: Tensor, normal: NormalConvention = "gl") -> Tensor:
     """A map as its file holds it, in [0, 1]: colours sRGB, the rest linear, normals (n + 1) / 2.
 
     Args:
-        name: the map's, as in :data:`mitsvbrdf.maps.CHANNELS`.
+        name: the map's, as in :data:`mitsvbrdf.material.maps.CHANNELS`.
         value: R x R x C, linear.
         normal: ``dx`` turns y, the green channel, around.
     """
@@ -74,8 +74,7 @@ class Export:
         files: the files to open, relative to the folder.
         textures: all textures.
         notes: what the format cannot say, and what it says in another way.
-        conversion: RMSE of diffuse and specular lost on the way, by kind of conversion; see
-            :func:`mitsvbrdf.conversion.residual`.
+        conversion: RMSE of diffuse and specular lost on the way, by kind of conversion; see :func:`residual`.
     """
 
     files: tuple[str, ...]

@@ -12,8 +12,8 @@ from ..system import files
 from .textures import Bits, Export, write_texture
 
 FILE = "material.usda"
-INPUTS = {"diffuse": "diffuseColor", "specular": "specularColor", "base_color": "diffuseColor", "metallic": "metallic",
-          "roughness": "roughness", "normal": "normal"}
+SHADER_INPUTS = {"diffuse": "diffuseColor", "specular": "specularColor", "base_color": "diffuseColor", "metallic": "metallic",
+                 "roughness": "roughness", "normal": "normal"}
 NOTES = (
     "UsdPreviewSurface lets diffuse light through by what the specular lobe leaves, where ours is a sum",
     "its Fresnel curve is Schlick's, ours that of a real refractive index; F0 is the same",
@@ -21,7 +21,7 @@ NOTES = (
 )
 
 # st = (0, 0) is the lower left corner of an image, so row 0 of it is the top of the patch.
-STAGE = '''#usda 1.0
+STAGE_TEMPLATE = '''#usda 1.0
 (
     defaultPrim = "patch"
     metersPerUnit = 1
@@ -70,7 +70,7 @@ def Xform "patch"
 {textures}    }}
 }}
 '''
-TEXTURE = '''
+TEXTURE_TEMPLATE = '''
         def Shader "{name}"
         {{
             uniform token info:id = "UsdUVTexture"
@@ -82,7 +82,7 @@ TEXTURE = '''
 {more}            {kind} outputs:{channels}
         }}
 '''
-NORMAL = '''            float4 inputs:scale = (2, 2, 2, 1)
+NORMAL_DECODING = '''            float4 inputs:scale = (2, 2, 2, 1)
             float4 inputs:bias = (-1, -1, -1, 0)
 '''
 
@@ -104,11 +104,11 @@ def write_usd(folder: Path, svbrdf: SVBRDF, bits: Bits = 16) -> Export:
         written.append(texture)
         kind = "normal3f" if name == "normal" else "float" if count == 1 else "color3f"
         channels = "r" if count == 1 else "rgb"
-        inputs.append(f"            {kind} inputs:{INPUTS[name]}.connect = </patch/material/{name}.outputs:{channels}>")
-        nodes.append(TEXTURE.format(
-            name=name, file=texture.file, space="sRGB" if name in COLOURS else "raw", more=NORMAL if name == "normal" else "",
-            kind="float" if count == 1 else "float3", channels=channels))
+        inputs.append(f"            {kind} inputs:{SHADER_INPUTS[name]}.connect = </patch/material/{name}.outputs:{channels}>")
+        nodes.append(TEXTURE_TEMPLATE.format(
+            name=name, file=texture.file, space="sRGB" if name in COLOURS else "raw",
+            more=NORMAL_DECODING if name == "normal" else "", kind="float" if count == 1 else "float3", channels=channels))
     workflow = int(svbrdf.bsdf == "roughconductor")
-    stage = STAGE.format(specular_workflow=workflow, inputs="\n".join(inputs), textures="".join(nodes))
+    stage = STAGE_TEMPLATE.format(specular_workflow=workflow, inputs="\n".join(inputs), textures="".join(nodes))
     files.write_bytes(folder / FILE, stage.encode())
     return Export((FILE,), tuple(written), NOTES)

@@ -14,6 +14,7 @@ from ..errors import ConfigError
 from ..measure.rerender import rerender
 from ..render import Renderer
 from ..system.profile import profile_summary, profiled
+from . import view_record
 from .confidence import deviations
 from .config import DirectConfig, FitConfig, GanConfig, HierarchicalConfig, HybridConfig
 from .fixed_maps import fixed_maps
@@ -22,7 +23,6 @@ from .light_power import light_power_told, with_light_power
 from .live import LiveRecord
 from .loop import Loop
 from .result import FitResult
-from .view_record import record
 from .warnings import fit_warnings
 
 
@@ -98,7 +98,7 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
         left_out=tuple(left_out(capture, renderer, config, views)), stopped=stopped, undone=tuple(loop.undone),
         restarts=tuple(loop.restarts), deviations=spreads,
         flash_offset=tuple(offset) if offset else None, profile=profile_summary(),
-        calibration=record(capture, views, estimated, *getattr(loop.method, "views_deviation", (None, None)), told))
+        calibration=view_record.record(capture, views, estimated, *getattr(loop.method, "views_deviation", (None, None)), told))
     return replace(result, warnings=(*capture.notes[len(stated):], *fit_warnings(result, capture)))
 
 

@@ -46,9 +46,8 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
     if not folder.is_dir():
         raise MapsError("a folder of maps", f"no folder at {folder}", "give the folder that holds diffuse, specular, ...")
     stated, codes = read_material_json(folder), encodings(folder, encoding)
-    if bsdf is None:
-        principled = _find(folder, "base_color") and _find(folder, "metallic")
-        bsdf = stated.get("bsdf") or ("principled" if principled else "roughconductor")
+    usual: Bsdf = "principled" if _find(folder, "base_color") and _find(folder, "metallic") else "roughconductor"
+    bsdf = bsdf or stated.get("bsdf") or usual
     if bsdf == "roughconductor" and not _find(folder, "diffuse") and (folder / "tex.png").is_file():
         return _from_strip(folder / "tex.png").check()
 

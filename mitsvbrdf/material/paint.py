@@ -29,6 +29,9 @@ def painted(paint: Paint) -> SVBRDF:
     })
 
 
+Value = Tensor | float | tuple[float, ...]
+
+
 class Paint:
     """A material while it is painted, layer over layer; starts as a flat black ground of the size of ``x``."""
 
@@ -36,7 +39,7 @@ class Paint:
         self.height, self.roughness = torch.zeros_like(x), torch.zeros_like(x)[..., None]
         self.diffuse = self.specular = self.roughness.expand(*x.shape, 3)
 
-    def add(self, mask: Tensor | float, diffuse, specular, roughness, height: Tensor | float) -> Paint:
+    def add(self, mask: Tensor | float, diffuse: Value, specular: Value, roughness: Value, height: Tensor | float) -> Paint:
         """Cover with a layer as far as ``mask`` (R x R) is 1; values are numbers, colours, R x R or R x R x 3."""
         mask = torch.as_tensor(mask).expand_as(self.height)
         for name, new in {"diffuse": diffuse, "specular": specular, "roughness": roughness}.items():

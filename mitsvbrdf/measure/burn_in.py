@@ -20,7 +20,7 @@ from .. import color
 from ..material.maps import SVBRDF
 from ..views import Views, coverage_angle, cubic
 
-ROUNDING = 1e-6  # a map whose deviation is below this share of its size is constant: float32 and the encoding leave 1e-7
+CONSTANT_BELOW = 1e-6  # a map whose deviation is below this share of its size is constant: float32 and the encoding leave 1e-7
 
 
 def burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
@@ -40,6 +40,6 @@ def explained_share(values: Tensor, angle: Tensor) -> float:
     """R^2 of the least-squares cubic in ``angle`` through ``values``, tensors of one shape; 0 where the values are constant."""
     y, x = values.double().flatten(), angle.double().flatten()
     y, x, size = y - y.mean(), x - x.mean(), y.square().mean().sqrt()
-    if y.square().mean().sqrt() <= ROUNDING * size:
+    if y.square().mean().sqrt() <= CONSTANT_BELOW * size:
         return 0.0
     return float((1 - (y - cubic(x, y[None])[0]).square().sum() / y.square().sum()).clamp(0, 1))

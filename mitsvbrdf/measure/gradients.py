@@ -1,8 +1,11 @@
-"""What the cross-check, the sweeps and the benchmarks share: gradients under fixed random numbers, and fair timing."""
+"""An image with the gradients of every map, and the seconds of both: what all comparisons of renderers measure.
+
+The gradients are those of the product of the image with fixed random numbers, so that every renderer is asked the same
+question; :mod:`mitsvbrdf.measure.metrics` says how far two answers are apart.
+"""
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import torch
@@ -11,6 +14,7 @@ from torch import Tensor
 from ..errors import ConfigError
 from ..material.maps import SVBRDF
 from ..render import Renderer
+from ..system.timing import timed
 from ..views import Views
 
 
@@ -51,14 +55,10 @@ def render_and_gradients(renderer: Renderer, svbrdf: SVBRDF, views: Views, cotan
     """
     dtype = torch.float64 if renderer.name == "analytic64" else torch.float32
     leaves = svbrdf.to(dtype).map(lambda t: t.detach().clone().requires_grad_())
-    started = time.perf_counter()
-    image = renderer.render(leaves, views)
-    forward = time.perf_counter() - started
+    image, forward = timed(renderer.render, leaves, views)
     if not image.requires_grad:
         raise ConfigError("an image that carries gradients to the maps", f"one of {renderer.name} without", "make the renderer "
                           "differentiable, or compare the images alone (gradients=math.inf in assert_renderers_agree)")
     cotangent = (fixed_cotangent(image.shape) if cotangent is None else cotangent).to(image)
-    started = time.perf_counter()
-    gradients = torch.autograd.grad(image, list(leaves.maps.values()), cotangent)
-    backward = time.perf_counter() - started
+    gradients, backward = timed(torch.autograd.grad, image, list(leaves.maps.values()), cotangent)
     return Measured(image.detach(), dict(zip(leaves.maps, gradients)), forward, backward)

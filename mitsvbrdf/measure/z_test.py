@@ -1,4 +1,7 @@
-"""Whether two noisy pictures differ by more than their noise."""
+"""Whether two noisy pictures differ by more than their noise: a two-sided Z-test of every value and of the means.
+
+What is assumed, and what was measured of it, stands at :func:`mitsvbrdf.testing.assert_z_test` (``testing/noise.py``).
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from torch import Tensor
 from ..errors import ConfigError, MapsError
 
 FEWEST_PASSES = 8  # with fewer, Wallace's score of a far-out value is 25 % or more off, and the test misses everything
-ROUNDING = 1e-5  # float32 sums are off by as much, relative: no standard deviation counts as less
+SUM_ROUNDING = 1e-5  # float32 sums are off by as much, relative: no standard deviation counts as less
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,7 @@ class ZTest:
 
 def z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, *, reference_variance: Tensor | float = 0.0,
            significance: float = 0.01, outliers: float = 0.0) -> ZTest:
-    """Test a noisy picture against a reference; see the module's text for what is assumed.
+    """Test a noisy picture against a reference; ``testing/noise.py`` says what is assumed.
 
     Args:
         image: H x W x C, linear, the mean of many samples a pixel.
@@ -77,7 +80,7 @@ def z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, *, refe
             raise MapsError("variances that are finite and not below 0", f"{float(each.min()):.3g} to {float(each.max()):.3g}",
                             "look at the samples they come from")
     off = image - reference
-    variance = (spread + reference_variance).clamp_min((ROUNDING * float(reference.abs().mean())) ** 2)
+    variance = (spread + reference_variance).clamp_min((SUM_ROUNDING * float(reference.abs().mean())) ** 2)
     z = _normal_score(off / variance.sqrt(), degrees)
     z_limit, bias_limit = (_two_sided(1 - (1 - significance) ** (0.5 / n)) for n in (z.numel(), z.shape[-1]))
     outside = float((~(z.abs() <= z_limit)).double().mean())

@@ -1,9 +1,13 @@
-"""Sheets of labelled pictures."""
+"""Sheets of labelled pictures: one large dark PNG, its texts and pictures placed in pixels.
+
+The contact sheet of a capture and the sheet of a fit are made with it.
+"""
 
 from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -13,15 +17,15 @@ from torch import Tensor
 
 from .. import color
 from ..system import files
+from .colours import SHEET_BACK
 
 # In pixels of the sheet. Between the margins 9, 5 and 4 squares with their gaps fit without a remainder.
-WIDTH, MARGIN, GAP, LABEL, HEADER = 1680, 34, 8, 34, 92
-BACK, TEXT, QUIET, ACCENT = "#131519", "#eceef1", "#9198a3", "#f2b84b"
+SHEET_WIDTH, SHEET_MARGIN, PICTURE_GAP, LABEL_HEIGHT, HEADER_HEIGHT = 1680, 34, 8, 34, 92
 
 
 def square_side(count: int, largest: int) -> int:
     """Side of each of ``count`` squares in one row."""
-    return min((WIDTH - 2 * MARGIN - (count - 1) * GAP) // count, largest)
+    return min((SHEET_WIDTH - 2 * SHEET_MARGIN - (count - 1) * PICTURE_GAP) // count, largest)
 
 
 class Canvas:
@@ -29,18 +33,21 @@ class Canvas:
 
     def __init__(self, height: int) -> None:
         self.height = height
-        self.figure = Figure(figsize=(WIDTH / 100, height / 100), dpi=100, facecolor=BACK)
+        self.figure = Figure(figsize=(SHEET_WIDTH / 100, height / 100), dpi=100, facecolor=SHEET_BACK)
 
-    def text(self, x: int, y: int, text: str, points: float, colour: str, **how) -> None:
-        self.figure.text(x / WIDTH, 1 - y / self.height, text, fontsize=points, color=colour, parse_math=False, **how)
+    def text(self, x: int, y: int, text: str, points: float, colour: str, **how: Any) -> None:
+        """Write text whose baseline starts at (x, y) pixels; ``how`` goes to matplotlib's ``Figure.text``."""
+        self.figure.text(x / SHEET_WIDTH, 1 - y / self.height, text, fontsize=points, color=colour, parse_math=False, **how)
 
     def image(self, x: int, y: int, side: int, image: Tensor) -> None:
-        axes = self.figure.add_axes((x / WIDTH, 1 - (y + side) / self.height, side / WIDTH, side / self.height))
+        """Place a picture, H x W x 3 or x 1 display values, into the square of this side whose top left corner is (x, y)."""
+        axes = self.figure.add_axes((x / SHEET_WIDTH, 1 - (y + side) / self.height, side / SHEET_WIDTH, side / self.height))
         pixels = color.clip(image.detach().cpu().float()).numpy()
         axes.imshow(np.broadcast_to(pixels, (*pixels.shape[:2], 3)), interpolation="antialiased", aspect="auto")
         axes.set_axis_off()
 
     def write(self, path: Path) -> None:
+        """Write the page as a PNG."""
         data = io.BytesIO()
         FigureCanvasAgg(self.figure).print_png(data)
         files.write_bytes(path, data.getvalue())
@@ -50,4 +57,5 @@ class PlainNumbers(LogFormatter):
     """Numbers as 0.02, at the ticks that matplotlib would label."""
 
     def __call__(self, x: float, pos: int | None = None) -> str:
+        """The tick at x; empty where matplotlib labels none."""
         return f"{x:g}" if super().__call__(x, pos) else ""

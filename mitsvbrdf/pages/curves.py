@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-WIDTH, HEIGHT = 460, 270
-LEFT, RIGHT, TOP, BOTTOM = 58, 12, 10, 38
-COLOURS = ("#d1651f", "#2b7fc4", "#3a9a54", "#b453b0", "#a98417", "#6673dc", "#c9485c", "#1f9c9c")  # seen on black and on white
-MARKED = 40  # points a line may have to show each
-MOST = 1000
+from .colours import PAGE_LINES
+
+CHART_WIDTH, CHART_HEIGHT = 460, 270
+FRAME = (58, 10, CHART_WIDTH - 12, CHART_HEIGHT - 38)  # left, top, right, bottom; ticks and their numbers stand outside
+MOST_MARKED = 40  # points a line may have to show each
+MOST_POINTS = 1000  # of a line; of a longer trace only every so many are shown
 
 
 def curves(trace: Sequence[Mapping], names: Sequence[str]) -> dict | None:
@@ -25,18 +26,18 @@ def curves(trace: Sequence[Mapping], names: Sequence[str]) -> dict | None:
         ``width`` and ``height``, the ``frame`` (left, top, right, bottom), ``x`` and ``y`` as (place, label) of each tick, and
         ``lines``: ``name``, ``colour``, ``points`` (x, y, seconds, value), ``marked``; None without a point.
     """
-    rows = list(trace[::max(1, math.ceil(len(trace) / MOST))])
+    rows = list(trace[::max(1, math.ceil(len(trace) / MOST_POINTS))])
     rows += [trace[-1]] if trace and rows[-1] is not trace[-1] else []
     lines = {name: [(row["seconds"], row[name]) for row in rows if _positive(row["seconds"]) and _positive(row.get(name))]
              for name in names}
     lines = {name: points for name, points in lines.items() if points}
     if not lines:
         return None
-    x = _Axis([s for points in lines.values() for s, _ in points], LEFT, WIDTH - RIGHT)
-    y = _Axis([v for points in lines.values() for _, v in points], HEIGHT - BOTTOM, TOP)
-    return {"width": WIDTH, "height": HEIGHT, "frame": (LEFT, TOP, WIDTH - RIGHT, HEIGHT - BOTTOM),
+    x = _Axis([s for points in lines.values() for s, _ in points], FRAME[0], FRAME[2])
+    y = _Axis([v for points in lines.values() for _, v in points], FRAME[3], FRAME[1])
+    return {"width": CHART_WIDTH, "height": CHART_HEIGHT, "frame": FRAME,
             "x": x.ticks(), "y": y.ticks(),
-            "lines": [{"name": name, "colour": COLOURS[i % len(COLOURS)], "marked": len(points) <= MARKED,
+            "lines": [{"name": name, "colour": PAGE_LINES[i % len(PAGE_LINES)], "marked": len(points) <= MOST_MARKED,
                        "points": [(x(s), y(v), s, v) for s, v in points]} for i, (name, points) in enumerate(lines.items())]}
 
 

@@ -1,7 +1,8 @@
 """Self-contained HTML pages: one file that opens from disk, in light and dark, with no network request.
 
 A page computes nothing: it gets numbers that stand in a JSON, and pictures that are made here from tensors or by
-matplotlib. ``templates/base.html`` holds the look they share.
+matplotlib. Its template stands beside the module that fills it; ``pages/base.html`` holds the look they share. Jinja2
+and matplotlib are loaded with the first page.
 """
 
 from __future__ import annotations
@@ -10,20 +11,21 @@ import functools
 import io
 import math
 from pathlib import Path
-
-import jinja2
-import matplotlib
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING, Any
 
 from ..system import files
 
+if TYPE_CHECKING:
+    import jinja2
+    from matplotlib.figure import Figure
+
 
 def write_page(path: str | Path, template: str, **context: object) -> None:
-    """Render ``templates/TEMPLATE`` (which extends ``base.html``) into one file, beside first, then renamed.
+    """Render a template (which extends ``pages/base.html``) into one file, beside first, then renamed.
 
     Args:
         path: the file to write.
-        template: file name in ``mitsvbrdf/report/templates``.
+        template: path inside the package, such as ``report/report.html``.
         context: what the template asks for; text is escaped.
     """
     text = page_text(template, **context)
@@ -32,13 +34,15 @@ def write_page(path: str | Path, template: str, **context: object) -> None:
 
 
 def page_text(template: str, **context: object) -> str:
-    """``templates/TEMPLATE`` as text, with the arguments of :func:`write_page`; what UTF-8 cannot write becomes a ?."""
+    """A template as text, with the arguments of :func:`write_page`; what UTF-8 cannot write becomes a ?."""
     return _environment().get_template(template).render(context).encode(errors="replace").decode()
 
 
 @functools.cache
 def _environment() -> jinja2.Environment:
-    environment = jinja2.Environment(loader=jinja2.PackageLoader("mitsvbrdf", "report/templates"), autoescape=True,
+    import jinja2
+
+    environment = jinja2.Environment(loader=jinja2.PackageLoader("mitsvbrdf", ""), autoescape=True,
                                      undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True)
     environment.filters |= {"figure": figure, "seconds": seconds}
     return environment
@@ -60,7 +64,19 @@ def seconds(value: float) -> str:
 
 def svg(drawing: Figure) -> str:
     """A matplotlib figure as inline SVG text, transparent, to be marked ``|safe`` in a template."""
-    text = io.StringIO()
+    text = _svg_text(drawing, transparent=True).decode()
+    return text[text.index("<svg"):]
+
+
+def svg_file(drawing: Figure) -> bytes:
+    """A matplotlib figure as the content of an SVG file: white ground, text as text, the same bytes for the same figure."""
+    return _svg_text(drawing, facecolor="white")
+
+
+def _svg_text(drawing: Figure, **look: Any) -> bytes:
+    import matplotlib
+
+    data = io.BytesIO()
     with matplotlib.rc_context({"svg.hashsalt": "mitsvbrdf", "svg.fonttype": "none"}):
-        drawing.savefig(text, format="svg", transparent=True, metadata={"Date": None})
-    return text.getvalue()[text.getvalue().index("<svg"):]
+        drawing.savefig(data, format="svg", metadata={"Date": None}, **look)
+    return data.getvalue()

@@ -1,12 +1,14 @@
-"""Pictures inside a page."""
+"""Pictures inside a page: tensors as ``data:`` addresses for ``<img src>``, shrunk, or as colours of an error.
+
+Everything here takes display values (encoded, 0 to 1), never linear radiance. OpenCV and matplotlib are loaded with the first
+picture.
+"""
 
 from __future__ import annotations
 
 import base64
 import math
 
-import cv2
-import matplotlib
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -16,6 +18,9 @@ from .. import color
 
 
 def magma(share: Tensor) -> Tensor:
+    """Shares 0 to 1 of any shape in the colours of matplotlib's ``magma``: the same shape x 3, display values."""
+    import matplotlib
+
     return torch.as_tensor(matplotlib.colormaps["magma"](share.clamp(0, 1).numpy())[..., :3], dtype=torch.float32)
 
 
@@ -25,8 +30,10 @@ def png_uri(display: Tensor) -> str:
     Args:
         display: H x W x 3 (or x 1), display values; clipped to [0, 1].
     """
-    pixels = (color.clip(display.detach().float()) * 255).round().to(torch.uint8)
-    pixels = pixels.expand(*pixels.shape[:2], 3).flip(-1).contiguous().numpy()  # OpenCV writes BGR
+    import cv2
+
+    levels = (color.clip(display.detach().float()) * 255).round().to(torch.uint8)
+    pixels = levels.expand(*levels.shape[:2], 3).flip(-1).contiguous().numpy()  # OpenCV writes BGR
     return "data:image/png;base64," + base64.b64encode(cv2.imencode(".png", pixels)[1].tobytes()).decode()
 
 
@@ -37,6 +44,8 @@ def picture_uri(display: Tensor, exact_up_to: int = 64 * 1024) -> str:
         display: H x W x 3 (or x 1), display values; clipped to [0, 1].
         exact_up_to: bytes that the PNG may have.
     """
+    import cv2
+
     exact = png_uri(display)
     if len(exact) < 4 / 3 * exact_up_to:
         return exact
@@ -49,11 +58,16 @@ def picture_uri(display: Tensor, exact_up_to: int = 64 * 1024) -> str:
 
 def at_most(picture: Tensor, side: int) -> Tensor:
     """A picture H x W x C area-averaged so that no side is longer than this many pixels."""
-    height, width = picture.shape[:2]
-    if max(height, width) <= side:
+    if max(picture.shape[:2]) <= side:
         return picture
-    size = [max(1, round(length * side / max(height, width))) for length in (height, width)]
-    return F.adaptive_avg_pool2d(picture.permute(2, 0, 1), size).permute(1, 2, 0)
+    return F.adaptive_avg_pool2d(picture.permute(2, 0, 1), shrunk(picture, side)).permute(1, 2, 0)
+
+
+def shrunk(picture: Tensor, side: int) -> tuple[int, int]:
+    """Height and width of a picture H x W (x C) whose longer side is to have this many pixels."""
+    height, width = picture.shape[:2]
+    rows, columns = (max(1, round(length * side / max(height, width))) for length in (height, width))
+    return rows, columns
 
 
 def error_picture(error: Tensor, high: float, low: float | None = None) -> Tensor:
@@ -66,5 +80,4 @@ def error_picture(error: Tensor, high: float, low: float | None = None) -> Tenso
     """
     low = low or high / 1e4
     share = (torch.log(error.double().clamp_min(1e-300) / low) / math.log(high / low)).clamp(0, 1)
-    share = torch.where(torch.isfinite(error), share, torch.ones_like(share))
-    return torch.as_tensor(matplotlib.colormaps["magma"](share.numpy())[..., :3], dtype=torch.float32)
+    return magma(torch.where(torch.isfinite(error), share, torch.ones_like(share)))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import ModuleType
+
 import torch
 from torch import Tensor
 
@@ -11,11 +13,12 @@ from ..render.analytic import AnalyticRenderer
 from ..views import Views
 from .stage import Stage, make_stage
 
-PASSES, SAMPLES = 16, 64  # independent pictures, and the samples a pixel of each
-FINER, FINEST = 8, 2048  # points along a texel's side at which the reference is evaluated, but no more along the patch's
+PASSES, PASS_SAMPLES = 16, 64  # independent pictures, and the samples a pixel of each
+# Points along a texel's side at which the reference is evaluated, but no more along the patch's.
+POINTS_ALONG_TEXEL, POINTS_ALONG_PATCH = 8, 2048
 
 
-def check_novel(mi, svbrdf: SVBRDF, views: Views | None = None, *, frame: int = 0, frames: int = 1, seed: int = 0,
+def check_novel(mi: ModuleType, svbrdf: SVBRDF, views: Views | None = None, *, frame: int = 0, frames: int = 1, seed: int = 0,
                 reference: AnalyticRenderer | None = None) -> ZTest:
     """Path trace a frame of ``novel``, a pixel for each texel, and test it against the analytic renderer.
 
@@ -36,13 +39,14 @@ def check_novel(mi, svbrdf: SVBRDF, views: Views | None = None, *, frame: int = 
     side = svbrdf.resolution
     stage = make_stage(mi, svbrdf, "novel", environment="none", size=(side, side), frames=frames, views=views)
     scene = stage.at(mi, frame)
-    passes = torch.stack([torch.from_numpy(mi.render(scene, seed=seed + k, spp=SAMPLES).numpy()) for k in range(PASSES)])
+    passes = torch.stack([torch.from_numpy(mi.render(scene, seed=seed + k, spp=PASS_SAMPLES).numpy()) for k in range(PASSES)])
     return z_test(passes.mean(dim=0), passes, _reference(svbrdf, stage, frame, reference or AnalyticRenderer(torch.float64)))
 
 
 def _reference(svbrdf: SVBRDF, stage: Stage, frame: int, renderer: AnalyticRenderer) -> Tensor:
     side = svbrdf.resolution
-    finer = min(max(FINEST // side, 2), FINER)
+    finer = min(max(POINTS_ALONG_PATCH // side, 2), POINTS_ALONG_TEXEL)
     fine = svbrdf.map(lambda each: each.repeat_interleave(finer, dim=0).repeat_interleave(finer, dim=1))
+    assert stage.views is not None  # novel has them
     image = renderer.render(fine, stage.views.pick([frame]))[0]
     return image.reshape(side, finer, side, finer, 3).mean(dim=(1, 3))

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import matplotlib
 import numpy as np
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from ..pages.canvas import PlainNumbers
+from ..pages.colours import CHART_FAINT, CHART_GRID, CHART_LINES
+from ..pages.page import svg_file
 from ..system import files
-
-INK, QUIET, TARGET = "#c2571a", "#9aa0a8", "#2a6fb0"
 
 
 def error_curve(path: str | Path, curves: Sequence[Sequence[Mapping]], target: float | None = None, title: str = "") -> None:
@@ -36,29 +33,27 @@ def error_curve(path: str | Path, curves: Sequence[Sequence[Mapping]], target: f
     lines = [[(p["seconds"], p["error"]) for p in curve if p["seconds"] > 0 and p["error"] > 0] for curve in curves]
     lines = [line for line in lines if line]
     alone = len(lines) == 1
+    label = "estimated error" if alone else f"estimated error, {len(lines)} frames"
     for number, line in enumerate(lines):
-        axes.plot(*zip(*line), color=INK, linewidth=1.8 if alone else 0.8, alpha=1 if alone else 0.5, marker="o", markersize=3,
-                  label=None if number else "estimated error" if alone else f"estimated error, {len(lines)} frames")
+        axes.plot(*zip(*line), color=CHART_LINES[0], linewidth=1.8 if alone else 0.8, alpha=1 if alone else 0.5, marker="o",
+                  markersize=3, label=None if number else label)
     if lines:
         t, e = lines[-1][-1]  # the first frame also compiles
         ends = np.array([min(x for line in lines for x, _ in line), max(x for line in lines for x, _ in line)])
-        axes.plot(ends, e * np.sqrt(t / ends), color=QUIET, linewidth=1, linestyle=":", label="1 / \N{SQUARE ROOT}seconds")
+        axes.plot(ends, e * np.sqrt(t / ends), color=CHART_FAINT, linewidth=1, linestyle=":",
+                  label="1 / \N{SQUARE ROOT}seconds")
         axes.set(xscale="log", yscale="log")
         for axis in (axes.xaxis, axes.yaxis):
             axis.set_major_formatter(PlainNumbers())
             axis.set_minor_formatter(PlainNumbers())
     if target:
-        axes.axhline(target, color=TARGET, linewidth=1, linestyle="--", label=f"target {target:g}")
+        axes.axhline(target, color=CHART_LINES[1], linewidth=1, linestyle="--", label=f"target {target:g}")
     axes.set_title(title, loc="left", fontsize=9)
     axes.set_xlabel("seconds", fontsize=8)
     axes.set_ylabel("RMSE in display values", fontsize=8)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(True, which="major", color="#e3e5e8", linewidth=0.6)
-    axes.tick_params(labelsize=7, which="both", color="#9aa0a8")
+    axes.grid(True, which="major", color=CHART_GRID, linewidth=0.6)
+    axes.tick_params(labelsize=7, which="both", color=CHART_FAINT)
     if lines or target:
         axes.legend(fontsize=7, frameon=False)
-    data = io.BytesIO()
-    # Text stays text, and the same curves give the same file.
-    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "mitsvbrdf"}):
-        FigureCanvasSVG(figure).print_svg(data, metadata={"Date": None})
-    files.write_bytes(Path(path), data.getvalue())
+    files.write_bytes(Path(path), svg_file(figure))

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from .scene_file import read_scene
 
 ENVIRONMENTS = {"studio": "three softboxes in a grey room, made by code", "sunsky": "a clear afternoon (Hosek and Wilkie)",
                 "none": "a single light"}
-WHITE = 0.8  # luminance of a white diffuse surface that faces up, or the single light
+WHITE_LUMINANCE = 0.8  # luminance of a white diffuse surface that faces up, or the single light
 LAMP = (-2.6, -2.0, 3.2)  # left and behind the camera
 LUMINANCE = torch.tensor([0.2126, 0.7152, 0.0722], dtype=torch.float64)
 
@@ -45,7 +46,7 @@ class Environment:
     left_out: tuple[tuple[str, str], ...] = ()
 
 
-def make_environment(mi, name: str) -> Environment:
+def make_environment(mi: ModuleType, name: str) -> Environment:
     """An environment by its name in :data:`ENVIRONMENTS`, or from an .exr or .hdr file.
 
     Raises:
@@ -54,7 +55,7 @@ def make_environment(mi, name: str) -> Environment:
     """
     if name == "none":
         lamp = {"type": "point", "position": LAMP,
-                "intensity": {"type": "rgb", "value": WHITE * math.pi * math.hypot(*LAMP) ** 2}}
+                "intensity": {"type": "rgb", "value": WHITE_LUMINANCE * math.pi * math.hypot(*LAMP) ** 2}}
         return Environment({"light": lamp}, lambda angle: {"light.position": mi.Point3f(*_about_z(LAMP, angle))},
                            left_out=(("environment", "a single light is asked for"),))
     if name == "sunsky":
@@ -67,10 +68,10 @@ def make_environment(mi, name: str) -> Environment:
     if white <= 0:
         raise ConfigError("an environment with light above the horizon", f"{name}, black there", "turn it upside down")
 
-    def orientation(angle: float, transform=mi.ScalarTransform4f):
+    def orientation(angle: float, transform: Any = mi.ScalarTransform4f) -> Any:
         return transform().rotate([0, 0, 1], 180 + angle).rotate([1, 0, 0], 90)  # Mitsuba's up is y, its middle +z
 
-    pixels = np.ascontiguousarray((image * (WHITE / white)).to(torch.float32).numpy())
+    pixels = np.ascontiguousarray((image * (WHITE_LUMINANCE / white)).to(torch.float32).numpy())
     emitter = {"type": "envmap", "bitmap": mi.Bitmap(pixels), "to_world": orientation(0)}
     return Environment({"environment": emitter},
                        lambda angle: {"environment.to_world": orientation(angle, mi.Transform4f)})

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import ModuleType
 
 from torch import Tensor
 
@@ -98,7 +99,7 @@ def go_on(settings: Mapping, out: Path, folder: Path) -> Record:
     return record
 
 
-def render_stages(mi, stages: Sequence[Stage], stop: Stop, record: Record, folder: Path, *, seed: int = 0,
+def render_stages(mi: ModuleType, stages: Sequence[Stage], stop: Stop, record: Record, folder: Path, *, seed: int = 0,
                   exposure: float = 0.0,
                   report: Callable[[str, float], object] = lambda text, share: None, done: Callable[[Stage], object],
                   interrupted: Sequence = ()) -> bool:
@@ -164,7 +165,7 @@ def frame_file(stage: Stage, number: int) -> str:
     return f"{stage.name}.exr" if stage.frames == 1 else f"{stage.name}/{number:04d}.exr"
 
 
-def display_frames(stage: Stage, folder: Path, exposure: float = 0.0):
+def display_frames(stage: Stage, folder: Path, exposure: float = 0.0) -> Iterator[Tensor]:
     """The frames of a preset as display values, one after the other."""
     for number in range(stage.frames):
         yield shown(read_frame(folder / frame_file(stage, number)), exposure)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,7 +17,7 @@ from ..system import files
 
 CRF = "14"  # below what an eye sees; 18 is the usual "visually lossless"
 BT709 = 1  # as matrix, primaries and transfer in ITU-T H.264, tables E-3 to E-5
-COLOURS = 256  # of a GIF's palette
+PALETTE_SIZE = 256  # of a GIF's palette
 
 
 def write_mp4(path: str | Path, frames: Iterable[Tensor], fps: float) -> None:
@@ -59,7 +61,7 @@ def write_mp4(path: str | Path, frames: Iterable[Tensor], fps: float) -> None:
         container.mux(stream.encode())
 
 
-def write_gif(path: str | Path, frames: Sequence[Tensor], fps: float) -> None:
+def write_gif(path: str | Path, frames: Iterable[Tensor], fps: float) -> None:
     """A GIF that loops, with a palette for each frame and errors diffused.
 
     GIF counts in hundredths of a second: frames last as many as keep the whole in step with ``fps``, at least two each, since
@@ -84,9 +86,9 @@ def write_gif(path: str | Path, frames: Sequence[Tensor], fps: float) -> None:
                        optimize=False, disposal=1)
 
 
-def _palette_image(Image, pixels: np.ndarray):
+def _palette_image(Image: ModuleType, pixels: np.ndarray) -> Any:
     whole = Image.fromarray(pixels)
-    return whole.quantize(palette=whole.quantize(COLOURS), dither=Image.Dither.FLOYDSTEINBERG)
+    return whole.quantize(palette=whole.quantize(PALETTE_SIZE), dither=Image.Dither.FLOYDSTEINBERG)
 
 
 def durations(count: int, fps: float) -> list[int]:
@@ -113,7 +115,7 @@ def _no_frames() -> MapsError:
     return MapsError("at least one frame", "none", "render some first")
 
 
-def av_module():
+def av_module() -> ModuleType:
     """PyAV.
 
     Raises:

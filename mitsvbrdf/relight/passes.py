@@ -17,6 +17,8 @@ import time
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from types import ModuleType
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -24,11 +26,11 @@ from torch import Tensor
 from .. import color
 from ..errors import ConfigError, MapsError
 
-GROUPS = 8
-AT_ONCE = 2**22  # samples of one call of the renderer: a second or so, after which Ctrl-C and a budget are looked at
-FEW = 16  # up to here samples are only doubled: too little is known to plan farther ahead
-FARTHEST = 8  # times the samples so far that a prediction is trusted
-TARGET = 0.01
+JACKKNIFE_GROUPS = 8
+SAMPLES_AT_ONCE = 2**22  # samples of one call of the renderer: a second or so, after which Ctrl-C and a budget are looked at
+DOUBLED_UP_TO = 16  # up to here samples are only doubled: too little is known to plan farther ahead
+TRUSTED_FACTOR = 8  # times the samples so far that a prediction is trusted
+TARGET_ERROR = 0.01
 
 
 @dataclass(frozen=True)
@@ -50,9 +52,9 @@ class Stop:
         if len(given) > 1:
             raise ConfigError("one of target error, budget and samples", " and ".join(given), "give one of them")
         if not given:
-            object.__setattr__(self, "target_error", TARGET)
+            object.__setattr__(self, "target_error", TARGET_ERROR)
         if self.target_error is not None and not 0 < self.target_error < 1:
-            raise ConfigError("a target error between 0 and 1", str(self.target_error), f"try {TARGET}")
+            raise ConfigError("a target error between 0 and 1", str(self.target_error), f"try {TARGET_ERROR}")
         if self.budget is not None and not 0 < self.budget < math.inf:
             raise ConfigError("a budget of more than 0 seconds", str(self.budget), "try 60")
         if self.samples is not None and self.samples < 1:
@@ -114,7 +116,7 @@ def render_passes(draw: Callable[[int, int], Tensor], stop: Stop, *, pixels: int
         goal = min(aim, stop.samples) if stop.samples else aim
         while mean.samples < goal and not why:
             began = time.perf_counter()
-            count = min(_power_of_two(mean.share(goal)), _power_of_two(max(AT_ONCE // pixels, 1)))
+            count = min(_power_of_two(mean.share(goal)), _power_of_two(max(SAMPLES_AT_ONCE // pixels, 1)))
             mean.add(draw(calls, count), count)
             calls += 1
             now = time.perf_counter()
@@ -130,14 +132,14 @@ def render_passes(draw: Callable[[int, int], Tensor], stop: Stop, *, pixels: int
         looking = now - began
         if error is not None:
             curve.append({"seconds": now - started, "samples": mean.samples, "error": error})
-        if why or stop.samples == mean.samples or (stop.target_error and error <= stop.target_error):
+        if why or stop.samples == mean.samples or (stop.target_error and error is not None and error <= stop.target_error):
             break
         aim = _next(mean.samples, error, stop.target_error)
     why = why or ("samples" if stop.samples else "target")
     return Rendered(mean.image, mean.samples, time.perf_counter() - started, error, tuple(curve), why)
 
 
-def render_frame(mi, scene, stop: Stop, *, seed: int = 0, name: str = "", exposure: float = 0.0,
+def render_frame(mi: ModuleType, scene: Any, stop: Stop, *, seed: int = 0, name: str = "", exposure: float = 0.0,
                  report: Callable[[str, float], object] = lambda text, share: None,
                  interrupted: Sequence = ()) -> Rendered:
     """Render a loaded Mitsuba scene with its own sensor and integrator; see :func:`render_passes`.
@@ -178,7 +180,7 @@ class GroupedMean:
         """Take the mean of so many new samples: a group of its own as long as there are few, else to the smallest one."""
         if not bool(torch.isfinite(image).all()):
             raise MapsError("radiance that is finite", "pixels that are not", "check maps and environment for NaN or infinity")
-        if len(self.sums) < GROUPS:
+        if len(self.sums) < JACKKNIFE_GROUPS:
             self.sums.append(image * samples)
             self.counts.append(samples)
             return
@@ -188,9 +190,9 @@ class GroupedMean:
 
     def share(self, goal: int) -> int:
         """What the group that is next lacks for its part of so many samples, at least 1."""
-        if len(self.sums) < GROUPS:
-            return max((goal - self.samples) // max(min(goal, GROUPS) - len(self.sums), 1), 1)
-        return max(min(goal // GROUPS - min(self.counts), goal - self.samples), 1)
+        if len(self.sums) < JACKKNIFE_GROUPS:
+            return max((goal - self.samples) // max(min(goal, JACKKNIFE_GROUPS) - len(self.sums), 1), 1)
+        return max(min(goal // JACKKNIFE_GROUPS - min(self.counts), goal - self.samples), 1)
 
     def error(self, exposure: float = 0.0) -> float | None:
         """RMSE of the mean as it is shown, by the jackknife; None with fewer than two groups."""
@@ -209,15 +211,15 @@ def _power_of_two(most: int) -> int:
     return 1 << (most.bit_length() - 1)
 
 
-def _next(samples: int, error: float, target: float | None) -> int:
+def _next(samples: int, error: float | None, target: float | None) -> int:
     """How many samples to have next: what the target should need, as the error falls with their root."""
-    if target is None:
+    if target is None or error is None:
         return 2 * samples
     needed = math.ceil(samples * (error / target) ** 2)
-    if samples < FEW:
+    if samples < DOUBLED_UP_TO:
         return min(needed, 2 * samples)
     # The law is not exact where highlights are clipped; a long way is not gone to its end.
-    return max(min(needed if needed < 2 * samples else int(0.8 * needed), FARTHEST * samples), samples + 1)
+    return max(min(needed if needed < 2 * samples else int(0.8 * needed), TRUSTED_FACTOR * samples), samples + 1)
 
 
 def _share(stop: Stop, seconds: float, samples: int, curve: list[dict]) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import numpy as np
 from ..export.mitsuba import SCENES
 
 
-def read_scene(mi, name: str, **values: str) -> dict[str, Any]:
+def read_scene(mi: ModuleType, name: str, **values: str) -> dict[str, Any]:
     """A scene file as a dictionary; objects are named by their id, those without by their kind (``sensor``, ``film``).
 
     References stay references, so that what they name can be replaced.
@@ -24,7 +25,7 @@ def read_scene(mi, name: str, **values: str) -> dict[str, Any]:
     return _described(mi, state, 0)
 
 
-def _described(mi, state, index: int) -> dict[str, Any]:
+def _described(mi: ModuleType, state: Any, index: int) -> dict[str, Any]:
     """A node of a parsed file, and those below it."""
     props = state.nodes[index].props
     described: dict[str, Any] = {"type": props.plugin_name()}

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,8 +19,8 @@ from torch import Tensor
 OUTLINE = ((0.60, -0.05), (0.84, -0.01), (0.95, 0.08), (0.95, 0.22), (0.82, 0.31), (0.66, 0.35), (0.68, 0.44), (0.90, 0.54),
            (1.05, 0.82), (1.08, 1.12), (1.02, 1.42), (0.88, 1.68), (0.72, 1.84), (0.62, 1.86), (0.53, 1.76), (0.36, 1.63),
            (0.17, 1.58), (0.0, 1.57), (-0.17, 1.58))
-AROUND, BETWEEN = 96, 5  # quads around the axis, and between two control points
-TILES = 2  # around the axis: one is in front, and they meet at the sides
+QUADS_AROUND, QUADS_BETWEEN = 96, 5  # quads around the axis, and between two control points
+TILES_AROUND = 2  # around the axis: one is in front, and they meet at the sides
 STEEPEST = 10.0  # slope of a relief, 84 degrees: a texel whose normal lies down would stand hundreds of patch sides high
 
 
@@ -41,11 +43,11 @@ def shaderball() -> Mesh:
     r, z, normal_r, normal_z = _outline()
     top = int(np.argmax(z))
     lengths = np.hypot(np.diff(r), np.diff(z))[:top]
-    v = np.concatenate(([0.0], np.cumsum(lengths * 2 / (r[:top] + r[1:top + 1])))) * TILES / (2 * math.pi)
+    v = np.concatenate(([0.0], np.cumsum(lengths * 2 / (r[:top] + r[1:top + 1])))) * TILES_AROUND / (2 * math.pi)
     v += 0.5 - v[np.argmax(r[:top + 1])]
-    turn = np.linspace(-1.5 * math.pi, 0.5 * math.pi, AROUND + 1)  # the seam is at the back
+    turn = np.linspace(-1.5 * math.pi, 0.5 * math.pi, QUADS_AROUND + 1)  # the seam is at the back
     cos, sin = np.cos(turn), np.sin(turn)
-    u = (turn + 0.5 * math.pi) * TILES / (2 * math.pi) + 0.5
+    u = (turn + 0.5 * math.pi) * TILES_AROUND / (2 * math.pi) + 0.5
 
     def part(rows: slice) -> tuple[np.ndarray, np.ndarray]:
         around = [np.stack((radial[rows, None] * cos, radial[rows, None] * sin,
@@ -56,7 +58,7 @@ def shaderball() -> Mesh:
     side, side_normals = part(slice(None, top + 1))
     dish, dish_normals = part(slice(top, None))
     side_uv = np.stack(np.broadcast_arrays(u[None], v[:, None]), axis=-1)
-    dish_uv = dish[..., :2] * TILES / (2 * math.pi * r[top]) + 0.5
+    dish_uv = dish[..., :2] * TILES_AROUND / (2 * math.pi * r[top]) + 0.5
     return _joined(_sheet(side, side_normals, side_uv), _sheet(dish, dish_normals, dish_uv))
 
 
@@ -64,7 +66,7 @@ def _outline() -> tuple[np.ndarray, ...]:
     """The outline's points, radius and height, and its outward normals, likewise."""
     points = np.array(OUTLINE)
     segments = len(points) - 3
-    s = np.linspace(0, segments, segments * BETWEEN + 1)
+    s = np.linspace(0, segments, segments * QUADS_BETWEEN + 1)
     first = np.minimum(s.astype(int), segments - 1)
     controls = points[first[:, None] + np.arange(4)]
     t = (s - first)[:, None]
@@ -131,11 +133,11 @@ def _sheet(positions: np.ndarray, normals: np.ndarray, uv: np.ndarray) -> Mesh:
 
 def _joined(first: Mesh, second: Mesh) -> Mesh:
     """Both as one mesh."""
-    both = [np.concatenate((getattr(first, name), getattr(second, name))) for name in ("positions", "normals", "uv")]
-    return Mesh(*both, np.concatenate((first.faces, second.faces + len(first.positions))))
+    both = {name: np.concatenate((getattr(first, name), getattr(second, name))) for name in ("positions", "normals", "uv")}
+    return Mesh(**both, faces=np.concatenate((first.faces, second.faces + len(first.positions))))
 
 
-def mitsuba_mesh(mi, mesh: Mesh, name: str, material=None):
+def mitsuba_mesh(mi: ModuleType, mesh: Mesh, name: str, material: Any = None) -> Any:
     """The mesh as a Mitsuba shape, with this BSDF where one is given."""
     props = mi.Properties()
     if material is not None:

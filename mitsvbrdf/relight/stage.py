@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 import torch
@@ -15,7 +16,7 @@ from ..material.maps import SVBRDF
 from ..render.bsdf import needed_maps, plugin, slot_values
 from ..render.needs import Needs, material_needs
 from ..views import Views, nine_view_grid
-from .environment import WHITE, Environment, make_environment
+from .environment import WHITE_LUMINANCE, Environment, make_environment
 from .scene_file import read_scene
 from .shapes import heights, mitsuba_mesh, relief
 
@@ -35,7 +36,7 @@ ROUND = ("sphere", "shaderball")  # shapes without relief
 FPS = 24.0
 DIMMEST = 1e-3  # reflections are followed until less of the light than this is left
 OFF_LENS = 0.5  # radius of the circle of lights around the lens, over the camera's height
-FINEST = 512  # quads along a side of a relief
+RELIEF_QUADS = 512  # quads along a side of a relief
 MOST_TILES = 64  # along a side
 
 
@@ -61,13 +62,13 @@ class Stage:
     left_out: tuple[tuple[str, str], ...]
     views: Views | None = None
 
-    def move(self, held, frame: int) -> None:
+    def move(self, held: Any, frame: int) -> None:
         """Bring the scene to a frame; ``held`` is ``mi.traverse`` of it."""
         for key, value in self.place(frame).items():
             held[key] = value
         held.update()
 
-    def at(self, mi, frame: int = 0):
+    def at(self, mi: ModuleType, frame: int = 0) -> Any:
         """The loaded scene as it stands at a frame."""
         if not 0 <= frame < self.frames:
             raise ConfigError(f"a frame below {self.frames}", str(frame), "count from 0")
@@ -76,8 +77,9 @@ class Stage:
         return scene
 
 
-def make_stage(mi, svbrdf: SVBRDF, preset: str, *, environment: str | None = None, size: tuple[int, int] = (512, 512),
-               frames: int | None = None, tiling: int = 1, displacement: float = 0.0, views: Views | None = None) -> Stage:
+def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str | None = None,
+               size: tuple[int, int] = (512, 512), frames: int | None = None, tiling: int = 1, displacement: float = 0.0,
+               views: Views | None = None) -> Stage:
     """The stage of a preview.
 
     Args:
@@ -105,7 +107,8 @@ def make_stage(mi, svbrdf: SVBRDF, preset: str, *, environment: str | None = Non
         scene, place, shown = _novel(mi, size[0], frames, views)
     else:
         scene, shown = read_scene(mi, f"{preset}.xml"), None
-        place = {"sweep": _sweep, "turntable": _turntable}.get(preset, _turned)(mi, scene, frames, around)
+        place = _sweep(mi, scene, frames) if around is None or preset == "sweep" else (
+            _turntable if preset == "turntable" else _turned)(mi, scene, frames, around)
     scene.pop("environment", None)
     scene |= around.emitters if around else {}
 
@@ -117,7 +120,7 @@ def make_stage(mi, svbrdf: SVBRDF, preset: str, *, environment: str | None = Non
         _displace(mi, scene, svbrdf, tiling, displacement)
     elif preset not in ROUND:
         left_out.append(("displacement", "not asked for: normals shade, the surface is flat"))
-    if preset == "sphere" and not around.dark_below:
+    if preset == "sphere" and not (around and around.dark_below):
         del scene["floor"]
         left_out.append(("floor", "nothing surrounds the sphere" if name == "none" else
                          "what surrounds the sphere goes on below the horizon"))
@@ -146,7 +149,7 @@ def _check(preset: str, size: tuple[int, int], frames: int, tiling: int, displac
                           "give one number, or leave novel out")
 
 
-def _material(mi, svbrdf: SVBRDF, needs: Needs, tiling: int, preset: str) -> dict[str, Any]:
+def _material(mi: ModuleType, svbrdf: SVBRDF, needs: Needs, tiling: int, preset: str) -> dict[str, Any]:
     """The material with its maps as float bitmaps; row 0 of a bitmap is v = 0, the bottom of the patch."""
     slots = slot_values(svbrdf.bsdf, needed_maps(svbrdf, needs), needs, stock=True)
     # A sphere's u goes once around it, half of which is seen, and its v grows downward.
@@ -165,9 +168,9 @@ def _material(mi, svbrdf: SVBRDF, needs: Needs, tiling: int, preset: str) -> dic
     return material
 
 
-def _displace(mi, scene: dict[str, Any], svbrdf: SVBRDF, tiling: int, displacement: float) -> None:
+def _displace(mi: ModuleType, scene: dict[str, Any], svbrdf: SVBRDF, tiling: int, displacement: float) -> None:
     """The patch of a scene as a mesh with relief; a table stays below it."""
-    height = displacement / tiling * heights(svbrdf.resized(min(svbrdf.resolution, FINEST // tiling))["normal"])
+    height = displacement / tiling * heights(svbrdf.resized(min(svbrdf.resolution, RELIEF_QUADS // tiling))["normal"])
     material = mi.load_dict(scene.pop("material"))
     scene["patch"] = mitsuba_mesh(mi, relief(height.repeat(tiling, tiling)), "patch", material)
     if "table" in scene:
@@ -183,10 +186,10 @@ def _reflections(svbrdf: SVBRDF) -> tuple[int, str]:
     return math.ceil(math.log(DIMMEST) / math.log(left)), f"the material reflects {albedo:.0%} on average"
 
 
-def _sweep(mi, scene: dict[str, Any], frames: int, around: Environment | None) -> Place:
+def _sweep(mi: ModuleType, scene: dict[str, Any], frames: int) -> Place:
     x, behind, z = scene["light"]["position"]
     radius = math.hypot(x, z)
-    scene["light"]["intensity"] = {"type": "rgb", "value": WHITE * math.pi * math.hypot(x, behind, z) ** 2}
+    scene["light"]["intensity"] = {"type": "rgb", "value": WHITE_LUMINANCE * math.pi * math.hypot(x, behind, z) ** 2}
 
     def place(frame: int) -> dict[str, Any]:
         angle = math.radians(90 + 42 * math.sin(2 * math.pi * frame / frames + math.pi / 6))
@@ -195,7 +198,7 @@ def _sweep(mi, scene: dict[str, Any], frames: int, around: Environment | None) -
     return place
 
 
-def _turntable(mi, scene: dict[str, Any], frames: int, around: Environment) -> Place:
+def _turntable(mi: ModuleType, scene: dict[str, Any], frames: int, around: Environment) -> Place:
     camera = mi.Transform4f(scene["sensor"]["to_world"])
 
     def place(frame: int) -> dict[str, Any]:
@@ -205,11 +208,11 @@ def _turntable(mi, scene: dict[str, Any], frames: int, around: Environment) -> P
     return place
 
 
-def _turned(mi, scene: dict[str, Any], frames: int, around: Environment) -> Place:
+def _turned(mi: ModuleType, scene: dict[str, Any], frames: int, around: Environment) -> Place:
     return lambda frame: around.turned(360 * frame / frames)
 
 
-def _novel(mi, side: int, frames: int, views: Views | None) -> tuple[dict[str, Any], Place, Views]:
+def _novel(mi: ModuleType, side: int, frames: int, views: Views | None) -> tuple[dict[str, Any], Place, Views]:
     seen = (views or nine_view_grid()).pick([0]).in_patch_sides().to(torch.float64)
     scene = read_scene(mi, "patch.xml", **view_parameters(seen, side))
     scene["sensor"]["sampler"] = {"type": "independent"}

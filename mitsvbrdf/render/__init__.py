@@ -26,8 +26,13 @@ RendererName = Literal["mitsuba", "mitsuba-scene", "analytic", "analytic64"]
 class Renderer(Protocol):
     """What every renderer offers."""
 
-    name: str
-    variant: str | None
+    @property
+    def name(self) -> str:
+        """What :func:`make_renderer` calls it."""
+
+    @property
+    def variant(self) -> str | None:
+        """The Mitsuba variant, None without Mitsuba."""
 
     def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
         """Linear radiance of the patch as each view sees it, rectified: N x R x R x 3, row 0 at the top.
@@ -38,7 +43,7 @@ class Renderer(Protocol):
         ...
 
 
-def make_renderer(name: RendererName = "mitsuba", variant: str = "llvm_ad_rgb", needs: Needs | None = None) -> Renderer:
+def make_renderer(name: str = "mitsuba", variant: str = "llvm_ad_rgb", needs: Needs | None = None) -> Renderer:
     """A renderer by name; Mitsuba is loaded only for the two that need it.
 
     Args:

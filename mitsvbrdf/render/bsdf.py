@@ -110,7 +110,7 @@ def plugin(bsdf: str, needs: Needs, texture: Callable[[str], Any], stock: bool =
 
 
 def _lobes(needs: Needs, texture: Callable[[str], Any], stock: bool) -> dict:
-    diffuse = {"type": "diffuse", "reflectance": texture(f"diffuse_x{needs.lobes}")} if needs.diffuse_lobe else None
+    diffuse = {"type": "diffuse", "reflectance": texture(f"diffuse_x{needs.lobes}")} if needs.diffuse_lobe else {}
     if not needs.specular_lobe:
         return diffuse
     lobe = {"type": "roughconductor", "distribution": "ggx", "alpha": texture("alpha")}  # the default is Beckmann

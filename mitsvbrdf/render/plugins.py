@@ -1,10 +1,13 @@
-"""Mitsuba plugins for rectified photos: the camera that takes them exactly, a normal map and a Fresnel reflectance that
-keep their digits, and an integrator that asks no more than a scene needs. The rest is Mitsuba's own.
+"""Mitsuba plugins for rectified photos; the rest is Mitsuba's own.
+
+They are the camera that takes such photos exactly, a normal map and a Fresnel reflectance that keep their digits, and an
+integrator that asks no more than a scene needs. Each is made for the variant in use, whose classes it derives from.
 """
 
 from __future__ import annotations
 
 from functools import cache
+from types import ModuleType
 from typing import Any
 
 from .bsdf import F0_RANGE, FRESNEL
@@ -38,22 +41,26 @@ def to_shading(axes: tuple[Any, Any, Any], direction: Any) -> Any:
     return type(axes[0])(x, y, dr.select(dr.abs(z) < ROUNDING, -ROUNDING, z))
 
 
-def register(mi) -> None:
+def register(mi: ModuleType) -> None:
     """Make them known to the Mitsuba variant in use."""
     _register(mi.variant())
 
 
 @cache
 def _register(variant: str) -> None:
+    import mitsuba as mi
+
+    mi.register_sensor(CAMERA, _rectified_camera())
+    mi.register_bsdf(NORMAL_MAP, _exact_normal_map())
+    mi.register_bsdf(FRESNEL, _exact_fresnel())
+    mi.register_integrator(INTEGRATOR, _point_lit())
+
+
+def _rectified_camera() -> type:
     import drjit as dr
     import mitsuba as mi
 
     Vector64 = dr.float64_array_t(mi.Vector3f)
-
-    def hit(ray, si):
-        """Where the ray meets the surface, in float64: the tangent plane at the point found, which is rounded."""
-        origin, direction, normal = Vector64(ray.o), Vector64(ray.d), Vector64(si.n)
-        return origin + direction * (dr.dot(normal, Vector64(si.p) - origin) / dr.dot(normal, direction))
 
     class RectifiedCamera(mi.Sensor):
         """Sends each pixel's ray to its texel: film position (u, v) sees (u - 1/2, 1/2 - v, 0) of the patch.
@@ -80,6 +87,15 @@ def _register(variant: str) -> None:
 
         def to_string(self):
             return "RectifiedCamera[]"
+
+    return RectifiedCamera
+
+
+def _exact_normal_map() -> type:
+    import drjit as dr
+    import mitsuba as mi
+
+    Vector64 = dr.float64_array_t(mi.Vector3f)
 
     class ExactNormalMap(mi.BSDF):
         """Mitsuba's ``normalmap``, but for the precision: the texture holds the normal as it is, and directions enter its
@@ -123,6 +139,13 @@ def _register(variant: str) -> None:
         def to_string(self):
             return f"ExactNormalMap[{self.shading}]"
 
+    return ExactNormalMap
+
+
+def _exact_fresnel() -> type:
+    import drjit as dr
+    import mitsuba as mi
+
     class ExactFresnel(mi.BSDF):
         """A specular lobe times the Fresnel reflectance of the refractive index that has F0 at normal incidence.
 
@@ -163,6 +186,20 @@ def _register(variant: str) -> None:
         def to_string(self):
             return f"ExactFresnel[{self.lobe}]"
 
+    return ExactFresnel
+
+
+def _point_lit() -> type:
+    import drjit as dr
+    import mitsuba as mi
+
+    Vector64 = dr.float64_array_t(mi.Vector3f)
+
+    def hit(ray, si):
+        """Where the ray meets the surface, in float64: the tangent plane at the point found, which is rounded."""
+        origin, direction, normal = Vector64(ray.o), Vector64(ray.d), Vector64(si.n)
+        return origin + direction * (dr.dot(normal, Vector64(si.p) - origin) / dr.dot(normal, direction))
+
     class PointLit(mi.SamplingIntegrator):
         """Light straight from the emitters, and after one bounce where that is asked for; no loop, so that its picture
         can be differentiated as it is.
@@ -202,7 +239,4 @@ def _register(variant: str) -> None:
         def to_string(self):
             return f"PointLit[{self.shadow_rays}, {self.bounces}, {self.environment}]"
 
-    mi.register_sensor(CAMERA, RectifiedCamera)
-    mi.register_bsdf(NORMAL_MAP, ExactNormalMap)
-    mi.register_bsdf(FRESNEL, ExactFresnel)
-    mi.register_integrator(INTEGRATOR, PointLit)
+    return PointLit

@@ -11,7 +11,10 @@ first, from the maps and views it kept.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from types import ModuleType
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -51,7 +54,7 @@ class SceneRenderer:
         self.mi = mitsuba_module(variant)
         register(self.mi)
         self.device = "cuda" if variant.startswith("cuda") else "cpu"
-        self._wrapped: dict[tuple, object] = {}
+        self._wrapped: dict[tuple, Callable[..., list[Tensor]]] = {}
         self.drawn = 0  # pictures drawn so far: tells a backward pass whether its scene is still as it left it
 
     def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
@@ -70,22 +73,21 @@ class SceneRenderer:
         if key not in self._wrapped:
             self._wrapped[key] = self._wrap(*key)
         views = views.in_patch_sides()
-        place = {"dtype": torch.float32, "device": self.device}
         geometry = [t.to(torch.float64).to(self.device).contiguous() for t in (views.camera, views.light, views.intensity)]
-        images = _Traced.apply(self, key, geometry, *(t.to(**place).contiguous() for t in maps.values()))
+        images = _Traced.apply(self, key, geometry, *(t.to(self.device, torch.float32).contiguous() for t in maps.values()))
         if views.falloff == "none":
             images = images * _falloff_undone(views, svbrdf.resolution).to(images)
         return images.to(svbrdf["normal"].device)
 
-    def _wrap(self, bsdf: str, needs: Needs, resolution: int, names: tuple[str, ...]):
+    def _wrap(self, bsdf: str, needs: Needs, resolution: int, names: tuple[str, ...]) -> Callable[..., list[Tensor]]:
         import drjit as dr
 
         mi = self.mi
-        textures: dict[str, object] = {}
+        textures: dict[str, Any] = {}
         grey = GREY if needs.coloured_specular else (*GREY, "f0", f"specular_x{needs.lobes}")
         flat = replace(needs, normal_map=False)
 
-        def texture(slot: str):
+        def texture(slot: str) -> Any:
             return textures.setdefault(slot, _blank_texture(mi, resolution, 1 if slot in grey else 3))
 
         material = plugin(bsdf, flat, texture)
@@ -98,11 +100,11 @@ class SceneRenderer:
 
         Float64, Vector64 = dr.float64_array_t(mi.Float), dr.float64_array_t(mi.Vector3f)
 
-        def at(rows, k):
+        def at(rows: Any, k: int) -> Any:
             return Vector64(*(dr.gather(Float64, rows.array, mi.UInt32(3 * k + axis)) for axis in range(3)))
 
         @dr.wrap(source="torch", target="drjit")
-        def trace(camera, light, intensity, *tensors):
+        def trace(camera: Any, light: Any, intensity: Any, *tensors: Any) -> list:
             maps = dict(zip(names, tensors))
             slots = slot_values(bsdf, maps, flat) | ({"normal": maps["normal"]} if needs.normal_map else {})
             for slot, value in slots.items():
@@ -120,7 +122,7 @@ class SceneRenderer:
         return trace
 
 
-def _blank_texture(mi, resolution: int, channels: int):
+def _blank_texture(mi: ModuleType, resolution: int, channels: int) -> Any:
     """A bitmap texture to be filled, read at texel centres without filtering."""
     import drjit as dr
 
@@ -128,7 +130,7 @@ def _blank_texture(mi, resolution: int, channels: int):
     return mi.load_dict({"type": "bitmap", "data": data, "raw": True, "filter_type": "nearest", "wrap_mode": "clamp"})
 
 
-def patch_scene(mi, resolution: int, needs: Needs, bsdf: dict, samples: int = 1) -> dict:
+def patch_scene(mi: ModuleType, resolution: int, needs: Needs, bsdf: dict, samples: int = 1) -> dict:
     """The Mitsuba scene dictionary of a patch of side 1 under one point light, seen in R x R pixels of so many samples."""
     environment = {"environment": {"type": "constant", "radiance": {"type": "rgb", "value": 0.0}, "sampling_weight": 0.0}}
     return {
@@ -149,25 +151,26 @@ class _Traced(torch.autograd.Function):
     """A picture whose gradient belongs to it, whatever the renderer drew since (see the replay trap above)."""
 
     @staticmethod
-    def forward(ctx, renderer: SceneRenderer, key: tuple, geometry: list[Tensor], *maps: Tensor) -> Tensor:
-        ctx.inputs = renderer, key, geometry, maps
+    def forward(ctx: Any, renderer: SceneRenderer, key: tuple, geometry: list[Tensor], *maps: Tensor) -> Tensor:
         ctx.wanted = ctx.needs_input_grad[3:]
-        ctx.recorded = _Traced._draw(*ctx.inputs, ctx.wanted)
+        ctx.inputs = renderer, key, geometry, maps, ctx.wanted
+        ctx.recorded = _Traced._draw(*ctx.inputs)
         ctx.drawn = renderer.drawn
         return ctx.recorded[1].detach()
 
     @staticmethod
-    def backward(ctx, cotangent: Tensor):
+    def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor | None, ...]:
         renderer = ctx.inputs[0]
         mitsuba_module(renderer.variant)  # calls are traced again here, in whatever variant is set
         if ctx.recorded is None or ctx.drawn != renderer.drawn:
-            ctx.recorded = _Traced._draw(*ctx.inputs, ctx.wanted)
+            ctx.recorded = _Traced._draw(*ctx.inputs)
         (leaves, images), ctx.recorded = ctx.recorded, None
         gradients = iter(torch.autograd.grad(images, [m for m in leaves if m.requires_grad], cotangent))
         return None, None, None, *(next(gradients) if wanted else None for wanted in ctx.wanted)
 
     @staticmethod
-    def _draw(renderer: SceneRenderer, key: tuple, geometry: list[Tensor], maps, wanted):
+    def _draw(renderer: SceneRenderer, key: tuple, geometry: list[Tensor], maps: tuple[Tensor, ...],
+              wanted: tuple[bool, ...]) -> tuple[list[Tensor], Tensor]:
         renderer.drawn += 1
         leaves = [m.detach().requires_grad_(want) for m, want in zip(maps, wanted)]
         with torch.set_grad_enabled(any(wanted)):

@@ -8,7 +8,10 @@ normals, gradients against float64: 8e-6 -> 3e-7, for a sixth more time.
 from __future__ import annotations
 
 import gc
+from collections.abc import Callable
 from dataclasses import replace
+from types import ModuleType
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -31,28 +34,30 @@ class HeldPlugin:
         needs: what to compute; the normal map is the caller's.
     """
 
-    def __init__(self, mi, bsdf: str, needs: Needs) -> None:
+    def __init__(self, mi: ModuleType, bsdf: str, needs: Needs) -> None:
         self.mi, self.bsdf, self.needs = mi, bsdf, replace(needs, normal_map=False)
         held: dict[str, object] = {}  # slot name -> this texel's value
         self._held = held
 
-        class Held(mi.Texture):
+        Texture: Any = mi.Texture
+
+        class Held(Texture):
             """A texture that answers with the value the thread holds, whatever the position."""
 
-            def __init__(self, props):
+            def __init__(self, props: Any) -> None:
                 super().__init__(props)
                 self.slot = props["slot"]
 
             # Nothing is held while another renderer is at work: Dr.Jit may then trace this texture along with its own.
-            def eval(self, si, active=True):
+            def eval(self, si: Any, active: Any = True) -> Any:
                 return mi.Color3f(held.get(self.slot, 0))
 
-            def eval_1(self, si, active=True):
+            def eval_1(self, si: Any, active: Any = True) -> Any:
                 return mi.Float(held.get(self.slot, 0))
 
             eval_3 = eval
 
-            def to_string(self):
+            def to_string(self) -> str:
                 return f"Held[{self.slot}]"
 
         name = f"held_texel_{id(held)}"
@@ -68,7 +73,7 @@ class HeldPlugin:
         """Forget the maps."""
         self._held.clear()
 
-    def eval(self, to_camera, to_light):
+    def eval(self, to_camera: Any, to_light: Any) -> Any:
         """BSDF times n.l for directions (Vector3f) in the shading frame."""
         import drjit as dr
 
@@ -79,7 +84,7 @@ class HeldPlugin:
         return self.plugin.eval(self._context, si, to_light)
 
 
-def texel_position(mi, index, side: int):
+def texel_position(mi: ModuleType, index: Any, side: int) -> Any:
     """Centre of texel ``index`` (UInt32, row by row) on the patch of side 1: a float64 vector."""
     import drjit as dr
 
@@ -89,7 +94,7 @@ def texel_position(mi, index, side: int):
     return Vector(position.x, -position.y, 0)
 
 
-def along(value, directions: list) -> list:
+def along(value: Any, directions: list) -> list:
     """Slopes of a Dr.Jit value along directions, each a list of (variable, tangent); inside symbolic loops too.
 
     The variables have gradients enabled; they are left as they were.
@@ -105,7 +110,7 @@ def along(value, directions: list) -> list:
     return slopes
 
 
-def frozen(function, shader: HeldPlugin):
+def frozen(function: Callable, shader: HeldPlugin) -> Callable:
     """A function of Dr.Jit arrays that is traced once; it may evaluate the plugin.
 
     Python's garbage collector waits meanwhile: where it frees an array in torch's memory while Dr.Jit 1.5.0 records, the
@@ -115,7 +120,7 @@ def frozen(function, shader: HeldPlugin):
 
     traced = dr.freeze(function, state_fn=lambda *_: shader.plugin)
 
-    def call(*args):
+    def call(*args: Any) -> Any:
         collects = gc.isenabled()
         gc.disable()
         try:
@@ -127,7 +132,7 @@ def frozen(function, shader: HeldPlugin):
     return call
 
 
-def from_torch(mi, tensor: Tensor):
+def from_torch(mi: ModuleType, tensor: Tensor) -> Any:
     """A flat Dr.Jit array of the variant in use, Float or its float64 kin; in the same memory where that can be."""
     import drjit as dr
 
@@ -139,20 +144,21 @@ def from_torch(mi, tensor: Tensor):
     return kind(tensor.reshape(-1))
 
 
-def to_torch(values) -> Tensor:
+def to_torch(values: list) -> Tensor:
     """Dr.Jit arrays of one length, in lists of lists, as one tensor with the length last."""
     import drjit as dr
 
     dr.eval(values)
     dr.sync_thread()
 
-    def stacked(value):
+    def stacked(value: Any) -> Tensor:
         return torch.stack([stacked(v) for v in value]) if isinstance(value, list) else value.torch()
 
     return stacked(values)
 
 
-def view_geometry(mi, place, axes, camera, light, intensity, falloff: str):
+def view_geometry(mi: ModuleType, place: Any, axes: Any, camera: Any, light: Any, intensity: Any,
+                  falloff: str) -> tuple[Any, Any, Any]:
     """How a view sees texels: Vector3f to the camera and to the light in the shading frame, and the irradiance factor I / d^2.
 
     Args:
@@ -166,7 +172,7 @@ def view_geometry(mi, place, axes, camera, light, intensity, falloff: str):
     """
     import drjit as dr
 
-    def local(direction):
+    def local(direction: Any) -> Any:
         return mi.Vector3f(to_shading(axes, direction) if axes else direction)
 
     reach = light - place
@@ -177,7 +183,7 @@ def view_geometry(mi, place, axes, camera, light, intensity, falloff: str):
     return to_camera, to_light, mi.Color3f(intensity / distance2)
 
 
-def row(mi, array, k):
+def row(mi: ModuleType, array: Any, k: Any) -> Any:
     """Row k of N x 3 float64 numbers, as values that may change without compiling a new kernel."""
     import drjit as dr
 

@@ -7,6 +7,10 @@ threads, so gradients are the same bits in every run.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from types import ModuleType
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -39,7 +43,7 @@ class TexelRenderer:
         self.mi = mitsuba_module(variant)
         register(self.mi)
         self.device = "cuda" if variant.startswith("cuda") else "cpu"
-        self._wrapped: dict[tuple, object] = {}
+        self._wrapped: dict[tuple, Callable[..., list[Tensor]]] = {}
 
     def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
         """Linear radiance N x R x R x 3, float32; gradients to maps, camera, light and intensity."""
@@ -59,7 +63,7 @@ class TexelRenderer:
             images += self._wrapped[key](camera.contiguous(), light.contiguous(), intensity.contiguous(), *tensors)
         return torch.stack(images).to(svbrdf["normal"].device)
 
-    def _wrap(self, bsdf: str, needs: Needs, side: int, falloff: str, names: tuple[str, ...]):
+    def _wrap(self, bsdf: str, needs: Needs, side: int, falloff: str, names: tuple[str, ...]) -> Callable[..., list[Tensor]]:
         import drjit as dr
 
         mi = self.mi
@@ -67,15 +71,15 @@ class TexelRenderer:
         shader = HeldPlugin(mi, bsdf, needs)
 
         @dr.wrap(source="torch", target="drjit")
-        def evaluate(cameras, lights, intensities, *tensors):
+        def evaluate(cameras: Any, lights: Any, intensities: Any, *tensors: Any) -> list:
             maps = {n: _columns(mi, dr, t) for n, t in zip(names, tensors)}
             shader.hold(maps)
             place = texel_position(mi, dr.arange(mi.UInt32, side * side), side)
             axes = shading_axes(Vector(maps["normal"])) if needs.normal_map else None
             images = []
             for k in range(cameras.shape[0]):
-                view = [row(mi, rows.array, k) for rows in (cameras, lights, intensities)]
-                to_camera, to_light, irradiance = view_geometry(mi, place, axes, *view, falloff)
+                camera, light, intensity = (row(mi, rows.array, k) for rows in (cameras, lights, intensities))
+                to_camera, to_light, irradiance = view_geometry(mi, place, axes, camera, light, intensity, falloff)
                 radiance = shader.eval(to_camera, to_light) * irradiance
                 images.append(mi.TensorXf(dr.ravel(radiance), (side, side, 3)))
             shader.release()
@@ -84,6 +88,6 @@ class TexelRenderer:
         return evaluate
 
 
-def _columns(mi, dr, tensor):
+def _columns(mi: ModuleType, dr: ModuleType, tensor: Any) -> Any:
     """An R x R x C tensor as one value a texel: Float for one channel, Color3f for three."""
     return mi.Float(tensor.array) if tensor.shape[2] == 1 else dr.unravel(mi.Color3f, tensor.array)

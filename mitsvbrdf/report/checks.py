@@ -111,6 +111,7 @@ def _saved(svbrdf: SVBRDF, views: Views, renderer: Renderer, fixed: Sequence[str
     """
     every = tuple(svbrdf.maps)
     wanted = tuple(name for name in every if name not in fixed)
+    rows: list[tuple[str, str, tuple[str, ...], Needs | None, bool]]
     rows = [("everything, traced", "mitsuba-scene", every, Needs(), False)] if renderer.name in RENDERERS[:2] else []
     rows += [("everything", renderer.name, every, Needs(), False)] if renderer.name != "mitsuba-scene" else []
     rows += [("what this fit needs", renderer.name, wanted, None, grey_specular)]

@@ -94,11 +94,11 @@ def check_photos(found: FitFolder, capture: Capture) -> None:
         raise CaptureError(f"a capture {'without' if capture.calibrated else 'with'} calibration, as that of this fit",
                            f"{capture.source}, which has {'one' if capture.calibrated else 'none'}",
                            "give the capture that was fitted")
-    images = torch.stack([images.read_image(found.path / "rerendered" / f"{name}.exr", MapsError) for name in found.names])
-    if images.shape != capture.photos.shape:
-        raise CaptureError(f"photos of {images.shape[1]} px", f"{capture.resolution} px in {capture.source}",
+    rendered = torch.stack([images.read_image(found.path / "rerendered" / f"{name}.exr", MapsError) for name in found.names])
+    if rendered.shape != capture.photos.shape:
+        raise CaptureError(f"photos of {rendered.shape[1]} px", f"{capture.resolution} px in {capture.source}",
                            "give the capture that was fitted")
-    errors = photo_rmse(images, capture.photos, found.record["capture"]["transfer"])[1]
+    errors = photo_rmse(rendered, capture.photos, found.record["capture"]["transfer"])[1]
     for name, error in zip(found.names, errors):
         if abs(error - found.record["per_photo"][name]) > SAME_PHOTO:
             raise CaptureError("the photos of this fit", f"{capture.source}, whose photo {name} is another (error {error:.4f} "
@@ -112,9 +112,9 @@ def _there(folder: Path, name: str) -> str | None:
 def _predicted(found: FitFolder, capture: Capture, engine: Renderer) -> tuple[list[dict], float]:
     capture = placed(capture, found.fit)
     capture = capture.pick([number for number in capture.index if number not in found.fit.seen])
-    images, error, each = predict(found.svbrdf, capture, engine, found.fit.flash_offset)
+    rendered, error, each = predict(found.svbrdf, capture, engine, found.fit.flash_offset)
     keep_photos(found.path, capture)
-    for name, image in zip(capture.names, images):
+    for name, image in zip(capture.names, rendered):
         images.write_png(found.path / "predicted" / f"{name}.png", color.to_display(image, capture.transfer))
     return [{"name": name, "left_out": True, "rmse": rmse, "photo": f"photos/{name}.png", "rerendered": f"predicted/{name}.png"}
             for name, rmse in zip(capture.names, each)], error
@@ -141,7 +141,7 @@ def _write_page(found: FitFolder, record: dict) -> None:
     fit = found.record
     side = int(max(SMALLEST_PHOTO, min(LARGEST_PHOTO, PHOTOS_WIDE / len(record["photos"])**0.5)))
     title = f"{fit['capture'].get('name') or 'Capture'}: recovered material"
-    write_page(found.path / "report.html", "report.html", title=title, fit=fit, record=record, maps=_maps(found),
+    write_page(found.path / "report.html", "report/report.html", title=title, fit=fit, record=record, maps=_maps(found),
                photos=[_photo(found.path, photo, side) for photo in record["photos"]], viewer=viewer_html(found.svbrdf),
                curves=_curves(fit["trace"]), measured=_thinned(fit["trace"]), unknown=UNKNOWN, ramp=_ramp(), titles=TITLES,
                scalar=_scalar, from_where=about_views(fit.get("calibration") or {}))

@@ -14,7 +14,17 @@ from torch import Tensor
 
 from ..errors import CaptureError
 from ..material.maps import CHANNELS, SVBRDF, TITLES, shown_map
-from ..pages.canvas import ACCENT, GAP, HEADER, LABEL, MARGIN, QUIET, TEXT, WIDTH, Canvas, PlainNumbers, square_side
+from ..pages.canvas import (
+    HEADER_HEIGHT,
+    LABEL_HEIGHT,
+    PICTURE_GAP,
+    SHEET_MARGIN,
+    SHEET_WIDTH,
+    Canvas,
+    PlainNumbers,
+    square_side,
+)
+from ..pages.colours import SHEET_ACCENT, SHEET_QUIET, SHEET_TEXT
 from ..pages.notebook import SHOWN
 from ..system import files
 
@@ -56,30 +66,30 @@ def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Te
     tiles = [(TITLES[name] + behind.get(name, ""), shown_map(name, svbrdf[name])) for name in CHANNELS[svbrdf.bsdf]]
     tiles += [] if guess is None else [("Guessed diffuse", shown_map("diffuse", guess))]
     large, small = square_side(len(tiles), LARGEST_MAP), square_side(shown, LARGEST_PHOTO)
-    photo_top = HEADER + LABEL + large
-    sheet = Canvas(photo_top + 3 * (LABEL + small) + LABEL + 20)
+    photo_top = HEADER_HEIGHT + LABEL_HEIGHT + large
+    sheet = Canvas(photo_top + 3 * (LABEL_HEIGHT + small) + LABEL_HEIGHT + 20)
 
-    sheet.text(MARGIN, 52, title, 22, TEXT, weight="bold")
-    sheet.text(MARGIN, 80, note, 11, QUIET)
-    sheet.text(WIDTH - MARGIN, 52, f"{rmse:.4f}", 24, ACCENT, weight="bold", ha="right")
+    sheet.text(SHEET_MARGIN, 52, title, 22, SHEET_TEXT, weight="bold")
+    sheet.text(SHEET_MARGIN, 80, note, 11, SHEET_QUIET)
+    sheet.text(SHEET_WIDTH - SHEET_MARGIN, 52, f"{rmse:.4f}", 24, SHEET_ACCENT, weight="bold", ha="right")
     which = "1 photo" if count == 1 else f"{count} photos" + (f", {shown} of them shown" if shown < count else "")
-    sheet.text(WIDTH - MARGIN, 80, f"re-rendering RMSE, {which}", 11, QUIET, ha="right")
+    sheet.text(SHEET_WIDTH - SHEET_MARGIN, 80, f"re-rendering RMSE, {which}", 11, SHEET_QUIET, ha="right")
 
     for i, (label, image) in enumerate(tiles):
-        x = MARGIN + i * (large + GAP)
-        sheet.text(x, HEADER + LABEL - 9, label, 11, TEXT)
-        sheet.image(x, HEADER + LABEL, large, image)
+        x = SHEET_MARGIN + i * (large + PICTURE_GAP)
+        sheet.text(x, HEADER_HEIGHT + LABEL_HEIGHT - 9, label, 11, SHEET_TEXT)
+        sheet.image(x, HEADER_HEIGHT + LABEL_HEIGHT, large, image)
     first, second = (images[:shown].detach().cpu().float() for images in (photos, rerendered))
     for row, (label, images) in enumerate((("Photos", first), ("Re-rendered", second),
                                            ("Difference × 4", 4 * (first - second).abs()))):
-        y = photo_top + row * (LABEL + small) + LABEL
-        sheet.text(MARGIN, y - 9, label, 11, TEXT)
+        y = photo_top + row * (LABEL_HEIGHT + small) + LABEL_HEIGHT
+        sheet.text(SHEET_MARGIN, y - 9, label, 11, SHEET_TEXT)
         for i, image in enumerate(images):
-            sheet.image(MARGIN + i * (small + GAP), y, small, image)
+            sheet.image(SHEET_MARGIN + i * (small + PICTURE_GAP), y, small, image)
     for i in range(shown):
-        x, y = MARGIN + i * (small + GAP), photo_top + 3 * (LABEL + small) + 20
-        sheet.text(x, y, names[i], 10, QUIET)
-        sheet.text(x + small, y, f"{per_photo[i]:.4f}", 10, TEXT, ha="right")
+        x, y = SHEET_MARGIN + i * (small + PICTURE_GAP), photo_top + 3 * (LABEL_HEIGHT + small) + 20
+        sheet.text(x, y, names[i], 10, SHEET_QUIET)
+        sheet.text(x + small, y, f"{per_photo[i]:.4f}", 10, SHEET_TEXT, ha="right")
     sheet.write(Path(path))
 
 

@@ -16,12 +16,12 @@ from ..pages.page import page_text
 from ..render.analytic import MIN_ALPHA
 from ..render.bsdf import F0_RANGE
 
-LARGEST = 512  # texels along a side; maps of noise are 5.3 MB then, those of materials 2 to 4.5 MB
-LEVELS = {"square": 4095, "plain": 65535, "octahedral": 65535}  # highest integer of each coding
+VIEWER_SIDE = 512  # texels along a side; maps of noise are 5.3 MB then, those of materials 2 to 4.5 MB
+TOP_LEVELS = {"square": 4095, "plain": 65535, "octahedral": 65535}  # highest integer of each coding
 
 
-def viewer_html(svbrdf: SVBRDF, *, largest: int = LARGEST) -> str:
-    """The viewer as an HTML fragment, to be put once into a page that extends ``templates/base.html``, marked ``|safe``.
+def viewer_html(svbrdf: SVBRDF, *, largest: int = VIEWER_SIDE) -> str:
+    """The viewer as an HTML fragment, to be put once into a page that extends ``pages/base.html``, marked ``|safe``.
 
     It asks nothing of the network, opens from disk, and puts ``window.mitsvbrdfViewer`` into the page (``viewer.js``).
 
@@ -38,7 +38,7 @@ def viewer_html(svbrdf: SVBRDF, *, largest: int = LARGEST) -> str:
     about, payload = encode_maps(svbrdf)
     about |= {"bsdf": svbrdf.bsdf, "resolution": svbrdf.resolution, "f0_range": F0_RANGE, "dielectric_f0": DIELECTRIC_F0,
               "min_alpha": MIN_ALPHA[svbrdf.bsdf], "titles": {name: TITLES[name] for name in CHANNELS[svbrdf.bsdf]}}
-    return page_text("viewer.html", about=about, payload=base64.b64encode(payload).decode())
+    return page_text("report/viewer.html", about=about, payload=base64.b64encode(payload).decode())
 
 
 def encode_maps(svbrdf: SVBRDF) -> tuple[dict, bytes]:
@@ -63,7 +63,7 @@ def encode_maps(svbrdf: SVBRDF) -> tuple[dict, bytes]:
         elif coding == "square":
             value = np.sqrt(value)
         low, high = value.min((0, 1)), value.max((0, 1))
-        span, top = np.where(high > low, high - low, 1), LEVELS[coding]
+        span, top = np.where(high > low, high - low, 1), TOP_LEVELS[coding]
         levels = np.rint((value - low) / span * top).astype(np.uint16)
         for channel in np.moveaxis(levels, -1, 0):
             planes += [(channel >> 8).astype(np.uint8).tobytes(), (channel & 255).astype(np.uint8).tobytes()]

@@ -1,4 +1,8 @@
-"""Image files."""
+"""Image files to tensors and back: PNG and JPEG as display values, EXR as it is; row 0 at the top, RGB order.
+
+Photos with EXIF, HEIC or raw data are read by :mod:`mitsvbrdf.capture.photo`, whole sets of maps by
+:mod:`mitsvbrdf.material.map_files`.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +37,7 @@ def read_image(path: Path, error: type[MitsvbrdfError]) -> Tensor:
     image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR) if data.size else None
     if image is None or image.dtype not in (np.uint8, np.uint16):
         raise error("a readable 8- or 16-bit image", f"{path}, which is none", "export it again as PNG or JPEG")
-    scale = np.float32(np.iinfo(image.dtype).max)
+    scale = np.float32(255 if image.dtype == np.uint8 else 65535)
     return torch.from_numpy(np.ascontiguousarray(image[..., ::-1]).astype(np.float32) / scale)
 
 

@@ -20,6 +20,8 @@ from time import perf_counter
 
 from torch import Tensor
 
+from .timing import spread
+
 STEP = "step"  # the scope around one step of a method; what else is measured counts beside the steps
 OTHER = "other"
 
@@ -40,6 +42,13 @@ def switch_at(part: str, *tensors: Tensor) -> None:
         for tensor in tensors:
             if tensor.requires_grad:
                 tensor.register_hook(lambda _: profile.switch(part))
+
+
+def switch(part: str) -> None:
+    """From here on, the rest of the innermost scope counts for this part."""
+    profile = _active.get()
+    if profile is not None:
+        profile.switch(part)
 
 
 @contextlib.contextmanager
@@ -69,6 +78,7 @@ class Profile:
 
     @contextlib.contextmanager
     def scope(self, part: str) -> Iterator[None]:
+        """Count what happens within for this part, but for what inner scopes take."""
         self._turn()
         self._scopes.append(part)
         if part == STEP:
@@ -105,8 +115,6 @@ class Profile:
             ``parts``: the same for each part, over the steps that have it, and its ``share`` of all their time. ``warm_up``:
             seconds of the steps left out. ``beside``: seconds between the steps, by what ran then.
         """
-        from .timing import spread  # which needs the renderers: not before anybody asks
-
         kinds = set[frozenset[str]]()
         first, later = list[dict[str, float]](), list[dict[str, float]]()
         for step in self.steps:

@@ -82,6 +82,7 @@ class Progress:
             self.live.stop()
 
     def __call__(self, entry: dict, share: float) -> None:
+        """Show a line of a fit's log and the share done."""
         now = time.perf_counter()
         first_iteration, first_time = self.first = self.first or (entry["iteration"], now)
         speed = (entry["iteration"] - first_iteration) / max(now - first_time, 1e-9)
@@ -140,7 +141,7 @@ def say_written(*paths: Path | None) -> None:
 
 
 def print_profile(profile: dict) -> None:
-    """Where the time of a fit's steps went, as :meth:`mitsvbrdf.profile.Profile.summary` counts it."""
+    """Where the time of a fit's steps went, as :meth:`mitsvbrdf.system.profile.Profile.summary` counts it."""
     table = Table(title=f"Seconds a step, {profile['steps']} steps", title_justify="left")
     for name in ("part", "median", "quartiles", "share", "steps"):
         table.add_column(name, justify="left" if name == "part" else "right")

@@ -1,4 +1,8 @@
-"""Result folders that appear whole or not at all."""
+"""Result folders that appear whole or not at all, and in which nobody else's file is lost.
+
+A result is made in a hidden folder inside its place and then renamed; a manifest lists the files that are ours, so that
+``--overwrite`` takes away those alone; a lock keeps two runs apart. An unfinished run leaves what it can be resumed from.
+"""
 
 from __future__ import annotations
 

@@ -1,16 +1,29 @@
-"""Times measured side by side."""
+"""Seconds of jobs: of one, of several in turn, and what repeated timings come to.
+
+:mod:`~mitsvbrdf.system.profile` says where the time of a fit goes; this module compares whole jobs with each other.
+"""
 
 from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Callable, Mapping
-from typing import TypeVar
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import ParamSpec, TypeVar
 
-K, T = TypeVar("K"), TypeVar("T")
+K = TypeVar("K")
+T = TypeVar("T")
+P = ParamSpec("P")
 
 
-def spread(seconds: list[float]) -> dict[str, float]:
+def timed(job: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> tuple[T, float]:
+    """What a job returns for these arguments, and the wall-clock seconds it took."""
+    started = time.perf_counter()
+    found = job(*args, **kwargs)
+    return found, time.perf_counter() - started
+
+
+def spread(seconds: Sequence[float]) -> dict[str, float]:
     """``median``, ``low`` and ``high`` (quartiles) of repeated timings, and how many they were."""
     quarters = statistics.quantiles(seconds, n=4, method="inclusive") if len(seconds) > 1 else [seconds[0]] * 3
     return {"median": quarters[1], "low": quarters[0], "high": quarters[2], "repeats": len(seconds)}
@@ -26,14 +39,8 @@ def side_by_side(jobs: Mapping[str, Callable[[], object]], repeats: int = 5) -> 
     Returns:
         :func:`spread` of the seconds of each job.
     """
-    def timed(job: Callable[[], object]) -> Callable[[], float]:
-        def run() -> float:
-            started = time.perf_counter()
-            job()
-            return time.perf_counter() - started
-        return run
-
-    return {name: spread(each) for name, each in in_turns({name: timed(job) for name, job in jobs.items()}, repeats).items()}
+    turns = in_turns({name: partial(timed, job) for name, job in jobs.items()}, repeats)
+    return {name: spread([seconds for _, seconds in each]) for name, each in turns.items()}
 
 
 def in_turns(jobs: Mapping[K, Callable[[], T]], repeats: int = 5, unmeasured: int = 1,

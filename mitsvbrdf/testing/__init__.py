@@ -7,6 +7,7 @@ below are loaded on first use, so that a suite that needs none of them pays for 
 from __future__ import annotations
 
 import importlib
+from typing import Any
 
 _HOME = {"assert_renderers_agree": ".agreement", "LIMITS": ".agreement", "Limits": ".agreement",
          "random_material": "..material.corner_cases", "assert_matches_golden": ".golden", "assert_z_test": ".noise",
@@ -14,7 +15,7 @@ _HOME = {"assert_renderers_agree": ".agreement", "LIMITS": ".agreement", "Limits
 __all__ = sorted(_HOME)
 
 
-def __getattr__(name: str):
+def __getattr__(name: str) -> Any:
     if name in _HOME:
         return getattr(importlib.import_module(_HOME[name], __name__), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

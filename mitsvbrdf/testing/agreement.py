@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple
 
 import torch
 from torch import Tensor
@@ -13,34 +13,10 @@ from ..errors import ConfigError
 from ..material.maps import SVBRDF
 from ..measure.gradients import Measured, render_and_gradients
 from ..measure.metrics import gradient_error, image_error
+from ..measure.tolerances import LIMITS, Limits
 from ..render import Renderer, RendererName, make_renderer
 from ..views import Views
 from .page import Figure, Row, failure, gradient_row, view_rows
-
-
-@dataclass(frozen=True)
-class Limits:
-    """How far a renderer may be off; ``math.inf`` leaves a comparison out.
-
-    Args:
-        image_mean: mean relative error of the image (:func:`mitsvbrdf.metrics.image_error`).
-        image_p999: what 99.9 % of its values keep within.
-        gradients: relative L2 error of the gradient of each map; infinite: no gradient is asked for.
-    """
-
-    image_mean: float
-    image_p999: float
-    gradients: float
-
-
-# Measured on random materials of both BSDFs (co-located, apart, without falloff) and the made ones, worst of all: analytic
-# 1.2e-7, 7.2e-7 and 9.6e-7; mitsuba 1.1e-7, 6.9e-7 and 2.2e-6; mitsuba-scene 1.6e-7, 1.1e-6 and 2.5e-6. About a factor of
-# two is left for other processors.
-LIMITS: dict[str, Limits] = {
-    "analytic": Limits(2.5e-7, 1.5e-6, 2e-6),
-    "mitsuba": Limits(2.5e-7, 1.5e-6, 5e-6),
-    "mitsuba-scene": Limits(3.5e-7, 2.2e-6, 5e-6),
-}
 
 
 def assert_renderers_agree(maps: SVBRDF, views: Views, renderers: Sequence[RendererName | Renderer] = ("mitsuba",), *,
@@ -49,7 +25,7 @@ def assert_renderers_agree(maps: SVBRDF, views: Views, renderers: Sequence[Rende
     """Fail unless renderers draw the same picture, with the same gradients, as a reference.
 
     The gradients are those of the product of the image with fixed random numbers with respect to every map
-    (:func:`mitsvbrdf.evaluate.measure.render_and_gradients`).
+    (:func:`mitsvbrdf.measure.gradients.render_and_gradients`).
 
     Args:
         maps: the material, float32; :func:`random_material` is a hard one.

@@ -41,7 +41,7 @@ def assert_matches_golden(result: Tensor | SVBRDF, name: str, *, rtol: float = 1
         rtol: a value may be off by ``atol + rtol |golden value|``. The defaults fit float32 renderers on one machine or
             another; ``math.inf`` leaves the decision to ``flip``.
         atol: see ``rtol``; linear units.
-        flip: largest mean FLIP error (:func:`mitsvbrdf.metrics.flip`) of a view or map as a screen shows it.
+        flip: largest mean FLIP error (:func:`mitsvbrdf.measure.metrics.flip`) of a view or map as a screen shows it.
 
     Raises:
         AssertionError: it differs, has another shape, is not finite, or there is no golden file; the message names the

@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -17,12 +16,12 @@ from .. import color
 from ..errors import OutputError
 from ..measure.metrics import flip, relative_error
 from ..pages.page import write_page
-from ..pages.pictures import error_picture, png_uri
+from ..pages.pictures import at_most, error_picture, magma, png_uri, shrunk
 from ..system import files
 from .running import current
 
-LARGEST = 256  # pixels along a side of the pictures in a page
-ROWS = 3  # views shown, the worst first
+PICTURE_SIDE = 256  # pixels along a side of the pictures in a page
+VIEWS_SHOWN = 3  # views shown, the worst first
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ def failure(title: str, figures: Sequence[Figure], rows: Callable[[], list[Row]]
     """
     lines = [title, *(f"  {f.name}: {f.value:.3g}, limit {f.limit:.3g}" for f in figures if f.missed),
              *(f"  {note}" for note in notes)]
-    page = left_behind(suffix, lambda path: write_page(path, "comparison.html", title=title, test=current().id,
+    page = left_behind(suffix, lambda path: write_page(path, "testing/comparison.html", title=title, test=current().id,
                                                        figures=figures, rows=rows(), notes=notes))
     return AssertionError("\n".join([*lines, f"  page: {page}"]))
 
@@ -89,7 +88,7 @@ def left_behind(suffix: str, write: Callable[[Path], None]) -> str:
 def view_rows(new: Tensor, reference: Tensor, whose: str) -> list[Row]:
     """The views N x H x W x 3 (linear) that differ most, the worst first; ``whose`` they are stands in the title."""
     error = relative_difference(new, reference).flatten(1).mean(1)
-    worst = error.nan_to_num(nan=torch.inf).argsort(descending=True)[:ROWS].tolist()
+    worst = error.nan_to_num(nan=torch.inf).argsort(descending=True)[:VIEWS_SHOWN].tolist()
     return [row(f"{whose}, view {k}" if len(new) > 1 else whose, new[k], reference[k], color.to_display) for k in worst]
 
 
@@ -103,13 +102,13 @@ def row(title: str, new: Tensor, reference: Tensor | None, show: Callable[[Tenso
         show: turns H x W x C into display values H x W x 3.
     """
     if reference is None:
-        return Row(title, [("new", png_uri(_small(_marked(show(new), new))))])
+        return Row(title, [("new", png_uri(at_most(_marked(show(new), new), PICTURE_SIDE)))])
     first, second = (_marked(show(x.float()), x) for x in (new, reference))
     look = flip(first, second, "linear")
     return Row(title, [
-        ("new", png_uri(_small(first))), ("reference", png_uri(_small(second))),
+        ("new", png_uri(at_most(first, PICTURE_SIDE))), ("reference", png_uri(at_most(second, PICTURE_SIDE))),
         heat("relative difference", relative_difference(new[None], reference[None])[0]),
-        (f"FLIP: mean {float(look.mean()):.2g}, worst {float(look.max()):.2g}, bright 1", png_uri(_magma(_peaks(look))))])
+        (f"FLIP: mean {float(look.mean()):.2g}, worst {float(look.max()):.2g}, bright 1", png_uri(magma(_peaks(look))))])
 
 
 def gradient_row(title: str, new: Tensor, reference: Tensor) -> Row:
@@ -125,7 +124,7 @@ def heat(name: str, size: Tensor) -> tuple[str, str]:
 
 
 def relative_difference(new: Tensor, reference: Tensor) -> Tensor:
-    """N x H x W: size of the relative error (:func:`mitsvbrdf.metrics.relative_error`) of the worst channel."""
+    """N x H x W: size of the relative error (:func:`mitsvbrdf.measure.metrics.relative_error`) of the worst channel."""
     return relative_error(new, reference).abs().amax(dim=-1)
 
 
@@ -134,23 +133,8 @@ def _marked(display: Tensor, linear: Tensor) -> Tensor:
     return torch.where(torch.isfinite(linear).all(dim=-1, keepdim=True), display, torch.tensor([1.0, 0.0, 1.0]))
 
 
-def _magma(share: Tensor) -> Tensor:
-    return torch.as_tensor(matplotlib.colormaps["magma"](share.numpy())[..., :3], dtype=torch.float32)
-
-
-def _small(display: Tensor) -> Tensor:
-    if max(display.shape[:2]) <= LARGEST:
-        return display
-    return F.adaptive_avg_pool2d(display.permute(2, 0, 1), _fitting(display)).permute(1, 2, 0)
-
-
 def _peaks(size: Tensor) -> Tensor:
     """Shrunk so that a single bad pixel stays visible."""
-    if max(size.shape) <= LARGEST:
+    if max(size.shape) <= PICTURE_SIDE:
         return size
-    return F.adaptive_max_pool2d(size[None], _fitting(size))[0]
-
-
-def _fitting(picture: Tensor) -> tuple[int, int]:
-    height, width = picture.shape[:2]
-    return tuple(max(1, side * LARGEST // max(height, width)) for side in (height, width))  # type: ignore[return-value]
+    return F.adaptive_max_pool2d(size[None], shrunk(size, PICTURE_SIDE))[0]

@@ -6,6 +6,7 @@ point has the module's name: pytest then loads it once, whether through the entr
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from pathlib import Path
 
 import pytest
@@ -32,7 +33,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_protocol(item: pytest.Item):
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
     """Let the assertions know which test calls them."""
     with running.running(running.Caller(item.nodeid, item.path, item.config.stash[RUN])):
         return (yield)

@@ -1,14 +1,17 @@
 """Every renderer and BSDF against the float64 twin: images, gradients and run time of the same maps in one run.
 
-Figures are counted over the texels of roughness 0.1 and more (``rough``), where :data:`TOLERANCES` hold, and over those
-below (``smooth``), each beside what float32 allows there (:mod:`mitsvbrdf.evaluate.limits`).
+Figures are counted over the texels of roughness 0.1 and more (``rough``), where
+:data:`~mitsvbrdf.measure.tolerances.TOLERANCES` hold, and over those below (``smooth``), each beside what float32 allows there
+(:mod:`mitsvbrdf.verify.float32_limits`).
 """
 
 from __future__ import annotations
 
 import math
 import statistics
-from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, MutableMapping, Sequence
+from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -18,18 +21,15 @@ from ..material.corner_cases import CONVERSION, as_bsdf
 from ..material.maps import SVBRDF, Bsdf
 from ..measure.gradients import Measured, fixed_cotangent, render_and_gradients
 from ..measure.metrics import error_statistics, flip, gradient_error, relative_error
+from ..measure.tolerances import ROUGH_FROM, TOLERANCES, UNIT_ROUNDOFF
 from ..render import Renderer, make_renderer
 from ..render.needs import scene_needs
 from ..system.provenance import machine, versions
 from ..system.timing import in_turns, spread
 from ..views import Views
-from .float32_limits import ROUNDING, Limit, Truth, diffuse_radiance, float32_limit, worst_texels
+from .float32_limits import Limit, Truth, diffuse_radiance, float32_limit, worst_texels
 
 SCHEMA_VERSION = 1
-ROUGH_FROM = 0.1
-# The largest errors allowed over texels of at least that roughness, all views together; gradients for each map. A view
-# alone rests on the few texels of its highlight: it is held to the same or, where that is more, to float32's limit.
-TOLERANCES = {"image": {"mean": 5e-7, "p99.9": 5e-6}, "gradients": {"relative_l2": 2e-6, "1 - cosine": 1e-9}}
 
 Report = Callable[[str, float], object]
 
@@ -41,7 +41,8 @@ def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequen
     """Compare renderers with the float64 twin on every material and BSDF.
 
     Args:
-        svbrdf_by_name: materials, float32; one of the other BSDF is converted (:func:`mitsvbrdf.evaluate.corners.as_bsdf`).
+        svbrdf_by_name: materials, float32; one of the other BSDF is converted by
+            :func:`mitsvbrdf.material.corner_cases.as_bsdf`.
         views: camera and light positions.
         bsdfs: the BSDFs to render each material with.
         renderers: from :func:`mitsvbrdf.render.make_renderer`.
@@ -66,7 +67,7 @@ def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequen
         for renderer in renderers:
             figures, error_map = case.compare(renderer)
             found.append({"material": name, "bsdf": bsdf, "renderer": renderer.name} | figures)
-            jobs[len(found) - 1] = _timed(renderer, svbrdf, views)
+            jobs[len(found) - 1] = partial(_seconds, renderer, svbrdf, views)
             if error_maps is not None:
                 error_maps[name, bsdf, renderer.name] = error_map
     turns = in_turns(jobs, repeats, 0, lambda share: report("run times", 0.7 + 0.3 * share))
@@ -97,7 +98,7 @@ class _Case:
         self.exact = [render_and_gradients(twin, svbrdf, v, c) for v, c in zip(self.views, self.cotangents)]
         self.limits = [float32_limit(twin, svbrdf, *each) for each in zip(self.views, self.exact, self.cotangents)]
         image = self.exact[0].image
-        limit = ROUNDING + relative_error(image + self.limits[0].image, image)
+        limit = UNIT_ROUNDOFF + relative_error(image + self.limits[0].image, image)
         self.truth = Truth(svbrdf, views, names, image, diffuse_radiance(twin, svbrdf, views), limit)
         rough = svbrdf["roughness"][..., 0] >= ROUGH_FROM
         self.classes = {"rough": rough, "smooth": ~rough}
@@ -147,11 +148,10 @@ class _Case:
         return [{"what": what, "why": reason} for what, reason in needs.left_out]
 
 
-def _timed(renderer: Renderer, svbrdf: SVBRDF, views: Views) -> Callable[[], tuple[float, float]]:
-    def run() -> tuple[float, float]:
-        passes = render_and_gradients(renderer, svbrdf, views)
-        return passes.forward, passes.backward
-    return run
+def _seconds(renderer: Renderer, svbrdf: SVBRDF, views: Views) -> tuple[float, float]:
+    """Seconds of a forward and of a backward pass."""
+    passes = render_and_gradients(renderer, svbrdf, views)
+    return passes.forward, passes.backward
 
 
 def _finite(figures: dict) -> dict:
@@ -177,7 +177,7 @@ def _gradient_figures(gradient: Tensor, reference: Tensor) -> dict:
 def _gradient_limits(limit: Limit, exact: Measured, texels: Tensor) -> dict[str, float | None]:
     lengths = {name: (float(limit.gradients[name][texels].norm()), float(value[texels].norm()))
                for name, value in exact.gradients.items()}
-    return {name: ROUNDING + change / length if length else None for name, (change, length) in lengths.items()}
+    return {name: UNIT_ROUNDOFF + change / length if length else None for name, (change, length) in lengths.items()}
 
 
 def summary(configurations: Sequence[dict]) -> list[dict]:
@@ -198,7 +198,7 @@ def _summary_row(group: list[dict], texels: str) -> dict:
     gradients = [g for c in group for g in c[texels]["gradients"].values()]
     limits = [c[texels]["limit"] for c in group]
 
-    def largest(values) -> float | None:
+    def largest(values: Iterable[float | None]) -> float | None:
         return max((value for value in values if value is not None), key=abs, default=None)
 
     return {"image": {name: largest(i[name] for i in images) for name in ("mean", "p99.9", "worst", "bias")},
@@ -241,8 +241,9 @@ def violations(record: dict) -> list[dict]:
 
 
 def _exceeded(configuration: dict) -> list[dict]:
-    found = [{"what": f"values that are not finite in {place}", "value": count, "tolerance": 0, "limit": None}
-             for place, count in _not_finite(configuration) if count]
+    found: list[dict[str, Any]] = [
+        {"what": f"values that are not finite in {place}", "value": count, "tolerance": 0, "limit": None}
+        for place, count in _not_finite(configuration) if count]
     rough = configuration["rough"]
     if rough is None:
         return found
@@ -256,7 +257,7 @@ def _exceeded(configuration: dict) -> list[dict]:
     return found
 
 
-def _gradient_exceeded(what: str, figures: dict, name: str, alone: bool = False) -> list[dict]:
+def _gradient_exceeded(what: str, figures: dict, name: str, alone: bool = False) -> list[dict[str, Any]]:
     """The tolerances of one map's gradient that do not hold; ``alone``: of a single view."""
     gradient, limit = figures["gradients"][name], figures["limit"]["gradients"][name]
     if gradient["reference"] == 0:
@@ -267,7 +268,7 @@ def _gradient_exceeded(what: str, figures: dict, name: str, alone: bool = False)
             *_over(f"{what}: 1 - cosine", turned, TOLERANCES["gradients"]["1 - cosine"], None)]
 
 
-def _over(what: str, value: float | None, tolerance: float, limit: float | None) -> list[dict]:
+def _over(what: str, value: float | None, tolerance: float, limit: float | None) -> list[dict[str, Any]]:
     """One violation, or none; a figure that is missing stands for values that are not finite, which are counted apart."""
     exceeded = value is not None and value > tolerance
     return [{"what": what, "value": value, "tolerance": tolerance, "limit": limit}] if exceeded else []

@@ -13,11 +13,11 @@ from torch import Tensor
 
 from ..pages.page import figure, svg, write_page
 from ..pages.pictures import error_picture, png_uri
+from .charts import BSDF_MARKS, bounded_panel
 from .crosscheck import left_out
 
 # Error maps of all configurations share these ends of their log scale, so that they can be compared by eye.
-DARKEST, BRIGHTEST = 1e-8, 1e-4
-MARKERS = {"roughconductor": "o", "principled": "s"}
+LEAST_SHOWN, MOST_SHOWN = 1e-8, 1e-4
 
 
 def write_crosscheck_page(path: str | Path, record: dict, error_maps: Mapping[tuple[str, str, str], Tensor]) -> None:
@@ -25,20 +25,20 @@ def write_crosscheck_page(path: str | Path, record: dict, error_maps: Mapping[tu
 
     Args:
         path: the file to write or replace.
-        record: of :func:`mitsvbrdf.evaluate.crosscheck.crosscheck`.
+        record: of :func:`mitsvbrdf.verify.crosscheck.crosscheck`.
         error_maps: relative errors R x R by (material, BSDF, renderer), as the same call gave them.
 
     Raises:
         OutputError: the file cannot be written.
     """
-    maps = {key: png_uri(error_picture(error, BRIGHTEST, DARKEST)) for key, error in error_maps.items()}
+    maps = {key: png_uri(error_picture(error, MOST_SHOWN, LEAST_SHOWN)) for key, error in error_maps.items()}
     ramp = torch.logspace(-8, -4, 256, dtype=torch.float64).expand(16, 256)
     converted = {bsdf: how for material in record["materials"].values() for bsdf, how in material["converted"].items()}
     materials = {name: [c for c in record["configurations"] if c["material"] == name] for name in record["materials"]}
-    write_page(path, "crosscheck.html", title="Renderers against float64", record=record, materials=materials, error_maps=maps,
-               ramp=png_uri(error_picture(ramp, BRIGHTEST, DARKEST)), darkest=DARKEST, brightest=BRIGHTEST,
-               plot=svg(error_against_time(record)), left_out=left_out(record), converted=converted, cosine=_cosine,
-               digits=_digits)
+    write_page(path, "verify/crosscheck.html", title="Renderers against float64", record=record, materials=materials,
+               error_maps=maps, ramp=png_uri(error_picture(ramp, MOST_SHOWN, LEAST_SHOWN)), darkest=LEAST_SHOWN,
+               brightest=MOST_SHOWN, plot=svg(error_against_time(record)), left_out=left_out(record), converted=converted,
+               cosine=_cosine, digits=_digits)
 
 
 def error_against_time(record: dict) -> Figure:
@@ -56,7 +56,7 @@ def error_against_time(record: dict) -> Figure:
         texels, label = c["rough"] or c["smooth"], f"{c['renderer']}, {c['bsdf']}"
         low, median, high = (sum(way[name] for way in c["seconds"].values()) for name in ("low", "median", "high"))
         worst = max((g["relative_l2"] for g in texels["gradients"].values() if g["relative_l2"] is not None), default=None)
-        look = {"fmt": MARKERS[c["bsdf"]], "color": colours[c["renderer"]], "markersize": 4, "elinewidth": 0.8, "alpha": 0.8,
+        look = {"fmt": BSDF_MARKS[c["bsdf"]], "color": colours[c["renderer"]], "markersize": 4, "elinewidth": 0.8, "alpha": 0.8,
                 "markerfacecolor": None if c["rough"] else "none"}
         for panel, error in zip(panels, (texels["image"]["mean"], worst)):
             if error:
@@ -66,16 +66,12 @@ def error_against_time(record: dict) -> Figure:
     tolerances = record["tolerances"]["image"]["mean"], record["tolerances"]["gradients"]["relative_l2"]
     titles = "Mean relative image error", "Gradient of the worst map, relative L2"
     for panel, title, tolerance in zip(panels, titles, tolerances):
-        panel.axhline(tolerance, color="#b3261e", linewidth=0.8, linestyle="--")
+        bounded_panel(panel, title, tolerance)
         panel.set(xscale="log", yscale="log", xlabel="seconds, forward and backward")
         for axis, (low, high) in ((panel.xaxis, panel.get_xlim()), (panel.yaxis, panel.get_ylim())):
             axis.set_major_locator(LogLocator(subs=(1, 2, 5) if high / low < 100 else (1,)))
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
             axis.set_minor_formatter(NullFormatter())
-        panel.set_title(title, loc="left", fontsize=10)
-        panel.grid(True, which="major", color="#e3e5e8", linewidth=0.6)
-        panel.spines[["top", "right"]].set_visible(False)
-        panel.tick_params(labelsize=8, which="both")
     drawing.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     return drawing
 

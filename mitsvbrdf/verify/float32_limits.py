@@ -28,10 +28,9 @@ from torch import Tensor
 from ..material.maps import SVBRDF
 from ..measure.gradients import Measured, render_and_gradients
 from ..measure.metrics import relative_error
+from ..measure.tolerances import UNIT_ROUNDOFF
 from ..render import Renderer
 from ..views import Views, texel_positions
-
-ROUNDING = 2.0**-24
 
 # An error up to this many times the limit counts as explained by float32: directions of normal, view, light and half
 # vector are all rounded. Measured on the made and corner materials in co-located views: 8 at most.
@@ -61,7 +60,7 @@ def float32_limit(twin: Renderer, svbrdf: SVBRDF, views: Views, exact: Measured,
         exact: what the twin finds with the normals as they are.
         cotangent: N x R x R x 3, as it was used for ``exact``.
     """
-    turned = [render_and_gradients(twin, m, views, cotangent) for m in turned_normals(svbrdf, ROUNDING)]
+    turned = [render_and_gradients(twin, m, views, cotangent) for m in turned_normals(svbrdf, UNIT_ROUNDOFF)]
     return Limit(_length([t.image - exact.image for t in turned]),
                  {name: _length([t.gradients[name] - value for t in turned]) for name, value in exact.gradients.items()})
 
@@ -73,7 +72,8 @@ def turned_normals(svbrdf: SVBRDF, angle: float) -> tuple[SVBRDF, SVBRDF]:
     x = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64).expand_as(normal)
     first = F.normalize(torch.linalg.cross(normal, x), dim=-1)  # z > 0, so a normal is never along x
     second = F.normalize(torch.linalg.cross(normal, first), dim=-1)
-    return tuple(SVBRDF(svbrdf.bsdf, {**maps, "normal": normal + angle * axis}) for axis in (first, second))
+    one, two = (SVBRDF(svbrdf.bsdf, {**maps, "normal": normal + angle * axis}) for axis in (first, second))
+    return one, two
 
 
 def _length(parts: list[Tensor]) -> Tensor:
@@ -181,9 +181,9 @@ def why(texel: dict) -> str:
     steepest = max(texel["incidence_angle"], texel["camera_angle"])
     if steepest > 80:
         return f"grazing, {steepest:.2f} degrees: {limit}"
-    if texel["specular_share"] > 0.5 and texel["limit"] > 4 * ROUNDING:
+    if texel["specular_share"] > 0.5 and texel["limit"] > 4 * UNIT_ROUNDOFF:
         surface = f"{'low roughness' if texel['roughness'] < 0.3 else 'roughness'} {texel['roughness']:.2g}"
         return f"{surface}, {texel['half_vector_angle']:.2g} degrees beside the mirror direction: {limit}"
     if texel["share_of_mean"] < 0.01:
         return f"dark: value {texel['share_of_mean']:.1e} of the mean; {limit}"
-    return f"rounding, {texel['relative_error'] / ROUNDING:.0f} times 2^-24; {limit}"
+    return f"rounding, {texel['relative_error'] / UNIT_ROUNDOFF:.0f} times 2^-24; {limit}"

@@ -6,8 +6,9 @@ it changes nothing, once without. The two run in turn in one process, so their r
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -26,8 +27,8 @@ from ..system.timing import side_by_side
 from ..views import Views, nine_view_grid
 
 SCHEMA_VERSION = 1
-FULL = Needs()
-CO_LOCATED = replace(FULL, fresnel_curve=False)
+EVERYTHING = Needs()
+CO_LOCATED = replace(EVERYTHING, fresnel_curve=False)
 
 
 @dataclass(frozen=True)
@@ -75,9 +76,9 @@ def measure_leave_out(resolution: int = 256, repeats: int = 9, report: Callable[
         items.append({"what": case.what, "where": case.where, "why": case.why, "worst": difference["worst"],
                       "mean": difference["mean"], "full_error": errors[0], "lean_error": errors[1], "seconds": seconds,
                       "ratio": seconds["full"]["median"] / seconds["lean"]["median"]})
-    lean = scene_needs(lean_material(resolution), nine_view_grid(), "mitsuba")
+    leanest = scene_needs(lean_material(resolution), nine_view_grid(), "mitsuba")
     return {"schema_version": SCHEMA_VERSION, "resolution": resolution, "views": 9, "items": items,
-            "left_out": [{"what": what, "why": why} for what, why in lean.left_out],
+            "left_out": [{"what": what, "why": why} for what, why in leanest.left_out],
             "machine": machine(), "versions": versions()}
 
 
@@ -97,13 +98,14 @@ def cases(resolution: int) -> Iterator[Case]:
     metal = SVBRDF("principled", {"base_color": coloured["diffuse"], "metallic": black[..., :1],
                                   "roughness": coloured["roughness"], "normal": coloured["normal"]})
 
-    def pair(what, why, svbrdf, without, fixed=(), needs=CO_LOCATED, renderer="mitsuba"):
+    def pair(what: str, why: str, svbrdf: SVBRDF, without: Sequence[str], fixed: Sequence[str] = (),
+             needs: Needs = CO_LOCATED, renderer: str = "mitsuba") -> Case:
         wanted = tuple(name for name in svbrdf.maps if name not in fixed)
-        lean_needs = replace(needs, **dict.fromkeys(without, False))
+        less: dict[str, Any] = dict.fromkeys(without, False)
         return Case(what, renderer, why, _pass(renderer, svbrdf, views, wanted, needs),
-                    _pass(renderer, svbrdf, views, wanted, lean_needs), twin.render(svbrdf, views))
+                    _pass(renderer, svbrdf, views, wanted, replace(needs, **less)), twin.render(svbrdf, views))
 
-    def across(what, why, svbrdf, wanted, needs, lean_needs):
+    def across(what: str, why: str, svbrdf: SVBRDF, wanted: tuple[str, ...], needs: Needs, lean_needs: Needs | None) -> Case:
         return Case(what, "mitsuba-scene, mitsuba", why, _pass("mitsuba-scene", svbrdf, views, tuple(svbrdf.maps), needs),
                     _pass("mitsuba", svbrdf, views, wanted, lean_needs), twin.render(svbrdf, views))
 
@@ -114,7 +116,7 @@ def cases(resolution: int) -> Iterator[Case]:
     yield pair("colour of the specular map", "it is grey", lean, ("coloured_specular",), ("specular",))
     yield pair("normal map", "it is flat", lean, ("normal_map",), ("normal",))
     yield pair("metallic map", "it is 0", metal, ("metallic",), ("metallic",))
-    yield pair("Fresnel curve", "the light is at the camera", coloured, ("fresnel_curve",), needs=FULL)
+    yield pair("Fresnel curve", "the light is at the camera", coloured, ("fresnel_curve",), needs=EVERYTHING)
     yield Case("gradients of three maps", "mitsuba", "they are held fixed", _pass("mitsuba", coloured, views, every, bare),
                _pass("mitsuba", coloured, views, ("diffuse",), bare), twin.render(coloured, views))
     yield pair("environment", "the flash is the only light", coloured, ("environment",), renderer="mitsuba-scene")
@@ -123,7 +125,7 @@ def cases(resolution: int) -> Iterator[Case]:
     yield across("ray tracing", "the texel behind each pixel is known", coloured, every, bare, bare)
     yield Case("discriminator", "hybrid", "its weight is 0", _steps(coloured, views, 1e-30), _steps(coloured, views, 0.0))
     yield across("all of these", "a flat, grey material; normal and specular held fixed", lean, ("diffuse", "roughness"),
-                 FULL, None)
+                 EVERYTHING, None)
 
 
 def _with(svbrdf: SVBRDF, **maps: Tensor) -> SVBRDF:

@@ -1,6 +1,6 @@
 """Thousands of steps in one process: does memory grow, is anything compiled again, do steps get slower?
 
-``python -m mitsvbrdf.evaluate.soak`` (``./run soak``) renders small moving views with every renderer, BSDF and kind of
+``python -m mitsvbrdf.verify.soak`` (``./run soak``) renders small moving views with every renderer, BSDF and kind of
 work, prints a table and keeps the record as JSON. A fit of an hour depends on what no short test shows.
 """
 
@@ -12,7 +12,6 @@ import os
 import re
 import statistics
 import sys
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -28,11 +27,12 @@ from ..material.maps import SVBRDF, Bsdf
 from ..render import Renderer, RendererName, make_renderer
 from ..system import files
 from ..system.progress import console, say
+from ..system.timing import timed
 from ..views import Views
 
 SLOPE_LIMIT = 0.5  # MiB of resident memory per 100 steps
 WARM_UP = 0.2  # share of the steps during which pools and caches may still fill
-SHOWN = 100  # memory samples kept in the record of a case
+SAMPLES_KEPT = 100  # memory samples kept in the record of a case
 
 
 def soak(renderers: Sequence[Renderer], bsdf: Bsdf, work: str, steps: int, resolution: int = 64) -> dict:
@@ -66,9 +66,7 @@ def soak(renderers: Sequence[Renderer], bsdf: Bsdf, work: str, steps: int, resol
         if step == warm:
             before = drjit_state()
         renderer, views = renderers[step // 2 % len(renderers)], moving_views(rng, apart=step % 2 == 1)
-        started = time.perf_counter()
-        WORK[work](renderer, material, views)
-        seconds.append(time.perf_counter() - started)
+        seconds.append(timed(WORK[work], renderer, material, views)[1])
         memory.append(resident())
         kernels.append(kernels_made())
     growth = {name: after - before.get(name, 0) for name, after in drjit_state().items()}
@@ -79,7 +77,7 @@ def soak(renderers: Sequence[Renderer], bsdf: Bsdf, work: str, steps: int, resol
         "renderers": [renderer.name for renderer in renderers], "bsdf": bsdf, "work": work, "steps": steps,
         "resolution": resolution, "warm_up": warm,
         "memory": {"slope": slope(memory[warm:]) * 100, "first": memory[0], "last": memory[-1],
-                   "samples": [[step, memory[step]] for step in range(0, steps, -(-steps // SHOWN))]},
+                   "samples": [[step, memory[step]] for step in range(0, steps, -(-steps // SAMPLES_KEPT))]},
         "kernels": {"first": kernels[2 * turn] - kernels[0], "late": kernels[-1] - kernels[2 * turn], "late_steps": late[:20]},
         "drjit": growth or None,
         "step": {"first": first, "last": last, "drift": last / first - 1},

@@ -8,18 +8,19 @@ import os
 import secrets
 import sys
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
 
 from ...errors import ConfigError
 from ...pages.page import page_text
-from .watch import REPORT, SHEET, Watch
+from .watch import REPORT_FILE, SHEET_FILE, Watch
 
 ADDRESS = "127.0.0.1"
 PORT = 8350  # the same each time, so that an open tab or a forwarded port finds the next server too
-NAMES = ("127.0.0.1", "localhost", "[::1]")  # what this machine is called; forwarding a port may change its number
-OURS = "default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'; connect-src 'self'; frame-src 'self'; " \
+HOST_NAMES = ("127.0.0.1", "localhost", "[::1]")  # what this machine is called; forwarding a port may change its number
+LIVE_POLICY = "default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'; connect-src 'self'; frame-src 'self'; " \
        "script-src 'nonce-{nonce}'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 # A report is one file: whatever it holds, it asks nobody for anything.
-REPORTS = "default-src 'none'; script-src 'unsafe-inline' blob:; style-src 'unsafe-inline'; img-src data: blob:; " \
+REPORT_POLICY = "default-src 'none'; script-src 'unsafe-inline' blob:; style-src 'unsafe-inline'; img-src data: blob:; " \
           "media-src data: blob:; font-src data:; connect-src data: blob:; worker-src blob:; base-uri 'none'; " \
           "form-action 'none'; frame-ancestors 'self'"
 
@@ -36,9 +37,10 @@ class Server(ThreadingHTTPServer):
 
     @property
     def url(self) -> str:
+        """Where a browser finds it."""
         return f"http://{ADDRESS}:{self.server_address[1]}/"
 
-    def handle_error(self, request, client_address) -> None:
+    def handle_error(self, request: Any, client_address: Any) -> None:
         """A browser that hangs up, or falls asleep over an answer, is no error."""
         if not isinstance(sys.exception(), (ConnectionError, TimeoutError)):
             super().handle_error(request, client_address)
@@ -72,13 +74,15 @@ class Handler(BaseHTTPRequestHandler):
     server_version, sys_version = "mitsvbrdf", ""
     timeout = 60  # seconds for a request to arrive; each has a connection of its own
 
-    def do_GET(self) -> None:
+    def do_GET(self) -> None:  # the name that http.server looks for
+        """Answer a request that was meant for this machine."""
         if self.named_here():
             self.answer(self.path.partition("?")[0])
 
     do_HEAD = do_GET
 
     def refuse(self) -> None:
+        """Say that only GET is known."""
         if self.named_here():
             self.reply(405, b"only GET\n", "text/plain", {"Allow": "GET, HEAD"})
 
@@ -88,26 +92,28 @@ class Handler(BaseHTTPRequestHandler):
         """Whether the request was meant for this machine: a foreign name that leads here is an attack (DNS rebinding)."""
         hosts = self.headers.get_all("Host", [])
         name = hosts[0].lower() if len(hosts) == 1 else ""
-        if name in NAMES or name.rpartition(":")[0] in NAMES:
+        if name in HOST_NAMES or name.rpartition(":")[0] in HOST_NAMES:
             return True
         self.reply(403, b"served as 127.0.0.1 and localhost only\n", "text/plain", {})
         return False
 
     def answer(self, path: str) -> None:
+        """Send the page, its state, a map, or one of the two files of a finished fit."""
         watch = self.server.watch
         if path == "/":
             nonce = secrets.token_urlsafe(16)
-            page = page_text("live.html", title=watch.out.name or "mitsvbrdf", nonce=nonce).encode()
-            return self.reply(200, page, "text/html; charset=utf-8", {"Content-Security-Policy": OURS.format(nonce=nonce)})
+            page = page_text("report/live/live.html", title=watch.out.name or "mitsvbrdf", nonce=nonce).encode()
+            policy = LIVE_POLICY.format(nonce=nonce)
+            return self.reply(200, page, "text/html; charset=utf-8", {"Content-Security-Policy": policy})
         if path == "/state.json":
             state = json.dumps(watch.state(), allow_nan=False).encode()
             tag = f'"{hashlib.sha256(state).hexdigest()[:32]}"'
             same = self.headers.get("If-None-Match") == tag
             return self.reply(304 if same else 200, b"" if same else state, "application/json", {"ETag": tag})
-        if path == f"/{REPORT}":
-            return self.file(REPORT, "text/html; charset=utf-8", {"Content-Security-Policy": REPORTS})
-        if path == f"/{SHEET}":
-            return self.file(SHEET, "image/png", {})
+        if path == f"/{REPORT_FILE}":
+            return self.file(REPORT_FILE, "text/html; charset=utf-8", {"Content-Security-Policy": REPORT_POLICY})
+        if path == f"/{SHEET_FILE}":
+            return self.file(SHEET_FILE, "image/png", {})
         name = path.removeprefix("/maps/").removesuffix(".png")
         picture = watch.picture(name) if path == f"/maps/{name}.png" else None
         if picture is None:
@@ -115,6 +121,7 @@ class Handler(BaseHTTPRequestHandler):
         return self.reply(200, picture, "image/png", {})
 
     def file(self, name: str, kind: str, headers: dict[str, str]) -> None:
+        """Send a file of the folder watched."""
         try:
             content = (self.server.watch.out / name).read_bytes()
         except OSError:
@@ -122,6 +129,7 @@ class Handler(BaseHTTPRequestHandler):
         return self.reply(200, content, kind, headers)
 
     def reply(self, status: int, content: bytes, kind: str, headers: dict[str, str]) -> None:
+        """Send an answer with the headers that all have."""
         self.send_response(status)
         for name, value in {"Content-Type": kind, "Content-Length": str(len(content)), "Cache-Control": "no-store",
                             "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",

@@ -8,13 +8,14 @@ import os
 import threading
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ...errors import OutputError
 from ...fit.checkpoint import load_tensors
 from ...material.maps import CHANNELS, TITLES, shown_map
 from ...system import images, result_folder
 
-FIT, REPORT, SHEET = "fit.json", "report.html", "sheet.png"
+FIT_FILE, REPORT_FILE, SHEET_FILE = "fit.json", "report.html", "sheet.png"
 ENDED = {"settled": "settled: going on would change little", "budget": "out of seconds", "iterations": "all iterations done",
          "interrupted": "interrupted by Ctrl-C", "unstable": "too many steps had to be undone"}
 
@@ -50,7 +51,7 @@ class Watch:
             raise OutputError("the folder that a fit writes to", f"{out}, and there is no {self.out.parent}",
                               "check the name, or start the fit first")
         if self.out.is_dir() and any(self.out.iterdir()) and not any(
-                (self.out / name).exists() for name in (FIT, REPORT, result_folder.MANIFEST, self.partial.name)):
+                (self.out / name).exists() for name in (FIT_FILE, REPORT_FILE, result_folder.MANIFEST, self.partial.name)):
             raise OutputError("the folder that a fit writes to", f"{out}, whose files are no fit's",
                               "name the OUT of `mitsvbrdf fit -o OUT`")
         if (self.out / "capture.json").is_file():
@@ -77,7 +78,7 @@ class Watch:
             # In this order: whatever happens in between, a fit that ends meanwhile is not taken for one that died.
             there = self._read_record()
             at_work = result_folder.in_use(self.out)
-            finished = _time(self.out / FIT)
+            finished = _time(self.out / FIT_FILE)
             if at_work:
                 if not there:
                     self.record = None  # that of an earlier fit
@@ -87,16 +88,16 @@ class Watch:
                 phase = "died"
             else:
                 self.record = None
-                phase = "done" if finished or _time(self.out / REPORT) else "waiting"
+                phase = "done" if finished or _time(self.out / REPORT_FILE) else "waiting"
             shown = self._read_result() if phase == "done" else self.record
             return {"phase": phase, "says": self._says(phase, shown), "out": str(self.out),
-                    "report": _version(self.out / REPORT), "sheet": _version(self.out / SHEET),
+                    "report": _version(self.out / REPORT_FILE), "sheet": _version(self.out / SHEET_FILE),
                     "fit": shown and {**shown.note, "version": shown.version,
                                       "maps": {name: TITLES[name] for name in shown.maps}}}
 
     def _says(self, phase: str, shown: Shown | None) -> str:
         stopped = shown.note["stopped"] if shown else None
-        why = ENDED.get(stopped, stopped)
+        why = ENDED.get(stopped, stopped) if stopped else None
         if phase == "died":
             resumes = (self.partial / result_folder.CHECKPOINT).is_file()
             return ("The fit ended without a result. " if shown else "A fit was left unfinished here. ") + (
@@ -126,10 +127,10 @@ class Watch:
         return version is not None
 
     def _read_result(self) -> Shown | None:
-        version = _version(self.out / FIT)
+        version = _version(self.out / FIT_FILE)
         if version and not (self.result and self.result.version == version):
             try:
-                record = json.loads((self.out / FIT).read_text())
+                record = json.loads((self.out / FIT_FILE).read_text())
                 note = {key: record[key] for key in ("method", "renderer", "bsdf", "stopped", "trace", "warnings", "seconds")}
                 note |= {"run": None, "capture": record["capture"]["name"], "resolution": record["capture"]["resolution"],
                          "iteration": record["iterations"], "share": 1.0, "latest": None}
@@ -156,7 +157,7 @@ def _time(path: Path) -> int:
         return 0
 
 
-def _for_json(value):
+def _for_json(value: Any) -> Any:
     """The same without NaN and infinity, which JSON has not."""
     if isinstance(value, dict):
         return {str(key): _for_json(inner) for key, inner in value.items()}

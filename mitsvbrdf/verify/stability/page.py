@@ -5,20 +5,22 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 from matplotlib.figure import Figure
 
 from ...errors import OutputError
+from ...pages.colours import CHART_FAINT
 from ...pages.page import figure, svg, write_page
 from ...system import files
+from ..charts import BSDF_MARKS, bounded_panel
 from .clamps import CLAMPS
 from .verdict import VERDICTS
 
 BEGIN, END = "<!-- from here on written by mitsvbrdf stability --md -->", "<!-- up to here -->"
 PLOTTED = {"roughness": "roughness", "distance": "distance, patch sides", "tilt": "degrees between normal and plane"}
 EXPLAINED_APART = ("limited", "refused", "wrong", "not finite")
-MARKERS = {"roughconductor": "o", "principled": "s"}
 
 
 def write_stability_page(path: str | Path, record: dict) -> None:
@@ -26,16 +28,16 @@ def write_stability_page(path: str | Path, record: dict) -> None:
 
     Args:
         path: the file to write or replace.
-        record: of :func:`mitsvbrdf.evaluate.stability.stability`.
+        record: of :func:`mitsvbrdf.verify.stability.stability`.
 
     Raises:
         OutputError: the file cannot be written.
     """
     plots = [(key, svg(errors_along(record, key))) for key in PLOTTED if key in record["sweeps"]]
     counts = {name: Counter(row["renderers"][name]["verdict"] for row in record["rows"]) for name in record["renderers"]}
-    write_page(path, "stability.html", title="Numerical stability of the renderers", record=record, plots=plots, clamps=CLAMPS,
-               counts=counts, verdicts=VERDICTS, worst=worst_errors, largest=largest, condition=condition_text, step=step_text,
-               because=because)
+    write_page(path, "verify/stability/stability.html", title="Numerical stability of the renderers", record=record,
+               plots=plots, clamps=CLAMPS, counts=counts, verdicts=VERDICTS, worst=worst_errors, largest=largest,
+               condition=condition_text, step=step_text, because=because)
 
 
 def errors_along(record: dict, sweep: str) -> Figure:
@@ -50,8 +52,9 @@ def errors_along(record: dict, sweep: str) -> Figure:
     named: set[str] = set()
     for row in rows:
         x = max(90 - row["value"], 0.05) if sweep == "tilt" else row["value"]
-        series = [("one rounding of the normals", "#9aa0a8", "_", (row["limit"]["image"], largest(row["limit"])))]
-        series += [(f"{name}, {row['bsdf']}", colours[name], MARKERS[row["bsdf"]], worst_errors(figures))
+        series: list[tuple[str, Any, str, Any]]
+        series = [("one rounding of the normals", CHART_FAINT, "_", (row["limit"]["image"], largest(row["limit"])))]
+        series += [(f"{name}, {row['bsdf']}", colours[name], BSDF_MARKS[row["bsdf"]], worst_errors(figures))
                    for name, figures in row["renderers"].items()]
         for label, colour, marker, values in series:
             for panel, value in zip(panels, values):
@@ -62,12 +65,8 @@ def errors_along(record: dict, sweep: str) -> Figure:
     stated = record["tolerances"]
     for panel, title, bound in zip(panels, ("Image, relative L2", "Gradient of the worst map, relative L2"),
                                    (stated["image"], stated["gradient"])):
-        panel.axhline(bound, color="#b3261e", linewidth=0.8, linestyle="--")
+        bounded_panel(panel, title, bound)
         panel.set(xscale="log", yscale="log", xlabel=PLOTTED[sweep])
-        panel.set_title(title, loc="left", fontsize=10)
-        panel.grid(True, which="major", color="#e3e5e8", linewidth=0.6)
-        panel.spines[["top", "right"]].set_visible(False)
-        panel.tick_params(labelsize=8, which="both")
         if sweep == "tilt":
             panel.invert_xaxis()
     drawing.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)

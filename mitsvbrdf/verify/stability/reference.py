@@ -9,6 +9,8 @@ Sources: Walter et al. 2007 (GGX, Smith's G), Fresnel's equations, Burley 2012 a
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from mpmath import mp, mpf
 
 from ...material.maps import CHANNELS, DIELECTRIC_F0, SVBRDF
@@ -18,7 +20,7 @@ from ...render.needs import half_angle_bound
 from ...views import Views
 
 DIGITS = 50
-STEP = mpf(10) ** -18  # of the central differences: their error goes like its square, rounding like 10^-50 over it
+DIFFERENCE_STEP = mpf(10) ** -18  # of the central differences: their error goes like its square, rounding like 10^-50 over it
 
 Maps = dict[str, list]
 
@@ -50,13 +52,14 @@ def texel_sum(svbrdf: SVBRDF, views: Views, row: int, column: int, cotangent: li
                              for name, channels in CHANNELS[svbrdf.bsdf].items()}
 
 
-def _slope(total, maps: Maps, name: str, i: int) -> mpf:
+def _slope(total: Callable[[Maps], mpf], maps: Maps, name: str, i: int) -> mpf:
     """Central difference; one-sided at the ends of [0, 1], where the square root of F0 ends."""
-    def at(step) -> mpf:
+    def at(step: mpf) -> mpf:
         return total(maps | {name: [x + step * (j == i) for j, x in enumerate(maps[name])]})
 
     value = maps[name][i]
-    up, down = (0 if name != "normal" and value >= 1 else STEP), (0 if name != "normal" and value <= 0 else STEP)
+    bounded = name != "normal"
+    up, down = (0 if bounded and value >= 1 else DIFFERENCE_STEP), (0 if bounded and value <= 0 else DIFFERENCE_STEP)
     return (at(up) - at(-down)) / (up + down)
 
 
@@ -79,12 +82,12 @@ def radiance(bsdf: str, maps: Maps, views: Views, k: int, place: tuple, curve: b
     return [f * n_l * i / size**2 / _dot(reach, reach) for f, i in zip(lobes(maps, n_l, n_v, h_l, d, g, curve), power)]
 
 
-def _roughconductor(maps: Maps, n_l, n_v, h_l, d, g, curve: bool) -> list:
+def _roughconductor(maps: Maps, n_l: mpf, n_v: mpf, h_l: mpf, d: mpf, g: mpf, curve: bool) -> list:
     return [rho / mp.pi + d * g * (_fresnel(f0, h_l) if curve else f0) / (4 * n_l * n_v)
             for rho, f0 in zip(maps["diffuse"], maps["specular"])]
 
 
-def _principled(maps: Maps, n_l, n_v, h_l, d, g, curve: bool) -> list:
+def _principled(maps: Maps, n_l: mpf, n_v: mpf, h_l: mpf, d: mpf, g: mpf, curve: bool) -> list:
     (metallic,), (roughness,) = maps["metallic"], maps["roughness"]
     glass = _fresnel(mpf(DIELECTRIC_F0), h_l)
     w_l, w_v, retro = (1 - n_l) ** 5, (1 - n_v) ** 5, 2 * roughness * h_l**2
@@ -93,11 +96,11 @@ def _principled(maps: Maps, n_l, n_v, h_l, d, g, curve: bool) -> list:
         metallic * (base + (1 - base) * (1 - h_l) ** 5) + (1 - metallic) * glass) for base in maps["base_color"]]
 
 
-def _smith(a2, cosine):
+def _smith(a2: mpf, cosine: mpf) -> mpf:
     return 2 * cosine / (cosine + mp.sqrt(a2 + (1 - a2) * cosine**2))
 
 
-def _fresnel(f0, cosine):
+def _fresnel(f0: mpf, cosine: mpf) -> mpf:
     """Mean of the s- and p-polarised reflectance, by refractive index and both angles."""
     low, high = map(mpf, F0_RANGE)
     cut = min(max(f0, low), high)
@@ -108,7 +111,7 @@ def _fresnel(f0, cosine):
     return f0 / cut * (s**2 + p**2) / 2
 
 
-def _dot(a: list, b: list):
+def _dot(a: list, b: list) -> mpf:
     return sum(x * y for x, y in zip(a, b))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,18 +14,19 @@ from ...errors import MitsvbrdfError
 from ...fit.losses import photometric
 from ...measure.gradients import Measured, fixed_cotangent, render_and_gradients
 from ...measure.metrics import image_error
+from ...measure.tolerances import EXACT, UNIT_ROUNDOFF
 from ...render import Renderer, make_renderer
 from ...system.provenance import machine, versions
-from ..float32_limits import ROUNDING, float32_limit
+from ..float32_limits import float32_limit
 from .clamps import CLAMPS
 from .conditioning import condition, disturbed, jacobian, largest_step
 from .functions import not_finite
 from .reference import texel_sum
 from .sweeps import SWEEPS, Case
-from .verdict import GRADIENT, IMAGE, TRUSTED, verdict
+from .verdict import verdict
 
 SCHEMA_VERSION = 1
-SMALLEST = 1e-5  # a gradient entry of this share of its texel's is above float32's rounding: 0 in its place was put there
+ABOVE_ROUNDING = 1e-5  # a gradient entry of this share of its texel's is above float32's rounding: 0 in its place was put there
 
 Report = Callable[[str, float], object]
 
@@ -48,7 +50,7 @@ def stability(renderers: Sequence[Renderer], sweeps: Sequence[str] = tuple(SWEEP
         rows.append(measured(case, renderers))
     record = {
         "schema_version": SCHEMA_VERSION, "reference": "analytic64", "renderers": [r.name for r in renderers],
-        "tolerances": {"image": IMAGE, "gradient": GRADIENT, "float64": TRUSTED},
+        "tolerances": EXACT,
         "sweeps": {key: SWEEPS[key][0] for key in sweeps}, "rows": rows, "machine": machine(), "versions": versions()}
     return record | {"violations": violations(rows)}
 
@@ -66,16 +68,16 @@ def violations(rows: Sequence[dict]) -> list[dict]:
             if count:
                 found.append(where | {"renderer": None, "what": f"{count} values of {name} are not finite"})
         worst = max(each["fifty_digits"].values(), default=0.0)
-        if worst > TRUSTED:
+        if worst > EXACT["float64"]:
             found.append(where | {"renderer": None, "what": f"float64 itself is off by {worst:.1g}"})
     return found
 
 
 def measured(case: Case, renderers: Sequence[Renderer]) -> dict:
     """The record of one configuration."""
-    about = {"sweep": case.sweep, "label": case.label, "value": case.value, "bsdf": case.svbrdf.bsdf,
+    about: dict[str, Any] = {"sweep": case.sweep, "label": case.label, "value": case.value, "bsdf": case.svbrdf.bsdf,
              "resolution": case.svbrdf.resolution, "views": len(case.views), "refused": case.refused}
-    nothing = {"condition": None, "limit": {}, "fifty_digits": {}, "functions": {}, "clamps": [], "step": None}
+    nothing: dict[str, Any] = {"condition": None, "limit": {}, "fifty_digits": {}, "functions": {}, "clamps": [], "step": None}
     try:
         case.svbrdf.check()
         case.views.check()
@@ -169,7 +171,7 @@ def _not_finite(tensor: Tensor) -> int:
 
 def _silenced(found: Tensor, reference: Tensor) -> int:
     """Entries that came back as 0 though they are not small beside the others of their texel."""
-    return int(((found == 0) & (reference.abs() > SMALLEST * reference.norm(dim=-1, keepdim=True))).sum())
+    return int(((found == 0) & (reference.abs() > ABOVE_ROUNDING * reference.norm(dim=-1, keepdim=True))).sum())
 
 
 def _limit(twin: Renderer, case: Case, exact: Measured, cotangent: Tensor) -> dict[str, float]:
@@ -178,7 +180,7 @@ def _limit(twin: Renderer, case: Case, exact: Measured, cotangent: Tensor) -> di
     pick = slice(None) if case.texels is None else case.texels
     pairs = {"image": (limit.image[:, pick], exact.image[:, pick])} | {
         name: (change[pick], exact.gradients[name][pick]) for name, change in limit.gradients.items()}
-    return {name: ROUNDING + (float(change.norm() / value.norm()) if value.norm() > 0 else 0.0)
+    return {name: UNIT_ROUNDOFF + (float(change.norm() / value.norm()) if value.norm() > 0 else 0.0)
             for name, (change, value) in pairs.items()}
 
 

@@ -14,9 +14,9 @@ from ...material.maps import CHANNELS, SVBRDF, Bsdf, flat
 from ...render.analytic import MIN_ALPHA
 from ...views import Views, nine_view_grid, texel_positions
 
-SIDE = 16  # texels along a side of most materials: 256 texels, each a case of its own
-SMALL = 64  # larger materials are compared, but not taken apart
-FEW = 9  # with more views no step is searched for: hundreds of pictures
+CASE_SIDE = 16  # texels along a side of most materials: 256 texels, each a case of its own
+TAKEN_APART_SIDE = 64  # larger materials are compared, but not taken apart
+STEPPED_VIEWS = 9  # with more views no step is searched for: hundreds of pictures
 
 GRID = nine_view_grid()
 APART = Views.of(GRID.camera, GRID.camera + torch.tensor([1.5, -0.3, 0.1]), GRID.intensity)  # 20 degrees to the half vector
@@ -75,15 +75,15 @@ class Case:
     @property
     def small(self) -> bool:
         """Whether conditioning and fifty digits are looked at too."""
-        return self.svbrdf.resolution <= SMALL
+        return self.svbrdf.resolution <= TAKEN_APART_SIDE
 
     @property
     def walked(self) -> bool:
         """Whether step sizes are looked at too."""
-        return self.small and len(self.views) <= FEW
+        return self.small and len(self.views) <= STEPPED_VIEWS
 
 
-def material(bsdf: Bsdf = "roughconductor", side: int = SIDE, normal: Tensor | None = None,
+def material(bsdf: Bsdf = "roughconductor", side: int = CASE_SIDE, normal: Tensor | None = None,
              **values: float | tuple | Tensor) -> SVBRDF:
     """Random maps, F0 0.02 to 0.92, roughness 0.15 to 0.95 and normals tilted by about 8 degrees, with some replaced.
 
@@ -107,9 +107,9 @@ def aimed(bsdf: Bsdf, views: Views, roughness: float) -> SVBRDF:
     """Normals within three alpha of the half vector of one view or another: every texel is in somebody's highlight."""
     rng = torch.Generator().manual_seed(1)
     v = views.in_patch_sides()
-    index = torch.arange(SIDE * SIDE).reshape(SIDE, SIDE) % len(v)
-    camera, light = (F.normalize(place[index] - texel_positions(SIDE), dim=-1) for place in (v.camera, v.light))
-    away = 3 * max(roughness**2, MIN_ALPHA[bsdf]) * torch.randn(SIDE, SIDE, 3, generator=rng, dtype=torch.float64) / 2
+    index = torch.arange(CASE_SIDE * CASE_SIDE).reshape(CASE_SIDE, CASE_SIDE) % len(v)
+    camera, light = (F.normalize(place[index] - texel_positions(CASE_SIDE), dim=-1) for place in (v.camera, v.light))
+    away = 3 * max(roughness**2, MIN_ALPHA[bsdf]) * torch.randn(CASE_SIDE, CASE_SIDE, 3, generator=rng, dtype=torch.float64) / 2
     normal = F.normalize(F.normalize(camera + light, dim=-1) + away.clamp(-0.5, 0.5), dim=-1)
     return material(bsdf, roughness=roughness, normal=normal)
 
@@ -121,7 +121,7 @@ def tilted(degrees: float, towards: float | None = None) -> Tensor:
         towards: one azimuth for all, degrees from x towards y.
     """
     angle = torch.deg2rad(torch.tensor(degrees, dtype=torch.float64))
-    azimuth = 2 * torch.pi * torch.rand(SIDE, SIDE, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    azimuth = 2 * torch.pi * torch.rand(CASE_SIDE, CASE_SIDE, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
     quarter = torch.pi / 2
     azimuth[::2] = (azimuth[::2] / quarter).round() * quarter
     if towards is not None:
@@ -140,7 +140,7 @@ def _tilt() -> list[Case]:
     cases = [Case("tilt", f"{degrees:g} degrees, {bsdf}", degrees, material(bsdf, normal=tilted(degrees)), APART,
                   known=HORIZON) for degrees in (0, 45, 75, 85, 89, 89.9) for bsdf in CHANNELS]
     low = Views.of([[3.0, 0.2, 1.0], [3.0, -0.5, 0.4]], intensity=30.0)
-    level = torch.tensor([1.0, 0.0, 0.0]).expand(SIDE, SIDE, 3)
+    level = torch.tensor([1.0, 0.0, 0.0]).expand(CASE_SIDE, CASE_SIDE, 3)
     return [*cases,
             Case("tilt", "60 degrees, half facing away", None, material(normal=tilted(60)), low),
             Case("tilt", "85 degrees, all facing away", None, material(normal=tilted(85, 160)), low),
@@ -198,9 +198,9 @@ def _clipped() -> list[Case]:
 
 
 def _flat() -> list[Case]:
-    return [Case("flat", "grey", None, flat(SIDE), GRID), Case("flat", "black", None, flat(SIDE, diffuse=0.0), APART),
-            Case("flat", "mirror", None, flat(SIDE, diffuse=0.0, specular=1.0, roughness=0.02), GRID),
-            Case("flat", "principled", None, flat(SIDE, "principled"), APART)]
+    return [Case("flat", "grey", None, flat(CASE_SIDE), GRID), Case("flat", "black", None, flat(CASE_SIDE, diffuse=0.0), APART),
+            Case("flat", "mirror", None, flat(CASE_SIDE, diffuse=0.0, specular=1.0, roughness=0.02), GRID),
+            Case("flat", "principled", None, flat(CASE_SIDE, "principled"), APART)]
 
 
 def _resolution() -> list[Case]:
@@ -217,7 +217,7 @@ def _views() -> list[Case]:
 
 
 def _stiff() -> list[Case]:
-    spot = texel_positions(SIDE).norm(dim=-1) < 0.2
+    spot = texel_positions(CASE_SIDE).norm(dim=-1) < 0.2
     mirror = aimed("roughconductor", GRID, 0.02)["normal"]
     mixed = material(roughness=torch.where(spot[..., None], 0.02, 0.8),
                      normal=torch.where(spot[..., None], mirror, material()["normal"]))

@@ -4,16 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from ...measure.tolerances import EXACT
+
 # From best to worst: ``degraded`` is as far off as conditioning explains, ``limited`` further, for a known cause and within a
 # stated bound. The last two are never accepted, ``refused`` only of what is invalid.
 VERDICTS = ("exact", "clamped", "degraded", "limited", "refused", "wrong", "not finite")
-
-# Relative L2 errors that count as float32's own. Measured where nothing is extreme: images up to 6e-7, gradients up to
-# 1e-6; near the horizon 6e-6.
-IMAGE, GRADIENT = 1e-6, 1e-5
-
-# float64 has to be this good itself, against fifty digits, to be the truth the others are held against.
-TRUSTED = 1e-6
 
 
 def verdict(figures: Mapping, limit: Mapping[str, float], clamps: Sequence[str] = (), known: tuple[float, str] | None = None,
@@ -23,8 +18,9 @@ def verdict(figures: Mapping, limit: Mapping[str, float], clamps: Sequence[str] 
     Args:
         figures: ``errors``, the relative L2 error of ``image`` and each map's gradient, None for infinite; ``not_finite``
             and ``silenced``, how many values by the same names; or ``refused``, the error message, alone.
-        limit: what one rounding of every normal changes (:func:`mitsvbrdf.evaluate.limits.float32_limit`), by the names of
-            ``errors``; empty where it was not looked at. Measured errors reach a third of it where nothing else is wrong.
+        limit: what one rounding of every normal changes (:func:`mitsvbrdf.verify.float32_limits.float32_limit`), by the
+            names of ``errors``; empty where it was not looked at. Measured errors reach a third of it where nothing else is
+            wrong.
         clamps: names of the cuts that act.
         known: the largest error that is known and explained, and its cause.
     """
@@ -49,7 +45,7 @@ def verdict(figures: Mapping, limit: Mapping[str, float], clamps: Sequence[str] 
 
 
 def _tolerance(name: str) -> float:
-    return IMAGE if name == "image" else GRADIENT
+    return EXACT["image" if name == "image" else "gradient"]
 
 
 def _beside(name: str, limit: Mapping[str, float]) -> str:

@@ -1,0 +1,12 @@
+"""``mitsvbrdf doctor``: what is installed here, and whether it suffices."""
+
+from __future__ import annotations
+
+from .options import Variant
+
+
+def doctor(variant: Variant = "llvm_ad_rgb", json: bool = False) -> int:
+    """Show what is installed, prove libLLVM in a child process, and say what is missing and how to get it."""
+    from ..doctor import doctor as examine
+
+    return examine(variant=variant, json=json)

@@ -1,0 +1,66 @@
+"""The table of commands: it says what each command says of itself, and words about commands load nothing heavy."""
+
+import subprocess
+import sys
+
+import pytest
+
+from mitsvbrdf import cli
+
+HEAVY = ("torch", "scipy", "mitsuba", "matplotlib", "cv2")
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_the_table_has_the_first_line_of_each_command(name):
+    assert cli.command(name).__doc__.splitlines()[0] == cli.COMMANDS[name]
+
+
+def loaded_by(arguments, folder):
+    """What a process of its own prints for these arguments, its exit code, and which of the heavy packages it loaded."""
+    code = f"""
+import sys
+from mitsvbrdf.__main__ import main
+sys.argv[1:] = {arguments!r}
+code = 0
+try:
+    code = main()
+except SystemExit as stop:
+    code = stop.code
+print("\\n", code, *sorted(set({HEAVY!r}) & set(sys.modules)))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=folder)
+    said, _, last = done.stdout.rstrip().rpartition("\n")
+    status, *heavy = last.split()
+    return said + done.stderr, int(status), heavy
+
+
+@pytest.mark.parametrize("arguments, word, status", [
+    (["--help"], "relight", 0), (["--version"], "mitsvbrdf ", 0), (["sheet", "--help"], "--paper", 0),
+    ([], "subcommand", 2), (["shet"], "shet", 2), (["sheet", "--papr", "a4"], "--papr", 2)])
+def test_words_about_commands_load_nothing_heavy(arguments, word, status, tmp_path):
+    said, code, heavy = loaded_by(arguments, tmp_path)
+    assert word in said and code == status and heavy == []
+
+
+def test_a_sheet_needs_no_torch(tmp_path):
+    said, code, heavy = loaded_by(["sheet", "-o", "tags.svg"], tmp_path)
+    assert code == 0 and "tags.svg" in said and (tmp_path / "tags.svg").is_file() and "torch" not in heavy
+
+
+def test_a_command_is_known_by_either_spelling(capsys):
+    for name in ("leave-out", "leave_out"):
+        with pytest.raises(SystemExit) as stop:
+            cli.main([name, "--help"])
+        assert stop.value.code == 0 and "--repeats" in capsys.readouterr().out
+
+
+def test_a_missing_package_is_one_error(tmp_path):
+    code = """
+import sys
+sys.modules["torch"] = None
+from mitsvbrdf.__main__ import main
+sys.argv[1:] = ["guess", "photos", "-o", "out"]
+sys.exit(main())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 2 and done.stderr.count("error:") == 1 and "mitsvbrdf doctor" in done.stderr
