@@ -69,12 +69,12 @@ class Hierarchical:
         self.config, self.views, self.resolution = config, capture.views, capture.resolution
         self.held = fixed_maps(config.fix, config.bsdf, capture.resolution)
         self.variant = renderer.variant or "llvm_ad_rgb"
-        fits_offset = config.calibrate is not False and no_flash_offset(capture, renderer, config) is None
+        self.fits_offset = config.calibrate is not False and no_flash_offset(capture, renderer, config) is None
         refined: Refined = "always" if config.calibrate or capture.calibration in ("photos", "none") else "unless exact"
         if config.calibrate is False or not capture.calibrated and why_not(capture) is not None:
             refined = "never"
 
-        self.moved = MovedViews(capture, refined, fits_offset)
+        self.moved = MovedViews(capture, refined, self.fits_offset)
         self.scales = Scales(capture, guess, self.held, config, self.variant)
         self.scale = self.scales.of(Stage.ALONE)
         self.ties = Ties(self.scale.solver.unknowns, config)
