@@ -5,10 +5,14 @@ from __future__ import annotations
 import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as the command does (mitsvbrdf.__main__), before torch loads
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # the workers share the cores
 
 from pathlib import Path
 
 import pytest
+
+pytest.register_assert_rewrite("helpers")
 
 # The plugin under test also comes through its entry point where the package is installed; pytest then loads it once.
 pytest_plugins = ["mitsvbrdf.testing.plugin", "pytester"]

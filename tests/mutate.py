@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
-TESTS = ("tests/test_render.py", "tests/test_needs.py", "tests/test_conventions.py", "tests/test_cli.py")
+TESTS = ("tests/render/test_render.py", "tests/render/test_needs.py", "tests/test_conventions.py", "tests/cli")
 CROSSCHECK = ("crosscheck", "--resolution", "32", "--repeats", "1")
 
 
@@ -44,13 +44,13 @@ MUTATIONS = [
              '"use_shadowing_function": False', '"use_shadowing_function": True'),
     Mutation("stale light", "render/scene.py", 'params["light.position"] = mi.Point3f(at(light, k))',
              'params["light.position"] = mi.Point3f(at(light, 0))'),
-    Mutation("wrong principal point", "render/rectified.py", "position_sample.x - 0.5", "position_sample.x - 0.49"),
+    Mutation("wrong principal point", "render/plugins.py", "position_sample.x - 0.5", "position_sample.x - 0.49"),
     Mutation("wrong principal point of the exported scene", "export/mitsuba.py", '"shift_x": -x', '"shift_x": x'),
-    Mutation("drop a normalisation", "render/threads.py", "dr.normalize(camera - place)", "(camera - place)"),
-    Mutation("drop the normalisation of the normals", "render/rectified.py", "n = dr.normalize(normal)", "n = normal"),
+    Mutation("drop a normalisation", "render/texel_plugin.py", "dr.normalize(camera - place)", "(camera - place)"),
+    Mutation("drop the normalisation of the normals", "render/plugins.py", "n = dr.normalize(normal)", "n = normal"),
     Mutation("clamp alpha at 0.05", "render/bsdf.py", 'maps["roughness"] * maps["roughness"]',
              '__import__("drjit").maximum(maps["roughness"] * maps["roughness"], 0.05)'),
-    Mutation("gamma in the wrong place", "render/threads.py", "self.plugin.eval(self._context, si, to_light)",
+    Mutation("gamma in the wrong place", "render/texel_plugin.py", "self.plugin.eval(self._context, si, to_light)",
              "self.plugin.eval(self._context, si, to_light) ** (1 / 2.2)"),
     Mutation("leave out the Fresnel curve too early", "render/needs.py", "CONSTANT_FRESNEL_DEGREES = 1.5",
              "CONSTANT_FRESNEL_DEGREES = 12.0"),

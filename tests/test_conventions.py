@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from helpers import GRID, ROOT, TWIN
 
 from mitsvbrdf import color
 from mitsvbrdf.capture import read_capture, write_capture
@@ -17,26 +18,24 @@ from mitsvbrdf.errors import CaptureError, MapsError
 from mitsvbrdf.material.map_files import load_maps, save_maps
 from mitsvbrdf.material.maps import SVBRDF
 from mitsvbrdf.material.maps import flat as flat_of
-from mitsvbrdf.render import make_renderer
-from mitsvbrdf.views import Views, nine_view_grid, texel_positions
+from mitsvbrdf.views import Views, texel_positions
 
-EXACT = make_renderer("analytic64")
 flat = functools.partial(flat_of, dtype=torch.float64)
 
 
 def one(svbrdf, camera, light=None, intensity=1.0, **options):
     """The linear image of one view in float64."""
     views = Views.of([camera], None if light is None else [light], intensity, **options)
-    return EXACT.render(svbrdf.to(torch.float64), views)[0]
+    return TWIN.render(svbrdf.to(torch.float64), views)[0]
 
 
 def test_every_line_names_a_test_that_exists():
-    text = (Path(__file__).parents[1] / "docs/conventions.md").read_text()
+    text = (ROOT / "docs/conventions.md").read_text()
     here = Path(__file__).read_text()
     for name in re.findall(r"`(test_\w+)`", text):
         assert f"def {name}(" in here, name
     for path in re.findall(r"`(tests/\w+\.py)`", text):
-        assert (Path(__file__).parents[1] / path).is_file(), path
+        assert (ROOT / path).is_file(), path
 
 
 def test_texel_positions():
@@ -175,8 +174,8 @@ def test_closed_form():
 
 def test_fresnel_at_the_camera():
     # The specular part is proportional to F0 at any tilt and distance when camera and light coincide.
-    views = nine_view_grid()
-    dark, bright = (EXACT.render(flat(8, diffuse=0.0, specular=s, dtype=torch.float64), views) for s in (0.1, 0.8))
+    views = GRID
+    dark, bright = (TWIN.render(flat(8, diffuse=0.0, specular=s, dtype=torch.float64), views) for s in (0.1, 0.8))
     assert torch.allclose(bright, 8 * dark, rtol=1e-12)
 
 
@@ -199,7 +198,7 @@ def test_facing_away_is_black():
     tilted = SVBRDF("roughconductor", dict(flat(1).maps) | {"normal": torch.tensor([[[-0.995, 0.0, 0.0999]]])})
     normal = tilted["normal"].double().requires_grad_()
     maps = {k: v.double() for k, v in tilted.maps.items()} | {"normal": normal}
-    image = EXACT.render(SVBRDF("roughconductor", maps), Views.of([[5.0, 0, 0.4]]))
+    image = TWIN.render(SVBRDF("roughconductor", maps), Views.of([[5.0, 0, 0.4]]))
     assert image.abs().max() == 0
     (gradient,) = torch.autograd.grad(image.sum(), normal)
     assert gradient.abs().max() == 0

@@ -5,10 +5,10 @@ import shlex
 from pathlib import Path
 
 import pytest
+from helpers import ROOT
 
 from mitsvbrdf import cli
 
-ROOT = Path(__file__).parents[1]
 SHORTER = [(r"--budget \d+", "--iterations 3"), (r"budget=\d+", "iterations=3"), (r"resolution=\d+", "resolution=32"),
            (r"--megapixels \d+", "--megapixels 0.7")]
 

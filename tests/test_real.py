@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from helpers import ANALYTIC
 
 from mitsvbrdf import cli
 from mitsvbrdf.capture import Capture, guess_diffuse, read_capture
@@ -76,7 +77,7 @@ def test_robust_guess_on_known_materials(data_folder):
     errors = []
     for folder in sorted((data_folder / "materials").iterdir()):
         truth = load_maps(folder).resized(256)
-        photos = (to_display(make_renderer("analytic").render(truth, views)) * 255).round() / 255
+        photos = (to_display(ANALYTIC.render(truth, views)) * 255).round() / 255
         guess = guess_diffuse(Capture(photos, views))
         errors.append(float((encode(guess) - encode(truth["diffuse"])).square().mean().sqrt()))
     assert sum(errors) / len(errors) <= 0.05, errors

@@ -6,12 +6,12 @@ import sys
 import notebooks
 import numpy as np
 import pytest
+from helpers import GRID
 
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.synth.photograph import photograph
 from mitsvbrdf.system import images
-from mitsvbrdf.views import nine_view_grid
 
 TUTORIAL = notebooks.ROOT / "docs/tutorial.ipynb"
 SIDE = 32
@@ -88,7 +88,7 @@ def test_errors_of_the_maps(tutorial):
 
 def test_errors_of_the_photos(tutorial):
     notebook, folder = tutorial
-    photos = photograph(make_material("inlay", SIDE), nine_view_grid(), make_renderer("analytic64"), noise=0.003).photos
+    photos = photograph(make_material("inlay", SIDE), GRID, make_renderer("analytic64"), noise=0.003).photos
     printed = figures(notebook, "photo")
     assert len(printed) == 9
     for (name, error), photo in zip(printed.items(), photos.double().numpy()):

@@ -22,7 +22,6 @@ from ...material.resample import resized
 from ...views import Views, texel_positions
 
 RADIANCE_SIDE, DETAIL_SIDE = 32, 512  # texels a side at which radiance is compared, and at most at which detail is
-# half of it: 0.28 to 0.52, and where its colour is that of the material 0.35 to 0.39
 COLOUR, DARKER = 0.3, 1.4  # of a texel that is unlike the others: sum of differences of chromaticity, log of radiance
 AGREE, DISAGREE = 0.5, 0.3  # correlation of a texel's detail with the median photo's: of the photos in the median; of this one
 SLIGHT_COLOUR, SLIGHT = 0.1, 0.3  # and by how much the texel must be of another colour or brightness besides

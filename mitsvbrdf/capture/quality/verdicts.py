@@ -22,6 +22,7 @@ LEAST_DETAIL = 0.45  # of a whole photo, beside others; simulated ones that are 
 ENOUGH = 256  # pixels of the patch; with fewer the limit falls in proportion: of 128, where it is 0.26, real ones have 0.37
 MOST_STOPS = 1.6  # brighter or darker than the others; 1.2
 UNLIKE, UNLIKE_DETAIL = 0.25, 0.28  # of the patch, in one piece; 0.18 and 0.14, with a highlight on metal 0.21. A finger over
+# half of it: 0.28 to 0.52, and where its colour is that of the material 0.35 to 0.39
 MOST_EVENNESS = 0.8  # of evenness (0: falls off as a flash's light does, 1: even); 0.65. Simulated photos without flash: 0.99
 SAME_PLACE, SAME_PICTURE = 0.05, 0.02  # patch sides, mean difference of display values; 0.135 and 0.035
 SPOILS = ("covered", "blurred", "partly")  # reasons for which positions found with such a photo are not trusted

@@ -1,0 +1,142 @@
+"""The command: interrupted runs go on, data is found, and mistakes are one error."""
+
+import json
+import sys
+
+import pytest
+from helpers import ANALYTIC, GRID, photos_of
+from helpers.bench_records import SETTINGS, record
+
+from mitsvbrdf import cli
+from mitsvbrdf.bench import jobs
+from mitsvbrdf.bench.methods import method_table
+from mitsvbrdf.bench.schema import check_benchmark
+from mitsvbrdf.bench.store import Store
+from mitsvbrdf.bench.tasks import known_material
+from mitsvbrdf.capture import write_capture
+from mitsvbrdf.errors import ConfigError
+from mitsvbrdf.fit import DirectConfig, config
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.map_files import save_maps
+
+TINY = ["bench", "--renderer", "analytic", "--materials", "inlay", "--captures", "none", "--resolution", "16", "--budgets",
+        "0.1,0.2", "--seeds", "0,1"]
+
+
+def test_other_settings_are_refused(tmp_path):
+    store = Store(tmp_path / "b.json", SETTINGS)
+    store.add(record(mean=0.1))
+    assert Store(tmp_path / "b.json", SETTINGS).records == store.records
+    with pytest.raises(ConfigError, match="resolution 16"):
+        Store(tmp_path / "b.json", SETTINGS | {"resolution": 32})
+    assert Store(tmp_path / "b.json", SETTINGS | {"resolution": 32}, overwrite=True).records == []
+    for part, name in (("versions", "mitsuba"), ("machine", "cores"), ("settings", "code")):
+        content = json.loads((tmp_path / "b.json").read_text())
+        content[part][name] = "another"
+        (tmp_path / "c.json").write_text(json.dumps(content))
+        with pytest.raises(ConfigError, match=f"{name} 'another'"):
+            Store(tmp_path / "c.json", SETTINGS)
+
+
+def test_a_changed_variant_is_measured_anew(tmp_path):
+    task = known_material("builtin:inlay", 16, GRID, ANALYTIC)
+    old, new = ({"full": DirectConfig(), "less": DirectConfig(smooth=smooth)} for smooth in (0.0, 0.005))
+    store = Store(tmp_path / "b.json", SETTINGS)
+    for job in jobs.fit_jobs("ablation", old, [task], [0.1], [0, 1], ANALYTIC):
+        store.add(record(job.method, 0.1, job.seed, "inlay", suite="ablation", mean=0.1) | {"config": job.settings})
+    assert store.pending(jobs.fit_jobs("ablation", old, [task], [0.1], [0, 1], ANALYTIC)) == []
+    missing = store.pending(jobs.fit_jobs("ablation", new, [task], [0.1], [0], ANALYTIC))
+    assert [(job.method, job.seed) for job in missing] == [("less", 0)]
+    assert [r["method"] for r in store.records] == ["full", "full"]  # what was measured with the old settings is gone
+
+
+@pytest.fixture
+def out(tmp_path, monkeypatch):
+    monkeypatch.delenv("MITSVBRDF_DATA", raising=False)
+    return tmp_path / "b.json"
+
+
+def test_interrupted_runs_go_on_with_the_same_records(out, monkeypatch, capsys):
+    arguments = [*TINY, "--suite", "methods", "--methods", "direct,peers-baseline", "--json", str(out)]
+    run, count = jobs.FitJob.run, []
+
+    def thrice(job, report):
+        count.append(job.title)
+        if len(count) == 4:
+            raise KeyboardInterrupt
+        return run(job, report)
+
+    monkeypatch.setattr(jobs.FitJob, "run", thrice)
+    assert cli.main(arguments) == 130
+    assert "3 of 8 records are kept" in capsys.readouterr().out
+    first = json.loads(out.read_text())
+    check_benchmark(first, "here")
+    monkeypatch.setattr(jobs.FitJob, "run", run)
+    assert cli.main([*arguments, "--page", str(out.with_suffix(".md"))]) == 0
+    assert "3 of 8 records are in" in capsys.readouterr().out
+    second = check_benchmark(json.loads(out.read_text()), "here")
+    assert second["records"][:3] == first["records"] and len(second["records"]) == 8 and second["seeds"] == [0, 1]
+    # Methods take turns, seed by seed: what drifts hits all.
+    assert [(r["seed"], r["budget"], r["method"]) for r in second["records"]] == [
+        (s, b, m) for s in (0, 1) for b in (0.1, 0.2) for m in ("direct", "peers-baseline")]
+    for r in second["records"]:
+        assert set(r["errors"]) == {"diffuse", "specular", "roughness", "normal", "mean", "novel_light", "photos"}
+    before = out.read_bytes()
+    assert cli.main(arguments) == 0 and "nothing to do" in capsys.readouterr().out and out.read_bytes() == before
+    page = out.with_suffix(".md").read_text()
+    assert "--materials inlay --captures none --methods direct,peers-baseline --budgets 0.1,0.2 --seeds 0,1" in page
+
+
+@pytest.mark.slow
+def test_quick_measures_everything(out, monkeypatch, tmp_path):
+    monkeypatch.setattr(sys.modules["mitsvbrdf.cli.bench"], "QUICK_CASES", {"sizes": (8,), "views": (1,), "samples": ()})
+    monkeypatch.setattr("mitsvbrdf.bench.methods.VARIANTS", {"no neighbours": {"neighbours": False}})
+    for suite in ("ablation", "all"):
+        assert cli.main(["bench", "--quick", "--suite", suite, "--renderer", "analytic", "--resolution", "16", "--budgets",
+                         "0.1", "--repeats", "1", "--json", str(out), "--page", str(tmp_path / "p.md")]) == 0
+    found = check_benchmark(json.loads(out.read_text()), "here")
+    suites = [r["suite"] for r in found["records"]]
+    assert suites.count("renderers") == 2 * (1 + 1) and suites.count("ablation") == 2
+    assert suites.count("methods") == len(method_table(config.CONFIGS))
+    page = (tmp_path / "p.md").read_text()
+    for heading in ("## In short", "## Known materials", "## Renderers", "## Each ingredient off"):
+        assert heading in page
+    assert cli.main(["bench", "--suite", "none", "--json", str(out), "--page", str(tmp_path / "q.md")]) == 0
+    assert (tmp_path / "q.md").read_text() == page.replace("p-", "q-")
+
+
+def test_data_is_found_where_it_is_named(out, monkeypatch, tmp_path):
+    shots = photos_of(make_material("inlay", 16))
+    write_capture(shots, tmp_path / "data/captures/cards-blue")
+    save_maps(make_material("leather", 16), tmp_path / "data/materials/hide")
+    arguments = ["bench", "--suite", "methods", "--methods", "direct", "--renderer", "analytic", "--resolution", "16",
+                 "--budgets", "0.1", "--seeds", "0", "--json", str(out)]
+    assert cli.main([*arguments, "--data", str(tmp_path / "data")]) == 0
+    found = json.loads(out.read_text())
+    made = ["inlay", "tiles", "leather", "plates"]
+    assert [r["name"] for r in found["records"]] == [*made, "hide", "cards-blue"] and found["settings"]["views"] == "cards-blue"
+    monkeypatch.setenv("MITSVBRDF_DATA", str(tmp_path / "data"))
+    assert cli.main([*arguments, "--materials", "hide", "--captures", "cards-blue"]) == 0  # all there already
+    assert json.loads(out.read_text()) == found
+
+
+@pytest.mark.parametrize("extra, words", [
+    (["--methods", "magic"], "hybrid"), (["--budgets", "10,none"], "--budgets"), (["--budgets", "0"], "--budgets"),
+    (["--seeds", "-1"], "--seeds"), (["--seeds", "99999999999"], "seed"), (["--resolution", "4"], "--resolution"),
+    (["--materials", "builtin:gold"], "made material"), (["--materials", "nowhere"], "nowhere"),
+    (["--captures", "nowhere"], "nowhere"), (["--data", "nowhere"], "nowhere"), (["--views", "nowhere"], "nowhere"),
+    (["--materials", "none"], "--materials"), (["--suite", "none"], "--json"), (["--repeats", "0"], "--repeats"),
+    (["--materials", "inlay,builtin:inlay"], "inlay twice"), (["--suite", "capture", "--captures", "all"], "none called all"),
+])
+def test_mistakes_are_one_error(extra, words, out, capsys):
+    assert cli.main([*TINY, "--suite", "methods", "--json", str(out), *extra]) == 2
+    message = capsys.readouterr().err
+    assert message.count("error:") == 1 and words in message
+    assert not out.exists()
+
+
+def test_a_file_that_is_no_benchmark_is_refused_and_kept(out, capsys):
+    for content in ("{", "[]", '{"schema_version": 1}'):
+        out.write_text(content)
+        assert cli.main([*TINY, "--suite", "methods", "--methods", "direct", "--json", str(out)]) == 2
+        assert "--overwrite" in capsys.readouterr().err and out.read_text() == content

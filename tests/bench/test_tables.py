@@ -1,0 +1,66 @@
+"""What is counted and shown, against hand-computed numbers."""
+
+import pytest
+from helpers.bench_records import GIVEN, METHODS, benchmark, record
+
+from mitsvbrdf.bench import summary
+from mitsvbrdf.bench.tables import equal_error, equal_time
+
+TWO = [record("hybrid", b, s, n, mean=e) for b, s, n, e in (
+    (10.0, 0, "a", 0.30), (10.0, 0, "b", 0.10), (10.0, 1, "a", 0.20), (10.0, 1, "b", 0.10), (10.0, 2, "a", 0.50),
+    (10.0, 2, "b", 0.30), (30.0, 0, "a", 0.08), (30.0, 0, "b", 0.04), (30.0, 1, "a", 0.02))]
+
+
+def test_curves_are_medians_over_seeds_of_means_over_materials():
+    ten, thirty = summary.curves(TWO, "mean")["hybrid"]
+    # Seeds: 0.20, 0.15, 0.40; their inclusive quartiles are 0.175 and 0.30.
+    assert (ten.median, ten.low, ten.high, ten.seeds) == pytest.approx((0.20, 0.175, 0.30, 3))
+    # Seed 1 has no record of b at 30 s and does not count.
+    assert (thirty.median, thirty.seeds) == (pytest.approx(0.06), 1)
+    assert [p.median for p in summary.curves(TWO, "mean", ["a"])["hybrid"]] == pytest.approx([0.30, 0.05])
+    assert summary.curves(TWO, "specular") == {}
+
+
+def test_seconds_are_the_loops_own():
+    fits = [record("peers-baseline", 100.0, s, n, seconds=t, mean=0.1) for s, n, t in (
+        (0, "a", 40.0), (0, "b", 44.0), (1, "a", 50.0), (1, "b", 52.0), (2, "a", 10.0), (2, "b", 20.0))]
+    assert summary.curves(fits, "mean")["peers-baseline"][0].seconds == 42.0  # of 42, 51 and 15
+
+
+def test_first_below_and_published_means():
+    points = summary.curves(TWO, "mean")["hybrid"]
+    assert summary.first_below(points, 0.1).budget == 30.0 and summary.first_below(points, 0.3).budget == 10.0
+    assert summary.first_below(points, 0.06) is None
+    given = {"material": {"a": {"X": {"mean": 0.1}, "Y": {"mean": 0.3}}, "b": {"X": {"mean": 0.3}}}}
+    assert summary.published_mean(given, "material", ["a", "b"], "mean") == {"X": pytest.approx(0.2)}
+    assert summary.with_published(given, "material", ["a", "b"], "Y", "mean") == ["a"]
+    assert summary.published_mean({}, "material", ["a"], "mean") == {}
+
+
+def test_differences_are_paired():
+    fits = [record(m, 10.0, s, n, suite="ablation", mean=e) for m, s, n, e in (
+        ("full", 0, "a", 0.10), ("full", 1, "a", 0.20), ("full", 0, "b", 0.50),
+        ("less", 0, "a", 0.11), ("less", 1, "a", 0.25), ("less", 0, "b", 0.49), ("less", 1, "b", 9.0))]
+    found = summary.differences(fits, "mean")["less"][10.0]  # +0.01, +0.05, -0.01; the last has no partner
+    assert (found["median"], found["low"], found["high"]) == pytest.approx((0.01, 0.0, 0.03))
+    assert found["repeats"] == 3
+
+
+def test_tables_show_the_medians_and_mark_the_lowest():
+    table = equal_time(benchmark(METHODS, GIVEN))[0]
+    # hybrid at 30 s: 0.05, 0.055, 0.06 times the mean of 1 and 1.5.
+    cells = {row[0]: row[1:] for row in table.rows}
+    assert table.heads == ["", "10 s", "30 s"] and cells["`hybrid`"][1] == "**0.0688 (0.0656–0.0719)**"
+    assert cells["`direct`"][1].startswith("0.1100") and "MaterialGAN, published" not in cells  # it is known of a alone
+    seen = next(t for t in equal_time(benchmark(METHODS, GIVEN)) if "seen" in t.title)
+    assert ["MaterialGAN, published", "", "0.0100"] in seen.rows
+
+
+def test_equal_error_names_the_shortest_budget():
+    material, capture = equal_error(benchmark(METHODS, GIVEN))
+    # The baseline ends at 0.2 * 1.1 * 1.25 = 0.275; hybrid has 0.1191 after 10 s, direct 0.1905.
+    assert material.heads[1] == "maps, below `peers-baseline` (0.2750)" and material.heads[2].endswith("on a (0.0600)")
+    rows = {row[0]: row[1:] for row in material.rows}
+    assert rows["`hybrid`"][:2] == ["10 s", "30 s"]  # on a alone: 0.055 after 30 s
+    assert rows["`direct`"][:2] == ["10 s", "not in 30 s (best 0.0880)"] and rows["`peers-baseline`"][0] == "–"
+    assert {row[0]: row[2] for row in capture.rows}["`hybrid`"] == "not in 30 s (best 0.0688)"

@@ -1,0 +1,193 @@
+"""Every mistake is one message with exit code 2."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from helpers.commands import FAST, fails
+
+from mitsvbrdf import cli
+from mitsvbrdf.material.map_files import save_maps
+from mitsvbrdf.material.maps import flat
+from mitsvbrdf.system import images
+
+
+@pytest.fixture
+def copy(shots, tmp_path):
+    """A copy of the capture to spoil, its JSON as a dict, and a way to write the JSON back."""
+    folder = tmp_path / "shots"
+    (folder / "target").mkdir(parents=True)
+    for photo in (shots / "target").iterdir():
+        (folder / "target" / photo.name).write_bytes(photo.read_bytes())
+    stated = json.loads((shots / "capture.json").read_text())
+    (folder / "capture.json").write_text(json.dumps(stated))
+    return folder, stated, lambda: (folder / "capture.json").write_text(json.dumps(stated))
+
+
+@pytest.mark.parametrize("place", ["", "maps"])
+@pytest.mark.parametrize("stated", [None, "gamma 2.2", "gamma2.2", "linear"])
+def test_roughness_is_counted_as_the_reference_stores_it(place, stated, tmp_path):
+    # 8-bit 128 is r = 0.2195 under gamma 2.2 and 0.502 as it is; against r = 0.5 stored values differ by the same 0.2278 or 0.
+    folder = tmp_path / "reference" / place
+    folder.mkdir(parents=True)
+    for name in ("diffuse", "specular", "roughness"):
+        cv2.imwrite(str(folder / f"{name}.png"), np.full((8, 8, 3), 128, np.uint8))
+    cv2.imwrite(str(folder / "normal.png"), np.full((8, 8, 3), (255, 128, 128), np.uint8))
+    if stated:
+        (folder / "material.json").write_text(json.dumps({"encoding": {"roughness": stated}}))
+    save_maps(flat(8, roughness=0.5), tmp_path / "mine")
+    figures = tmp_path / "e.json"
+    mine, reference = str(tmp_path / "mine"), str(tmp_path / "reference")
+    assert cli.main(["evaluate", mine, "--reference", reference, "--json", str(figures)]) == 0
+    expected = abs(128 / 255 - (0.5 if stated == "linear" else 0.5 ** (1 / 2.2)))
+    assert json.loads(figures.read_text())["roughness"] == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.parametrize("text", ['{"bsdf": "gold"}', '{"bsdf": ["x"]}', '{"encoding": {"diffuse": 5}}', "[]", "{"])
+def test_bad_material_json(text, tmp_path, capsys):
+    save_maps(flat(8), tmp_path / "maps")
+    (tmp_path / "maps/material.json").write_text(text)
+    fails(capsys, tmp_path, ["render", tmp_path / "maps", "-o", tmp_path / "out"], "material.json")
+
+
+@pytest.mark.parametrize("text", ["[1]", '{"views": []}', "{"])
+def test_bad_fit_json(text, shots, tmp_path, capsys):
+    save_maps(flat(8), tmp_path / "maps")
+    (tmp_path / "fit.json").write_text(text)
+    fails(capsys, tmp_path, ["evaluate", tmp_path / "maps", "--capture", shots, "--renderer", "analytic"], "fit.json")
+
+
+def spoil_text(folder, stated):
+    (folder / "target/04.png").unlink()
+    (folder / "target/04.jpg").write_text("this is text")
+
+
+def spoil_sizes(folder, stated):
+    cv2.imwrite(str(folder / "target/03.png"), np.zeros((40, 40, 3), np.uint8))
+
+
+def spoil_rows(folder, stated):
+    stated["camera_pos"], stated["light_pos"] = stated["camera_pos"][:8], stated["light_pos"][:8]
+
+
+def spoil_nan(folder, stated):
+    stated["camera_pos"][5][1] = float("nan")
+
+
+def spoil_below(folder, stated):
+    stated["camera_pos"][2][2] = -3.0
+
+
+def spoil_photos(folder, stated):
+    for photo in (folder / "target").iterdir():
+        photo.unlink()
+
+
+def spoil_shape(folder, stated):
+    for photo in (folder / "target").iterdir():
+        cv2.imwrite(str(photo), np.zeros((48, 64, 3), np.uint8))
+
+
+def spoil_pixel(folder, stated):
+    for photo in (folder / "target").iterdir():
+        cv2.imwrite(str(photo), np.zeros((1, 1, 3), np.uint8))
+
+
+@pytest.mark.parametrize("spoil, words", [
+    (spoil_photos, ["00"]), (spoil_text, ["04.jpg"]), (spoil_sizes, ["03.png"]), (spoil_rows, ["8", "9"]),
+    (spoil_nan, ["camera 5"]), (spoil_below, ["camera 2", "above"]), (spoil_shape, ["square"]), (spoil_pixel, ["1 x 1"]),
+])
+def test_bad_captures(copy, spoil, words, tmp_path, capsys):
+    folder, stated, write = copy
+    spoil(folder, stated)
+    write()
+    fails(capsys, tmp_path, ["fit", folder, "-o", tmp_path / "out", *FAST], *words)
+
+
+def test_no_photos_at_all(tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    fails(capsys, tmp_path, ["fit", tmp_path / "empty", "-o", tmp_path / "out", *FAST], "photos")
+    fails(capsys, tmp_path, ["fit", tmp_path / "nowhere", "-o", tmp_path / "out", *FAST], "nowhere")
+
+
+def test_bad_maps(tmp_path, capsys):
+    save_maps(flat(8), tmp_path / "maps")
+    spoiled = torch.full((8, 8, 3), 0.5)
+    spoiled[2, 3, 1] = float("nan")
+    images.write_exr(tmp_path / "maps/diffuse.exr", spoiled)
+    fails(capsys, tmp_path, ["render", tmp_path / "maps", "-o", tmp_path / "out"], "NaN", "diffuse")
+    fails(capsys, tmp_path, ["evaluate", tmp_path / "maps", "--reference", "builtin:tiles"], "NaN")
+    (tmp_path / "maps/normal.exr").unlink()
+    (tmp_path / "maps/normal.png").unlink()
+    (tmp_path / "maps/diffuse.exr").unlink()
+    fails(capsys, tmp_path, ["render", tmp_path / "maps", "-o", tmp_path / "out"], "normal")
+
+
+@pytest.mark.parametrize("wrong, word", [
+    (["--views", "0,1,77"], "77"), (["--views", "0,0,1"], "once"), (["--seed", "99999999999999"], "seed"),
+    (["--views", "one"], "one"), (["--resolution", "2"], "2"),
+    (["--iterations", "0"], "iterations"), (["--budget", "-5"], "budget"), (["--learning-rate", "-1"], "learning_rate"),
+])
+def test_bad_options(shots, wrong, word, tmp_path, capsys):
+    command = ["fit", shots, "-o", tmp_path / "out", "--method", "direct", "--renderer", "analytic", *wrong]
+    fails(capsys, tmp_path, command, word)
+
+
+def test_noise_that_is_no_number(tmp_path, capsys):
+    for noise in ("nan", "inf", "-1"):
+        fails(capsys, tmp_path, ["synth", "builtin:tiles", "-o", tmp_path / "out", "--noise", noise], "noise")
+
+
+def test_names_the_system_refuses(shots, tmp_path, capsys):
+    fails(capsys, tmp_path, ["fit", shots, "-o", tmp_path / ("n" * 300), *FAST], "nnn")
+    fails(capsys, tmp_path, ["fit", tmp_path / ("n" * 300), "-o", tmp_path / "out", *FAST], "nnn")
+    fails(capsys, tmp_path, ["fit", shots, "-o", tmp_path / "out", *FAST, "--fix", "diffuse=" + "n" * 300], "diffuse", "nnn")
+
+
+def test_unknown_builtin_and_neither_reference_nor_capture(tmp_path, capsys):
+    fails(capsys, tmp_path, ["render", "builtin:gold", "-o", tmp_path / "out"], "gold")
+    fails(capsys, tmp_path, ["evaluate", "builtin:tiles"], "--reference")
+
+
+def test_output_that_cannot_be_written(shots, tmp_path, capsys):
+    (tmp_path / "file").write_text("x")
+    fails(capsys, tmp_path, ["fit", shots, "-o", tmp_path / "file", *FAST], "file")
+    fails(capsys, tmp_path, ["fit", shots, "-o", tmp_path / "file/out", *FAST], "file")
+    if Path("/dev/full").exists() and Path("/proc/1").exists():
+        fails(capsys, tmp_path, ["fit", shots, "-o", "/proc/out", *FAST], "/proc/out")
+
+
+def test_without_libllvm_the_analytic_renderer_still_works(shots, tmp_path):
+    # A process of its own: Dr.Jit's library is chosen once per process.
+    broken = tmp_path / "libLLVM-19.so"
+    broken.write_text("no library")
+    environment = os.environ | {"DRJIT_LIBLLVM_PATH": str(broken)}
+
+    def run(*arguments):
+        return subprocess.run([sys.executable, "-m", "mitsvbrdf", *map(str, arguments)], env=environment,
+                              capture_output=True, text=True)
+
+    refused = run("fit", shots, "-o", tmp_path / "a", "--iterations", "2")
+    assert refused.returncode == 2 and "libLLVM" in refused.stderr and "Traceback" not in refused.stderr
+    assert not (tmp_path / "a").exists() and not (tmp_path / "a.partial").exists()
+    assert run("fit", shots, "-o", tmp_path / "b", *FAST).returncode == 0
+
+
+@pytest.mark.parametrize("command", [
+    ["crosscheck", "--json"], ["crosscheck", "--html"], ["leave-out", "--json"], ["leave-out", "--md"], ["stability", "--json"],
+    ["stability", "--html"], ["stability", "--md"], ["evaluate", "builtin:tiles", "--reference", "builtin:tiles", "--json"]])
+def test_bad_outputs_are_found_before_the_work(command, tmp_path, monkeypatch, capsys):
+    for name in ("crosscheck.crosscheck", "leave_out.measure_leave_out", "stability.stability"):
+        monkeypatch.setattr(f"mitsvbrdf.verify.{name}", lambda *_, **__: pytest.fail("worked first"))
+    monkeypatch.setattr("mitsvbrdf.material.made.make_material", lambda *_: pytest.fail("worked first"))
+    (tmp_path / "file").write_text("mine")
+    fails(capsys, tmp_path, [*command, tmp_path], "a file to write")
+    fails(capsys, tmp_path, [*command, tmp_path / "file/record"], "file/record")
+    if command[:2] == ["stability", "--md"]:
+        fails(capsys, tmp_path, [*command, tmp_path / "file"], "without them")

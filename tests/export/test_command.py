@@ -1,0 +1,85 @@
+"""The command that exports, and its mistakes."""
+
+import json
+from xml.etree import ElementTree
+
+import pytest
+from helpers.exported import stated
+
+from mitsvbrdf import cli
+from mitsvbrdf.errors import ConfigError
+from mitsvbrdf.export import export_material
+from mitsvbrdf.material.conversion import as_principled
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.map_files import save_maps
+from mitsvbrdf.material.maps import flat
+
+
+def test_a_principled_material_loses_nothing(tmp_path):
+    maps = as_principled(make_material("plates", 8))
+    assert as_principled(maps) is maps
+    for written in export_material(maps, tmp_path).values():
+        assert not written.conversion
+
+
+def test_export_command(tmp_path, capsys):
+    save_maps(make_material("plates", 16), tmp_path / "brick/maps")
+    assert cli.main(["export", str(tmp_path / "brick"), "--to", "gltf,maps", "--naming", "polyhaven", "--normal", "dx"]) == 0
+    said = capsys.readouterr().out
+    folder = tmp_path / "brick/export"
+    assert (folder / "gltf/material.glb").is_file() and (folder / "maps/brick_nor_dx.png").is_file()
+    assert sorted(path.name for path in folder.iterdir()) == [".mitsvbrdf", "gltf", "maps"]
+    lost = stated(folder / "maps")["conversion_rmse"]["base colour and metallic"]
+    assert f"diffuse {lost['diffuse']:.4f}, specular {lost['specular']:.4f}" in said and lost["specular"] > 0
+    assert cli.main(["export", "builtin:tiles", "-o", str(tmp_path / "all")]) == 0
+    assert {path.parent.name for path in (tmp_path / "all").glob("*/export.json")} == {
+        "gltf", "materialx", "usd", "mitsuba", "maps"}
+
+
+def test_the_scene_shows_the_first_photo_of_the_fit(tmp_path):
+    save_maps(flat(8), tmp_path / "maps")
+    views = {"size": 2.0, "falloff": "none", "camera": [[0.5, 0.25, 4.0]], "light": [[0.5, 0.0, 4.0]], "intensity": [[8, 8, 8]]}
+    fit = {"flash_offset": None, "views": views, "capture": {"transfer": "srgb", "name": "x", "photos": [2]}}
+    (tmp_path / "fit.json").write_text(json.dumps(fit))
+    assert cli.main(["export", str(tmp_path), "--to", "mitsuba"]) == 0
+    root = ElementTree.parse(tmp_path / "export/mitsuba/scene.xml").getroot()
+    found = {entry.get("name"): entry.get("value") for entry in root.iter("default")}
+    in_sides = {"camera_x": 0.25, "camera_y": 0.125, "camera_z": 2.0, "light_x": 0.25, "light_y": 0.0, "light_z": 2.0}
+    assert {name: float(found[name]) for name in in_sides} == in_sides and found["intensity"] == "2.0, 2.0, 2.0"
+
+
+def test_export_is_replaced_when_asked_only(tmp_path, capsys):
+    save_maps(flat(8), tmp_path / "m")
+    command = ["export", str(tmp_path / "m"), "--to", "gltf", "-o", str(tmp_path / "out")]
+    assert cli.main(command) == 0
+    assert cli.main(command) == 2 and "--overwrite" in capsys.readouterr().err
+    assert cli.main([*command, "--overwrite", "--to", "usd"]) == 0
+    assert not (tmp_path / "out/gltf").exists() and (tmp_path / "out/usd/material.usda").is_file()
+
+
+@pytest.mark.parametrize("arguments, word", [
+    (["--to", "gltf,obj"], "obj"), (["--to", ""], "gltf"), (["--to", "gltf", "--naming", "polyhaven"], "maps"),
+    (["--to", "usd", "--normal", "dx"], "maps"), (["-o", "m"], "folder of its own"), (["-o", "m/maps"], "folder of its own")])
+def test_mistakes_of_the_caller(arguments, word, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    save_maps(flat(8), tmp_path / "m/maps")
+    before = sorted(tmp_path.rglob("*"))
+    assert cli.main(["export", "m", "--overwrite", *arguments]) == 2
+    message = capsys.readouterr().err
+    assert message.count("error:") == 1 and word in message
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_maps_that_cannot_be_read(tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    for maps, word in (("nowhere", "no folder"), ("empty", "none in")):
+        assert cli.main(["export", str(tmp_path / maps)]) == 2 and word in capsys.readouterr().err
+    assert cli.main(["export", "builtin:tiles"]) == 2 and "-o" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [tmp_path / "empty"] and not list((tmp_path / "empty").iterdir())
+
+
+@pytest.mark.parametrize("wrong", [{"naming": "unity"}, {"normal": "vulkan"}, {"bits": 12}, {"to": ["obj"]}, {"to": []}])
+def test_mistakes_in_python(wrong, tmp_path):
+    with pytest.raises(ConfigError, match="expected"):
+        export_material(flat(4), tmp_path / "out", **wrong)
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,104 @@
+"""Maps for other programs, read back."""
+
+import json
+import re
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from helpers.exported import decoded, stated
+
+from mitsvbrdf.export import export_material
+from mitsvbrdf.export.maps import FILE_NAMES
+from mitsvbrdf.material.conversion import as_principled
+from mitsvbrdf.material.map_files import load_maps
+from mitsvbrdf.material.maps import SVBRDF, flat
+from mitsvbrdf.render.analytic import AnalyticRenderer
+from mitsvbrdf.views import Views
+
+
+@pytest.mark.parametrize("normal", ["gl", "dx"])
+@pytest.mark.parametrize("bits", [8, 16])
+@pytest.mark.parametrize("naming", FILE_NAMES)
+def test_maps_are_what_export_json_says(material, naming, bits, normal, tmp_path):
+    export_material(material, tmp_path, ["maps"], "Old brick!", naming, normal, bits)
+    folder, said = tmp_path / "maps", stated(tmp_path / "maps")
+    there = {path.name for path in folder.iterdir()}
+    assert there - {"material.json"} == {texture["file"] for texture in said["textures"]} | {"export.json"}
+    for texture in said["textures"]:
+        name, pixels = texture["holds"], cv2.imread(str(folder / texture["file"]), cv2.IMREAD_UNCHANGED)
+        assert pixels.dtype == {8: np.uint8, 16: np.uint16}[texture["bits"]] and texture["bits"] == bits
+        assert texture["colour_space"] == ("sRGB" if name in ("diffuse", "specular", "base_color") else "linear")
+        found, wanted = decoded(folder / texture["file"], texture["colour_space"]), (
+            as_principled(material) if name in ("base_color", "metallic") else material.as_roughconductor())[name].numpy()
+        if name == "normal":
+            assert ("DirectX" if normal == "dx" else "OpenGL") in texture["normal"]
+            found, wanted = found * 2 - 1, wanted * ([1, -1, 1] if normal == "dx" else [1, 1, 1])
+        # The steepest the decoding gets is 2.3 (sRGB at 1); (n + 1) / 2 doubles a step.
+        assert np.abs(found - wanted).max() < 2.3 * 0.5 / (2**bits - 1) + 1e-6
+
+
+def test_names_are_those_of_the_libraries(tmp_path):
+    names = {
+        "polyhaven": {"Old_brick_diff", "Old_brick_metal", "Old_brick_rough", "Old_brick_nor_gl"},
+        "ambientcg": {"Old_brick_Color", "Old_brick_Metalness", "Old_brick_Roughness", "Old_brick_NormalGL"},
+        "substance": {"Old_brick_BaseColor", "Old_brick_Metallic", "Old_brick_Roughness", "Old_brick_Normal_OpenGL"},
+        "materialgan": {"dif", "spe", "rgh", "nom"},
+        "own": {"diffuse", "specular", "base_color", "metallic", "roughness", "normal"}}
+    for naming, expected in names.items():
+        export_material(flat(4), tmp_path / naming, ["maps"], "Old brick!", naming)
+        assert {path.stem for path in (tmp_path / naming / "maps").glob("*.png")} == expected
+        assert len(json.loads((tmp_path / naming / "maps/export.json").read_text())["files"]) == len(expected)
+
+
+# What Blender's Node Wrangler takes a file for, by the words of its name.
+BLENDER_WORDS = {"base_color": {"diffuse", "diff", "albedo", "base", "col", "color", "basecolor"},
+                 "metallic": {"metallic", "metalness", "metal", "mtl"}, "roughness": {"roughness", "rough", "rgh"},
+                 "normal": {"normal", "nor", "nrm", "nrml", "norm"}}
+
+
+@pytest.mark.parametrize("naming", ["polyhaven", "ambientcg", "substance"])
+def test_blender_knows_the_files_by_their_names(naming, tmp_path):
+    export_material(flat(4), tmp_path, ["maps"], "brick", naming)
+    for texture in stated(tmp_path / "maps")["textures"]:
+        words = {word.lower() for word in re.findall("[A-Z]?[a-z]+|[A-Z]+", texture["file"].removesuffix(".png"))}
+        meanings = {meaning for meaning, known in BLENDER_WORDS.items() if words & known}
+        assert meanings == {texture["holds"].split()[0]}, texture["file"]
+
+
+@pytest.mark.parametrize("naming", ["own", "materialgan"])
+def test_exported_maps_are_read_again(material, naming, tmp_path):
+    export_material(material, tmp_path, ["maps"], naming=naming)
+    found = load_maps(tmp_path / "maps")
+    wanted = material if naming == "own" else material.as_roughconductor()
+    assert found.bsdf == wanted.bsdf
+    for name, value in wanted.maps.items():
+        assert (found[name] - value).abs().max() < 3e-5  # steps of 16 bits
+
+
+def test_directx_normals_are_opengl_normals_with_green_turned_around(tmp_path):
+    """A bump lit from above is bright on its upper side; read in the wrong convention it is a dent."""
+    step = (torch.arange(32) + 0.5) / 32 - 0.5
+    y, x = torch.meshgrid(-step, step, indexing="ij")
+    height = 0.1 * torch.exp(-(x**2 + y**2) / 0.02)
+    slopes = torch.stack((x, y), dim=-1) * (height / 0.01)[..., None]  # minus the gradient of the height
+    normal = torch.nn.functional.normalize(torch.cat((slopes, torch.ones(32, 32, 1)), dim=-1), dim=-1)
+    maps = flat(32, diffuse=0.6, specular=0.02, roughness=0.8)
+    maps = SVBRDF("roughconductor", dict(maps.maps) | {"normal": normal})
+    lamp = Views.of([[0.0, 0.0, 3.0]], light=[[0.0, 40.0, 40.0]], intensity=1e4)  # far away: all texels see it alike
+
+    def shown(normal):
+        decoded_maps = dict(maps.maps) | {"normal": torch.nn.functional.normalize(torch.from_numpy(normal), dim=-1)}
+        return AnalyticRenderer(torch.float64).render(SVBRDF("roughconductor", decoded_maps), lamp)[0].mean(dim=-1)
+
+    found = {}
+    for convention, file in (("gl", "normal.png"), ("dx", "normal_dx.png")):
+        export_material(maps, tmp_path / convention, ["maps"], normal=convention)
+        found[convention] = decoded(tmp_path / convention / "maps" / file, "linear") * 2 - 1
+    above, below = slice(8, 16), slice(16, 24)  # rows on the two sides of the top of the bump
+    right, wrong = shown(found["gl"]), shown(found["dx"])
+    assert right[above, 8:24].mean() > 1.3 * right[below, 8:24].mean()  # measured 1.47 times
+    assert wrong[above, 8:24].mean() < wrong[below, 8:24].mean() / 1.3
+    turned = shown(found["dx"] * [1, -1, 1])
+    assert (turned - right).abs().max() < 1e-4 * right.max()  # one step of 16 bits

@@ -1,0 +1,36 @@
+"""Materials for the live viewer."""
+
+from __future__ import annotations
+
+from contextlib import contextmanager
+
+import cv2
+import numpy as np
+import torch
+from browser import opened
+
+from mitsvbrdf.material.maps import SVBRDF
+from mitsvbrdf.pages.page import page_text
+from mitsvbrdf.report.viewer import viewer_html
+
+
+def changed(svbrdf: SVBRDF, **maps) -> SVBRDF:
+    return SVBRDF(svbrdf.bsdf, dict(svbrdf.maps) | {name: torch.as_tensor(value).expand_as(svbrdf[name]).clone()
+                                                    for name, value in maps.items()})
+
+
+@contextmanager
+def shown(svbrdf: SVBRDF, folder, width: int = 420, **window):
+    """The viewer in a page like ours, drawn once; a small window is a small canvas, which software draws soon."""
+    file = folder / "viewer.html"
+    file.write_text(page_text("pages/base.html", title="A material").replace("</body>", viewer_html(svbrdf) + "</body>"))
+    with opened(file, width=width, **window) as page:
+        assert page.evaluate("mitsvbrdfViewer.ready") is True
+        yield page
+
+
+def canvas_picture(page) -> np.ndarray:
+    """What the window shows of the canvas, RGB bytes, after it has come to rest."""
+    page.wait_for_timeout(700)
+    data = np.frombuffer(page.locator("canvas").screenshot(), np.uint8)
+    return cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1].astype(int)

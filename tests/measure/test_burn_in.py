@@ -1,0 +1,109 @@
+"""Burn-in against closed forms, maps of known share and a published map."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+import torch
+from helpers import GRID
+
+from mitsvbrdf import cli
+from mitsvbrdf.capture import read_capture
+from mitsvbrdf.fit.record import fit_of
+from mitsvbrdf.material.map_files import load_maps
+from mitsvbrdf.material.maps import SVBRDF, flat
+from mitsvbrdf.measure.burn_in import burn_in, explained_share
+from mitsvbrdf.views import Views, coverage_angle
+
+
+def test_angle_below_a_co_located_view():
+    # The half vector points at the camera: tan of the angle is distance on the patch over height.
+    x, y = 0.3, -0.2
+    angle = coverage_angle(Views.of([[x, y, 1.5]]), 16)
+    step = (np.arange(16) + 0.5) / 16 - 0.5
+    wanted = np.arctan(np.hypot(step[None, :] - x, -step[:, None] - y) / 1.5)
+    assert np.abs(angle.numpy() - wanted).max() < 1e-14
+
+
+def test_angle_is_that_of_the_nearest_half_vector():
+    # In the unit of the views, with light and camera apart; by arc cosines, photo by photo.
+    generator = np.random.default_rng(0)
+    camera, light = (generator.uniform((-1, -1, 3), (1, 1, 6), (5, 3)) for _ in range(2))
+    angle = coverage_angle(Views.of(camera, light, size=2.0), 8)
+    for row, column in ((0, 0), (3, 6), (7, 2)):
+        point = np.array([((column + 0.5) / 8 - 0.5) * 2, (0.5 - (row + 0.5) / 8) * 2, 0])
+        wanted = math.inf
+        for eye, lamp in zip(camera, light):
+            h = (eye - point) / np.linalg.norm(eye - point) + (lamp - point) / np.linalg.norm(lamp - point)
+            wanted = min(wanted, math.acos(h[2] / np.linalg.norm(h)))
+        assert float(angle[row, column]) == pytest.approx(wanted, rel=1e-12)
+
+
+@pytest.mark.parametrize("shape, wanted", [
+    (lambda x: 3 - 2 * x + x**3, 1.0),
+    (lambda x: x.abs(), 15 / 16),  # Legendre series of |x|: (5/2) (1/4)^2 of the variance 1/6 are in P2, none in P1 and P3
+    (lambda x: (5 * x**4 - 1) / 4, 1 - (128 / 11025) / (32 / 225)),  # of x^4 what P4, 8/35 of it, leaves out; any scale
+])
+def test_share_of_a_curve(shape, wanted):
+    # 20,000 midpoints in place of the integrals: an error of their square.
+    x = (torch.arange(20000, dtype=torch.float64) + 0.5) / 10000 - 1
+    assert explained_share(shape(x), x) == pytest.approx(wanted, abs=1e-7)
+    assert explained_share(shape(x).reshape(100, 200), 1e-3 * x.reshape(100, 200) + 0.3) == pytest.approx(wanted, abs=1e-7)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.25, 0.9])
+@pytest.mark.parametrize("name", ["roughness", "specular"])
+def test_maps_of_a_known_share(name, share):
+    # A cubic of the angle plus noise without any cubic in it; float32 maps and the encoding of specular leave 1e-6.
+    angle = coverage_angle(GRID, 64).flatten()
+    powers = torch.stack([angle**k for k in range(4)], dim=1)
+    noise = torch.randn(64 * 64, 1, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    noise = noise - powers @ torch.linalg.lstsq(powers, noise).solution
+    burnt = (powers @ torch.tensor([[0.0], [1.0], [-3.0], [20.0]], dtype=torch.float64)) if share else noise
+    mixed = math.sqrt(share) * (burnt - burnt.mean()) / burnt.std() + math.sqrt(1 - share) * noise / noise.std()
+    shown = (0.4 + 0.04 * mixed).reshape(64, 64, 1)
+    maps = dict(flat(64).maps) | {name: (shown**2.2).expand(64, 64, 3) if name == "specular" else shown}
+    found = burn_in(SVBRDF("roughconductor", maps).to(torch.float32), GRID)
+    assert found == pytest.approx({"specular": 0, "roughness": 0} | {name: share}, abs=1e-5)
+
+
+def test_noise_has_next_to_none():
+    # n texels of noise, 3 powers: a beta variable of mean 3 / (n - 1) and deviation 0.8 of that; the mean of twenty, 18 %.
+    generator = torch.Generator().manual_seed(0)
+    angle = coverage_angle(GRID, 48)
+    found = [explained_share(torch.rand(48, 48, generator=generator), angle) for _ in range(20)]
+    assert sum(found) / 20 == pytest.approx(3 / (48**2 - 1), rel=0.6)
+
+
+def test_constant_maps_and_angles_have_none():
+    assert burn_in(flat(32, roughness=0.3, specular=0.07), GRID) == {"specular": 0.0, "roughness": 0.0}
+    assert burn_in(flat(32, "principled", base_color=0.3, metallic=0.7), GRID) == {"specular": 0.0, "roughness": 0.0}
+    assert explained_share(torch.rand(9, 9), torch.full((9, 9), 0.2)) == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize("name, wanted", [("wood-bamboo", 0.670), ("cards-blue", 0.015), ("bathroomtile1", 0.013)])
+def test_published_maps(name, wanted, data_folder):
+    # MaterialGAN's roughness as its files store it, at 128 px: 0.6697, 0.0146, 0.0132.
+    folder = data_folder / "captures" / name
+    published = load_maps(folder / "materialgan", encoding="linear").resized(128)
+    assert burn_in(published, read_capture(folder, resolution=16).views)["roughness"] == pytest.approx(wanted, abs=1e-3)
+
+
+def test_evaluate_looks_at_the_photos_of_the_fit(tmp_path):
+    shots, out, figures = (str(tmp_path / name) for name in ("shots", "out", "e.json"))
+    assert cli.main(["synth", "builtin:inlay", "-o", shots, "--resolution", "32"]) == 0
+    fast = ["--method", "direct", "--renderer", "analytic", "--iterations", "20", "--resolution", "32"]
+    assert cli.main(["fit", shots, "-o", out, *fast, "--views", "0,1,3,8"]) == 0
+    record = json.loads((tmp_path / "out/fit.json").read_text())["burn_in"]
+    assert set(record) == {"specular", "roughness"} and record["roughness"] > 1e-3
+    assert torch.equal(fit_of(out).views.camera, read_capture(tmp_path / "shots").views.camera[[0, 1, 3, 8]])
+    arguments = ["--capture", shots, "--views", "4,7", "--renderer", "analytic", "--json", figures]
+    assert cli.main(["evaluate", out, *arguments]) == 0
+    # From the files: EXR keeps the maps' float32.
+    assert json.loads((tmp_path / "e.json").read_text())["burn_in"] == pytest.approx(record, rel=1e-4)
+    (tmp_path / "out/fit.json").unlink()
+    assert cli.main(["evaluate", out, *arguments]) == 0
+    found = json.loads((tmp_path / "e.json").read_text())["burn_in"]
+    assert found == burn_in(load_maps(out), read_capture(tmp_path / "shots").views.pick([4, 7]))
+    assert found["roughness"] != pytest.approx(record["roughness"], rel=1e-2)

@@ -1,0 +1,29 @@
+"""Curves lie where their numbers say."""
+
+import math
+
+import pytest
+
+from mitsvbrdf.pages.curves import curves
+
+
+def test_curves_are_logarithmic():
+    trace = [{"seconds": 0.0, "a": 5.0}, {"seconds": 0.1, "a": 100.0, "b": 0.0}, {"seconds": 1.0, "a": 10.0},
+             {"seconds": 10.0, "a": 1.0, "b": math.nan}]
+    drawn = curves(trace, ["a", "b"])
+    (line,) = drawn["lines"]
+    x, y = ([point[k] for point in line["points"]] for k in (0, 1))
+    assert line["name"] == "a" and len(x) == 3 and x[0] < x[1] < x[2] and y[0] < y[1] < y[2]  # down the page is less
+    assert x[1] - x[0] == pytest.approx(x[2] - x[1], abs=0.2) and y[1] - y[0] == pytest.approx(y[2] - y[1], abs=0.2)
+    assert [label for _, label in drawn["x"]] == ["0.1", "1", "10"]
+    assert [place for place, _ in drawn["x"]] == x and [place for place, _ in drawn["y"]] == y[::-1]
+    left, top, right, bottom = drawn["frame"]
+    assert all(left <= place <= right for place in x) and all(top <= place <= bottom for place in y)
+    assert curves(trace[:1], ["a"]) is None and curves([], ["a"]) is None
+    flat = curves([{"seconds": 2.0, "a": 3.0}], ["a"])  # one point is an axis too
+    assert len(flat["x"]) > 2 and flat["lines"][0]["points"][0][2:] == (2.0, 3.0)
+    narrow = curves([{"seconds": 1.0, "a": 0.0202}, {"seconds": 9.0, "a": 0.0313}], ["a"])
+    assert [label for _, label in narrow["y"]] == ["0.02", "0.022", "0.024", "0.026", "0.028", "0.03", "0.032"]
+    long = [{"seconds": k + 1.0, "a": 1.0 / (k + 1)} for k in range(20_000)]
+    points = curves(long, ["a"])["lines"][0]["points"]
+    assert len(points) <= 1001 and points[-1][2] == 20_000

@@ -1,0 +1,36 @@
+"""Curves of the error, and the check of novel pictures."""
+
+import torch
+
+from mitsvbrdf.cli.relight import relight
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.map_files import save_maps
+from mitsvbrdf.relight.check import check_novel
+from mitsvbrdf.relight.curve import error_curve
+from mitsvbrdf.render.analytic import AnalyticRenderer
+from mitsvbrdf.render.needs import Needs
+
+
+def test_error_curve_shows_target_and_frames(tmp_path):
+    curve = [{"seconds": 0.5 * 2**k, "samples": 2**k, "error": 0.1 / 2 ** (k / 2)} for k in range(6)]
+    error_curve(tmp_path / "a.svg", [curve, curve[1:]], 0.02, "two")
+    text = (tmp_path / "a.svg").read_text()
+    assert "target 0.02" in text and "2 frames" in text and "seconds</text>" in text and "two" in text
+    error_curve(tmp_path / "b.svg", [curve, curve[1:]], 0.02, "two")
+    assert (tmp_path / "b.svg").read_bytes() == (tmp_path / "a.svg").read_bytes()
+    error_curve(tmp_path / "empty.svg", [[]])
+    assert "<svg" in (tmp_path / "empty.svg").read_text()
+
+
+def test_novel_is_the_analytic_picture_and_has_real_fresnel(mi):
+    material = make_material("leather", 32)
+    assert check_novel(mi, material).passed
+    assert check_novel(mi, material, frame=2, frames=5, seed=50).passed
+    constant = check_novel(mi, material, reference=AnalyticRenderer(torch.float64, Needs(fresnel_curve=False)))
+    assert not constant.passed and float(constant.bias.abs().max()) > 20  # 60 seen: F0 everywhere is told apart
+
+
+def test_check_says_what_it_found(tmp_path, capsys):
+    save_maps(make_material("inlay", 24), tmp_path)
+    assert relight(str(tmp_path), check=True) == 0
+    assert "the same but for noise" in capsys.readouterr().out

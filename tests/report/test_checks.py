@@ -1,0 +1,92 @@
+"""What a page says of the renderers is what they are measured to be."""
+
+import json
+import re
+
+import pytest
+import torch
+from helpers import ANALYTIC, GRID
+from helpers.fit_pages import SIDE, Page
+
+from mitsvbrdf import cli
+from mitsvbrdf.fit.record import fit_of
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.map_files import load_maps
+from mitsvbrdf.material.maps import SVBRDF
+from mitsvbrdf.measure.gradients import fixed_cotangent
+from mitsvbrdf.pages.page import figure
+from mitsvbrdf.render import make_renderer
+from mitsvbrdf.report.checks import fit_report
+
+
+def test_the_quick_check_is_the_error_of_the_fits_renderer(fitted):
+    record, svbrdf = json.loads((fitted / "report.json").read_text()), load_maps(fitted)
+    check = record["crosscheck"]
+    views = fit_of(fitted).views.pick([0, 1])
+    exact, found = ({}, {})
+    for into, name, dtype in ((exact, "analytic64", torch.float64), (found, "analytic", torch.float32)):
+        maps = {n: t.to(dtype).clone().requires_grad_() for n, t in svbrdf.maps.items()}
+        into["image"] = make_renderer(name).render(SVBRDF(svbrdf.bsdf, maps), views)
+        into["image"].backward(fixed_cotangent(into["image"].shape).to(dtype))
+        into |= {n: t.grad.double() for n, t in maps.items()}
+    image, truth = (part["image"].detach().double() for part in (found, exact))
+    errors = (image - truth).abs() / truth.clamp_min(1e-3 * truth.mean())
+    (row,) = check["rows"]
+    assert check["views"] == ["00", "01"] and check["resolution"] == SIDE and row["renderer"] == "analytic"
+    # The same images; of the gradients the row of a renderer without gradients for the image may differ by a rounding.
+    assert row["image"]["mean"] == pytest.approx(float(errors.mean()), rel=0.02)
+    for name, figures in row["gradients"].items():
+        relative = float((found[name] - exact[name]).norm() / exact[name].norm())
+        assert figures["relative_l2"] == pytest.approx(relative, rel=0.02)
+    assert check["violations"] == []
+
+
+def test_all_renderers_are_checked_and_what_was_saved_is_timed(measured):
+    _, fit, record, page = measured
+    assert not record["quick"] and record["crosscheck"]["views"] == list(fit["per_photo"])
+    assert {row["renderer"] for row in record["crosscheck"]["rows"]} == {"analytic", "mitsuba", "mitsuba-scene"}
+    for row in record["crosscheck"]["rows"]:
+        errors = [row["image"][name] for name in ("mean", "p99.9", "worst")]
+        cells = page.row(row["renderer"])
+        assert cells[:7] == [figure(e) for e in (*errors, *(g["relative_l2"] for g in row["gradients"].values()))]
+        assert len(cells) == 9 and all(re.fullmatch(r"[\d.e-]+ m?s", cell) for cell in cells[7:])
+    assert record["crosscheck"]["violations"] == [] and "All stated tolerances hold." in page.text
+    rows = record["saved"]["rows"]
+    assert [row["renderer"] for row in rows] == ["analytic", "analytic"] and rows[-1]["ratio"] == 1
+    assert rows[0]["ratio"] == pytest.approx(rows[0]["seconds"]["median"] / rows[1]["seconds"]["median"], rel=1e-12)
+    assert rows[0]["difference"] < 5e-6  # what is left out changes nothing but roundings; the two are float32
+    assert page.row("everything")[-2:] == [f"{rows[0]['ratio']:.2f}", figure(rows[0]["difference"])]
+
+
+def test_of_many_photos_some_views_are_checked(monkeypatch):
+    # Memory grows with texels and views; nothing is measured worse with 25 of them.
+    monkeypatch.setattr("mitsvbrdf.report.checks._available", lambda *_: [])
+    names = [f"{k:02d}" for k in range(60)]
+    for count, quick, chosen in ((60, False, names[::3]), (25, False, names[:25]), (60, True, names[:2])):
+        record = fit_report(make_material("tiles", 8), GRID.pick([k % 9 for k in range(count)]), ANALYTIC,
+                            names=names[:count], transfer="gamma2.2", quick=quick)
+        assert record["crosscheck"]["views"] == chosen and (quick or record["saved"]["views"] == len(chosen))
+
+
+@pytest.mark.slow
+def test_the_traced_scene_with_everything_stands_beside_a_mitsuba_fit(photos, tmp_path):
+    out = tmp_path / "out"
+    options = ["--iterations", "2", "--resolution", "16", "--views", "0,3", "--method", "direct"]
+    assert cli.main(["fit", str(photos), "-o", str(out), *options, "--fix", "normal=flat", "--grey-specular"]) == 0
+    assert cli.main(["report", str(out)]) == 0
+    record, page = json.loads((out / "report.json").read_text()), Page(out / "report.html")
+    rows = record["saved"]["rows"]
+    assert [row["renderer"] for row in rows] == ["mitsuba-scene", "mitsuba", "mitsuba"]
+    assert all(row["difference"] < 1e-4 for row in rows[:2])  # steepest texels of the traced scene in float32: 3e-5 measured
+    assert "held fixed" in page.text and "gradient of normal" in page.text
+
+
+def test_a_renderer_of_ones_own_is_not_checked(copy):
+    record = json.loads((copy / "fit.json").read_text()) | {"renderer": "mine"}
+    (copy / "fit.json").write_text(json.dumps(record))
+    assert cli.main(["report", str(copy)]) == 0
+    found = json.loads((copy / "report.json").read_text())
+    assert found["saved"] is None and {row["renderer"] for row in found["crosscheck"]["rows"]} == {
+        "mitsuba", "mitsuba-scene", "analytic"}
+    assert cli.main(["report", str(copy), "--quick"]) == 0
+    assert "was not checked" in Page(copy / "report.html").text

@@ -1,0 +1,167 @@
+"""Folders are read as fits only where they are some, and photos are those of the fit or refused."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from helpers import ANALYTIC, photos_of
+from helpers.fit_pages import FAST, SIDE, Page
+
+from mitsvbrdf import cli
+from mitsvbrdf.capture import read_capture, write_capture
+from mitsvbrdf.errors import OutputError
+from mitsvbrdf.fit import DirectConfig, fit_svbrdf
+from mitsvbrdf.fit.record import read_fit
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.report import fit_page
+from mitsvbrdf.report.checks import fit_report
+from mitsvbrdf.report.fit_page import write_report
+from mitsvbrdf.report.folder import write_fit
+from mitsvbrdf.system import images
+
+
+def test_trouble_is_told(copy):
+    record = json.loads((copy / "fit.json").read_text())
+    record |= {"warnings": ["<b>doubt</b> & more"], "stopped": "interrupted", "undone_steps": 1, "restarts": [
+        {"iteration": 70, "reason": "loss above 1.5 times its lowest"}], "undone": [
+        {"iteration": 7, "reason": "loss not finite"}], "trace": record["trace"][:1]}
+    (copy / "fit.json").write_text(json.dumps(record))
+    write_report(copy, quick=True)
+    page = Page(copy / "report.html")
+    assert "<b>doubt</b> & more" in page.text and "the best maps until then" in page.text
+    assert page.row("step undone") == ["7", "loss not finite"]
+    assert page.row("back to the lowest loss") == ["70", "loss above 1.5 times its lowest"]
+    assert "Nothing was measured after the start." in page.text
+
+
+def spoil_json(out):
+    (out / "fit.json").write_text("{")
+
+
+def spoil_version(out):
+    (out / "fit.json").write_text(json.dumps(json.loads((out / "fit.json").read_text()) | {"schema_version": 2}))
+
+
+def spoil_kind(out):
+    (out / "fit.json").write_text(json.dumps(json.loads((out / "fit.json").read_text()) | {"confidence": {"diffuse": {}}}))
+
+
+def spoil_names(out):
+    (out / "fit.json").write_text(json.dumps(json.loads((out / "fit.json").read_text()) | {"per_photo": {"../../etc": 0.1}}))
+
+
+def spoil_trace(out):
+    (out / "fit.json").write_text(json.dumps(json.loads((out / "fit.json").read_text()) | {"trace": [{"seconds": 1}]}))
+
+
+def spoil_map(out):
+    (out / "maps/normal.exr").unlink()
+    (out / "maps/normal.png").unlink()
+
+
+def spoil_rendering(out):
+    (out / "rerendered/01.png").write_text("no picture")
+
+
+def spoil_photo(out):
+    images.write_png(out / "photos/01.png", torch.zeros(8, 8, 3))
+
+
+@pytest.mark.parametrize("spoil, words", [
+    (lambda out: (out / "fit.json").unlink(), ("mitsvbrdf fit", "no fit.json")), (spoil_json, ("fit.json",)),
+    (spoil_version, ("schema version 1", "schema_version")), (spoil_kind, ("confidence.diffuse.median_sd",)),
+    (spoil_names, ("per_photo",)), (spoil_trace, ("trace",)), (spoil_map, ("normal.exr",)), (spoil_rendering, ("01.png",)),
+    (spoil_photo, ("photos/01.png", "--capture"))])
+def test_folders_that_are_no_fit_are_refused(spoil, words, copy, capsys):
+    spoil(copy)
+    before = (copy / "report.html").read_text()
+    assert cli.main(["report", str(copy), "--quick"]) == 2
+    message = capsys.readouterr().err
+    assert message.count("error:") == 1 and "Traceback" not in message and all(word in message for word in words), message
+    assert (copy / "report.html").read_text() == before
+
+
+def test_photos_of_another_capture_are_refused(copy, photos, tmp_path, capsys):
+    shots = read_capture(photos)
+    write_capture(replace(shots, photos=shots.photos.flip(2)), tmp_path / "other")
+    write_capture(shots.pick([0, 1]), tmp_path / "few")
+    write_capture(shots.averaged(16), tmp_path / "small")
+    before = sorted(copy.rglob("*"))
+    for name, words in (("other", ("photo 00 is another", "give the capture")), ("few", ("photo numbers",)),
+                        ("small", ("16 px",)), ("nowhere", ("a folder of photos",))):
+        assert cli.main(["report", str(copy), "--quick", "--capture", str(tmp_path / name)]) == 2
+        message = capsys.readouterr().err
+        assert message.count("error:") == 1 and all(word in message for word in words), message
+    assert sorted(copy.rglob("*")) == before
+    assert cli.main(["report", str(tmp_path / "nowhere")]) == 2 and "which has no fit.json" in capsys.readouterr().err
+
+
+def test_photos_are_never_written_over_those_of_the_capture(copy, photos, tmp_path, capsys):
+    # A capture in OUT/photos, plain or calibrated, named by its folder or its JSON file.
+    project = tmp_path / "project"
+    shutil.copytree(photos, project / "photos")
+    for k in (0, 1):
+        shutil.copy(photos / f"target/{k:02d}.png", project / "photos")
+    before = {path: path.read_bytes() for path in project.rglob("*.png")}
+    for capture in (project / "photos", project / "photos/capture.json"):
+        assert cli.main(["fit", str(capture), "-o", str(project), *FAST, "--overwrite"]) == 2
+        assert "holds the photos" in capsys.readouterr().err
+    shots = read_capture(project / "photos")
+    found = fit_svbrdf(shots, ANALYTIC, DirectConfig(iterations=1))
+    for out in (project, project / "photos"):
+        with pytest.raises(OutputError, match="own photos would be replaced"):
+            write_fit(found, shots, out)
+    assert {path: path.read_bytes() for path in project.rglob("*.png")} == before
+    # What an earlier page kept is no capture: its views are gone.
+    assert cli.main(["report", str(copy), "--quick", "--capture", str(copy / "photos")]) == 2
+    assert "holds the photos" in capsys.readouterr().err
+    write_capture(replace(shots, calibration="none"), tmp_path / "plain")
+    assert cli.main(["report", str(copy), "--quick", "--capture", str(tmp_path / "plain")]) == 2
+    assert "with calibration" in capsys.readouterr().err
+
+
+def test_a_second_fit_in_the_same_folder_shows_nothing_of_the_first(tmp_path):
+    shots = photos_of(make_material("tiles", 8))
+    for fix, others in (((), shots.pick([5])), (("roughness=0.5",), None)):
+        write_fit(fit_svbrdf(shots.pick([0, 1]), ANALYTIC, DirectConfig(iterations=1, fix=fix)), shots.pick([0, 1]), tmp_path,
+                  left_out=others)
+        page = Page(tmp_path / "report.html")
+        assert ("left out of the fit" in page.text) == ("Roughness: standard deviation" in page.pictures) == (not fix)
+    assert json.loads((tmp_path / "report.json").read_text())["left_out_rmse"] is None
+
+
+def test_a_page_is_not_written_beside_another_fit(copy, monkeypatch):
+    def slow(*arguments, **options):
+        (copy / "fit.json").write_text(json.dumps(json.loads((copy / "fit.json").read_text()) | {"seed": 7}))
+        return fit_report(*arguments, **options)
+
+    monkeypatch.setattr(fit_page, "fit_report", slow)
+    before = (copy / "report.html").read_bytes()
+    with pytest.raises(OutputError, match="another one"):
+        write_report(copy, quick=True)
+    assert (copy / "report.html").read_bytes() == before
+
+
+def test_a_capture_whose_name_is_not_utf8_loses_no_fit(photos, tmp_path):
+    shots = replace(read_capture(photos), source=Path("caf\udce9 $\\x_$"))  # as Python names such a folder; and no formula
+    write_fit(fit_svbrdf(shots, ANALYTIC, DirectConfig(iterations=1)), shots, tmp_path)
+    assert "caf? $\\x_$: recovered material" in Page(tmp_path / "report.html").text and (tmp_path / "sheet.png").is_file()
+
+
+def test_a_report_json_of_somebody_else_is_not_trusted(copy):
+    record = json.loads((copy / "report.json").read_text())
+    for photo in record["photos"][3:]:
+        photo |= {"photo": "../secret.png", "rerendered": "../secret.png"}
+    images.write_png(copy.parent / "secret.png", torch.zeros(SIDE, SIDE, 3))
+    (copy / "report.json").write_text(json.dumps(record))
+    assert [photo["left_out"] for photo in write_report(copy, quick=True)["photos"]] == [False] * 3
+    (copy / "report.json").write_text("[1]")
+    assert write_report(copy, quick=True)["left_out_rmse"] is None
+
+
+def test_read_fit_gives_what_the_files_say(fitted):
+    found = read_fit(fitted)
+    assert found.names == ["00", "01", "03"] and found.svbrdf.resolution == SIDE and found.renderer().name == "analytic"

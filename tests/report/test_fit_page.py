@@ -1,0 +1,186 @@
+"""The page of a fit: its numbers are those of the records and of independent computations, its pictures those of the files."""
+
+import json
+import re
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import PIL.Image
+import pytest
+import torch
+from helpers import ANALYTIC, GRID, ROOT
+from helpers.fit_pages import HOSTILE, SIDE, Page
+
+from mitsvbrdf import cli
+from mitsvbrdf.capture import read_capture
+from mitsvbrdf.fit import DirectConfig, fit_svbrdf
+from mitsvbrdf.material.map_files import save_maps
+from mitsvbrdf.material.maps import SVBRDF
+from mitsvbrdf.pages.page import figure
+from mitsvbrdf.report.fit_page import write_report
+from mitsvbrdf.report.folder import write_fit
+from mitsvbrdf.system import images
+
+
+def shown(path):
+    return np.asarray(PIL.Image.open(path).convert("RGB"))
+
+
+def test_fit_writes_the_page_with_photos_left_out_as_evaluate_finds_them(fitted, photos, tmp_path):
+    record, page = json.loads((fitted / "report.json").read_text()), Page(fitted / "report.html")
+    assert [(photo["name"], photo["left_out"]) for photo in record["photos"]] == [
+        ("00", False), ("01", False), ("03", False), ("02", True), ("04", True)]
+    found = tmp_path / "e.json"
+    assert cli.main(["evaluate", str(fitted), "--capture", str(photos), "--views", "2,4", "--renderer", "analytic", "--json",
+                     str(found)]) == 0
+    found = json.loads(found.read_text())
+    for photo in record["photos"][3:]:
+        assert photo["rmse"] == pytest.approx(found["per_photo"][photo["name"]], rel=1e-6)
+        assert f"Photo {photo['name']} · RMSE {photo['rmse']:.4f} · left out of the fit" in page.text
+    assert record["left_out_rmse"] == pytest.approx(found["rerender_rmse"], rel=1e-6)
+    assert f"RMSE of 2 photos left out {record['left_out_rmse']:.4f}" in page.text
+    assert record["quick"] and record["saved"] is None and "checks and times all renderers" in page.text
+
+
+def test_every_number_of_the_records_is_on_the_page(measured):
+    _, fit, record, page = measured
+    assert f"re-rendering RMSE {fit['rerender_rmse']:.4f}" in page.text
+    for name, error in fit["per_photo"].items():
+        assert f"Photo {name} · RMSE {error:.4f}" in page.text
+    for sure in fit["confidence"].values():
+        assert f"{100 * sure['determined_share']:.0f} % determined, ±{sure['median_sd']:.3f}" in page.text
+    for name, values in record["maps"].items():
+        if name != "normal":
+            assert f"{figure(values['low'])} to {figure(values['high'])}, mean {figure(values['mean'])}" in page.text
+    for item in fit["left_out"]:
+        assert page.row(item["what"]) == [item["why"]]
+    for warning in fit["warnings"]:
+        assert warning in page.text
+    for name in ("photometric", "smooth", "flat"):
+        first, *_, last = (figure(row[name]) for row in fit["trace"] if name in row)
+        assert re.search(f'aria-label="Losses against seconds: [^"]*{name} from {first} to {last}', page.source)
+    for name, share in fit["burn_in"].items():
+        assert re.search(rf"{name} {share:.3f}", page.text)
+    for name in ("config", "command", "versions", "machine"):
+        for key, value in fit[name].items():
+            text = {None: "–", True: "yes", False: "no"}.get(value) if value is None or isinstance(value, bool) else str(value)
+            text = "–" if value == [] else text
+            assert f"{key} {text}" in page.text, key
+    for name, camera, light in zip(fit["per_photo"], fit["views"]["camera"], fit["views"]["light"]):
+        assert page.row(name)[:6] == [figure(x) for x in camera + light]
+    for entry in fit["trace"]:
+        start = [figure(entry["seconds"]), figure(entry["iteration"])]
+        assert any(row[:2] == start and all(figure(value) in row for value in entry.values()) for row in page.rows)
+    numbers = record["condition"]
+    median, worst = ("infinite" if numbers[name] is None else figure(numbers[name]) for name in ("median", "worst"))
+    assert f"median {median} worst {worst}" in page.text
+    assert f"{numbers['rank']} of {numbers['unknowns']}" in page.text
+
+
+def test_pictures_are_those_of_the_files(fitted):
+    page, record = Page(fitted / "report.html"), json.loads((fitted / "report.json").read_text())
+    for photo in record["photos"]:
+        taken, again = shown(fitted / photo["photo"]), shown(fitted / photo["rerendered"])
+        how = "predicted" if photo["left_out"] else "re-rendered"
+        assert photo["rerendered"].startswith("predicted/" if photo["left_out"] else "rerendered/")
+        assert np.array_equal(page.pixels(f"photo {photo['name']}"), taken)
+        assert np.array_equal(page.pixels(f"photo {photo['name']}, {how}"), again)
+        difference = np.clip(4 * np.abs(taken.astype(int) - again), 0, 255)
+        assert np.abs(page.pixels(f"photo {photo['name']}, difference times 4").astype(int) - difference).max() <= 1
+    for name in ("diffuse", "specular", "roughness", "normal"):  # our PNG files hold what is shown, in 16 bits
+        stored = images.read_image(fitted / "maps" / f"{name}.png", ValueError).expand(SIDE, SIDE, 3).numpy()
+        assert np.abs(page.pixels(name.capitalize()) - 255 * stored).max() < 0.51
+        spread = images.read_image(fitted / "uncertainty" / f"{name}.exr", ValueError)[..., 0].numpy()
+        # Magma is dark at 0 and brighter all the way: the order of the texels' brightness is that of their deviation.
+        brightness = page.pixels(f"{name.capitalize()}: standard deviation").astype(float) @ (0.2126, 0.7152, 0.0722)
+        assert np.corrcoef(np.argsort(np.argsort(spread.ravel())), np.argsort(np.argsort(brightness.ravel())))[0, 1] > 0.98
+    assert page.pixels("Guessed diffuse").shape == (SIDE, SIDE, 3)
+
+
+def test_the_page_asks_nothing_of_the_network_and_escapes_names(measured):
+    _, fit, _, page = measured
+    assert page.addresses and all(address.startswith(("data:", "#")) for address in page.addresses)
+    assert {address[1:] for address in page.addresses if address[0] == "#"} <= set(page.ids)
+    styles = "".join(re.findall(r"<style.*?>(.*?)</style>", page.source, re.S))
+    assert "url(" not in styles and "@import" not in styles
+    assert "<img src=x" not in page.source and HOSTILE in page.text
+
+
+def test_a_cost_that_may_rise_is_explained_where_there_is_one(measured, photos, tmp_path):
+    assert "All axes are logarithmic" in measured[3].text and "the cost may rise" not in measured[3].text
+    assert measured[1]["method"] != "hierarchical"
+    assert cli.main(["fit", str(photos), "-o", str(tmp_path / "h"), "--iterations", "2", "--resolution", "16"]) == 0
+    assert "the cost may rise" in Page(tmp_path / "h/report.html").text
+
+
+@pytest.mark.parametrize("options, words", [
+    (["--bsdf", "principled"], ["Base colour", "Metallic", "as principled"]),
+    (["--fix", "normal=flat", "--fix", "roughness=0.5"], ["held fixed", "gradient of roughness"]),
+    (["--method", "direct", "--budget", "0.001"], ["ended budget"]),
+    (["--method", "hybrid", "--width", "8"], ["adversarial"])])
+def test_kinds_of_fits(options, words, photos, tmp_path):
+    out = tmp_path / "out"
+    limit = [] if "--budget" in options else ["--iterations", "2"]
+    assert cli.main(["fit", str(photos), "-o", str(out), "--renderer", "analytic", "--resolution", "16", "--views", "3,0",
+                     *(() if "--method" in options else ("--method", "direct")), *limit, *options]) == 0
+    page, fit = Page(out / "report.html"), json.loads((out / "fit.json").read_text())
+    for word in words:
+        assert word in page.text, word
+    assert list(fit["per_photo"]) == ["03", "00"] and f"Photo 03 · RMSE {fit['per_photo']['03']:.4f}" in page.text
+    assert np.array_equal(page.pixels("photo 03"), shown(out / "photos/03.png"))
+
+
+def test_what_the_page_says_is_true_of_plain_photos_smooth_maps_and_held_ones(photos, tmp_path, monkeypatch):
+    monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)  # another test may have loaded it
+    shots, smooth = replace(read_capture(photos), calibration="none"), ("roughness=0.05", "diffuse=0.3")
+    write_fit(fit_svbrdf(shots.pick([0, 1]), ANALYTIC, DirectConfig(iterations=1, fix=smooth)), shots.pick([0, 1]), tmp_path,
+              left_out=shots.pick([2]))
+    page = Page(tmp_path / "report.html")
+    assert "predicted from the assumed view, as" in page.text and "calibration and" not in page.text
+    assert "All stated tolerances hold." not in page.text and "rougher texels than there are here" in page.text
+    assert "Guessed diffuse" not in page.pictures and "no libLLVM in use" in page.text
+
+
+def test_the_stage_of_a_fit_is_no_loss_and_long_tables_are_thinned(copy):
+    record = json.loads((copy / "fit.json").read_text())
+    record["trace"] = [{"seconds": float(k), "iteration": k, "stage": 2.0, "rerender_rmse": 0.1} for k in range(399)]
+    record["left_out"] = []
+    (copy / "fit.json").write_text(json.dumps(record))
+    write_report(copy, quick=True)
+    page = Page(copy / "report.html")
+    assert "Nothing: this fit needed all of it." in page.text
+    assert "The measurements, some of 399" in page.text and 'aria-label="Losses' not in page.source
+    assert len([row for row in page.rows if len(row) == 4 and row[2] == "2"]) == 200
+
+
+def test_a_page_of_noise_at_512_px_is_below_ten_megabytes(copy):
+    # Nothing compresses less than noise. Nine photos, and maps of 512 px.
+    random = torch.Generator().manual_seed(1)
+    noise = {name: torch.rand(512, 512, channels, generator=random) for name, channels in (
+        ("diffuse", 3), ("specular", 3), ("roughness", 1), ("normal", 3))}
+    noise["normal"] = torch.nn.functional.normalize(noise["normal"] - torch.tensor([0.5, 0.5, 0.0]), dim=-1)
+    noise["normal"][..., 2] = noise["normal"][..., 2].clamp_min(0.1)
+    noise["normal"] = torch.nn.functional.normalize(noise["normal"], dim=-1)
+    noise["roughness"] = noise["roughness"].clamp_min(0.05)
+    shutil.rmtree(copy / "maps")
+    save_maps(SVBRDF("roughconductor", noise), copy / "maps")
+    views, names = GRID, [f"{i:02d}" for i in range(9)]
+    for name in names:
+        for folder in ("photos", "rerendered"):
+            images.write_png(copy / folder / f"{name}.png", torch.rand(512, 512, 3, generator=random))
+    record = json.loads((copy / "fit.json").read_text())
+    record["per_photo"], record["capture"]["photos"] = dict.fromkeys(names, 0.4), list(range(9))
+    record["views"] |= {k: getattr(views, k).tolist() for k in ("camera", "light", "intensity")}
+    (copy / "fit.json").write_text(json.dumps(record))
+    (copy / "report.json").unlink()
+    write_report(copy, quick=True)
+    assert (copy / "report.html").stat().st_size < 10e6
+    page = Page(copy / "report.html")
+    assert page.pixels("photo 08").shape == (256, 256, 3) and page.pixels("Diffuse").shape == (512, 512, 3)
+
+
+def test_formats_page_names_every_field(measured):
+    page = (ROOT / "docs/formats.md").read_text()
+    for field in measured[2]:
+        assert f"`{field}`" in page, field

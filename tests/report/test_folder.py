@@ -1,0 +1,87 @@
+"""A fit's folder keeps its files and its page together, and never shows one fit's page beside another fit."""
+
+import json
+import math
+import shutil
+
+import numpy as np
+import pytest
+import torch
+from helpers import GRID, photos_of
+from helpers.fit_pages import FAST, SIDE, Page
+
+from mitsvbrdf import cli
+from mitsvbrdf.capture import write_capture
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.map_files import load_maps
+from mitsvbrdf.system import result_folder
+from mitsvbrdf.views import Views
+
+
+def test_a_fit_is_not_lost_with_its_page(photos, tmp_path, monkeypatch, capsys):
+    def breaks(*_, **__):
+        raise RuntimeError("no page today")
+
+    arguments = ["fit", str(photos), "-o", str(tmp_path / "out"), *FAST]
+    with monkeypatch.context() as patch:
+        patch.setattr("mitsvbrdf.report.folder.write_report", breaks)
+        assert cli.main(arguments) == 0
+    assert "no page today" in capsys.readouterr().out and not (tmp_path / "out/report.html").exists()
+    assert load_maps(tmp_path / "out").resolution == SIDE
+    assert cli.main(["report", str(tmp_path / "out"), "--quick"]) == 0 and (tmp_path / "out/report.html").is_file()
+
+
+def test_the_page_is_made_again_from_the_folder_alone(copy):
+    before = json.loads((copy / "report.json").read_text())
+    page = Page(copy / "report.html")
+    assert cli.main(["report", str(copy), "--quick"]) == 0
+    again = json.loads((copy / "report.json").read_text())
+    machine = again.pop("machine"), before.pop("machine")  # libLLVM only counts where it was loaded
+    assert again == before and machine[0]["cores"] == machine[1]["cores"]
+    assert Page(copy / "report.html").pictures == page.pictures
+
+
+def test_without_photos_the_renderings_are_shown_and_the_capture_brings_them_back(copy, fitted, photos):
+    before = json.loads((copy / "report.json").read_text())
+    for name in ("photos", "predicted"):
+        shutil.rmtree(copy / name)
+    for name in ("report.html", "report.json"):
+        (copy / name).unlink()
+    (copy / "photos").mkdir()
+    (copy / "photos/00.png").write_text("mine")  # a file of somebody else, and no photo
+    (copy / result_folder.MANIFEST).write_text(json.dumps([n for n in json.loads((copy / result_folder.MANIFEST).read_text())
+                                                   if n != "photos/00.png"]))
+    (copy / "photos/00.png").rename(copy / "photos/mine")
+    assert cli.main(["report", str(copy), "--quick"]) == 0
+    page = Page(copy / "report.html")
+    assert "were not kept here" in page.text and "photo 00" not in page.pictures
+    assert page.pixels("photo 00, re-rendered").shape == (SIDE, SIDE, 3) and "left out of the fit" not in page.text
+    (copy / "photos/mine").rename(copy / "photos/00.png")
+    assert cli.main(["report", str(copy), "--quick", "--capture", str(photos)]) == 0
+    assert json.loads((copy / "report.json").read_text())["photos"] == before["photos"]
+    assert Page(copy / "report.html").pictures == Page(fitted / "report.html").pictures
+    assert (copy / "photos/00.png.old").read_text() == "mine"
+    written = set(json.loads((copy / result_folder.MANIFEST).read_text()))
+    assert {"report.html", "report.json", "photos/00.png", "photos/04.png", "predicted/04.png"} <= written
+
+
+def test_the_next_fit_takes_the_pages_files_away(copy, photos):
+    assert cli.main(["report", str(copy), "--quick", "--capture", str(photos)]) == 0
+    assert cli.main(["fit", str(photos), "-o", str(copy), *FAST, "--overwrite"]) == 0
+    assert not (copy / "predicted").exists() and not list(copy.rglob("*.old"))
+    assert "left out of the fit" not in Page(copy / "report.html").text
+
+
+def test_a_fit_predicts_nine_photos_and_report_all(tmp_path):
+    views = GRID
+    twelve = Views(*(torch.cat((t, t[:3])) for t in (views.camera, views.light, views.intensity)))
+    write_capture(photos_of(make_material("tiles", 8), twelve), tmp_path / "photos")
+    options = ["--method", "direct", "--renderer", "analytic", "--iterations", "2", "--resolution", "8", "--views", "11"]
+    out = tmp_path / "out"
+    assert cli.main(["fit", str(tmp_path / "photos"), "-o", str(out), *options]) == 0
+    assert len(list((out / "predicted").glob("*.png"))) == 9
+    assert "one photo:" in Page(out / "report.html").text  # a warning
+    assert cli.main(["report", str(out), "--quick", "--capture", str(tmp_path / "photos")]) == 0
+    record = json.loads((out / "report.json").read_text())
+    assert [photo["name"] for photo in record["photos"]] == ["11", *(f"{i:02d}" for i in range(11))]
+    assert math.sqrt(np.mean([p["rmse"]**2 for p in record["photos"][1:]])) == pytest.approx(record["left_out_rmse"], rel=1e-9)

@@ -1,0 +1,96 @@
+"""The record of a cross-check and its page."""
+
+import json
+import re
+
+import pytest
+from helpers import ANALYTIC, ROOT, TWIN
+from helpers.broken_renderers import THREE
+
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.measure.gradients import render_and_gradients
+from mitsvbrdf.measure.metrics import image_error
+from mitsvbrdf.measure.tolerances import TOLERANCES
+from mitsvbrdf.system import files
+from mitsvbrdf.verify.crosscheck import crosscheck
+from mitsvbrdf.verify.crosscheck_page import write_crosscheck_page
+
+NUMBER = (int, float)
+IMAGE = {"mean": NUMBER, "p99.9": NUMBER, "worst": NUMBER, "bias": NUMBER, "not_finite": int}
+GRADIENT = {"relative_l2": NUMBER, "cosine": NUMBER, "worst": NUMBER, "bias": NUMBER, "reference": NUMBER,
+            "difference": NUMBER, "not_finite": int}
+SPREAD = {"median": NUMBER, "low": NUMBER, "high": NUMBER, "repeats": int}
+LOOK = {"mean": NUMBER, "worst": NUMBER}
+TEXEL = {"view": str, "row": int, "column": int, "channel": str, "value": NUMBER, "reference": NUMBER,
+         "relative_error": NUMBER, "share_of_mean": NUMBER, "roughness": NUMBER, "half_vector_angle": NUMBER,
+         "incidence_angle": NUMBER, "camera_angle": NUMBER, "specular_share": NUMBER, "limit": NUMBER, "why": str}
+
+
+def assert_shaped(value, wanted, where=""):
+    """Exactly the keys of ``wanted``, with values of its types."""
+    if isinstance(wanted, dict):
+        assert set(value) == set(wanted), where
+        for name, each in wanted.items():
+            assert_shaped(value[name], each, f"{where}.{name}")
+    else:
+        assert isinstance(value, wanted) and not isinstance(value, bool), (where, value)
+
+
+def test_schema_of_the_record(real, tmp_path):
+    files.write_json(tmp_path / "r.json", real[0])
+    record = json.loads((tmp_path / "r.json").read_text())
+    assert set(record) == {"schema_version", "reference", "tolerances", "rough_from", "transfer", "command", "views",
+                           "materials", "configurations", "machine", "versions", "summary", "violations"}
+    assert record["schema_version"] == 1 and record["reference"] == "analytic64" and record["tolerances"] == TOLERANCES
+    page = (ROOT / "docs/evaluation.md").read_text()
+    assert all(f"`{field}`" in page for field in (*record, *record["configurations"][0]) if field not in
+               ("material", "bsdf", "renderer"))
+    assert record["versions"]["torch"] and record["machine"]["cores"]
+    assert record["materials"]["leather"]["converted"].keys() == {"principled"}
+    for c in record["configurations"]:
+        maps = {"roughconductor": ("diffuse", "specular"), "principled": ("base_color", "metallic")}[c["bsdf"]]
+        maps = (*maps, "roughness", "normal")
+        limit = {"image": dict.fromkeys(("mean", "p99.9", "worst"), NUMBER), "gradients": dict.fromkeys(maps, NUMBER)}
+        texels = {"texels": int, "image": IMAGE, "gradients": dict.fromkeys(maps, GRADIENT), "limit": limit}
+        classes = {"rough": texels if c["rough"] else type(None), "smooth": texels if c["smooth"] else type(None)}
+        assert_shaped(c, {"material": str, "bsdf": str, "renderer": str, "left_out": list, "per_view": list, "worst_view": str,
+                          "worst_texels": list, "display": LOOK, "flip": LOOK,
+                          "seconds": {"forward": SPREAD, "backward": SPREAD}, **classes})
+        assert [view["view"] for view in c["per_view"]] == ["00", "01", "02"]
+        for view in c["per_view"]:
+            assert_shaped(view, {"view": str, "flip": LOOK, **classes})
+        for texel in c["worst_texels"]:
+            assert_shaped(texel, TEXEL)
+        assert ("ray tracing" in {each["what"] for each in c["left_out"]}) == (c["renderer"] != "mitsuba-scene")
+    assert sum((c[k] or {"texels": 0})["texels"] for c in record["configurations"][:1] for k in ("rough", "smooth")) == 24 * 24
+
+
+def test_figures_are_those_of_the_metrics():
+    # All texels of leather are rough, so the figures have to be those of the plain comparison.
+    svbrdf, renderer = make_material("leather", 16), ANALYTIC
+    (c,) = crosscheck({"leather": svbrdf}, THREE, ["roughconductor"], [renderer], repeats=1)["configurations"]
+    exact, got = render_and_gradients(TWIN, svbrdf, THREE), render_and_gradients(renderer, svbrdf, THREE)
+    assert c["rough"]["image"] == pytest.approx(image_error(got.image, exact.image) | {"not_finite": 0}, rel=1e-9)
+    worst = c["worst_texels"][0]
+    assert worst["relative_error"] == pytest.approx(c["rough"]["image"]["worst"], rel=1e-9)
+    at = (int(worst["view"]), worst["row"], worst["column"], "rgb".index(worst["channel"]))
+    assert (worst["value"], worst["reference"]) == (float(got.image[at]), float(exact.image[at]))
+    for name, g in c["rough"]["gradients"].items():
+        off = (got.gradients[name].double() - exact.gradients[name]).norm() / exact.gradients[name].norm()
+        assert g["relative_l2"] == pytest.approx(float(off), rel=1e-9)
+
+
+def test_page_shows_every_configuration_and_needs_no_network(real, tmp_path):
+    record, maps = real
+    record = record | {"violations": [{"material": "leather", "bsdf": "principled", "renderer": "mitsuba", "what": "made <up>",
+                                       "value": 1.25e-3, "tolerance": 1e-6, "limit": None}]}
+    write_crosscheck_page(tmp_path / "page.html", record, maps)
+    page = (tmp_path / "page.html").read_text()
+    references = re.findall(r"""(?:src|href)=["']?([^"'\s>]+)""", page) + re.findall(r"url\(([^)]+)\)", page)
+    assert references and all(target.startswith(("data:", "#")) for target in references)
+    assert "<script" not in page and "@import" not in page
+    for c in record["configurations"]:
+        assert f'alt="error map of {c["material"]}, {c["renderer"]} · {c["bsdf"]}"' in page
+        assert all(texel["why"].replace("<", "&lt;") in page for texel in c["worst_texels"])
+    assert "made &lt;up&gt;" in page and "0.00125" in page
+    assert "made <up>" not in page
