@@ -14,9 +14,9 @@ from mitsvbrdf.capture import Capture
 from mitsvbrdf.errors import MitsvbrdfError
 from mitsvbrdf.fit import DirectConfig, FitTask, HierarchicalConfig, fit_svbrdf, make_method
 from mitsvbrdf.fit.checkpoint import load_tensors
-from mitsvbrdf.fit.hierarchical import rounds, stages, ties
-from mitsvbrdf.fit.hierarchical.rounds import Hierarchical
-from mitsvbrdf.fit.hierarchical.stages import ALONE, FINE, RIVALS, TOGETHER
+from mitsvbrdf.fit.hierarchical import Hierarchical, scales, stages
+from mitsvbrdf.fit.hierarchical.stages import Stage
+from mitsvbrdf.fit.hierarchical.ties import VAGUE, Ties
 from mitsvbrdf.fit.loop import Loop
 from mitsvbrdf.material.made import MATERIALS, make_material
 from mitsvbrdf.material.maps import CHANNELS, SVBRDF, flat
@@ -48,7 +48,7 @@ def method_of(capture, **settings):
 def left_alone(capture, **settings):
     """The method after its free stage, when it knows which kind of photos it has."""
     method = method_of(capture, **settings)
-    while int(method.stage[0]) == ALONE:
+    while method.stages.stage == Stage.ALONE:
         method.step(0.0)
     return method
 
@@ -56,13 +56,13 @@ def left_alone(capture, **settings):
 @pytest.fixture
 def two_stages(monkeypatch):
     """Coarse stages at half the size of these tests' photos."""
-    monkeypatch.setattr(rounds, "COARSE", SIDE // 2)
+    monkeypatch.setattr(scales, "COARSE", SIDE // 2)
 
 
 @pytest.fixture
 def phone(monkeypatch):
     """Photos are taken for a phone's, whatever they are."""
-    monkeypatch.setattr(rounds, "EXACT", 0.0)
+    monkeypatch.setattr(stages, "EXACT", 0.0)
 
 
 @pytest.fixture(scope="module")
@@ -105,9 +105,11 @@ def test_photos_of_the_model_are_exact(name):
     truth = make_material(name, SIDE)
     for noise in (0.0, 0.003):
         method = left_alone(photograph(truth, GRID, ANALYTIC, noise))
-        assert method.exact and int(method.stage[0]) == RIVALS and not method.tied and not method.fits_views
+        assert method.stages.exact and method.stages.stage == Stage.RIVALS and not method.stages.tied
+        assert not method.moved.may_move(method.stages.tied)
         # And the RMSE is that of rounding to 8 bits, 0.00113, or of the noise in dark photos.
-        assert method.unexplained[0] < 0.5 * stages.EXACT and 0.0009 < method.unexplained[1] < 0.02
+        structure, rmse = method.stages.unexplained
+        assert structure < 0.5 * stages.EXACT and 0.0009 < rmse < 0.02
 
 
 def camera_elsewhere(material):
@@ -133,8 +135,9 @@ def test_photos_that_do_not_follow_the_model_are_not(wrong):
     # Measured 0.041, 0.016, 0.023; the limit is 0.006. Nine photos of a texel do not show that its lobe is no GGX (0.0007),
     # nor how they encode light (0.0004), and a flash beside the lens looks like tilted normals (0.0011).
     method = left_alone(Capture(wrong(make_material("inlay", SIDE)), GRID))
-    assert not method.exact and int(method.stage[0]) == TOGETHER and method.tied and method.fits_views
-    assert method.unexplained[0] > 2 * stages.EXACT
+    assert not method.stages.exact and method.stages.stage == Stage.TOGETHER and method.stages.tied
+    assert method.moved.may_move(method.stages.tied)
+    assert method.stages.unexplained[0] > 2 * stages.EXACT
 
 
 @pytest.mark.parametrize("name", ["inlay", "leather", "tiles"])
@@ -167,7 +170,7 @@ def striped():
 @pytest.mark.parametrize("kind", ["exact", "phone"])
 def test_a_highlight_that_no_photo_shows_is_that_of_look_alikes(kind, monkeypatch):
     if kind == "phone":
-        monkeypatch.setattr(rounds, "EXACT", 0.0)
+        monkeypatch.setattr(stages, "EXACT", 0.0)
     stripe, truth, shots = striped()
     unseen = torch.zeros(SIDE, SIDE, dtype=torch.bool)
     unseen[:, -8:] = True
@@ -179,7 +182,7 @@ def test_a_highlight_that_no_photo_shows_is_that_of_look_alikes(kind, monkeypatc
         return torch.stack([off[unseen & s][:, [0, 3]].square().mean(dim=0).sqrt() for s in (stripe, ~stripe)])
 
     shared = errors(fit_svbrdf(shots, MITSUBA))
-    monkeypatch.setattr(Hierarchical, "_share", lambda method: None)
+    monkeypatch.setattr(Ties, "share", lambda ties, answer, *_: answer)
     alone = errors(fit_svbrdf(shots, MITSUBA))
     # By stripe, of encoded specular and of roughness. Measured: up to 0.013 (exact) and 0.003 (phone); alone 0.061 and 0.084,
     # and worse by 5 times on average.
@@ -188,8 +191,9 @@ def test_a_highlight_that_no_photo_shows_is_that_of_look_alikes(kind, monkeypatc
 
 def test_independent_weakens_a_cubic_trend_and_leaves_the_pattern(capture, phone, monkeypatch):
     method = method_of(capture)
-    method.stage, method.unexplained = torch.tensor([FINE, 1]), torch.tensor([0.02, 0.02])
-    assert method.tied
+    method.stages.judge(torch.tensor([0.02, 0.02]))
+    method.stages.enter(Stage.FINE)
+    assert method.stages.tied
     angle = coverage_angle(capture.views, SIDE)
     pattern = torch.rand(2, SIDE, SIDE, generator=torch.Generator().manual_seed(0), dtype=torch.float64) * 0.2
     pattern = pattern - cubic(angle.flatten(), pattern.flatten(1)).reshape(pattern.shape)  # has no trend at all
@@ -201,7 +205,7 @@ def test_independent_weakens_a_cubic_trend_and_leaves_the_pattern(capture, phone
     place = texel_positions(SIDE)
     to_camera = F.normalize(capture.views.camera[:, None, None] - place, dim=-1)
     tan2 = 1 / to_camera[..., 2] ** 2 - 1
-    alpha = method._roughness(method.mean) ** 2
+    alpha = method.scale.solver.svbrdf(method.answer.mean)["roughness"][..., 0] ** 2
     trust = (1 / (1 + tan2 / (2 * alpha) ** 2)).clamp_min(0.03).amax(dim=0)
     # Pattern and trend are uncorrelated, so of the variance k^2 |trend|^2 + |pattern|^2 the first is 8 % for this k.
     size = [(t - t.mean()).square().mean().sqrt() for t in (*trend, *pattern)]
@@ -209,15 +213,18 @@ def test_independent_weakens_a_cubic_trend_and_leaves_the_pattern(capture, phone
     out = (1 - kept) * trend
     level = (trust * out).sum(dim=(1, 2), keepdim=True) / trust.sum()
 
-    found = method._independent(given)
+    def corrected(planes):
+        return method.independent(planes, method.scale, method.answer)
+
+    found = corrected(given)
     assert torch.allclose(found, (pattern + trend - out + level).float(), atol=1e-5)  # float32 of numbers up to 1
     assert all(explained_share(p, angle) > 0.4 for p in given)
     assert all(abs(explained_share(p, angle) - 0.08) < 1e-4 for p in found)
     # A trend that is less than CHANCE of the variance is the material's own, and nothing is done to it.
     slight = (pattern + 0.01 * a).float()
-    assert 1e-4 < min(explained_share(p, angle) for p in slight) and torch.equal(method._independent(slight), slight)
-    monkeypatch.setattr(rounds, "EXACT", 0.021)
-    assert method.exact and torch.equal(method._independent(given), given)
+    assert 1e-4 < min(explained_share(p, angle) for p in slight) and torch.equal(corrected(slight), slight)
+    monkeypatch.setattr(stages, "EXACT", 0.021)
+    assert method.stages.exact and torch.equal(corrected(given), given)
 
 
 def striped_material():
@@ -230,62 +237,67 @@ def striped_material():
 
 def test_enlarged_maps_follow_the_look_alikes(two_stages, phone):
     method = method_of(photos_of(striped_material()), materials=2)
-    method.stage = torch.tensor([TOGETHER, 12])
-    method._begin(method.small)
+    coarse, fine, shared = method.scales.of(Stage.TOGETHER), method.scales.of(Stage.FINE), method.ties.shared
     bright = torch.zeros(SIDE // 2, SIDE // 2)
     bright[:, SIDE // 4:] = 1
     level, off = torch.tensor([0.2, 0.3, 0.4, 0.5]), torch.tensor([0.3, 0.2, 0.1, 0.25])
     ramp = torch.linspace(-0.1, 0.1, SIDE // 2)[:, None].expand(-1, SIDE // 2)  # within each stuff, so that is kept beside it
-    method.x[method.shares] = level[:, None, None] + off[:, None, None] * bright + ramp
-    method._enlarge()
+    method.answer.x[shared] = level[:, None, None] + off[:, None, None] * bright + ramp
+    found = method.ties.enlarge(method.answer, coarse, fine, tied=True)
     bright = torch.zeros(SIDE, SIDE)
     bright[:, SIDE // 2:] = 1
     ramp = F.interpolate(ramp[None, None], (SIDE, SIDE), mode="bilinear")[0, 0]
     # Looks differ by more than ten widths, so a texel is of one stuff only; bilinear enlarging is off by a quarter of the step.
-    assert torch.allclose(method.x[method.shares], level[:, None, None] + off[:, None, None] * bright + ramp, atol=1e-5)
+    assert torch.allclose(found.x[shared], level[:, None, None] + off[:, None, None] * bright + ramp, atol=1e-5)
+
+
+def deviations_of(method, answer):
+    """Standard deviation of the prior of each map, from its last number."""
+    return {name: float(answer.precision[i].mean() ** -0.5) for i, name in enumerate(method.ties.unknowns.names)}
 
 
 @pytest.mark.parametrize("went, normal, specular", [(0.0, 0.05, 0.06), (0.05, 0.07071, 0.07071), (0.5, 0.15, 0.15)])
-def test_texels_may_go_as_far_as_they_went(went, normal, specular, capture, monkeypatch):
+def test_texels_may_go_as_far_as_they_went(went, normal, specular, capture):
     """Deviations around the prior: root mean square of the distance gone and of what is left unknown, within its bounds."""
     method = method_of(capture, own=0.06)
-    method._free()
-    unknown = 0.05
-    monkeypatch.setattr(method, "_variances", lambda: torch.full_like(method.x, unknown**2))
-    sign = torch.where(torch.rand(method.x.shape, generator=torch.Generator().manual_seed(1)) < 0.5, -1.0, 1.0)
-    method.x = method.mean + sign * went
-    method._loosen()
-    deviation = {name: float(method.precision[i].mean() ** -0.5) for i, name in enumerate(method.names)}
+    free, unknown = method.ties.free(method.answer), 0.05
+    sign = torch.where(torch.rand(free.x.shape, generator=torch.Generator().manual_seed(1)) < 0.5, -1.0, 1.0)
+    loose = method.ties.loosen(free._replace(x=free.mean + sign * went), torch.full_like(free.x, unknown**2))
+    deviation = deviations_of(method, loose)
     assert deviation["normal"] == pytest.approx(normal, rel=1e-4) and deviation["specular"] == pytest.approx(specular, rel=1e-4)
-    assert deviation["diffuse"] == pytest.approx(ties.VAGUE["diffuse"])
+    assert deviation["diffuse"] == pytest.approx(VAGUE["diffuse"])
 
 
 def test_at_full_size_texels_are_free_and_pixels_alike(two_stages, phone, capture):
     method = method_of(capture)
-    while int(method.stage[0]) != TOGETHER:
+    while method.stages.stage != Stage.TOGETHER:
         method.step(0.0)
-    assert method._evidence().weights is not None and method._evidence().robust == pytest.approx(3 * 0.03)
-    while int(method.stage[0]) != FINE:
+    seen = method.observations(method.scale, method.answer)
+    assert seen.weights is not None and seen.robust == pytest.approx(3 * 0.03)
+    while method.stages.stage != Stage.FINE:
         method.step(0.0)
-    assert method._evidence().weights is None and method._evidence().robust == pytest.approx(10 * 0.03)
+    seen = method.observations(method.scale, method.answer)
+    assert seen.weights is None and seen.robust == pytest.approx(10 * 0.03)
     # The first round has loosened them: normals by what this leather needs, the others by their start at least.
-    deviation = {name: float(method.precision[i].mean() ** -0.5) for i, name in enumerate(method.names)}
+    deviation = deviations_of(method, method.answer)
     assert 0.0102 <= deviation["normal"] <= 0.15 and deviation["specular"] >= 0.0599 and deviation["roughness"] >= 0.0299
-    assert (method.x - method.mean)[method.tilts].abs().max() > 1e-3 and method.mean[method.tilts].abs().max() > 1e-3
+    answer, slopes = method.answer, method.ties.slopes
+    assert (answer.x - answer.mean)[slopes].abs().max() > 1e-3 and answer.mean[slopes].abs().max() > 1e-3
 
 
 def test_what_comes_out_follows_no_highlights(two_stages, phone, capture):
     """Also where the fit ends before full size; the maps themselves do, by far."""
     method = method_of(capture, own=0.06)
     angle = coverage_angle(capture.views, SIDE)
-    for stage, done in ((TOGETHER, 1), (FINE, 1)):
-        method.stage = torch.tensor([stage, done])
-        method._begin(method.small if stage == TOGETHER else method.full)
-        lie = F.interpolate(angle[None, None].float(), method.x.shape[1:], mode="area")[0, 0]
-        i = method.names.index("roughness")
-        method.x[i] = (method.x[i] + 3 * (lie - lie.mean())).clamp(0.05, 1)
-        method.mean = method.x.clone()
-        assert explained_share(method.x[i].double(), lie.double()) > 0.5
+    roughness = method.ties.unknowns.of("roughness")
+    for stage in (Stage.TOGETHER, Stage.FINE):
+        method.stages.enter(stage)
+        method.scale = method.scales.of(stage, free=stage == Stage.FINE)
+        x = method.start().x
+        lie = F.interpolate(angle[None, None].float(), x.shape[1:], mode="area")[0, 0]
+        x[roughness] = (x[roughness] + 3 * (lie - lie.mean())).clamp(0.05, 1)
+        method.answer = method.start()._replace(x=x, mean=x.clone())
+        assert explained_share(x[roughness][0].double(), lie.double()) > 0.5
         svbrdf, _ = method.estimate()
         assert svbrdf.resolution == SIDE and explained_share(svbrdf["roughness"][..., 0].double(), angle) < 0.1
 
@@ -294,31 +306,31 @@ def test_what_comes_out_follows_no_highlights(two_stages, phone, capture):
 
 def cost_of(method, x, mean, precision):
     """The cost of each texel at x in float64, by the analytic renderer: robust errors over noise, and the prior."""
-    solver, shots, noise = method._solver(x.shape[-1]), method.capture, float(method.noise)
-    shown = color.encode(make_renderer("analytic64").render(solver.svbrdf(x.double()), method.refined(shots.views)),
-                         shots.transfer)
-    error = shown - shots.photos.double()
-    error = torch.where(shots.photos >= 0.995, error.clamp_max(0), error) / noise
-    weight = method._evidence().weights
-    far = 10 if method.tied and int(method.stage[0]) == FINE else 3
+    seen, noise = method.observations(method.scale, method.answer), float(method.stages.noise)
+    shown = color.encode(make_renderer("analytic64").render(method.scale.solver.svbrdf(x.double()), seen.views), seen.transfer)
+    error = shown - seen.photos.double()
+    error = torch.where(seen.photos >= 0.995, error.clamp_max(0), error) / noise
+    weight = seen.weights
+    far = 10 if method.stages.tied and method.stages.stage == Stage.FINE else 3
     rho = 2 * far**2 * (torch.sqrt(1 + error.square() / far**2) - 1) * (1 if weight is None else weight.double()[..., None])
     return rho.sum(dim=(0, 3)) + (precision * (x - mean).square()).double().sum(dim=0)
 
 
 @pytest.mark.parametrize("exact", [True, False])
 def test_a_round_raises_no_texels_cost(exact, capture, monkeypatch):
-    monkeypatch.setattr(rounds, "EXACT", 0.006 if exact else 0.0)
+    monkeypatch.setattr(stages, "EXACT", 0.006 if exact else 0.0)
     method, rises = method_of(capture.averaged(16)), []
-    solve = method._solve
+    solve = method.solve
 
     def watched():
-        before = method.x.clone()
+        before = method.answer.x.clone()
         solve()
-        old, new = (cost_of(method, x, method.mean, method.precision) for x in (before, method.x))
+        answer = method.answer
+        old, new = (cost_of(method, x, answer.mean, answer.precision) for x in (before, answer.x))
         rises.append(float(((new - old) / old).max()))
         return old.mean()
 
-    monkeypatch.setattr(method, "_solve", watched)
+    monkeypatch.setattr(method, "solve", watched)
     while not method.done:
         method.step(0.0)
     assert len(rises) > 20
@@ -334,22 +346,22 @@ def test_the_same_fit_twice(two_stages, phone, capture):
 @pytest.mark.parametrize("kind", ["exact", "phone"])
 def test_resuming_is_bit_equal_at_every_round(kind, two_stages, capture, tmp_path, monkeypatch):
     if kind == "phone":
-        monkeypatch.setattr(rounds, "EXACT", 0.0)
+        monkeypatch.setattr(stages, "EXACT", 0.0)
     config = HierarchicalConfig(iterations=14)
     whole = fit_svbrdf(capture, MITSUBA, config)
     loop = Loop(make_method(FitTask(capture, MITSUBA, config, whole.guess)), capture, MITSUBA, config)
-    step, stages = loop.method.step, []
+    step, passed = loop.method.step, []
 
     def saving_step(progress):
         loop.checkpoint = tmp_path / f"{loop.iteration}.safetensors"
         loop.save()
-        stages.append(int(loop.method.stage[0]))
+        passed.append(loop.method.stages.stage)
         return step(progress)
 
     loop.method.step = saving_step
     loop.run()
-    assert set(stages) == ({ALONE, RIVALS, FINE} if kind == "exact" else {ALONE, TOGETHER, FINE})
-    for at in range(1, len(stages)) if kind == "phone" else (2, 4):
+    assert set(passed) == {Stage.ALONE, Stage.RIVALS if kind == "exact" else Stage.TOGETHER, Stage.FINE}
+    for at in range(1, len(passed)) if kind == "phone" else (2, 4):
         resumed = fit_svbrdf(capture, MITSUBA, config, resume=tmp_path / f"{at}.safetensors")
         for name, value in whole.svbrdf.maps.items():
             assert torch.equal(value, resumed.svbrdf[name]), (at, name)
@@ -360,16 +372,16 @@ def test_a_step_taken_back_into_the_stage_before(two_stages, phone, capture):
     # The state before goes with the photos of its own stage: the same step from there gives the same bits.
     method = left_alone(capture)
     kept, views = method.state(), method.estimate()[1]
-    assert method.capture is method.small and torch.equal(views.camera, capture.views.camera)
+    assert method.scale.capture is method.scales.captures[Stage.TOGETHER] and torch.equal(views.camera, capture.views.camera)
     fresh = method_of(capture)
     early = fresh.state()
     fresh.step(0.0)
-    wanted = fresh.x.clone()
+    wanted = fresh.answer.x.clone()
     method.load_state(early)
     method.step(0.0)
-    assert torch.equal(method.x, wanted)
+    assert torch.equal(method.answer.x, wanted)
     fresh.load_state(kept)
-    assert fresh.capture is fresh.small
+    assert fresh.scale.capture is fresh.scales.captures[Stage.TOGETHER]
 
 
 def test_settled_and_nothing_left(capture, tmp_path):
@@ -418,7 +430,7 @@ def sane(result, resolution, bsdf="roughconductor"):
 @pytest.mark.parametrize("side", [2, 5, 50, 100])
 def test_any_size(side, kind, monkeypatch):
     if kind == "phone":
-        monkeypatch.setattr(rounds, "EXACT", 0.0)
+        monkeypatch.setattr(stages, "EXACT", 0.0)
     truth = make_material("leather", side)
     result = fit_svbrdf(photos_of(truth), MITSUBA, HierarchicalConfig(iterations=7))
     sane(result, side)
@@ -488,9 +500,9 @@ OF_TWO_SIZES = "matt", "diffuse only", "normal only", "own 0", "own tiny"
     *((name, kind) for name in OF_TWO_SIZES for kind in ("phone, two sizes", "exact, two sizes"))])
 def test_any_options(options, kind, tiles, monkeypatch):
     if "phone" in kind:
-        monkeypatch.setattr(rounds, "EXACT", 0.0)
+        monkeypatch.setattr(stages, "EXACT", 0.0)
     if "two sizes" in kind:
-        monkeypatch.setattr(rounds, "COARSE", 6)
+        monkeypatch.setattr(scales, "COARSE", 6)
     config = HierarchicalConfig(iterations=12, **OPTIONS[options])  # of which the phone's third to sixth tie the texels
     result = fit_svbrdf(tiles, MITSUBA, config)
     sane(result, 12, config.bsdf)

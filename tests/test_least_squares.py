@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from mitsvbrdf import color
-from mitsvbrdf.fit.hierarchical import kernel, solver
+from mitsvbrdf.fit.hierarchical import kernel
 from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import CHANNELS, SVBRDF
@@ -50,15 +50,15 @@ class Case:
         truth = make_renderer("analytic64").render(random_material(self.bsdf, SIDE, seed=2), self.views)
         random = torch.Generator().manual_seed(3)
         weights = torch.rand(len(self.views), SIDE, SIDE, generator=random) if self.weighted else None
-        photos = color.to_display(truth, self.transfer).float()
-        self.evidence = Observations(photos, self.views, self.transfer, 0.02, self.robust, weights)
+        self.observations = Observations(color.to_display(truth, self.transfer).float(), self.views, self.transfer, 0.02,
+                                         self.robust, weights)
         self.mean = torch.rand(self.x.shape, generator=random)
         self.precision = 12 + 100 * torch.rand(self.x.shape, generator=random)
 
     def solve(self, x, iterations, damping=0.01, precision=None, **options):
         precision = self.precision if precision is None else precision
-        return self.solver.solve(self.evidence, x, torch.full((SIDE, SIDE), damping), self.mean, precision, self.low, self.high,
-                                 iterations, **options)
+        return self.solver.solve(self.observations, x, torch.full((SIDE, SIDE), damping), self.mean, precision, self.low,
+                                 self.high, iterations, **options)
 
 
 CASES = {
@@ -80,19 +80,19 @@ class Twin:
 
     def __init__(self, case: Case):
         self.case = case
-        self.solver = TexelSolver(case.bsdf, {n: m.double() for n, m in case.solver.held.items()}, case.grey)
-        e = case.evidence
+        self.solver = TexelSolver(case.bsdf, {n: m.double() for n, m in case.solver.fixed.items()}, case.grey)
+        e = case.observations
         self.photos = e.photos.double()
         self.weights = (torch.ones(SIDE, SIDE) if e.weights is None else e.weights).double()[..., None] / e.noise**2
 
     def errors(self, x):
         shown = color.encode(AnalyticRenderer(torch.float64).render(self.solver.svbrdf(x), self.case.views),
-                             self.case.evidence.transfer)
+                             self.case.observations.transfer)
         error = shown - self.photos
         return torch.where(self.photos >= 0.995, error.clamp_max(0), error)
 
     def cost(self, x):
-        square, s = self.errors(x).square(), self.case.evidence.robust
+        square, s = self.errors(x).square(), self.case.observations.robust
         return (self.weights * (square if s is None else 2 * s**2 * (torch.sqrt(1 + square / s**2) - 1))).sum(dim=(0, 3))
 
     def prior(self, x):
@@ -104,7 +104,7 @@ class Twin:
         rows = [torch.autograd.grad(error[v, ..., c].sum(), x, retain_graph=True)[0]
                 for v in range(len(error)) for c in range(3)]
         jacobian = torch.stack(rows).permute(2, 3, 0, 1)  # R x R x 3 N x U
-        error, s = error.detach(), self.case.evidence.robust
+        error, s = error.detach(), self.case.observations.robust
         weights = self.weights / (1 if s is None else torch.sqrt(1 + error.square() / s**2))
         weights, error = (t.expand_as(self.photos).permute(1, 2, 0, 3).flatten(2)[..., None] for t in (weights, error))
         return (jacobian.mT @ (weights * error))[..., 0], jacobian.mT @ (weights * jacobian)
@@ -134,14 +134,14 @@ def case(request) -> Case:
 def test_normal_equations(case):
     # Measured over all texels and entries, worst case of all: cost 1.8e-6, slopes 9.6e-6, curvature 2.2e-5 (at texels with an
     # unknown at its bound; elsewhere 5e-6).
-    cost, slope, curve = case.solver.normal_equations(case.evidence, case.x)
+    cost, slope, curve = case.solver.normal_equations(case.observations, case.x)
     twin = Twin(case)
     true_slope, true_curve = twin.normal_equations(case.x)
     true_cost = twin.cost(case.x.double())
     size = true_curve.diagonal(dim1=-2, dim2=-1).sqrt().clamp_min(1e-3)
     slope_off = (slope.permute(1, 2, 0) - true_slope).abs() / (size * true_cost.sqrt()[..., None])
     curve_off = (curve.permute(2, 3, 0, 1) - true_curve).abs() / (size[..., None] * size[..., None, :])
-    assert (case.evidence.photos >= 0.995).double().mean() > 0.04  # clipped pixels are among them
+    assert (case.observations.photos >= 0.995).double().mean() > 0.04  # clipped pixels are among them
     assert (cost / true_cost - 1).abs().max() < 5e-6
     assert slope_off.max() < 3e-5
     assert curve_off.max() < 6e-5
@@ -153,7 +153,7 @@ def test_variances(case):
     _, curve = Twin(case).normal_equations(case.x)
     curve = curve + torch.diag_embed(case.precision.double().permute(1, 2, 0))
     truth = torch.linalg.inv(curve).diagonal(dim1=-2, dim2=-1)
-    found, log_determinant = case.solver.posterior(case.evidence, case.x, case.precision)
+    found, log_determinant = case.solver.posterior(case.observations, case.x, case.precision)
     assert (found.permute(1, 2, 0) / truth - 1).abs().max() < 6e-5
     assert (log_determinant - torch.linalg.slogdet(curve).logabsdet).abs().max() < 1e-4
 
@@ -184,7 +184,7 @@ def test_no_step_raises_the_cost_or_leaves_the_bounds():
     together = case.solve(case.x, 8, damping=0.01)
     apart, damping = case.x, torch.full((SIDE, SIDE), 0.01)
     for _ in range(8):
-        solved = case.solver.solve(case.evidence, apart, damping, case.mean, case.precision, case.low, case.high, 1)
+        solved = case.solver.solve(case.observations, apart, damping, case.mean, case.precision, case.low, case.high, 1)
         apart, damping = solved.x, solved.damping
     assert torch.equal(together.x, apart) and torch.equal(together.damping, damping)
 
@@ -207,13 +207,13 @@ def test_finds_known_maps(name):
     solver = TexelSolver("roughconductor")
     truth = solver.numbers(material)
     photos = (color.to_display(make_renderer("analytic64").render(material, GRID)).float() * 255).round() / 255
-    evidence = Observations(photos, GRID, "gamma2.2", noise=1 / 255)
+    observations = Observations(photos, GRID, "gamma2.2", noise=1 / 255)
     x = truth.mean(dim=(1, 2), keepdim=True).expand_as(truth).clone()
     x[-3:] = torch.tensor([0.4, 0, 0])[:, None, None]
     low, high = torch.tensor([0.0] * 6 + [0.05, -1.5, -1.5]), torch.tensor([1.0] * 7 + [1.5, 1.5])
     precision = torch.full_like(x, 12.0)  # that of a number anywhere between 0 and 1
-    solved = solver.solve(evidence, x, torch.full((side, side), 0.01), x, precision, low, high, 60)
-    deviation = solver.variances(evidence, solved.x, precision).sqrt()
+    solved = solver.solve(observations, x, torch.full((side, side), 0.01), x, precision, low, high, 60)
+    deviation = solver.variances(observations, solved.x, precision).sqrt()
     explained = solved.data < 27  # 9 photos, 3 values each, no further off than the noise; else stuck at a wrong highlight
     sure = explained & (deviation < 0.05)
     error = (solved.x - truth).abs()
@@ -230,11 +230,11 @@ def test_a_texel_that_faces_away_is_black_and_still():
     case = Case(views=Views.of([[0.0, -3.0, 0.05], [0.2, -3.0, 0.05]], intensity=30.0))
     x = case.x.clone()
     x[-1] = 1.4  # the normal leans up, the camera is low at the bottom
-    cost, slope, curve = case.solver.normal_equations(case.evidence, x)
-    photos = case.evidence.photos.double()
+    cost, slope, curve = case.solver.normal_equations(case.observations, x)
+    photos = case.observations.photos.double()
     assert torch.allclose(cost.double(), (photos / 0.02).square().sum(dim=(0, 3)), rtol=1e-5)
     assert not slope.any() and not curve.any()
-    variance = case.solver.variances(case.evidence, x, case.precision)
+    variance = case.solver.variances(case.observations, x, case.precision)
     assert torch.allclose(variance, 1 / case.precision, rtol=1e-5)
     solved = case.solve(x, 3)
     assert all(torch.isfinite(t).all() for t in (solved.x, solved.data, solved.prior, solved.damping))
@@ -242,10 +242,10 @@ def test_a_texel_that_faces_away_is_black_and_still():
 
 def test_what_is_not_finite_stays_in_its_texel():
     case = CASES["all free"]()
-    x, photos = case.x.clone(), case.evidence.photos.clone()
+    x, photos = case.x.clone(), case.observations.photos.clone()
     x[6, 3, 4], photos[2, 5, 6, 1] = float("nan"), float("nan")
     clean = case.solve(case.x, 4)
-    case.evidence = dataclasses.replace(case.evidence, photos=photos)
+    case.observations = dataclasses.replace(case.observations, photos=photos)
     solved = case.solve(x, 4)
     touched = torch.zeros(SIDE, SIDE, dtype=torch.bool)
     touched[3, 4] = touched[5, 6] = True
@@ -258,12 +258,12 @@ def test_traced_once(monkeypatch):
     case = CASES["all free"]()
     collecting = []
     encode = kernel.traced_encode
-    monkeypatch.setattr(solver, "_encode", lambda *a: collecting.append(gc.isenabled()) or encode(*a))
+    monkeypatch.setattr(kernel, "traced_encode", lambda *a: collecting.append(gc.isenabled()) or encode(*a))
     one = case.solve(case.x, 1)
     traces = len(collecting)
     assert traces and not any(collecting) and gc.isenabled()
     views = Views.of(GRID.camera[:5] * 1.1, intensity=9.0)
-    other = Observations(case.evidence.photos[:5] * 0.9, views, "gamma2.2", 0.05)
+    other = Observations(case.observations.photos[:5] * 0.9, views, "gamma2.2", 0.05)
     case.solver.solve(other, one.x, one.damping, case.mean, case.precision, case.low + 0.01, case.high, 3)
     assert torch.equal(case.solve(case.x, 1).x, one.x)
     assert len(collecting) == traces

@@ -39,7 +39,7 @@ def test_every_variant_is_one_of_the_default_method():
 @pytest.mark.slow
 def test_every_ingredient_changes_real_fits_and_two_of_them_exact_ones(monkeypatch):
     # What VARIANTS of methods.py says. The largest change of a map's value was 0.01 or more, and exactly 0 where it must be.
-    monkeypatch.setattr("mitsvbrdf.fit.hierarchical.rounds.CHANCE", 0.0)  # they hold hardly any burn-in
+    monkeypatch.setattr("mitsvbrdf.fit.hierarchical.highlights.CHANCE", 0.0)  # they hold hardly any burn-in
 
     def maps(shots, config):
         return torch.cat(list(fit_svbrdf(shots, ANALYTIC, config).svbrdf.maps.values()), dim=-1)

@@ -37,19 +37,27 @@ def appearance_of(capture: Capture, guess: Tensor) -> Tensor:
     return torch.cat((chroma / 4, lightness / 2, color.encode(guess.reshape(-1, 3).mean(dim=1, keepdim=True)) / 2), dim=1)
 
 
-def basis_materials(looks: Tensor, count: int, seed: int) -> Tensor:
-    """The looks of at most ``count`` basis materials, K x 5: k-means, which depends on the seed alone.
+def basis_materials(appearance: Tensor, count: int, seed: int) -> Tensor:
+    """The appearance of at most ``count`` basis materials, K x 5: k-means, which depends on the seed alone.
 
     Args:
-        looks: M x 5.
+        appearance: of M texels, M x 5 (:func:`appearance_of`).
+        count: K; fewer where there are fewer texels.
+        seed: of k-means.
     """
     cv2.setRNGSeed(seed % 2**31)
-    count = min(count, len(looks))
+    count = min(count, len(appearance))
     stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, KMEANS_ROUNDS, 1e-4)
-    _, _, centres = cv2.kmeans(looks.numpy(), count, None, stop, KMEANS_STARTS, cv2.KMEANS_PP_CENTERS)
+    _, _, centres = cv2.kmeans(appearance.numpy(), count, None, stop, KMEANS_STARTS, cv2.KMEANS_PP_CENTERS)  # type: ignore[call-overload]  # None is allowed
     return torch.from_numpy(centres)
 
 
-def membership(looks: Tensor, basis: Tensor, width: float) -> Tensor:
-    """How much of each basis material a texel is, M x K, rows that sum to 1: normal kernels of this standard deviation."""
-    return F.softmax(-torch.cdist(looks, basis).square() / (2 * width**2), dim=1)
+def membership(appearance: Tensor, basis: Tensor, width: float) -> Tensor:
+    """How much of each basis material a texel is, M x K, rows that sum to 1: normal kernels of this standard deviation.
+
+    Args:
+        appearance: of M texels, M x 5.
+        basis: of :func:`basis_materials`, K x 5.
+        width: the standard deviation.
+    """
+    return F.softmax(-torch.cdist(appearance, basis).square() / (2 * width**2), dim=1)

@@ -5,10 +5,12 @@ A matrix is a dictionary (i, j) -> value of its lower triangle, i >= j. Every lo
 
 from __future__ import annotations
 
+from typing import Any
+
 PIVOT = 4  # roundings of its diagonal: what is left of a pivot below that is nothing else
 TINY = 1e-12  # added to the diagonal, where nothing is known of an unknown
 
-Matrix = dict[tuple[int, int], object]
+Matrix = dict[tuple[int, int], Any]
 
 
 def factor(matrix: Matrix, size: int) -> Matrix:

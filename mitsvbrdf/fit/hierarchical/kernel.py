@@ -1,40 +1,262 @@
-"""What the texel solver traces: derivatives, colour transfer and the places of the normal equations."""
+"""The kernel of the texel solver: what one thread computes for its texel.
+
+Everything here is traced by Dr.Jit: lists hold a value for each unknown, and each value is an array over all texels.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
+from functools import reduce
+from typing import Any, NamedTuple
 
 from ... import color
+from ...color import CLIPPED
+from ...material.maps import COLOURS, Bsdf
+from ...render.needs import Needs
+from ...render.plugins import shading_axes
+from ...render.texel_plugin import HeldPlugin, along, frozen, row, texel_position, view_geometry
+from . import cholesky
+from .unknowns import Unknowns
 
 EASED, STIFFENED = 0.3, 4.0  # what an accepted and a refused step make of the damping
-DAMPING = 1e-6, 1e6  # its range
+DAMPING_RANGE = 1e-6, 1e6
 ROUNDING = 1e-5  # a cost that grows by less than this share has not grown: errors are differences of float32
 STILL = 1e-4  # a refused step no longer than this is one of a texel that has arrived: it leaves the damping alone
 
 
-class Functions(NamedTuple):
-    """What stands behind three methods of :class:`TexelSolver`, on Dr.Jit arrays."""
+class Column(NamedTuple):
+    """A slope that is taken: of a map, along one of a normal's two axes, and whose unknown it is for red, green and blue.
 
-    steps: Callable
-    posterior: Callable
-    equations: Callable
+    A channel of the radiance knows its own channel of a colour alone, so one forward pass serves all three.
+    """
+
+    name: str
+    axis: int
+    places: tuple[int, ...]
+
+
+def columns_of(unknowns: Unknowns) -> list[Column]:
+    """The slopes that are taken."""
+    columns = []
+    for name, of in unknowns.slices.items():
+        places = tuple(range(of.start, of.stop))
+        if name == "normal":
+            columns += [Column(name, axis, (at,) * 3) for axis, at in enumerate(places)]
+        else:
+            columns.append(Column(name, 0, places if len(places) == 3 else places * 3))
+    return columns
 
 
 def pair_of(i: int, j: int) -> tuple[int, int]:
+    """The place of an entry in the lower triangle of a symmetric matrix."""
     return max(i, j), min(i, j)
 
 
-def pairs_of(columns: list) -> list[tuple[int, int]]:
+def pairs_of(columns: list[Column]) -> list[tuple[int, int]]:
     """The places in the lower triangle of J^T J that are not always 0."""
-    return sorted({pair_of(first[2][c], second[2][c]) for first in columns for second in columns for c in range(3)})
+    return sorted({pair_of(first.places[c], second.places[c]) for first in columns for second in columns for c in range(3)})
 
 
-def opaque(mi, value):
-    """A number that may change without a new kernel."""
+class Kernel:
+    """Cost, normal equations and steps of every texel, traced once for a material's unknowns and a kind of scene.
+
+    :attr:`steps`, :attr:`posterior` and :attr:`equations` stand behind the methods of
+    :class:`~mitsvbrdf.fit.hierarchical.solver.TexelSolver`. Their ``problem`` has the Dr.Jit arrays ``photos``, ``views``
+    (cameras, lights, intensities), ``count`` (of the views), ``weight`` (1 / noise^2) and ``fixed`` (maps), and where they
+    are asked for ``scale`` (of the robust cost) and ``weights`` (of pixels).
+
+    Args:
+        mi: the ``mitsuba`` module with the variant to use.
+        bsdf: the parameter set.
+        unknowns: of a texel.
+        needs: what to compute.
+        side: texels a side.
+        falloff: as of :class:`mitsvbrdf.views.Views`.
+        transfer: how the photos' display values encode light.
+    """
+
+    def __init__(self, mi, bsdf: Bsdf, unknowns: Unknowns, needs: Needs, side: int, falloff: str, transfer: str) -> None:
+        self.mi, self.unknowns, self.needs = mi, unknowns, needs
+        self.side, self.falloff, self.transfer = side, falloff, transfer
+        self.texels, self.size = side * side, sum(unknowns.values())
+        self.columns = columns_of(unknowns)
+        self.pairs = pairs_of(self.columns)
+        self.shader = HeldPlugin(mi, bsdf, needs)
+        self.steps, self.posterior, self.equations = (
+            frozen(function, self.shader) for function in (self._steps, self._posterior, self._equations))
+
+    def zeros(self, count: int, kind: Any = None) -> list:
+        """So many zeros for each texel, each an object of its own, since loops write into their state."""
+        import drjit as dr
+
+        return [dr.zeros(kind or self.mi.Float, self.texels) for _ in range(count)]
+
+    def _steps(self, problem, start, damping, mean, precision, low, high, iterations):
+        import drjit as dr
+
+        def iterate(k, trial, x, damping, data, prior, slope, curve):
+            trial_prior = sum(p * dr.square(t - m) for p, t, m in zip(precision, trial, mean))
+            trial_data, trial_slope, trial_curve = self._linearised(problem, trial)
+            better = trial_data + trial_prior <= (data + prior) * (1 + ROUNDING)  # False for what is no number
+            better &= dr.isfinite(trial_data + trial_prior)
+            damping = dr.select(k == 0, damping, next_damping(damping, better, trial, x))
+            x, data, prior, slope, curve = chosen(better, [trial, trial_data, trial_prior, trial_slope, trial_curve],
+                                                  [x, data, prior, slope, curve])
+            down = [p * (m - v) - s for s, p, v, m in zip(slope, precision, x, mean)]
+            step = bounded_step(down, self._matrix(curve, precision), damping, x, low, high)
+            trial = [dr.clip(v + s, least, most) for v, s, least, most in zip(x, step, low, high)]
+            return k + 1, trial, x, damping, data, prior, slope, curve
+
+        Float = self.mi.Float
+        state = (dr.zeros(self.mi.UInt32, self.texels), [Float(v) for v in start], start, damping,
+                 dr.full(Float, dr.inf, self.texels), *self.zeros(1), self.zeros(self.size), self.zeros(len(self.pairs)))
+        _, _, x, damping, data, prior, *_ = dr.while_loop(state, lambda k, *_: k <= iterations, iterate, label="iterations")
+        return [x, [damping, data, prior]]
+
+    def _posterior(self, problem, x, precision):
+        import drjit as dr
+
+        # What a highlight says is 1e6 times what a prior says, and more: in float32 its rounding would drown the prior.
+        *_, curve = self._linearised(problem, x, dr.float64_array_t(self.mi.Float))
+        lower = cholesky.factor(self._matrix(curve, precision), self.size)
+        found = [*cholesky.inverse_diagonal(lower, self.size), cholesky.log_determinant(lower, self.size)]
+        return [self.mi.Float(v) for v in found]
+
+    def _equations(self, problem, x):
+        cost, slope, curve = self._linearised(problem, x)
+        return [[cost], slope, curve]
+
+    def _matrix(self, curve: list, precision: list) -> cholesky.Matrix:
+        """J^T W J of :attr:`pairs` plus the prior's precision."""
+        matrix = dict(zip(self.pairs, curve))
+        return matrix | {(u, u): matrix[u, u] + p for u, p in enumerate(precision)}
+
+    def _linearised(self, problem: dict, x: list, kind: Any = None) -> tuple:
+        """At x, the data cost, J^T W e, and J^T W J by :attr:`pairs`, summed in this kind of float."""
+        import drjit as dr
+
+        kind = kind or self.mi.Float
+        texels = Texels(self, problem, x, kind)
+        state = (dr.zeros(self.mi.UInt32, self.texels), *self.zeros(1, kind), self.zeros(self.size, kind),
+                 self.zeros(len(self.pairs), kind))
+        _, cost, slope, curve = dr.while_loop(state, lambda view, *_: view < problem["count"], texels.add_view, label="views")
+        self.shader.release()
+        # The slopes were by what the plugin takes; these factors make them slopes by the unknowns.
+        by = texels.stretch
+        return cost, [s * b for s, b in zip(slope, by)], [v * by[i] * by[j] for (i, j), v in zip(self.pairs, curve)]
+
+
+class Texels:
+    """The texels at one x, and what each photo says of them there.
+
+    Args:
+        kernel: what is traced.
+        problem: of the kernel.
+        x: the unknowns.
+        kind: of float that sums are made in.
+    """
+
+    def __init__(self, kernel: Kernel, problem: dict, x: list, kind: Any) -> None:
+        import drjit as dr
+
+        mi, self.kernel, self.problem, self.kind = kernel.mi, kernel, problem, kind
+        self.index = dr.arange(mi.UInt32, kernel.texels)
+        self.place = texel_position(mi, self.index, kernel.side)
+        self.maps, self.stretch = traced_maps(mi, kernel.unknowns, x, problem["fixed"])
+        Vector: Any = dr.float64_array_t(mi.Vector3f)
+        self.axes, self.turns = None, []
+        if "normal" in kernel.unknowns:
+            normal = Vector(*self.maps["normal"], 1)
+            self.axes = shading_axes(normal)
+            # With slope k, the normal turns towards the tangents by these angles, and directions the other way.
+            self.turns = [tuple(mi.Float(axis[k] / dr.norm(normal)) for axis in self.axes[:2]) for k in range(2)]
+        elif kernel.needs.normal_map:
+            self.axes = shading_axes(Vector(self.maps["normal"]))
+
+    def add_view(self, view, cost, slope, curve):
+        """Add the part of one view to the data cost, J^T W e and J^T W J."""
+        import drjit as dr
+
+        shown, lit, seeds = self._shown(view)
+        error, weight, part = self._weighed(dr.detach(shown), view)
+        jacobian = [[self.kind(dr.select(lit, s, 0)) for s in column] for column in along(shown, seeds)]
+        columns, slope, curve = self.kernel.columns, list(slope), dict(zip(self.kernel.pairs, curve))
+        for m, (*_, places) in enumerate(columns):
+            for c in range(3):
+                weighted = self.kind(weight[c]) * jacobian[m][c]
+                slope[places[c]] = slope[places[c]] + weighted * error[c]
+                for n, (*_, others) in enumerate(columns[:m + 1]):
+                    pair = pair_of(places[c], others[c])
+                    curve[pair] = curve[pair] + weighted * jacobian[n][c]
+        return view + 1, cost + self.kind(part), slope, list(curve.values())
+
+    def _shown(self, view) -> tuple:
+        """Display values rendered of a view, where light and camera are above, and a seed for each column."""
+        import drjit as dr
+
+        kernel = self.kernel
+        camera, light, intensity = (row(kernel.mi, rows, view) for rows in self.problem["views"])
+        *directions, irradiance = view_geometry(kernel.mi, self.place, self.axes, camera, light, intensity, kernel.falloff)
+        lit = (directions[0].z > 0) & (directions[1].z > 0)
+        free = {name: type(self.maps[name])(self.maps[name]) for name in kernel.unknowns if name != "normal"}
+        dr.enable_grad(free, directions)
+        kernel.shader.hold(self.maps | free)
+        shown = traced_encode(kernel.shader.eval(*directions) * irradiance, kernel.transfer)
+        seeds = [[(free[name], 1)] if name in free else
+                 [(d, turned(dr.detach(d), *self.turns[axis])) for d in directions] for name, axis, _ in kernel.columns]
+        return shown, lit, seeds
+
+    def _weighed(self, shown, view) -> tuple:
+        """Errors of a view's display values, their weights in the normal equations, and their part of the cost."""
+        import drjit as dr
+
+        problem, place = self.problem, view * self.kernel.texels + self.index
+        photo = dr.gather(self.kernel.mi.Color3f, problem["photos"], place)
+        error = shown - photo
+        weight = dr.select((photo >= CLIPPED) & (error > 0), 0, problem["weight"])
+        if "weights" in problem:
+            weight = weight * dr.gather(self.kernel.mi.Float, problem["weights"], place)
+        if "scale" not in problem:
+            return error, weight, dr.sum(weight * dr.square(error))
+        excess = dr.sqrt(1 + dr.square(error) / dr.square(problem["scale"]))
+        return error, weight / excess, dr.sum(weight * (2 * dr.square(error) / (1 + excess)))
+
+
+def next_damping(damping, better, trial: list, x: list):
+    """The damping after a step to ``trial`` that was better than ``x``, or was not."""
     import drjit as dr
 
-    return dr.opaque(mi.UInt32 if isinstance(value, int) else mi.Float, value if isinstance(value, int) else float(value))
+    arrived = reduce(dr.maximum, [dr.abs(t - v) for t, v in zip(trial, x)]) <= STILL
+    return dr.clip(damping * dr.select(better, EASED, dr.select(arrived, 1, STIFFENED)), *DAMPING_RANGE)
+
+
+def bounded_step(down: list, matrix: cholesky.Matrix, damping, x: list, low: list, high: list) -> list:
+    """The damped step; an unknown at its bound that wants out takes no part in it."""
+    import drjit as dr
+
+    stuck = [(v <= least) & (d < 0) | (v >= most) & (d > 0) for v, d, least, most in zip(x, down, low, high)]
+    system = {(i, j): value * (1 + damping) if i == j else dr.select(stuck[i] | stuck[j], 0, value)
+              for (i, j), value in matrix.items()}
+    return cholesky.solved(cholesky.factor(system, len(x)), [dr.select(s, 0, d) for s, d in zip(stuck, down)])
+
+
+def chosen(better, new, old):
+    """The new values where they are better, else the old ones; of lists, each."""
+    import drjit as dr
+
+    return [chosen(better, *pair) for pair in zip(new, old)] if isinstance(new, list) else dr.select(better, new, old)
+
+
+def traced_maps(mi, unknowns: Unknowns, x: list, fixed: dict) -> tuple[dict, list]:
+    """The maps as the plugin takes them (an unknown normal: its slopes), and the slope of each by its unknown."""
+    def whole(planes):
+        return mi.Color3f(*planes) if len(planes) == 3 else planes[0]
+
+    maps, stretch = {name: whole(planes) for name, planes in fixed.items()}, list[Any]()
+    for name, of in unknowns.slices.items():
+        planes, by = zip(*(traced_decode(v) if name in COLOURS else (v, 1.0) for v in x[of]))
+        maps[name] = planes if name == "normal" else whole(planes)
+        stretch += by
+    return maps, stretch
 
 
 def turned(direction, towards_s, towards_t):

@@ -1,7 +1,87 @@
-"""How the fit moves camera and flash."""
+"""By how much camera and flash stood elsewhere than stated."""
 
 from __future__ import annotations
 
-LEVELLED, DAMPED = (4, 6, 8), 0.65  # rounds of ALONE after which the flash moves to level the patch, and by how much of it
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from ...calibrate.refine import ITERATIONS, PRIORS, UNKNOWNS, refine_views
+from ...capture import Capture
+from ...material.maps import SVBRDF
+from ...views import Views
+from ..task import Refined
+from .stages import Stage
+
+# Rounds of a stage after which the flash moves to level the patch, and by how much of what that asks for.
+LEVELLED, DAMPED = {Stage.ALONE: (5, 7, 9)}, 0.65
+REFINED = {Stage.ALONE: (12,), Stage.TOGETHER: (3, 5, 7, 9), Stage.FINE: (5,)}  # rounds after which the views are refined
 TILTED = 0.03  # patch sides by which the flash seems moved where the patch is not level
 FEW_STEPS = 10  # of refining views that were not stated: they move far, and will again after the next rounds
+FLASH = slice(UNKNOWNS.index("flash_x"), UNKNOWNS.index("flash_y") + 1)  # beside the camera
+
+
+class MovedViews:
+    """Changes of the stated views, N x 7 by :data:`mitsvbrdf.calibrate.refine.UNKNOWNS`, and how sure they are.
+
+    Args:
+        capture: photos with the stated views, at full size.
+        refined: when the views may move: ``always`` where they were estimated from photos or are a default, ``unless exact``
+            where they were stated (photos that follow the model say that they are right).
+        fits_offset: whether a flash offset that all photos share is among what may change.
+    """
+
+    def __init__(self, capture: Capture, refined: Refined, fits_offset: bool) -> None:
+        self.stated, self.refined, self.fits_offset = capture.views, refined, fits_offset
+        priors = PRIORS[capture.calibration]
+        self.priors = priors if fits_offset else replace(priors, common_flash=(0.0, 0.0))
+        self.change = torch.zeros(len(capture), len(UNKNOWNS), dtype=torch.float64)
+        self.deviation, self.flash_deviation = torch.zeros_like(self.change), torch.zeros(2, dtype=torch.float64)
+
+    def moved(self, views: Views) -> Views:
+        """Views with the changes found so far."""
+        camera, flash, log_exposure = self.change.split((3, 3, 1), dim=1)
+        camera, flash = camera * views.size, flash * views.size
+        return replace(views, camera=views.camera + camera, light=views.light + camera + flash,
+                       intensity=views.intensity * log_exposure.exp())
+
+    def may_move(self, tied: bool) -> bool:
+        """Whether the views are refined now, with photos that are known to be a phone's or not."""
+        return self.refined == "always" or self.refined == "unless exact" and tied
+
+    def level(self, slope: Tensor) -> None:
+        """Move the flash of all photos until the patch as a whole is flat.
+
+        Normals that lean by a slope s show their highlights s z beside the place below the camera, as a flash 2 s z beside it
+        does. A refinement with the maps frozen cannot find that: what their diffuse map has taken up holds the flash.
+
+        Args:
+            slope: mean slopes of the normals, two float64 numbers.
+        """
+        common = self.change[0, FLASH]
+        said = common - 2 * self.stated.in_patch_sides().camera[:, 2].mean() * slope
+        variance = torch.tensor(self.priors.common_flash).double().square()
+        self.change[:, FLASH] += DAMPED * (variance / (variance + TILTED**2) * said - common)
+
+    def refine(self, svbrdf: SVBRDF, capture: Capture) -> None:
+        """Find where camera and flash stood from the maps so far."""
+        found = refine_views(svbrdf, capture.views, capture, self.priors, FEW_STEPS if self.refined == "always" else ITERATIONS)
+        self.change, self.deviation = found.change, found.deviation
+        self.flash_deviation = found.common_covariance.diagonal().sqrt()
+
+    @property
+    def deviations(self) -> tuple[Tensor | None, Tensor | None]:
+        """Standard deviations of the changes, N x 7, and of the common flash offset, 2; None where not refined."""
+        if not self.deviation.any():
+            return None, None
+        return self.deviation, self.flash_deviation if self.fits_offset else None
+
+    def state(self) -> dict[str, Tensor]:
+        """Everything :meth:`load_state` needs."""
+        return {name: getattr(self, name).clone() for name in ("change", "deviation", "flash_deviation")}
+
+    def load_state(self, state: dict[str, Tensor]) -> None:
+        """Go on from a saved state."""
+        self.change, self.deviation, self.flash_deviation = (
+            state[name].clone() for name in ("change", "deviation", "flash_deviation"))

@@ -42,7 +42,7 @@ def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, pr
         variance: posterior variances, S x M.
         prior_mean: of the prior that these had, S x M.
         prior_precision: the same.
-        member: M x K, of :func:`mitsvbrdf.fit.likeness.membership`.
+        member: M x K, of :func:`mitsvbrdf.fit.hierarchical.appearance.membership`.
         spread: S, tau so far.
         typical: whether :data:`TYPICAL` counts. It decides where photos leave a whole material open, as they do a broad lobe
             that looks like a diffuse one; where photos do not follow the model it would weigh more than their highlights.

@@ -1,21 +1,149 @@
-"""The stages of the hierarchical fit."""
+"""The stages of the fit: which one it is in, for how many rounds, and what noise its photos are taken to have.
+
+Photos of a simulation follow the model to the last digit, photos of a phone do not. What the first stage leaves unexplained
+tells which kind they are, and that decides which stages come next.
+"""
 
 from __future__ import annotations
 
-COARSE = 64  # texels a side of the first stages
-# The stages: coarse and free; the same from other starts (exact photos only); coarse and tied (a phone's only); full size.
-ALONE, RIVALS, TOGETHER, FINE = range(4)
+from enum import IntEnum
+
+import torch
+from torch import Tensor
+
+from ... import color
+from ...capture import Capture
+from ...color import CLIPPED
+from ...material.maps import SVBRDF
+from ...render import Renderer
+from ...views import Views
+
+
+class Stage(IntEnum):
+    """A stage of the fit."""
+
+    ALONE = 0  # coarse; every texel explains its photos freely
+    RIVALS = 1  # the same from other starts; exact photos only
+    TOGETHER = 2  # coarse; texels are tied to those that look alike; photos of a phone only
+    FINE = 3  # full size
+
+
 # Rounds until the costs of two starts can be compared, measured: after 20 the lower one was the worse material's in 4 of 40
 # fits, after 26 in none. The robust start has its first in ALONE.
 TRIAL = 26
-ROUNDS = {ALONE: 12, RIVALS: 3 * TRIAL - 12, TOGETHER: 12, FINE: 14}
-DEADLINE = {ALONE: 0.15, RIVALS: 0.4, TOGETHER: 0.5}  # share of the run at which a stage ends at the latest
+ROUNDS = {Stage.ALONE: 12, Stage.RIVALS: 3 * TRIAL - 12, Stage.TOGETHER: 12, Stage.FINE: 14}
 TIED_ROUNDS = 6  # of FINE, for photos of a phone
-REFINED = {ALONE: (11,), TOGETHER: (2, 4, 6, 8), FINE: (4,)}  # rounds after which the views are refined
+DEADLINE = {Stage.ALONE: 0.15, Stage.RIVALS: 0.4, Stage.TOGETHER: 0.5}  # share of the run at which a stage ends at the latest
 
-# Structure that a free fit leaves at 64 px (:meth:`Hierarchical._unexplained`): six known materials 0.0003 to 0.0009 without
+# Structure that a free fit leaves at 64 px (:func:`unexplained`): six known materials 0.0003 to 0.0009 without
 # noise and up to 0.004 with noise of 0.003 in linear radiance, twelve real captures 0.009 to 0.053.
 EXACT = 0.006
-DAMPING = 0.01  # that Levenberg-Marquardt starts with
-STEPS, OTHER_STEPS = 6, 4  # Levenberg-Marquardt steps of a round, and of another start
-LAST_STEPS = 8  # and at the end
+
+NOISE = 0.03  # of a real photo's display values: sensor, alignment, light that is no point, lobes that are no GGX
+LEAST_NOISE = 0.004  # of any photo: one step of 8 bits
+UNTOLD = 1.5  # times what a fit with as many unknowns leaves unexplained, there was noise
+EASED = 0.75  # noise starts at NOISE and falls by this factor a round, so that no texel is caught early by a wrong highlight
+
+
+class Stages:
+    """Where the fit stands: a stage, rounds of it begun, and the noise of the round under way.
+
+    Args:
+        rivals: whether exact photos are fitted from other starts too.
+    """
+
+    def __init__(self, rivals: bool) -> None:
+        self.rivals = rivals
+        self.stage, self.rounds = Stage.ALONE, 0
+        self.noise = torch.tensor(NOISE)
+        self.unexplained = torch.full((2,), torch.nan)
+
+    @property
+    def exact(self) -> bool:
+        """Whether the photos follow the model, as a simulation's do; False until that is known."""
+        return bool(self.unexplained[0] < EXACT)
+
+    @property
+    def tied(self) -> bool:
+        """Whether texels are held to what their look-alikes said: photos of a phone, once they are known to be."""
+        return self.stage != Stage.ALONE and not self.exact
+
+    @property
+    def settled(self) -> bool:
+        """Whether another round would change little."""
+        return self.stage == Stage.FINE and self.rounds >= (ROUNDS[Stage.FINE] if self.exact else TIED_ROUNDS)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the stage had all its rounds."""
+        return self.rounds >= ROUNDS[self.stage]
+
+    def over(self, progress: float) -> bool:
+        """Whether the stage ends before the round to come, at this share of the run."""
+        late = self.rounds > 0 and progress >= DEADLINE.get(self.stage, 2.0)
+        return self.stage != Stage.FINE and (late or self.finished)
+
+    @property
+    def next(self) -> Stage:
+        """The stage after this one; after ALONE, :meth:`judge` comes first."""
+        if self.stage == Stage.ALONE:
+            return Stage.TOGETHER if not self.exact else Stage.RIVALS if self.rivals else Stage.FINE
+        return Stage.FINE
+
+    def judge(self, left: Tensor) -> None:
+        """Learn what ALONE left unexplained (:func:`unexplained`), and so which kind of photos these are."""
+        self.unexplained = left
+
+    def enter(self, stage: Stage) -> None:
+        """Begin a stage."""
+        self.stage, self.rounds = stage, 0
+
+    def begin_round(self) -> None:
+        """Count another round, and set its noise."""
+        self.noise = torch.tensor(self._next_noise())
+        self.rounds += 1
+
+    @property
+    def trial(self) -> tuple[int, int]:
+        """Of RIVALS: which start the round to come is of, and the rounds that this start had."""
+        return divmod(ROUNDS[Stage.ALONE] + self.rounds, TRIAL)
+
+    def _next_noise(self) -> float:
+        stage, done = self.stage, self.rounds
+        if stage == Stage.RIVALS:
+            done, alone = self.trial[1], ROUNDS[Stage.ALONE]
+            stage, done = (Stage.ALONE, done) if done < alone else (Stage.FINE, done - alone)
+        if stage == Stage.ALONE:
+            return max(LEAST_NOISE, NOISE * EASED**done)
+        if self.exact:
+            return max(LEAST_NOISE, UNTOLD * float(self.unexplained[1]), NOISE * EASED**(2 * done + 2))
+        return NOISE
+
+    def state(self) -> dict[str, Tensor]:
+        """Everything :meth:`load_state` needs."""
+        return {"stage": torch.tensor([self.stage, self.rounds]), "noise": self.noise.clone(),
+                "unexplained": self.unexplained.nan_to_num(-1.0)}
+
+    def load_state(self, state: dict[str, Tensor]) -> None:
+        """Go on from a saved state."""
+        self.stage, self.rounds = Stage(int(state["stage"][0])), int(state["stage"][1])
+        self.noise = state["noise"].clone()
+        self.unexplained = torch.where(state["unexplained"] < 0, torch.nan, state["unexplained"])
+
+
+def unexplained(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Renderer) -> Tensor:
+    """Structure and RMSE of the errors in display values, clipped pixels left out: two numbers.
+
+    Structure is the root of the mean product of neighbouring errors: sensor noise has none, a wrong model has.
+
+    Args:
+        svbrdf: the material found, R x R.
+        views: as fitted.
+        capture: the photos, N x R x R.
+        renderer: of the material.
+    """
+    with torch.no_grad():
+        images = renderer.render(svbrdf, views)
+    error = torch.where(capture.photos < CLIPPED, color.to_display(images, capture.transfer) - capture.photos, 0.0)
+    alike = (error[:, 1:] * error[:, :-1]).mean() + (error[:, :, 1:] * error[:, :, :-1]).mean()
+    return torch.stack(((alike / 2).clamp_min(0), error.square().mean())).sqrt()

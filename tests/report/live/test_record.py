@@ -89,7 +89,7 @@ def test_hierarchical_shows_each_round(tmp_path, capture, every_step):
 
     def looking_step(progress):
         maps.append(load_tensors(tmp_path / result_folder.LIVE)[0]["roughness"])
-        assert torch.equal(maps[-1][..., 0], method.x[method.names.index("roughness")].half())
+        assert torch.equal(maps[-1][..., 0], method.answer.x[method.ties.unknowns.of("roughness")][0].half())
         return step(progress)
 
     method.step = looking_step

@@ -1,0 +1,80 @@
+"""The sizes that the stages work at: the photos, the solver and the look-alikes of each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+from torch import Tensor
+
+from ...capture import Capture
+from ...material.resample import area_averaged
+from ..config import HierarchicalConfig
+from .appearance import appearance_of, basis_materials, membership
+from .solver import TexelSolver
+from .stages import Stage
+
+COARSE = 64  # texels a side of the first stages
+
+
+@dataclass(frozen=True, eq=False)
+class Scale:
+    """What a stage works on.
+
+    Args:
+        capture: the photos, N x R x R.
+        guess: guessed diffuse map, R x R x 3.
+        solver: of R x R texels.
+        basis: appearance of the basis materials, K x 5.
+        width: how alike texels must look to share.
+        free: whether texels have left what their look-alikes said.
+    """
+
+    capture: Capture
+    guess: Tensor
+    solver: TexelSolver
+    basis: Tensor
+    width: float
+    free: bool = False
+
+    @cached_property
+    def member(self) -> Tensor:
+        """How much of each basis material texels are, M x K."""
+        return membership(appearance_of(self.capture, self.guess), self.basis, self.width)
+
+
+class Scales:
+    """Photos at full size, and coarse ones of two kinds: every k-th pixel, as exact as the photos are, and area averages.
+
+    Args:
+        capture: the photos at full size.
+        guess: guessed diffuse map, at full size.
+        fixed: maps held fixed, at full size.
+        config: settings.
+        variant: of Mitsuba.
+    """
+
+    def __init__(self, capture: Capture, guess: Tensor, fixed: Mapping[str, Tensor], config: HierarchicalConfig,
+                 variant: str) -> None:
+        self.guess, self.fixed, self.config, self.variant = guess, fixed, config, variant
+        sampled, averaged = (make(min(COARSE, capture.resolution)) for make in (capture.sampled, capture.averaged))
+        # Photos no larger than that are the same in every stage, down to how they lie in memory: sums depend on it.
+        full = averaged if averaged.resolution == capture.resolution else capture
+        self.captures = {Stage.ALONE: sampled, Stage.RIVALS: sampled, Stage.TOGETHER: averaged, Stage.FINE: full}
+        self.solvers: dict[int, TexelSolver] = {}
+        guess = area_averaged(guess, averaged.resolution)
+        self.basis = basis_materials(appearance_of(averaged, guess), config.materials, config.seed)
+
+    def of(self, stage: Stage, free: bool = False) -> Scale:
+        """What this stage works on, with texels that are free or not."""
+        capture = self.captures[stage]
+        guess = area_averaged(self.guess, capture.resolution)
+        return Scale(capture, guess, self.solver(capture.resolution), self.basis, self.config.likeness, free)
+
+    def solver(self, side: int) -> TexelSolver:
+        """The solver of so many texels a side, made once."""
+        if side not in self.solvers:
+            fixed = {name: area_averaged(value, side) for name, value in self.fixed.items()}
+            self.solvers[side] = TexelSolver(self.config.bsdf, fixed, self.config.grey_specular, self.variant)
+        return self.solvers[side]
