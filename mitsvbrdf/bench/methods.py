@@ -1,5 +1,4 @@
-"""What competes: every method of ``fit`` with its settings, the default with one ingredient off, and one fit of either.
-"""
+"""What competes: every method of ``fit`` with its settings, the default with one ingredient off, and one fit of either."""
 
 from __future__ import annotations
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
@@ -129,11 +128,12 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
         jobs += fit_jobs("methods", picked, tasks, budgets, seeds, engine)
     if "capture" in suites:
         from ..bench.from_phone import capture_jobs
+        from ..fit import HierarchicalConfig
         from ..synth.phone import HandheldPhone
 
-        phone, default = HandheldPhone(megapixels=chosen["megapixels"], seed=seeds[0]), next(iter(table.values()))
+        phone = HandheldPhone(megapixels=chosen["megapixels"], seed=seeds[0])
         phone.check()
-        jobs += capture_jobs(*_sources(chosen, data), phone, replace(default, budget=max(budgets), seed=seeds[0]),
+        jobs += capture_jobs(*_sources(chosen, data), phone, HierarchicalConfig(budget=max(budgets), seed=seeds[0]),
                              chosen["resolution"], engine, variant)
     if "ablation" in suites:
         default = next(iter(table.values()))

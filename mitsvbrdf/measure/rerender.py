@@ -1,5 +1,4 @@
-"""A material rendered for the photos of a capture, and how far it is from them: the error that every fit is judged by.
-"""
+"""A material rendered for the photos of a capture, and how far it is from them: the error that every fit is judged by."""
 
 from __future__ import annotations
 

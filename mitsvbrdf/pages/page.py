@@ -11,7 +11,7 @@ import functools
 import io
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..system import files
 
@@ -73,7 +73,7 @@ def svg_file(drawing: Figure) -> bytes:
     return _svg_text(drawing, facecolor="white")
 
 
-def _svg_text(drawing: Figure, **look: object) -> bytes:
+def _svg_text(drawing: Figure, **look: Any) -> bytes:
     import matplotlib
 
     data = io.BytesIO()

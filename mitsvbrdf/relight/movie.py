@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
 from types import ModuleType
@@ -61,7 +61,7 @@ def write_mp4(path: str | Path, frames: Iterable[Tensor], fps: float) -> None:
         container.mux(stream.encode())
 
 
-def write_gif(path: str | Path, frames: Sequence[Tensor], fps: float) -> None:
+def write_gif(path: str | Path, frames: Iterable[Tensor], fps: float) -> None:
     """A GIF that loops, with a palette for each frame and errors diffused.
 
     GIF counts in hundredths of a second: frames last as many as keep the whole in step with ``fps``, at least two each, since

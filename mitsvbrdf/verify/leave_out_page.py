@@ -1,5 +1,4 @@
-"""The leave-out table as Markdown, for the documentation; it shows the numbers of the record and computes none.
-"""
+"""The leave-out table as Markdown, for the documentation; it shows the numbers of the record and computes none."""
 
 from __future__ import annotations
 
