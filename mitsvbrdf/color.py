@@ -13,12 +13,10 @@ from torch import Tensor
 
 from .errors import ConfigError
 
-CLIPPED = 0.99  # display values from here on say "at least this bright"
-LEAST_NOISE = 1 / (255 * math.sqrt(12))  # the rounding of 8 bits
-
-CLIPPED = 0.995  # photo values from here on are cut highlights: they only say "at least this bright"
-
-CLIPPED = 0.995  # photo values from here on are cut highlights: they only say "at least this bright"
+# Photo values that say no more than "at least this bright". Two thresholds, which go different ways:
+CLIPPED = 0.995  # in fits, whose residuals are one-sided from here on: 254 and 255 of 8 bits
+NEARLY_CLIPPED = 0.99  # before them (guess, flash, quality), where texels left out cost little: 253 of 8 bits, too
+QUANTIZATION_NOISE = 1 / (255 * math.sqrt(12))  # standard deviation of the rounding to 8 bits
 
 Transfer = Literal["gamma2.2", "srgb", "linear"]
 

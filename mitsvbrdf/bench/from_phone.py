@@ -121,10 +121,10 @@ class CaptureJob:
         phone = replace(self.phone, sheet=SHEET_CM if self.sheet else None)
         _, taking = timed(write_handheld, maps, phone, partial(HandheldRenderer, variant=self.variant), folder / "raw")
         report(0.2)
-        result = make_capture([Photo.open(path) for path in photos_in(folder / "raw")], phone.sheet,
-                              phone.depth if self.sheet else 0.0, resolution=max(512, self.resolution))
-        write_capture(result.capture, folder / "capture", capture_keys(result))
-        seconds = {"taking": taking} | result.seconds
+        photographed = make_capture([Photo.open(path) for path in photos_in(folder / "raw")], phone.sheet,
+                                    phone.depth if self.sheet else 0.0, resolution=max(512, self.resolution))
+        write_capture(photographed.capture, folder / "capture", capture_keys(photographed))
+        seconds = {"taking": taking} | photographed.seconds
         report(0.3)
         truth = Truth.read(folder / "raw")
         errors = _flat(compare_with_truth(folder / "capture", truth))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import get_args, get_type_hints
 
@@ -14,6 +14,7 @@ from ..fit import FitConfig, GanConfig, fit_svbrdf
 from ..fit.loop import Loop
 from ..material.maps import SVBRDF
 from ..render import Renderer
+from ..system.timing import timed
 from ..views import Falloff
 from .peers_baseline import PeersBaseline, PeersConfig
 
@@ -31,6 +32,8 @@ VARIANTS: dict[str, dict[str, object]] = {
 }
 
 FULL = "full"  # the default method as it is, among its variants
+
+Report = Callable[[dict, float], None]  # told an entry of the trace and the share done
 
 
 @dataclass(frozen=True)
@@ -99,34 +102,48 @@ def as_lit(capture: Capture, config: FitConfig) -> Capture:
     return replace(capture, views=replace(capture.views, falloff=falloff))
 
 
-def fit(capture: Capture, renderer: Renderer, config: FitConfig,
-        report: Callable[[dict, float], None] | None = None) -> Fitted:
+def fit(capture: Capture, renderer: Renderer, config: FitConfig, report: Report | None = None) -> Fitted:
     """One fit of any method of the table.
 
     Raises:
         KeyboardInterrupt: Ctrl-C ended it.
         MitsvbrdfError: it cannot be done: no step of it stays finite, or its budget ends before the first.
     """
-    started, capture = time.perf_counter(), as_lit(capture, config)
+    lit = as_lit(capture, config)
     if isinstance(config, PeersConfig):
-        config.check()
-        loop = Loop(PeersBaseline(capture, renderer, config), capture, renderer, config, report=report)
-        stopped, trace = loop.run(), loop.trace
-        assert loop.best is not None
-        rmse, svbrdf, _ = loop.best
-
-        def predicted(shots: Capture) -> dict:
-            return evaluate_capture(svbrdf, shots, renderer)
+        found, wall = timed(_fit_of_peers, lit, renderer, config, report)
     else:
-        result = fit_svbrdf(capture, renderer, config, report=report)
-        stopped, trace, rmse, svbrdf = result.stopped, result.trace, result.rerender_rmse, result.svbrdf
-
-        def predicted(shots: Capture) -> dict:
-            return evaluate_fit(result, shots)
-    if stopped == "interrupted":
+        found, wall = timed(_fit_of_ours, lit, renderer, config, report)
+    if found.stopped == "interrupted":
         raise KeyboardInterrupt
-    wall, iterations = time.perf_counter() - started, trace[-1]["iteration"]
-    if iterations == 0:  # the budget counts what comes before the first step too
+    if found.iterations == 0:  # the budget counts what comes before the first step too
         raise ConfigError("a fit of one step or more", f"none in {wall:.2g} s", "give a longer budget")
-    return Fitted(svbrdf.detach(), rmse, lambda shots: predicted(as_lit(shots, config))["rerender_rmse"],
-                  trace[-1]["seconds"], wall, iterations, stopped)
+    return replace(found, wall=wall)
+
+
+def _fit_of_ours(capture: Capture, renderer: Renderer, config: FitConfig, report: Report | None) -> Fitted:
+    result = fit_svbrdf(capture, renderer, config, report=report)
+
+    def predict(shots: Capture) -> float:
+        return evaluate_fit(result, as_lit(shots, config))["rerender_rmse"]
+
+    return _ended(result.svbrdf, result.rerender_rmse, predict, result.trace, result.stopped)
+
+
+def _fit_of_peers(capture: Capture, renderer: Renderer, config: PeersConfig, report: Report | None) -> Fitted:
+    config.check()
+    loop = Loop(PeersBaseline(capture, renderer, config), capture, renderer, config, report=report)
+    stopped = loop.run()
+    assert loop.best is not None
+    rmse, svbrdf, _ = loop.best
+
+    def predict(shots: Capture) -> float:
+        return evaluate_capture(svbrdf, as_lit(shots, config), renderer)["rerender_rmse"]
+
+    return _ended(svbrdf, rmse, predict, loop.trace, stopped)
+
+
+def _ended(svbrdf: SVBRDF, rmse: float, predict: Callable[[Capture], float], trace: Sequence[Mapping], stopped: str) -> Fitted:
+    """A fit by the last line of its trace; its wall-clock time is the caller's to measure."""
+    last = trace[-1]
+    return Fitted(svbrdf.detach(), rmse, predict, last["seconds"], math.nan, last["iteration"], stopped)

@@ -53,10 +53,12 @@ def small_multiples(record: Mapping, kind: str, error: str) -> Figure | None:
     height = drawing.get_figheight()
     panels = drawing.subplots(down, across, squeeze=False, sharex=True, sharey=True).flatten()
     drawing.subplots_adjust(left=0.055, right=0.985, wspace=0.08, hspace=0.3, top=1 - 0.82 / height, bottom=0.4 / height)
-    published = [{who: errors[error] for who, errors in record["published"].get(kind, {}).get(name, {}).items()
-                  if error in errors} for name in each]
+    published = []
     for number, (panel, name) in enumerate(zip(panels, each)):
-        _curves(panel, summary.curves(fits, error, [name]), colours(fits), published[number], direct=False)
+        lines = {who: errors[error] for who, errors in record["published"].get(kind, {}).get(name, {}).items()
+                 if error in errors}
+        _curves(panel, summary.curves(fits, error, [name]), colours(fits), lines, direct=False)
+        published.append(lines)
         panel.set_title(name, loc="left", fontsize=FONT_SIZES["label"], pad=3)
         panel.set_xlabel("seconds" if number >= len(each) - across else "", fontsize=FONT_SIZES["small"])
         panel.tick_params(labelbottom=number >= len(each) - across)
@@ -131,13 +133,13 @@ def colours(fits: Sequence[Mapping]) -> dict[str, str]:
 def names_of(kind: str, fits: Sequence[Mapping]) -> str:
     """How many materials or captures, and of how many seeds the median is."""
     count, seeds = len(summary.names(fits)), len({r["seed"] for r in fits})
-    what = {"material": "known material", "capture": "real capture"}[kind] + ("s" if count > 1 else "")
+    what = summary.KINDS[kind] + ("s" if count > 1 else "")
     return f"{count} {what}" + (f", median and quartiles of {seeds} seeds" if seeds > 1 else ", one seed")
 
 
 def _curves(panel: Axes, found: Mapping[str, Sequence[summary.Point]], shades: Mapping[str, str], lines: Mapping[str, float],
             direct: bool) -> None:
-    """Median lines with bands, dashed published lines, and labels at their ends (``direct``) or on the dashed lines."""
+    """Median lines with bands, dashed published lines, and labels at their ends (``direct``)."""
     budgets = sorted({p.budget for points in found.values() for p in points})
     last = max((p.seconds for points in found.values() for p in points), default=1.0)
     right = max([last, *budgets]) * 1.12

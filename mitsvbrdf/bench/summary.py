@@ -19,6 +19,8 @@ ERRORS: dict[str, dict[str, str]] = {
     "capture": {"left_out": "Error of photos left out", "seen": "Error of photos seen"},
 }
 
+KINDS = {"material": "known material", "capture": "real capture"}  # what is fitted, in words
+
 
 @dataclass(frozen=True)
 class Point:

@@ -112,7 +112,7 @@ def each_one(record: Mapping, kind: str, error: str, title: str) -> Table | None
         values.append([_value(found.get(m)) for m in methods] + [given.get(who, {}).get(error) for who in whose])
     if not rows:
         return None
-    return Table(f"{title}, {longest:g} s, each {'material' if kind == 'material' else 'capture'}",
+    return Table(f"{title}, {longest:g} s, each {kind}",
                  ["", *(f"`{m}`" for m in methods), *(f"{who}, published" for who in whose)], _best_in_row(rows, values))
 
 
@@ -177,8 +177,7 @@ def ablation_tables(record: Mapping) -> list[Table]:
         if rows:
             tables.append(Table(f"{title}, {count_of(kind, fits)}", ["", *(f"{budget:g} s" for budget in times)], rows,
                                 f"Behind the error: median difference to `{methods.FULL}` over pairs of the same "
-                                f"{'material' if kind == 'material' else 'capture'} and seed, quartiles in brackets; above 0 "
-                                "the ingredient helps."))
+                                f"{kind} and seed, quartiles in brackets; above 0 the ingredient helps."))
     return tables
 
 
@@ -217,7 +216,7 @@ def _counted(value: float | None, how: str) -> str:
 
 
 def judged(record: Mapping, suite: str) -> Iterator[tuple[str, str, str, list[Mapping]]]:
-    """The errors that a suite has fits for: kind, error, its title, and these fits."""
+    """Kind, error, its title and the fits, for each error that the fits of a suite are judged by."""
     for kind, errors in ERRORS.items():
         fits = summary.of(record["records"], suite, kind)
         for error, title in errors.items():
@@ -226,7 +225,7 @@ def judged(record: Mapping, suite: str) -> Iterator[tuple[str, str, str, list[Ma
 
 
 def at_time(points: Sequence[Point], budget: float) -> Point | None:
-    """The point of a curve at this budget, if it has one."""
+    """The point of one budget."""
     return next((p for p in points if p.budget == budget), None)
 
 
@@ -281,10 +280,9 @@ def _method(name: str, fits: Sequence[Mapping]) -> str:
 
 
 def count_of(kind: str, fits: Sequence[Mapping]) -> str:
-    """What a figure is the mean of: the one name, or how many there are."""
+    """Whose error it is: the only material's or capture's, or the mean over how many."""
     names = summary.names(fits)
-    what = {"material": "known material", "capture": "real capture"}[kind]
-    return names[0] if len(names) == 1 else f"mean of {len(names)} {what}s"
+    return names[0] if len(names) == 1 else f"mean of {len(names)} {summary.KINDS[kind]}s"
 
 
 def _spread_note(fits: Sequence[Mapping]) -> str:

@@ -11,13 +11,15 @@ than a point's: the beam of a flash and the darker corners of a lens. Without it
 - Where a highlight is, there is the mirror point: the flash stands above it, for sure and in patch sides.
 - How far away is hardly told: flash, material and lens can all make the same gradient. So heights lie around what phones do
   (:data:`HEIGHT`, :data:`SPREAD`), and how sure they are is stated.
-- How much light there was is told by nothing but what materials usually reflect (:data:`F0`, :data:`ALBEDO`).
+- How much light there was is told by nothing but what materials usually reflect (:data:`F0`,
+  :data:`~mitsvbrdf.material.maps.USUAL_ALBEDO`).
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 import torch
@@ -28,17 +30,18 @@ from torch import Tensor
 
 from .. import color
 from ..capture import Capture
+from ..capture.rig import LEAST_PHOTOS
 from ..color import CLIPPED
-from ..material.maps import DIELECTRIC_F0
+from ..material.maps import DIELECTRIC_F0, USUAL_ALBEDO, WHITEST
+from ..system.layout import Layout
 from ..views import Views
 
-LEAST_PHOTOS = 3
-SIDE = 32  # pixels a side that are looked at
+ESTIMATE_SIDE = 32  # pixels a side that are looked at
 GAMMA = 2.2  # errors are counted in radiance^(1 / GAMMA), whatever the photos' transfer
 NOISE = 0.05  # of these: one lobe for all is rough
 ALIKE = 40.0  # pixels count as one: what this model lacks hangs together
 ROBUST = 1.5  # errors beyond so many times the noise count by their size alone
-DARK, SAME = 0.01, 0.01  # radiance, and change of its logarithm between photos, below which nothing is told
+DARK_RADIANCE, SAME_LOG = 0.01, 0.01  # radiance, and change of its logarithm between photos, below which nothing is told
 
 # (What is usual, and by how many natural logarithms it varies.) Of twelve real captures with known views heights were 1.7 to
 # 4.0 patch sides with a median of 1.9, and cameras were spread over 0.10 to 0.18 of their height, root mean square by axis.
@@ -49,9 +52,10 @@ BEAM = (2.5, 1.5)  # b, and how it varies; the same captures, with known views: 
 ROUGHNESS = (0.3, 0.5)  # alpha
 LEVELS = (0.1, 1.0)  # level of k as a share of the brightest diffuse
 OWN = 0.7  # how far a texel's own k may be from the level, as a share of it
-F0, ALBEDO = (DIELECTRIC_F0, 0.4), (0.12, 1.2)  # median albedos; of ten known materials 0.001 to 0.22
-POWER = (F0[1] ** -2 + ALBEDO[1] ** -2) ** -0.5  # how well both tell the logarithm of the light power
-WHITEST = 0.95  # diffuse albedo that 99 % of the texels stay below
+F0 = (DIELECTRIC_F0, 0.4)  # median
+POWER = (F0[1] ** -2 + USUAL_ALBEDO[1] ** -2) ** -0.5  # how well both tell the logarithm of the light power
+
+PHOTO = Layout(place=(2,), height=(), exposure=())  # the unknowns of one photo
 
 
 @dataclass(frozen=True)
@@ -77,12 +81,12 @@ def why_not(capture: Capture) -> str | None:
         return f"{LEAST_PHOTOS} photos or more are needed"
     if capture.views.falloff == "none":
         return "without falloff there is nothing to tell them by"
-    light = _radiance(capture, SIDE)
-    if not light.mean(axis=(1, 2)).min() > DARK:
+    light = _radiance(capture, ESTIMATE_SIDE)
+    if not light.mean(axis=(1, 2)).min() > DARK_RADIANCE:
         return "the photos are too dark"
-    logs = np.log(light + DARK)
+    logs = np.log(light + DARK_RADIANCE)
     logs -= logs.mean(axis=(1, 2), keepdims=True)
-    return "the photos are all alike" if (logs - logs.mean(axis=0)).std() < SAME else None
+    return "the photos are all alike" if (logs - logs.mean(axis=0)).std() < SAME_LOG else None
 
 
 def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
@@ -114,8 +118,8 @@ def estimate_views(capture: Capture) -> EstimatedViews:
         capture: N >= 3 photos that :func:`why_not` has nothing against; its views are not looked at, but for their unit.
     """
     problem = Problem(capture)
-    start = np.zeros(problem.size)
-    start[:problem.count * 4].reshape(-1, 4)[:, :2] = problem.mirror_points() / SIDEWAYS
+    start = np.zeros(problem.layout.size)
+    problem.photos(start).place[:] = problem.mirror_points() / SIDEWAYS
     found = least_squares(problem.errors, start, max_nfev=40, ftol=1e-4, xtol=1e-4)
     camera, exposure, shared = problem.places(found.x)
     covariance = np.linalg.pinv(found.jac.T @ found.jac)
@@ -131,26 +135,26 @@ def estimate_views(capture: Capture) -> EstimatedViews:
 class Problem:
     """The least-squares problem in unknowns whose prior is the standard normal distribution.
 
-    They are x, y, height and exposure of each photo, then the height, b, roughness and level of all, and what the brightest
-    diffuse is.
+    By ``layout`` they are ``photos``, those of each (:data:`PHOTO`: x and y, height beside the common one, exposure), and of
+    all the ``height``, ``beam`` (b), ``alpha`` (roughness) and ``level`` (of k, beside the brightest diffuse).
     """
 
     def __init__(self, capture: Capture) -> None:
         photos = capture.photos.permute(0, 3, 1, 2)
-        self.light = _radiance(capture, SIDE)
+        self.light = _radiance(capture, ESTIMATE_SIDE)
         self.side = self.light.shape[1]
         self.shown = self.light ** (1 / GAMMA)
         self.clipped = (F.adaptive_max_pool2d(photos.amax(dim=1), self.side) >= CLIPPED).numpy()
         self.count = len(capture)
-        self.size = 4 * self.count + 4
+        self.layout = Layout(photos=(self.count, PHOTO.size), height=(), beam=(), alpha=(), level=())
         line = (np.arange(self.side) + 0.5) / self.side - 0.5
         self.texels = np.stack([*np.meshgrid(line, -line), np.zeros((self.side, self.side))], axis=-1)
         self.typical = float(np.median(self.light, axis=0).max())
 
     def mirror_points(self) -> np.ndarray:
         """Where each photo is brightest beside the others, N x 2: where its highlight is, or what is nearest the flash."""
-        level = np.median(self.light, axis=(1, 2), keepdims=True) + DARK
-        logs = np.log(self.light / level + DARK)
+        level = np.median(self.light, axis=(1, 2), keepdims=True) + DARK_RADIANCE
+        logs = np.log(self.light / level + DARK_RADIANCE)
         excess = logs - np.median(logs, axis=0)
         found = []
         for picture in excess:
@@ -161,23 +165,28 @@ class Problem:
             found.append((weight[..., None] * self.texels[..., :2]).sum(axis=(0, 1)) / weight.sum())
         return np.array(found)
 
+    def photos(self, u: np.ndarray) -> SimpleNamespace:
+        """The unknowns of all photos by :data:`PHOTO`: views into ``u``."""
+        return PHOTO.unpack(self.layout.unpack(u).photos)
+
     def places(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
         """Cameras N x 3, exposures N, and the numbers shared by all."""
-        own, (height, beam, alpha, level) = u[:-4].reshape(-1, 4), u[-4:]
-        shared = {"height": HEIGHT[0] * math.exp(HEIGHT[1] * height), "beam": BEAM[0] + BEAM[1] * beam,
-                  "alpha": min(ROUGHNESS[0] * math.exp(ROUGHNESS[1] * alpha), 1.0),
-                  "level": self.typical * LEVELS[0] * math.exp(LEVELS[1] * level)}
-        camera = np.concatenate((own[:, :2] * SIDEWAYS, shared["height"] * np.exp(HEIGHTS * own[:, 2:3])), axis=1)
-        return camera, np.exp(EXPOSURES * own[:, 3]), shared
+        own, common = self.photos(u), self.layout.unpack(u)
+        shared = {"height": HEIGHT[0] * math.exp(HEIGHT[1] * common.height), "beam": BEAM[0] + BEAM[1] * common.beam,
+                  "alpha": min(ROUGHNESS[0] * math.exp(ROUGHNESS[1] * common.alpha), 1.0),
+                  "level": self.typical * LEVELS[0] * math.exp(LEVELS[1] * common.level)}
+        camera = np.column_stack((own.place * SIDEWAYS, shared["height"] * np.exp(HEIGHTS * own.height)))
+        return camera, np.exp(EXPOSURES * own.exposure), shared
 
     def slopes(self, u: np.ndarray) -> np.ndarray:
         """N x 4 x U: of camera x, y, z and the logarithm of the exposure by the unknowns."""
         camera, _, _ = self.places(u)
-        slope = np.zeros((self.count, 4, self.size))
-        for i in range(self.count):
-            slope[i, 0, 4 * i] = slope[i, 1, 4 * i + 1] = SIDEWAYS
-            slope[i, 2, 4 * i + 2], slope[i, 2, -4] = HEIGHTS * camera[i, 2], HEIGHT[1] * camera[i, 2]
-            slope[i, 3, 4 * i + 3] = EXPOSURES
+        x, y, z, exposure = range(4)
+        slope, common = np.zeros((self.count, 4, self.layout.size)), self.layout.numbers
+        own, photo = PHOTO.unpack(common.photos), np.arange(self.count)
+        slope[photo, x, own.place[:, 0]] = slope[photo, y, own.place[:, 1]] = SIDEWAYS
+        slope[photo, z, own.height], slope[:, z, common.height] = HEIGHTS * camera[:, 2], HEIGHT[1] * camera[:, 2]
+        slope[photo, exposure, own.exposure] = EXPOSURES
         return slope
 
     def shading(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
@@ -228,7 +237,7 @@ class Problem:
         """Radiant intensity in patch sides squared, such that albedo and F0 are as usual, and its deviation in logarithms."""
         rho, _, _ = self.texel_fit(u)
         _, _, shared = self.places(u)
-        votes = [(math.log(shared["level"] / F0[0]), F0[1]), (math.log(np.median(rho) / ALBEDO[0]), ALBEDO[1])]
+        votes = [(math.log(shared["level"] / F0[0]), F0[1]), (math.log(np.median(rho) / USUAL_ALBEDO[0]), USUAL_ALBEDO[1])]
         weight = sum(sd**-2 for _, sd in votes)
         white = math.exp(sum(value * sd**-2 for value, sd in votes) / weight)
         white = max(white, float(np.quantile(rho, 0.99)) / WHITEST)  # radiance of a white texel below the flash

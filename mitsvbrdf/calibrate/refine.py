@@ -3,8 +3,8 @@
 Each photo has seven unknowns: how far its camera stood from where the calibration says (x, y, z), how far its flash stood
 from its place beside the camera (x, y, z), and the natural logarithm of its exposure (light power, shutter and gain look
 alike). They are found as the most probable ones: Gaussian priors around the calibration, and residuals in display values,
-robust (Huber) and one-sided where the photo is clipped, as in :mod:`mitsvbrdf.fit.losses`. Levenberg-Marquardt; derivatives
-are central differences of the float64 analytic renderer.
+robust (Huber) and one-sided where the photo is clipped, as in
+:mod:`mitsvbrdf.fit.losses`. Levenberg-Marquardt; derivatives are central differences of the float64 analytic renderer.
 
 Residuals are not independent noise: where a map is wrong, so are all pixels around. The noise level is therefore measured on
 the residuals themselves, photo by photo, and so is how many pixels count as one (:meth:`Problem.evidence`). Without that,
@@ -25,16 +25,18 @@ from torch import Tensor
 from .. import color
 from ..capture import Capture
 from ..capture.capture import Calibration
-from ..color import CLIPPED, LEAST_NOISE
+from ..color import CLIPPED, QUANTIZATION_NOISE
 from ..errors import CaptureError, ConfigError
 from ..material.maps import SVBRDF
 from ..measure.metrics import photo_rmse
 from ..render.analytic import AnalyticRenderer
 from ..render.needs import Needs
+from ..system.layout import Layout
 from ..views import NEAREST, Views
 
 UNKNOWNS = ("camera_x", "camera_y", "camera_z", "flash_x", "flash_y", "flash_z", "log_exposure")
-SIDE = 128  # pixels a side that are looked at; larger photos and maps are area-averaged
+CHANGE = Layout(camera=(3,), flash=(3,), log_exposure=())  # the same, as parts
+REFINE_SIDE = 128  # pixels a side that are looked at; larger photos and maps are area-averaged
 STEP = 1e-5  # of the differences, in patch sides: 1e-3 of the sharpest highlight; its error is 1e-6 of the slope
 HUBER = 1.345  # residuals beyond so many deviations count by their size alone: 95 % efficient on normal noise (Huber 1981)
 BLOCKS = 8  # a side; averages over these show how far residuals hang together
@@ -126,7 +128,7 @@ def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors 
         ConfigError: expected changes that are not seven numbers or N x 7.
     """
     problem = Problem(svbrdf, views, capture, priors)
-    here = problem.linear(torch.zeros(problem.spread.shape[1], dtype=torch.float64))
+    here = problem.linear(torch.zeros(problem.whitened.size, dtype=torch.float64))
     damping, tried, size = 1e-3, 0, float("inf")
     while tried < iterations and size > SETTLED:
         tried += 1
@@ -155,9 +157,9 @@ class Linear(NamedTuple):
 class Problem:
     """The least-squares problem in whitened unknowns u, whose prior is the standard normal distribution.
 
-    The changes of all photos are ``expected + spread @ u``: one u for each unknown of each photo, and two for the flash offset
-    that all share. The cost is |u|^2 / 2 plus, for each photo, the sum of Huber's function of residuals over noise, divided by
-    the number of pixels that count as one.
+    The changes of all photos are ``expected + spread @ u``: by ``whitened``, one u for each unknown of each photo (``own``),
+    and two for the offset of the flash that all share (``common_flash``). The cost is |u|^2 / 2 plus, for each photo, the sum
+    of Huber's function of residuals over noise, divided by the number of pixels that count as one.
 
     Args:
         svbrdf, views, capture, priors: as for :func:`refine_views`.
@@ -167,7 +169,7 @@ class Problem:
         count = len(views)
         if count != len(capture):
             raise CaptureError(f"a view for each of {len(capture)} photos", f"{count} views", "give the views of these photos")
-        side = min(SIDE, svbrdf.resolution, capture.resolution)
+        side = min(REFINE_SIDE, svbrdf.resolution, capture.resolution)
         self.maps = svbrdf.detach().to(torch.float64).resized(side)
         self.given, self.transfer = views.to(torch.float64), capture.transfer
         photos = capture.photos.double().permute(0, 3, 1, 2)
@@ -175,12 +177,13 @@ class Problem:
         self.clipped = F.adaptive_max_pool2d(photos, side).permute(0, 2, 3, 1) >= CLIPPED  # in part, too
         self.renderer = AnalyticRenderer(torch.float64, Needs())  # everything: light and camera move apart
 
-        own = torch.tensor([*priors.camera, *priors.flash, priors.exposure], dtype=torch.float64).repeat(count).diag()
-        self.shared = torch.zeros(2, len(own) + 2, dtype=torch.float64)
-        self.shared[:, -2:] = torch.tensor(priors.common_flash, dtype=torch.float64).diag()
-        to_flash = torch.zeros(len(UNKNOWNS), 2, dtype=torch.float64)
-        to_flash[3:5] = torch.eye(2)
-        self.spread = F.pad(own, (0, 2)) + to_flash.repeat(count, 1) @ self.shared
+        self.whitened = Layout(own=(count, CHANGE.size), common_flash=(2,))
+        own = CHANGE.pack(camera=priors.camera, flash=priors.flash, log_exposure=priors.exposure)
+        self.shared = torch.zeros(2, self.whitened.size, dtype=torch.float64)
+        self.shared[:, self.whitened["common_flash"]] = torch.tensor(priors.common_flash, dtype=torch.float64).diag()
+        to_flash = torch.zeros(CHANGE.size, 2, dtype=torch.float64)
+        to_flash[CHANGE["flash"]][:2] = torch.eye(2)  # x and y
+        self.spread = F.pad(torch.from_numpy(own).repeat(count).diag(), (0, 2)) + to_flash.repeat(count, 1) @ self.shared
         expected = torch.as_tensor(priors.expected, dtype=torch.float64)
         if expected.shape not in ((len(UNKNOWNS),), (count, len(UNKNOWNS))):
             raise ConfigError(f"{len(UNKNOWNS)} expected changes, or {count} x {len(UNKNOWNS)}",
@@ -193,13 +196,14 @@ class Problem:
 
     def views(self, change: Tensor) -> Views:
         """The views given, with these changes."""
-        camera = change[:, :3] * self.given.size
+        change = CHANGE.unpack(change)
+        camera = change.camera * self.given.size
         return replace(self.given, camera=self.given.camera + camera,
-                       light=self.given.light + camera + change[:, 3:6] * self.given.size,
-                       intensity=self.given.intensity * change[:, 6:].exp())
+                       light=self.given.light + camera + change.flash * self.given.size,
+                       intensity=self.given.intensity * change.log_exposure[:, None].exp())
 
     def rmse(self, views: Views) -> list[float]:
-        """Error of each photo, as :func:`mitsvbrdf.metrics.photo_rmse` counts it."""
+        """Error of each photo, as :func:`~mitsvbrdf.measure.metrics.photo_rmse` counts it."""
         return photo_rmse(self.renderer.render(self.maps, views), self.photos, self.transfer)[1]
 
     def residuals(self, radiance: Tensor) -> Tensor:
@@ -215,7 +219,7 @@ class Problem:
         is, so many count as one.
         """
         sizes = torch.where(self._bright_enough(error), torch.nan, error.abs()).flatten(1)
-        noise = (sizes.nanmedian(dim=1).values.nan_to_num(0) * 1.4826).clamp_min(LEAST_NOISE).reshape(-1, 1, 1, 1)
+        noise = (sizes.nanmedian(dim=1).values.nan_to_num(0) * 1.4826).clamp_min(QUANTIZATION_NOISE).reshape(-1, 1, 1, 1)
         cut = error.clamp(-HUBER * noise, HUBER * noise)
         block = max(1, error.shape[1] // BLOCKS)
         means = F.avg_pool2d(cut.permute(0, 3, 1, 2), block).mean(dim=1).square().mean(dim=(1, 2))
@@ -236,8 +240,8 @@ class Problem:
         error = self.residuals(radiance)
         noise, alike = evidence = evidence or self.evidence(error)
         columns = []
-        for unknown in range(len(UNKNOWNS) - 1):
-            step = torch.zeros(len(UNKNOWNS), dtype=torch.float64)
+        for unknown in range(CHANGE["log_exposure"].start):  # camera and flash
+            step = torch.zeros(CHANGE.size, dtype=torch.float64)
             step[unknown] = STEP
             columns.append([self.renderer.render(self.maps, self.views(change + s)) for s in (step, -step)])
         columns.append([radiance * math.exp(s) for s in (STEP, -STEP)])

@@ -13,10 +13,9 @@ from .. import color
 from ..errors import CaptureError
 from ..system import images
 from ..views import Falloff, Views, default_views
-from .capture import Calibration, Capture
+from .capture import LEAST_SIDE, Calibration, Capture
 
 PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
-LEAST_SIDE = 8  # pixels
 
 
 def from_json(path: Path, falloff: Falloff) -> Capture:

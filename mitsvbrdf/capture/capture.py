@@ -7,13 +7,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-import torch.nn.functional as F
 from torch import Tensor
 
 from .. import color
 from ..errors import CaptureError
+from ..material.resample import area_averaged
 from ..pages.notebook import SHOWN, count_words, html_of, point_words, uri_of
 from ..views import Views
+
+LEAST_SIDE = 8  # pixels
 
 KNOWN = {"given": "as calibrated", "sheet": "from a sheet of tags", "photos": "from features that the photos share",
          "none": "of no calibration"}
@@ -80,8 +82,7 @@ class Capture:
 
     def averaged(self, resolution: int) -> Capture:
         """The photos at another size, by area averages of display values."""
-        chw = F.adaptive_avg_pool2d(self.photos.permute(0, 3, 1, 2), resolution)
-        return replace(self, photos=chw.permute(0, 2, 3, 1).contiguous())
+        return replace(self, photos=area_averaged(self.photos, resolution).contiguous())
 
     def sampled(self, resolution: int) -> Capture:
         """Every k-th pixel of the photos, the middle one, for the greatest k that leaves at least ``resolution`` a side."""
@@ -104,7 +105,6 @@ class Capture:
 
     def _repr_html_(self) -> str:
         """The photos as small pictures with their positions, for notebooks."""
-        pass
         return capture_html(self)
 
 
@@ -118,4 +118,5 @@ def capture_html(capture: Capture) -> str:
     facts = [f"transfer {capture.transfer}, falloff {capture.views.falloff}; positions in patch sides, "
              f"{KNOWN[capture.calibration]}"]
     name = capture.source.name if capture.source else "without a folder"
-    return html_of(f"Capture · {name} · {count_words(len(capture))}, {width} × {height} px", [("", photos)], facts, capture.notes)
+    title = f"Capture · {name} · {count_words(len(capture))}, {width} × {height} px"
+    return html_of(title, [("", photos)], facts, capture.notes)

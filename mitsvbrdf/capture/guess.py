@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..color import CLIPPED
+from ..color import NEARLY_CLIPPED
 from ..errors import ConfigError
 from ..material.resample import resized
 from ..views import Views, geometry
@@ -22,7 +22,7 @@ BLUR = 1 / 32  # standard deviation of mean-blur, as a share of the image side
 
 # The texel model of `robust`: tilt x, tilt y (slopes of the normal), log alpha, log F0, log albedo.
 STARTS = [(0.0, 0.0, math.log(0.3), math.log(f0)) for f0 in (0.04, 0.001)]  # a usual dielectric; hardly a highlight
-SPREAD = (0.5, 0.5, 0.5, 1.0)  # how far these four may be from what is typical, one standard deviation
+PRIOR_SD = (0.5, 0.5, 0.5, 1.0)  # how far these four may be from what is typical, one standard deviation
 NOISE = 0.03  # what a display value is trusted to: the photo, the calibration and this model
 TILTS = (-0.6, -0.3, 0.0, 0.3, 0.6)  # starts tried for either slope: a fit started flat sticks to a wrong highlight
 STEPS = 8
@@ -96,7 +96,7 @@ def _robust(capture: Capture) -> Tensor:
         fitted = [_shade(_fit(prior, *part), *part[2:]) for part in zip(*(x.split(CHUNK) for x in texels))]
     shading, lobe = (resized(torch.cat(x).T.reshape(-1, size, size, 1), capture.resolution) for x in zip(*fitted))
 
-    seen = (capture.photos < CLIPPED) | (capture.photos == capture.photos.amin(dim=0))
+    seen = (capture.photos < NEARLY_CLIPPED) | (capture.photos == capture.photos.amin(dim=0))
     diffuse = torch.where(seen, (albedo - lobe) / shading, torch.nan)
     return diffuse.nanmedian(dim=0).values.clamp(0, 1)
 
@@ -132,7 +132,7 @@ def _errors(texels: Tensor, prior: Tensor, albedo: Tensor, most: Tensor, light: 
     shading, lobe = _shade(texels, light, half)
     said = torch.minimum(texels[:, 4:].exp() * shading + lobe, most)
     data = (said + 1e-4) ** 0.4 - (albedo + 1e-4) ** 0.4
-    return torch.cat((data / NOISE, (texels[:, :4] - prior) / torch.tensor(SPREAD)), dim=1)
+    return torch.cat((data / NOISE, (texels[:, :4] - prior) / torch.tensor(PRIOR_SD)), dim=1)
 
 
 def _typical(*seen: Tensor) -> Tensor:

@@ -7,11 +7,9 @@ One photo at a time is in memory; of each, what is kept is the rectified patch.
 
 from __future__ import annotations
 
-import contextlib
 import math
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -19,22 +17,22 @@ import torch
 
 from .. import color
 from ..errors import CaptureError, ConfigError
+from ..system.profile import STEP, profiled, profiling, switch
 from ..views import Views, coverage_angle
-from .capture import Capture
+from .capture import LEAST_SIDE, Capture
 from .light.samples import LONG_SIDE
 from .light.shading import shading_of_material, shading_of_paper
 from .light.solve import Shading
 from .photo import Photo, differences, other_sizes
-from .quality.look import PhotoQuality, detail_of, photo_qualities
-from .quality.next_view import LOBE, NextView, next_best_view
+from .quality.next_view import HIGHLIGHT_ANGLE, NextView, next_best_view
+from .quality.photo_quality import PhotoQuality, detail_of, photo_qualities
 from .quality.verdicts import LEAST_DETAIL, spoils, verdicts
-from .rectify import LEAST_SIDE, Rectified, filled, without_vignetting
-from .rig import Rig, rig_to_json
+from .rectify import Rectified, filled, without_vignetting
+from .rig import LEAST_PHOTOS, Rig, rig_to_json
 
 Reference = Literal["best", "first"]
 
-LEAST_PHOTOS = 3
-MOST_SIDE = 4096  # and at most
+MOST_SIDE = 4096  # pixels of the rectified photos
 COVERAGE_SIDE = 64
 # Spread of the cameras over their height below which all photos are from one place. Nine places as in docs/capture.md: 0.2;
 # seven real captures that were rectified already: 0.003 to 0.009.
@@ -55,9 +53,9 @@ class CaptureResult:
         photos: all that were given.
         rig: lens and poses of those used; ``left_out`` has the reason of each other photo.
         shading: what light and lens were found to be; None: nothing, the flash is taken to be at the lens.
-        looks: numbers by name, of each photo that a pose was found of.
+        qualities: how good each photo is that a pose was found of, by name.
         coverage: smallest angle (rad) between half vector and upright that a photo shows, 64 x 64, row 0 at the top.
-        stand: where one more photo would show most; None: nowhere much.
+        next_view: where one more photo would show most; None: nowhere much.
         warnings: what a user should know.
         seconds: by stage.
     """
@@ -66,9 +64,9 @@ class CaptureResult:
     photos: tuple[Photo, ...]
     rig: Rig
     shading: Shading | None
-    photo_qualities: dict[str, PhotoQuality]
+    qualities: dict[str, PhotoQuality]
     coverage: torch.Tensor
-    stand: NextView | None
+    next_view: NextView | None
     warnings: tuple[str, ...]
     seconds: dict[str, float]
 
@@ -80,52 +78,7 @@ class CaptureResult:
     @property
     def covered(self) -> float:
         """Share of the patch of which some photo shows a highlight."""
-        return float((self.coverage <= LOBE).double().mean())
-
-
-class _Clock:
-    """Seconds by stage; a stage inside another is not counted to it."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-        self.stages = ["rest"]
-        self.last = time.perf_counter()
-
-    def _tick(self) -> None:
-        now = time.perf_counter()
-        self.seconds[self.stages[-1]] = self.seconds.get(self.stages[-1], 0.0) + now - self.last
-        self.last = now
-
-    def stage(self, name: str) -> None:
-        """From here on, in the present block, ``name`` is what is going on."""
-        self._tick()
-        self.stages[-1] = name
-
-    def finished(self) -> dict[str, float]:
-        """Seconds by stage so far."""
-        self._tick()
-        return dict(self.seconds)
-
-    @contextlib.contextmanager
-    def __call__(self, name: str) -> Iterator[None]:
-        self._tick()
-        self.stages.append(name)
-        try:
-            yield
-        finally:
-            self._tick()
-            self.stages.pop()
-
-
-@dataclass(frozen=True)
-class _Timed(Photo):
-    """A photo that counts the seconds of its reading."""
-
-    clock: _Clock = field(default_factory=_Clock)
-
-    def pixels(self, most: int | None = None) -> np.ndarray:
-        with self.clock("reading"):
-            return super().pixels(most)
+        return float((self.coverage <= HIGHLIGHT_ANGLE).double().mean())
 
 
 def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_cm: float = 0.0,
@@ -139,7 +92,8 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
         depth_cm: how far the sheet lies above the material.
         transfer: how the photos encode light; None: ``linear`` for RAW files, else ``srgb``.
         resolution: pixels a side, at most; never more than the photos show.
-        reference: the photo that says what is up, without a sheet; see :func:`~mitsvbrdf.capture.align.rig_from_photos`.
+        reference: the photo that says what is up, without a sheet; see
+            :func:`~mitsvbrdf.capture.align.from_photos.rig_from_photos`.
         report: told what is going on and the share done.
 
     Raises:
@@ -148,42 +102,51 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
         ConfigError: options out of range.
     """
     _check(photos, sheet_cm, depth_cm, resolution, reference)
-    clock = _Clock()
+    with profiling() as profile, profile.scope(STEP):
+        result = _made(photos, sheet_cm, depth_cm, transfer, resolution, reference, report)
+    return replace(result, seconds=profile.steps[0])
+
+
+def _made(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, transfer: color.Transfer | None, resolution: int,
+          reference: Reference, report: Callable[[str, float], object]) -> CaptureResult:
+    """What :func:`make_capture` returns, without the seconds."""
     warnings = differences(photos)
     if all(photo.exif.get("flash") == "off" for photo in photos):
         warnings.append("no photo was taken with the flash (says their EXIF); highlights then are those of the room's lights")
     transfer = transfer or ("linear" if photos[0].linear else "srgb")
-    left: list[Photo] = [_Timed(p.path, p.size, p.orientation, p.exif, clock) for p in photos]
-    left_out, found = other_sizes(left)[1], {}
+    left, left_out, found = list(photos), other_sizes(photos)[1], {}
     _enough(photos, left_out)
     for attempt in (0, 1):
         left = [photo for photo in left if photo.name not in left_out]
         told = _within(report, 0.5 * attempt, 0.5 * attempt + 0.5)
-        rig = _rig(left, sheet_cm, depth_cm, reference, clock, _within(told, 0, 0.6))
+        rig = _rig(left, sheet_cm, depth_cm, reference, _within(told, 0, 0.6))
         left_out |= rig.left_out
         _from_places(rig)
-        with clock("rectifying"):
-            raw = Rectified.of(rig, left, resolution, _within(told, 0.6, 1))
-        lit = _Lit.of(rig, raw, sheet_cm, depth_cm, transfer, clock)
-        with clock("quality"):
-            seen = photo_qualities(lit.pictures, lit.views, transfer, lit.names, lit.overlap, lit.shading and lit.shading.evenness)
-            found |= {look.name: look for look in seen}
-            bad = verdicts(seen, lit.pictures, lit.views, {p.name: str(p.exif["flash"]) for p in left if "flash" in p.exif})
+        with profiled("rectifying"):
+            rectified = Rectified.of(rig, left, resolution, _within(told, 0.6, 1))
+        lit = _Lit.of(rig, rectified, sheet_cm, depth_cm, transfer)
+        with profiled("quality"):
+            evenness = lit.shading and lit.shading.evenness
+            qualities = photo_qualities(lit.pictures, lit.views, transfer, lit.names, lit.overlap, evenness)
+            found |= {quality.name: quality for quality in qualities}
+            fired = {photo.name: str(photo.exif["flash"]) for photo in left if "flash" in photo.exif}
+            bad = verdicts(qualities, lit.pictures, lit.views, fired)
         left_out |= bad
         _enough(photos, left_out)
         if rig.source == "sheet" or not any(map(spoils, bad.values())):  # tags that were seen are where they are
             break
     if bad:
         rig = replace(rig, poses={name: pose for name, pose in rig.poses.items() if name not in bad})
-        lit = _Lit.of(rig, raw, sheet_cm, depth_cm, transfer, clock)
-    with clock("quality"):
-        left_out |= _blurred([photo for photo in photos if photo.name in left_out and photo.name not in found], left_out, raw)
-        stand = next_best_view(lit.views, lit.names, rig.unit)
+        lit = _Lit.of(rig, rectified, sheet_cm, depth_cm, transfer)
+    with profiled("quality"):
+        without_pose = [photo for photo in photos if photo.name in left_out and photo.name not in found]
+        left_out |= _blurred(without_pose, left_out, rectified)
+        next_view = next_best_view(lit.views, lit.names, rig.unit)
         coverage = coverage_angle(lit.views, COVERAGE_SIDE)
     index = tuple(i for i, photo in enumerate(photos) if photo.name in lit.names)
     capture = Capture(lit.pictures, lit.views, transfer, index, rig.source, photos[0].path.parent)
-    return CaptureResult(capture, tuple(photos), replace(lit.rig, left_out=left_out), lit.shading, found, coverage, stand,
-                (*warnings, *rig.notes, *raw.notes, *lit.notes), clock.finished())
+    return CaptureResult(capture, tuple(photos), replace(lit.rig, left_out=left_out), lit.shading, found, coverage, next_view,
+                         (*warnings, *rig.notes, *rectified.notes, *lit.notes), {})
 
 
 def _check(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, resolution: int, reference: str) -> None:
@@ -220,9 +183,9 @@ def _from_places(rig: Rig) -> None:
                        "they are")
 
 
-def _blurred(photos: Sequence[Photo], reasons: Mapping[str, str], raw: Rectified) -> dict[str, str]:
+def _blurred(photos: Sequence[Photo], reasons: Mapping[str, str], rectified: Rectified) -> dict[str, str]:
     """The reasons of photos without a pose that are blurred, which is why they have none."""
-    usual = float(np.median([detail_of(pixels) for pixels in raw.small.values()]))
+    usual = float(np.median([detail_of(pixels) for pixels in rectified.small.values()]))
     sharpness = {photo.name: detail_of(photo.pixels(LONG_SIDE)) / usual for photo in photos}
     return {name: f"blurred: {sharp:.2f} times as sharp as the others ({reasons[name]})"
             for name, sharp in sharpness.items() if sharp < LEAST_DETAIL}
@@ -232,14 +195,14 @@ def _within(report: Callable[[str, float], object], low: float, high: float) -> 
     return lambda text, share: report(text, low + (high - low) * share)
 
 
-def _rig(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, reference: Reference, clock: _Clock,
+def _rig(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, reference: Reference,
          report: Callable[[str, float], object]) -> Rig:
     """Lens and poses; the stages are called what is reported."""
     def told(text: str, share: float) -> None:
-        clock.stage(text.partition(" of ")[0])
+        switch(text.partition(" of ")[0])
         report(text, share)
 
-    with clock("poses"):
+    with profiled("poses"):
         if sheet_cm is not None:
             from .align.from_sheet import rig_from_sheet
             return rig_from_sheet(photos, sheet_cm, depth_cm, told)
@@ -263,32 +226,33 @@ class _Lit:
         return list(self.rig.poses)
 
     @classmethod
-    def of(cls, rig: Rig, raw: Rectified, sheet_cm: float | None, depth_cm: float, transfer: color.Transfer, clock: _Clock) -> _Lit:
-        rig = replace(rig, poses={name: rig.poses[name] for name in raw.rectified if name in rig.poses})  # as they were given
-        with clock("flash"):
-            shading, notes = _shading(rig, raw, sheet_cm, depth_cm, transfer)
+    def of(cls, rig: Rig, rectified: Rectified, sheet_cm: float | None, depth_cm: float, transfer: color.Transfer) -> _Lit:
+        in_order = {name: rig.poses[name] for name in rectified.pictures if name in rig.poses}  # as they were given
+        rig = replace(rig, poses=in_order)
+        with profiled("flash"):
+            shading, notes = _shading(rig, rectified, sheet_cm, depth_cm, transfer)
             if shading:
                 rig = replace(rig, lens=shading.lens)
-            pictures = [without_vignetting(raw.rectified[name], rig, name, transfer) for name in rig.poses]
+            pictures = [without_vignetting(rectified.pictures[name], rig, name, transfer) for name in rig.poses]
         overlap = {name: float(np.isfinite(picture).all(axis=-1).mean()) for name, picture in zip(rig.poses, pictures)}
         return cls(rig, shading, filled(pictures), overlap, _views(rig, shading), notes)
 
 
-def _shading(rig: Rig, raw: Rectified, sheet_cm: float | None, depth_cm: float, transfer: color.Transfer
+def _shading(rig: Rig, rectified: Rectified, sheet_cm: float | None, depth_cm: float, transfer: color.Transfer
              ) -> tuple[Shading | None, tuple[str, ...]]:
     """From the paper of the sheet, else from the material, else nothing; and what was noticed."""
     notes = []
     if sheet_cm is not None:
         from .align.sheet import Sheet
         try:
-            shading = shading_of_paper(rig, raw.small, transfer, Sheet(sheet_cm).white, depth_cm)
+            shading = shading_of_paper(rig, rectified.small, transfer, Sheet(sheet_cm).white, depth_cm)
             beside = float(np.linalg.norm(shading.lens.flash))
             far = (f"the flash seems to be {beside:.0f} cm beside the lens: is --sheet in cm, and as measured?",)
             return shading, shading.notes + (far if beside > FARTHEST_FLASH else ())
         except CaptureError as reason:
             notes.append(f"the paper says nothing of the light ({reason.got}); the material is asked instead")
     try:
-        shading = shading_of_material(rig, {name: raw.rectified[name] for name in rig.poses}, transfer)
+        shading = shading_of_material(rig, {name: rectified.pictures[name] for name in rig.poses}, transfer)
         return shading, (*notes, *shading.notes)
     except CaptureError as reason:
         return None, (*notes, f"the shading says nothing of the light ({reason.got}): the flash is taken to be at the lens, "
@@ -318,11 +282,11 @@ def refuse_tags(photos: Sequence[Photo]) -> None:
                            "capture PHOTOS -o CAPTURE --sheet 18`")
 
 
-def capture_keys(made: CaptureResult) -> dict:
+def capture_keys(result: CaptureResult) -> dict:
     """What ``capture.json`` says beside the views: see docs/formats.md."""
     uncertainty = None
-    if made.shading:
-        exposures = {name: sd for name, sd in made.shading.exposure_deviations.items() if name in made.used}
-        uncertainty = dict(made.shading.deviations) | {"log_exposure": exposures}
-    return {"unit": made.rig.unit, "photos": made.used, "left_out": made.rig.left_out, "rig": rig_to_json(made.rig),
+    if result.shading:
+        exposures = {name: sd for name, sd in result.shading.exposure_deviations.items() if name in result.used}
+        uncertainty = dict(result.shading.deviations) | {"log_exposure": exposures}
+    return {"unit": result.rig.unit, "photos": result.used, "left_out": result.rig.left_out, "rig": rig_to_json(result.rig),
             "uncertainty": uncertainty}

@@ -20,59 +20,59 @@ from ..system import files
 from ..system.provenance import machine, versions
 from .make import CaptureResult
 from .photo import Photo
-from .quality.next_view import LOBE
+from .quality.next_view import HIGHLIGHT_ANGLE
 
 SCHEMA_VERSION = 1
 PICTURES = ("contact.jpg", "quality.html", "quality.json")
 A_ROW, SMALL_A_ROW = 5, 8  # photos in a row of the contact sheet; used, left out
 THUMBNAIL, FULL = 240, 400  # pixels on the page, and of a left-out photo as it is read
-REACH = 0.75  # half the side of the plan, patch sides, at least
+PLAN_REACH = 0.75  # half the side of the plan, patch sides, at least
 SEEN, UNSEEN = (0.93, 0.80, 0.50), (0.36, 0.42, 0.50)  # of the coverage map; readable beside each other in grey, too
 
 
-def write_quality(made: CaptureResult, folder: str | Path) -> None:
+def write_quality(result: CaptureResult, folder: str | Path) -> None:
     """Write ``quality.json``, ``quality.html`` and ``contact.jpg``.
 
     Raises:
         OutputError: the folder cannot be written to.
     """
-    folder, record = Path(folder), quality_record(made)
-    left_out = {photo.name: _shown(photo) for photo in made.photos if photo.name in made.rig.left_out}
+    folder, record = Path(folder), quality_record(result)
+    left_out = {photo.name: _shown(photo) for photo in result.photos if photo.name in result.rig.left_out}
     files.write_json(folder / "quality.json", record)
-    _contact_sheet(folder / "contact.jpg", made, record, left_out)
+    _contact_sheet(folder / "contact.jpg", result, record, left_out)
     pictures = {name: picture_uri(at_most(photo, THUMBNAIL), 0) for name, photo in
-                [*zip(made.used, made.capture.photos), *((n, p) for n, p in left_out.items() if p is not None)]}
-    write_page(folder / "quality.html", "capture/page.html", title=f"Capture: {_name(made)}", record=record, pictures=pictures,
-               coverage=png_uri(_coverage_picture(made.coverage)), plan=_plan(made))
+                [*zip(result.used, result.capture.photos), *((n, p) for n, p in left_out.items() if p is not None)]}
+    write_page(folder / "quality.html", "capture/page.html", title=f"Capture: {_name(result)}", record=record, pictures=pictures,
+               coverage=png_uri(_coverage_picture(result.coverage)), plan=_plan(result))
 
 
-def quality_record(made: CaptureResult) -> dict:
+def quality_record(result: CaptureResult) -> dict:
     """All numbers of the page; docs/formats.md explains each."""
-    number = {name: f"{i:02d}" for i, name in enumerate(made.used)}
+    number = {name: f"{i:02d}" for i, name in enumerate(result.used)}
     rows = []
-    for photo in made.photos:
-        name, look = photo.name, made.photo_qualities.get(photo.name)
-        pose = made.rig.poses.get(name)
-        numbers = {key: value for key, value in vars(look).items() if key != "name"} if look else {}
-        rows.append({"name": name, "used": name in number, "number": number.get(name), "reason": made.rig.left_out.get(name),
-                     "reprojection_error": made.rig.errors.get(name), "exif": photo.exif,
+    for photo in result.photos:
+        name, quality = photo.name, result.qualities.get(photo.name)
+        pose = result.rig.poses.get(name)
+        numbers = {key: value for key, value in vars(quality).items() if key != "name"} if quality else {}
+        rows.append({"name": name, "used": name in number, "number": number.get(name), "reason": result.rig.left_out.get(name),
+                     "reprojection_error": result.rig.errors.get(name), "exif": photo.exif,
                      "camera": None if pose is None else np.asarray(pose.position).tolist(), **numbers})
-    stand, shading = made.stand, made.shading
+    next_view, shading = result.next_view, result.shading
     return {
-        "schema_version": SCHEMA_VERSION, "photos": rows, "used": len(made.used), "calibration": made.capture.calibration,
-        "unit": made.rig.unit, "patch": made.rig.size, "resolution": made.capture.resolution,
-        "transfer": made.capture.transfer,
-        "coverage": {"share": made.covered, "lobe_degrees": math.degrees(LOBE)},
-        "stand": None if stand is None else {"camera": list(stand.camera), "gain": stand.gain, "near": made.used[stand.near],
-                                             "words": stand.words},
-        "flash": list(map(float, made.rig.lens.flash)), "vignetting": list(map(float, made.rig.lens.vignetting)),
-        "focal": float(made.rig.lens.focal),
+        "schema_version": SCHEMA_VERSION, "photos": rows, "used": len(result.used), "calibration": result.capture.calibration,
+        "unit": result.rig.unit, "patch": result.rig.size, "resolution": result.capture.resolution,
+        "transfer": result.capture.transfer,
+        "coverage": {"share": result.covered, "lobe_degrees": math.degrees(HIGHLIGHT_ANGLE)},
+        "stand": None if next_view is None else {"camera": list(next_view.camera), "gain": next_view.gain,
+                                                 "near": result.used[next_view.near], "words": next_view.words},
+        "flash": list(map(float, result.rig.lens.flash)), "vignetting": list(map(float, result.rig.lens.vignetting)),
+        "focal": float(result.rig.lens.focal),
         "log_exposure": {} if shading is None else {n: e for n, e in shading.log_exposure.items() if n in number},
-        "warnings": list(made.warnings), "seconds": made.seconds, "versions": versions(), "machine": machine()}
+        "warnings": list(result.warnings), "seconds": result.seconds, "versions": versions(), "machine": machine()}
 
 
-def _name(made: CaptureResult) -> str:
-    return made.photos[0].path.absolute().parent.name
+def _name(result: CaptureResult) -> str:
+    return result.photos[0].path.absolute().parent.name
 
 
 def _shown(photo: Photo) -> Tensor | None:
@@ -90,36 +90,36 @@ def _shown(photo: Photo) -> Tensor | None:
 
 def _coverage_picture(angle: Tensor) -> Tensor:
     """Light where some photo shows a highlight, dark where none does, R x R x 3."""
-    return torch.where((angle <= LOBE)[..., None], torch.tensor(SEEN), torch.tensor(UNSEEN)).float()
+    return torch.where((angle <= HIGHLIGHT_ANGLE)[..., None], torch.tensor(SEEN), torch.tensor(UNSEEN)).float()
 
 
-def _plan(made: CaptureResult) -> dict:
+def _plan(result: CaptureResult) -> dict:
     """Cameras seen from above, in patch sides with y down, for the page's drawing."""
-    sides = {name: (np.asarray(pose.position) / made.rig.size).tolist() for name, pose in made.rig.poses.items()}
-    stand = None if made.stand is None else [x / made.rig.size for x in made.stand.camera]
-    places = [*sides.values(), *([stand] if stand else [])]
-    half = max(REACH, 0.1 + max(abs(x) for place in places for x in place[:2]))
+    sides = {name: (np.asarray(pose.position) / result.rig.size).tolist() for name, pose in result.rig.poses.items()}
+    next_place = None if result.next_view is None else [x / result.rig.size for x in result.next_view.camera]
+    places = [*sides.values(), *([next_place] if next_place else [])]
+    half = max(PLAN_REACH, 0.1 + max(abs(x) for place in places for x in place[:2]))
     return {"half": half, "cameras": [(name, x, -y) for name, (x, y, _) in sides.items()],
-            "stand": stand and (stand[0], -stand[1])}
+            "stand": next_place and (next_place[0], -next_place[1])}
 
 
-def _contact_sheet(path: Path, made: CaptureResult, record: dict, left_out: dict[str, Tensor | None]) -> None:
+def _contact_sheet(path: Path, result: CaptureResult, record: dict, left_out: dict[str, Tensor | None]) -> None:
     """Rectified photos with their numbers and a dot below each camera, then the left-out ones with the reason."""
     large = (SHEET_WIDTH - 2 * SHEET_MARGIN - (A_ROW - 1) * PICTURE_GAP) // A_ROW
     small = (SHEET_WIDTH - 2 * SHEET_MARGIN - (SMALL_A_ROW - 1) * PICTURE_GAP) // SMALL_A_ROW
     header, reason_height = 96, 112
-    rows, small_rows = -(-len(made.used) // A_ROW), -(-len(left_out) // SMALL_A_ROW)
+    rows, small_rows = -(-len(result.used) // A_ROW), -(-len(left_out) // SMALL_A_ROW)
     below = header + rows * (large + LABEL_HEIGHT)
     sheet = Canvas(below + 10 + (LABEL_HEIGHT if left_out else 0) + small_rows * (small + reason_height))
-    sheet.text(SHEET_MARGIN, 52, _name(made), 22, SHEET_TEXT, weight="bold")
-    sheet.text(SHEET_WIDTH - SHEET_MARGIN, 52, f"{len(made.used)} of {len(made.photos)} photos used", 16, SHEET_ACCENT,
+    sheet.text(SHEET_MARGIN, 52, _name(result), 22, SHEET_TEXT, weight="bold")
+    sheet.text(SHEET_WIDTH - SHEET_MARGIN, 52, f"{len(result.used)} of {len(result.photos)} photos used", 16, SHEET_ACCENT,
                weight="bold", ha="right")
-    patch = f"patch of {made.rig.size:.3g} cm; " if made.rig.unit == "cm" else ""
+    patch = f"patch of {result.rig.size:.3g} cm; " if result.rig.unit == "cm" else ""
     sheet.text(SHEET_MARGIN, 82, f"{patch}a dot is below where the camera stood", 11, SHEET_QUIET)
-    for i, (name, photo) in enumerate(zip(made.used, made.capture.photos)):
+    for i, (name, photo) in enumerate(zip(result.used, result.capture.photos)):
         x, y = SHEET_MARGIN + i % A_ROW * (large + PICTURE_GAP), header + i // A_ROW * (large + LABEL_HEIGHT)
         sheet.image(x, y, large, at_most(photo, 512))
-        at = np.asarray(made.rig.poses[name].position) / made.rig.size
+        at = np.asarray(result.rig.poses[name].position) / result.rig.size
         right, down = (int(large * np.clip(0.5 + way, 0.03, 0.97)) for way in (at[0], -at[1]))
         for points, colour in ((18, SHEET_BACK), (13, SHEET_ACCENT)):
             sheet.text(x + right, y + down, "●", points, colour, ha="center", va="center")
@@ -135,7 +135,7 @@ def _contact_sheet(path: Path, made: CaptureResult, record: dict, left_out: dict
             top, left = (side - photo.shape[0]) // 2, (side - photo.shape[1]) // 2
             framed[top : top + photo.shape[0], left : left + photo.shape[1]] = photo
             sheet.image(x, y, small, framed)
-        reason = textwrap.wrap(made.rig.left_out[name], 30, max_lines=5, placeholder=" …")
+        reason = textwrap.wrap(result.rig.left_out[name], 30, max_lines=5, placeholder=" …")
         for n, line in enumerate([name, *reason]):
             sheet.text(x, y + small + 16 + 16 * n, line, 8, SHEET_QUIET if n else SHEET_TEXT)
     data = io.BytesIO()

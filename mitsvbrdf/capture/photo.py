@@ -14,6 +14,7 @@ from types import ModuleType
 import numpy as np
 
 from ..errors import CaptureError
+from ..system.profile import profiled
 
 PLAIN = (".png", ".jpg", ".jpeg")
 HEIC = (".heic", ".heif")  # need the extra `heic`
@@ -88,9 +89,10 @@ class Photo:
         Raises:
             Unreadable: the file is damaged or cut off.
         """
-        with _readable(self.path):
-            image = self._decoded()
-        return np.ascontiguousarray(reduced(image, most) if most else image)
+        with profiled("reading"):
+            with _readable(self.path):
+                image = self._decoded()
+            return np.ascontiguousarray(reduced(image, most) if most else image)
 
     def _decoded(self) -> np.ndarray:
         suffix = self.path.suffix.lower()

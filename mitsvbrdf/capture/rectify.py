@@ -9,25 +9,31 @@ import numpy as np
 import torch
 
 from .. import color
+from .capture import LEAST_SIDE
 from .lens import Lens, Pose, project
 from .light.samples import LONG_SIDE
 from .light.shading import undo_vignetting
 from .photo import Photo, reduced
 from .rig import Rig
 
-LEAST_SIDE = 8  # pixels of the rectified photos
-
 
 @dataclass(frozen=True)
 class Rectified:
-    """Photos as they came: rectified (R x R x 3, NaN beyond their edges), and whole ones made small, by name."""
+    """Photos as they came, display values by name.
 
-    rectified: dict[str, np.ndarray]
+    Args:
+        pictures: the patch alone, R x R x 3 float32 in [0, 1] with the lens's vignetting; NaN beyond a photo's edges.
+        small: whole photos, at most 1024 pixels long, as stored.
+        notes: what a user should know.
+    """
+
+    pictures: dict[str, np.ndarray]
     small: dict[str, np.ndarray]
     notes: tuple[str, ...]
 
     @classmethod
     def of(cls, rig: Rig, photos: Sequence[Photo], resolution: int, report: Callable[[str, float], object]) -> Rectified:
+        """The photos that ``rig`` has poses of, in ``resolution`` pixels a side, or in as many as they show."""
         photos = [photo for photo in photos if photo.name in rig.poses]
         shown = int(np.median([_resolved(rig.lens, pose, rig.size) for pose in rig.poses.values()]))
         side, pictures, small = max(LEAST_SIDE, min(resolution, shown)), {}, {}
@@ -48,6 +54,7 @@ def _resolved(lens: Lens, pose: Pose, size: float) -> float:
 
 
 def without_vignetting(picture: np.ndarray, rig: Rig, name: str, transfer: color.Transfer) -> np.ndarray:
+    """A rectified photo (R x R x 3 display values, NaN stays) as a lens without vignetting would have seen it."""
     if rig.lens.vignetting == (0.0, 0.0):
         return picture
     linear = color.decode(torch.from_numpy(picture), transfer).numpy()

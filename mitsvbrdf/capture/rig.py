@@ -10,6 +10,8 @@ import numpy as np
 from ..errors import CaptureError
 from .lens import Lens, Pose
 
+LEAST_PHOTOS = 3  # from which views can be found
+
 
 @dataclass(frozen=True)
 class Rig:

@@ -59,28 +59,28 @@ def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A fo
         refuse_tags(raw)
     with result_folder.output_folder(out, overwrite) as folder:
         with progress_bar("capture") as report:
-            made = make_capture(raw, sheet, depth, None if transfer == "auto" else transfer, resolution, reference, report)
+            result = make_capture(raw, sheet, depth, None if transfer == "auto" else transfer, resolution, reference, report)
         with undisturbed():
-            write_capture(made.capture, folder, capture_keys(made))
-            write_quality(made, folder)
-    _print(made)
+            write_capture(result.capture, folder, capture_keys(result))
+            write_quality(result, folder)
+    _print(result)
     say(f"wrote {out}/quality.html, contact.jpg, capture.json, target/; next: mitsvbrdf fit {out} -o OUT")
     return 0
 
 
-def _print(made: CaptureResult) -> None:
+def _print(result: CaptureResult) -> None:
     from rich.table import Table
 
-    table = Table(title=f"{len(made.used)} of {len(made.photos)} photos used", title_justify="left")
+    table = Table(title=f"{len(result.used)} of {len(result.photos)} photos used", title_justify="left")
     for heading in ("photo", "", "reprojection", "sharpness", "clipped"):
         table.add_column(heading, justify="left" if heading in ("photo", "") else "right")
-    for photo in made.photos:
-        look, error = made.photo_qualities.get(photo.name), made.rig.errors.get(photo.name)
-        table.add_row(photo.name, made.rig.left_out.get(photo.name, "used"), "" if error is None else f"{error:.2f} px",
-                      f"{look.sharpness:.2f}" if look else "", f"{look.clipped:.0%}" if look else "")
+    for photo in result.photos:
+        quality, error = result.qualities.get(photo.name), result.rig.errors.get(photo.name)
+        table.add_row(photo.name, result.rig.left_out.get(photo.name, "used"), "" if error is None else f"{error:.2f} px",
+                      f"{quality.sharpness:.2f}" if quality else "", f"{quality.clipped:.0%}" if quality else "")
     with contextlib.suppress(BrokenPipeError):
         console.print(table)
-    for warning in made.warnings:
+    for warning in result.warnings:
         say(f"note: {warning}")
-    say(f"highlights shown of {made.covered:.0%} of the patch"
-        + (f"; one more photo would show most {made.stand.words}" if made.stand else ""))
+    say(f"highlights shown of {result.covered:.0%} of the patch"
+        + (f"; one more photo would show most {result.next_view.words}" if result.next_view else ""))

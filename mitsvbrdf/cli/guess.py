@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from tyro.conf import Positional
 
-from ..fit.config import GuessMethod
+from ..capture.guess import GuessMethod
 from ..system import images, result_folder
 from ..system.progress import say
 from .options import Out, Overwrite, Photos, TransferOption, ViewList, keep_apart, read_photos

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from .. import color
 from ..capture import Capture
-from ..color import CLIPPED, LEAST_NOISE
+from ..color import CLIPPED, QUANTIZATION_NOISE
 from ..material.maps import COLOURS, SVBRDF
 from ..render.analytic import AnalyticRenderer
 from ..render.needs import Needs
@@ -59,7 +59,7 @@ def deviations(svbrdf: SVBRDF, views: Views, images: Tensor, capture: Capture, c
 
     # The noise of a texel: what its own photos are missed by. The fit took out of that as many values as it has unknowns;
     # for these the average over all texels stands in.
-    unknowns, typical = slopes.shape[-1], max(float(miss.sum() / seen.sum().clamp_min(1)), LEAST_NOISE**2)
+    unknowns, typical = slopes.shape[-1], max(float(miss.sum() / seen.sum().clamp_min(1)), QUANTIZATION_NOISE**2)
     noise2 = (missed.sum(dim=1, keepdim=True) + unknowns * typical) / weights.sum(dim=1, keepdim=True).clamp_min(unknowns)
     curve = slopes.mT @ (weights * slopes) / noise2
     curve.diagonal(dim1=1, dim2=2).add_(1 / UNKNOWN**2)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import Literal, get_args
 
+from ..capture.guess import GuessMethod
 from ..errors import ConfigError
 from ..material.maps import Bsdf
 from .fixed_maps import stated_maps
 
 METHODS = {"HierarchicalConfig": "hierarchical", "HybridConfig": "hybrid", "GanConfig": "gan", "DirectConfig": "direct"}
 
-GuessMethod = Literal["robust", "min", "mean-blur"]
 Preset = Literal["paper-one-stage", "paper-two-stage"]
 
 POSITIVE = ("budget", "iterations", "width", "learning_rate", "normal_roughness_steps", "materials", "likeness",

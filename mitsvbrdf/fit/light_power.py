@@ -1,8 +1,8 @@
 """How strong the light was, told by the maps: so strong that highlights are those of usual materials.
 
 Light of twice the power on a material of half the diffuse and specular albedo makes the same photos (but for the Fresnel curve
-beside the lens). Nearly all materials but metals have an F0 near 0.04 (:data:`~mitsvbrdf.maps.DIELECTRIC_F0`), and a fit
-knows it of every texel that showed its highlight, where one lobe for all texels only guesses.
+beside the lens). Nearly all materials but metals have an F0 near 0.04 (:data:`~mitsvbrdf.material.maps.DIELECTRIC_F0`), and a
+fit knows it of every texel that showed its highlight, where one lobe for all texels only guesses.
 """
 
 from __future__ import annotations
@@ -12,12 +12,11 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from ..material.maps import DIELECTRIC_F0, SVBRDF
+from ..material.maps import DIELECTRIC_F0, SVBRDF, WHITEST
 from .confidence import DETERMINED
 
 METAL = 0.2  # F0 from which on a texel is no dielectric
 MOST_TEXELS = 0.5  # share of the texels that must tell
-WHITEST = 0.95  # diffuse albedo that 99 % of the texels stay below
 
 
 def light_power_told(svbrdf: SVBRDF, deviations: Mapping[str, Tensor]) -> float | None:

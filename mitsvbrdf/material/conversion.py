@@ -1,7 +1,7 @@
 """The maps of one BSDF as those of the other: base colour and metallic cannot say all that diffuse and specular can.
 
 A metal/rough material has diffuse b (1 - m) and F0 = b m + 0.04 (1 - m): four numbers for six. The way back is
-:meth:`mitsvbrdf.maps.SVBRDF.as_roughconductor`.
+:meth:`mitsvbrdf.material.maps.SVBRDF.as_roughconductor`.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ NEARLY_METAL = 1 - 2**-24
 
 
 def builtin_materials(resolution: int = 128) -> dict[str, SVBRDF]:
-    """The made materials (:mod:`mitsvbrdf.procedural`) and :func:`corner_materials`, by name."""
+    """The made materials (:mod:`mitsvbrdf.material.made`) and :func:`corner_materials`, by name."""
     return {name: make_material(name, resolution) for name in MATERIALS} | corner_materials(resolution)
 
 

@@ -1,4 +1,4 @@
-"""Maps and pictures at another size."""
+"""Maps and photos at another size, by area averages and bilinear interpolation."""
 
 from __future__ import annotations
 
@@ -6,25 +6,23 @@ import torch.nn.functional as F
 from torch import Tensor
 
 
-def resized(images: Tensor, size: int) -> Tensor:
-    """N x R x R x C at another size: area average down, bilinear up."""
-    how = {"mode": "area"} if size <= images.shape[1] else {"mode": "bilinear", "align_corners": False}
-    return F.interpolate(images.permute(0, 3, 1, 2), (size, size), **how).permute(0, 2, 3, 1)
+def resized(images: Tensor, side: int) -> Tensor:
+    """Images (R x R x C, or N of them) in ``side`` pixels a side: area averages down, bilinear up."""
+    how = {"mode": "area"} if side <= images.shape[-2] else {"mode": "bilinear", "align_corners": False}
+    return _interpolated(images, side, **how)
 
 
-def averaged(images: Tensor, side: int) -> Tensor:
-    """N x H x W x C at no more than so many pixels a side, by area averages."""
-    side = min(side, images.shape[1])
-    return F.adaptive_avg_pool2d(images.permute(0, 3, 1, 2), side).permute(0, 2, 3, 1)
-
-
-def area_averaged(image: Tensor, side: int) -> Tensor:
-    """R x R x C by area averages."""
-    if image.shape[0] == side:
-        return image
-    return F.interpolate(image.permute(2, 0, 1)[None], (side, side), mode="area")[0].permute(1, 2, 0).contiguous()
+def area_averaged(images: Tensor, side: int) -> Tensor:
+    """Images (R x R x C, or N of them) in ``side`` pixels a side, each the average over its area; contiguous."""
+    return images if images.shape[-2] == side else _interpolated(images, side, mode="area").contiguous()
 
 
 def enlarged(planes: Tensor, side: int) -> Tensor:
-    """C x R x R, interpolated to this side."""
+    """Planes (C x R x R) in ``side`` pixels a side, bilinear; contiguous."""
     return F.interpolate(planes[None], (side, side), mode="bilinear", align_corners=False)[0].contiguous()
+
+
+def _interpolated(images: Tensor, side: int, **how) -> Tensor:
+    planes = images.movedim(-1, -3)
+    found = F.interpolate(planes if planes.dim() == 4 else planes[None], (side, side), **how)
+    return found.reshape(*planes.shape[:-2], side, side).movedim(-3, -1)

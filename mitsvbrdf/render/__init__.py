@@ -4,7 +4,7 @@
 ``analytic``              torch, float32; the readable twin
 ``analytic64``            the same in float64: the truth the others are held against
 ``mitsuba``               Mitsuba's BSDF plugins evaluated at the texels: no rays, no texture look-ups
-``mitsuba-scene``         the traced Mitsuba scene: rectangle, point light, shifted perspective camera
+``mitsuba-scene``         the traced Mitsuba scene: rectangle, point light, the camera of a rectified photo
 ========================  ==========================================================================
 """
 
@@ -28,11 +28,13 @@ class Renderer(Protocol):
 
     @property
     def name(self) -> str:
-        """What :func:`make_renderer` calls it."""
+        """What a user calls it."""
+        ...
 
     @property
     def variant(self) -> str | None:
-        """The Mitsuba variant, None without Mitsuba."""
+        """The Mitsuba variant it runs in; None where there is none."""
+        ...
 
     def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
         """Linear radiance of the patch as each view sees it, rectified: N x R x R x 3, row 0 at the top.

@@ -15,7 +15,7 @@ from .needs import Needs
 
 MIN_ALPHA_PRINCIPLED = 0.001  # Mitsuba's `principled` never goes below; its gradient in roughness is 0 there
 
-FRESNEL = "exact_fresnel"  # the plugin of rectified.py that stands for roughconductor's own reflectance
+FRESNEL = "exact_fresnel"  # the plugin of plugins.py that stands for roughconductor's own reflectance
 
 BELOW_ONE = 2.0**-24  # from 1 to the next float32 below
 

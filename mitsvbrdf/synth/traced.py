@@ -34,7 +34,7 @@ class HandheldRenderer:
     Args:
         svbrdf: the material.
         side: of the sample in cm.
-        sheet: a :class:`mitsvbrdf.capture.sheet.Sheet` that lies on it, or None.
+        sheet: a :class:`mitsvbrdf.capture.align.sheet.Sheet` that lies on it, or None.
         depth: of the sample under the sheet in cm.
         samples: rays a pixel, stratified and jittered: 1, 4, 16, ...
         variant: the Mitsuba variant.

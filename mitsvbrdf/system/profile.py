@@ -44,6 +44,13 @@ def switch_at(part: str, *tensors: Tensor) -> None:
                 tensor.register_hook(lambda _: profile.switch(part))
 
 
+def switch(part: str) -> None:
+    """From here on, the rest of the innermost scope counts for this part."""
+    profile = _active.get()
+    if profile is not None:
+        profile.switch(part)
+
+
 @contextlib.contextmanager
 def profiling() -> Iterator[Profile]:
     """Collect the scopes that are entered inside."""

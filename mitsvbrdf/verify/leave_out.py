@@ -20,7 +20,7 @@ from ..material.made import make_material
 from ..material.maps import SVBRDF
 from ..measure.gradients import fixed_cotangent
 from ..measure.metrics import image_error
-from ..render import make_renderer
+from ..render import RendererName, make_renderer
 from ..render.needs import Needs, scene_needs
 from ..system.provenance import machine, versions
 from ..system.timing import side_by_side
@@ -99,7 +99,7 @@ def cases(resolution: int) -> Iterator[Case]:
                                   "roughness": coloured["roughness"], "normal": coloured["normal"]})
 
     def pair(what: str, why: str, svbrdf: SVBRDF, without: Sequence[str], fixed: Sequence[str] = (),
-             needs: Needs = CO_LOCATED, renderer: str = "mitsuba") -> Case:
+             needs: Needs = CO_LOCATED, renderer: RendererName = "mitsuba") -> Case:
         wanted = tuple(name for name in svbrdf.maps if name not in fixed)
         less: dict[str, Any] = dict.fromkeys(without, False)
         return Case(what, renderer, why, _pass(renderer, svbrdf, views, wanted, needs),
@@ -132,7 +132,9 @@ def _with(svbrdf: SVBRDF, **maps: Tensor) -> SVBRDF:
     return SVBRDF(svbrdf.bsdf, dict(svbrdf.maps) | maps)
 
 
-def _pass(renderer: str, svbrdf: SVBRDF, views: Views, wanted: tuple[str, ...], needs: Needs | None) -> Callable[[], Tensor]:
+def _pass(renderer: RendererName, svbrdf: SVBRDF, views: Views, wanted: tuple[str, ...],
+          needs: Needs | None) -> Callable[[], Tensor]:
+    """A forward and a backward pass with gradients of the maps ``wanted``; it returns the image."""
     engine = make_renderer(renderer, needs=needs)
 
     def forward_and_backward() -> Tensor:

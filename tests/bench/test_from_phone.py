@@ -51,7 +51,7 @@ def test_scaled_diffuse_error_does_not_see_a_factor():
 
 
 def test_a_phone_with_a_sheet_from_end_to_end(monkeypatch):
-    monkeypatch.setattr(suite, "MATERIAL_SIDE", 128)
+    monkeypatch.setattr(suite, "SAMPLE_SIDE", 128)
     job = CaptureJob("material", "builtin:leather", True, HandheldPhone(megapixels=0.2, photos=4),
                      HierarchicalConfig(budget=0.2), 16, ANALYTIC)
     made = job.run()

@@ -24,7 +24,7 @@ from ...errors import CaptureError
 from ...views import FIELD_OF_VIEW, field_of_view
 from ..lens import Lens, Pose
 from ..photo import Photo, other_sizes
-from ..rig import Rig
+from ..rig import LEAST_PHOTOS, Rig
 from .features import LEAST_INLIERS, REPROJECTION, find_features, mapped, repeats, spread
 from .pairs import SIGMA, Array, Pair, apart, chained_pairs, find_pairs
 from .patch import CENTRED, centred_square, choose_patch, framed, outline, turned, upright
@@ -34,7 +34,6 @@ FOCAL_SHARE = 0.02  # deviation of a focal length from EXIF, which rounds its 35
 FOCAL_SHARE_ASSUMED = 0.15  # and of the one of FIELD_OF_VIEW
 REPEATING = 0.15  # share of a photo's features from which on its pattern counts as repeating itself
 UNSURE = 0.018  # deviation of the focal length found, as a share, that is worth a note: hardly better than EXIF's own
-LEAST_PHOTOS = 3
 MOST_MATCHES = 4000  # in a bundle adjustment
 CHAINED = 10 * REPROJECTION  # off the tree of homographies, from which on a pair is not begun with
 AGREEING = 0.4  # of a photo's matches with others: so many must agree with its pose

@@ -14,23 +14,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import CaptureError
+from ...system.layout import Layout
 from ..lens import Lens, Pose, project
 from ..photo import Photo, other_sizes
-from ..rig import Rig
+from ..rig import LEAST_PHOTOS, Rig
 from .from_photos import expected_lens, unsure_note
+from .planar import POSE
 from .sheet import Sheet
 from .tag_edges import POINTS, Edges, find_edges
 
 Array = NDArray[np.float64]
 
 LEAST_TAGS = 4
-LEAST_PHOTOS = 3
 # Deviations of the priors: EXIF's focal length is rounded to a millimetre and means the diagonal or the long side; without
 # it a phone is somewhere between its wide and its tele lens. The principal point as a share of the long side.
-FOCAL, FOCAL_UNKNOWN, CENTRE, DISTORTION = 0.05, 0.4, 0.005, 0.1
+FOCAL_SHARE, FOCAL_SHARE_UNKNOWN, CENTRE_SD, DISTORTION_SD = 0.05, 0.4, 0.005, 0.1
 NOISE = 2e-5  # of the long side: what points on edges are off by in good photos, 0.08 pixels of 4000
 LARGE, TIMES_MEDIAN = 5e-4, 6.0  # errors of a photo that are too large: as a share of the long side, and beside the others
 UNSURE = 0.01  # deviation of the focal length, as a share, that is worth a note
+
+LENS = Layout(log_focal=(), centre=(2,), distortion=(2,))  # its unknowns: what is added to the start
 
 
 def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.0,
@@ -63,7 +66,7 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
         else:
             seen[photo.name] = edges
     lens, stated = expected_lens([photo for photo in photos if photo.name in seen], size)
-    start = lens, FOCAL if stated else FOCAL_UNKNOWN
+    start = lens, FOCAL_SHARE if stated else FOCAL_SHARE_UNKNOWN
     while True:
         _check(seen, left_out, len(photos))
         report("poses", 0.8)
@@ -115,63 +118,78 @@ def _first_pose(lens: Lens, edges: Edges, sheet: Sheet, depth: float) -> Pose:
 
 def _bundle(lens: Lens, focal_share: float, sheet: Sheet, depth: float, seen: dict[str, Edges]
             ) -> tuple[Lens, dict[str, Pose], dict[str, float], dict[str, float], float]:
-    """The lens, poses, RMS errors (pixels), deviations of positions (cm), and of the focal length as a share.
-
-    Unknowns: logarithm of the focal length, principal point, k1, k2; then of each photo a rotation after that of the start,
-    and a shift as a share of the distance; each divided by its prior's deviation, those of poses 1.
-    """
-    import cv2
+    """The lens, poses, RMS errors (pixels), deviations of positions (cm), and of the focal length as a share."""
     from scipy.optimize import least_squares
 
-    width, noise = max(lens.size), NOISE * max(lens.size)
-    firsts = {name: _first_pose(lens, edges, sheet, depth) for name, edges in seen.items()}
-    points = {name: np.column_stack((edges.plane, np.full(len(edges.plane), depth))) for name, edges in seen.items()}
-    scale = np.array([focal_share, *[CENTRE * width] * 2, DISTORTION, DISTORTION])
-
-    def lens_of(x: Array) -> Lens:
-        log_focal, u, v, k1, k2 = (x[:5] * scale).tolist()
-        middle = lens.middle
-        return replace(lens, focal=lens.focal * math.exp(log_focal), centre=(middle[0] + u, middle[1] + v), distortion=(k1, k2))
-
-    def pose_of(name: str, x: Array) -> Pose:
-        first = firsts[name]
-        return Pose(first.position + x[3:] * np.linalg.norm(first.position), cv2.Rodrigues(x[:3])[0] @ first.rotation)
-
-    def of_photo(name: str, shared: Array, own: Array) -> Array:
-        off = project(lens_of(shared), pose_of(name, own), points[name]) - seen[name].pixels
-        return np.nan_to_num((off * seen[name].across).sum(axis=1) / noise, nan=1e6)
-
-    own = {name: slice(5 + 6 * i, 11 + 6 * i) for i, name in enumerate(seen)}
-    ends = np.cumsum([5, *(len(edges.plane) for edges in seen.values())])
-    rows = {name: slice(*ends[i : i + 2]) for i, name in enumerate(seen)}
-
-    def residuals(x: Array) -> Array:
-        return np.concatenate([x[:5], *(of_photo(name, x[:5], x[own[name]]) for name in seen)])
-
-    def slopes(x: Array) -> Array:
-        """Central differences; a photo depends on the lens and its own pose."""
-        out = np.zeros((ends[-1], len(x)))
-        out[:5, :5] = np.eye(5)
-        for name in seen:
-            mine = [*range(5), *range(own[name].start, own[name].stop)]
-            for column, step in zip(mine, [1e-4] * 5 + [1e-6] * 6):
-                high, low = x.copy(), x.copy()
-                high[column] += step
-                low[column] -= step
-                out[rows[name], column] = (of_photo(name, high[:5], high[own[name]])
-                                           - of_photo(name, low[:5], low[own[name]])) / (2 * step)
-        return out
-
-    found = least_squares(residuals, np.zeros(5 + 6 * len(seen)), slopes, loss="soft_l1", f_scale=3.0,
+    problem = _Bundle(lens, focal_share, sheet, depth, seen)
+    found = least_squares(problem.residuals, np.zeros(problem.layout.size), problem.slopes, loss="soft_l1", f_scale=3.0,
                           x_scale="jac")
-    x, left = found.x, residuals(found.x)
-    poses = {name: pose_of(name, x[own[name]]) for name in seen}
-    errors = {name: float(np.sqrt(np.square(left[rows[name]]).mean()) * noise) for name in seen}
-    jacobian = slopes(x)
+    x, left = found.x, problem.residuals(found.x)
+    poses = {name: problem.pose(name, x[own]) for name, own in problem.own.items()}
+    errors = {name: float(np.sqrt(np.square(left[rows]).mean()) * problem.noise) for name, rows in problem.rows.items()}
+    jacobian = problem.slopes(x)
     # Errors along an edge are much alike: two of its points count as known by themselves.
-    spread = max(1.0, np.square(left[5:]).mean()) * POINTS / 2
-    jacobian[5:] /= np.sqrt(spread)
+    spread = max(1.0, np.square(left[LENS.size:]).mean()) * POINTS / 2
+    jacobian[LENS.size:] /= np.sqrt(spread)
     covariance = np.linalg.inv(jacobian.T @ jacobian)
-    deviations = {name: float(np.sqrt(np.trace(covariance[own[name], own[name]][3:, 3:]))
-                              * np.linalg.norm(firsts[name].position)) for name in seen}
-    return lens_of(x), poses, errors, deviations, float(np.sqrt(covariance[0, 0]) * focal_share)
+    position = POSE["position"]
+    deviations = {name: float(np.sqrt(np.trace(covariance[own, own][position, position]))
+                              * np.linalg.norm(problem.firsts[name].position)) for name, own in problem.own.items()}
+    focal = problem.layout.numbers.lens[0]
+    return problem.lens_of(x), poses, errors, deviations, float(np.sqrt(covariance[focal, focal]) * focal_share)
+
+
+class _Bundle:
+    """The least-squares problem of all photos: the prior of the lens, then each photo's points, off across their edges.
+
+    Unknowns by ``layout``: ``lens``, by :data:`LENS` over its prior's deviations; ``poses``, of each photo a rotation after
+    that of the start and a shift as a share of the distance (:data:`~.planar.POSE`), their deviations 1.
+    """
+
+    def __init__(self, lens: Lens, focal_share: float, sheet: Sheet, depth: float, seen: dict[str, Edges]) -> None:
+        width = max(lens.size)
+        self.lens, self.seen, self.noise = lens, seen, NOISE * width
+        self.firsts = {name: _first_pose(lens, edges, sheet, depth) for name, edges in seen.items()}
+        self.points = {name: np.column_stack((edges.plane, np.full(len(edges.plane), depth))) for name, edges in seen.items()}
+        self.spread = LENS.pack(log_focal=focal_share, centre=CENTRE_SD * width, distortion=DISTORTION_SD)
+        self.layout = Layout(lens=(LENS.size,), poses=(len(seen), POSE.size))
+        self.own = {name: slice(at[0], at[-1] + 1) for name, at in zip(seen, self.layout.numbers.poses)}
+        ends = np.cumsum([LENS.size, *(len(edges.plane) for edges in seen.values())])
+        self.rows = {name: slice(*ends[i : i + 2]) for i, name in enumerate(seen)}
+        self.count = ends[-1]
+
+    def lens_of(self, x: Array) -> Lens:
+        """The lens of unknowns, of which the first are its own."""
+        moved, middle = LENS.unpack(x[self.layout["lens"]] * self.spread), self.lens.middle
+        (u, v), distortion = moved.centre.tolist(), tuple(moved.distortion.tolist())
+        return replace(self.lens, focal=self.lens.focal * math.exp(moved.log_focal), centre=(middle[0] + u, middle[1] + v),
+                       distortion=distortion)
+
+    def pose(self, name: str, own: Array) -> Pose:
+        """The pose of a photo by its six unknowns."""
+        import cv2
+
+        first, moved = self.firsts[name], POSE.unpack(own)
+        return Pose(first.position + moved.position * np.linalg.norm(first.position),
+                    cv2.Rodrigues(moved.rotation)[0] @ first.rotation)
+
+    def _of_photo(self, name: str, x: Array) -> Array:
+        off = project(self.lens_of(x), self.pose(name, x[self.own[name]]), self.points[name]) - self.seen[name].pixels
+        return np.nan_to_num((off * self.seen[name].across).sum(axis=1) / self.noise, nan=1e6)
+
+    def residuals(self, x: Array) -> Array:
+        """In deviations: five of the lens, then one a point."""
+        return np.concatenate([x[self.layout["lens"]], *(self._of_photo(name, x) for name in self.seen)])
+
+    def slopes(self, x: Array) -> Array:
+        """Central differences; a photo depends on the lens and its own pose."""
+        out, numbers = np.zeros((self.count, len(x))), self.layout.numbers
+        out[:LENS.size, self.layout["lens"]] = np.eye(LENS.size)
+        for name, own in zip(self.seen, numbers.poses):
+            for columns, step in ((numbers.lens, 1e-4), (own, 1e-6)):
+                for column in columns:
+                    high, low = x.copy(), x.copy()
+                    high[column] += step
+                    low[column] -= step
+                    out[self.rows[name], column] = (self._of_photo(name, high) - self._of_photo(name, low)) / (2 * step)
+        return out

@@ -7,11 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ...system.layout import Layout
 from ..lens import Lens, Pose, on_plane
 
 Array = NDArray[np.float64]
+HALF_PLANE = Layout(normal=(2,), offset=())  # n . (x, y) <= offset
+SQUARE = Layout(centre=(2,), half=())  # an upright square by half its side
 
-MARGIN = 0.01  # of a photo's sides: kept off its border
+PHOTO_MARGIN = 0.01  # of a photo's sides: kept off its border
 CENTRED = 0.95  # of the largest square's side: so much of it is kept to have the patch below the cameras
 GAIN = 1.25  # a photo without which the patch's side would grow by more than this factor is better left out
 
@@ -38,9 +41,9 @@ def framed(poses: dict[str, Pose], centre: Array, side: float) -> dict[str, Pose
 
 
 def outline(lens: Lens, pose: Pose) -> Array:
-    """Half planes n . (x, y) <= b that a photo shows all of, as rows (n_x, n_y, b): one for each of its sides, 4 x 3."""
+    """Half planes that a photo shows all of, one for each of its sides: 4 x 3, rows by :data:`HALF_PLANE`."""
     size = np.array(lens.size)
-    low, high = MARGIN * size - 0.5, (1 - MARGIN) * size - 0.5
+    low, high = PHOTO_MARGIN * size - 0.5, (1 - PHOTO_MARGIN) * size - 0.5
     corners = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
     middle = on_plane(lens, pose, (low + high)[None] / 2)[0]
     rows = []
@@ -49,7 +52,7 @@ def outline(lens: Lens, pose: Pose) -> Array:
         edge = points[-1] - points[0]
         normal = np.array([edge[1], -edge[0]]) / np.linalg.norm(edge)
         normal *= np.sign(normal @ (points[0] - middle))
-        rows.append((*normal, (points @ normal).min()))
+        rows.append(HALF_PLANE.pack(normal=normal, offset=(points @ normal).min()))
     return np.array(rows)
 
 
@@ -60,22 +63,25 @@ def largest_square(outlines: Sequence[Array]) -> tuple[Array, float]:
     """
     from scipy.optimize import linprog
 
-    rows = np.concatenate(outlines)
-    reach = np.abs(rows[:, :2]).sum(axis=1)
-    found = linprog((0, 0, -1.0), np.column_stack((rows[:, :2], reach)), rows[:, 2], bounds=(None, None))
-    return (found.x[:2], 2 * found.x[2]) if found.success else (np.zeros(2), -1.0)
+    sides = HALF_PLANE.unpack(np.concatenate(outlines))
+    reach = np.abs(sides.normal).sum(axis=1)
+    found = linprog(SQUARE.pack(half=-1.0), np.column_stack((sides.normal, reach)), sides.offset, bounds=(None, None))
+    if not found.success:
+        return np.zeros(2), -1.0
+    square = SQUARE.unpack(found.x)
+    return square.centre, 2 * square.half
 
 
 def centred_square(outlines: Sequence[Array], side: float, below: Array) -> Array:
     """Centre (x, y) nearest to ``below`` of an upright square of this side in all outlines; a linear programme, too."""
     from scipy.optimize import linprog
 
-    rows = np.concatenate(outlines)
-    left = rows[:, 2] - side / 2 * np.abs(rows[:, :2]).sum(axis=1)
-    away = np.array([[1, 0, -1, 0], [-1, 0, -1, 0], [0, 1, 0, -1], [0, -1, 0, -1.0]])  # the last two: |x - below|, |y - below|
-    found = linprog((0, 0, 1.0, 1.0), np.concatenate((np.pad(rows[:, :2], ((0, 0), (0, 2))), away)),
-                    np.concatenate((left, away[:, :2] @ below)), bounds=(None, None))
-    return found.x[:2]
+    sides, unknowns = HALF_PLANE.unpack(np.concatenate(outlines)), Layout(centre=(2,), away=(2,))  # away: |centre - below|
+    left = sides.offset - side / 2 * np.abs(sides.normal).sum(axis=1)
+    away = np.array([[1, 0, -1, 0], [-1, 0, -1, 0], [0, 1, 0, -1], [0, -1, 0, -1.0]])
+    found = linprog(unknowns.pack(away=1.0), np.concatenate((np.pad(sides.normal, ((0, 0), (0, 2))), away)),
+                    np.concatenate((left, away[:, unknowns["centre"]] @ below)), bounds=(None, None))
+    return unknowns.unpack(found.x).centre
 
 
 def choose_patch(outlines: dict[str, Array], least: int = 3, always: str | None = None) -> tuple[Array, float, list[str]]:

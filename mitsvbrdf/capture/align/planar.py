@@ -16,18 +16,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ...system.layout import Layout
 from ..lens import Lens, Pose, rays
 
 Array = NDArray[np.float64]
 
 # Deviations of what is expected beforehand. They decide where photos do not: taken nearly parallel, a tilt of all cameras
 # looks like a shift, and a focal length like a height.
-TILT = 0.17  # of a camera's axis from straight down, rad
-HEIGHT = 0.15  # of a camera's height from the others', as a share
-DISTORTION = (0.03, 0.01)  # k1, k2: phones correct their lens
+TILT_SD = 0.17  # of a camera's axis from straight down, rad
+HEIGHT_SD = 0.15  # of a camera's height from the others', as a share
+DISTORTION_SD = (0.03, 0.01)  # k1, k2: phones correct their lens
 SOFT = 1.0  # deviations from which on an error counts in proportion only
 ALIKE = 10  # matches count as one for what is left uncertain: relief, highlights and what the lens lacks err alike nearby
-UNKNOWNS = 6  # of a pose
+
+POSE = Layout(rotation=(3,), position=(3,))  # unknowns of a photo: a rotation vector after the start's; x, y, z
 
 
 @dataclass(frozen=True)
@@ -100,7 +102,7 @@ def starts(lens: Lens, homographies: dict[str, Array], hub: str, most: int = 3) 
     x, y = axes[..., 0], axes[..., 1]
     xx, yy, xy = (x * x).sum(-1), (y * y).sum(-1), (x * y).sum(-1)
     skew = (xy**2 + (xx - yy) ** 2 / 4) / ((xx + yy) / 2) ** 2
-    cost = np.minimum(skew, 0.05).sum(axis=0) + 0.003 * np.square(tilts).sum(axis=-1) / TILT**2
+    cost = np.minimum(skew, 0.05).sum(axis=0) + 0.003 * np.square(tilts).sum(axis=-1) / TILT_SD**2
     chosen: list[int] = []
     for k in np.argsort(cost):
         if len(chosen) < most and all(np.linalg.norm(tilts[k] - tilts[c]) > 0.25 for c in chosen):
@@ -134,83 +136,106 @@ def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match
     """
     from scipy.optimize import least_squares
 
-    names = list(poses)
-    rotations = np.stack([poses[name].rotation for name in names])
-    positions = np.stack([poses[name].position for name in names])
-    row = names.index(hub)
-    first = np.concatenate([np.full(len(m.at_a), names.index(m.a)) for m in matches])
-    second = np.concatenate([np.full(len(m.at_b), names.index(m.b)) for m in matches])
-    at_a, at_b = np.concatenate([m.at_a for m in matches]), np.concatenate([m.at_b for m in matches])
-    sigma = np.concatenate([np.full(len(m.at_a), m.sigma) for m in matches])[:, None]
-    moved_before = math.log(lens.focal / focal)
-    count, expected = len(at_a), 3 + 3 * len(names)
-    free = np.ones(3 + UNKNOWNS * len(names), dtype=bool)
-    free[3 + UNKNOWNS * row : 3 + UNKNOWNS * (row + 1)] = (True, True, False, False, False, False)
-    start = np.concatenate(((0.0, *lens.distortion), np.concatenate((np.zeros_like(positions), positions), axis=1).ravel()))
+    problem = _Bundle(lens, poses, hub, matches, focal, focal_share)
+    result = least_squares(problem.residuals, problem.start[problem.free], problem.slopes, x_scale="jac", loss=problem.loss,
+                           max_nfev=steps, ftol=1e-6, xtol=1e-7)
+    found, rotations, positions = problem.rig(problem.full(result.x))
+    counted = np.where(np.arange(len(result.jac)) < 2 * problem.count, math.sqrt(ALIKE), 1)
+    jacobian = result.jac / counted[:, None]
+    unsure = math.sqrt(np.linalg.inv(jacobian.T @ jacobian)[problem.layout.numbers.log_focal, problem.layout.numbers.log_focal])
+    return found, {name: Pose(positions[i], rotations[i]) for i, name in enumerate(poses)}, float(result.cost), unsure
 
-    def unpacked(values: Array) -> tuple[Lens, Array, Array]:
-        own = values[3:].reshape(-1, UNKNOWNS)
-        found = replace(lens, focal=lens.focal * math.exp(values[0]), distortion=(float(values[1]), float(values[2])))
-        return found, _turned(own[:, :3]) @ rotations, own[:, 3:]
 
-    def reprojection(seen: Array, found: Lens, turned: tuple[Array, Array], at: tuple[Array, Array]) -> Array:
-        return (_carried(found, turned[0], at[0], turned[1], at[1], seen) - at_b) / sigma
+class _Bundle:
+    """The least-squares problem of :func:`adjust`: K matches in two coordinates each, then what is expected beforehand.
 
-    def beforehand(values: Array) -> Array:
-        _, turned, at = unpacked(values)
-        height = np.log(np.maximum(at[:, 2], 1e-3))
-        shared = (values[:3] + (moved_before, 0.0, 0.0)) / (focal_share, *DISTORTION)
-        return np.concatenate((shared, (height - height.mean()) / HEIGHT,
-                               turned[:, 2, :2].ravel() / math.sin(TILT)))
+    The unknowns, by ``layout``: ``log_focal``, natural logarithm beside the start's; ``distortion``, k1 and k2; ``poses``, by
+    :data:`POSE`. Those of the hub's position, and its turn about its axis, are not ``free``.
+    """
 
-    def full(chosen: Array) -> Array:
-        values = start.copy()
-        values[free] = chosen
+    def __init__(self, lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match], focal: float,
+                 focal_share: float) -> None:
+        names = list(poses)
+        self.lens, self.focal_share, self.moved_before = lens, focal_share, math.log(lens.focal / focal)
+        self.rotations = np.stack([poses[name].rotation for name in names])
+        positions = np.stack([poses[name].position for name in names])
+        self.first = np.concatenate([np.full(len(m.at_a), names.index(m.a)) for m in matches])
+        self.second = np.concatenate([np.full(len(m.at_b), names.index(m.b)) for m in matches])
+        self.at_a, self.at_b = np.concatenate([m.at_a for m in matches]), np.concatenate([m.at_b for m in matches])
+        self.sigma = np.concatenate([np.full(len(m.at_a), m.sigma) for m in matches])[:, None]
+        self.count = len(self.at_a)
+        self.layout = Layout(log_focal=(), distortion=(2,), poses=(len(names), POSE.size))
+        self.start = self.layout.pack(distortion=lens.distortion, poses=[POSE.pack(position=p) for p in positions])
+        self.free = np.ones(self.layout.size, dtype=bool)
+        self.free[self.layout.numbers.poses[names.index(hub)]] = POSE.pack(rotation=(True, True, False)) == 1
+
+    def full(self, chosen: Array) -> Array:
+        """All unknowns, those that are not free as at the start."""
+        values = self.start.copy()
+        values[self.free] = chosen
         return values
 
-    def residuals(chosen: Array) -> Array:
-        values = full(chosen)
-        found, turned, at = unpacked(values)
-        error = reprojection(rays(found, at_a), found, (turned[first], turned[second]), (at[first], at[second]))
-        return np.concatenate((np.nan_to_num(error, nan=1e3, posinf=1e3, neginf=-1e3).ravel(), beforehand(values)))
+    def rig(self, values: Array) -> tuple[Lens, Array, Array]:
+        """The lens, rotations N x 3 x 3 and positions N x 3."""
+        u = self.layout.unpack(values)
+        own = POSE.unpack(u.poses)
+        lens = replace(self.lens, focal=self.lens.focal * math.exp(u.log_focal), distortion=tuple(u.distortion.tolist()))
+        return lens, _turned(own.rotation) @ self.rotations, own.position
 
-    def slopes(chosen: Array) -> Array:
+    def _reprojection(self, seen: Array, lens: Lens, rotations: tuple[Array, Array], positions: tuple[Array, Array]) -> Array:
+        """Errors of rays of the first photos, K x 3, with poses of first and second photos, in deviations: K x 2."""
+        a, b = ((r[index], p[index]) for r, p, index in zip(rotations, positions, (self.first, self.second)))
+        return (_carried(lens, *a, *b, seen) - self.at_b) / self.sigma
+
+    def _beforehand(self, values: Array) -> Array:
+        """Errors of what is expected of lens, heights and tilts, in deviations: 3 + 3 N."""
+        _, rotations, positions = self.rig(values)
+        height = np.log(np.maximum(positions[:, 2], 1e-3))
+        u = self.layout.unpack(values)
+        shared = np.array((u.log_focal + self.moved_before, *u.distortion)) / (self.focal_share, *DISTORTION_SD)
+        return np.concatenate((shared, (height - height.mean()) / HEIGHT_SD, rotations[:, 2, :2].ravel() / math.sin(TILT_SD)))
+
+    def residuals(self, chosen: Array) -> Array:
+        """2 K errors of matches, then those of what is expected, in deviations."""
+        values = self.full(chosen)
+        lens, rotations, positions = self.rig(values)
+        error = self._reprojection(rays(lens, self.at_a), lens, (rotations,) * 2, (positions,) * 2)
+        return np.concatenate((np.nan_to_num(error, nan=1e3, posinf=1e3, neginf=-1e3).ravel(), self._beforehand(values)))
+
+    def slopes(self, chosen: Array) -> Array:
         """Central differences: the same unknown of all photos at once, as a match knows but two of them."""
-        values, step = full(chosen), 1e-6
-        out = np.zeros((2 * count + expected, len(values)))
-        matched = out[: 2 * count].reshape(count, 2, -1)
-        for k in range(3 + UNKNOWNS):
-            ends = []
-            for sign in (1, -1):
-                moved = values.copy()
-                moved[k if k < 3 else slice(k, None, UNKNOWNS)] += sign * step
-                ends.append(unpacked(moved))
-            if k < 3:
-                found = [reprojection(rays(f, at_a), f, (r[first], r[second]), (p[first], p[second])) for f, r, p in ends]
-                matched[:, :, k] = (found[0] - found[1]) / (2 * step)
-                continue
-            own, turned, at = unpacked(values)
-            seen = rays(own, at_a)
-            found = [reprojection(seen, own, (r[first], turned[second]), (p[first], at[second])) for _, r, p in ends]
-            columns = 3 + UNKNOWNS * np.stack((first, second)) + k - 3
-            matched[np.arange(count), :, columns[0]] += (found[0] - found[1]) / (2 * step)
-            found = [reprojection(seen, own, (turned[first], r[second]), (at[first], p[second])) for _, r, p in ends]
-            matched[np.arange(count), :, columns[1]] += (found[0] - found[1]) / (2 * step)
-        for k in np.flatnonzero(free):
+        values, step, at = self.full(chosen), 1e-6, self.layout.numbers
+        expected = 3 + 3 * len(self.rotations)
+        out = np.zeros((2 * self.count + expected, len(values)))
+        matched, match = out[: 2 * self.count].reshape(self.count, 2, -1), np.arange(self.count)
+
+        def ends(moving) -> list[tuple[Lens, Array, Array]]:
+            moved = [values.copy(), values.copy()]
+            for each, sign in zip(moved, (1, -1)):
+                each[moving] += sign * step
+            return [self.rig(each) for each in moved]
+
+        for k in (at.log_focal, *at.distortion):
+            more, less = (self._reprojection(rays(f, self.at_a), f, (r, r), (p, p)) for f, r, p in ends(k))
+            matched[:, :, k] = (more - less) / (2 * step)
+        lens, rotations, positions = self.rig(values)
+        seen = rays(lens, self.at_a)
+        for unknown in at.poses.T:
+            both = ends(unknown)
+            more, less = (self._reprojection(seen, lens, (r, rotations), (p, positions)) for _, r, p in both)
+            matched[match, :, unknown[self.first]] += (more - less) / (2 * step)
+            more, less = (self._reprojection(seen, lens, (rotations, r), (positions, p)) for _, r, p in both)
+            matched[match, :, unknown[self.second]] += (more - less) / (2 * step)
+        for k in np.flatnonzero(self.free):
             moved = np.zeros_like(values)
             moved[k] = step
-            out[2 * count :, k] = (beforehand(values + moved) - beforehand(values - moved)) / (2 * step)
-        return out[:, free]
+            out[2 * self.count :, k] = (self._beforehand(values + moved) - self._beforehand(values - moved)) / (2 * step)
+        return out[:, self.free]
 
-    def loss(z: Array) -> Array:
+    def loss(self, z: Array) -> Array:
         """Pseudo-Huber for matches, squares for what is expected."""
+        matches = 2 * self.count
         rho = np.stack((z, np.ones_like(z), np.zeros_like(z)))
-        t = 1 + z[: 2 * count] / SOFT**2
-        rho[:, : 2 * count] = 2 * SOFT**2 * (np.sqrt(t) - 1), t**-0.5, -0.5 * t**-1.5 / SOFT**2
+        t = 1 + z[:matches] / SOFT**2
+        rho[:, :matches] = 2 * SOFT**2 * (np.sqrt(t) - 1), t**-0.5, -0.5 * t**-1.5 / SOFT**2
         return rho
-
-    result = least_squares(residuals, start[free], slopes, x_scale="jac", loss=loss, max_nfev=steps, ftol=1e-6, xtol=1e-7)
-    found, turned, at = unpacked(full(result.x))
-    jacobian = result.jac / np.where(np.arange(len(result.jac)) < 2 * count, math.sqrt(ALIKE), 1)[:, None]
-    unsure = math.sqrt(np.linalg.inv(jacobian.T @ jacobian)[0, 0])
-    return found, {name: Pose(at[i], turned[i]) for i, name in enumerate(names)}, float(result.cost), unsure

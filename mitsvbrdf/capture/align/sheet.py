@@ -29,7 +29,7 @@ OUTER = 76  # side of what counts as the sheet: two white cells around the tags
 PATCH = 0.64  # of the frame: what svbrdf-diff-renderer crops, 1024 of 1600 pixels
 SMALLEST = 5.0  # cm: cells of 0.7 mm, which a phone half a metre away still sees in 3 pixels
 SHEETS: dict[Paper, tuple[float, float]] = {"a4": (21.0, 29.7), "letter": (21.59, 27.94)}  # cm
-MARGIN = 0.5  # cm that many printers leave white
+PRINTER_MARGIN = 0.5  # cm that many printers leave white
 ABOVE = 2.0  # cm between the upper edge of the paper and the sheet
 
 
@@ -135,7 +135,7 @@ def write_sheet(path: str | Path, size_cm: float = 18.0, paper: Paper = "a4") ->
     kind = path.suffix.lower().removeprefix(".")
     if kind not in ("pdf", "svg", "png"):
         raise ConfigError("a file .pdf, .svg or .png", str(path), "end its name like that")
-    largest = np.floor((width - 2 * MARGIN) * FRAME / OUTER * 10) / 10
+    largest = np.floor((width - 2 * PRINTER_MARGIN) * FRAME / OUTER * 10) / 10
     if not SMALLEST <= size_cm <= largest:
         raise ConfigError(f"a size of {SMALLEST:g} to {largest:g} cm on {paper.upper() if paper == 'a4' else 'Letter'}",
                           f"{size_cm:g} cm", "give another size, or print a larger one elsewhere")

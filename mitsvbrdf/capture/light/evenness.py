@@ -16,7 +16,8 @@ SURE = 0.2  # standard deviation up to which evenness counts as measured
 
 def evenness_of(problem: Problem, unknowns: Array, weights: Array, gloss: Array) -> dict[str, float]:
     """1 - slope of each photo's log radiance, less what other photos say of its texels, over what a flash makes of it: falloff
-    and highlight, in logarithms."""
+    and highlight, in logarithms.
+    """
     samples, pattern = problem.samples, problem.falloff(unknowns) + gloss
     own = samples.weight * problem.away(unknowns)
     weights = np.minimum(weights, own)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ...system.layout import Layout
 from ..lens import Array
 from ..rig import Rig
 from .samples import Samples, falloff_of, transmission_of
@@ -14,7 +15,8 @@ from .samples import Samples, falloff_of, transmission_of
 FLASH_SD = {"cm": (2.0, 2.0, 0.3), "patch sides": (0.1, 0.1, 0.02)}
 VIGNETTING_SD = 0.3, 0.3
 EXPOSURE_SD = 0.05  # natural logarithm; a locked exposure repeats itself to some per cent
-LOBE = (math.log(0.3), 1.0), (math.log(0.16), 1.5)  # natural logarithms of alpha, and of F0 over the median albedo; and sd
+LOG_ALPHA = math.log(0.3), 1.0  # of the lobe, natural logarithm, and its sd
+LOG_F0 = math.log(0.16), 1.5  # of the lobe, natural logarithm over the median albedo, and its sd
 MIRROR = math.radians(10), math.radians(20)  # from the mirror direction: nothing counts up to here, everything from there on
 LEAST_WEIGHT = 0.05  # of what lies there, so that texels with no other photo are not lost
 DARKEST = -7.0  # natural logarithm of albedo over the median: nothing tells it from 0
@@ -22,21 +24,32 @@ ALBEDO_STEPS = 6  # of Gauss-Newton, where there is a lobe
 
 
 class Problem:
-    """The residuals of a rig's samples in unknowns over their prior's deviations."""
+    """The residuals of a rig's samples.
+
+    The unknowns, by ``layout``, are what is added to what is expected: ``flash``, its place in camera axes (the rig's unit);
+    ``vignetting``, v1 and v2; ``exposures``, natural logarithms, one a photo; ``log_alpha`` and ``log_f0`` of the lobe.
+    :meth:`residuals` and :meth:`jacobian` take them over their prior's deviations, ``spread``.
+
+    Args:
+        rig: lens and poses, with M photos.
+        samples: K points of these photos.
+    """
 
     def __init__(self, rig: Rig, samples: Samples) -> None:
         self.samples = samples
         poses = [rig.poses[name] for name in samples.names]
         self.cameras, self.turns = np.stack([p.position for p in poses]), np.stack([p.rotation.T for p in poses])
-        self.spread = np.array([*FLASH_SD[rig.unit], *VIGNETTING_SD, *[EXPOSURE_SD] * len(poses), *(sd for _, sd in LOBE)])
-        apparent = samples.log - self.model(np.zeros(len(self.spread)))
+        self.layout = Layout(flash=(3,), vignetting=(2,), exposures=(len(poses),), log_alpha=(), log_f0=())
+        self.spread = self.layout.pack(flash=FLASH_SD[rig.unit], vignetting=VIGNETTING_SD, exposures=EXPOSURE_SD,
+                                       log_alpha=LOG_ALPHA[1], log_f0=LOG_F0[1])
+        apparent = samples.log - self.model(np.zeros(self.layout.size))
         self.typical, self.start = float(np.median(apparent)), np.full(samples.texel.max() + 1, np.inf)
         np.minimum.at(self.start, samples.texel, apparent)
         self.start = np.where(np.isfinite(self.start), self.start, self.typical).clip(self.typical + DARKEST)
 
     def flashes(self, unknowns: Array) -> Array:
-        """Places of the flash in the world, N x 3."""
-        return self.cameras + self.turns @ unknowns[:3]
+        """Places of the flash in the world, M x 3."""
+        return self.cameras + self.turns @ unknowns[self.layout["flash"]]
 
     def falloff(self, unknowns: Array) -> Array:
         """Logarithm of cos / d^2 at each point."""
@@ -44,8 +57,8 @@ class Problem:
 
     def model(self, unknowns: Array) -> Array:
         """Logarithm of radiance over albedo / pi * I."""
-        s = self.samples
-        return unknowns[5:-2][s.photo] + self.falloff(unknowns) + np.log(transmission_of(s.radius2, unknowns[3:5]))
+        s, u = self.samples, self.layout.unpack(unknowns)
+        return u.exposures[s.photo] + self.falloff(unknowns) + np.log(transmission_of(s.radius2, u.vignetting))
 
     def half2(self, unknowns: Array) -> Array:
         """Squared sine of the angle between half vector and upright at each point."""
@@ -61,16 +74,17 @@ class Problem:
         return ((angle - MIRROR[0]) / (MIRROR[1] - MIRROR[0])).clip(LEAST_WEIGHT, 1)
 
     def lobe(self, unknowns: Array) -> Array | float:
-        """pi F0 D / 4 of GGX at each point, in units of the albedo over pi; shadowing left out, normals flat."""
+        """Pi F0 D / 4 of GGX at each point, in units of the albedo over pi; shadowing left out, normals flat."""
         if not self.samples.glossy:
             return 0.0
-        (alpha, _), (level, _) = LOBE
-        alpha2, half2 = math.exp(2 * (alpha + unknowns[-2])), self.half2(unknowns)
-        return math.exp(self.typical + level + unknowns[-1]) / 4 * alpha2 / (alpha2 * (1 - half2) + half2) ** 2
+        u, half2 = self.layout.unpack(unknowns), self.half2(unknowns)
+        alpha2 = math.exp(2 * (LOG_ALPHA[0] + u.log_alpha))
+        return math.exp(self.typical + LOG_F0[0] + u.log_f0) / 4 * alpha2 / (alpha2 * (1 - half2) + half2) ** 2
 
     def explain(self, unknowns: Array, weights: Array) -> tuple[Array, Array, Array]:
         """Logarithm of albedo / pi of each texel for an intensity of 1, what suits its points best (Gauss-Newton); the
-        logarithm of what the lobe multiplies each point by; and the error that is left."""
+        logarithm of what the lobe multiplies each point by; and the error that is left.
+        """
         texel, apparent, lobe = self.samples.texel, self.samples.log - self.model(unknowns), self.lobe(unknowns)
         albedo = self.start
         for _ in range(ALBEDO_STEPS if self.samples.glossy else 1):
@@ -86,16 +100,16 @@ class Problem:
         def shown(unknowns: Array) -> Array:
             return self.model(unknowns) + np.log1p(self.lobe(unknowns) / np.exp(albedo)[self.samples.texel])
 
-        count = len(self.samples.names)
-        out = np.zeros((len(self.samples.log), len(unknowns)))
-        out[np.arange(len(out)), 5 + self.samples.photo] = 1  # exposures
-        for k in (*range(5), *range(5 + count, 7 + count)):
+        at, out = self.layout.numbers, np.zeros((len(self.samples.log), len(unknowns)))
+        out[np.arange(len(out)), at.exposures[self.samples.photo]] = 1
+        for k in (*at.flash, *at.vignetting, at.log_alpha, at.log_f0):
             step = np.zeros(len(unknowns))
             step[k] = 1e-4 * self.spread[k]
             out[:, k] = (shown(unknowns + step) - shown(unknowns - step)) / (2 * step[k])
         return out
 
     def residuals(self, x: Array, weights: Array, scale: float) -> Array:
+        """Weighted errors of the K points over ``scale``, then the unknowns ``x`` themselves: the prior."""
         return np.concatenate((np.sqrt(weights) / scale * self.explain(x * self.spread, weights)[-1], x))
 
     def jacobian(self, x: Array, weights: Array, scale: float) -> Array:

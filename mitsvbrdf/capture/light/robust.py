@@ -6,7 +6,7 @@ import numpy as np
 
 from ..lens import Array
 
-LEAST_NOISE = 0.002  # of log radiance
+LEAST_LOG_NOISE = 0.002  # of log radiance
 BELOW, ABOVE = 2.0, 3.0  # standard deviations from where residuals count less
 
 
@@ -14,7 +14,7 @@ def noise_of(error: Array, weights: Array) -> float:
     """Standard deviation of residuals that have company, from the weighted median of their size."""
     order = np.argsort(np.abs(error))
     half = np.searchsorted(np.cumsum(weights[order]), weights.sum() / 2)
-    return max(LEAST_NOISE, 1.4826 * float(np.abs(error)[order][min(half, len(error) - 1)]))
+    return max(LEAST_LOG_NOISE, 1.4826 * float(np.abs(error)[order][min(half, len(error) - 1)]))
 
 
 def trust_of(size: Array) -> Array:

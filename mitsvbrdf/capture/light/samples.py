@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from ... import color
-from ...color import CLIPPED
+from ...color import NEARLY_CLIPPED
 from ...errors import CaptureError
 from ...views import texel_positions
 from ..lens import Array, Lens, Pose, on_plane, project
@@ -18,8 +18,8 @@ from ..rig import Rig
 FAINTEST_CORNER = 0.2  # of the transmission
 
 LONG_SIDE, BLOCKS_ALONG = 1024, 96  # pixels of a photo that are read, and blocks along it that are paper samples
-SIDE = 32  # texels a side of a material that are compared
-DARK = 0.03  # display values below are noise
+MATERIAL_SIDE = 32  # texels a side of a material that are compared
+DARK_VALUE = 0.03  # display values below are noise
 DIM = 0.1  # display value at which noise in the logarithm is as large as the model's error
 CELLS = 8  # a side; residuals within a cell of a photo may err alike
 
@@ -56,21 +56,21 @@ def paper_samples(pixels: np.ndarray, lens: Lens, pose: Pose, white: Callable[[A
         there = np.concatenate((points, np.full_like(points[:, :1], depth)), axis=1)
         usable &= np.isfinite(project(lens, pose, there)[:, 0]) & np.asarray(white(points), dtype=bool)
         here.append((there, at))
-    usable &= (brightest < CLIPPED).all(axis=1) & ((brightest - darkest).max(axis=1) < 0.25)
+    usable &= (brightest < NEARLY_CLIPPED).all(axis=1) & ((brightest - darkest).max(axis=1) < 0.25)
     cells = row * CELLS // rows * CELLS + column * CELLS // columns
     return _Seen(*here[0], _decoded(display, transfer), display, usable, np.zeros(len(row), dtype=int), cells)
 
 
 def material_samples(photo: np.ndarray, lens: Lens, pose: Pose, size: float, transfer: color.Transfer) -> _Seen:
-    """Texels of a rectified photo, averaged to SIDE x SIDE at most."""
-    side = min(SIDE, photo.shape[0])
+    """Texels of a rectified photo, averaged to 32 x 32 at most."""
+    side = min(MATERIAL_SIDE, photo.shape[0])
     step = photo.shape[0] // side
     blocks = np.asarray(photo, dtype=np.float64)[:side * step, :side * step].reshape(side, step, side, step, 3)
     display, brightest = blocks.mean(axis=(1, 3)).reshape(-1, 3), blocks.max(axis=(1, 3)).reshape(-1, 3)
     points = texel_positions(photo.shape[0]).numpy()[:side * step, :side * step]
     points = points.reshape(side, step, side, step, 3).mean(axis=(1, 3)).reshape(-1, 3) * size
     row, column = (index.ravel() for index in np.mgrid[:side, :side])
-    usable = (brightest < CLIPPED).all(axis=1)  # NaN is no number below
+    usable = (brightest < NEARLY_CLIPPED).all(axis=1)  # NaN is no number below
     cells = row * CELLS // side * CELLS + column * CELLS // side
     return _Seen(points, project(lens, pose, points), _decoded(display, transfer), display, usable, row * side + column, cells)
 
@@ -105,10 +105,10 @@ class Samples:
 
     @classmethod
     def of(cls, rig: Rig, seen: Mapping[str, _Seen], what: str, glossy: bool) -> Samples:
-        kept = {name: s.usable & (s.display.mean(axis=1) > DARK) & np.isfinite(s.pixels).all(axis=1)
+        kept = {name: s.usable & (s.display.mean(axis=1) > DARK_VALUE) & np.isfinite(s.pixels).all(axis=1)
                 for name, s in seen.items()}
         if not any(k.any() for k in kept.values()):
-            clipped = [name for name, s in seen.items() if np.nanmax(s.display, initial=0.0) >= CLIPPED]
+            clipped = [name for name, s in seen.items() if np.nanmax(s.display, initial=0.0) >= NEARLY_CLIPPED]
             raise CaptureError(f"photos that show {what} neither clipped nor dark", f"none of {len(seen)}"
                                + (f" ({len(clipped)} clipped)" if clipped else ""),
                                "take them again with another exposure, or check depth and size of the sheet")

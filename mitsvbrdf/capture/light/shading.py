@@ -12,7 +12,7 @@ with each other. Errors above are highlights more often than not: weights fall f
 reweighted least squares). Paper has no lobe; what is near its mirror direction counts little.
 
 Residuals of neighbouring points err alike, so the noise, and how many points count as one, are measured on the residuals, as
-in :mod:`mitsvbrdf.fit.calibration`. Where a material is hardly diffuse at all, both are large, and the priors remain.
+in :mod:`mitsvbrdf.calibrate.refine`. Where a material is hardly diffuse at all, both are large, and the priors remain.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ import numpy as np
 import torch
 
 from ... import color
-from ...color import CLIPPED
+from ...color import NEARLY_CLIPPED
+from ...material.maps import USUAL_ALBEDO
 from ...views import texel_positions
 from ..lens import Array, Lens, Pose, project
 from ..photo import Photo
@@ -32,15 +33,13 @@ from ..rig import Rig
 from .samples import LONG_SIDE, Samples, material_samples, paper_samples, radius2_of, transmission_of
 from .solve import Shading, solve_light
 
-PAPER = 0.8  # albedo of white office paper; 0.75 to 0.9, ISO 2470 brightness without optical brighteners
+PAPER_ALBEDO = 0.8  # albedo of white office paper; 0.75 to 0.9, ISO 2470 brightness without optical brighteners
 MOST_ALBEDO = 0.8
-# What materials are like, where nothing else tells the light's power: value and sd of its natural logarithm.
-ALBEDO = 0.12, 1.2  # in the middle; of ten known materials 0.001 to 0.22
-REFLECTANCE = 0.03, 0.6  # F0 of the lobe; dielectrics have 0.04, but one lobe for all texels finds less: 0.005 to 0.06
+LOBE_F0 = 0.03, 0.6  # usual one, and sd of its logarithm; dielectrics have 0.04, but one lobe for all finds less: 0.005 to 0.06
 
 
 def shading_of_paper(rig: Rig, photos: Mapping[str, Photo | np.ndarray], transfer: color.Transfer,
-                     white: Callable[[Array], np.ndarray], depth: float = 0.0, albedo: float = PAPER) -> Shading:
+                     white: Callable[[Array], np.ndarray], depth: float = 0.0, albedo: float = PAPER_ALBEDO) -> Shading:
     """Flash, its power and colour, vignetting and exposures from white paper around the material.
 
     Args:
@@ -69,8 +68,9 @@ def shading_of_material(rig: Rig, photos: Mapping[str, np.ndarray], transfer: co
     """Flash, vignetting and exposures from the material itself, which looks alike from everywhere but for highlights.
 
     Albedo alone does not tell the light's power, but most materials are dielectrics: the power is what makes the lobe's F0
-    and the median albedo most probable together (:data:`REFLECTANCE`, :data:`ALBEDO`), with no more than one texel in a
-    hundred whiter than paper. A metal is taken for a dielectric under a brighter flash. The flash is taken to be white.
+    and the median albedo most probable together (:data:`LOBE_F0`, :data:`~mitsvbrdf.material.maps.USUAL_ALBEDO`), with no
+    more than one texel in a hundred whiter than paper. A metal is taken for a dielectric under a brighter flash. The flash is
+    taken to be white.
 
     Args:
         rig: lens and poses; photos without a pose do not count.
@@ -85,8 +85,8 @@ def shading_of_material(rig: Rig, photos: Mapping[str, np.ndarray], transfer: co
             for name, pose in rig.poses.items() if name in photos}
     found = solve_light(rig, Samples.of(rig, seen, "the material", glossy=True))
     middle, most = math.pi * np.exp(np.nanpercentile(found.albedo, (50, 99)))  # of albedo, for an intensity of 1
-    by_albedo, by_lobe = 1 / ALBEDO[1] ** 2, 1 / (REFLECTANCE[1] ** 2 + found.deviations[-1] ** 2)
-    power = (by_albedo * math.log(middle / ALBEDO[0]) + by_lobe * math.log(math.pi * found.lobe / REFLECTANCE[0]))
+    by_albedo, by_lobe = 1 / USUAL_ALBEDO[1] ** 2, 1 / (LOBE_F0[1] ** 2 + float(found.deviations.log_f0) ** 2)
+    power = (by_albedo * math.log(middle / USUAL_ALBEDO[0]) + by_lobe * math.log(math.pi * found.lobe / LOBE_F0[0]))
     intensity = max(math.exp(power / (by_albedo + by_lobe)), most / MOST_ALBEDO)
     notes = ("how bright the flash is cannot be told from these photos; it is taken to be such that highlights reflect "
              f"{math.pi * found.lobe / intensity:.1%} of it and the median albedo is {middle / intensity:.2f}",)
@@ -104,5 +104,5 @@ def undo_vignetting(linear: np.ndarray, lens: Lens, pose: Pose, size: float, tra
     points = texel_positions(linear.shape[0]).numpy().reshape(-1, 3) * size
     passed = transmission_of(radius2_of(lens, project(lens, pose, points)), np.array(lens.vignetting))
     out = linear / passed.reshape(*linear.shape[:2], 1)
-    clipped = linear >= float(color.decode(torch.tensor(CLIPPED, dtype=torch.float64), transfer))
+    clipped = linear >= float(color.decode(torch.tensor(NEARLY_CLIPPED, dtype=torch.float64), transfer))
     return np.where(clipped, np.maximum(out, linear), out).astype(linear.dtype)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 
 from ..lens import Array, Lens
 from ..rig import Rig
 from .evenness import EVEN, evenness_of
-from .problem import LOBE, Problem
+from .problem import LOG_F0, Problem
 from .robust import alike, noise_of, trust_of
 from .samples import Samples
 
@@ -50,8 +51,8 @@ class _Found:
 
     rig: Rig
     samples: Samples
-    unknowns: Array  # flash x, y, z, v1, v2, exposures, lobe's alpha and level
-    deviations: Array
+    unknowns: SimpleNamespace  # by the problem's layout
+    deviations: SimpleNamespace
     typical: float  # logarithm of albedo over pi, for an intensity of 1, before anything is known
     level: float  # that of paper
     level_sd: float
@@ -64,26 +65,27 @@ class _Found:
 
     @property
     def lens(self) -> Lens:
-        flash, vignetting = map(float, self.unknowns[:3]), map(float, self.unknowns[3:5])
-        return replace(self.rig.lens, flash=tuple(flash), vignetting=tuple(vignetting))
+        return replace(self.rig.lens, flash=tuple(self.unknowns.flash.tolist()),
+                       vignetting=tuple(self.unknowns.vignetting.tolist()))
 
     @property
     def lobe(self) -> float:
         """F0 over pi of the lobe, for an intensity of 1."""
-        return math.exp(self.typical + LOBE[1][0] + self.unknowns[-1])
+        return math.exp(self.typical + LOG_F0[0] + self.unknowns.log_f0)
 
     def shading(self, intensity: Array, log_intensity_sd: float, notes: tuple[str, ...]) -> Shading:
         names, photo = self.samples.names, self.samples.photo
-        known = ("flash_x", "flash_y", "flash_z", "v1", "v2")
+        shared = zip(("flash_x", "flash_y", "flash_z", "v1", "v2"),
+                     (*self.deviations.flash.tolist(), *self.deviations.vignetting.tolist()))
         squares, total = (np.bincount(photo, w, len(names)) for w in (self.weights * self.error**2, self.weights))
         if self.left_out:
             notes += (f"no flash in {', '.join(self.left_out)}: light is even there",)
         elif even := sum(e > EVEN for e in self.evenness.values()):
             notes += (f"light does not fall off as a flash's in {even} of {len(names)} photos: where it comes from is a guess",)
         return Shading(
-            self.lens, tuple(float(i) for i in intensity), dict(zip(names, map(float, self.unknowns[5:-2]))),
-            dict(zip(known, map(float, self.deviations))) | {"log_intensity": float(log_intensity_sd)},
-            dict(zip(names, map(float, self.deviations[5:-2]))),
+            self.lens, tuple(float(i) for i in intensity), dict(zip(names, self.unknowns.exposures.tolist())),
+            dict(shared) | {"log_intensity": float(log_intensity_sd)},
+            dict(zip(names, self.deviations.exposures.tolist())),
             dict(zip(names, map(float, np.sqrt(squares / total.clip(1e-12))))), self.evenness, notes)
 
 
@@ -100,7 +102,8 @@ def solve_light(rig: Rig, samples: Samples) -> _Found:
 def _most_probable(rig: Rig, samples: Samples, counts: Array) -> _Found:
     from scipy.optimize import least_squares
 
-    problem, x = Problem(rig, samples), np.zeros(7 + len(samples.names))
+    problem = Problem(rig, samples)
+    x = np.zeros(problem.layout.size)
     weights, scale = samples.weight * counts[samples.photo].clip(1e-9), 1.0
     for _ in range(ROUNDS):
         unknowns = x * problem.spread
@@ -117,5 +120,6 @@ def _most_probable(rig: Rig, samples: Samples, counts: Array) -> _Found:
     colour = np.average(samples.colour, axis=0, weights=weights)
     slope = np.average(problem.slopes(unknowns, albedo), axis=0, weights=weights)
     level_sd = math.sqrt(slope @ covariance @ slope + scale**2 / weights.sum())
-    return _Found(rig, samples, unknowns, np.sqrt(covariance.diagonal()), problem.typical, float(albedo[0]), level_sd, colour,
-                  np.where(total > 1e-3, albedo, np.nan), error, weights, evenness_of(problem, unknowns, weights, gloss), ())
+    return _Found(rig, samples, problem.layout.unpack(unknowns), problem.layout.unpack(np.sqrt(covariance.diagonal())),
+                  problem.typical, float(albedo[0]), level_sd, colour, np.where(total > 1e-3, albedo, np.nan), error, weights,
+                  evenness_of(problem, unknowns, weights, gloss), ())

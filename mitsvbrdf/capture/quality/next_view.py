@@ -10,9 +10,10 @@ import torch
 
 from ...views import Views, coverage_angle
 
-LOBE = math.radians(7)  # half vectors this close to the upright show a highlight (of roughness 0.35: alpha is tan 7 degrees)
-STEP, REACH, SLANT = 0.05, 1.0, math.radians(35)  # where to stand: grid in patch sides, farthest, and most slanted
-WORTH = 0.02  # of the patch: less is no reason to stand anywhere
+# Half vectors this close to the upright show a highlight (of roughness 0.35: alpha is tan 7 degrees).
+HIGHLIGHT_ANGLE = math.radians(7)
+GRID_STEP, FARTHEST, SLANT = 0.05, 1.0, math.radians(35)  # places tried: grid in patch sides, farthest, most slanted
+WORTH = 0.02  # of the patch: less is no reason to take one more photo
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class NextView:
     words: str
 
 
-def next_best_view(views: Views, names: Sequence[str], unit: str, lobe: float = LOBE) -> NextView | None:
+def next_best_view(views: Views, names: Sequence[str], unit: str, lobe: float = HIGHLIGHT_ANGLE) -> NextView | None:
     """The place at the usual height from which one more photo shows most highlights that no photo has; None: hardly any left.
 
     Args:
@@ -45,8 +46,8 @@ def next_best_view(views: Views, names: Sequence[str], unit: str, lobe: float = 
     sides = views.in_patch_sides().to(torch.float64)
     unseen = coverage_angle(sides, side) > lobe
     height, beside = float(sides.camera[:, 2].median()), (sides.light - sides.camera).mean(dim=0)
-    far = min(REACH, height * math.tan(SLANT))
-    steps = torch.arange(-round(far / STEP), round(far / STEP) + 1, dtype=torch.float64) * STEP
+    far = min(FARTHEST, height * math.tan(SLANT))
+    steps = torch.arange(-round(far / GRID_STEP), round(far / GRID_STEP) + 1, dtype=torch.float64) * GRID_STEP
     places = torch.cartesian_prod(steps, steps)
     places = torch.cat((places, torch.full((len(places), 1), height, dtype=torch.float64)), dim=1)[places.norm(dim=1) <= far]
     tried = replace(sides, camera=places, light=places + beside, intensity=sides.intensity[:1].expand(len(places), 3))

@@ -1,9 +1,8 @@
-"""What is good and bad about photos of a patch: sharpness, exposure, fingers, and where nobody has stood yet.
+"""Which photos are better left out, and why: verdicts on their quality.
 
-A photo is compared with the others where they should agree. Each texel's radiance over its irradiance is its apparent albedo;
-the median over the photos has neither highlight nor finger. Verdicts are for photos that would do harm: highlights, falloff,
-shadows of a relief and the softness of a slanted view are no reasons. Limits were measured on 108 photos of twelve materials,
-none of which may be called bad; behind each stands the worst of these.
+Verdicts are for photos that would do harm: highlights, falloff, shadows of a relief and the softness of a slanted view are no
+reasons. Limits were measured on 108 photos of twelve materials, none of which may be called bad; behind each stands the worst
+of these.
 """
 
 from __future__ import annotations
@@ -12,9 +11,9 @@ from collections.abc import Mapping, Sequence
 
 from torch import Tensor
 
-from ...material.resample import averaged
+from ...material.resample import resized
 from ...views import Views
-from .look import PhotoQuality
+from .photo_quality import PhotoQuality
 
 LEAST_OVERLAP = 0.95  # of the patch; texels beyond a photo's edge are filled in from the others
 MOST_CLIPPED = 0.4  # of the patch; 0.22
@@ -23,49 +22,52 @@ LEAST_DETAIL = 0.45  # of a whole photo, beside others; simulated ones that are 
 ENOUGH = 256  # pixels of the patch; with fewer the limit falls in proportion: of 128, where it is 0.26, real ones have 0.37
 MOST_STOPS = 1.6  # brighter or darker than the others; 1.2
 UNLIKE, UNLIKE_DETAIL = 0.25, 0.28  # of the patch, in one piece; 0.18 and 0.14, with a highlight on metal 0.21. A finger over
-EVEN = 0.8  # of evenness (0: falls off as a flash's light does, 1: even); 0.65. Simulated photos without flash: 0.99
+# half of it: 0.28 to 0.52, and where its colour is that of the material 0.35 to 0.39
+MOST_EVENNESS = 0.8  # of evenness (0: falls off as a flash's light does, 1: even); 0.65. Simulated photos without flash: 0.99
 SAME_PLACE, SAME_PICTURE = 0.05, 0.02  # patch sides, mean difference of display values; 0.135 and 0.035
 SPOILS = ("covered", "blurred", "partly")  # reasons for which positions found with such a photo are not trusted
 
 
-def verdicts(found: Sequence[PhotoQuality], photos: Tensor, views: Views, fired: Mapping[str, str] | None = None) -> dict[str, str]:
+def verdicts(found: Sequence[PhotoQuality], photos: Tensor, views: Views,
+             fired: Mapping[str, str] | None = None) -> dict[str, str]:
     """The reason, by name, of each photo that is better left out.
 
     Args:
-        found: what :func:`looks` gave for these photos and views.
+        found: what :func:`~.photo_quality.photo_qualities` gave for these photos and views.
         fired: "fired" or "off" by name, as EXIF says of the flash.
     """
     fired = fired or {}
-    some_fired = any(fired.get(look.name) == "fired" for look in found)
-    even = [look.name for look in found if (look.evenness or 0) > EVEN]
+    some_fired = any(fired.get(quality.name) == "fired" for quality in found)
+    even = [quality.name for quality in found if (quality.evenness or 0) > MOST_EVENNESS]
     reasons, sharp = {}, LEAST_SHARPNESS * min(1, photos.shape[1] / ENOUGH)
-    for look in found:
-        what = "taken without flash (says its EXIF)" if some_fired and fired.get(look.name) == "off" else _verdict(look, sharp)
-        if not what and look.name in even and len(even) < len(found) / 2:  # of most photos, it says that the model is wrong
+    for quality in found:
+        off = some_fired and fired.get(quality.name) == "off"
+        what = "taken without flash (says its EXIF)" if off else _verdict(quality, sharp)
+        if not what and quality.name in even and len(even) < len(found) / 2:  # of most photos, it says that the model is wrong
             what = "taken without flash: its light does not fall off as that of the others does"
         if what:
-            reasons[look.name] = what
-    small, camera = averaged(photos, 64), views.in_patch_sides().camera
-    for i, look in enumerate(found):
+            reasons[quality.name] = what
+    small, camera = resized(photos, min(64, photos.shape[1])), views.in_patch_sides().camera
+    for i, quality in enumerate(found):
         for j, first in enumerate(found[:i]):
             near = (camera[i] - camera[j]).norm() < SAME_PLACE and (small[i] - small[j]).abs().mean() < SAME_PICTURE
-            if near and not {look.name, first.name} & reasons.keys():
-                reasons[look.name] = f"the same photo as {first.name}, from the same place"
+            if near and not {quality.name, first.name} & reasons.keys():
+                reasons[quality.name] = f"the same photo as {first.name}, from the same place"
     return reasons
 
 
-def _verdict(look: PhotoQuality, least_sharpness: float) -> str | None:
-    if look.overlap < LEAST_OVERLAP:
-        return f"partly outside: it shows only {look.overlap:.0%} of the patch"
-    if look.clipped > MOST_CLIPPED:
-        return f"overexposed: {look.clipped:.0%} of the patch is clipped"
-    piece = max(look.unlike, look.unlike_detail)
-    if look.unlike > UNLIKE or look.unlike_detail > UNLIKE_DETAIL:
+def _verdict(quality: PhotoQuality, least_sharpness: float) -> str | None:
+    if quality.overlap < LEAST_OVERLAP:
+        return f"partly outside: it shows only {quality.overlap:.0%} of the patch"
+    if quality.clipped > MOST_CLIPPED:
+        return f"overexposed: {quality.clipped:.0%} of the patch is clipped"
+    piece = max(quality.unlike, quality.unlike_detail)
+    if quality.unlike > UNLIKE or quality.unlike_detail > UNLIKE_DETAIL:
         return f"covered: {piece:.0%} of the patch is nothing like in the other photos, as if a finger or a shadow were on it"
-    if abs(look.stops) > MOST_STOPS:
-        return f"{abs(look.stops):.1f} stops {'brighter' if look.stops > 0 else 'darker'} than the other photos"
-    if look.sharpness < least_sharpness:
-        return f"blurred: {look.sharpness:.2f} times as sharp as the others"
+    if abs(quality.stops) > MOST_STOPS:
+        return f"{abs(quality.stops):.1f} stops {'brighter' if quality.stops > 0 else 'darker'} than the other photos"
+    if quality.sharpness < least_sharpness:
+        return f"blurred: {quality.sharpness:.2f} times as sharp as the others"
     return None
 
 

@@ -152,6 +152,7 @@ class AllPhotosGenerator(nn.Module):
 
 def pad_to_multiple(image: Tensor, factor: int) -> Tensor:
     """The image grown at the bottom and right, by repeating its border, to a multiple of ``factor``, at least twice it
-    (instance norm needs more than one value a channel at the coarsest level)."""
+    (instance norm needs more than one value a channel at the coarsest level).
+    """
     bottom, right = (max(-(-side // factor), 2) * factor - side for side in image.shape[-2:])
     return F.pad(image, (0, right, 0, bottom), mode="replicate")

@@ -31,7 +31,7 @@ def factor(matrix: Matrix, size: int) -> Matrix:
 
 
 def solved(lower: Matrix, right: list) -> list:
-    """x of L L^T x = right."""
+    """X of L L^T x = right."""
     x, size = list(right), len(right)
     for i in range(size):
         x[i] = (x[i] - sum(lower[i, k] * x[k] for k in range(i) if (i, k) in lower)) * lower[i, i]
@@ -56,7 +56,7 @@ def inverse_diagonal(lower: Matrix, size: int) -> list:
 
 
 def log_determinant(lower: Matrix, size: int):
-    """log det L L^T."""
+    """Log det L L^T."""
     import drjit as dr
 
     return -2 * sum(dr.log(lower[u, u]) for u in range(size))

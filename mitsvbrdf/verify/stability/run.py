@@ -76,8 +76,9 @@ def violations(rows: Sequence[dict]) -> list[dict]:
 def measured(case: Case, renderers: Sequence[Renderer]) -> dict:
     """The record of one configuration."""
     about: dict[str, Any] = {"sweep": case.sweep, "label": case.label, "value": case.value, "bsdf": case.svbrdf.bsdf,
-             "resolution": case.svbrdf.resolution, "views": len(case.views), "refused": case.refused}
-    nothing: dict[str, Any] = {"condition": None, "limit": {}, "fifty_digits": {}, "functions": {}, "clamps": [], "step": None}
+                             "resolution": case.svbrdf.resolution, "views": len(case.views), "refused": case.refused}
+    nothing: dict[str, Any] = {"condition": None, "limit": {}, "fifty_digits": {}, "functions": {}, "clamps": [],
+                               "step": None}
     try:
         case.svbrdf.check()
         case.views.check()

@@ -14,8 +14,8 @@ from helpers import GRID, photos_of
 from mitsvbrdf.capture import read_capture
 from mitsvbrdf.capture.lens import Lens, Pose
 from mitsvbrdf.capture.light.shading import shading_of_material
-from mitsvbrdf.capture.quality.look import detail_of, photo_qualities
 from mitsvbrdf.capture.quality.next_view import next_best_view
+from mitsvbrdf.capture.quality.photo_quality import detail_of, photo_qualities
 from mitsvbrdf.capture.quality.verdicts import spoils, verdicts
 from mitsvbrdf.capture.rig import Rig
 from mitsvbrdf.material.made import make_material

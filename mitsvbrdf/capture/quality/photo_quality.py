@@ -1,4 +1,8 @@
-"""How good each photo is: clipped, dark, blurred, or unlike the others."""
+"""How good each photo is: clipped, dark, blurred, or unlike the others.
+
+A photo is compared with the others where they should agree. Each texel's radiance over its irradiance is its apparent albedo;
+the median over the photos has neither highlight nor finger.
+"""
 
 from __future__ import annotations
 
@@ -13,12 +17,11 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ... import color
-from ...color import CLIPPED
-from ...material.resample import averaged
+from ...color import NEARLY_CLIPPED
+from ...material.resample import resized
 from ...views import Views, texel_positions
 
-SIDE, FINE_SIDE = 32, 512  # texels a side at which radiance is compared, and at most at which detail is
-# half of it: 0.28 to 0.52, and where its colour is that of the material 0.35 to 0.39
+RADIANCE_SIDE, DETAIL_SIDE = 32, 512  # texels a side at which radiance is compared, and at most at which detail is
 COLOUR, DARKER = 0.3, 1.4  # of a texel that is unlike the others: sum of differences of chromaticity, log of radiance
 AGREE, DISAGREE = 0.5, 0.3  # correlation of a texel's detail with the median photo's: of the photos in the median; of this one
 SLIGHT_COLOUR, SLIGHT = 0.1, 0.3  # and by how much the texel must be of another colour or brightness besides
@@ -54,7 +57,8 @@ class PhotoQuality:
 
 
 def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, names: Sequence[str],
-          overlap: Mapping[str, float] | None = None, evenness: Mapping[str, float] | None = None) -> list[PhotoQuality]:
+                    overlap: Mapping[str, float] | None = None,
+                    evenness: Mapping[str, float] | None = None) -> list[PhotoQuality]:
     """Numbers of each photo beside the others.
 
     Args:
@@ -63,18 +67,19 @@ def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, name
         transfer: of the photos.
         names: of the files.
         overlap: share of the patch that a photo shows; left out: all of it.
-        evenness: see :class:`Look`.
+        evenness: see :class:`PhotoQuality`.
     """
-    clipped = (photos >= CLIPPED).any(dim=-1)
-    linear = averaged(color.decode(photos, transfer), SIDE)
-    apparent = torch.log((linear.mean(dim=-1) / _irradiance(views, SIDE)).clamp_min(1e-4))
+    clipped = (photos >= NEARLY_CLIPPED).any(dim=-1)
+    linear = resized(color.decode(photos, transfer), min(RADIANCE_SIDE, photos.shape[1]))
+    apparent = torch.log((linear.mean(dim=-1) / _irradiance(views, RADIANCE_SIDE)).clamp_min(1e-4))
     beside = apparent - apparent.median(dim=0).values
     offset = beside.flatten(1).median(dim=1).values
     beside = beside - offset[:, None, None]
     hue = linear / linear.sum(dim=-1, keepdim=True).clamp_min(1e-3)
     colour = (hue - hue.median(dim=0).values).abs().sum(dim=-1)
-    luminance = averaged(photos, FINE_SIDE).mean(dim=-1).numpy()
-    plain = F.interpolate(((beside.abs() < 0.35) & (averaged(clipped[..., None].float(), SIDE)[..., 0] == 0)).float()[:, None],
+    luminance = resized(photos, min(DETAIL_SIDE, photos.shape[1])).mean(dim=-1).numpy()
+    unclipped = resized(clipped[..., None].float(), min(RADIANCE_SIDE, photos.shape[1]))[..., 0] == 0
+    plain = F.interpolate(((beside.abs() < 0.35) & unclipped).float()[:, None],
                           luminance.shape[1:])[:, 0].bool().numpy()
     sharp, agreement = _sharpness(luminance, plain), _agreement(luminance)
     unlike = (colour > COLOUR) | (beside < -DARKER)
@@ -123,7 +128,9 @@ def _sharpness(luminance: np.ndarray, plain: np.ndarray) -> np.ndarray:
 
 
 def _agreement(luminance: np.ndarray) -> np.ndarray:
-    """How the detail of the logarithm of N x S x S display values correlates with the median photo's, N x SIDE x SIDE."""
+    """How the detail of the logarithm of N x S x S display values correlates with the median photo's, N x T x T
+    with T of at most :data:`RADIANCE_SIDE`.
+    """
     logs = [np.log(np.maximum(image, 0.02)) for image in luminance]
     band = np.stack([cv2.GaussianBlur(image, (0, 0), 1.5) - cv2.GaussianBlur(image, (0, 0), 8) for image in logs])
     usual = np.median(band, axis=0)
@@ -131,7 +138,7 @@ def _agreement(luminance: np.ndarray) -> np.ndarray:
 
     def around(product: np.ndarray) -> np.ndarray:
         mean = cv2.blur(product, (window, window))
-        return cv2.resize(mean, (min(SIDE, mean.shape[1]),) * 2, interpolation=cv2.INTER_AREA)
+        return cv2.resize(mean, (min(RADIANCE_SIDE, mean.shape[1]),) * 2, interpolation=cv2.INTER_AREA)
 
     return np.stack([around(b * usual) / np.sqrt(around(b * b) * around(usual * usual) + 1e-12) for b in band])
 
