@@ -12,7 +12,7 @@ import torch.nn.functional as F
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.errors import MitsvbrdfError
-from mitsvbrdf.fit import DirectConfig, HierarchicalConfig, first_guess, fit_svbrdf, make_method
+from mitsvbrdf.fit import DirectConfig, FitTask, HierarchicalConfig, fit_svbrdf, make_method
 from mitsvbrdf.fit.checkpoint import load_tensors
 from mitsvbrdf.fit.hierarchical import rounds, stages, ties
 from mitsvbrdf.fit.hierarchical.rounds import Hierarchical
@@ -42,7 +42,7 @@ def flash_beside(offset):
 
 def method_of(capture, **settings):
     config = HierarchicalConfig(**settings)
-    return make_method(capture, MITSUBA, first_guess(capture, config), config)
+    return make_method(FitTask(capture, MITSUBA, config))
 
 
 def left_alone(capture, **settings):
@@ -337,7 +337,7 @@ def test_resuming_is_bit_equal_at_every_round(kind, two_stages, capture, tmp_pat
         monkeypatch.setattr(rounds, "EXACT", 0.0)
     config = HierarchicalConfig(iterations=14)
     whole = fit_svbrdf(capture, MITSUBA, config)
-    loop = Loop(make_method(capture, MITSUBA, whole.guess, config), capture, MITSUBA, config)
+    loop = Loop(make_method(FitTask(capture, MITSUBA, config, whole.guess)), capture, MITSUBA, config)
     step, stages = loop.method.step, []
 
     def saving_step(progress):

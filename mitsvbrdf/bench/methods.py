@@ -10,12 +10,12 @@ from typing import get_args, get_type_hints
 from ..capture import Capture
 from ..errors import ConfigError
 from ..evaluate import evaluate_capture, evaluate_fit
-from ..fit import FitConfig, GanConfig, fit_svbrdf
+from ..fit import FitConfig, FitTask, fit_svbrdf
 from ..fit.loop import Loop
+from ..fit.methods import METHODS
 from ..material.maps import SVBRDF
 from ..render import Renderer
 from ..system.timing import timed
-from ..views import Falloff
 from .peers_baseline import PeersBaseline, PeersConfig
 
 # The ablation: an ingredient of the default method that is off -> the settings that take it away.
@@ -59,14 +59,10 @@ class Fitted:
     stopped: str
 
 
-def method_table(configs: Mapping[str, type[FitConfig]]) -> dict[str, FitConfig]:
-    """Name -> settings: the methods of ``fit``, one entry for each preset where a method has presets, and the baseline.
-
-    Args:
-        configs: the configuration class of each method, the default first.
-    """
+def method_table() -> dict[str, FitConfig]:
+    """Name -> settings: the methods of ``fit``, one entry for each preset where a method has presets, and the baseline."""
     table: dict[str, FitConfig] = {}
-    for name, config in configs.items():
+    for name, (config, *_) in METHODS.items():
         presets = get_args(get_type_hints(config)["preset"]) if any(f.name == "preset" for f in fields(config)) else ()
         table |= {f"{name}-{preset.removeprefix('paper-')}": config(preset=preset) for preset in presets}  # type: ignore[call-arg]
         table |= {} if presets else {name: config()}
@@ -98,8 +94,7 @@ def settings_of(config: FitConfig) -> dict:
 
 def as_lit(capture: Capture, config: FitConfig) -> Capture:
     """The capture with the light that the method takes for granted: the paper's falls off with nothing."""
-    falloff: Falloff = "none" if isinstance(config, GanConfig) else "inverse-square"
-    return replace(capture, views=replace(capture.views, falloff=falloff))
+    return replace(capture, views=replace(capture.views, falloff=config.falloff))
 
 
 def fit(capture: Capture, renderer: Renderer, config: FitConfig, report: Report | None = None) -> Fitted:
@@ -132,7 +127,7 @@ def _fit_of_ours(capture: Capture, renderer: Renderer, config: FitConfig, report
 
 def _fit_of_peers(capture: Capture, renderer: Renderer, config: PeersConfig, report: Report | None) -> Fitted:
     config.check()
-    loop = Loop(PeersBaseline(capture, renderer, config), capture, renderer, config, report=report)
+    loop = Loop(PeersBaseline(FitTask(capture, renderer, config)), capture, renderer, config, report=report)
     stopped = loop.run()
     assert loop.best is not None
     rmse, svbrdf, _ = loop.best

@@ -8,21 +8,19 @@ and that values which leave their range are put back onto its end after each ste
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from .. import color
-from ..capture import Capture
 from ..errors import ConfigError
 from ..fit.checkpoint import load_optimizer_state, optimizer_state
 from ..fit.config import FitConfig
 from ..fit.fixed_maps import LEAST_ROUGHNESS
-from ..fit.method import descend
+from ..fit.method import Method, descend
+from ..fit.task import FitTask
 from ..material.maps import SVBRDF
-from ..render import Renderer
 from ..views import Views
 
 START = {"diffuse": 0.5, "specular": 0.04, "roughness": 0.2}  # gamma-encoded
@@ -48,17 +46,16 @@ class PeersConfig(FitConfig):
                               "the peers' baseline knows nothing else")
 
 
-class PeersBaseline:
-    """Steps of the peers' baseline; see :class:`mitsvbrdf.fit.method.Method`."""
+class PeersBaseline(Method):
+    """Steps of the peers' baseline."""
 
-    def __init__(self, capture: Capture, renderer: Renderer, config: PeersConfig) -> None:
-        self.capture, self.renderer = capture, renderer
-        self.views = capture.views
-        self.held: Mapping[str, Tensor] = {}
-        size = capture.resolution
+    def __init__(self, task: FitTask[PeersConfig]) -> None:
+        super().__init__(task)
+        self.capture, self.renderer = task.capture, task.renderer
+        size = task.capture.resolution
         self.textures = {name: torch.full((size, size, channels), 2 * START[name] - 1 if name in START else 0.0)
                          .requires_grad_() for name, channels in TEXTURE_CHANNELS.items()}
-        self.optimizer = torch.optim.Adam(list(self.textures.values()), lr=config.learning_rate)
+        self.optimizer = torch.optim.Adam(list(self.textures.values()), lr=task.config.learning_rate)
 
     def step(self, progress: float) -> dict[str, float]:
         """One Adam step on all photos; ``progress`` does not matter."""

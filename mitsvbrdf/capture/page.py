@@ -42,8 +42,8 @@ def write_quality(result: CaptureResult, folder: str | Path) -> None:
     _contact_sheet(folder / "contact.jpg", result, record, left_out)
     pictures = {name: picture_uri(at_most(photo, THUMBNAIL), 0) for name, photo in
                 [*zip(result.used, result.capture.photos), *((n, p) for n, p in left_out.items() if p is not None)]}
-    write_page(folder / "quality.html", "capture/page.html", title=f"Capture: {_name(result)}", record=record, pictures=pictures,
-               coverage=png_uri(_coverage_picture(result.coverage)), plan=_plan(result))
+    write_page(folder / "quality.html", "capture/page.html", title=f"Capture: {_name(result)}", record=record,
+               pictures=pictures, coverage=png_uri(_coverage_picture(result.coverage)), plan=_plan(result))
 
 
 def quality_record(result: CaptureResult) -> dict:

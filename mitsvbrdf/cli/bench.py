@@ -99,7 +99,7 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
     from ..bench.methods import VARIANTS, method_table, variant_table
     from ..bench.published import published
     from ..bench.renderers import render_jobs
-    from ..fit.config import CONFIGS, check_seed
+    from ..fit.config import check_seed
     from ..render import make_renderer
 
     budgets = _numbers("--budgets", chosen["budgets"], float, lambda x: 0 < x < math.inf)
@@ -109,7 +109,7 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
     if chosen["resolution"] < 8 or chosen["repeats"] < 1:
         raise ConfigError("--resolution of 8 or more and --repeats of 1 or more",
                           f"{chosen['resolution']} and {chosen['repeats']}", "try 64 and 3")
-    table = method_table(CONFIGS)
+    table = method_table()
     unknown = [name for name in _split(methods) if name not in table]
     if unknown:
         raise ConfigError(f"methods of {list(table)}", ", ".join(unknown), "check --methods")

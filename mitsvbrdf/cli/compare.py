@@ -15,7 +15,18 @@ from ..errors import ConfigError, MapsError
 from ..render import RendererName, make_renderer
 from ..system import files, images
 from ..system.progress import print_numbers, say, say_written
-from .options import Out, Overwrite, TransferOption, Variant, ViewList, check_new_file, material_of, photo_numbers, read_photos
+from .options import (
+    Out,
+    Overwrite,
+    TransferOption,
+    Variant,
+    ViewList,
+    check_new_file,
+    fit_of_maps,
+    material_of,
+    photo_numbers,
+    read_photos,
+)
 
 if TYPE_CHECKING:
     from ..evaluate.compare import Entry
@@ -83,17 +94,15 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
 def _entry(text: str, resolution: int) -> Entry:
     """Maps, name and fit of ``[NAME=]MAPS``; an existing folder with a = in its name is that folder."""
     from ..evaluate.compare import Entry
-    from ..fit.record import fit_of
 
     name, equals, maps = text.partition("=")
     name, maps = (name, maps) if equals and not os.path.exists(text) else ("", text)
     svbrdf = material_of(maps, resolution)
     if maps.startswith("builtin:"):
         return Entry(name or maps.removeprefix("builtin:"), maps, svbrdf)
-    folder, fit = Path(os.path.abspath(maps)), fit_of(maps)
-    folder = folder.parent if folder.name == "maps" else folder
-    guess = folder / "guess" / "diffuse.exr"
-    return Entry(name or fit.method or folder.name, maps, svbrdf, fit,
+    fit = fit_of_maps(maps)
+    guess = fit.path / "guess" / "diffuse.exr"
+    return Entry(name or fit.method or fit.path.name, maps, svbrdf, fit,
                  images.read_image(guess, MapsError) if guess.is_file() else None)
 
 

@@ -18,7 +18,7 @@ from ..render import RendererName, make_renderer
 from ..system import files
 from ..system.progress import console, progress_bar, say, say_written
 from ..views import Falloff, Views
-from .options import Variant, ViewSource, material_of, name_of, views_of
+from .options import Variant, ViewSource, fit_of_maps, material_of, name_of, views_of
 
 RENDERERS: tuple[RendererName, ...] = ("mitsuba", "mitsuba-scene", "analytic")
 
@@ -78,10 +78,9 @@ def _check_options(repeats: int, resolution: int | None) -> None:
 def _materials(maps: str | None, resolution: int | None,
                ) -> tuple[dict[str, SVBRDF], Falloff, tuple[float, float] | None, Transfer]:
     """Materials by name, and falloff, flash offset and transfer of the fit they come from (or the defaults)."""
-    from ..fit.record import Fit, fit_of
     from ..material.corner_cases import builtin_materials
 
-    fit = Fit() if maps is None or maps.startswith("builtin:") else fit_of(maps)
+    fit = fit_of_maps(maps)
     if maps is None:
         materials = builtin_materials(resolution or 128)
     else:

@@ -13,7 +13,7 @@ from ..export.maps import Naming
 from ..export.textures import Bits, NormalConvention
 from ..system import result_folder
 from ..system.progress import say
-from .options import Material, Overwrite, keep_apart_from_maps, material_of, name_of
+from .options import Material, Overwrite, fit_of_maps, keep_apart_from_maps, material_of, name_of
 
 
 def export(maps: Positional[Material],
@@ -29,15 +29,13 @@ def export(maps: Positional[Material],
     material as JSON; maps PNG files. Where diffuse and specular have to become base colour and metallic (gltf, maps), what
     that loses is printed: RMSE of both maps as linear^(1/2.2).
     """
-    from ..fit.record import Fit, fit_of
-
     formats = [part.strip() for part in to.split(",")]
     check_options(formats, naming, normal, bits)
     builtin = maps.startswith("builtin:")
     if builtin and out is None:
         raise ConfigError("an output folder, beside a builtin material", "none", "add -o FOLDER")
     out = out or Path(maps) / "export"
-    svbrdf, fit = material_of(maps), Fit() if builtin else fit_of(maps)
+    svbrdf, fit = material_of(maps), fit_of_maps(maps)
     name = name_of(maps)
     if not builtin:
         keep_apart_from_maps(Path(maps), out)

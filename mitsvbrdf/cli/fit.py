@@ -12,10 +12,11 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from ..capture import Capture
 from ..errors import ConfigError
-from ..fit import fit_svbrdf, left_out
+from ..fit import FitTask, fit_svbrdf, left_out
 from ..fit.checkpoint import load_tensors
 from ..fit.confidence import confidence
-from ..fit.config import CONFIGS, FitConfig
+from ..fit.config import FitConfig
+from ..fit.methods import METHODS
 from ..fit.result import FitResult
 from ..render import Renderer, RendererName, make_renderer
 from ..system import result_folder
@@ -66,14 +67,14 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig,
     """
     config.check()
     if falloff == "auto":
-        falloff = "none" if method == "gan" else "inverse-square"
+        falloff = config.falloff
     chosen = photo_numbers(views)
     photos = read_photos(capture, resolution, None, transfer, falloff)
     shots = photos if chosen is None else photos.pick(chosen)
     engine = make_renderer(renderer, variant)
     keep_apart(capture, out)
     if explain:
-        for what, why in left_out(shots, engine, config):
+        for what, why in left_out(FitTask(shots, engine, config)):
             say(f"left out: {what} ({why})")
         return 0
     title = f"fit {shots.source.name if shots.source else ''} · {method} · {engine.name}"
@@ -131,7 +132,7 @@ def fit_command(arguments: Sequence[str]) -> Callable[..., int]:
         return fit(*values, **options)
 
     # One flat set of options, those of the method; --fix may be repeated.
-    settings = UseAppendAction[OmitArgPrefixes[CONFIGS[_method_named(arguments)]]]  # type: ignore[misc, valid-type]
+    settings = UseAppendAction[OmitArgPrefixes[METHODS[_method_named(arguments)].config]]  # type: ignore[misc, valid-type]
     command.__doc__, command.__signature__ = fit.__doc__, inspect.signature(fit)  # type: ignore[attr-defined]
     command.__annotations__ = fit.__annotations__ | {"config": settings}
     return command
@@ -149,8 +150,8 @@ def with_flags(arguments: list[str]) -> list[str]:
 
 
 def _method_named(arguments: Sequence[str]) -> str:
-    method = next(iter(CONFIGS))
+    method = next(iter(METHODS))
     for here, after in zip(arguments, [*arguments[1:], ""]):
         name = after if here == "--method" else here.removeprefix("--method=") if here.startswith("--method=") else None
-        method = name if name in CONFIGS else method
+        method = name if name in METHODS else method
     return method  # the last one counts, as for every option

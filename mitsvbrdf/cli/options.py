@@ -20,7 +20,7 @@ from ..system.progress import progress_bar, say
 
 if TYPE_CHECKING:
     from ..capture import Capture
-    from ..fit.record import Fit
+    from ..fit.record import SavedFit
     from ..material.maps import SVBRDF
     from ..views import Falloff, Views
 
@@ -102,11 +102,11 @@ def material_of(name: str, resolution: int = 256) -> SVBRDF:
     return load_maps(name)
 
 
-def views_of(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[list[str], Views]:
+def views_of(source: str, falloff: Falloff, fit: SavedFit | None = None) -> tuple[list[str], Views]:
     """Names and views of a capture (:func:`~mitsvbrdf.evaluate.placed` where it states none), or of ``builtin:grid``."""
     from ..capture import read_capture
     from ..evaluate import placed
-    from ..fit.record import Fit
+    from ..fit.record import SavedFit
     from ..views import nine_view_grid
 
     if source == "builtin:grid":
@@ -115,14 +115,14 @@ def views_of(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[lis
     if source.startswith("builtin:"):
         raise CaptureError("a capture folder or builtin:grid", source, "check --views")
     read = read_capture(Path(source), falloff=falloff)
-    shots = placed(read, fit or Fit())
+    shots = placed(read, fit or SavedFit())
     for note in shots.notes[len(read.notes):]:
         say(note)
     return list(shots.names), shots.views
 
 
-def fit_of_maps(maps: str) -> Fit:
-    """The fit that maps come from; one that knows nothing for ``builtin:NAME``."""
-    from ..fit.record import Fit, fit_of
+def fit_of_maps(maps: str | None) -> SavedFit:
+    """The fit that maps come from; the defaults where there is none, as for ``builtin:NAME``."""
+    from ..fit.record import SavedFit, read_fit
 
-    return Fit() if maps.startswith("builtin:") else fit_of(maps)
+    return SavedFit() if maps is None or maps.startswith("builtin:") else read_fit(maps)

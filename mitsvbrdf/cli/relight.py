@@ -15,7 +15,7 @@ from ..errors import ConfigError
 from ..system import result_folder
 from ..system.interrupts import stop_signals
 from ..system.progress import progress_bar, say
-from .options import Material, Overwrite, Variant, keep_apart_from_maps, material_of, name_of
+from .options import Material, Overwrite, Variant, fit_of_maps, keep_apart_from_maps, material_of, name_of
 
 if TYPE_CHECKING:
     from ..material.maps import SVBRDF
@@ -60,7 +60,6 @@ def relight(maps: Positional[Material],
     Ctrl-C keeps the frames done and the one at hand as it is; the same command with --resume goes on.
     """
     from ..fit.config import check_seed
-    from ..fit.record import Fit, fit_of
     from ..relight.frames import begin, go_on, kept_names, render_stages
     from ..relight.movie import av_module
     from ..relight.passes import Stop
@@ -76,7 +75,7 @@ def relight(maps: Positional[Material],
     if builtin and out is None and not (explain or check):
         raise ConfigError("an output folder, beside a builtin material", "none", "add -o FOLDER")
     out = out or Path(maps) / "relight"
-    svbrdf, fit = material_of(maps), Fit() if builtin else fit_of(maps)
+    svbrdf, fit = material_of(maps), fit_of_maps(maps)
     mi = mitsuba_module(variant)
     if check:
         return _check(mi, svbrdf, fit.views, seed)

@@ -22,19 +22,19 @@ def report(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder t
     of the fit, with run times, and measures what was saved by leaving out what the material does not need.
     """
     from ..capture import read_capture
-    from ..fit.record import read_fit
+    from ..fit.record import read_whole_fit
     from ..pages.page import figure
     from ..report.fit_page import check_photos, keep_photos, write_report
 
-    found = read_fit(out)
+    found = read_whole_fit(out)
     left_out, written = None, ["report.html", "report.json"]
     if capture is not None:
         keep_apart(capture, out)
         about = found.record["capture"]
-        shots = read_capture(capture, resolution=about["resolution"], transfer=found.fit.transfer, falloff=found.fit.falloff)
-        used = shots.pick(found.fit.seen)
+        shots = read_capture(capture, resolution=about["resolution"], transfer=found.transfer, falloff=found.falloff)
+        used = shots.pick(found.seen)
         check_photos(found, used)
-        others = [number for number in shots.index if number not in found.fit.seen]
+        others = [number for number in shots.index if number not in found.seen]
         left_out = shots if others else None
         written += [f"photos/{name}.png" for name in shots.names] + [f"predicted/{number:02d}.png" for number in others]
     result_folder.make_room(out, written)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..calibrate.refine import UNKNOWNS, Priors, refine_views
 from ..capture import Capture
-from ..fit.record import Fit, capture_name
+from ..fit.record import SavedFit, capture_name
 from ..fit.result import FitResult
 from ..material.map_files import encodings, load_maps
 from ..material.maps import SVBRDF
@@ -18,7 +18,7 @@ from .placement import placed, shift_lights
 
 
 def evaluate_maps(svbrdf: SVBRDF, material: str | Path) -> dict[str, float]:
-    """RMSE of each map against a folder of known maps, counted as :func:`mitsvbrdf.metrics.map_rmse` says.
+    """RMSE of each map against a folder of known maps, counted as :func:`mitsvbrdf.measure.metrics.map_rmse` says.
 
     Returns:
         ``diffuse``, ``specular``, ``roughness``, ``normal`` and their ``mean``.
@@ -36,7 +36,7 @@ def evaluate_capture(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
         capture: the photos; they need not be those of the fit.
         renderer: draws them.
         flash_offset: (x, y) of the flash beside the lens in patch sides, as a fit found it; None leaves the views alone.
-        priors: how far the views may be off, to measure with refined ones too (:mod:`mitsvbrdf.fit.calibration`).
+        priors: how far the views may be off, to measure with refined ones too (:mod:`mitsvbrdf.calibrate.refine`).
 
     Returns:
         ``rerender_rmse`` over all photos and ``per_photo`` by name. With priors, the same again in ``refined``, which also has
@@ -65,7 +65,8 @@ def evaluate_fit(result: FitResult, capture: Capture) -> dict:
     """
     x, y = result.flash_offset or (0.0, 0.0)
     offset = result.flash_offset and (x / result.views.size, y / result.views.size)
-    fit = Fit(capture=capture_name(capture), seen=tuple(map(int, result.calibration.get("camera", ()))), views=result.views,
-              estimated=result.calibration.get("estimated", False), power=result.calibration.get("power_told") or 1.0)
+    known = result.calibration
+    fit = SavedFit(capture=capture_name(capture), seen=tuple(map(int, known.get("camera", ()))), views=result.views,
+                   estimated=known.get("estimated", False), light_power_factor=known.get("power_told") or 1.0)
     renderer = make_renderer(result.renderer, result.variant or "llvm_ad_rgb")
     return evaluate_capture(result.svbrdf, placed(capture, fit), renderer, offset)

@@ -12,7 +12,7 @@ from .. import color
 from ..calibrate.refine import Priors
 from ..capture import Capture
 from ..errors import ConfigError
-from ..fit.record import Fit
+from ..fit.record import SavedFit
 from ..material.maps import SVBRDF
 from ..measure.rerender import rerender
 from ..render import Renderer
@@ -38,7 +38,7 @@ class Entry:
     name: str
     folder: str
     svbrdf: SVBRDF
-    fit: Fit = field(default_factory=Fit)
+    fit: SavedFit = field(default_factory=SavedFit)
     guess: Tensor | None = None
 
 
@@ -97,7 +97,7 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_
             "resolution": capture.resolution, "renderer": renderer.name, "methods": methods}, pictures
 
 
-def fitted_views(fit: Fit, capture: Capture) -> tuple[Views, list[str]]:
+def fitted_views(fit: SavedFit, capture: Capture) -> tuple[Views, list[str]]:
     """The views to show a fit's maps with, and the names of the photos among them whose view comes from the fit.
 
     These are the photos that it saw, where it was fitted to this capture; the others have the capture's view and the flash
@@ -118,7 +118,7 @@ def fitted_views(fit: Fit, capture: Capture) -> tuple[Views, list[str]]:
     return replace(views, camera=camera, light=light, intensity=intensity), names
 
 
-def _words(fit: Fit, fitted: list[str], capture: Capture) -> str:
+def _words(fit: SavedFit, fitted: list[str], capture: Capture) -> str:
     offset = fit.flash_offset
     beside = f" and the fit's flash offset ({offset[0]:.3f}, {offset[1]:.3f})" if offset else ""
     unknown = "views estimated from the photos" if fit.estimated or fit.views is None else "default geometry"

@@ -10,7 +10,7 @@ from torch import Tensor
 from ..calibrate.estimate import self_calibrated, why_not
 from ..capture import Capture
 from ..errors import CaptureError
-from ..fit.record import Fit
+from ..fit.record import SavedFit
 from ..material.maps import SVBRDF
 from ..measure.rerender import rerender
 from ..render import Renderer
@@ -24,7 +24,7 @@ def shift_lights(views: Views, flash_offset: tuple[float, float] | None) -> View
     return replace(views, light=views.light + torch.tensor([*flash_offset, 0.0], dtype=torch.float64) * views.size)
 
 
-def placed(capture: Capture, fit: Fit) -> Capture:
+def placed(capture: Capture, fit: SavedFit) -> Capture:
     """A capture that states no views, with views estimated from all of its photos; any other as it is.
 
     Where the fit saw some of these photos, all are moved together until those are, in the mean, where the fit has them:
@@ -39,8 +39,8 @@ def placed(capture: Capture, fit: Fit) -> Capture:
     Raises:
         CaptureError: the fit estimated views, and these photos do not allow it.
     """
-    if capture.calibrated and fit.power != 1 and not fit.estimated and fit.of(capture):
-        return replace(capture, views=replace(capture.views, intensity=capture.views.intensity * fit.power))
+    if capture.calibrated and fit.light_power_factor != 1 and not fit.estimated and fit.of(capture):
+        return replace(capture, views=replace(capture.views, intensity=capture.views.intensity * fit.light_power_factor))
     if capture.calibrated or not (fit.estimated or fit.views is None):
         return capture
     if fit.estimated and (why := why_not(capture)):

@@ -6,42 +6,21 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from torch import Tensor
-
-from ..calibrate.estimate import self_calibrated
-from ..capture import Capture, guess_diffuse
-from ..errors import ConfigError
+from ..capture import Capture
 from ..measure.rerender import rerender
 from ..render import Renderer
 from ..system.profile import profile_summary, profiled
-from . import view_record
 from .confidence import deviations
 from .config import DirectConfig, FitConfig, GanConfig, HierarchicalConfig, HybridConfig
-from .fixed_maps import fixed_maps
 from .left_out import left_out
 from .light_power import light_power_told, with_light_power
 from .live import LiveRecord
 from .loop import Loop
+from .methods import make_method
 from .result import FitResult
+from .task import FitTask, fit_task
+from .view_record import views_record
 from .warnings import fit_warnings
-
-
-def make_method(capture: Capture, renderer: Renderer, guess, config: FitConfig):
-    """The method that a configuration belongs to, ready to step."""
-    if isinstance(config, HierarchicalConfig):
-        from .hierarchical.rounds import Hierarchical
-        return Hierarchical(capture, renderer, guess, config)
-    if isinstance(config, HybridConfig):
-        from .generator.hybrid import Hybrid
-        return Hybrid(capture, renderer, guess, config)
-    if isinstance(config, GanConfig):
-        from .generator.gan import Gan
-        return Gan(capture, renderer, guess, config)
-    if isinstance(config, DirectConfig):
-        from .direct import Direct
-        return Direct(capture, renderer, guess, config)
-    raise ConfigError("a HierarchicalConfig, HybridConfig, GanConfig or DirectConfig", type(config).__name__,
-                      "use one of these")
 
 
 def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = None, *,
@@ -51,7 +30,7 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
 
     Args:
         capture: photos and views. Where it has none, they are estimated from the photos first, but for the paper's method
-            (:mod:`mitsvbrdf.fit.self_calibration`); of one or two photos the default geometry stays.
+            (:mod:`mitsvbrdf.calibrate.estimate`); of one or two photos the default geometry stays.
         renderer: carries the gradients and draws the comparison.
         config: which method and its settings; left out, ``HierarchicalConfig()``.
         checkpoint: file (.safetensors) to keep the running state in.
@@ -70,11 +49,8 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     config.check()
     stated = capture.notes
     with profiled("setting up"):
-        estimated = None
-        if getattr(config, "calibrate", None) is not False and not isinstance(config, GanConfig):
-            capture, estimated = self_calibrated(capture)
-        guess = first_guess(capture, config)
-        method = make_method(capture, renderer, guess, config)
+        task = fit_task(capture, renderer, config)
+        capture, method = task.capture, make_method(task)
     loop = Loop(method, capture, renderer, config, checkpoint, report, LiveRecord(live) if live else None)
     if resume:
         loop.resume(resume)
@@ -83,35 +59,23 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     _, svbrdf, views = loop.best
     images, total, each = rerender(renderer, svbrdf, views, capture)
     with profiled("uncertainty"):
-        spreads = deviations(svbrdf, views, images, capture, config)
-        told = light_power_told(svbrdf, spreads) if estimated or _of_features(capture, config) else None
+        spreads = deviations(svbrdf, views, images, task)
+        told = light_power_told(svbrdf, spreads) if task.light_power_unknown else None
         if told:
             svbrdf, views = with_light_power(svbrdf, told), replace(views, intensity=views.intensity * told)
             images, total, each = rerender(renderer, svbrdf, views, capture)
-            spreads = deviations(svbrdf, views, images, capture, config)
+            spreads = deviations(svbrdf, views, images, task)
     # Of all photos: where each has a camera and a flash of its own besides, they move around what is common.
     moved = (views.light - views.camera) - (capture.views.light - capture.views.camera)
-    offset = moved.mean(dim=0)[:2].tolist() if getattr(loop.method, "fits_offset", False) else None
+    offset = moved.mean(dim=0)[:2].tolist() if method.fits_offset else None
     result = FitResult(
-        svbrdf=svbrdf, views=views, guess=guess, rerendered=images, rerender_rmse=total, per_photo=each,
+        svbrdf=svbrdf, views=views, guess=task.guess, rerendered=images, rerender_rmse=total, per_photo=each,
         trace=loop.trace, config=config, renderer=renderer.name, variant=renderer.variant,
-        left_out=tuple(left_out(capture, renderer, config, views)), stopped=stopped, undone=tuple(loop.undone),
+        left_out=tuple(left_out(task, views)), stopped=stopped, undone=tuple(loop.undone),
         restarts=tuple(loop.restarts), deviations=spreads,
         flash_offset=tuple(offset) if offset else None, profile=profile_summary(),
-        calibration=view_record.record(capture, views, estimated, *getattr(loop.method, "views_deviation", (None, None)), told))
+        calibration=views_record(capture, views, task.estimated, *method.views_deviation, told))
     return replace(result, warnings=(*capture.notes[len(stated):], *fit_warnings(result, capture)))
-
-
-def _of_features(capture: Capture, config: FitConfig) -> bool:
-    """Whether views come from features, which do not tell the light power, and are not to be held."""
-    held = isinstance(config, GanConfig) or getattr(config, "calibrate", None) is False
-    return capture.calibration == "photos" and not held
-
-
-def first_guess(capture: Capture, config: FitConfig) -> Tensor:
-    """The guessed diffuse map, R x R x 3; or the diffuse map itself where it is held fixed."""
-    held = fixed_maps(config.fix, config.bsdf, capture.resolution)
-    return held["diffuse"].contiguous() if "diffuse" in held else guess_diffuse(capture, config.guess)
 
 
 def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint: Path,
@@ -125,8 +89,8 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
     config = replace(config, preset="paper-one-stage", pretrained=None,
                      iterations=config.iterations or (None if config.budget else 10_000))
     one = capture.pick(capture.index[:1])
-    Loop(make_method(one, renderer, first_guess(one, config), config), one, renderer, config, checkpoint, report).run()
+    Loop(make_method(FitTask(one, renderer, config)), one, renderer, config, checkpoint, report).run()
 
 
-__all__ = ["DirectConfig", "FitConfig", "FitResult", "GanConfig", "HierarchicalConfig", "HybridConfig",
-           "fit_svbrdf", "left_out", "pretrain"]
+__all__ = ["DirectConfig", "FitConfig", "FitResult", "FitTask", "GanConfig", "HierarchicalConfig", "HybridConfig",
+           "fit_svbrdf", "left_out", "make_method", "pretrain"]

@@ -3,7 +3,7 @@
 What the photos say about one texel alone, in the model of the fit (Gauss-Newton, as in any nonlinear least squares): with
 J the derivative of its display values in all photos by its unknowns, s the noise, and a weak prior of standard deviation
 p, the covariance is (J^T J / s^2 + 1 / p^2)^-1. Neighbours, priors and networks, which share evidence between texels, do not
-count; nor does what is wrong for all photos alike, such as the power of the light.
+count; nor does what is wrong for all photos alike, such as the light power.
 
 All numbers are those in which map errors are counted (docs/conventions.md): diffuse and specular as linear^(1/2.2), roughness
 and metallic as they are, normals as (n + 1) / 2. Each has a range of 1, and the prior is that range: p = 1 / sqrt(12), the
@@ -20,14 +20,12 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .. import color
-from ..capture import Capture
 from ..color import CLIPPED, QUANTIZATION_NOISE
 from ..material.maps import COLOURS, SVBRDF
 from ..render.analytic import AnalyticRenderer
 from ..render.needs import Needs
 from ..views import Views
-from .config import FitConfig
-from .fixed_maps import stated_maps
+from .task import FitTask
 
 GRID = 64  # texels a side that are looked at; of larger maps, area averages
 UNKNOWN = 1 / math.sqrt(12)
@@ -35,25 +33,24 @@ DETERMINED = 0.1  # a texel counts as determined when its standard deviation is 
 STEP = 1e-5  # of the differences
 
 
-def deviations(svbrdf: SVBRDF, views: Views, images: Tensor, capture: Capture, config: FitConfig) -> dict[str, Tensor]:
+def deviations(svbrdf: SVBRDF, views: Views, images: Tensor, task: FitTask) -> dict[str, Tensor]:
     """Standard deviations of the maps that were fitted, by name: r x r x C (normal: x and y), r <= 64, float32.
 
     Args:
         svbrdf: the fitted material.
         views: as fitted.
         images: its re-rendered photos, linear, N x R x R x 3; their distance to the photos is the noise level.
-        capture: the photos. Clipped pixels say nothing here.
-        config: which maps were held fixed.
+        task: the photos, whose clipped pixels say nothing here, and the fixed maps.
     """
+    capture = task.capture
     side = min(GRID, svbrdf.resolution)
     seen = (capture.photos < CLIPPED).double()
     miss = seen * (color.to_display(images, capture.transfer) - capture.photos).double().square()
     weights, missed = (F.adaptive_avg_pool2d(x.permute(0, 3, 1, 2), side).permute(2, 3, 0, 1).reshape(side * side, -1, 1)
                        for x in (seen, miss))
     known = svbrdf.to(torch.float64).resized(side)
-    numbers = {name: _numbers(name, value) for name, value in known.maps.items()
-               if name not in stated_maps(config.fix, config.bsdf)}
-    if config.grey_specular:
+    numbers = {name: _numbers(name, value) for name, value in known.maps.items() if name not in task.fixed}
+    if task.config.grey_specular:
         numbers["specular"] = numbers["specular"][..., :1]
     slopes = jacobian(known, numbers, views, capture.transfer)
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 from ..capture.guess import GuessMethod
 from ..errors import ConfigError
 from ..material.maps import Bsdf
+from ..views import Falloff
+from . import losses
 from .fixed_maps import stated_maps
-
-METHODS = {"HierarchicalConfig": "hierarchical", "HybridConfig": "hybrid", "GanConfig": "gan", "DirectConfig": "direct"}
 
 Preset = Literal["paper-one-stage", "paper-two-stage"]
 
@@ -27,6 +27,8 @@ def check_seed(seed: int) -> None:
 @dataclass(frozen=True)
 class FitConfig:
     """What all methods share."""
+
+    falloff: ClassVar[Falloff] = "inverse-square"  # the light that the method takes for granted
 
     bsdf: Bsdf = "roughconductor"
     """Which maps to recover: roughconductor (diffuse, specular) or principled (base colour, metallic)."""
@@ -47,7 +49,7 @@ class FitConfig:
         """Raise ConfigError for numbers out of range."""
         check_seed(self.seed)
         stated_maps(self.fix, self.bsdf, self.grey_specular)
-        if getattr(self, "photometric", 1.0) == 0 and getattr(self, "adversarial", 0.0) == 0:
+        if self.weights.get("photometric", 1.0) == 0 and self.weights.get("adversarial", 0.0) == 0:
             raise ConfigError("a fit that looks at the photos", "--photometric 0 and no adversarial weight",
                               "give one of them a weight > 0")
         for field in fields(self):
@@ -67,6 +69,27 @@ class FitConfig:
         """The limit used when neither seconds nor iterations are given."""
         return {"budget": 120.0}
 
+    @property
+    def weights(self) -> dict[str, float]:
+        """The weight of each loss that the method has."""
+        own = {field.name for field in fields(self)}
+        return {name: getattr(self, name) for name in losses.NAMES if name in own}
+
+    @property
+    def holds_views(self) -> bool:
+        """Whether the views stay as the capture has them, stated or not."""
+        return False
+
+    @property
+    def refines_views(self) -> bool | None:
+        """Whether each photo's view is refined; None: a stated one only where the photos do not follow the model."""
+        return False
+
+    @property
+    def wants_flash_offset(self) -> bool | None:
+        """Whether the flash offset is to be fitted; None where the method has no such unknown."""
+        return None
+
 
 @dataclass(frozen=True)
 class HierarchicalConfig(FitConfig):
@@ -75,7 +98,7 @@ class HierarchicalConfig(FitConfig):
     materials: int = 64
     """Basis materials, told apart by their look, between which texels share specular and roughness."""
     likeness: float = 0.02
-    """How alike texels must look to share: standard deviation, in the numbers of fit/likeness.py."""
+    """How alike texels must look to share: standard deviation, in the numbers of fit/hierarchical/appearance.py."""
     spread: float = 0.03
     """How far specular and roughness may be from those of look-alikes at 64 px, in photos that do not follow the model."""
     relief: float = 0.02
@@ -93,6 +116,18 @@ class HierarchicalConfig(FitConfig):
     --no-calibrate to hold them all. None refines stated views only where the photos do not follow the model."""
     flash_offset: bool = True
     """Whether the sideways distance between lens and flash is fitted, one for all photos (calibrations claim 0)."""
+
+    @property
+    def holds_views(self) -> bool:
+        return self.calibrate is False
+
+    @property
+    def refines_views(self) -> bool | None:
+        return self.calibrate
+
+    @property
+    def wants_flash_offset(self) -> bool | None:
+        return self.flash_offset
 
 
 @dataclass(frozen=True)
@@ -115,6 +150,10 @@ class HybridConfig(FitConfig):
     """Weight of the tilt of the normals."""
     flash_offset: bool = True
     """Whether the sideways distance between lens and flash is fitted, one for all photos (calibrations claim 0)."""
+
+    @property
+    def wants_flash_offset(self) -> bool | None:
+        return self.flash_offset
 
 
 @dataclass(frozen=True)
@@ -139,6 +178,7 @@ class DirectConfig(FitConfig):
 class GanConfig(FitConfig):
     """The paper's method: adversarial and diffuse loss only, one photo or a blend of two as input (III.D, III.F)."""
 
+    falloff: ClassVar[Falloff] = "none"
     guess: GuessMethod = "min"
     preset: Preset = "paper-one-stage"
     """paper-one-stage: 20,000 iterations; paper-two-stage: 10,000 on one picture, then 15,000 on the photos."""
@@ -162,6 +202,10 @@ class GanConfig(FitConfig):
                               "add --preset paper-two-stage")
 
     @property
+    def holds_views(self) -> bool:
+        return True
+
+    @property
     def stages(self) -> tuple[int, int]:
         """The paper's iterations (on one picture, on the target photos)."""
         return (0, 20_000) if self.preset == "paper-one-stage" else (10_000, 15_000)
@@ -170,7 +214,3 @@ class GanConfig(FitConfig):
     def default_limit(self) -> dict:
         first, second = self.stages
         return {"iterations": second if self.pretrained else first + second}
-
-
-CONFIGS: dict[str, type[FitConfig]] = {"hierarchical": HierarchicalConfig, "hybrid": HybridConfig, "gan": GanConfig,
-                                       "direct": DirectConfig}

@@ -5,32 +5,29 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..capture import Capture
 from ..material.maps import SVBRDF
-from ..render import Renderer
 from ..system.profile import profiled, switch_at
 from ..views import Views
 from . import losses
 from .checkpoint import load_optimizer_state, optimizer_state
 from .config import DirectConfig
-from .fixed_maps import fixed_maps
-from .method import cosine, descend
+from .method import Method, cosine, descend
 from .parameters import streams_of, to_raw, to_svbrdf
 from .start import robust_start
+from .task import FitTask
 
 
-class Direct:
-    """Steps of per-texel optimisation with Adam; see :class:`mitsvbrdf.fit.method.Method`."""
+class Direct(Method):
+    """Steps of per-texel optimisation with Adam."""
 
-    def __init__(self, capture: Capture, renderer: Renderer, guess: Tensor, config: DirectConfig) -> None:
-        self.capture, self.renderer, self.config = capture, renderer, config
-        self.views = capture.views
-        self.held = fixed_maps(config.fix, config.bsdf, capture.resolution)
-        self.unused = losses.unused(config, self.held)
-        streams = streams_of(config.bsdf, self.held, config.grey_specular)
-        start = robust_start(capture, guess, config.bsdf, self.held)
+    def __init__(self, task: FitTask[DirectConfig]) -> None:
+        super().__init__(task)
+        config = self.config = task.config
+        self.capture, self.renderer, self.unused = task.capture, task.renderer, task.unused
+        streams = streams_of(config.bsdf, self.fixed, config.grey_specular)
+        start = robust_start(task.capture, task.guess, config.bsdf, self.fixed)
         self.raw = {k: v.requires_grad_() for k, v in to_raw(start, streams).items()}
-        self.edges = losses.edge_weights(guess)
+        self.edges = losses.edge_weights(task.guess)
         self.peak = config.learning_rate
         self.optimizer = torch.optim.Adam(list(self.raw.values()), lr=self.peak)
 
@@ -38,7 +35,7 @@ class Direct:
         """One Adam step on all photos."""
         self.optimizer.param_groups[0]["lr"] = self.peak * cosine(progress)
         with profiled("hand-over"):
-            svbrdf = to_svbrdf(self.config.bsdf, self.raw, self.held)
+            svbrdf = to_svbrdf(self.config.bsdf, self.raw, self.fixed)
             switch_at("hand-over, backward", *svbrdf.maps.values())
         with profiled("renderer"):
             rendered = self.renderer.render(svbrdf, self.views)
@@ -46,17 +43,17 @@ class Direct:
         with profiled("losses"):
             terms = {"photometric": losses.photometric(rendered, self.capture.photos, self.capture.transfer)}
             if "smooth" not in self.unused:
-                terms["smooth"] = losses.total_variation(svbrdf, self.edges, self.held)
+                terms["smooth"] = losses.total_variation(svbrdf, self.edges, self.fixed)
             if "flat" not in self.unused:
                 terms["flat"] = losses.tilt(svbrdf)
-            total = sum(getattr(self.config, name) * value for name, value in terms.items())
+            total = losses.weighted(terms, self.config.weights)
         with profiled("losses, backward"):
             gradient = descend(total, self.optimizer)
         return {name: float(value.detach()) for name, value in terms.items()} | {"gradient": gradient}
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         with torch.no_grad():
-            return to_svbrdf(self.config.bsdf, self.raw, self.held).map(Tensor.contiguous), self.views
+            return to_svbrdf(self.config.bsdf, self.raw, self.fixed).map(Tensor.contiguous), self.views
 
     def cut_step(self) -> None:
         self.peak /= 2

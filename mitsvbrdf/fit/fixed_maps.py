@@ -1,4 +1,4 @@
-"""Maps that a fit holds fixed: ``--fix NAME=VALUE`` checked, and made into tensors."""
+"""Fixed maps, which are not fitted: ``--fix NAME=VALUE`` checked, and made into tensors."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def stated_maps(fix: Sequence[str], bsdf: str, grey_specular: bool = False) -> d
 
 
 def fixed_maps(fix: Sequence[str], bsdf: str, resolution: int) -> dict[str, Tensor]:
-    """The maps held fixed, name -> R x R x C, float32, linear. A constant takes no memory: its strides are 0.
+    """The fixed maps, name -> R x R x C, float32, linear. A constant takes no memory: its strides are 0.
 
     Args:
         fix: as in :func:`stated_maps`; files are read as those of a folder of maps, and brought to R by area averages.
@@ -58,11 +58,11 @@ def fixed_maps(fix: Sequence[str], bsdf: str, resolution: int) -> dict[str, Tens
         ConfigError: see :func:`stated_maps`; a file that is not there; roughness to fit without a specular lobe.
         MapsError: a file that is no such map.
     """
-    held = {name: _tensor(name, value, bsdf, resolution) for name, value in stated_maps(fix, bsdf).items()}
-    if "roughness" not in held and "specular" in held and not held["specular"].any():
+    fixed = {name: _tensor(name, value, bsdf, resolution) for name, value in stated_maps(fix, bsdf).items()}
+    if "roughness" not in fixed and "specular" in fixed and not fixed["specular"].any():
         raise ConfigError("roughness held fixed too", "specular held at 0, without which no photo shows roughness",
                           "add --fix roughness=1")
-    return held
+    return fixed
 
 
 def described(fix: Sequence[str]) -> dict[str, str]:

@@ -1,8 +1,8 @@
 """How strong the light was, told by the maps: so strong that highlights are those of usual materials.
 
 Light of twice the power on a material of half the diffuse and specular albedo makes the same photos (but for the Fresnel curve
-beside the lens). Nearly all materials but metals have an F0 near 0.04 (:data:`~mitsvbrdf.material.maps.DIELECTRIC_F0`), and a
-fit knows it of every texel that showed its highlight, where one lobe for all texels only guesses.
+beside the lens). Nearly all materials but metals have an F0 near 0.04 (:data:`~mitsvbrdf.material.maps.DIELECTRIC_F0`). A fit
+knows it of every texel that showed its highlight, where one lobe for all texels only guesses.
 """
 
 from __future__ import annotations

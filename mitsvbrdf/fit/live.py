@@ -66,7 +66,7 @@ class LiveRecord:
         method, capture = loop.method, loop.capture
         if self.about_photos is None:
             self.about_photos = [*capture.notes, *about_photos(capture)]
-        svbrdf = method.preview() if hasattr(method, "preview") else loop.seen[1]
+        svbrdf = method.preview() or loop.seen[1]
         svbrdf = svbrdf.resized(min(SIDE, svbrdf.resolution))
         save_tensors(self.path, {name: value.half() for name, value in svbrdf.maps.items()}, {
             "run": self.run, "method": type(method).__name__.lower(), "renderer": loop.renderer.name,

@@ -24,7 +24,6 @@ from .checkpoint import load_tensors, save_tensors
 from .config import FitConfig
 from .method import Method, finite
 
-EVALUATE_EVERY = 10  # iterations; a fixed count, so that a resumed run keeps the same best result
 CHECKPOINT_SECONDS = 30.0
 MAX_UNDONE = 20
 # A loss this many times its lowest, at so many measurements running, is that of a fit that diverges. Measured on twelve
@@ -61,8 +60,8 @@ class Loop:
                  live: Watcher | None = None) -> None:
         self.method, self.capture, self.renderer, self.config = method, capture, renderer, config.limited()
         self.checkpoint, self.report, self.live = checkpoint, report, live
-        self.beat = getattr(method, "measured_every", EVALUATE_EVERY)
-        self.latest_is_best = getattr(method, "latest_is_best", False)
+        self.beat = method.measured_every
+        self.latest_is_best = method.latest_is_best
         self.iteration, self.seconds = 0, 0.0
         self.undone: list[dict] = []  # iteration and reason of each step taken back
         self.restarts: list[dict] = []  # and of each return to the state of the lowest loss
@@ -154,7 +153,7 @@ class Loop:
         """Whether the loss, which is that of ``state``, has been far above its lowest for long."""
         if "photometric" not in losses:
             return False  # a game between two networks has no loss that must fall
-        loss = sum(getattr(self.config, name) * losses[name] for name in FALLING if name in losses)
+        loss = sum(self.config.weights[name] * losses[name] for name in FALLING if name in losses)
         if loss < self.lowest[0]:
             self.lowest = loss, state
         self.rising = self.rising + 1 if loss > DIVERGED * self.lowest[0] else 0
@@ -182,7 +181,7 @@ class Loop:
     @property
     def progress(self) -> float:
         """Share of the run that is done, by whichever limit is nearer; 1 where the method has settled."""
-        if getattr(self.method, "done", False):
+        if self.method.done:
             return 1.0
         shares = [self.iteration / self.config.iterations] if self.config.iterations else []
         shares += [self.seconds / self.config.budget] if self.config.budget else []
@@ -193,7 +192,7 @@ class Loop:
             return "iterations"
         if len(self.undone) > MAX_UNDONE:
             return "unstable"
-        if getattr(self.method, "done", False):
+        if self.method.done:
             return "settled"
         over = self.config.budget and self.seconds >= self.config.budget
         return "budget" if over and self.iteration else None  # a first step is made, however short the budget
@@ -209,13 +208,13 @@ class Loop:
 
     def _task(self) -> str:
         """A fingerprint of everything that shapes the fit but its limits."""
-        # Maps held fixed count by their values: the same file name may stand for others by now.
+        # Fixed maps count by their values: the same file name may stand for others by now.
         settings = {k: v for k, v in asdict(self.config).items() if k not in ("iterations", "budget", "fix")}
         views = self.capture.views
         digest = hashlib.sha256(repr((settings, self.renderer.name, self.capture.transfer, views.size, views.falloff)).encode())
         for tensor in (self.capture.photos, views.camera, views.light, views.intensity):
             digest.update(tensor.numpy().tobytes())
-        for name, value in sorted(self.method.held.items()):
+        for name, value in sorted(self.method.fixed.items()):
             digest.update(name.encode() + value.numpy().tobytes())
         return digest.hexdigest()
 

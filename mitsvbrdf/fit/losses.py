@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import functools
+import operator
+from collections.abc import Collection, Mapping
 
 import torch
 import torch.nn.functional as F
@@ -10,7 +12,7 @@ from torch import Tensor
 
 from .. import color
 from ..color import CLIPPED
-from ..material.maps import CHANNELS, SVBRDF
+from ..material.maps import CHANNELS, SVBRDF, Bsdf
 
 # The losses with a weight, what a user calls them, and the maps they speak about (none: those speak about the photos).
 NAMES = {"photometric": "photometric loss", "diffuse": "diffuse loss", "smooth": "smoothness of specular and roughness",
@@ -18,23 +20,27 @@ NAMES = {"photometric": "photometric loss", "diffuse": "diffuse loss", "smooth":
 ABOUT = {"diffuse": ("diffuse", "base_color", "metallic"), "smooth": ("specular", "metallic", "roughness"), "flat": ("normal",)}
 
 
-def unused(config, held: Collection[str]) -> dict[str, str]:
-    """The method's losses that a fit does not compute, and why: their weight is 0, or the maps they speak about are held.
+def unused(weights: Mapping[str, float], bsdf: Bsdf, fixed: Collection[str]) -> dict[str, str]:
+    """The method's losses that a fit does not compute, and why: their weight is 0, or the maps they speak about are fixed.
 
     Args:
-        config: a :class:`mitsvbrdf.fit.FitConfig`; its fields of the names in :data:`NAMES` are weights.
-        held: names of the maps held fixed.
+        weights: of the method's losses.
+        bsdf: the parameter set.
+        fixed: names of the fixed maps.
     """
     reasons = {}
-    for name in NAMES:
-        if not hasattr(config, name):  # the method has no such loss
-            continue
-        about = [m for m in ABOUT.get(name, ()) if m in CHANNELS[config.bsdf]]
-        if getattr(config, name) == 0:
+    for name, weight in weights.items():
+        about = [m for m in ABOUT.get(name, ()) if m in CHANNELS[bsdf]]
+        if weight == 0:
             reasons[name] = "its weight is 0"
-        elif about and set(about) <= set(held):
+        elif about and set(about) <= set(fixed):
             reasons[name] = f"{' and '.join(about)} held fixed"
     return reasons
+
+
+def weighted(terms: Mapping[str, Tensor], weights: Mapping[str, float]) -> Tensor:
+    """The sum of losses, each times its weight."""
+    return functools.reduce(operator.add, (weights[name] * value for name, value in terms.items()))
 
 
 def photometric(rendered: Tensor, photos: Tensor, transfer: color.Transfer) -> Tensor:
@@ -57,17 +63,17 @@ def diffuse(svbrdf: SVBRDF, guess: Tensor) -> Tensor:
     return F.l1_loss(color.encode(svbrdf.as_roughconductor()["diffuse"]), color.encode(guess))
 
 
-def total_variation(svbrdf: SVBRDF, edges: Tensor, held: Collection[str] = ()) -> Tensor:
+def total_variation(svbrdf: SVBRDF, edges: Tensor, fixed: Collection[str] = ()) -> Tensor:
     """Mean absolute step of the specular/metallic and roughness maps, less where the guess itself has an edge (ours).
 
     Args:
-        held: maps that are held fixed and not counted.
+        fixed: names of the fixed maps, which are not counted.
         edges: the two R x R x 1 weights of :func:`edge_weights`, for steps down and to the right.
     """
     down, right = edges
     loss = torch.zeros(())
     for name in ABOUT["smooth"]:
-        if name in svbrdf.maps and name not in held:
+        if name in svbrdf.maps and name not in fixed:
             m = svbrdf[name]
             loss = loss + ((m[1:] - m[:-1]).abs() * down[:-1]).mean() + ((m[:, 1:] - m[:, :-1]).abs() * right[:, :-1]).mean()
     return loss

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Protocol
+from abc import ABC, abstractmethod
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,38 +12,57 @@ from torch import Tensor
 from ..material.maps import SVBRDF
 from ..system.profile import profiled
 from ..views import Views
+from .task import FitTask
 
 
-class Method(Protocol):
+class Method(ABC):
     """One way to fit, advanced step by step. Its whole running state is named tensors.
 
-    It may also have ``measured_every`` (steps between measurements), ``latest_is_best`` (the result is the last state, not the
-    one that explains its photos best), ``done`` (whether going on would change nothing) and ``preview()`` (a look at the
-    present material between measurements, at any size and nearly for free).
+    Args:
+        task: what to fit.
     """
 
-    views: Views
-    held: Mapping[str, Tensor]  # maps held fixed, by name
+    measured_every = 10
+    """Steps between measurements: a fixed count, so that a resumed run keeps the same best result."""
+    latest_is_best = False
+    """Whether the result is the last state, not the one that explains its photos best."""
 
+    def __init__(self, task: FitTask[Any]) -> None:
+        self.views, self.fixed = task.capture.views, task.fixed
+        self.fits_offset = task.why_no_flash_offset is None
+
+    @abstractmethod
     def step(self, progress: float) -> dict[str, float]:
         """One iteration at this share (0 to 1) of the run; returns each loss of the state before it, unweighted."""
-        ...
 
+    @abstractmethod
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The present material and views, detached."""
-        ...
 
+    @abstractmethod
     def state(self) -> dict[str, Tensor]:
         """Everything a later :meth:`load_state` needs to go on bit by bit."""
-        ...
 
+    @abstractmethod
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Continue from a saved state."""
-        ...
 
-    def cut_step(self) -> None:
-        """Halve the step size, after a step was undone."""
-        ...
+    def cut_step(self) -> None:  # noqa: B027
+        """Halve the step size, after a step was undone; nothing where there is none."""
+
+    @property
+    def done(self) -> bool:
+        """Whether going on would change nothing."""
+        return False
+
+    def preview(self) -> SVBRDF | None:
+        """The present material between measurements, of any size and nearly for free; None shows that of the latest one."""
+        return None
+
+    @property
+    def views_deviation(self) -> tuple[Tensor | None, Tensor | None]:
+        """Standard deviations of the changes of the views, N x 7, and of the common flash offset; None where not refined."""
+        return None, None
 
 
 def descend(total: Tensor, *optimizers: torch.optim.Optimizer) -> float:

@@ -21,24 +21,24 @@ STREAMS: dict[str, tuple[dict[str, int], dict[str, int]]] = {
 Streams = tuple[dict[str, int], dict[str, int]]
 
 
-def streams_of(bsdf: str, held: Mapping[str, Tensor], grey_specular: bool = False) -> Streams:
-    """The channels of the maps to fit: :data:`STREAMS` without those held, and one channel of a grey specular map."""
+def streams_of(bsdf: str, fixed: Mapping[str, Tensor], grey_specular: bool = False) -> Streams:
+    """The channels of the maps to fit: :data:`STREAMS` without those fixed, and one channel of a grey specular map."""
     first, second = ({name: 1 if grey_specular and name == "specular" else channels for name, channels in stream.items()
-                      if name not in held} for stream in STREAMS[bsdf])
+                      if name not in fixed} for stream in STREAMS[bsdf])
     return first, second
 
 
-def to_svbrdf(bsdf: Bsdf, raw: Mapping[str, Tensor], held: Mapping[str, Tensor] | None = None) -> SVBRDF:
-    """A material from raw maps C x R x R of unbounded numbers (normal: 2 x R x R), and maps held fixed R x R x C.
+def to_svbrdf(bsdf: Bsdf, raw: Mapping[str, Tensor], fixed: Mapping[str, Tensor] | None = None) -> SVBRDF:
+    """A material from raw maps C x R x R of unbounded numbers (normal: 2 x R x R), and fixed maps R x R x C.
 
     A grey specular map, 1 x R x R, is expanded to three channels: its last stride is 0, which renderers look at.
     """
-    return from_units(bsdf, {name: torch.tanh(x if name == "normal" else x / 2) for name, x in raw.items()}, held)
+    return from_units(bsdf, {name: torch.tanh(x if name == "normal" else x / 2) for name, x in raw.items()}, fixed)
 
 
-def from_units(bsdf: Bsdf, units: Mapping[str, Tensor], held: Mapping[str, Tensor] | None = None) -> SVBRDF:
+def from_units(bsdf: Bsdf, units: Mapping[str, Tensor], fixed: Mapping[str, Tensor] | None = None) -> SVBRDF:
     """As :func:`to_svbrdf`, from numbers in (-1, 1), as the paper's Tanh gives them."""
-    maps = dict(held or {})
+    maps = dict(fixed or {})
     for name, x in units.items():
         x = x.permute(1, 2, 0)
         if name == "normal":

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import get_args
 
@@ -15,13 +16,16 @@ from ..material.map_files import load_maps
 from ..material.maps import SVBRDF
 from ..measure.burn_in import burn_in
 from ..render import Renderer, RendererName, make_renderer
+from ..system import files
 from ..system.provenance import machine, versions
 from ..views import Falloff, Views
 from .confidence import confidence
-from .config import METHODS
+from .methods import method_name
 from .result import FitResult
 
+FILE = "fit.json"
 NUMBER = (int, float)
+SCHEMA_VERSION = 1
 # What a page needs of fit.json, as types; {str: X} is an object of X, [X] a list of X.
 _SHAPE = {
     "method": str, "renderer": str, "bsdf": str, "rerender_rmse": NUMBER, "per_photo": {str: NUMBER},
@@ -32,16 +36,14 @@ _SHAPE = {
     "capture": {"photos": [int], "resolution": int, "transfer": str, "calibrated": bool, "notes": [str]},
     "versions": {str: object}, "machine": {str: object}, "trace": [{str: NUMBER}]}
 
-SCHEMA_VERSION = 1
-
 
 def capture_name(capture: Capture) -> str:
     return capture.source.name if capture.source else ""
 
 
 @dataclass(frozen=True)
-class Fit:
-    """What has to be known of a fit to show or measure its maps as it did.
+class SavedFit:
+    """A fit as its folder tells it; the defaults are those of maps that come without one.
 
     Args:
         falloff: of its light.
@@ -52,7 +54,9 @@ class Fit:
         views: theirs, as fitted; None when unknown.
         method: how it was fitted; None when unknown.
         estimated: whether the views were estimated from the photos.
-        power: what the light power that the capture states is to be multiplied by, as its maps told.
+        light_power_factor: what the light power that the capture states is to be multiplied by, as its maps told.
+        path: its folder.
+        record: what its ``fit.json`` holds.
     """
 
     falloff: Falloff = "inverse-square"
@@ -63,7 +67,9 @@ class Fit:
     views: Views | None = None
     method: str | None = None
     estimated: bool = False
-    power: float = 1.0
+    light_power_factor: float = 1.0
+    path: Path = Path()
+    record: dict = field(default_factory=dict, repr=False)
 
     def of(self, capture: Capture) -> bool:
         """Whether it was fitted to photos of this capture, as the names of the folders tell."""
@@ -75,51 +81,9 @@ class Fit:
             return f"{number:02d}"
         return f"{number:02d} ({'seen' if number in self.seen else 'left out'})"
 
-
-def fit_of(maps: str | Path) -> Fit:
-    """What ``fit.json`` says, in a fit's folder or beside the ``maps`` folder inside it; defaults where there is none.
-
-    Raises:
-        MapsError: it is there but cannot be understood.
-    """
-    folder = Path(os.path.abspath(maps))
-    path = (folder.parent if folder.name == "maps" else folder) / "fit.json"
-    if not path.is_file():
-        return Fit()
-    try:
-        record = json.loads(path.read_text())
-        offset, views, known = record["flash_offset"], record["views"], record.get("calibration", {})
-        fit = Fit(views["falloff"], record["capture"]["transfer"],
-                  None if offset is None else (float(offset["x"]), float(offset["y"])),
-                  record["capture"]["name"], tuple(record["capture"]["photos"]),
-                  Views.of(views["camera"], views["light"], views["intensity"], views["size"], views["falloff"]),
-                  record.get("method"), known.get("estimated", False) is True, float(known.get("power_told") or 1.0))
-        if fit.transfer not in get_args(color.Transfer):
-            raise ValueError("unknown transfer")
-    except (ValueError, KeyError, TypeError, MitsvbrdfError) as reason:
-        raise MapsError("a fit.json of this package", f"{path}: {reason!r}", "move it away to read the maps alone") from None
-    return fit
-
-
-@dataclass(frozen=True)
-class FitFolder:
-    """What ``fit`` left on disk.
-
-    Args:
-        path: the folder.
-        record: ``fit.json``, its shape checked.
-        fit: the same as the other commands read it.
-        svbrdf: the maps.
-    """
-
-    path: Path
-    record: dict
-    fit: Fit
-    svbrdf: SVBRDF
-
     @property
     def fixed(self) -> list[str]:
-        """Names of the maps that were held fixed."""
+        """Names of the maps that were not fitted."""
         return [entry.split("=")[0] for entry in self.record["config"]["fix"]]
 
     @property
@@ -127,32 +91,91 @@ class FitFolder:
         """Names of the photos that the fit used."""
         return list(self.record["per_photo"])
 
+    @cached_property
+    def svbrdf(self) -> SVBRDF:
+        """Its maps."""
+        return load_maps(self.path / "maps", self.record["bsdf"])
+
     def renderer(self) -> Renderer | None:
         """That of the fit; None for one that is not ours."""
         name, variant = self.record["renderer"], self.record.get("variant")
         return make_renderer(name, variant or "llvm_ad_rgb") if name in get_args(RendererName) else None
 
+    def unchanged(self) -> bool:
+        """Whether its ``fit.json`` still says the same."""
+        return record_in(self.path) == self.record
 
-def read_fit(folder: str | Path) -> FitFolder:
-    """A fit's folder, checked.
+
+def record_in(folder: Path) -> dict:
+    """What a fit's ``fit.json`` holds, unchecked.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is no JSON.
+    """
+    return json.loads((folder / FILE).read_text())
+
+
+def read_fit(maps: str | Path) -> SavedFit:
+    """What is known of the fit that maps come from; the defaults where there is no ``fit.json``.
+
+    Args:
+        maps: a fit's folder, or the ``maps`` folder inside it.
+
+    Raises:
+        MapsError: the ``fit.json`` cannot be understood.
+    """
+    folder = Path(os.path.abspath(maps))
+    folder = folder.parent if folder.name == "maps" else folder
+    return _read(folder) if (folder / FILE).is_file() else SavedFit(path=folder)
+
+
+def read_whole_fit(folder: str | Path) -> SavedFit:
+    """A fit's folder with all that its page needs.
 
     Raises:
         MapsError: it is none, or not a whole one.
     """
     folder = Path(folder)
-    path = folder / "fit.json"
-    if not path.is_file():
-        raise MapsError("a folder that `mitsvbrdf fit` wrote", f"{folder}, which has no fit.json", "give the OUT of a fit")
-    fit, record = fit_of(folder), json.loads(path.read_text())
-    wrong = "schema_version" if record.get("schema_version") != 1 else misfit(record, _SHAPE)
-    names = [f"{number:02d}" for number in fit.seen] if not wrong else []
-    if not wrong and not (names == list(record["per_photo"]) and len(fit.views) == len(names) > 0
-                          and all({"seconds", "rerender_rmse"} <= set(row) for row in record["trace"])):
-        wrong = "per_photo, views or trace"
-    if wrong:
-        raise MapsError("a fit.json of schema version 1", f"{path}, whose {wrong} is missing or of another kind",
-                        "fit again with this version")
-    return FitFolder(folder, record, fit, load_maps(folder / "maps", record["bsdf"]))
+    if not (folder / FILE).is_file():
+        raise MapsError("a folder that `mitsvbrdf fit` wrote", f"{folder}, which has no {FILE}", "give the OUT of a fit")
+    fit = _read(folder)
+    if wrong := _missing(fit):
+        raise MapsError(f"a {FILE} of schema version {SCHEMA_VERSION}",
+                        f"{folder / FILE}, whose {wrong} is missing or of another kind", "fit again with this version")
+    _ = fit.svbrdf  # maps that cannot be read are an error here
+    return fit
+
+
+def _read(folder: Path) -> SavedFit:
+    try:
+        record = record_in(folder)
+        offset, views, known = record["flash_offset"], record["views"], record.get("calibration", {})
+        fit = SavedFit(
+            falloff=views["falloff"], transfer=record["capture"]["transfer"],
+            flash_offset=None if offset is None else (float(offset["x"]), float(offset["y"])),
+            capture=record["capture"]["name"], seen=tuple(record["capture"]["photos"]),
+            views=Views.of(views["camera"], views["light"], views["intensity"], views["size"], views["falloff"]),
+            method=record.get("method"), estimated=known.get("estimated", False) is True,
+            light_power_factor=float(known.get("power_told") or 1.0), path=folder, record=record)
+        if fit.transfer not in get_args(color.Transfer):
+            raise ValueError("unknown transfer")
+    except (ValueError, KeyError, TypeError, MitsvbrdfError) as reason:
+        raise MapsError(f"a {FILE} of this package", f"{folder / FILE}: {reason!r}",
+                        "move it away to read the maps alone") from None
+    return fit
+
+
+def _missing(fit: SavedFit) -> str:
+    """What the record lacks for a page; empty text where it is whole."""
+    if fit.record.get("schema_version") != SCHEMA_VERSION:
+        return "schema_version"
+    if wrong := misfit(fit.record, _SHAPE):
+        return wrong
+    whole = (fit.names == [f"{number:02d}" for number in fit.seen]
+             and fit.views is not None and len(fit.views) == len(fit.names) > 0
+             and all({"seconds", "rerender_rmse"} <= set(row) for row in fit.record["trace"]))
+    return "" if whole else "per_photo, views or trace"
 
 
 def misfit(value: object, shape: object, where: str = "") -> str:
@@ -167,13 +190,27 @@ def misfit(value: object, shape: object, where: str = "") -> str:
     return where if parts is None else next(filter(None, (misfit(*part) for part in parts)), "")
 
 
-def fit_record(result: FitResult, capture: Capture, command: dict) -> dict:
-    """Everything about a fit that fits into JSON; ``docs/formats.md`` explains each field."""
+def write_record(folder: Path, result: FitResult, capture: Capture, command: dict) -> None:
+    """Write ``fit.json``: everything about a fit that fits into JSON; ``docs/formats.md`` explains each field.
+
+    Args:
+        folder: of the fit.
+        result: the fit.
+        capture: the photos it was fitted to.
+        command: options of the command line, kept in it.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    files.write_json(folder / FILE, _record(result, capture, command))
+
+
+def _record(result: FitResult, capture: Capture, command: dict) -> dict:
     views = result.views
     offset = result.flash_offset
     return {
         "schema_version": SCHEMA_VERSION,
-        "method": METHODS[type(result.config).__name__],
+        "method": method_name(result.config),
         "renderer": result.renderer, "variant": result.variant, "bsdf": result.svbrdf.bsdf,
         "rerender_rmse": result.rerender_rmse,
         "per_photo": dict(zip(capture.names, result.per_photo)),

@@ -11,7 +11,8 @@ from .. import color
 from ..material.maps import SVBRDF, maps_html, shown_map
 from ..pages.notebook import SHOWN, count_words, html_of, uri_of
 from ..views import Views
-from .config import METHODS, FitConfig
+from .config import FitConfig
+from .methods import method_name
 from .view_record import about_views
 
 
@@ -36,10 +37,10 @@ class FitResult:
         restarts: the same of each return to the state of the lowest loss, from which the fit had diverged.
         deviations: standard deviation of each fitted map, by name, r x r x C with r <= 64, in the numbers in which map
             errors are counted; see :mod:`mitsvbrdf.fit.confidence`.
-        warnings: what a user should doubt, in sentences; see :mod:`mitsvbrdf.fit.doubts`.
+        warnings: in sentences; see :mod:`mitsvbrdf.fit.warnings`.
         flash_offset: by how much (x, y) the fit moved the flash beside the lens, in the unit of the views, or None.
-        calibration: what is known of the views and how surely; see :func:`mitsvbrdf.fit.self_calibration.record`.
-        profile: where the time of the steps went, where :func:`mitsvbrdf.profile.profiling` was on, else None.
+        calibration: what is known of the views and how surely; see :func:`mitsvbrdf.fit.view_record.views_record`.
+        profile: where the time of the steps went, where :func:`mitsvbrdf.system.profile.profiling` was on, else None.
     """
 
     svbrdf: SVBRDF
@@ -63,12 +64,11 @@ class FitResult:
     calibration: dict = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        method = type(self.config).__name__.removesuffix("Config").lower()
-        return f"FitResult({method}, {self.svbrdf!r}, re-rendering RMSE {self.rerender_rmse:.4f}, {self.stopped})"
+        return (f"FitResult({method_name(self.config)}, {self.svbrdf!r}, re-rendering RMSE {self.rerender_rmse:.4f}, "
+                f"{self.stopped})")
 
     def _repr_html_(self) -> str:
         """Maps, re-rendered photos, error and why the fit ended, as small pictures for notebooks."""
-        pass
         return result_html(self)
 
 
@@ -78,8 +78,7 @@ def result_html(result: FitResult) -> str:
     took = f" after {end['seconds']:.1f} s, {end['iteration']} iterations" if {"seconds", "iteration"} <= set(end) else ""
     again = [(f"#{number} · {error:.4f}", uri_of(color.to_display(image, "srgb")))
              for number, (image, error) in enumerate(zip(result.rerendered[:SHOWN], result.per_photo), 1)]
-    method = METHODS.get(type(result.config).__name__, type(result.config).__name__)
-    return html_of(f"FitResult · {method} · {result.renderer} · {result.svbrdf.bsdf}",
+    return html_of(f"FitResult · {method_name(result.config)} · {result.renderer} · {result.svbrdf.bsdf}",
                  [("Maps", maps_html(result.svbrdf) + [("Guessed diffuse", uri_of(shown_map("diffuse", result.guess)))]),
                   ("Re-rendered, in sRGB, with the RMSE in display values", again)],
                  [f"re-rendering RMSE {result.rerender_rmse:.4f} over {count_words(len(result.per_photo))}; "

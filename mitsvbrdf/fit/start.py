@@ -1,4 +1,4 @@
-"""The robust start: guessed diffuse, one specular level and one roughness for all texels, flat normals, or what is held."""
+"""The robust start: guessed diffuse, one specular level and one roughness for all texels, flat normals, or the fixed maps."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..render.analytic import AnalyticRenderer
 ROUGHNESS_GRID = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.7, 0.85)
 
 
-def robust_start(capture: Capture, guess: Tensor, bsdf: Bsdf, held: Mapping[str, Tensor] | None = None) -> SVBRDF:
+def robust_start(capture: Capture, guess: Tensor, bsdf: Bsdf, fixed: Mapping[str, Tensor] | None = None) -> SVBRDF:
     """A material to start from: the guess, and the specular level and roughness whose lobe best explains what it leaves.
 
     For each roughness of a short grid the level is the least-squares one over unclipped pixels of all photos.
@@ -24,10 +24,10 @@ def robust_start(capture: Capture, guess: Tensor, bsdf: Bsdf, held: Mapping[str,
         capture: photos and views; reduced to at most 64 px for the search.
         guess: guessed diffuse map, R x R x 3 linear.
         bsdf: the parameter set.
-        held: maps held fixed, R x R x C; they are in the result, and the search keeps to them.
+        fixed: maps that are not fitted, R x R x C; they are in the result, and the search keeps to them.
     """
-    held = held or {}
-    level, roughness = _lobe(capture, guess, held)
+    fixed = fixed or {}
+    level, roughness = _lobe(capture, guess, fixed)
     size = capture.resolution
     if bsdf == "principled":
         # The same two lobes: base colour (1 - metallic) is the guess, base colour metallic what F0 exceeds a dielectric's.
@@ -37,31 +37,31 @@ def robust_start(capture: Capture, guess: Tensor, bsdf: Bsdf, held: Mapping[str,
         maps = {"base_color": base, "metallic": metallic}
     else:
         maps = {"diffuse": guess}
-    return SVBRDF(bsdf, dict(flat(size, bsdf, specular=level, roughness=roughness).maps) | maps | dict(held))
+    return SVBRDF(bsdf, dict(flat(size, bsdf, specular=level, roughness=roughness).maps) | maps | dict(fixed))
 
 
-def _lobe(capture: Capture, guess: Tensor, held: Mapping[str, Tensor]) -> tuple[float, float]:
-    """Specular level and roughness for all texels; of one that is held fixed, a number that nobody uses."""
+def _lobe(capture: Capture, guess: Tensor, fixed: Mapping[str, Tensor]) -> tuple[float, float]:
+    """Specular level and roughness for all texels; of one that is fixed, a number that nobody uses."""
     side = min(64, capture.resolution)
     shrink = torch.nn.AdaptiveAvgPool2d(side)
     radiance = shrink(capture.linear.permute(0, 3, 1, 2)).permute(0, 2, 3, 1)
     usable = (shrink((capture.photos < CLIPPED).float().permute(0, 3, 1, 2)).permute(0, 2, 3, 1) > 0.99).float()
     small = shrink(guess.permute(2, 0, 1)[None])[0].permute(1, 2, 0)
-    fixed = {name: held[name] for name in ("specular", "roughness", "normal") if name in held}
-    if fixed:
-        maps = SVBRDF("roughconductor", dict(flat(capture.resolution).maps) | fixed).resized(side)
-        fixed = {name: maps[name] for name in fixed}
+    lobe_maps = {name: fixed[name] for name in ("specular", "roughness", "normal") if name in fixed}
+    if lobe_maps:
+        maps = SVBRDF("roughconductor", dict(flat(capture.resolution).maps) | lobe_maps).resized(side)
+        lobe_maps = {name: maps[name] for name in lobe_maps}
     renderer = AnalyticRenderer()
 
     def response(maps: Mapping[str, Tensor], specular: float, roughness: float) -> Tensor:
         constant = flat(side, specular=specular, roughness=roughness, diffuse=0.0)
         return renderer.render(SVBRDF("roughconductor", {**constant.maps, **maps}), capture.views)
 
-    matt = {name: value for name, value in fixed.items() if name == "normal"} | {"diffuse": small}
+    matt = {name: value for name, value in lobe_maps.items() if name == "normal"} | {"diffuse": small}
     left = radiance - response(matt, 0.0, 0.5)
     best = (float("inf"), DIELECTRIC_F0, 0.5)
     for roughness in ROUGHNESS_GRID[:1] if "roughness" in fixed else ROUGHNESS_GRID:
-        lobe = response(fixed, 1.0, roughness)
+        lobe = response(lobe_maps, 1.0, roughness)
         level = 1.0
         if "specular" not in fixed:
             level = float((usable * lobe * left).sum() / (usable * lobe**2).sum().clamp_min(1e-20))

@@ -18,17 +18,18 @@ FROM = {"given": "The views are those of the capture's calibration", "sheet": "T
         "estimated": "The views were estimated from the rectified photos alone"}
 
 
-def record(capture: Capture, views: Views, estimated: EstimatedViews | None, refined: Tensor | None,
-           flash: Tensor | None, power: float | None = None) -> dict:
+def views_record(capture: Capture, views: Views, estimated: EstimatedViews | None, refined: Tensor | None,
+                 flash: Tensor | None, light_power_factor: float | None = None) -> dict:
     """What a fit knows of its views and how surely, lengths in patch sides, for ``fit.json``.
 
     Args:
         capture: the photos, with the views that the fit began with.
         views: as fitted.
         estimated: how the former were estimated from the photos; None where they were stated.
-        refined: standard deviations N x 7 of the changes since (:data:`mitsvbrdf.fit.calibration.UNKNOWNS`); None for none.
+        refined: standard deviations N x 7 of the changes since (:data:`mitsvbrdf.calibrate.refine.UNKNOWNS`); None for none.
         flash: standard deviations (x, y) of the flash offset that all photos share; None where it was not fitted.
-        power: by what the maps changed the light power (:mod:`mitsvbrdf.fit.power`); None where they do not tell it.
+        light_power_factor: by what the maps changed the light power (:mod:`mitsvbrdf.fit.light_power`); None where they do not
+            tell it.
 
     Returns:
         ``from`` (the kind of calibration), ``estimated`` and ``refined`` (whether), by photo name ``camera``, ``camera_sd`` and
@@ -51,14 +52,14 @@ def record(capture: Capture, views: Views, estimated: EstimatedViews | None, ref
         "log_exposure_sd": dict(zip(capture.names, [row[3] for row in sure])) if sure else None,
         "flash_offset": offset, "flash_offset_sd": None if flash is None else flash.tolist(),
         "light_power": float(sides.intensity.mean()),
-        "power_told": power, "log_power_sd": POWER if estimated or capture.calibration == "photos" else None}
+        "power_told": light_power_factor, "log_power_sd": POWER if estimated or capture.calibration == "photos" else None}
 
 
 def about_views(calibration: Mapping) -> str:
     """Where the views of a fit come from and how sure they are, in a sentence or two; empty of fits that do not say.
 
     Args:
-        calibration: see :func:`mitsvbrdf.fit.self_calibration.record`.
+        calibration: see :func:`mitsvbrdf.fit.view_record.views_record`.
     """
     if not calibration:
         return ""

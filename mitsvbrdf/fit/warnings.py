@@ -1,4 +1,4 @@
-"""What a user should doubt about a fit, in sentences: what was seen, and what it may mean."""
+"""Warnings about a fit, in sentences: what was seen, and what it may mean."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names
         renderer: of the fit; None, for one that is not ours, measures nothing that needs it.
         names: of the photos, one for each view.
         transfer: how display values encode light.
-        fixed: names of the maps that were held fixed.
+        fixed: names of the fixed maps.
         grey_specular: whether the fit had one specular level instead of three channels.
         quick: check the fit's renderer alone, at 64 px in two views, and time nothing; else at 256 px at most, in 25 views at
             most, evenly chosen.
@@ -136,7 +136,7 @@ def _pass(engine: Renderer, svbrdf: SVBRDF, views: Views, wanted: Sequence[str],
             one = svbrdf["specular"][..., :1].detach().clone().requires_grad_()
             leaves = {**leaves, "specular": one.expand_as(svbrdf["specular"])}
         image = engine.render(SVBRDF(svbrdf.bsdf, leaves), views)
-        if image.requires_grad:  # not where all maps were held fixed
+        if image.requires_grad:  # not where all maps are fixed
             image.backward(fixed_cotangent(image.shape))
         return image.detach()
 

@@ -17,7 +17,7 @@ from ..errors import CaptureError, MapsError, OutputError
 from ..evaluate import placed
 from ..evaluate.placement import predict
 from ..fit.confidence import UNKNOWN
-from ..fit.record import NUMBER, FitFolder, misfit, read_fit
+from ..fit.record import NUMBER, SavedFit, misfit, read_whole_fit
 from ..fit.view_record import about_views
 from ..material.maps import CHANNELS, TITLES, shown_map
 from ..measure.metrics import photo_rmse
@@ -71,16 +71,16 @@ def write_report(folder: str | Path, quick: bool = False, left_out: Capture | No
         OutputError: the folder cannot be written, or another fit was put there meanwhile.
         BackendError: the fit's renderer does not work here.
     """
-    found = read_fit(folder)
+    found = read_whole_fit(folder)
     engine = found.renderer()
     predicted, error = _earlier(found) if left_out is None or engine is None else _predicted(found, left_out, engine)
     photos = [{"name": name, "left_out": False, "rmse": rmse, "photo": _there(found.path, f"photos/{name}.png"),
                "rerendered": f"rerendered/{name}.png"} for name, rmse in found.record["per_photo"].items()]
     transfer = found.record["capture"]["transfer"]
-    measured = fit_report(found.svbrdf, found.fit.views, engine, names=found.names, transfer=transfer,
+    measured = fit_report(found.svbrdf, found.views, engine, names=found.names, transfer=transfer,
                           fixed=found.fixed,
                           grey_specular=found.record["config"]["grey_specular"], quick=quick, report=report)
-    if json.loads((found.path / "fit.json").read_text()) != found.record:
+    if not found.unchanged():
         raise OutputError("the same fit as a moment ago", f"another one in {found.path}", "run it again")
     record = measured | {"photos": photos + predicted, "left_out_rmse": error}
     files.write_json(found.path / "report.json", record)
@@ -88,7 +88,7 @@ def write_report(folder: str | Path, quick: bool = False, left_out: Capture | No
     return record
 
 
-def check_photos(found: FitFolder, capture: Capture) -> None:
+def check_photos(found: SavedFit, capture: Capture) -> None:
     """Raise CaptureError unless these are the photos of the fit, as their errors and whether they are calibrated tell."""
     if capture.calibrated != found.record["capture"]["calibrated"]:
         raise CaptureError(f"a capture {'without' if capture.calibrated else 'with'} calibration, as that of this fit",
@@ -109,18 +109,18 @@ def _there(folder: Path, name: str) -> str | None:
     return name if (folder / name).is_file() else None
 
 
-def _predicted(found: FitFolder, capture: Capture, engine: Renderer) -> tuple[list[dict], float]:
-    capture = placed(capture, found.fit)
-    capture = capture.pick([number for number in capture.index if number not in found.fit.seen])
-    rendered, error, each = predict(found.svbrdf, capture, engine, found.fit.flash_offset)
+def _predicted(found: SavedFit, capture: Capture, engine: Renderer) -> tuple[list[dict], float]:
+    capture = placed(capture, found)
+    capture = capture.pick([number for number in capture.index if number not in found.seen])
+    predicted, error, each = predict(found.svbrdf, capture, engine, found.flash_offset)
     keep_photos(found.path, capture)
-    for name, image in zip(capture.names, rendered):
+    for name, image in zip(capture.names, predicted):
         images.write_png(found.path / "predicted" / f"{name}.png", color.to_display(image, capture.transfer))
     return [{"name": name, "left_out": True, "rmse": rmse, "photo": f"photos/{name}.png", "rerendered": f"predicted/{name}.png"}
             for name, rmse in zip(capture.names, each)], error
 
 
-def _earlier(found: FitFolder) -> tuple[list[dict], float | None]:
+def _earlier(found: SavedFit) -> tuple[list[dict], float | None]:
     """Photos left out that an earlier page of this folder had."""
     try:
         record = json.loads((found.path / "report.json").read_text())
@@ -137,7 +137,7 @@ def _earlier(found: FitFolder) -> tuple[list[dict], float | None]:
     return photos, error
 
 
-def _write_page(found: FitFolder, record: dict) -> None:
+def _write_page(found: SavedFit, record: dict) -> None:
     fit = found.record
     side = int(max(SMALLEST_PHOTO, min(LARGEST_PHOTO, PHOTOS_WIDE / len(record["photos"])**0.5)))
     title = f"{fit['capture'].get('name') or 'Capture'}: recovered material"
@@ -147,7 +147,7 @@ def _write_page(found: FitFolder, record: dict) -> None:
                scalar=_scalar, from_where=about_views(fit.get("calibration") or {}))
 
 
-def _maps(found: FitFolder) -> list[dict]:
+def _maps(found: SavedFit) -> list[dict]:
     """Of each map its name, its picture, and a picture of its standard deviation where there is one."""
     maps = []
     for name in CHANNELS[found.svbrdf.bsdf]:

@@ -9,11 +9,11 @@ from ..capture import Capture
 from ..errors import OutputError
 from ..export.mitsuba import write_scene
 from ..fit.confidence import confidence
-from ..fit.config import METHODS
-from ..fit.record import fit_record
+from ..fit.methods import method_name
+from ..fit.record import write_record
 from ..fit.result import FitResult
 from ..material.map_files import save_maps
-from ..system import files, images
+from ..system import images
 from ..system.images import write_linear
 from ..system.progress import say
 from .fit_page import keep_photos, write_report
@@ -42,8 +42,7 @@ def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dic
         images.write_exr(out / "uncertainty" / f"{name}.exr", spread.square().mean(dim=-1, keepdim=True).sqrt())
     for name, image in zip(capture.names, result.rerendered):
         write_linear(out / "rerendered" / name, image, capture.transfer)
-    method = METHODS[type(result.config).__name__]
-    title = f"{capture.source.name if capture.source else 'capture'}: {method}, {result.svbrdf.bsdf}"
+    title = f"{capture.source.name if capture.source else 'capture'}: {method_name(result.config)}, {result.svbrdf.bsdf}"
     sure = confidence(result.deviations)
     remarks = {name: f"{sure[name]['determined_share']:.0%} determined" if name in sure else "held fixed"
                for name in result.svbrdf.maps}
@@ -54,7 +53,7 @@ def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dic
                 remarks=remarks)
     loss_curve(out / "curve.svg", result.trace)
     write_scene(out, result.svbrdf, result.views)
-    files.write_json(out / "fit.json", fit_record(result, capture, command or {}))
+    write_record(out, result, capture, command or {})
     (out / "report.json").unlink(missing_ok=True)  # photos that an earlier fit left out are none of this one's
     try:
         write_report(out, quick=True, left_out=left_out)

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from ..capture import Capture
 from ..color import to_display
-from ..fit.config import HybridConfig
+from ..fit import FitTask, HybridConfig
 from ..material.made import make_material
 from ..material.maps import SVBRDF
 from ..measure.gradients import fixed_cotangent
@@ -154,7 +154,8 @@ def _steps(svbrdf: SVBRDF, views: Views, adversarial: float) -> Callable[[], Ten
     capture = Capture(to_display(engine.render(small, views)), views, "gamma2.2")
 
     def three_steps() -> Tensor:
-        method = Hybrid(capture, engine, small["diffuse"], HybridConfig(adversarial=adversarial, iterations=3))
+        config = HybridConfig(adversarial=adversarial, iterations=3)
+        method = Hybrid(FitTask(capture, engine, config, small["diffuse"]))
         for step in range(3):
             method.step(step / 3)
         return torch.cat([t.flatten() for t in method.estimate()[0].maps.values()])

@@ -15,7 +15,7 @@ from mitsvbrdf.bench.store import Store
 from mitsvbrdf.bench.tasks import known_material
 from mitsvbrdf.capture import write_capture
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.fit import DirectConfig, config
+from mitsvbrdf.fit import DirectConfig
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 
@@ -97,7 +97,7 @@ def test_quick_measures_everything(out, monkeypatch, tmp_path):
     found = check_benchmark(json.loads(out.read_text()), "here")
     suites = [r["suite"] for r in found["records"]]
     assert suites.count("renderers") == 2 * (1 + 1) and suites.count("ablation") == 2
-    assert suites.count("methods") == len(method_table(config.CONFIGS))
+    assert suites.count("methods") == len(method_table())
     page = (tmp_path / "p.md").read_text()
     for heading in ("## In short", "## Known materials", "## Renderers", "## Each ingredient off"):
         assert heading in page

@@ -6,13 +6,14 @@ from helpers import ANALYTIC, GRID, photos_of
 
 from mitsvbrdf.bench.peers_baseline import PeersBaseline, PeersConfig
 from mitsvbrdf.errors import ConfigError
+from mitsvbrdf.fit import FitTask
 from mitsvbrdf.material.made import make_material
 
 
 def test_peers_baseline_is_plain_adam_on_clamped_gamma_values():
     views = GRID.pick([0, 2, 5])
     capture = photos_of(make_material("inlay", 8), views)
-    method, config = PeersBaseline(capture, ANALYTIC, PeersConfig()), PeersConfig()
+    method, config = PeersBaseline(FitTask(capture, ANALYTIC, PeersConfig())), PeersConfig()
     losses = [method.step(k / 6)["l2"] for k in range(6)]
 
     # The same by hand: gamma-encoded maps on [-1, 1], 9 channels in one tensor, and torch's Adam.
@@ -40,7 +41,7 @@ def test_peers_baseline_is_plain_adam_on_clamped_gamma_values():
 
 def test_peers_baseline_goes_on_bit_by_bit_and_stays_in_range():
     capture = photos_of(make_material("tiles", 8))
-    method = PeersBaseline(capture, ANALYTIC, PeersConfig(learning_rate=0.7))  # large steps, so that every bound is met
+    method = PeersBaseline(FitTask(capture, ANALYTIC, PeersConfig(learning_rate=0.7)))  # large steps meet every bound
     for _ in range(5):
         method.step(0.0)
     state = method.state()

@@ -18,8 +18,8 @@ from mitsvbrdf.capture import Capture, read_capture, write_capture
 from mitsvbrdf.errors import CaptureError
 from mitsvbrdf.evaluate import evaluate_fit, placed
 from mitsvbrdf.fit import HierarchicalConfig, fit_svbrdf
-from mitsvbrdf.fit.record import Fit, fit_of
-from mitsvbrdf.fit.view_record import about_views, record
+from mitsvbrdf.fit.record import SavedFit, read_fit
+from mitsvbrdf.fit.view_record import about_views, views_record
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.views import Views
@@ -147,7 +147,7 @@ def test_photos_that_tell_nothing_keep_the_default(case):
     kept, found = self_calibrated(shots)
     assert found is None and kept.views is shots.views and why in why_not(shots)
     assert len(kept.notes) == 1 and why in kept.notes[0] and "default geometry" in kept.notes[0]
-    assert placed(shots, Fit()).notes == kept.notes  # for maps that came without a fit, too
+    assert placed(shots, SavedFit()).notes == kept.notes  # for maps that came without a fit, too
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -197,7 +197,7 @@ def test_photos_left_out_are_predicted_from_views_estimated_from_all(glossy, tmp
     assert page["left_out_rmse"] == pytest.approx(error, rel=1e-4)
     text = (tmp_path / "out/report.html").read_text()
     assert "estimated from all photos and moved" in text and "The views were estimated from the rectified photos alone" in text
-    shots, fit = read_capture(capture), fit_of(out)
+    shots, fit = read_capture(capture), read_fit(out)
     moved = placed(shots, fit).pick(fit.seen).views
     assert float((moved.camera - fit.views.camera)[:, :2].mean(dim=0).abs().max()) < 1e-9
     for there, here in ((fit.views.camera[:, 2], moved.camera[:, 2]), (fit.views.intensity, moved.intensity)):
@@ -227,7 +227,7 @@ def test_methods_without_the_flag_say_so(tmp_path, capsys):
 def test_views_are_called_what_they_are(kind, glossy):
     shots = replace(glossy[0], calibration=kind)
     assert ("as calibrated" in shots._repr_html_()) == (kind == "given") and "default geometry" not in shots._repr_html_()
-    said = about_views(record(shots, shots.views, None, None, None))
+    said = about_views(views_record(shots, shots.views, None, None, None))
     assert {"given": "calibration", "sheet": "sheet", "photos": "features", "none": "default geometry"}[kind] in said
     assert ("light power" in said) == (kind == "photos") and "deviation" not in said
 
@@ -260,7 +260,7 @@ def test_resuming_is_bit_equal(glossy, tmp_path):
 
 def test_record_of_stated_views(glossy):
     shots = replace(glossy[0], calibration="given")
-    said = record(shots, replace(shots.views, light=shots.views.light + torch.tensor([0.1, 0.0, 0.0])), None, None, None)
+    said = views_record(shots, replace(shots.views, light=shots.views.light + torch.tensor([0.1, 0.0, 0.0])), None, None, None)
     assert not said["estimated"] and said["camera_sd"] is None and said["flash_offset_sd"] is None
     assert said["flash_offset"] == pytest.approx([0.1, 0.0]) and said["log_power_sd"] is None
 

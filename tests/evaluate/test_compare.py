@@ -16,7 +16,7 @@ from helpers import ANALYTIC, GRID, photos_of
 from mitsvbrdf import cli
 from mitsvbrdf.capture import read_capture, write_capture
 from mitsvbrdf.evaluate.compare import Entry, compare, fitted_views
-from mitsvbrdf.fit.record import Fit
+from mitsvbrdf.fit.record import SavedFit
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import flat
@@ -105,7 +105,7 @@ def test_fitted_views_are_those_of_the_fit_for_the_photos_it_saw(shots):
     capture, true = shots
     stored = replace(true.pick([2, 1]), camera=2 * true.camera[[2, 1]], light=2 * true.light[[2, 1]],
                      intensity=4 * true.intensity[[2, 1]], size=2.0)
-    fit = Fit(flash_offset=(0.05, -0.02), capture="photos", seen=(2, 1), views=stored)
+    fit = SavedFit(flash_offset=(0.05, -0.02), capture="photos", seen=(2, 1), views=stored)
     views, names = fitted_views(fit, capture)
     assert names == ["01", "02"] and views.size == 1
     assert torch.equal(views.camera, capture.views.camera) and torch.allclose(views.intensity, true.intensity, atol=1e-12)
@@ -119,7 +119,7 @@ def test_photos_are_seen_as_each_fit_saw_them():
     # Photos under light without falloff, in sRGB, which their folder does not say; the bound is that of 8 bits, below.
     maps, views = make_material("inlay", SIDE), nine_view_grid(distance=1.0).pick([1, 3])
     photos = photograph(maps, replace(views, falloff="none"), ANALYTIC, transfer="srgb")
-    fits = Fit("none", "srgb"), Fit("inverse-square", "srgb"), Fit("none", "gamma2.2")
+    fits = SavedFit("none", "srgb"), SavedFit("inverse-square", "srgb"), SavedFit("none", "gamma2.2")
     record, _ = compare([Entry(name, name, maps, fit) for name, fit in zip("abc", fits)],
                         replace(photos, views=views, transfer="gamma2.2"), ANALYTIC)
     theirs, light, code = (method["rerender_rmse"] for method in record["methods"])

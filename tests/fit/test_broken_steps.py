@@ -8,14 +8,15 @@ import torch
 from helpers import ANALYTIC
 
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.fit import DirectConfig, HybridConfig, fit_svbrdf, make_method
+from mitsvbrdf.fit import DirectConfig, FitTask, HybridConfig, fit_svbrdf, make_method
 from mitsvbrdf.fit.loop import MAX_UNDONE, Loop
 
 SIDE = 16
 
 
 def loop_of(capture, config, renderer=ANALYTIC, **options):
-    return Loop(make_method(capture, renderer, torch.full((SIDE, SIDE, 3), 0.2), config), capture, renderer, config, **options)
+    method = make_method(FitTask(capture, renderer, config, torch.full((SIDE, SIDE, 3), 0.2)))
+    return Loop(method, capture, renderer, config, **options)
 
 
 def poison_parameters(loop, value=math.inf):
@@ -113,7 +114,7 @@ def test_restarts_are_bit_equal_after_resuming(leather, tmp_path):
             raise Stop
 
     loop = loop_of(leather, config, checkpoint=path)
-    loop.method = make_method(leather, ANALYTIC, whole.guess, config)
+    loop.method = make_method(FitTask(leather, ANALYTIC, config, whole.guess))
     step = loop.method.step
 
     def saving_step(progress):

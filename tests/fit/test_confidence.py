@@ -9,7 +9,7 @@ from helpers import ANALYTIC, GRID, photos_of
 
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture
-from mitsvbrdf.fit import DirectConfig, fit_svbrdf
+from mitsvbrdf.fit import DirectConfig, FitTask, fit_svbrdf
 from mitsvbrdf.fit.confidence import UNKNOWN, _map, _numbers, confidence, deviations, jacobian
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF, flat
@@ -44,7 +44,7 @@ def test_deviation_of_a_matt_texel_in_closed_form():
     images = ANALYTIC.render(truth, views)
     capture = Capture(color.to_display(images) + 0.02, views)
     config = DirectConfig(fix=("normal=flat", "specular=0", "roughness=1"))
-    found = deviations(truth, views, images, capture, config)["diffuse"][3, 5, 1]
+    found = deviations(truth, views, images, FitTask(capture, ANALYTIC, config))["diffuse"][3, 5, 1]
     texel = torch.tensor([(5 + 0.5) / SIDE - 0.5, 0.5 - (3 + 0.5) / SIDE, 0.0], dtype=torch.float64)
     to_light = views.light - texel
     lit = views.intensity[:, 0] * to_light[:, 2] / to_light.norm(dim=1) ** 3 / math.pi
@@ -58,7 +58,7 @@ def test_only_texels_that_saw_the_highlight_know_their_roughness():
     truth = flat(SIDE, diffuse=0.2, specular=0.04, roughness=0.3)
     images = ANALYTIC.render(truth, views)
     photos = photograph(truth, views, ANALYTIC, noise=0.01)
-    found = deviations(truth, views, images, photos, DirectConfig(fix=("normal=flat",)))
+    found = deviations(truth, views, images, FitTask(photos, ANALYTIC, DirectConfig(fix=("normal=flat",))))
     roughness = found["roughness"][..., 0]
     assert roughness[4:12, :4].median() < 0.1 and roughness[:, -4:].min() > 0.2  # measured 0.06, and 0.28 or more
     assert (roughness <= UNKNOWN).all()
@@ -69,11 +69,11 @@ def test_clipped_pixels_say_nothing():
     images = ANALYTIC.render(truth, views)
     capture = photos_of(truth, views)
     blind = Capture(torch.ones_like(capture.photos), views)
-    for name, value in deviations(truth, views, images, blind, DirectConfig()).items():
+    for name, value in deviations(truth, views, images, FitTask(blind, ANALYTIC, DirectConfig())).items():
         assert torch.allclose(value, torch.tensor(UNKNOWN)), name
     half = dataclasses.replace(capture, photos=capture.photos.clone())
     half.photos[:, :, : SIDE // 2] = 1.0
-    found = deviations(truth, views, images, half, DirectConfig())["diffuse"].mean(dim=-1)
+    found = deviations(truth, views, images, FitTask(half, ANALYTIC, DirectConfig()))["diffuse"].mean(dim=-1)
     assert found[:, : SIDE // 2].min() > 5 * found[:, SIDE // 2:].max()
 
 
@@ -100,6 +100,6 @@ def test_one_photo_determines_less_than_nine(leather):
 def test_large_maps_are_looked_at_small():
     truth, views = make_material("leather", 80), GRID.pick([0, 1])
     images = ANALYTIC.render(truth, views)
-    found = deviations(truth, views, images, photos_of(truth, views), DirectConfig(grey_specular=True))
+    found = deviations(truth, views, images, FitTask(photos_of(truth, views), ANALYTIC, DirectConfig(grey_specular=True)))
     assert {name: tuple(value.shape) for name, value in found.items()} == {
         "diffuse": (64, 64, 3), "specular": (64, 64, 1), "roughness": (64, 64, 1), "normal": (64, 64, 2)}

@@ -12,7 +12,7 @@ from helpers import ANALYTIC, GRID, photos_of
 
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.fit import DirectConfig, GanConfig, HybridConfig, fit_svbrdf, make_method, pretrain
+from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HybridConfig, fit_svbrdf, make_method, pretrain
 from mitsvbrdf.fit.checkpoint import load_tensors
 from mitsvbrdf.fit.loop import Loop
 from mitsvbrdf.fit.method import descend
@@ -82,7 +82,8 @@ def test_resume_is_bit_equal(method, capture, tmp_path):
             raise Stop
 
     # A run that dies at iteration 20 with its last checkpoint from iteration 13, and one that goes on from there.
-    loop = Loop(make_method(capture, renderer, whole.guess, config), capture, renderer, config, tmp_path / "c.safetensors")
+    method = make_method(FitTask(capture, renderer, config, whole.guess))
+    loop = Loop(method, capture, renderer, config, tmp_path / "c.safetensors")
     step = loop.method.step
 
     def saving_step(progress):
@@ -115,14 +116,14 @@ def test_ctrl_c_keeps_the_best_result(capture, tmp_path):
 
 def test_budget_in_seconds(capture):
     renderer, config = ANALYTIC, DirectConfig(budget=1.0)
-    loop = Loop(make_method(capture, renderer, torch.full((32, 32, 3), 0.3), config), capture, renderer, config)
+    loop = Loop(make_method(FitTask(capture, renderer, config, torch.full((32, 32, 3), 0.3))), capture, renderer, config)
     # The last measurement may be a moment older than the end of the budget.
     assert loop.run() == "budget" and loop.seconds >= 1.0 >= loop.trace[-2]["seconds"]
 
 
 def test_a_step_that_goes_wrong_is_undone(capture):
     renderer, config = ANALYTIC, DirectConfig(iterations=30)
-    loop = Loop(make_method(capture, renderer, torch.full((32, 32, 3), 0.3), config), capture, renderer, config)
+    loop = Loop(make_method(FitTask(capture, renderer, config, torch.full((32, 32, 3), 0.3))), capture, renderer, config)
     step, failures = loop.method.step, iter([True])
 
     def poisoned(progress):
@@ -141,7 +142,7 @@ def test_a_step_that_goes_wrong_is_undone(capture):
 def test_step_sizes_are_cut_until_the_fit_stays_finite(method, capture):
     # Steps fail until the step size is below an eighth: it has to be cut four times, also when resumed off the beat.
     renderer, config = ANALYTIC, with_limits(SMALL[method], iterations=3)
-    loop = Loop(make_method(capture, renderer, torch.full((32, 32, 3), 0.3), config), capture, renderer, config)
+    loop = Loop(make_method(FitTask(capture, renderer, config, torch.full((32, 32, 3), 0.3))), capture, renderer, config)
     loop.iteration = 1
     step, cut, cuts = loop.method.step, loop.method.cut_step, []
     loop.method.cut_step = lambda: (cut(), cuts.append(1))
@@ -170,7 +171,7 @@ def test_no_step_is_made_along_a_gradient_that_is_not_finite():
 
 def test_a_fit_that_stays_broken_ends_with_one_error(capture):
     renderer, config = ANALYTIC, DirectConfig(iterations=30)
-    loop = Loop(make_method(capture, renderer, torch.full((32, 32, 3), 0.3), config), capture, renderer, config)
+    loop = Loop(make_method(FitTask(capture, renderer, config, torch.full((32, 32, 3), 0.3))), capture, renderer, config)
     loop.method.step = lambda progress: {"photometric": math.nan}
     with pytest.raises(ConfigError, match="stays finite"):
         loop.run()
@@ -180,13 +181,13 @@ def test_pretrained_generator_is_taken_over(capture, tmp_path):
     renderer, path = make_renderer("mitsuba"), tmp_path / "g.safetensors"
     pretrain(capture, renderer, GanConfig(width=8, iterations=3), path)
     config = GanConfig(width=8, preset="paper-two-stage", pretrained=str(path), iterations=1)
-    method = make_method(capture, renderer, torch.zeros(32, 32, 3), config)
+    method = make_method(FitTask(capture, renderer, config, torch.zeros(32, 32, 3)))
     saved = load_tensors(path)[0]
     for name, value in method.generator.state_dict().items():
         assert torch.equal(value, saved[f"method.generator.{name}"])
     assert method.stage == 2
     with pytest.raises(ConfigError, match="width 16"):
-        make_method(capture, renderer, torch.zeros(32, 32, 3), with_limits(config, width=16))
+        make_method(FitTask(capture, renderer, with_limits(config, width=16), torch.zeros(32, 32, 3)))
 
 
 def test_checkpoints_hold_tensors_only(capture, tmp_path):

@@ -9,7 +9,7 @@ from helpers import ANALYTIC, GRID, photos_of
 from mitsvbrdf import cli, color
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.errors import ConfigError, MapsError
-from mitsvbrdf.fit import DirectConfig, GanConfig, HybridConfig, fit_svbrdf, left_out, losses, make_method
+from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HybridConfig, fit_svbrdf, left_out, losses, make_method
 from mitsvbrdf.fit.fixed_maps import fixed_maps
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
@@ -55,8 +55,8 @@ def test_what_is_held_comes_out_as_it_went_in(method, renderer, capture):
 @pytest.mark.parametrize("method", METHODS)
 def test_nothing_is_allocated_for_a_map_that_is_held(method, capture):
     renderer, guess = ANALYTIC, torch.full((SIDE, SIDE, 3), 0.2)
-    everything = unknowns(make_method(capture, renderer, guess, config_of(method)))
-    made = make_method(capture, renderer, guess, config_of(method, fix=("normal=flat", "specular=0.04")))
+    everything = unknowns(make_method(FitTask(capture, renderer, config_of(method), guess)))
+    made = make_method(FitTask(capture, renderer, config_of(method, fix=("normal=flat", "specular=0.04")), guess))
     channels = 5  # two slopes and three specular levels
     if method == "direct":
         assert everything - unknowns(made) == channels * SIDE**2
@@ -65,19 +65,19 @@ def test_nothing_is_allocated_for_a_map_that_is_held(method, capture):
     else:  # 4 x 4 deconvolutions of 2 x 4 channels, with a bias
         assert everything - unknowns(made) == channels * (8 * 16 + 1)
     # A whole stream held: its decoder is not there.
-    whole = make_method(capture, renderer, guess, config_of(method, fix=("normal=flat", "roughness=0.5")))
+    whole = make_method(FitTask(capture, renderer, config_of(method, fix=("normal=flat", "roughness=0.5")), guess))
     if method == "hybrid":
         assert len(whole.generator.up) == 1
     if method == "gan":
         assert whole.generator.normal_roughness is None and set(whole.optimizers) == {"slow", "judge"}
         assert all(torch.isfinite(torch.tensor(list(whole.step(0.0).values()))))
-    assert all(value.untyped_storage().nbytes() <= 12 for value in whole.held.values())  # constants: one value or colour
+    assert all(value.untyped_storage().nbytes() <= 12 for value in whole.fixed.values())  # constants: one value or colour
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_one_grey_specular_level(method, capture):
     settings = config_of(method, grey_specular=True, iterations=3)
-    made = make_method(capture, make_renderer("analytic"), torch.full((SIDE, SIDE, 3), 0.2), settings)
+    made = make_method(FitTask(capture, make_renderer("analytic"), settings, torch.full((SIDE, SIDE, 3), 0.2)))
     seen = []
     render = made.renderer.render
     made.renderer.render = lambda svbrdf, views: (seen.append(svbrdf["specular"]), render(svbrdf, views))[1]
@@ -97,7 +97,7 @@ def test_the_search_for_a_start_keeps_to_what_is_held(capture):
     for free, value in (("roughness", 0.4), ("specular", 0.2)):
         others = {"diffuse": 0.3, "specular": 0.2, "roughness": 0.4}
         fix = ("normal=flat", *(f"{name}={v}" for name, v in others.items() if name != free))
-        made = make_method(Capture(photos, views), ANALYTIC, truth["diffuse"], DirectConfig(fix=fix))
+        made = make_method(FitTask(Capture(photos, views), ANALYTIC, DirectConfig(fix=fix), truth["diffuse"]))
         assert made.estimate()[0][free].mean().item() == pytest.approx(value, abs=2e-3)
 
 
@@ -161,11 +161,11 @@ def test_losses_without_weight_or_subject_are_not_computed(settings, unused, cap
 
     for name in ("total_variation", "tilt", "diffuse", "discriminator", "photometric"):
         monkeypatch.setattr(losses, name, counted(name, getattr(losses, name)))
-    made = make_method(capture, ANALYTIC, torch.full((SIDE, SIDE, 3), 0.2), HybridConfig(width=4, **settings))
+    made = make_method(FitTask(capture, ANALYTIC, HybridConfig(width=4, **settings), torch.full((SIDE, SIDE, 3), 0.2)))
     made.step(0.0)
     assert called == {"total_variation", "tilt", "diffuse", "discriminator", "photometric"} - unused
     assert hasattr(made, "discriminator") == ("discriminator" not in unused)
-    said = dict(left_out(capture, ANALYTIC, made.config))
+    said = dict(left_out(FitTask(capture, ANALYTIC, made.config)))
     names = {"total_variation": "smooth", "tilt": "flat", "discriminator": "adversarial", "diffuse": "diffuse"}
     assert {losses.NAMES[names[loss]] for loss in unused} == set(losses.NAMES.values()) & set(said)
 
@@ -175,13 +175,13 @@ def test_losses_without_weight_or_subject_are_not_computed(settings, unused, cap
     (GanConfig(fix=("diffuse=0.5", "normal=flat")), {"diffuse loss"}),
     (HybridConfig(fix=("diffuse=0.5", "normal=flat")), {"diffuse loss", "price on tilted normals"})])
 def test_only_losses_of_the_method_are_left_out(config, wanted, capture):
-    said = dict(left_out(capture, ANALYTIC, config))
+    said = dict(left_out(FitTask(capture, ANALYTIC, config)))
     assert set(losses.NAMES.values()) & set(said) == wanted
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_kept_state_does_not_move(method, capture):
-    made = make_method(capture, ANALYTIC, torch.full((SIDE, SIDE, 3), 0.2), config_of(method))
+    made = make_method(FitTask(capture, ANALYTIC, config_of(method), torch.full((SIDE, SIDE, 3), 0.2)))
     made.step(0.0)
     kept = made.state()
     before = {name: value.clone() for name, value in kept.items()}

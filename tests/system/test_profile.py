@@ -9,7 +9,7 @@ import torch
 from helpers import ANALYTIC, photos_of
 
 from mitsvbrdf import cli
-from mitsvbrdf.fit import DirectConfig, GanConfig, HybridConfig, fit_svbrdf, make_method
+from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HybridConfig, fit_svbrdf, make_method
 from mitsvbrdf.fit.generator import networks
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.render import make_renderer
@@ -115,7 +115,7 @@ def test_methods_name_their_parts(method, renders, clock, capture, monkeypatch):
         def render(self, svbrdf, views):
             return slow_render(analytic.render(svbrdf, views))
 
-    fit = make_method(capture, Slow(), torch.full((32, 32, 3), 0.3), CONFIGS[method])
+    fit = make_method(FitTask(capture, Slow(), CONFIGS[method], torch.full((32, 32, 3), 0.3)))
     with profiling() as found, profiled(STEP):
         fit.step(0.0)
     taken = {part: seconds for part, seconds in found.steps[0].items() if seconds}
@@ -134,7 +134,7 @@ def test_parts_sum_to_the_step_and_change_nothing(method, capture):
     assert plain.profile is None and profile_summary() is None
     with profiling() as found:
         watched = fit_svbrdf(capture, renderer, config)
-        fit, spent = make_method(capture, renderer, watched.guess, config), 0.0
+        fit, spent = make_method(FitTask(capture, renderer, config, watched.guess)), 0.0
         for _ in range(6):
             started = perf_counter()
             with profiled(STEP):
@@ -151,7 +151,7 @@ def test_parts_sum_to_the_step_and_change_nothing(method, capture):
 
 def test_off_nothing_is_collected(capture):
     assert profiled("a") is profiled("b")
-    fit = make_method(capture, make_renderer("analytic"), torch.full((32, 32, 3), 0.3), CONFIGS["direct"])
+    fit = make_method(FitTask(capture, make_renderer("analytic"), CONFIGS["direct"], torch.full((32, 32, 3), 0.3)))
     seen = []
     render = fit.renderer.render
     fit.renderer.render = lambda *a: seen.append(render(*a)) or seen[-1]

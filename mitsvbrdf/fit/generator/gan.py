@@ -12,42 +12,36 @@ import torch
 from torch import Tensor
 
 from ... import color
-from ...capture import Capture
 from ...errors import ConfigError
 from ...material.maps import SVBRDF
-from ...render import Renderer
 from ...system.profile import profiled, switch_at
 from ...views import Views
 from .. import losses
 from ..checkpoint import load_module_state, load_optimizer_state, load_tensors, module_state, optimizer_state
 from ..config import GanConfig
-from ..fixed_maps import fixed_maps
-from ..method import descend
+from ..method import Method, descend
 from ..parameters import from_units, streams_of
+from ..task import FitTask
 from .networks import PatchDiscriminator, TwoStreamGenerator, seeded
 
 
-class Gan:
-    """Steps of the paper's training (III.F); see :class:`mitsvbrdf.fit.method.Method`.
+class Gan(Method):
+    """Steps of the paper's training (III.F).
 
     Args:
-        capture: photos and views.
-        renderer: carries the gradients.
-        guess: guessed diffuse map, R x R x 3 linear.
-        config: preset and weights.
+        task: photos, guess, preset and weights.
 
     Raises:
         ConfigError: the pretrained checkpoint is of another size or kind.
     """
 
-    def __init__(self, capture: Capture, renderer: Renderer, guess: Tensor, config: GanConfig) -> None:
-        self.capture, self.renderer, self.guess, self.config = capture, renderer, guess, config
-        self.views = capture.views
-        self.held = fixed_maps(config.fix, config.bsdf, capture.resolution)
-        self.unused = losses.unused(config, self.held)
+    def __init__(self, task: FitTask[GanConfig]) -> None:
+        super().__init__(task)
+        config = self.config = task.config
+        self.capture, self.renderer, self.guess, self.unused = task.capture, task.renderer, task.guess, task.unused
         self.random = torch.Generator().manual_seed(config.seed)
         with seeded(config.seed):
-            streams = streams_of(config.bsdf, self.held, config.grey_specular)
+            streams = streams_of(config.bsdf, self.fixed, config.grey_specular)
             self.generator = TwoStreamGenerator(streams, config.width)
         self.learning_rate = config.learning_rate
         if config.pretrained:
@@ -88,7 +82,7 @@ class Gan:
                 units = self.generator.decode(0, code, size) | lower
                 switch_at("network, backward", *units.values())
             with profiled("hand-over"):
-                svbrdf = from_units(self.config.bsdf, units, self.held)
+                svbrdf = from_units(self.config.bsdf, units, self.fixed)
                 switch_at("hand-over, backward", *svbrdf.maps.values())
             fake = self._picture(svbrdf, views, weights)
             with profiled("discriminator"):
@@ -136,7 +130,7 @@ class Gan:
     def estimate(self) -> tuple[SVBRDF, Views]:
         with torch.no_grad():
             units = self.generator(self.capture.photos[:1].permute(0, 3, 1, 2))
-            return from_units(self.config.bsdf, units, self.held).map(Tensor.contiguous), self.views
+            return from_units(self.config.bsdf, units, self.fixed).map(Tensor.contiguous), self.views
 
     def cut_step(self) -> None:
         self.learning_rate /= 2

@@ -7,48 +7,43 @@ repeats and what has structure before it fits noise (Ulyanov et al. 2018, deep i
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from ... import color
-from ...capture import Capture
 from ...material.maps import SVBRDF
-from ...render import Renderer
 from ...system.profile import profiled, switch_at
 from ...views import Views
 from .. import losses
 from ..checkpoint import load_module_state, load_optimizer_state, module_state, optimizer_state
 from ..config import HybridConfig
-from ..fixed_maps import fixed_maps
-from ..left_out import no_flash_offset
-from ..method import cosine, descend
+from ..method import Method, cosine, descend
 from ..parameters import streams_of, to_raw, to_svbrdf
 from ..start import robust_start
+from ..task import FitTask
 from .networks import AllPhotosGenerator, PatchDiscriminator, seeded
 
 PATCH = 128  # side of the crops the discriminator compares
 
 
-class Hybrid:
-    """Steps of the hybrid method; see :class:`mitsvbrdf.fit.method.Method`.
+class Hybrid(Method):
+    """Steps of the hybrid method.
 
     Args:
-        capture: photos and views.
-        renderer: carries the gradients, to the lights too when the flash offset is fitted.
-        guess: guessed diffuse map, R x R x 3 linear.
-        config: weights and sizes.
+        task: photos, guess, weights and sizes; its renderer carries gradients, to the lights too when the flash
+            offset is fitted.
     """
 
-    def __init__(self, capture: Capture, renderer: Renderer, guess: Tensor, config: HybridConfig) -> None:
-        self.capture, self.renderer, self.guess, self.config = capture, renderer, guess, config
-        self.views = capture.views
+    def __init__(self, task: FitTask[HybridConfig]) -> None:
+        super().__init__(task)
+        capture, guess, config = task.capture, task.guess, task.config
+        self.capture, self.renderer, self.guess, self.config, self.unused = capture, task.renderer, guess, config, task.unused
         self.random = torch.Generator().manual_seed(config.seed)
-        self.held = fixed_maps(config.fix, config.bsdf, capture.resolution)
-        self.unused = losses.unused(config, self.held)
-        streams = streams_of(config.bsdf, self.held, config.grey_specular)
-        start = robust_start(capture, guess, config.bsdf, self.held)
+        streams = streams_of(config.bsdf, self.fixed, config.grey_specular)
+        start = robust_start(capture, guess, config.bsdf, self.fixed)
         self.start = to_raw(start, streams)
         self.edges = losses.edge_weights(guess)
         photos = capture.photos.permute(0, 3, 1, 2)
@@ -59,7 +54,6 @@ class Hybrid:
             self.generator = AllPhotosGenerator(condition.shape[0], streams, config.width).to(
                 memory_format=torch.channels_last)
         self.offset = torch.zeros(2, dtype=torch.float64, requires_grad=True)  # patch sides
-        self.fits_offset = no_flash_offset(capture, renderer, config) is None
         groups = [{"params": list(self.generator.parameters()), "lr": config.learning_rate}]
         if self.fits_offset:
             groups.append({"params": [self.offset], "lr": 0.5 * config.learning_rate})
@@ -72,7 +66,6 @@ class Hybrid:
 
     def step(self, progress: float) -> dict[str, float]:
         """One Adam step on all photos; the discriminator learns from one random patch of one photo."""
-        c = self.config
         for group, peak in zip(self.optimizer.param_groups, self.peaks):
             group["lr"] = peak * cosine(progress)
         with profiled("network"):
@@ -91,13 +84,14 @@ class Hybrid:
                 switch_at("discriminator, backward", loss)
             return loss
 
-        terms = {"photometric": lambda: losses.photometric(rendered, self.capture.photos, self.capture.transfer),
-                 "diffuse": lambda: losses.diffuse(svbrdf, self.guess),
-                 "smooth": lambda: losses.total_variation(svbrdf, self.edges, self.held),
-                 "flat": lambda: losses.tilt(svbrdf), "adversarial": adversarial}
+        own: dict[str, Callable[[], Tensor]] = {
+            "photometric": lambda: losses.photometric(rendered, self.capture.photos, self.capture.transfer),
+            "diffuse": lambda: losses.diffuse(svbrdf, self.guess),
+            "smooth": lambda: losses.total_variation(svbrdf, self.edges, self.fixed),
+            "flat": lambda: losses.tilt(svbrdf), "adversarial": adversarial}
         with profiled("losses"):
-            terms = {name: term() for name, term in terms.items() if name not in self.unused}
-            total = sum(getattr(c, name) * value for name, value in terms.items())
+            terms = {name: loss() for name, loss in own.items() if name not in self.unused}
+            total = losses.weighted(terms, self.config.weights)
         with profiled("losses, backward"):
             logged["gradient"] = descend(total, self.optimizer)
         return {name: float(value.detach()) for name, value in terms.items()} | logged
@@ -113,7 +107,7 @@ class Hybrid:
             change["normal"] = change["normal"] - change["normal"].mean(dim=(1, 2), keepdim=True)
         switch_at("network, backward", *change.values())
         with profiled("hand-over"):
-            svbrdf = to_svbrdf(self.config.bsdf, {name: self.start[name] + change[name] for name in self.start}, self.held)
+            svbrdf = to_svbrdf(self.config.bsdf, {name: self.start[name] + change[name] for name in self.start}, self.fixed)
             switch_at("hand-over, backward", *svbrdf.maps.values())
         return svbrdf
 

@@ -29,19 +29,18 @@ import torch
 from torch import Tensor
 
 from ... import color
-from ...calibrate.estimate import why_not
 from ...calibrate.refine import ITERATIONS, PRIORS, UNKNOWNS, refine_views
 from ...capture import Capture
 from ...color import CLIPPED
 from ...material.maps import SVBRDF
 from ...material.resample import area_averaged, enlarged
-from ...render import Renderer, make_renderer
+from ...render import make_renderer
 from ...system.profile import profiled
 from ...views import Views, coverage_angle, cubic, geometry
 from ..config import HierarchicalConfig
-from ..fixed_maps import fixed_maps
-from ..left_out import no_flash_offset
+from ..method import Method
 from ..start import robust_start
+from ..task import FitTask
 from .appearance import appearance_of, basis_materials, membership
 from .moved_views import DAMPED, FEW_STEPS, LEVELLED, TILTED
 from .sharing import LEAST_SPREAD, NOBODY, shared
@@ -78,14 +77,11 @@ LESS = 1e-3  # share of its cost that a texel must save to take another start
 TILTS, GOLDEN = (0.15, 0.4, 0.8), math.pi * (3 - math.sqrt(5))  # slopes tried as starts, and the turn from one to the next
 
 
-class Hierarchical:
-    """Rounds of the hierarchical fit; see :class:`mitsvbrdf.fit.method.Method`.
+class Hierarchical(Method):
+    """Rounds of the hierarchical fit.
 
     Args:
-        capture: photos and views.
-        renderer: draws the comparison; the solver runs Mitsuba's BSDF whatever it is.
-        guess: guessed diffuse map, R x R x 3 linear.
-        config: settings.
+        task: what to fit. Its renderer draws the comparison; the solver runs Mitsuba's BSDF whatever it is.
 
     Raises:
         BackendError: Mitsuba, the variant or libLLVM is missing.
@@ -94,14 +90,12 @@ class Hierarchical:
     measured_every = 6  # rounds; measuring a full-size material costs more than a coarse round
     latest_is_best = True  # the photos seen are explained best by maps that burn highlights in
 
-    def __init__(self, capture: Capture, renderer: Renderer, guess: Tensor, config: HierarchicalConfig) -> None:
-        self.config, self.views = config, capture.views
-        self.held = fixed_maps(config.fix, config.bsdf, capture.resolution)
-        # Views are refined from the start, and of exact photos too.
-        self.unsure = config.calibrate or capture.calibration in ("photos", "none")
-        self.known = capture.calibrated or why_not(capture) is None
-        self.fits_offset = config.calibrate is not False and no_flash_offset(capture, renderer, config) is None
-        self.variant = renderer.variant or "llvm_ad_rgb"
+    def __init__(self, task: FitTask[HierarchicalConfig]) -> None:
+        super().__init__(task)
+        capture, guess, config = task.capture, task.guess, task.config
+        self.config = config
+        self.unsure, self.known = task.refined == "always", task.refined != "never"
+        self.variant = task.renderer.variant or "llvm_ad_rgb"
         self.full, self.guess = capture, guess
         self.few = capture.sampled(min(COARSE, capture.resolution))
         self.small = capture.averaged(min(COARSE, capture.resolution))
@@ -465,7 +459,7 @@ class Hierarchical:
 
     def _solver(self, side: int) -> TexelSolver:
         if side not in self.solvers:
-            held = {name: area_averaged(value, side) for name, value in self.held.items()}
+            held = {name: area_averaged(value, side) for name, value in self.fixed.items()}
             self.solvers[side] = TexelSolver(self.config.bsdf, held, self.config.grey_specular, self.variant)
         return self.solvers[side]
 

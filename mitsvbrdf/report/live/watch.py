@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import threading
@@ -12,10 +11,12 @@ from typing import Any
 
 from ...errors import OutputError
 from ...fit.checkpoint import load_tensors
+from ...fit.record import FILE as FIT_FILE
+from ...fit.record import record_in
 from ...material.maps import CHANNELS, TITLES, shown_map
 from ...system import images, result_folder
 
-FIT_FILE, REPORT_FILE, SHEET_FILE = "fit.json", "report.html", "sheet.png"
+REPORT_FILE, SHEET_FILE = "report.html", "sheet.png"
 ENDED = {"settled": "settled: going on would change little", "budget": "out of seconds", "iterations": "all iterations done",
          "interrupted": "interrupted by Ctrl-C", "unstable": "too many steps had to be undone"}
 
@@ -130,7 +131,7 @@ class Watch:
         version = _version(self.out / FIT_FILE)
         if version and not (self.result and self.result.version == version):
             try:
-                record = json.loads((self.out / FIT_FILE).read_text())
+                record = record_in(self.out)
                 note = {key: record[key] for key in ("method", "renderer", "bsdf", "stopped", "trace", "warnings", "seconds")}
                 note |= {"run": None, "capture": record["capture"]["name"], "resolution": record["capture"]["resolution"],
                          "iteration": record["iterations"], "share": 1.0, "latest": None}

@@ -6,7 +6,7 @@ from helpers import ANALYTIC, GRID
 
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture
-from mitsvbrdf.fit import GanConfig, make_method
+from mitsvbrdf.fit import FitTask, GanConfig, make_method
 from mitsvbrdf.fit.generator.networks import AllPhotosGenerator, PatchDiscriminator, TwoStreamGenerator
 from mitsvbrdf.material.made import make_material
 
@@ -15,7 +15,7 @@ def test_input_and_rendering_of_the_gan_show_the_same_blend():
     # Were the generator right, its picture would be the input itself, for one photo and for blends of two.
     truth, views = make_material("inlay", 16), GRID
     photos = color.to_display(ANALYTIC.render(truth, views))
-    gan = make_method(Capture(photos, views), ANALYTIC, truth["diffuse"], GanConfig(width=8))
+    gan = make_method(FitTask(Capture(photos, views), ANALYTIC, GanConfig(width=8), truth["diffuse"]))
     seen = set()
     for _ in range(20):
         photo, picked, weights = gan._draw_input()

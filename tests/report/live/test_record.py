@@ -9,7 +9,7 @@ from helpers.live_fits import FAST, SIDE, fit_into, served, state_of
 
 from mitsvbrdf import cli
 from mitsvbrdf.capture import write_capture
-from mitsvbrdf.fit import DirectConfig, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf, make_method
+from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf, make_method
 from mitsvbrdf.fit import live as fit_live
 from mitsvbrdf.fit.checkpoint import load_tensors
 from mitsvbrdf.fit.live import LiveRecord
@@ -43,7 +43,7 @@ def test_pictures_are_the_maps(tmp_path, capture, every_step):
 
 def test_maps_are_the_latest_not_the_best(tmp_path, capture, every_step):
     # Where a fit gets worse for a while its maps are still seen to move.
-    method = make_method(capture, ANALYTIC, torch.full((SIDE, SIDE, 3), 0.3), FAST)
+    method = make_method(FitTask(capture, ANALYTIC, FAST, torch.full((SIDE, SIDE, 3), 0.3)))
     loop = Loop(method, capture, ANALYTIC, FAST, live=LiveRecord(tmp_path / result_folder.LIVE))
     loop.best = 0.0, make_material("tiles", SIDE), capture.views  # nothing is better than that
     loop.run()
@@ -83,7 +83,7 @@ def test_a_fit_has_the_same_bits_unwatched(name, config, tmp_path, capture, ever
 def test_hierarchical_shows_each_round(tmp_path, capture, every_step):
     # Between measurements too: the maps then are those of its unknowns, at the size it works at.
     config, mitsuba = HierarchicalConfig(iterations=3), make_renderer("mitsuba")
-    method = make_method(capture, mitsuba, torch.full((SIDE, SIDE, 3), 0.3), config)
+    method = make_method(FitTask(capture, mitsuba, config, torch.full((SIDE, SIDE, 3), 0.3)))
     loop = Loop(method, capture, mitsuba, config, live=LiveRecord(tmp_path / result_folder.LIVE))
     maps, step = [], method.step
 

@@ -1,0 +1,91 @@
+"""What a fit is given and what it may find, decided once for all methods: guess, fixed maps, and which views may move."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Generic, Literal, TypeVar
+
+from torch import Tensor
+
+from ..calibrate.estimate import EstimatedViews, self_calibrated, why_not
+from ..capture import Capture, guess_diffuse
+from ..render import Renderer
+from . import losses
+from .config import FitConfig
+from .fixed_maps import fixed_maps
+
+Config = TypeVar("Config", bound=FitConfig)
+Refined = Literal["never", "unless exact", "always"]
+
+
+@dataclass(frozen=True, eq=False)
+class FitTask(Generic[Config]):
+    """A capture to fit with a method's settings. What follows from them is found when first asked for, and kept.
+
+    Args:
+        capture: photos and views.
+        renderer: carries the gradients and draws the comparison.
+        config: which method, and its settings.
+        own_guess: guessed diffuse map, R x R x 3 linear; None makes it of the photos.
+        estimated: how the views were estimated from the photos; None where they were stated, or stay the default.
+    """
+
+    capture: Capture
+    renderer: Renderer
+    config: Config
+    own_guess: Tensor | None = None
+    estimated: EstimatedViews | None = None
+
+    @cached_property
+    def fixed(self) -> Mapping[str, Tensor]:
+        """The maps that are not fitted, by name, R x R x C."""
+        return fixed_maps(self.config.fix, self.config.bsdf, self.capture.resolution)
+
+    @cached_property
+    def guess(self) -> Tensor:
+        """The guessed diffuse map, R x R x 3 linear; or the diffuse map itself where it is fixed."""
+        if self.own_guess is not None:
+            return self.own_guess
+        return self.fixed["diffuse"].contiguous() if "diffuse" in self.fixed else guess_diffuse(self.capture, self.config.guess)
+
+    @cached_property
+    def unused(self) -> dict[str, str]:
+        """The method's losses that are not computed, and why."""
+        return losses.unused(self.config.weights, self.config.bsdf, self.fixed)
+
+    @cached_property
+    def views_known(self) -> bool:
+        """Whether the views are stated, or can be estimated from the photos."""
+        return self.capture.calibrated or why_not(self.capture) is None
+
+    @cached_property
+    def why_no_flash_offset(self) -> str | None:
+        """Why the sideways distance between lens and flash is not fitted; None where it is."""
+        config = self.config
+        if not config.wants_flash_offset:
+            return "not asked for"
+        if not self.capture.calibrated and (config.holds_views or not self.views_known):
+            return "the views are a stated default, not a calibration"
+        if config.holds_views:
+            return "the views are held"
+        return "mitsuba-scene has no gradient to the lights" if self.renderer.name == "mitsuba-scene" else None
+
+    @property
+    def refined(self) -> Refined:
+        """When the method refines camera, flash and exposure of each photo; exact are photos that follow the model."""
+        if self.config.holds_views or self.config.refines_views is False or not self.views_known:
+            return "never"
+        return "always" if self.config.refines_views or self.capture.calibration in ("photos", "none") else "unless exact"
+
+    @property
+    def light_power_unknown(self) -> bool:
+        """Whether the maps may tell the light power: it was estimated, or views come from features, which do not tell it."""
+        return self.estimated is not None or self.capture.calibration == "photos" and not self.config.holds_views
+
+
+def fit_task(capture: Capture, renderer: Renderer, config: Config) -> FitTask[Config]:
+    """The task of a fit, with views estimated where the capture has none, but for a method that holds them."""
+    capture, estimated = (capture, None) if config.holds_views else self_calibrated(capture)
+    return FitTask(capture, renderer, config, estimated=estimated)
