@@ -41,7 +41,7 @@ def test_peers_baseline_is_plain_adam_on_clamped_gamma_values():
 
 def test_peers_baseline_goes_on_bit_by_bit_and_stays_in_range():
     capture = photos_of(make_material("tiles", 8))
-    method = PeersBaseline(FitTask(capture, ANALYTIC, PeersConfig(learning_rate=0.7)))  # large steps, so that every bound is met
+    method = PeersBaseline(FitTask(capture, ANALYTIC, PeersConfig(learning_rate=0.7)))  # large steps meet every bound
     for _ in range(5):
         method.step(0.0)
     state = method.state()

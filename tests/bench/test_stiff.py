@@ -43,11 +43,16 @@ def test_the_networks_too(name, config):
     assert row["rerender_rmse"] <= row["start_rmse"]
 
 
+# These cases' photos are no exact ones of any material: they are fitted as a phone's, from one start.
+ONE_START = {"light stated 4x too weak", "camera positions 5 % off", "nine identical photos", "constant grey photos"}
+
+
 @pytest.mark.parametrize("name", stiff.CASES)
 def test_the_default_settles_and_ends_finite(name):
     row = stiff.run(stiff.CASES[name](SIDE), HierarchicalConfig(iterations=100), ANALYTIC)
     json.dumps(row, allow_nan=False)
-    assert row["stopped"] == "settled" and row["iterations"] < 40 and not row["undone"]
+    assert row["stopped"] == "settled" and not row["undone"]
+    assert row["iterations"] < (40 if name in ONE_START else 60)  # measured 30 and, from three starts, 54
     assert any(WARNS.get(name, "") in warning for warning in row["warnings"]) or name not in WARNS
     if name in ("a single photo", "nine identical photos", "constant grey photos"):
         assert row["confidence"]["roughness"]["determined_share"] < 0.05  # measured 0

@@ -15,7 +15,8 @@ SIDE = 16
 
 
 def loop_of(capture, config, renderer=ANALYTIC, **options):
-    return Loop(make_method(FitTask(capture, renderer, config, torch.full((SIDE, SIDE, 3), 0.2))), capture, renderer, config, **options)
+    method = make_method(FitTask(capture, renderer, config, torch.full((SIDE, SIDE, 3), 0.2)))
+    return Loop(method, capture, renderer, config, **options)
 
 
 def poison_parameters(loop, value=math.inf):

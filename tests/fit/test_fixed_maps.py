@@ -77,7 +77,7 @@ def test_nothing_is_allocated_for_a_map_that_is_held(method, capture):
 @pytest.mark.parametrize("method", METHODS)
 def test_one_grey_specular_level(method, capture):
     settings = config_of(method, grey_specular=True, iterations=3)
-    made = make_method(FitTask(capture, ANALYTIC, settings, torch.full((SIDE, SIDE, 3), 0.2)))
+    made = make_method(FitTask(capture, make_renderer("analytic"), settings, torch.full((SIDE, SIDE, 3), 0.2)))
     seen = []
     render = made.renderer.render
     made.renderer.render = lambda svbrdf, views: (seen.append(svbrdf["specular"]), render(svbrdf, views))[1]

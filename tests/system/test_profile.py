@@ -151,7 +151,7 @@ def test_parts_sum_to_the_step_and_change_nothing(method, capture):
 
 def test_off_nothing_is_collected(capture):
     assert profiled("a") is profiled("b")
-    fit = make_method(FitTask(capture, ANALYTIC, CONFIGS["direct"], torch.full((32, 32, 3), 0.3)))
+    fit = make_method(FitTask(capture, make_renderer("analytic"), CONFIGS["direct"], torch.full((32, 32, 3), 0.3)))
     seen = []
     render = fit.renderer.render
     fit.renderer.render = lambda *a: seen.append(render(*a)) or seen[-1]
