@@ -7,18 +7,17 @@ import gc
 
 import pytest
 import torch
+from helpers import GRID, TWIN
 
 from mitsvbrdf import color
 from mitsvbrdf.fit.hierarchical import kernel
 from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import CHANNELS, SVBRDF
-from mitsvbrdf.render import make_renderer
 from mitsvbrdf.render.analytic import AnalyticRenderer
 from mitsvbrdf.testing import random_material
-from mitsvbrdf.views import Views, nine_view_grid
+from mitsvbrdf.views import Views
 
-GRID = nine_view_grid()
 APART = Views.of(GRID.camera, GRID.camera + torch.tensor([0.5, -0.3, 0.1]), GRID.intensity)
 PAPER = Views.of(GRID.camera * 5, None, GRID.intensity * 25, size=5.0, falloff="none")
 SIDE = 20
@@ -47,7 +46,7 @@ class Case:
         for u, (low, high) in enumerate(zip(self.low, self.high)):  # some at their bounds, a few of them all at once
             if high == 1:
                 self.x[u, u], self.x[u, -1 - u], self.x[u, -1, :2] = low, high, low
-        truth = make_renderer("analytic64").render(random_material(self.bsdf, SIDE, seed=2), self.views)
+        truth = TWIN.render(random_material(self.bsdf, SIDE, seed=2), self.views)
         random = torch.Generator().manual_seed(3)
         weights = torch.rand(len(self.views), SIDE, SIDE, generator=random) if self.weighted else None
         self.observations = Observations(color.to_display(truth, self.transfer).float(), self.views, self.transfer, 0.02,
@@ -122,8 +121,6 @@ class Twin:
         free = ~(stuck[..., None] | stuck[..., None, :]) | torch.eye(x.shape[-1], dtype=torch.bool)
         step = torch.linalg.solve(curve * free, torch.where(stuck, 0, down))
         return torch.minimum(torch.maximum(x + step, low), high).permute(2, 0, 1)
-
-
 
 
 @pytest.fixture(params=CASES)
@@ -206,7 +203,7 @@ def test_finds_known_maps(name):
     material, side = make_material(name, 32), 32
     solver = TexelSolver("roughconductor")
     truth = solver.numbers(material)
-    photos = (color.to_display(make_renderer("analytic64").render(material, GRID)).float() * 255).round() / 255
+    photos = (color.to_display(TWIN.render(material, GRID)).float() * 255).round() / 255
     observations = Observations(photos, GRID, "gamma2.2", noise=1 / 255)
     x = truth.mean(dim=(1, 2), keepdim=True).expand_as(truth).clone()
     x[-3:] = torch.tensor([0.4, 0, 0])[:, None, None]
