@@ -1,7 +1,6 @@
 """The command: interrupted runs go on, data is found, and mistakes are one error."""
 
 import json
-import sys
 
 import pytest
 from helpers import ANALYTIC, GRID, photos_of
@@ -89,7 +88,7 @@ def test_interrupted_runs_go_on_with_the_same_records(out, monkeypatch, capsys):
 
 @pytest.mark.slow
 def test_quick_measures_everything(out, monkeypatch, tmp_path):
-    monkeypatch.setattr(sys.modules["mitsvbrdf.cli.bench"], "QUICK_CASES", {"sizes": (8,), "views": (1,), "samples": ()})
+    monkeypatch.setattr("mitsvbrdf.cli.bench.QUICK_CASES", {"sizes": (8,), "views": (1,), "samples": ()})
     monkeypatch.setattr("mitsvbrdf.bench.methods.VARIANTS", {"no neighbours": {"neighbours": False}})
     for suite in ("ablation", "all"):
         assert cli.main(["bench", "--quick", "--suite", suite, "--renderer", "analytic", "--resolution", "16", "--budgets",

@@ -61,7 +61,7 @@ def test_resumed_frames_are_those_of_an_uninterrupted_run(tmp_path, monkeypatch,
     options = {"preset": "sphere,sweep", "frames": 3, "movie": "mp4,gif"}
     assert run(tmp_path / "whole", **options) == 0
     with monkeypatch.context() as patch:
-        patch.setattr(sys.modules[relight.__module__], "stop_signals", lambda: contextlib.nullcontext(StopAfter(5 * 4 + 2)))
+        patch.setattr("mitsvbrdf.cli.relight.stop_signals", lambda: contextlib.nullcontext(StopAfter(5 * 4 + 2)))
         assert run(tmp_path / "parts", **options) == 0
     assert "--resume" in capsys.readouterr().out
     begun = record(tmp_path / "parts")["presets"]
@@ -129,7 +129,7 @@ def test_an_end_before_the_next_frame_loses_none(tmp_path, monkeypatch):
     options = {"preset": "sweep", "frames": 2, "movie": "none"}
     run(tmp_path / "o", **options)
     with monkeypatch.context() as patch:
-        patch.setattr(sys.modules[relight.__module__], "stop_signals", lambda: contextlib.nullcontext(StopAfter(0)))
+        patch.setattr("mitsvbrdf.cli.relight.stop_signals", lambda: contextlib.nullcontext(StopAfter(0)))
         run(tmp_path / "o", resume=True, **options | {"preset": "sweep,sphere"})
     assert len(pictures(tmp_path / "o", "sweep")) == len(record(tmp_path / "o")["presets"]["sweep"]["frames"]) == 2
     run(tmp_path / "o", resume=True, **options | {"preset": "sweep,sphere"})

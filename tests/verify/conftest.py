@@ -1,8 +1,9 @@
 """Fixtures that the tests of this folder share."""
 
 import pytest
-from helpers.broken_renderers import BOTH, THREE, command
+from helpers.crosschecks import BOTH, THREE
 
+from mitsvbrdf.cli import crosscheck as command
 from mitsvbrdf.material.corner_cases import corner_materials
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.render import make_renderer

@@ -6,9 +6,10 @@ import re
 import pytest
 import torch
 from helpers import ANALYTIC, GRID, TWIN
-from helpers.broken_renderers import BOTH, THREE, command
+from helpers.crosschecks import BOTH, THREE
 
 from mitsvbrdf import cli
+from mitsvbrdf.cli import crosscheck as command
 from mitsvbrdf.material.corner_cases import builtin_materials
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps

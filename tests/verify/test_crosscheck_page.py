@@ -5,7 +5,7 @@ import re
 
 import pytest
 from helpers import ANALYTIC, ROOT, TWIN
-from helpers.broken_renderers import THREE
+from helpers.crosschecks import THREE
 
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.measure.gradients import render_and_gradients

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 from helpers import GRID, TWIN
-from helpers.broken_renderers import BOTH, THREE
+from helpers.crosschecks import BOTH, THREE
 
 from mitsvbrdf.material.corner_cases import as_bsdf, corner_materials
 from mitsvbrdf.material.made import make_material

@@ -10,6 +10,7 @@ from mitsvbrdf.fit.hierarchical.appearance import appearance_of, basis_materials
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.views import Views, nine_view_grid
 
+
 def test_a_patch_of_two_colours_splits_in_two():
     left = (torch.arange(16) < 8).float()[None, :, None].expand(16, 16, 1)
     material = flat(16, specular=0.04, roughness=0.4)

@@ -17,6 +17,7 @@ from mitsvbrdf.measure.metrics import map_rmse
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.views import Views
 
+
 def sane(result, resolution, bsdf="roughconductor"):
     result.svbrdf.check()
     assert result.svbrdf.resolution == resolution and result.svbrdf.bsdf == bsdf and not result.undone

@@ -16,6 +16,7 @@ from mitsvbrdf.fit.hierarchical.stages import Stage
 from mitsvbrdf.fit.loop import Loop
 from mitsvbrdf.material.maps import CHANNELS
 
+
 def cost_of(method, x, mean, precision):
     """The cost of each texel at x in float64, by the analytic renderer: robust errors over noise, and the prior."""
     seen, noise = method.observations(method.scale, method.answer), float(method.stages.noise)

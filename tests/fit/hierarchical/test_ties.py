@@ -18,6 +18,7 @@ from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.measure.burn_in import explained_share
 from mitsvbrdf.views import Views, coverage_angle, cubic, texel_positions
 
+
 def striped():
     """Two paints in stripes, and photos whose highlights all lie over the left part: none reaches the right columns."""
     stripe = ((torch.arange(SIDE) // 4) % 2 == 0).float()[:, None, None].expand(SIDE, SIDE, 1)

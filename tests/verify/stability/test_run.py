@@ -1,6 +1,5 @@
 """Broken renderers are found out."""
 
-import importlib
 import json
 import math
 
@@ -39,8 +38,7 @@ class Broken(AnalyticRenderer):
 @pytest.mark.parametrize("how, expected", [("nan at grazing", "not finite: 1536 of image"), ("refuses", "refused: expected"),
                                            ("silent", "wrong: "), ("wrong slope", "wrong: diffuse 0.001")])
 def test_a_broken_renderer_is_found_out(one_case, monkeypatch, tmp_path, how, expected):
-    command = importlib.import_module("mitsvbrdf.cli.stability")
-    monkeypatch.setattr(command, "make_renderer", lambda name, variant: Broken(how))
+    monkeypatch.setattr("mitsvbrdf.cli.stability.make_renderer", lambda name, variant: Broken(how))
     out = [f"--{kind}={tmp_path / kind}" for kind in ("json", "html")]
     assert cli.main(["stability", "--renderer", "analytic", "--only", "tilt", *out]) == 1
     record = json.loads((tmp_path / "json").read_text())
