@@ -61,7 +61,7 @@ CLAMPS = (
     Clamp("toe of gamma 2.2", "`color.py`, `TOE`",
           f"The power curve is vertical at 0. Below {TOE:g} (2/3 of an 8-bit step) it is its chord: the slope is at most 1282.",
           lambda case, radiance: case.transfer == "gamma2.2" and bool((radiance < TOE).any())),
-    Clamp("burnt-out photos", "`fit/losses.py`, `CLIPPED`",
+    Clamp("burnt-out photos", "`color.py`, `CLIPPED`",
           f"A photo value from {CLIPPED} on says at least this bright: gradient 0 where the rendering is brighter still.",
           lambda case, radiance: case.transfer is not None and bool((radiance >= 1).any())),
     Clamp("facing away", "`render/analytic.py`, `lit`",
