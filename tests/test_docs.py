@@ -1,7 +1,9 @@
-"""What README and docs say is run, in the order it stands there, on made photos and shortened."""
+"""Commands in README and docs are understood; the slow suite runs them, in their order, on made photos and shortened."""
 
+import functools
 import re
 import shlex
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -31,6 +33,25 @@ def photos(tmp_path, monkeypatch):
     assert cli.main(["synth", "builtin:inlay", "-o", "photos", "--resolution", "32"]) == 0
 
 
+PAGES = [ROOT / "README.md", ROOT / "ARCHITECTURE.md", *sorted((ROOT / "docs").glob("*.md"))]
+TYPED = [line for page in PAGES for line in re.findall(r"^    mitsvbrdf (.*)$", page.read_text(), re.M)]
+
+
+@pytest.mark.parametrize("line", dict.fromkeys(TYPED))
+def test_commands_are_understood(line, monkeypatch):
+    """Parsed as typed, with the command itself left out."""
+    called, of = [], cli.command
+
+    def parsed(name, arguments):
+        function = of(name, arguments)
+        return functools.wraps(function)(lambda *given, **options: called.append(name) or 0)
+
+    monkeypatch.setattr(cli, "command", parsed)
+    arguments = shlex.split(line, comments=True)
+    assert cli.main(arguments) == 0 and called == arguments[:1]
+
+
+@pytest.mark.slow
 def test_readme_commands(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     lines = re.findall(r"^    mitsvbrdf (.*)$", (ROOT / "README.md").read_text(), re.M)
@@ -51,6 +72,7 @@ def test_readme_python(photos):
     assert Path("out/fit.json").is_file()
 
 
+@pytest.mark.slow
 def test_capture_page_commands(tmp_path, monkeypatch):
     """In the order in which they can be typed: photos come from the simulated phone."""
     monkeypatch.chdir(tmp_path)
@@ -66,9 +88,19 @@ def test_capture_page_commands(tmp_path, monkeypatch):
 
 
 def test_links_lead_somewhere():
-    for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]:
+    for page in PAGES:
         for target in re.findall(r"\]\((?!http)([^)#]+)", page.read_text()):
             assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_architecture_shows_the_law_and_files_that_are_there():
+    page = (ROOT / "ARCHITECTURE.md").read_text()
+    law = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"][0]["layers"]
+    picture = re.search(r"\n\n((?:    .*\n)+)", page)[1]
+    drawn = [line[4:].split("  ")[0].rstrip() for line in picture.splitlines() if line[4] not in " |"]
+    assert drawn == law
+    for name in re.findall(r"`([\w/]+(?:/|\.py))`", page):
+        assert any((root / name).exists() for root in (ROOT, ROOT / "mitsvbrdf", *(ROOT / "mitsvbrdf").iterdir())), name
 
 
 def test_formats_page_names_every_field_of_fit_json(photos):
