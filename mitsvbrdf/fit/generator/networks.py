@@ -94,6 +94,7 @@ class PatchDiscriminator(nn.Module):
             nn.Conv2d(8 * w, 1, 3, padding=1), nn.Sigmoid())
 
     def forward(self, image: Tensor) -> Tensor:
+        """The probabilities of an image's patches."""
         return self.layers(pad_to_multiple(image * 2 - 1, 16))
 
 
@@ -126,8 +127,8 @@ class AllPhotosGenerator(nn.Module):
         layers = [_block(nn.Conv2d(below + at, at, *((1,) if at == widths[0] else (3, 1, 1))), at, self.normalise)
                   for at, below in zip(widths[-2::-1], widths[:0:-1])]
         last = nn.Conv2d(widths[0], channels, 1)
-        nn.init.zeros_(last.weight)
-        nn.init.zeros_(last.bias)
+        for parameter in last.parameters():
+            nn.init.zeros_(parameter)
         return nn.ModuleList([*layers, last])
 
     def forward(self, condition: Tensor) -> dict[str, Tensor]:
@@ -142,10 +143,10 @@ class AllPhotosGenerator(nn.Module):
             levels.append(layer(levels[-1]))
         out: dict[str, Tensor] = {}
         for decoder, stream in zip(self.up, self.streams):
-            x = levels[-1]
-            for layer, skip in zip(decoder[:-1], levels[-2:0:-1]):
+            x, (*layers, last) = levels[-1], decoder.children()
+            for layer, skip in zip(layers, levels[-2:0:-1]):
                 x = layer(torch.cat((F.interpolate(x, scale_factor=2.0, mode="nearest"), skip), dim=1))
-            maps = decoder[-1](x)[:, :, :size, :size]
+            maps = last(x)[:, :, :size, :size]
             out |= dict(zip(stream, maps.split(list(stream.values()), dim=1)))
         return out
 
