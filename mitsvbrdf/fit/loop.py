@@ -20,7 +20,7 @@ from ..render import Renderer
 from ..system.interrupts import stop_signals
 from ..system.profile import STEP, profiled
 from ..views import Views
-from .checkpoint import load_tensors, save_tensors
+from .checkpoint import load_tensors, part, save_tensors
 from .config import FitConfig
 from .method import Method, finite
 
@@ -250,18 +250,14 @@ class Loop:
         if note.get("task") != self._task():
             raise ConfigError("the photos, views, renderer and options of the first run", f"others than {path} was made with",
                               "resume with the same ones; only --iterations and --budget may change")
-
-        def part(prefix: str) -> dict[str, Tensor]:
-            return {key.removeprefix(prefix): value for key, value in tensors.items() if key.startswith(prefix)}
-
         try:
-            self.method.load_state(part("method."))
+            self.method.load_state(part(tensors, "method."))
         except (KeyError, RuntimeError, ValueError) as reason:
             raise ConfigError("a checkpoint of the same options", f"{path}: {str(reason).splitlines()[0]}",
                               "resume with the options of the first run") from None
-        lit = part("best_views.")
+        lit = part(tensors, "best_views.")
         views = replace(self.method.views, camera=lit["camera"], light=lit["light"], intensity=lit["intensity"])
-        self.seen = self.best = note["best_rmse"], SVBRDF(self.config.bsdf, part("best.")), views
+        self.seen = self.best = note["best_rmse"], SVBRDF(self.config.bsdf, part(tensors, "best.")), views
         self.iteration, self.seconds, self.trace = note["iteration"], note["seconds"], note["trace"]
         self.undone, self.restarts, self.rising = note["undone"], note["restarts"], note["rising"]
-        self.lowest = note["lowest_loss"], part("lowest.")
+        self.lowest = note["lowest_loss"], part(tensors, "lowest.")

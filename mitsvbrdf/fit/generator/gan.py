@@ -17,7 +17,7 @@ from ...material.maps import SVBRDF
 from ...system.profile import profiled, switch_at
 from ...views import Views
 from .. import losses
-from ..checkpoint import load_module_state, load_optimizer_state, load_tensors, module_state, optimizer_state
+from ..checkpoint import load_module_state, load_optimizer_state, load_tensors, module_state, optimizer_state, part
 from ..config import GanConfig
 from ..method import Method, descend
 from ..parameters import from_units, streams_of
@@ -87,7 +87,7 @@ class Gan(Method[GanConfig]):
             fake = self._picture(svbrdf, views, weights)
             with profiled("discriminator"):
                 if first:
-                    logged["discriminator"] = self._teach_discriminator(photo, fake.detach())
+                    logged["discriminator"] = self.discriminator.learn(photo, fake.detach(), self.optimizers["judge"])
                 adversarial = losses.adversarial(self.discriminator(fake))
                 switch_at("discriminator, backward", adversarial)
             with profiled("losses"):
@@ -122,10 +122,6 @@ class Gan(Method[GanConfig]):
             picture = color.to_display(blend, self.capture.transfer).permute(2, 0, 1)[None]
             switch_at("losses, backward", picture)
         return picture
-
-    def _teach_discriminator(self, real: Tensor, fake: Tensor) -> float:
-        loss = losses.discriminator(self.discriminator(real), self.discriminator(fake))
-        return float(loss.detach()) + descend(loss, self.optimizers["judge"])
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The maps generated from the first photo, and the views, which stay."""
@@ -168,9 +164,8 @@ def load_generator(generator: TwoStreamGenerator, config: GanConfig, path: str) 
         ConfigError: no checkpoint, or one of another width or parameter set.
     """
     tensors, note = load_tensors(path)
-    weights = {k.removeprefix("method."): v for k, v in tensors.items() if k.startswith("method.generator.")}
     try:
-        load_module_state("generator", generator, weights)
+        load_module_state("generator", generator, part(tensors, "method."))
     except RuntimeError:
         raise ConfigError(f"a generator of width {config.width} for {config.bsdf}",
                           f"another one in {path} (bsdf {note.get('bsdf')})",

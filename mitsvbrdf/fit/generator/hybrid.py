@@ -81,7 +81,7 @@ class Hybrid(Method[HybridConfig]):
             real, fake = self._patches(rendered)
             switch_at("losses, backward", fake)
             with profiled("discriminator"):
-                logged["discriminator"] = self._teach_discriminator(real, fake.detach())
+                logged["discriminator"] = self.discriminator.learn(real, fake.detach(), self.judge)
                 loss = losses.adversarial(self.discriminator(fake))
                 switch_at("discriminator, backward", loss)
             return loss
@@ -127,10 +127,6 @@ class Hybrid(Method[HybridConfig]):
         cut = (slice(photo, photo + 1), slice(top, top + side), slice(left, left + side))
         fake = color.to_display(rendered[cut], self.capture.transfer)
         return self.capture.photos[cut].permute(0, 3, 1, 2), fake.permute(0, 3, 1, 2)
-
-    def _teach_discriminator(self, real: Tensor, fake: Tensor) -> float:
-        loss = losses.discriminator(self.discriminator(real), self.discriminator(fake))
-        return float(loss.detach()) + descend(loss, self.judge)
 
     def cut_step(self) -> None:
         """Halve both step sizes."""
