@@ -65,6 +65,15 @@ def fixed_maps(fix: Sequence[str], bsdf: Bsdf, resolution: int) -> dict[str, Ten
     return fixed
 
 
+def unknown_but(fixed: Mapping[str, Tensor], bsdf: Bsdf, resolution: int, grey_specular: bool) -> SVBRDF:
+    """A material of which only the fixed maps are known: the others want a gradient."""
+    def unknown(name: str, channels: int) -> Tensor:
+        own = 1 if grey_specular and name == "specular" else channels
+        return torch.ones(own, requires_grad=True).expand(resolution, resolution, channels)
+
+    return SVBRDF(bsdf, {n: fixed[n] if n in fixed else unknown(n, channels) for n, channels in CHANNELS[bsdf].items()})
+
+
 def described(fix: Sequence[str]) -> dict[str, str]:
     """Map name -> "held at VALUE", for lists of what a fit left out."""
     return {name: f"held at {value}" for name, _, value in (item.partition("=") for item in fix)}

@@ -26,6 +26,7 @@ from ...render.needs import Needs, scene_needs
 from ...render.plugins import register
 from ...render.texel_plugin import from_torch, to_torch
 from ...views import Views
+from ..fixed_maps import unknown_but
 from .kernel import Kernel
 from .unknowns import Unknowns
 
@@ -91,7 +92,7 @@ class TexelSolver:
 
     def __init__(self, bsdf: Bsdf, fixed: Mapping[str, Tensor] | None = None, grey_specular: bool = False,
                  variant: str = "llvm_ad_rgb") -> None:
-        self.bsdf, self.fixed, self.variant = bsdf, dict(fixed or {}), variant
+        self.bsdf, self.fixed, self.variant, self.grey_specular = bsdf, dict(fixed or {}), variant, grey_specular
         self.mi = mitsuba_module(variant)
         register(self.mi)
         counts = CHANNELS[bsdf] | {"normal": 2} | ({"specular": 1} if grey_specular else {})
@@ -183,12 +184,7 @@ class TexelSolver:
 
     def _known(self, views: Views, side: int) -> tuple[Needs, dict[str, Tensor]]:
         """What the scene needs, and the fixed maps that are read."""
-
-        def unknown(name: str, count: int) -> Tensor:
-            channels = CHANNELS[self.bsdf][name]
-            return torch.ones(channels if count > 1 else 1, requires_grad=True).expand(side, side, channels)
-
-        material = SVBRDF(self.bsdf, {name: unknown(name, *count) for name, count in self.unknowns.shapes.items()} | self.fixed)
+        material = unknown_but(self.fixed, self.bsdf, side, self.grey_specular)
         needs = replace(scene_needs(material, views, "mitsuba"), left_out=())
         return needs, {name: value for name, value in needed_maps(material, needs).items() if name in self.fixed}
 
