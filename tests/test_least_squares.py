@@ -41,8 +41,7 @@ class Case:
     def __post_init__(self):
         material = random_material(self.bsdf, SIDE, seed=1)
         self.solver = TexelSolver(self.bsdf, {name: material[name] for name in self.held}, self.grey)
-        self.low, self.high = (torch.tensor([ends[name] for name in self.solver.unknowns.names])
-                               for ends in (LOW, HIGH))
+        self.low, self.high = (torch.tensor([ends[name] for name in self.solver.unknowns.names]) for ends in (LOW, HIGH))
         self.x = self.solver.numbers(material)
         for u, (low, high) in enumerate(zip(self.low, self.high)):  # some at their bounds, a few of them all at once
             if high == 1:
