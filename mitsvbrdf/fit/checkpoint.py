@@ -38,6 +38,11 @@ def load_tensors(path: Path | str) -> tuple[dict[str, Tensor], dict]:
         raise ConfigError("a checkpoint of mitsvbrdf (.safetensors)", f"{path}: {reason}", "check the path") from None
 
 
+def part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """The tensors whose name begins with a prefix, named without it."""
+    return {key.removeprefix(prefix): value for key, value in tensors.items() if key.startswith(prefix)}
+
+
 def optimizer_state(name: str, optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
     """A copy of an optimiser's running averages, as named tensors."""
     return {f"{name}.{i}.{key}": value.clone() for i, entry in optimizer.state_dict()["state"].items()
@@ -47,10 +52,9 @@ def optimizer_state(name: str, optimizer: torch.optim.Optimizer) -> dict[str, Te
 def load_optimizer_state(name: str, optimizer: torch.optim.Optimizer, state: dict[str, Tensor]) -> None:
     """The inverse of :func:`optimizer_state`; step sizes stay as they are."""
     entries: dict[int, dict[str, Tensor]] = {}
-    for key, value in state.items():
-        if key.startswith(name + "."):
-            index, field = key[len(name) + 1:].split(".", 1)
-            entries.setdefault(int(index), {})[field] = value.clone()
+    for key, value in part(state, f"{name}.").items():
+        index, field = key.split(".", 1)
+        entries.setdefault(int(index), {})[field] = value.clone()
     optimizer.load_state_dict({"state": entries, "param_groups": optimizer.state_dict()["param_groups"]})
 
 
@@ -61,4 +65,4 @@ def module_state(name: str, module: torch.nn.Module) -> dict[str, Tensor]:
 
 def load_module_state(name: str, module: torch.nn.Module, state: dict[str, Tensor]) -> None:
     """The inverse of :func:`module_state`."""
-    module.load_state_dict({k[len(name) + 1:]: v for k, v in state.items() if k.startswith(name + ".")})
+    module.load_state_dict(part(state, f"{name}."))

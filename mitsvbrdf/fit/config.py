@@ -29,6 +29,7 @@ class FitConfig:
     """What all methods share."""
 
     falloff: ClassVar[Falloff] = "inverse-square"  # the light that the method takes for granted
+    default_budget: ClassVar[float] = 120.0  # seconds
 
     bsdf: Bsdf = "roughconductor"
     """Which maps to recover: roughconductor (diffuse, specular) or principled (base colour, metallic)."""
@@ -67,7 +68,7 @@ class FitConfig:
     @property
     def default_limit(self) -> dict:
         """The limit used when neither seconds nor iterations are given."""
-        return {"budget": 120.0}
+        return {"budget": self.default_budget}
 
     @property
     def weights(self) -> dict[str, float]:
@@ -78,17 +79,17 @@ class FitConfig:
     @property
     def holds_views(self) -> bool:
         """Whether the views stay as the capture has them, stated or not."""
-        return False
+        return getattr(self, "calibrate", None) is False
 
     @property
     def refines_views(self) -> bool | None:
         """Whether each photo's view is refined; None: a stated one only where the photos do not follow the model."""
-        return False
+        return getattr(self, "calibrate", False)
 
     @property
     def wants_flash_offset(self) -> bool | None:
         """Whether the flash offset is to be fitted; None where the method has no such unknown."""
-        return None
+        return getattr(self, "flash_offset", None)
 
 
 @dataclass(frozen=True)
@@ -117,18 +118,6 @@ class HierarchicalConfig(FitConfig):
     flash_offset: bool = True
     """Whether the sideways distance between lens and flash is fitted, one for all photos (calibrations claim 0)."""
 
-    @property
-    def holds_views(self) -> bool:
-        return self.calibrate is False
-
-    @property
-    def refines_views(self) -> bool | None:
-        return self.calibrate
-
-    @property
-    def wants_flash_offset(self) -> bool | None:
-        return self.flash_offset
-
 
 @dataclass(frozen=True)
 class HybridConfig(FitConfig):
@@ -151,14 +140,12 @@ class HybridConfig(FitConfig):
     flash_offset: bool = True
     """Whether the sideways distance between lens and flash is fitted, one for all photos (calibrations claim 0)."""
 
-    @property
-    def wants_flash_offset(self) -> bool | None:
-        return self.flash_offset
-
 
 @dataclass(frozen=True)
 class DirectConfig(FitConfig):
     """The baseline: every texel on its own, from a robust start."""
+
+    default_budget: ClassVar[float] = 60.0
 
     learning_rate: float = 0.05
     """Adam's step size at the start, in logits; it falls to 2 % along a cosine."""
@@ -168,10 +155,6 @@ class DirectConfig(FitConfig):
     """Weight of the roughness of the specular and roughness maps (total variation)."""
     flat: float = 0.02
     """Weight of the tilt of the normals."""
-
-    @property
-    def default_limit(self) -> dict:
-        return {"budget": 60.0}
 
 
 @dataclass(frozen=True)
@@ -194,6 +177,7 @@ class GanConfig(FitConfig):
     """Weight of the diffuse loss beside the adversarial loss (the paper prints none)."""
 
     def check(self) -> None:
+        """Raise ConfigError for numbers out of range, and for a preset that is none or does not go with the checkpoint."""
         super().check()
         if self.preset not in get_args(Preset):
             raise ConfigError(f"a preset of {get_args(Preset)}", repr(self.preset), "choose one of these")
@@ -203,6 +187,7 @@ class GanConfig(FitConfig):
 
     @property
     def holds_views(self) -> bool:
+        """True: the paper states its views."""
         return True
 
     @property
@@ -212,5 +197,6 @@ class GanConfig(FitConfig):
 
     @property
     def default_limit(self) -> dict:
+        """The paper's iterations, without those that the checkpoint has had."""
         first, second = self.stages
         return {"iterations": second if self.pretrained else first + second}

@@ -17,13 +17,12 @@ from .start import robust_start
 from .task import FitTask
 
 
-class Direct(Method):
+class Direct(Method[DirectConfig]):
     """Steps of per-texel optimisation with Adam."""
 
     def __init__(self, task: FitTask[DirectConfig]) -> None:
         super().__init__(task)
-        config = self.config = task.config
-        self.capture, self.renderer, self.unused = task.capture, task.renderer, task.unused
+        config = task.config
         streams = streams_of(config.bsdf, self.fixed, config.grey_specular)
         start = robust_start(task.capture, task.guess, config.bsdf, self.fixed)
         self.raw = {k: v.requires_grad_() for k, v in to_raw(start, streams).items()}
@@ -52,17 +51,21 @@ class Direct(Method):
         return {name: float(value.detach()) for name, value in terms.items()} | {"gradient": gradient}
 
     def estimate(self) -> tuple[SVBRDF, Views]:
+        """The present maps, and the views, which stay."""
         with torch.no_grad():
             return to_svbrdf(self.config.bsdf, self.raw, self.fixed).map(Tensor.contiguous), self.views
 
     def cut_step(self) -> None:
+        """Halve the step size."""
         self.peak /= 2
 
     def state(self) -> dict[str, Tensor]:
+        """The raw maps, Adam's averages and the step size."""
         return {f"raw.{k}": v.detach().clone() for k, v in self.raw.items()} | optimizer_state("optimizer", self.optimizer) | {
             "peak": torch.tensor(self.peak, dtype=torch.float64)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
+        """Go on from a saved state."""
         with torch.no_grad():
             for name, value in self.raw.items():
                 value.copy_(state[f"raw.{name}"])

@@ -12,12 +12,12 @@ from torch import Tensor
 
 from ..errors import ConfigError
 from ..material.map_files import ENCODINGS, read_map, read_material_json
-from ..material.maps import CHANNELS, SVBRDF, flat
+from ..material.maps import CHANNELS, SVBRDF, Bsdf, flat
 
 LEAST_ROUGHNESS = 1 / 512  # what half a step of an 8-bit file is read as; a mirror of roughness 0 shows no light at a point
 
 
-def stated_maps(fix: Sequence[str], bsdf: str, grey_specular: bool = False) -> dict[str, str]:
+def stated_maps(fix: Sequence[str], bsdf: Bsdf, grey_specular: bool = False) -> dict[str, str]:
     """What ``--fix`` says, as map name -> value, checked but for the files it names.
 
     Args:
@@ -46,7 +46,7 @@ def stated_maps(fix: Sequence[str], bsdf: str, grey_specular: bool = False) -> d
     return stated
 
 
-def fixed_maps(fix: Sequence[str], bsdf: str, resolution: int) -> dict[str, Tensor]:
+def fixed_maps(fix: Sequence[str], bsdf: Bsdf, resolution: int) -> dict[str, Tensor]:
     """The fixed maps, name -> R x R x C, float32, linear. A constant takes no memory: its strides are 0.
 
     Args:
@@ -63,6 +63,15 @@ def fixed_maps(fix: Sequence[str], bsdf: str, resolution: int) -> dict[str, Tens
         raise ConfigError("roughness held fixed too", "specular held at 0, without which no photo shows roughness",
                           "add --fix roughness=1")
     return fixed
+
+
+def unknown_but(fixed: Mapping[str, Tensor], bsdf: Bsdf, resolution: int, grey_specular: bool) -> SVBRDF:
+    """A material of which only the fixed maps are known: the others want a gradient."""
+    def unknown(name: str, channels: int) -> Tensor:
+        own = 1 if grey_specular and name == "specular" else channels
+        return torch.ones(own, requires_grad=True).expand(resolution, resolution, channels)
+
+    return SVBRDF(bsdf, {n: fixed[n] if n in fixed else unknown(n, channels) for n, channels in CHANNELS[bsdf].items()})
 
 
 def described(fix: Sequence[str]) -> dict[str, str]:
@@ -93,7 +102,7 @@ def _check_value(name: str, value: str, channels: int) -> None:
             raise ConfigError(f"{name} from {least:.2g} to 1", value, "values are linear")
 
 
-def _tensor(name: str, value: str, bsdf: str, resolution: int) -> Tensor:
+def _tensor(name: str, value: str, bsdf: Bsdf, resolution: int) -> Tensor:
     channels, numbers = CHANNELS[bsdf][name], [0.0, 0.0, 1.0] if value == "flat" else _numbers(value)
     if numbers is not None:
         return torch.tensor(numbers).expand(resolution, resolution, channels)

@@ -20,7 +20,7 @@ from ..render import Renderer
 from ..system.interrupts import stop_signals
 from ..system.profile import STEP, profiled
 from ..views import Views
-from .checkpoint import load_tensors, save_tensors
+from .checkpoint import load_tensors, part, save_tensors
 from .config import FitConfig
 from .method import Method, finite
 
@@ -66,7 +66,7 @@ class Loop:
         self.undone: list[dict] = []  # iteration and reason of each step taken back
         self.restarts: list[dict] = []  # and of each return to the state of the lowest loss
         self.trace: list[dict] = []
-        self.seen: Seen | None = None  # at the latest measurement
+        self.seen: Seen  # at the latest measurement
         self.best: Seen | None = None
         self.lowest: tuple[float, dict[str, Tensor]] = (math.inf, {})  # loss, and the state that had it
         self.rising = 0  # measurements running at which the loss was DIVERGED times the lowest
@@ -137,7 +137,10 @@ class Loop:
             return self.method.state(), losses, seen
         good = self._undo(good, seen)
         seen = self._look()
-        return good, {}, self.best if isinstance(seen, str) else seen  # a state resumed from need not render well
+        if isinstance(seen, str):  # a state resumed from need not render well
+            assert self.best is not None
+            seen = self.best
+        return good, {}, seen
 
     def _look(self) -> Seen | str:
         """What the present state looks like; or what of it is not finite: parameters, averages of Adam, photos."""
@@ -247,17 +250,14 @@ class Loop:
         if note.get("task") != self._task():
             raise ConfigError("the photos, views, renderer and options of the first run", f"others than {path} was made with",
                               "resume with the same ones; only --iterations and --budget may change")
-
-        def part(prefix: str) -> dict[str, Tensor]:
-            return {key.removeprefix(prefix): value for key, value in tensors.items() if key.startswith(prefix)}
-
         try:
-            self.method.load_state(part("method."))
+            self.method.load_state(part(tensors, "method."))
         except (KeyError, RuntimeError, ValueError) as reason:
             raise ConfigError("a checkpoint of the same options", f"{path}: {str(reason).splitlines()[0]}",
                               "resume with the options of the first run") from None
-        views = replace(self.method.views, **part("best_views."))
-        self.seen = self.best = note["best_rmse"], SVBRDF(self.config.bsdf, part("best.")), views
+        lit = part(tensors, "best_views.")
+        views = replace(self.method.views, camera=lit["camera"], light=lit["light"], intensity=lit["intensity"])
+        self.seen = self.best = note["best_rmse"], SVBRDF(self.config.bsdf, part(tensors, "best.")), views
         self.iteration, self.seconds, self.trace = note["iteration"], note["seconds"], note["trace"]
         self.undone, self.restarts, self.rising = note["undone"], note["restarts"], note["rising"]
-        self.lowest = note["lowest_loss"], part("lowest.")
+        self.lowest = note["lowest_loss"], part(tensors, "lowest.")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import Any
+from typing import Generic
 
 import torch
 from torch import Tensor
@@ -12,10 +12,10 @@ from torch import Tensor
 from ..material.maps import SVBRDF
 from ..system.profile import profiled
 from ..views import Views
-from .task import FitTask
+from .task import Config, FitTask
 
 
-class Method(ABC):
+class Method(ABC, Generic[Config]):
     """One way to fit, advanced step by step. Its whole running state is named tensors.
 
     Args:
@@ -27,8 +27,9 @@ class Method(ABC):
     latest_is_best = False
     """Whether the result is the last state, not the one that explains its photos best."""
 
-    def __init__(self, task: FitTask[Any]) -> None:
-        self.views, self.fixed = task.capture.views, task.fixed
+    def __init__(self, task: FitTask[Config]) -> None:
+        self.capture, self.renderer, self.config = task.capture, task.renderer, task.config
+        self.views, self.fixed, self.unused = task.capture.views, task.fixed, task.unused
         self.fits_offset = task.why_no_flash_offset is None
 
     @abstractmethod

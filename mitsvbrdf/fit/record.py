@@ -38,6 +38,7 @@ _SHAPE = {
 
 
 def capture_name(capture: Capture) -> str:
+    """Name of the folder of the photos; empty where they come from none."""
     return capture.source.name if capture.source else ""
 
 

@@ -77,8 +77,8 @@ def write_report(folder: str | Path, quick: bool = False, left_out: Capture | No
     photos = [{"name": name, "left_out": False, "rmse": rmse, "photo": _there(found.path, f"photos/{name}.png"),
                "rerendered": f"rerendered/{name}.png"} for name, rmse in found.record["per_photo"].items()]
     transfer = found.record["capture"]["transfer"]
-    measured = fit_report(found.svbrdf, found.views, engine, names=found.names, transfer=transfer,
-                          fixed=found.fixed,
+    assert found.views is not None  # a whole fit has them
+    measured = fit_report(found.svbrdf, found.views, engine, names=found.names, transfer=transfer, fixed=found.fixed,
                           grey_specular=found.record["config"]["grey_specular"], quick=quick, report=report)
     if not found.unchanged():
         raise OutputError("the same fit as a moment ago", f"another one in {found.path}", "run it again")

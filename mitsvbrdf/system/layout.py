@@ -25,14 +25,14 @@ class Layout:
 
     def __init__(self, **shapes: tuple[int, ...]) -> None:
         self.shapes, self.size = shapes, 0
-        self._slices: dict[str, slice] = {}
+        self.slices: dict[str, slice] = {}  # where each part lies
         for name, shape in shapes.items():
-            self._slices[name] = slice(self.size, self.size + math.prod(shape))
+            self.slices[name] = slice(self.size, self.size + math.prod(shape))
             self.size += math.prod(shape)
 
     def __getitem__(self, name: str) -> slice:
         """Where a part lies."""
-        return self._slices[name]
+        return self.slices[name]
 
     def unpack(self, vector: Any) -> SimpleNamespace:
         """The parts by name, each in its shape; of an array or tensor (... x size) ... x shape."""

@@ -9,7 +9,7 @@ from the first photo; of the first stage only the generator's weights are kept.
 from __future__ import annotations
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from ... import color
 from ...errors import ConfigError
@@ -17,7 +17,7 @@ from ...material.maps import SVBRDF
 from ...system.profile import profiled, switch_at
 from ...views import Views
 from .. import losses
-from ..checkpoint import load_module_state, load_optimizer_state, load_tensors, module_state, optimizer_state
+from ..checkpoint import load_module_state, load_optimizer_state, load_tensors, module_state, optimizer_state, part
 from ..config import GanConfig
 from ..method import Method, descend
 from ..parameters import from_units, streams_of
@@ -25,7 +25,7 @@ from ..task import FitTask
 from .networks import PatchDiscriminator, TwoStreamGenerator, seeded
 
 
-class Gan(Method):
+class Gan(Method[GanConfig]):
     """Steps of the paper's training (III.F).
 
     Args:
@@ -37,15 +37,14 @@ class Gan(Method):
 
     def __init__(self, task: FitTask[GanConfig]) -> None:
         super().__init__(task)
-        config = self.config = task.config
-        self.capture, self.renderer, self.guess, self.unused = task.capture, task.renderer, task.guess, task.unused
+        config, self.guess = task.config, task.guess
         self.random = torch.Generator().manual_seed(config.seed)
         with seeded(config.seed):
             streams = streams_of(config.bsdf, self.fixed, config.grey_specular)
             self.generator = TwoStreamGenerator(streams, config.width)
         self.learning_rate = config.learning_rate
         if config.pretrained:
-            load_generator(self.generator, config)
+            load_generator(self.generator, config, config.pretrained)
         first, second = config.stages
         self.first_share = 0.0 if config.pretrained else first / (first + second)
         self.stage = 1 if self.first_share > 0 else 2
@@ -56,9 +55,10 @@ class Gan(Method):
         g = self.generator
         with seeded(self.config.seed + self.stage):
             self.discriminator = PatchDiscriminator(self.config.width)
-        decoders = {"slow": [g.encoder, g.diffuse_specular], "fast": [g.normal_roughness], "judge": [self.discriminator]}
+        trained: dict[str, list[nn.Module | None]] = {
+            "slow": [g.encoder, g.diffuse_specular], "fast": [g.normal_roughness], "judge": [self.discriminator]}
         parameters = {name: [p for module in modules if module is not None for p in module.parameters()]
-                      for name, modules in decoders.items()}
+                      for name, modules in trained.items()}
         self.optimizers = {name: torch.optim.Adam(some, lr=self.learning_rate, betas=(0.5, 0.999))
                            for name, some in parameters.items() if some}
 
@@ -87,7 +87,7 @@ class Gan(Method):
             fake = self._picture(svbrdf, views, weights)
             with profiled("discriminator"):
                 if first:
-                    logged["discriminator"] = self._teach_discriminator(photo, fake.detach())
+                    logged["discriminator"] = self.discriminator.learn(photo, fake.detach(), self.optimizers["judge"])
                 adversarial = losses.adversarial(self.discriminator(fake))
                 switch_at("discriminator, backward", adversarial)
             with profiled("losses"):
@@ -123,21 +123,20 @@ class Gan(Method):
             switch_at("losses, backward", picture)
         return picture
 
-    def _teach_discriminator(self, real: Tensor, fake: Tensor) -> float:
-        loss = losses.discriminator(self.discriminator(real), self.discriminator(fake))
-        return float(loss.detach()) + descend(loss, self.optimizers["judge"])
-
     def estimate(self) -> tuple[SVBRDF, Views]:
+        """The maps generated from the first photo, and the views, which stay."""
         with torch.no_grad():
             units = self.generator(self.capture.photos[:1].permute(0, 3, 1, 2))
             return from_units(self.config.bsdf, units, self.fixed).map(Tensor.contiguous), self.views
 
     def cut_step(self) -> None:
+        """Halve the step size of all optimisers."""
         self.learning_rate /= 2
         for optimizer in self.optimizers.values():
             optimizer.param_groups[0]["lr"] = self.learning_rate
 
     def state(self) -> dict[str, Tensor]:
+        """Stage, step size, random numbers, and weights and averages of the networks."""
         state = {"random": self.random.get_state(), "stage": torch.tensor(self.stage),
                  "learning_rate": torch.tensor(self.learning_rate, dtype=torch.float64)}
         for name in ("generator", "discriminator"):
@@ -147,6 +146,7 @@ class Gan(Method):
         return state
 
     def load_state(self, state: dict[str, Tensor]) -> None:
+        """Go on from a saved state."""
         self.stage = int(state["stage"])
         self.learning_rate = float(state["learning_rate"])
         self._new_stage()
@@ -157,17 +157,16 @@ class Gan(Method):
             load_optimizer_state(name, optimizer, state)
 
 
-def load_generator(generator: TwoStreamGenerator, config: GanConfig) -> None:
+def load_generator(generator: TwoStreamGenerator, config: GanConfig, path: str) -> None:
     """Fill a generator from a checkpoint of ``mitsvbrdf pretrain`` or of a ``gan`` fit.
 
     Raises:
         ConfigError: no checkpoint, or one of another width or parameter set.
     """
-    tensors, note = load_tensors(config.pretrained)
-    weights = {k.removeprefix("method."): v for k, v in tensors.items() if k.startswith("method.generator.")}
+    tensors, note = load_tensors(path)
     try:
-        load_module_state("generator", generator, weights)
+        load_module_state("generator", generator, part(tensors, "method."))
     except RuntimeError:
         raise ConfigError(f"a generator of width {config.width} for {config.bsdf}",
-                          f"another one in {config.pretrained} (bsdf {note.get('bsdf')})",
+                          f"another one in {path} (bsdf {note.get('bsdf')})",
                           "use the --width, --bsdf, --fix and --grey-specular it was pretrained with") from None

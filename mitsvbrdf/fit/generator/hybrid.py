@@ -9,9 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
+from torch.nn.utils import convert_conv2d_weight_memory_format
 
 from ... import color
 from ...material.maps import SVBRDF
@@ -29,7 +31,7 @@ from .networks import AllPhotosGenerator, PatchDiscriminator, seeded
 PATCH = 128  # side of the crops the discriminator compares
 
 
-class Hybrid(Method):
+class Hybrid(Method[HybridConfig]):
     """Steps of the hybrid method.
 
     Args:
@@ -40,7 +42,7 @@ class Hybrid(Method):
     def __init__(self, task: FitTask[HybridConfig]) -> None:
         super().__init__(task)
         capture, guess, config = task.capture, task.guess, task.config
-        self.capture, self.renderer, self.guess, self.config, self.unused = capture, task.renderer, guess, config, task.unused
+        self.guess = guess
         self.random = torch.Generator().manual_seed(config.seed)
         streams = streams_of(config.bsdf, self.fixed, config.grey_specular)
         start = robust_start(capture, guess, config.bsdf, self.fixed)
@@ -51,10 +53,10 @@ class Hybrid(Method):
         condition = torch.cat((photos.flatten(0, 1), clipped, color.encode(guess).permute(2, 0, 1)))
         self.condition = (condition[None] * 2 - 1).contiguous(memory_format=torch.channels_last)
         with seeded(config.seed):
-            self.generator = AllPhotosGenerator(condition.shape[0], streams, config.width).to(
-                memory_format=torch.channels_last)
+            generator = AllPhotosGenerator(condition.shape[0], streams, config.width)
+        self.generator = convert_conv2d_weight_memory_format(generator, torch.channels_last)
         self.offset = torch.zeros(2, dtype=torch.float64, requires_grad=True)  # patch sides
-        groups = [{"params": list(self.generator.parameters()), "lr": config.learning_rate}]
+        groups: list[dict[str, Any]] = [{"params": list(self.generator.parameters()), "lr": config.learning_rate}]
         if self.fits_offset:
             groups.append({"params": [self.offset], "lr": 0.5 * config.learning_rate})
         self.optimizer = torch.optim.Adam(groups)
@@ -79,7 +81,7 @@ class Hybrid(Method):
             real, fake = self._patches(rendered)
             switch_at("losses, backward", fake)
             with profiled("discriminator"):
-                logged["discriminator"] = self._teach_discriminator(real, fake.detach())
+                logged["discriminator"] = self.discriminator.learn(real, fake.detach(), self.judge)
                 loss = losses.adversarial(self.discriminator(fake))
                 switch_at("discriminator, backward", loss)
             return loss
@@ -97,6 +99,7 @@ class Hybrid(Method):
         return {name: float(value.detach()) for name, value in terms.items()} | logged
 
     def estimate(self) -> tuple[SVBRDF, Views]:
+        """The maps that the generator makes now, and the views with the flash offset found."""
         with torch.no_grad():
             return self._material().map(Tensor.contiguous), self._views()
 
@@ -125,14 +128,12 @@ class Hybrid(Method):
         fake = color.to_display(rendered[cut], self.capture.transfer)
         return self.capture.photos[cut].permute(0, 3, 1, 2), fake.permute(0, 3, 1, 2)
 
-    def _teach_discriminator(self, real: Tensor, fake: Tensor) -> float:
-        loss = losses.discriminator(self.discriminator(real), self.discriminator(fake))
-        return float(loss.detach()) + descend(loss, self.judge)
-
     def cut_step(self) -> None:
+        """Halve both step sizes."""
         self.peaks = [peak / 2 for peak in self.peaks]
 
     def state(self) -> dict[str, Tensor]:
+        """Weights and averages of the networks, the flash offset, step sizes and random numbers."""
         state = module_state("generator", self.generator) | optimizer_state("optimizer", self.optimizer) | {
             "offset": self.offset.detach().clone(), "random": self.random.get_state(),
             "peaks": torch.tensor(self.peaks, dtype=torch.float64)}
@@ -141,6 +142,7 @@ class Hybrid(Method):
         return state
 
     def load_state(self, state: dict[str, Tensor]) -> None:
+        """Go on from a saved state."""
         load_module_state("generator", self.generator, state)
         load_optimizer_state("optimizer", self.optimizer, state)
         with torch.no_grad():

@@ -9,6 +9,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from .. import losses
+from ..method import descend
 from ..parameters import STREAMS, Streams
 
 
@@ -20,9 +22,9 @@ def seeded(seed: int) -> Iterator[None]:
         yield
 
 
-def _block(layer: nn.Module, channels: int, normalise: bool = True) -> nn.Sequential:
+def _block(layer: nn.Conv2d | nn.ConvTranspose2d, normalise: bool = True) -> nn.Sequential:
     # Group norm with one channel a group is instance norm; torch computes it several times faster on a CPU.
-    norm = [nn.GroupNorm(channels, channels)] if normalise else []
+    norm = [nn.GroupNorm(layer.out_channels, layer.out_channels)] if normalise else []
     return nn.Sequential(layer, *norm, nn.LeakyReLU(0.2, inplace=True))
 
 
@@ -43,20 +45,20 @@ class TwoStreamGenerator(nn.Module):
         w = width
         self.streams = streams
         self.encoder = nn.Sequential(
-            _block(nn.Conv2d(3, w, 7, padding=3, padding_mode="reflect"), w),
-            _block(nn.Conv2d(w, 2 * w, 4, stride=2, padding=1), 2 * w),
-            _block(nn.Conv2d(2 * w, 4 * w, 4, stride=2, padding=1), 4 * w),
-            _block(nn.Conv2d(4 * w, 8 * w, 4, stride=2, padding=1), 8 * w),
-            _block(nn.Conv2d(8 * w, 8 * w, 3, padding=1), 8 * w))
+            _block(nn.Conv2d(3, w, 7, padding=3, padding_mode="reflect")),
+            _block(nn.Conv2d(w, 2 * w, 4, stride=2, padding=1)),
+            _block(nn.Conv2d(2 * w, 4 * w, 4, stride=2, padding=1)),
+            _block(nn.Conv2d(4 * w, 8 * w, 4, stride=2, padding=1)),
+            _block(nn.Conv2d(8 * w, 8 * w, 3, padding=1)))
         first, second = (sum(s.values()) for s in self.streams)
         self.normal_roughness = nn.Sequential(
-            _block(nn.Conv2d(8 * w, 8 * w, 3, padding=1), 8 * w), *self._upward(w, first)) if first else None
+            _block(nn.Conv2d(8 * w, 8 * w, 3, padding=1)), *self._upward(w, first)) if first else None
         self.diffuse_specular = nn.Sequential(*self._upward(w, second)) if second else None
 
     @staticmethod
     def _upward(w: int, channels: int) -> list[nn.Module]:
-        return [_block(nn.ConvTranspose2d(8 * w, 4 * w, 4, stride=2, padding=1), 4 * w),
-                _block(nn.ConvTranspose2d(4 * w, 2 * w, 4, stride=2, padding=1), 2 * w),
+        return [_block(nn.ConvTranspose2d(8 * w, 4 * w, 4, stride=2, padding=1)),
+                _block(nn.ConvTranspose2d(4 * w, 2 * w, 4, stride=2, padding=1)),
                 nn.ConvTranspose2d(2 * w, channels, 4, stride=2, padding=1), nn.Tanh()]
 
     def forward(self, photo: Tensor) -> dict[str, Tensor]:
@@ -87,14 +89,20 @@ class PatchDiscriminator(nn.Module):
         super().__init__()
         w = width
         self.layers = nn.Sequential(
-            _block(nn.Conv2d(3, w, 4, stride=2, padding=1), w),
-            _block(nn.Conv2d(w, 2 * w, 4, stride=2, padding=1), 2 * w),
-            _block(nn.Conv2d(2 * w, 4 * w, 4, stride=2, padding=1), 4 * w),
-            _block(nn.Conv2d(4 * w, 8 * w, 3, padding=1), 8 * w),
+            _block(nn.Conv2d(3, w, 4, stride=2, padding=1)),
+            _block(nn.Conv2d(w, 2 * w, 4, stride=2, padding=1)),
+            _block(nn.Conv2d(2 * w, 4 * w, 4, stride=2, padding=1)),
+            _block(nn.Conv2d(4 * w, 8 * w, 3, padding=1)),
             nn.Conv2d(8 * w, 1, 3, padding=1), nn.Sigmoid())
 
     def forward(self, image: Tensor) -> Tensor:
+        """The probabilities of an image's patches."""
         return self.layers(pad_to_multiple(image * 2 - 1, 16))
+
+    def learn(self, photos: Tensor, renderings: Tensor, optimizer: torch.optim.Optimizer) -> float:
+        """One step towards telling photos from renderings; returns the loss before it, NaN where no step was made."""
+        loss = losses.discriminator(self(photos), self(renderings))
+        return float(loss.detach()) + descend(loss, optimizer)
 
 
 class AllPhotosGenerator(nn.Module):
@@ -117,17 +125,17 @@ class AllPhotosGenerator(nn.Module):
         self.normalise = normalise
         self.streams = [stream for stream in streams if stream]
         widths = [width, 2 * width, 4 * width, 6 * width, 6 * width]
-        self.down = nn.ModuleList([_block(nn.Conv2d(inputs, width, 3, padding=1), width, normalise)] + [
-            _block(nn.Conv2d(a, b, 4, stride=2, padding=1), b, normalise) for a, b in zip(widths, widths[1:])])
+        self.down = nn.ModuleList([_block(nn.Conv2d(inputs, width, 3, padding=1), normalise)] + [
+            _block(nn.Conv2d(a, b, 4, stride=2, padding=1), normalise) for a, b in zip(widths, widths[1:])])
         self.up = nn.ModuleList(self._decoder(widths, sum(s.values())) for s in self.streams)
 
     def _decoder(self, widths: list[int], channels: int) -> nn.ModuleList:
         # The finest level only mixes channels (1 x 1): it has the most pixels, and its neighbours are in the skip already.
-        layers = [_block(nn.Conv2d(below + at, at, *((1,) if at == widths[0] else (3, 1, 1))), at, self.normalise)
+        layers = [_block(nn.Conv2d(below + at, at, *((1,) if at == widths[0] else (3, 1, 1))), self.normalise)
                   for at, below in zip(widths[-2::-1], widths[:0:-1])]
         last = nn.Conv2d(widths[0], channels, 1)
-        nn.init.zeros_(last.weight)
-        nn.init.zeros_(last.bias)
+        for parameter in last.parameters():
+            nn.init.zeros_(parameter)
         return nn.ModuleList([*layers, last])
 
     def forward(self, condition: Tensor) -> dict[str, Tensor]:
@@ -142,10 +150,10 @@ class AllPhotosGenerator(nn.Module):
             levels.append(layer(levels[-1]))
         out: dict[str, Tensor] = {}
         for decoder, stream in zip(self.up, self.streams):
-            x = levels[-1]
-            for layer, skip in zip(decoder[:-1], levels[-2:0:-1]):
+            x, (*layers, last) = levels[-1], decoder.children()
+            for layer, skip in zip(layers, levels[-2:0:-1]):
                 x = layer(torch.cat((F.interpolate(x, scale_factor=2.0, mode="nearest"), skip), dim=1))
-            maps = decoder[-1](x)[:, :, :size, :size]
+            maps = last(x)[:, :, :size, :size]
             out |= dict(zip(stream, maps.split(list(stream.values()), dim=1)))
         return out
 

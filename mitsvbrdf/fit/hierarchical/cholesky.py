@@ -57,7 +57,7 @@ def inverse_diagonal(lower: Matrix, size: int) -> list:
     return found
 
 
-def log_determinant(lower: Matrix, size: int):
+def log_determinant(lower: Matrix, size: int) -> Any:
     """Log det L L^T."""
     import drjit as dr
 

@@ -5,7 +5,9 @@ Everything here is traced by Dr.Jit: lists hold a value for each unknown, and ea
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import reduce
+from types import ModuleType
 from typing import Any, NamedTuple
 
 from ... import color
@@ -14,6 +16,7 @@ from ...material.maps import COLOURS, Bsdf
 from ...render.needs import Needs
 from ...render.plugins import shading_axes
 from ...render.texel_plugin import HeldPlugin, along, frozen, row, texel_position, view_geometry
+from ...views import Falloff
 from . import cholesky
 from .unknowns import Unknowns
 
@@ -74,10 +77,11 @@ class Kernel:
         transfer: how the photos' display values encode light.
     """
 
-    def __init__(self, mi, bsdf: Bsdf, unknowns: Unknowns, needs: Needs, side: int, falloff: str, transfer: str) -> None:
+    def __init__(self, mi: ModuleType, bsdf: Bsdf, unknowns: Unknowns, needs: Needs, side: int, falloff: Falloff,
+                 transfer: color.Transfer) -> None:
         self.mi, self.unknowns, self.needs = mi, unknowns, needs
         self.side, self.falloff, self.transfer = side, falloff, transfer
-        self.texels, self.size = side * side, sum(unknowns.values())
+        self.texels, self.size = side * side, unknowns.size
         self.columns = columns_of(unknowns)
         self.pairs = pairs_of(self.columns)
         self.shader = HeldPlugin(mi, bsdf, needs)
@@ -90,10 +94,11 @@ class Kernel:
 
         return [dr.zeros(kind or self.mi.Float, self.texels) for _ in range(count)]
 
-    def _steps(self, problem, start, damping, mean, precision, low, high, iterations):
+    def _steps(self, problem: dict, start: list, damping: Any, mean: list, precision: list, low: list, high: list,
+               iterations: Any) -> list:
         import drjit as dr
 
-        def iterate(k, trial, x, damping, data, prior, slope, curve):
+        def iterate(k: Any, trial: list, x: list, damping: Any, data: Any, prior: Any, slope: list, curve: list) -> tuple:
             trial_prior = sum(p * dr.square(t - m) for p, t, m in zip(precision, trial, mean))
             trial_data, trial_slope, trial_curve = self._linearised(problem, trial)
             better = trial_data + trial_prior <= (data + prior) * (1 + ROUNDING)  # False for what is no number
@@ -112,7 +117,7 @@ class Kernel:
         _, _, x, damping, data, prior, *_ = dr.while_loop(state, lambda k, *_: k <= iterations, iterate, label="iterations")
         return [x, [damping, data, prior]]
 
-    def _posterior(self, problem, x, precision):
+    def _posterior(self, problem: dict, x: list, precision: list) -> list:
         import drjit as dr
 
         # What a highlight says is 1e6 times what a prior says, and more: in float32 its rounding would drown the prior.
@@ -121,7 +126,7 @@ class Kernel:
         found = [*cholesky.inverse_diagonal(lower, self.size), cholesky.log_determinant(lower, self.size)]
         return [self.mi.Float(v) for v in found]
 
-    def _equations(self, problem, x):
+    def _equations(self, problem: dict, x: list) -> list:
         cost, slope, curve = self._linearised(problem, x)
         return [[cost], slope, curve]
 
@@ -164,7 +169,7 @@ class Texels:
         self.maps, self.stretch = traced_maps(mi, kernel.unknowns, x, problem["fixed"])
         Vector: Any = dr.float64_array_t(mi.Vector3f)
         self.axes, self.turns = None, []
-        if "normal" in kernel.unknowns:
+        if "normal" in kernel.unknowns.shapes:
             normal = Vector(*self.maps["normal"], 1)
             self.axes = shading_axes(normal)
             # With slope k, the normal turns towards the tangents by these angles, and directions the other way.
@@ -172,24 +177,24 @@ class Texels:
         elif kernel.needs.normal_map:
             self.axes = shading_axes(Vector(self.maps["normal"]))
 
-    def add_view(self, view, cost, slope, curve):
+    def add_view(self, view: Any, cost: Any, slope: list, curve: list) -> tuple:
         """Add the part of one view to the data cost, J^T W e and J^T W J."""
         import drjit as dr
 
         shown, lit, seeds = self._shown(view)
         error, weight, part = self._weighed(dr.detach(shown), view)
         jacobian = [[self.kind(dr.select(lit, s, 0)) for s in column] for column in along(shown, seeds)]
-        columns, slope, curve = self.kernel.columns, list(slope), dict(zip(self.kernel.pairs, curve))
+        columns, slope, by_pair = self.kernel.columns, list(slope), dict(zip(self.kernel.pairs, curve))
         for m, (*_, places) in enumerate(columns):
             for c in range(3):
                 weighted = self.kind(weight[c]) * jacobian[m][c]
                 slope[places[c]] = slope[places[c]] + weighted * error[c]
                 for n, (*_, others) in enumerate(columns[:m + 1]):
                     pair = pair_of(places[c], others[c])
-                    curve[pair] = curve[pair] + weighted * jacobian[n][c]
-        return view + 1, cost + self.kind(part), slope, list(curve.values())
+                    by_pair[pair] = by_pair[pair] + weighted * jacobian[n][c]
+        return view + 1, cost + self.kind(part), slope, list(by_pair.values())
 
-    def _shown(self, view) -> tuple:
+    def _shown(self, view: Any) -> tuple:
         """Display values rendered of a view, where light and camera are above, and a seed for each column."""
         import drjit as dr
 
@@ -197,7 +202,7 @@ class Texels:
         camera, light, intensity = (row(kernel.mi, rows, view) for rows in self.problem["views"])
         *directions, irradiance = view_geometry(kernel.mi, self.place, self.axes, camera, light, intensity, kernel.falloff)
         lit = (directions[0].z > 0) & (directions[1].z > 0)
-        free = {name: type(self.maps[name])(self.maps[name]) for name in kernel.unknowns if name != "normal"}
+        free = {name: type(self.maps[name])(self.maps[name]) for name in kernel.unknowns.shapes if name != "normal"}
         dr.enable_grad(free, directions)
         kernel.shader.hold(self.maps | free)
         shown = traced_encode(kernel.shader.eval(*directions) * irradiance, kernel.transfer)
@@ -205,7 +210,7 @@ class Texels:
                  [(d, turned(dr.detach(d), *self.turns[axis])) for d in directions] for name, axis, _ in kernel.columns]
         return shown, lit, seeds
 
-    def _weighed(self, shown, view) -> tuple:
+    def _weighed(self, shown: Any, view: Any) -> tuple:
         """Errors of a view's display values, their weights in the normal equations, and their part of the cost."""
         import drjit as dr
 
@@ -221,7 +226,7 @@ class Texels:
         return error, weight / excess, dr.sum(weight * (2 * dr.square(error) / (1 + excess)))
 
 
-def next_damping(damping, better, trial: list, x: list):
+def next_damping(damping: Any, better: Any, trial: list, x: list) -> Any:
     """The damping after a step to ``trial`` that was better than ``x``, or was not."""
     import drjit as dr
 
@@ -229,7 +234,7 @@ def next_damping(damping, better, trial: list, x: list):
     return dr.clip(damping * dr.select(better, EASED, dr.select(arrived, 1, STIFFENED)), *DAMPING_RANGE)
 
 
-def bounded_step(down: list, matrix: cholesky.Matrix, damping, x: list, low: list, high: list) -> list:
+def bounded_step(down: list, matrix: cholesky.Matrix, damping: Any, x: list, low: list, high: list) -> list:
     """The damped step; an unknown at its bound that wants out takes no part in it."""
     import drjit as dr
 
@@ -239,16 +244,16 @@ def bounded_step(down: list, matrix: cholesky.Matrix, damping, x: list, low: lis
     return cholesky.solved(cholesky.factor(system, len(x)), [dr.select(s, 0, d) for s, d in zip(stuck, down)])
 
 
-def chosen(better, new, old):
+def chosen(better: Any, new: Any, old: Any) -> Any:
     """The new values where they are better, else the old ones; of lists, each."""
     import drjit as dr
 
     return [chosen(better, *pair) for pair in zip(new, old)] if isinstance(new, list) else dr.select(better, new, old)
 
 
-def traced_maps(mi, unknowns: Unknowns, x: list, fixed: dict) -> tuple[dict, list]:
+def traced_maps(mi: ModuleType, unknowns: Unknowns, x: list, fixed: dict) -> tuple[dict, list]:
     """The maps as the plugin takes them (an unknown normal: its slopes), and the slope of each by its unknown."""
-    def whole(planes):
+    def whole(planes: Sequence) -> Any:
         return mi.Color3f(*planes) if len(planes) == 3 else planes[0]
 
     maps, stretch = {name: whole(planes) for name, planes in fixed.items()}, list[Any]()
@@ -259,7 +264,7 @@ def traced_maps(mi, unknowns: Unknowns, x: list, fixed: dict) -> tuple[dict, lis
     return maps, stretch
 
 
-def turned(direction, towards_s, towards_t):
+def turned(direction: Any, towards_s: Any, towards_t: Any) -> Any:
     """The slope of a direction in a shading frame whose normal turns towards its tangents.
 
     The frame's turn about the normal itself is left out: no lobe sees it.
@@ -268,7 +273,7 @@ def turned(direction, towards_s, towards_t):
                            towards_s * direction.x + towards_t * direction.y)
 
 
-def traced_decode(value):
+def traced_decode(value: Any) -> tuple:
     """:func:`mitsvbrdf.color.decode` of gamma 2.2, and its slope."""
     import drjit as dr
 
@@ -278,7 +283,7 @@ def traced_decode(value):
             dr.select(value <= toe, color.TOE / toe, 2.2 * power))
 
 
-def traced_encode(linear, transfer: str):
+def traced_encode(linear: Any, transfer: color.Transfer) -> Any:
     """:func:`mitsvbrdf.color.encode`."""
     import drjit as dr
 

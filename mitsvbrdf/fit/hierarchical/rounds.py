@@ -47,7 +47,7 @@ LAST_STEPS = 8  # and at the end
 LEAST_PRECISION = 1e-3  # added to that of the prior where variances are asked for
 
 
-class Hierarchical(Method):
+class Hierarchical(Method[HierarchicalConfig]):
     """Rounds of the hierarchical fit.
 
     Args:
@@ -63,13 +63,12 @@ class Hierarchical(Method):
     def __init__(self, task: FitTask[HierarchicalConfig]) -> None:
         super().__init__(task)
         capture, config = task.capture, task.config
-        self.config, self.resolution = config, capture.resolution
         self.variant = task.renderer.variant or "llvm_ad_rgb"
         self.moved = MovedViews(capture, task.refined, self.fits_offset)
         self.scales = Scales(capture, task.guess, self.fixed, config, self.variant)
         self.scale = self.scales.of(Stage.ALONE)
         self.ties = Ties(self.scale.solver.unknowns, config)
-        self.stages = Stages(rivals="roughness" in self.ties.unknowns)
+        self.stages = Stages(rivals="roughness" in self.ties.unknowns.shapes)
         self.rivals = Rivals()
         self.answer = self.start()
 
@@ -191,7 +190,7 @@ class Hierarchical(Method):
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The present maps at full size, of tied texels with the freedom that they have in the end."""
-        side = self.resolution
+        side = self.capture.resolution
         if self.rivals.best is not None and self.stages.stage == Stage.RIVALS:
             x = enlarged(self.rivals.best.x, side)
         elif self.stages.tied:

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import ModuleType
+from typing import Any, SupportsFloat
 
 import torch
 import torch.nn.functional as F
@@ -24,6 +26,7 @@ from ...render.needs import Needs, scene_needs
 from ...render.plugins import register
 from ...render.texel_plugin import from_torch, to_torch
 from ...views import Views
+from ..fixed_maps import unknown_but
 from .kernel import Kernel
 from .unknowns import Unknowns
 
@@ -75,7 +78,7 @@ class TexelSolver:
 
     The unknowns are those of the maps that are not fixed, in the order of :data:`mitsvbrdf.material.maps.CHANNELS`: colours
     channel by channel as linear^(1/2.2), metallic and roughness as they are, of the normal the slopes n_x / n_z and n_y / n_z.
-    :attr:`unknowns` says how many belong to each map, and where they lie; U is their sum.
+    :attr:`unknowns` says how many belong to each map, and where they lie; U is their number.
 
     Args:
         bsdf: the parameter set.
@@ -89,17 +92,17 @@ class TexelSolver:
 
     def __init__(self, bsdf: Bsdf, fixed: Mapping[str, Tensor] | None = None, grey_specular: bool = False,
                  variant: str = "llvm_ad_rgb") -> None:
-        self.bsdf, self.fixed, self.variant = bsdf, dict(fixed or {}), variant
+        self.bsdf, self.fixed, self.variant, self.grey_specular = bsdf, dict(fixed or {}), variant, grey_specular
         self.mi = mitsuba_module(variant)
         register(self.mi)
         counts = CHANNELS[bsdf] | {"normal": 2} | ({"specular": 1} if grey_specular else {})
-        self.unknowns = Unknowns((name, counts[name]) for name in CHANNELS[bsdf] if name not in self.fixed)
+        self.unknowns = Unknowns(**{name: (counts[name],) for name in CHANNELS[bsdf] if name not in self.fixed})
         self._kernels: dict[tuple, Kernel] = {}
 
     def numbers(self, svbrdf: SVBRDF) -> Tensor:
         """The unknowns of a material, U x R x R; where specular is one number, of its mean over the channels."""
         planes: list[Tensor] = []
-        for name, count in self.unknowns.items():
+        for name, (count,) in self.unknowns.shapes.items():
             value = svbrdf[name]
             if name == "normal":
                 value = value[..., :2] / value[..., 2:]
@@ -181,12 +184,7 @@ class TexelSolver:
 
     def _known(self, views: Views, side: int) -> tuple[Needs, dict[str, Tensor]]:
         """What the scene needs, and the fixed maps that are read."""
-
-        def unknown(name: str, count: int) -> Tensor:
-            channels = CHANNELS[self.bsdf][name]
-            return torch.ones(channels if count > 1 else 1, requires_grad=True).expand(side, side, channels)
-
-        material = SVBRDF(self.bsdf, {name: unknown(name, count) for name, count in self.unknowns.items()} | self.fixed)
+        material = unknown_but(self.fixed, self.bsdf, side, self.grey_specular)
         needs = replace(scene_needs(material, views, "mitsuba"), left_out=())
         return needs, {name: value for name, value in needed_maps(material, needs).items() if name in self.fixed}
 
@@ -212,7 +210,7 @@ class TexelSolver:
         return self._kernels[key]
 
 
-def opaque(mi, value):
+def opaque(mi: ModuleType, value: SupportsFloat) -> Any:
     """A number that may change without a new kernel."""
     import drjit as dr
 

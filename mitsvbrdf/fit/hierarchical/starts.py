@@ -13,6 +13,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from ..checkpoint import part
 from .solver import Observations, Solved, TexelSolver
 from .ties import Answer, Ties
 
@@ -88,6 +89,6 @@ class Rivals:
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
-        saved = {name.removeprefix("winner."): value for name, value in state.items() if name.startswith("winner.")}
+        saved = part(state, "winner.")
         self.cost = saved.pop("cost", torch.tensor(torch.inf))
         self.best = Answer(**saved) if saved else None

@@ -114,7 +114,7 @@ class Ties:
     def loosen(self, answer: Answer, variance: Tensor) -> Answer:
         """How far texels went from their tied answer becomes how far they may go (expectation-maximisation)."""
         precision = answer.precision.clone()
-        for name in sorted(set(self.unknowns) & set(FREEDOM)):
+        for name in sorted(set(self.unknowns.shapes) & set(FREEDOM)):
             of = self.unknowns.of(name)
             went = ((answer.x[of] - answer.mean[of]).square() + variance[of]).mean().sqrt()
             precision[of] = float(went.clamp(*self._freedom(name)[1:])) ** -2.0
