@@ -135,8 +135,8 @@ def test_published_rerendering_errors_are_reproduced(data_folder, name):
     published = json.loads((data_folder / "peers.json").read_text())["captures"][name]
 
     def averaged(photos):
-        images = [images.read_image(path, CaptureError).double().permute(2, 0, 1) for path in sorted(photos.iterdir())]
-        return torch.nn.functional.interpolate(torch.stack(images), (256, 256), mode="area").permute(0, 2, 3, 1)
+        found = [images.read_image(path, CaptureError).double().permute(2, 0, 1) for path in sorted(photos.iterdir())]
+        return torch.nn.functional.interpolate(torch.stack(found), (256, 256), mode="area").permute(0, 2, 3, 1)
 
     total, each = photo_rmse(averaged(folder / "materialgan/rerendered"), averaged(folder / "target"), "linear")
     assert round(total, 4) == published["materialgan_rerender_rmse_256"]
