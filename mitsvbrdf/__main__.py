@@ -19,6 +19,8 @@ def main() -> int:
     except KeyboardInterrupt:
         return 130
     except ImportError as missing:
+        if (missing.name or "").partition(".")[0] == __package__:
+            raise  # a fault of our own, which no installation mends
         if sys.argv[1:2] == ["doctor"]:
             from .doctor import doctor
             return doctor(json="--json" in sys.argv)

@@ -16,8 +16,9 @@ from pathlib import Path
 from .errors import BackendError
 
 PACKAGES = {"torch": "torch", "numpy": "numpy", "opencv": "cv2", "OpenEXR": "OpenEXR", "safetensors": "safetensors",
-            "matplotlib": "matplotlib", "tyro": "tyro", "rich": "rich"}
-DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless"}
+            "scipy": "scipy", "matplotlib": "matplotlib", "jinja2": "jinja2", "pillow": "PIL", "av": "av", "mpmath": "mpmath",
+            "flip": "flip_evaluator", "tyro": "tyro", "rich": "rich"}
+DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless", "PIL": "pillow", "flip_evaluator": "flip-evaluator"}
 
 
 @dataclass(frozen=True)

@@ -51,7 +51,6 @@ class PeersBaseline(Method):
 
     def __init__(self, task: FitTask[PeersConfig]) -> None:
         super().__init__(task)
-        self.capture, self.renderer = task.capture, task.renderer
         size = task.capture.resolution
         self.textures = {name: torch.full((size, size, channels), 2 * START[name] - 1 if name in START else 0.0)
                          .requires_grad_() for name, channels in TEXTURE_CHANNELS.items()}

@@ -23,7 +23,6 @@ from .photo import Photo
 from .quality.next_view import HIGHLIGHT_ANGLE
 
 SCHEMA_VERSION = 1
-PICTURES = ("contact.jpg", "quality.html", "quality.json")
 A_ROW, SMALL_A_ROW = 5, 8  # photos in a row of the contact sheet; used, left out
 THUMBNAIL, FULL = 240, 400  # pixels on the page, and of a left-out photo as it is read
 PLAN_REACH = 0.75  # half the side of the plan, patch sides, at least

@@ -15,8 +15,8 @@ from .. import color
 from ..errors import CaptureError, ConfigError
 from ..system import files, images
 from ..views import FIELD_OF_VIEW, Falloff, default_views, field_of_view
-from .calibrated import LEAST_SIDE, from_json, from_text
-from .capture import Capture
+from .calibrated import from_json, from_text
+from .capture import LEAST_SIDE, Capture
 from .photo import UNTURNED, Photo, Unreadable, differences, photos_in
 
 MOST_SIDE = 2048  # pixels of a single photo that is read without calibration
@@ -114,7 +114,8 @@ def _from_plain(folder: Path, falloff: Falloff, transfer: color.Transfer | None,
 
     Photos that show everything in the same place are taken for rectified.
     """
-    from .make import LEAST_PHOTOS, OnePlace, make_capture, refuse_tags
+    from .make import OnePlace, make_capture, refuse_tags
+    from .rig import LEAST_PHOTOS
 
     photos = [Photo.open(path) for path in photos_in(folder)]
     reason = f"{LEAST_PHOTOS} or more are needed to find out where they were taken from"

@@ -14,13 +14,11 @@ from tyro.conf import Positional, arg
 from ..color import Transfer
 from ..errors import ConfigError
 from ..material.maps import SVBRDF, Bsdf
-from ..render import RendererName, make_renderer
+from ..render import RENDERERS, RendererName, make_renderer
 from ..system import files
 from ..system.progress import console, progress_bar, say, say_written
 from ..views import Falloff, Views
 from .options import Variant, ViewSource, fit_of_maps, material_of, name_of, views_of
-
-RENDERERS: tuple[RendererName, ...] = ("mitsuba", "mitsuba-scene", "analytic")
 
 
 def crosscheck(

@@ -11,10 +11,9 @@ from rich.table import Table
 from tyro.conf import arg
 
 from ..errors import ConfigError
-from ..render import RendererName, make_renderer
+from ..render import RENDERERS, RendererName, make_renderer
 from ..system import files
 from ..system.progress import console, progress_bar, say, say_written
-from .crosscheck import RENDERERS
 from .options import Variant
 
 Sweep = Literal["roughness", "tilt", "distance", "colour", "intensity", "clipped", "flat", "resolution", "views", "stiff"]

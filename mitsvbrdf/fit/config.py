@@ -79,17 +79,17 @@ class FitConfig:
     @property
     def holds_views(self) -> bool:
         """Whether the views stay as the capture has them, stated or not."""
-        return getattr(self, "calibrate", None) is False
+        return False
 
     @property
     def refines_views(self) -> bool | None:
         """Whether each photo's view is refined; None: a stated one only where the photos do not follow the model."""
-        return getattr(self, "calibrate", False)
+        return False
 
     @property
     def wants_flash_offset(self) -> bool | None:
         """Whether the flash offset is to be fitted; None where the method has no such unknown."""
-        return getattr(self, "flash_offset", None)
+        return None
 
 
 @dataclass(frozen=True)
@@ -118,6 +118,21 @@ class HierarchicalConfig(FitConfig):
     flash_offset: bool = True
     """Whether the sideways distance between lens and flash is fitted, one for all photos (calibrations claim 0)."""
 
+    @property
+    def holds_views(self) -> bool:
+        """Whether the views stay as the capture has them: asked for."""
+        return self.calibrate is False
+
+    @property
+    def refines_views(self) -> bool | None:
+        """Whether each photo's view is refined, as asked for."""
+        return self.calibrate
+
+    @property
+    def wants_flash_offset(self) -> bool | None:
+        """Whether the flash offset is to be fitted, as asked for."""
+        return self.flash_offset
+
 
 @dataclass(frozen=True)
 class HybridConfig(FitConfig):
@@ -139,6 +154,11 @@ class HybridConfig(FitConfig):
     """Weight of the tilt of the normals."""
     flash_offset: bool = True
     """Whether the sideways distance between lens and flash is fitted, one for all photos (calibrations claim 0)."""
+
+    @property
+    def wants_flash_offset(self) -> bool | None:
+        """Whether the flash offset is to be fitted, as asked for."""
+        return self.flash_offset
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from ..errors import OutputError
 from ..system.profile import profiled
 from .checkpoint import save_tensors
+from .methods import method_name
 from .warnings import about_photos, about_steps
 
 if TYPE_CHECKING:
@@ -69,7 +70,7 @@ class LiveRecord:
         svbrdf = method.preview() or loop.seen[1]
         svbrdf = svbrdf.resized(min(SIDE, svbrdf.resolution))
         save_tensors(self.path, {name: value.half() for name, value in svbrdf.maps.items()}, {
-            "run": self.run, "method": type(method).__name__.lower(), "renderer": loop.renderer.name,
+            "run": self.run, "method": method_name(method.config), "renderer": loop.renderer.name,
             "capture": capture.source.name if capture.source else None, "bsdf": svbrdf.bsdf,
             "resolution": capture.resolution, "iteration": loop.iteration, "seconds": round(loop.seconds, 3),
             "share": loop.progress, "stopped": stopped, "latest_is_best": loop.latest_is_best, "trace": loop.trace,

@@ -20,6 +20,7 @@ from ..system import files
 from ..system.provenance import machine, versions
 from ..views import Falloff, Views
 from .confidence import confidence
+from .fixed_maps import described
 from .methods import method_name
 from .result import FitResult
 
@@ -85,7 +86,7 @@ class SavedFit:
     @property
     def fixed(self) -> list[str]:
         """Names of the maps that were not fitted."""
-        return [entry.split("=")[0] for entry in self.record["config"]["fix"]]
+        return list(described(self.record["config"]["fix"]))
 
     @property
     def names(self) -> list[str]:

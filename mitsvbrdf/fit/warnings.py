@@ -9,6 +9,7 @@ from ..capture import Capture
 from ..color import CLIPPED
 from ..measure.burn_in import burn_in
 from .confidence import confidence
+from .fixed_maps import described
 from .result import FitResult
 
 # Behind each number, what twelve real captures of nine photos had, fitted with `hybrid` and `direct` at 64 px.
@@ -89,7 +90,7 @@ def _errors(result: FitResult, capture: Capture) -> Iterator[str]:
 
 
 def _burnt_in(result: FitResult) -> Iterator[str]:
-    fixed = {entry.split("=")[0] for entry in result.config.fix}
+    fixed = described(result.config.fix)
     for name, share in burn_in(result.svbrdf, result.views).items():
         if share > BURNT_IN and name not in fixed:
             yield f"{share:.0%} of the {name} map lies as the photos' highlights do: it may be theirs, not the material's"

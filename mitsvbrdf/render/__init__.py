@@ -21,6 +21,7 @@ from ..views import Views
 from .needs import Needs
 
 RendererName = Literal["mitsuba", "mitsuba-scene", "analytic", "analytic64"]
+RENDERERS: tuple[RendererName, ...] = ("mitsuba", "mitsuba-scene", "analytic")  # those held against the float64 twin
 
 
 class Renderer(Protocol):
@@ -69,4 +70,4 @@ def make_renderer(name: str = "mitsuba", variant: str = "llvm_ad_rgb", needs: Ne
     return AnalyticRenderer(torch.float64 if name == "analytic64" else torch.float32, needs)
 
 
-__all__ = ["Renderer", "RendererName", "make_renderer"]
+__all__ = ["RENDERERS", "Renderer", "RendererName", "make_renderer"]

@@ -14,7 +14,7 @@ from ..errors import BackendError
 from ..material.maps import SVBRDF
 from ..measure.gradients import fixed_cotangent
 from ..measure.metrics import image_error
-from ..render import Renderer, make_renderer
+from ..render import RENDERERS, Renderer, make_renderer
 from ..render.needs import Needs
 from ..system.provenance import machine, versions
 from ..system.timing import side_by_side
@@ -26,7 +26,6 @@ SCHEMA_VERSION = 1
 QUICK_SIDE, QUICK_VIEWS = 64, 2  # what a fit checks beside its own work: below half a second
 LARGEST, MOST_VIEWS = 256, 25  # texels a side; errors and ratios hardly hang on it. Float64 takes 50 MB a view
 CONDITION_SIDE = 16
-RENDERERS = ("mitsuba", "mitsuba-scene", "analytic")
 
 Report = Callable[[str, float], object]
 
@@ -111,8 +110,9 @@ def _saved(svbrdf: SVBRDF, views: Views, renderer: Renderer, fixed: Sequence[str
     """
     every = tuple(svbrdf.maps)
     wanted = tuple(name for name in every if name not in fixed)
-    rows: list[tuple[str, str, tuple[str, ...], Needs | None, bool]]
-    rows = [("everything, traced", "mitsuba-scene", every, Needs(), False)] if renderer.name in RENDERERS[:2] else []
+    rows: list[tuple[str, str, tuple[str, ...], Needs | None, bool]] = []
+    if renderer.name in ("mitsuba", "mitsuba-scene"):
+        rows = [("everything, traced", "mitsuba-scene", every, Needs(), False)]
     rows += [("everything", renderer.name, every, Needs(), False)] if renderer.name != "mitsuba-scene" else []
     rows += [("what this fit needs", renderer.name, wanted, None, grey_specular)]
     jobs = {what: _pass(make_renderer(name, renderer.variant or "llvm_ad_rgb", needs), svbrdf, views, maps, grey)

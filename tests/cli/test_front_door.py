@@ -64,3 +64,17 @@ sys.exit(main())
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 2 and done.stderr.count("error:") == 1 and "mitsvbrdf doctor" in done.stderr
+
+
+def test_a_fault_of_our_own_is_no_missing_package(tmp_path):
+    code = """
+import sys
+import mitsvbrdf.cli
+from mitsvbrdf.__main__ import main
+def broken():
+    from mitsvbrdf.errors import no_such_name
+mitsvbrdf.cli.main = broken
+sys.exit(main())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 1 and "Traceback" in done.stderr and "no_such_name" in done.stderr

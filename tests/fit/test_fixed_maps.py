@@ -101,7 +101,7 @@ def test_the_search_for_a_start_keeps_to_what_is_held(capture):
         assert made.estimate()[0][free].mean().item() == pytest.approx(value, abs=2e-3)
 
 
-def test_held_maps_from_files(tmp_path):
+def test_fixed_maps_from_files(tmp_path):
     # A folder of ours says that its colours are sRGB; without material.json 8 bits mean gamma 2.2. 2 x 2 texels become one.
     stripes = flat(SIDE, diffuse=0.2, roughness=0.3)
     stripes.maps["diffuse"][:, ::2] = 0.6
@@ -203,7 +203,7 @@ def test_a_fit_that_looks_at_no_photo_is_refused():
             settings.check()
 
 
-def test_resume_asks_for_the_same_held_maps_not_the_same_names(capture, tmp_path):
+def test_resume_asks_for_the_same_fixed_maps_not_the_same_names(capture, tmp_path):
     save_maps(flat(SIDE, roughness=0.3), tmp_path / "a")
     save_maps(flat(SIDE, roughness=0.3), tmp_path / "b")
     path, renderer = tmp_path / "c.safetensors", ANALYTIC
