@@ -56,6 +56,7 @@ F0 = (DIELECTRIC_F0, 0.4)  # median
 POWER = (F0[1] ** -2 + USUAL_ALBEDO[1] ** -2) ** -0.5  # how well both tell the logarithm of the light power
 
 PHOTO = Layout(place=(2,), height=(), exposure=())  # the unknowns of one photo
+ESTIMATED = Layout(camera=(3,), log_exposure=())  # what they say of it; lengths in patch sides
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class EstimatedViews:
 
     Args:
         views: the N views, in the unit of the capture's.
-        deviation: standard deviations N x 4: camera x, y, z in patch sides, and the logarithm of the exposure.
+        deviation: standard deviations N x 4, by :data:`ESTIMATED`.
         power_deviation: of the logarithm of the light power of all photos.
         beam: how much faster than a point's the light falls off, as an exponent of the cosine; the views leave it out.
     """
@@ -105,9 +106,10 @@ def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
     if why:
         return replace(capture, notes=(*capture.notes, f"views not estimated: {why}; the default geometry stays")), None
     found = estimate_views(capture)
-    height, sure = float(found.views.camera[:, 2].mean()) / found.views.size, found.deviation.mean(dim=0).tolist()
-    note = (f"views estimated from the photos alone: cameras about {height:.2f} patch sides away, to about {sure[2]:.2f}, and "
-            f"sideways to {max(sure[:2]):.2f}; the light power to a factor of {math.exp(found.power_deviation):.1f}")
+    height = float(found.views.camera[:, 2].mean()) / found.views.size
+    x, y, z = ESTIMATED.unpack(found.deviation.mean(dim=0)).camera.tolist()
+    note = (f"views estimated from the photos alone: cameras about {height:.2f} patch sides away, to about {z:.2f}, and "
+            f"sideways to {max(x, y):.2f}; the light power to a factor of {math.exp(found.power_deviation):.1f}")
     return replace(capture, views=found.views, notes=(*capture.notes, note)), found
 
 
@@ -123,7 +125,7 @@ def estimate_views(capture: Capture) -> EstimatedViews:
     found = least_squares(problem.errors, start, max_nfev=40, ftol=1e-4, xtol=1e-4)
     camera, exposure, shared = problem.places(found.x)
     covariance = np.linalg.pinv(found.jac.T @ found.jac)
-    slope = problem.slopes(found.x)  # of x, y, z, log exposure by the unknowns
+    slope = problem.slopes(found.x)
     deviation = np.sqrt(np.einsum("npu,uv,npv->np", slope, covariance, slope))
     power, power_deviation = problem.power(found.x)
     size = capture.views.size
@@ -179,10 +181,10 @@ class Problem:
         return camera, np.exp(EXPOSURES * own.exposure), shared
 
     def slopes(self, u: np.ndarray) -> np.ndarray:
-        """N x 4 x U: of camera x, y, z and the logarithm of the exposure by the unknowns."""
+        """N x 4 x U: of what is :data:`ESTIMATED` by the unknowns."""
         camera, _, _ = self.places(u)
-        x, y, z, exposure = range(4)
-        slope, common = np.zeros((self.count, 4, self.layout.size)), self.layout.numbers
+        (x, y, z), exposure = ESTIMATED.numbers.camera, ESTIMATED.numbers.log_exposure
+        slope, common = np.zeros((self.count, ESTIMATED.size, self.layout.size)), self.layout.numbers
         own, photo = PHOTO.unpack(common.photos), np.arange(self.count)
         slope[photo, x, own.place[:, 0]] = slope[photo, y, own.place[:, 1]] = SIDEWAYS
         slope[photo, z, own.height], slope[:, z, common.height] = HEIGHTS * camera[:, 2], HEIGHT[1] * camera[:, 2]

@@ -3,8 +3,8 @@
 Each photo has seven unknowns: how far its camera stood from where the calibration says (x, y, z), how far its flash stood
 from its place beside the camera (x, y, z), and the natural logarithm of its exposure (light power, shutter and gain look
 alike). They are found as the most probable ones: Gaussian priors around the calibration, and residuals in display values,
-robust (Huber) and one-sided where the photo is clipped, as in
-:mod:`mitsvbrdf.fit.losses`. Levenberg-Marquardt; derivatives are central differences of the float64 analytic renderer.
+robust (Huber) and one-sided where the photo is clipped, as in :mod:`mitsvbrdf.fit.losses`. Levenberg-Marquardt; derivatives
+are central differences of the float64 analytic renderer.
 
 Residuals are not independent noise: where a map is wrong, so are all pixels around. The noise level is therefore measured on
 the residuals themselves, photo by photo, and so is how many pixels count as one (:meth:`Problem.evidence`). Without that,
@@ -138,10 +138,18 @@ def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors 
         damping = damping / 10 if better else damping * 10
         here = problem.linear(here.u + step) if better else here
     change = problem.change(here.u)
-    found, covariance = problem.views(change), torch.linalg.inv(here.matrix)
+    found, covariance = moved(problem.given, change), torch.linalg.inv(here.matrix)
     own, shared = problem.spread.reshape(len(views), len(UNKNOWNS), -1), problem.shared
     return RefinedViews(found, change, own @ covariance @ own.mT, shared @ here.u, shared @ covariance @ shared.T,
                         problem.rmse(views), problem.rmse(found), tried)
+
+
+def moved(views: Views, change: Tensor) -> Views:
+    """Views with changes N x 7, by :data:`CHANGE`."""
+    parts = CHANGE.unpack(change)
+    camera, flash = parts.camera * views.size, parts.flash * views.size
+    return replace(views, camera=views.camera + camera, light=views.light + camera + flash,
+                   intensity=views.intensity * parts.log_exposure[:, None].exp())
 
 
 class Linear(NamedTuple):
@@ -194,14 +202,6 @@ class Problem:
         """Changes N x 7, by :data:`UNKNOWNS`."""
         return self.expected + (self.spread @ u).reshape(-1, len(UNKNOWNS))
 
-    def views(self, change: Tensor) -> Views:
-        """The views given, with these changes."""
-        parts = CHANGE.unpack(change)
-        camera = parts.camera * self.given.size
-        return replace(self.given, camera=self.given.camera + camera,
-                       light=self.given.light + camera + parts.flash * self.given.size,
-                       intensity=self.given.intensity * parts.log_exposure[:, None].exp())
-
     def rmse(self, views: Views) -> list[float]:
         """Error of each photo, as :func:`~mitsvbrdf.measure.metrics.photo_rmse` counts it."""
         return photo_rmse(self.renderer.render(self.maps, views), self.photos, self.transfer)[1]
@@ -228,7 +228,7 @@ class Problem:
 
     def cost(self, u: Tensor, evidence: tuple[Tensor, Tensor]) -> float:
         """The cost at u; infinite where a camera or light would be in the patch's plane."""
-        views = self.views(self.change(u))
+        views = moved(self.given, self.change(u))
         if float(torch.cat((views.camera[:, 2], views.light[:, 2])).min()) < NEAREST * views.size:
             return float("inf")
         return self._cost(u, self.residuals(self.renderer.render(self.maps, views)), evidence)
@@ -236,14 +236,14 @@ class Problem:
     def linear(self, u: Tensor, evidence: tuple[Tensor, Tensor] | None = None) -> Linear:
         """The cost around u; left out, the evidence is what there is at u."""
         change = self.change(u)
-        radiance = self.renderer.render(self.maps, self.views(change))
+        radiance = self.renderer.render(self.maps, moved(self.given, change))
         error = self.residuals(radiance)
         noise, alike = evidence = evidence or self.evidence(error)
         columns = []
         for unknown in range(CHANGE["log_exposure"].start):  # camera and flash
             step = torch.zeros(CHANGE.size, dtype=torch.float64)
             step[unknown] = STEP
-            columns.append([self.renderer.render(self.maps, self.views(change + s)) for s in (step, -step)])
+            columns.append([self.renderer.render(self.maps, moved(self.given, change + s)) for s in (step, -step)])
         columns.append([radiance * math.exp(s) for s in (STEP, -STEP)])
         slopes = torch.stack([(color.encode(more, self.transfer) - color.encode(less, self.transfer)) / (2 * STEP)
                               for more, less in columns], dim=-1).flatten(1, 3)

@@ -9,20 +9,24 @@ from typing import Literal, get_args
 
 import torch
 import torch.nn.functional as F
+from numpy.typing import ArrayLike
 from torch import Tensor
 
 from ..color import NEARLY_CLIPPED
 from ..errors import ConfigError
 from ..material.resample import resized
+from ..system.layout import Layout
 from ..views import Views, geometry
 from .capture import Capture
 
 GuessMethod = Literal["robust", "min", "mean-blur"]
 BLUR = 1 / 32  # standard deviation of mean-blur, as a share of the image side
 
-# The texel model of `robust`: tilt x, tilt y (slopes of the normal), log alpha, log F0, log albedo.
-STARTS = [(0.0, 0.0, math.log(0.3), math.log(f0)) for f0 in (0.04, 0.001)]  # a usual dielectric; hardly a highlight
-PRIOR_SD = (0.5, 0.5, 0.5, 1.0)  # how far these four may be from what is typical, one standard deviation
+# The texel model of `robust`: its surface, of which something is known beforehand, and its albedo.
+SURFACE = Layout(tilt=(2,), log_alpha=(), log_f0=())  # tilt: slopes of the normal
+TEXEL = Layout(surface=(SURFACE.size,), log_albedo=())
+STARTS = [{"log_alpha": math.log(0.3), "log_f0": math.log(f0)} for f0 in (0.04, 0.001)]  # a dielectric; hardly a highlight
+PRIOR_SD = {"tilt": 0.5, "log_alpha": 0.5, "log_f0": 1.0}  # of a surface beside what is typical
 NOISE = 0.03  # what a display value is trusted to: the photo, the calibration and this model
 TILTS = (-0.6, -0.3, 0.0, 0.3, 0.6)  # starts tried for either slope: a fit started flat sticks to a wrong highlight
 STEPS = 8
@@ -117,47 +121,55 @@ def _shade(texels: Tensor, light: Tensor, half: Tensor) -> tuple[Tensor, Tensor]
 
     The lobe takes n.l = n.v = n.h, exact for a light at the camera.
     """
-    tilt_x, tilt_y, log_alpha, log_f0 = (x[:, None] for x in texels[:, :4].unbind(dim=1))
+    surface = SURFACE.unpack(TEXEL.unpack(texels[:, None]).surface)
+    tilt_x, tilt_y = surface.tilt.unbind(dim=-1)
     length = (1 + tilt_x**2 + tilt_y**2).sqrt()
     along_light, cosine = (
         ((v[..., 0] * tilt_x + v[..., 1] * tilt_y + v[..., 2]) / length).clamp_min(0.05) for v in (light, half))
     shading = along_light / light[..., 2]
-    a2, c2 = torch.exp(2 * log_alpha), cosine**2
+    a2, c2 = torch.exp(2 * surface.log_alpha), cosine**2
     smith = 2 / (cosine + (a2 + (1 - a2) * c2).sqrt())  # G1 / cosine
-    return shading, log_f0.exp() * a2 / (a2 * c2 + 1 - c2) ** 2 * smith**2 / 4 * shading
+    return shading, surface.log_f0.exp() * a2 / (a2 * c2 + 1 - c2) ** 2 * smith**2 / 4 * shading
 
 
 def _errors(texels: Tensor, prior: Tensor, albedo: Tensor, most: Tensor, light: Tensor, half: Tensor) -> Tensor:
     """M x (N + 4) errors in standard deviations: of about display values, and of the prior."""
     shading, lobe = _shade(texels, light, half)
-    said = torch.minimum(texels[:, 4:].exp() * shading + lobe, most)
+    parts = TEXEL.unpack(texels)
+    said = torch.minimum(parts.log_albedo[:, None].exp() * shading + lobe, most)
     data = (said + 1e-4) ** 0.4 - (albedo + 1e-4) ** 0.4
-    return torch.cat((data / NOISE, (texels[:, :4] - prior) / torch.tensor(PRIOR_SD)), dim=1)
+    return torch.cat((data / NOISE, (parts.surface - prior) / _surface(**PRIOR_SD)), dim=1)
 
 
 def _typical(*seen: Tensor) -> Tensor:
     """What is usual in this material: median roughness and F0, from the start that explains the photos better."""
     found = []
     for start in STARTS:
-        prior = torch.tensor(start)
+        prior = _surface(**start)
         for _ in range(2):
             texels = _fit(prior, *seen)
             cost = _errors(texels, prior, *seen).square().sum(dim=1).mean()
-            prior = torch.cat((prior[:2], texels[:, 2:4].median(dim=0).values))
+            prior = TEXEL.unpack(texels).surface.median(dim=0).values
+            prior[SURFACE["tilt"]] = 0  # a patch is level
         found.append((float(cost), prior))
     return min(found, key=lambda pair: pair[0])[1]
+
+
+def _surface(**parts: ArrayLike) -> Tensor:
+    """A texel's surface by its parts, float32; those left out are 0."""
+    return torch.from_numpy(SURFACE.pack(**parts)).float()
 
 
 def _fit(prior: Tensor, *seen: Tensor) -> Tensor:
     """M x 5 fitted texels by Levenberg-Marquardt, from the best of a grid of tilts; slopes by finite differences."""
     low = (seen[0].amin(dim=1, keepdim=True) / 2).clamp_min(1e-4).log()
-    starts = [torch.cat(((prior + torch.tensor((x, y, 0, 0))).expand(len(low), 4), low), dim=1)
+    starts = [torch.cat(((prior + _surface(tilt=(x, y))).expand(len(low), -1), low), dim=1)
               for x in TILTS for y in TILTS]
     costs = torch.stack([_errors(start, prior, *seen).square().sum(dim=1) for start in starts])
     texels = torch.stack(starts)[costs.argmin(dim=0), torch.arange(len(low))]
     errors, damping = _errors(texels, prior, *seen), torch.full((len(low), 1), 0.01)
     for _ in range(STEPS):
-        nudged = (_errors(texels + DELTA * axis, prior, *seen) for axis in torch.eye(5))
+        nudged = (_errors(texels + DELTA * axis, prior, *seen) for axis in torch.eye(TEXEL.size))
         j = torch.stack([(e - errors) / DELTA for e in nudged], dim=2)
         curve, slope = j.mT @ j, j.mT @ errors[..., None]
         curve.diagonal(dim1=1, dim2=2).mul_(1 + damping).add_(1e-6)

@@ -32,7 +32,7 @@ from .rig import LEAST_PHOTOS, Rig, rig_to_json
 
 Reference = Literal["best", "first"]
 
-MOST_SIDE = 4096  # pixels of the rectified photos
+MOST_SIDE_RECTIFIED = 4096  # pixels
 COVERAGE_SIDE = 64
 # Spread of the cameras over their height below which all photos are from one place. Nine places as in docs/capture.md: 0.2;
 # seven real captures that were rectified already: 0.003 to 0.009.
@@ -151,8 +151,8 @@ def _made(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, tran
 
 
 def _check(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, resolution: int, reference: str) -> None:
-    if not LEAST_SIDE <= resolution <= MOST_SIDE:
-        raise ConfigError(f"a resolution of {LEAST_SIDE} to {MOST_SIDE}", str(resolution), "try 1024")
+    if not LEAST_SIDE <= resolution <= MOST_SIDE_RECTIFIED:
+        raise ConfigError(f"a resolution of {LEAST_SIDE} to {MOST_SIDE_RECTIFIED}", str(resolution), "try 1024")
     if sheet_cm is not None and not (math.isfinite(sheet_cm) and sheet_cm > 0):
         raise ConfigError("the size of the sheet in cm", str(sheet_cm), "measure the frame of tags from edge to edge")
     if sheet_cm is not None and not abs(depth_cm) < sheet_cm:  # NaN, too; below 0 where the sheet lies below the material

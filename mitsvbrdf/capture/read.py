@@ -19,7 +19,7 @@ from .calibrated import from_json, from_text
 from .capture import LEAST_SIDE, Capture
 from .photo import UNTURNED, Photo, Unreadable, differences, photos_in
 
-MOST_SIDE = 2048  # pixels of a single photo that is read without calibration
+MOST_SQUARE = 2048  # pixels a side of what is read of a photo without calibration
 
 
 def read_capture(
@@ -172,7 +172,7 @@ def _angle(photo: Photo) -> float:
 
 
 def _square(photo: Photo) -> np.ndarray:
-    """The middle square of a photo as it is shown, S x S x 3 display values, S at most :data:`MOST_SIDE`."""
+    """The middle square of a photo as it is shown, S x S x 3 display values, S at most :data:`MOST_SQUARE`."""
     import cv2
 
     pixels = np.rot90(photo.pixels(), -UNTURNED.get(photo.orientation, 0))
@@ -182,7 +182,7 @@ def _square(photo: Photo) -> np.ndarray:
                            "use the original photo")
     top, left = (height - side) // 2, (width - side) // 2
     square = pixels[top : top + side, left : left + side].astype(np.float32) / np.iinfo(pixels.dtype).max
-    return square if side <= MOST_SIDE else cv2.resize(square, (MOST_SIDE, MOST_SIDE), interpolation=cv2.INTER_AREA)
+    return square if side <= MOST_SQUARE else cv2.resize(square, (MOST_SQUARE, MOST_SQUARE), interpolation=cv2.INTER_AREA)
 
 
 def _shrunk(capture: Capture, resolution: int | None) -> Capture:

@@ -9,7 +9,8 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from ..calibrate.estimate import POWER, EstimatedViews
+from ..calibrate.estimate import ESTIMATED, POWER, EstimatedViews
+from ..calibrate.refine import CHANGE
 from ..capture import Capture
 from ..views import Views
 
@@ -26,7 +27,7 @@ def views_record(capture: Capture, views: Views, estimated: EstimatedViews | Non
         capture: the photos, with the views that the fit began with.
         views: as fitted.
         estimated: how the former were estimated from the photos; None where they were stated.
-        refined: standard deviations N x 7 of the changes since (:data:`mitsvbrdf.calibrate.refine.UNKNOWNS`); None for none.
+        refined: standard deviations N x 7 of the changes since (:data:`mitsvbrdf.calibrate.refine.CHANGE`); None for none.
         flash: standard deviations (x, y) of the flash offset that all photos share; None where it was not fitted.
         light_power_factor: by what the maps changed the light power (:mod:`mitsvbrdf.fit.light_power`); None where they do not
             tell it.
@@ -38,21 +39,22 @@ def views_record(capture: Capture, views: Views, estimated: EstimatedViews | Non
         nothing was estimated.
     """
     sides, begun = views.in_patch_sides(), capture.views.in_patch_sides()
-    variance = torch.zeros(len(views), 4, dtype=torch.float64)
-    if estimated:
-        variance += estimated.deviation**2
-    if refined is not None:
-        variance += refined[:, [0, 1, 2, 6]] ** 2
-    sure = variance.sqrt().tolist() if estimated or refined is not None else None
+    told = [ESTIMATED.unpack(estimated.deviation)] if estimated else []
+    told += [CHANGE.unpack(refined)] if refined is not None else []
     offset = ((sides.light - sides.camera) - (begun.light - begun.camera)).mean(dim=0)[:2].tolist()
     return {
         "from": capture.calibration, "estimated": estimated is not None, "refined": refined is not None,
         "camera": dict(zip(capture.names, sides.camera.tolist())),
-        "camera_sd": dict(zip(capture.names, [row[:3] for row in sure])) if sure else None,
-        "log_exposure_sd": dict(zip(capture.names, [row[3] for row in sure])) if sure else None,
+        "camera_sd": dict(zip(capture.names, _together([sure.camera for sure in told]))) if told else None,
+        "log_exposure_sd": dict(zip(capture.names, _together([sure.log_exposure for sure in told]))) if told else None,
         "flash_offset": offset, "flash_offset_sd": None if flash is None else flash.tolist(),
         "light_power": float(sides.intensity.mean()),
         "power_told": light_power_factor, "log_power_sd": POWER if estimated or capture.calibration == "photos" else None}
+
+
+def _together(deviations: list[Tensor]) -> list:
+    """Standard deviations of sums of independent numbers."""
+    return torch.stack(deviations).square().sum(dim=0).sqrt().tolist()
 
 
 def about_views(calibration: Mapping) -> str:

@@ -13,7 +13,7 @@ from .fixed_maps import described
 from .result import FitResult
 
 # Behind each number, what twelve real captures of nine photos had, fitted with `hybrid` and `direct` at 64 px.
-CLIPPED_SHARE = 0.05  # of the pixels; eleven had up to 0.015, one 0.08
+MUCH_CLIPPED = 0.05  # of the pixels; eleven had up to 0.015, one 0.08
 ALIKE = 2 / 255  # display values, root mean square
 DARK = 8 / 255  # display values, median
 GAIN = 1.25  # photos over re-rendering, or the other way round; 0.93 to 1.01
@@ -50,7 +50,7 @@ def about_photos(capture: Capture) -> Iterator[str]:
     """Warnings about the photos by themselves."""
     photos = capture.photos
     clipped = float((photos >= CLIPPED).any(dim=-1).float().mean())
-    if clipped > CLIPPED_SHARE:
+    if clipped > MUCH_CLIPPED:
         yield f"{clipped:.0%} of the pixels are clipped: highlights are only bounded from below; expose less"
     if float(photos.median()) < DARK:
         yield "the photos are nearly black: 8 bits leave few steps there; expose more"

@@ -4,8 +4,8 @@ Three checks hold renderers against float64, and each asks another question:
 
 - :data:`LIMITS`: a test that renders one material (:mod:`mitsvbrdf.testing`), by renderer.
 - :data:`TOLERANCES`: the cross-check, over texels of roughness :data:`ROUGH_FROM` and more of any material, for all renderers.
-- :data:`EXACT`: the sweeps to extremes, where a figure that keeps within is called exact; beyond it conditioning has to
-  explain the error.
+- :data:`SWEEP_TOLERANCES`: the sweeps to extremes, where a figure that keeps within is called exact; beyond it conditioning
+  has to explain the error.
 
 :data:`UNIT_ROUNDOFF` is what float32 itself is off by.
 """
@@ -49,4 +49,4 @@ TOLERANCES = {"image": {"mean": 5e-7, "p99.9": 5e-6}, "gradients": {"relative_l2
 # Relative L2 errors that count as float32's own. Measured where nothing is extreme: images up to 6e-7, gradients up to
 # 1e-6; near the horizon 6e-6. ``float64`` is what float64 has to keep within itself, against fifty digits, to be the truth
 # that the others are held against.
-EXACT = {"image": 1e-6, "gradient": 1e-5, "float64": 1e-6}
+SWEEP_TOLERANCES = {"image": 1e-6, "gradient": 1e-5, "float64": 1e-6}

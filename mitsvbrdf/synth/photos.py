@@ -28,7 +28,7 @@ from .phone import DIAGONAL_35MM, HandheldPhone, Shot, Spoil, shots
 USABLE = ("rotated",)  # an odd photo that nothing is wrong with
 SENSOR_DIAGONAL = 9.5  # mm
 FROM_METER = 0.1  # megapixels of the photo that the exposure is measured on
-BRIGHTNESS, CLIPPED_SHARE = 0.25, 0.02  # mean radiance of the first photo, and share of its values that may be clipped
+BRIGHTNESS, MOST_CLIPPED = 0.25, 0.02  # mean radiance of the first photo, and share of its values that may be clipped
 READ, SHOT = 0.001, 2e-4  # noise: standard deviation at black, and variance over radiance (5000 electrons are white)
 AMBIENT = 0.35  # radiance of the room in a photo without flash
 FINGER = (0.05, 0.012, 0.008)  # radiance of a finger on the lens
@@ -82,7 +82,7 @@ def _metered(scene: Any, phone: HandheldPhone, pose: Pose) -> float:
     """Intensity of the flash, in display values: the mean of the first photo is right, or fewer of its values are clipped."""
     lens = replace(phone, megapixels=FROM_METER).lens
     radiance = scene.render(lens, pose, intensity=1.0) * _transmission(lens, 0, lens.size[1])
-    return float(min(BRIGHTNESS / radiance.mean(), 1 / np.quantile(radiance, 1 - CLIPPED_SHARE)))
+    return float(min(BRIGHTNESS / radiance.mean(), 1 / np.quantile(radiance, 1 - MOST_CLIPPED)))
 
 
 def _transmission(lens: Lens, first: int, count: int) -> NDArray[np.float32]:

@@ -129,19 +129,20 @@ def _bundle(lens: Lens, focal_share: float, sheet: Sheet, depth: float, seen: di
     errors = {name: float(np.sqrt(np.square(left[rows]).mean()) * problem.noise) for name, rows in problem.rows.items()}
     jacobian = problem.slopes(x)
     # Errors along an edge are much alike: two of its points count as known by themselves.
-    spread = max(1.0, np.square(left[LENS.size:]).mean()) * POINTS / 2
-    jacobian[LENS.size:] /= np.sqrt(spread)
+    spread = max(1.0, np.square(left[problem.equations["points"]]).mean()) * POINTS / 2
+    jacobian[problem.equations["points"]] /= np.sqrt(spread)
     covariance = np.linalg.inv(jacobian.T @ jacobian)
     position = POSE["position"]
     deviations = {name: float(np.sqrt(np.trace(covariance[own, own][position, position]))
                               * np.linalg.norm(problem.firsts[name].position)) for name, own in problem.own.items()}
-    focal = problem.layout.numbers.lens[0]
+    focal = LENS.unpack(problem.layout.numbers.lens).log_focal
     return problem.lens_of(x), poses, errors, deviations, float(np.sqrt(covariance[focal, focal]) * focal_share)
 
 
 class _Bundle:
     """The least-squares problem of all photos: the prior of the lens, then each photo's points, off across their edges.
 
+    Residuals by ``equations``: ``prior``, five of the lens, and ``points``, one each, those of a photo at ``rows``.
     Unknowns by ``layout``: ``lens``, by :data:`LENS` over its prior's deviations; ``poses``, of each photo a rotation after
     that of the start and a shift as a share of the distance (:data:`~.planar.POSE`), their deviations 1.
     """
@@ -154,9 +155,10 @@ class _Bundle:
         self.spread = LENS.pack(log_focal=focal_share, centre=CENTRE_SD * width, distortion=DISTORTION_SD)
         self.layout = Layout(lens=(LENS.size,), poses=(len(seen), POSE.size))
         self.own = {name: slice(at[0], at[-1] + 1) for name, at in zip(seen, self.layout.numbers.poses)}
-        ends = np.cumsum([LENS.size, *(len(edges.plane) for edges in seen.values())])
+        counts = [len(edges.plane) for edges in seen.values()]
+        self.equations = Layout(prior=(LENS.size,), points=(sum(counts),))
+        ends = np.cumsum([self.equations["points"].start, *counts])
         self.rows = {name: slice(*ends[i : i + 2]) for i, name in enumerate(seen)}
-        self.count = ends[-1]
 
     def lens_of(self, x: Array) -> Lens:
         """The lens of unknowns, of which the first are its own."""
@@ -178,13 +180,13 @@ class _Bundle:
         return np.nan_to_num((off * self.seen[name].across).sum(axis=1) / self.noise, nan=1e6)
 
     def residuals(self, x: Array) -> Array:
-        """In deviations: five of the lens, then one a point."""
+        """In deviations, by ``equations``."""
         return np.concatenate([x[self.layout["lens"]], *(self._of_photo(name, x) for name in self.seen)])
 
     def slopes(self, x: Array) -> Array:
         """Central differences; a photo depends on the lens and its own pose."""
-        out, numbers = np.zeros((self.count, len(x))), self.layout.numbers
-        out[:LENS.size, self.layout["lens"]] = np.eye(LENS.size)
+        out, numbers = np.zeros((self.equations.size, len(x))), self.layout.numbers
+        out[self.equations["prior"], self.layout["lens"]] = np.eye(LENS.size)
         for name, own in zip(self.seen, numbers.poses):
             for columns, step in ((numbers.lens, 1e-4), (own, 1e-6)):
                 for column in columns:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from ...calibrate.refine import ITERATIONS, PRIORS, UNKNOWNS, refine_views
+from ...calibrate.refine import CHANGE, ITERATIONS, PRIORS, moved, refine_views
 from ...capture import Capture
 from ...material.maps import SVBRDF
 from ...views import Views
@@ -19,11 +19,10 @@ LEVELLED, DAMPED = {Stage.ALONE: (5, 7, 9)}, 0.65
 REFINED = {Stage.ALONE: (12,), Stage.TOGETHER: (3, 5, 7, 9), Stage.FINE: (5,)}  # rounds after which the views are refined
 TILTED = 0.03  # patch sides by which the flash seems moved where the patch is not level
 FEW_STEPS = 10  # of refining views that were not stated: they move far, and will again after the next rounds
-FLASH = slice(UNKNOWNS.index("flash_x"), UNKNOWNS.index("flash_y") + 1)  # beside the camera
 
 
 class MovedViews:
-    """Changes of the stated views, N x 7 by :data:`mitsvbrdf.calibrate.refine.UNKNOWNS`, and how sure they are.
+    """Changes of the stated views, N x 7 by :data:`mitsvbrdf.calibrate.refine.CHANGE`, and how sure they are.
 
     Args:
         capture: photos with the stated views, at full size.
@@ -36,15 +35,12 @@ class MovedViews:
         self.stated, self.refined, self.fits_offset = capture.views, refined, fits_offset
         priors = PRIORS[capture.calibration]
         self.priors = priors if fits_offset else replace(priors, common_flash=(0.0, 0.0))
-        self.change = torch.zeros(len(capture), len(UNKNOWNS), dtype=torch.float64)
+        self.change = torch.zeros(len(capture), CHANGE.size, dtype=torch.float64)
         self.deviation, self.flash_deviation = torch.zeros_like(self.change), torch.zeros(2, dtype=torch.float64)
 
     def moved(self, views: Views) -> Views:
         """Views with the changes found so far."""
-        camera, flash, log_exposure = self.change.split((3, 3, 1), dim=1)
-        camera, flash = camera * views.size, flash * views.size
-        return replace(views, camera=views.camera + camera, light=views.light + camera + flash,
-                       intensity=views.intensity * log_exposure.exp())
+        return moved(views, self.change)
 
     def may_move(self, tied: bool) -> bool:
         """Whether the views are refined now, with photos that are known to be a phone's or not."""
@@ -59,10 +55,11 @@ class MovedViews:
         Args:
             slope: mean slopes of the normals, two float64 numbers.
         """
-        common = self.change[0, FLASH]
+        flash = self.change[:, CHANGE["flash"]][:, :2]  # x and y; a view
+        common = flash[0]
         said = common - 2 * self.stated.in_patch_sides().camera[:, 2].mean() * slope
         variance = torch.tensor(self.priors.common_flash).double().square()
-        self.change[:, FLASH] += DAMPED * (variance / (variance + TILTED**2) * said - common)
+        flash += DAMPED * (variance / (variance + TILTED**2) * said - common)
 
     def refine(self, svbrdf: SVBRDF, capture: Capture) -> None:
         """Find where camera and flash stood from the maps so far."""

@@ -14,7 +14,7 @@ from ...errors import MitsvbrdfError
 from ...fit.losses import photometric
 from ...measure.gradients import Measured, fixed_cotangent, render_and_gradients
 from ...measure.metrics import image_error
-from ...measure.tolerances import EXACT, UNIT_ROUNDOFF
+from ...measure.tolerances import SWEEP_TOLERANCES, UNIT_ROUNDOFF
 from ...render import Renderer, make_renderer
 from ...system.provenance import machine, versions
 from ..float32_limits import float32_limit
@@ -50,7 +50,7 @@ def stability(renderers: Sequence[Renderer], sweeps: Sequence[str] = tuple(SWEEP
         rows.append(measured(case, renderers))
     record = {
         "schema_version": SCHEMA_VERSION, "reference": "analytic64", "renderers": [r.name for r in renderers],
-        "tolerances": EXACT,
+        "tolerances": SWEEP_TOLERANCES,
         "sweeps": {key: SWEEPS[key][0] for key in sweeps}, "rows": rows, "machine": machine(), "versions": versions()}
     return record | {"violations": violations(rows)}
 
@@ -68,7 +68,7 @@ def violations(rows: Sequence[dict]) -> list[dict]:
             if count:
                 found.append(where | {"renderer": None, "what": f"{count} values of {name} are not finite"})
         worst = max(each["fifty_digits"].values(), default=0.0)
-        if worst > EXACT["float64"]:
+        if worst > SWEEP_TOLERANCES["float64"]:
             found.append(where | {"renderer": None, "what": f"float64 itself is off by {worst:.1g}"})
     return found
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from ...measure.tolerances import EXACT
+from ...measure.tolerances import SWEEP_TOLERANCES
 
 # From best to worst: ``degraded`` is as far off as conditioning explains, ``limited`` further, for a known cause and within a
 # stated bound. The last two are never accepted, ``refused`` only of what is invalid.
@@ -45,7 +45,7 @@ def verdict(figures: Mapping, limit: Mapping[str, float], clamps: Sequence[str] 
 
 
 def _tolerance(name: str) -> float:
-    return EXACT["image" if name == "image" else "gradient"]
+    return SWEEP_TOLERANCES["image" if name == "image" else "gradient"]
 
 
 def _beside(name: str, limit: Mapping[str, float]) -> str:

@@ -2,10 +2,10 @@
 
 import pytest
 
-from mitsvbrdf.measure.tolerances import EXACT
+from mitsvbrdf.measure.tolerances import SWEEP_TOLERANCES
 from mitsvbrdf.verify.stability.verdict import VERDICTS, verdict
 
-IMAGE, GRADIENT = EXACT["image"], EXACT["gradient"]
+IMAGE, GRADIENT = SWEEP_TOLERANCES["image"], SWEEP_TOLERANCES["gradient"]
 GOOD = {"errors": {"image": IMAGE / 3, "roughness": GRADIENT / 3}, "not_finite": {"image": 0}, "silenced": {"roughness": 0}}
 
 
