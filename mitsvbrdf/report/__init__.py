@@ -1,1 +1,1 @@
-"""TODO doc of mitsvbrdf/report/__init__.py."""
+"""The page of a fit: what it says, its pictures and live viewer; live/ shows a fit while it runs."""
