@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args, get_type_hints
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
@@ -46,7 +46,7 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig,
         resolution: Annotated[int, arg(help="Side of the maps in texels; photos are area-averaged down to it.")] = 256,
         views: ViewList = None,
         falloff: Annotated[FalloffOption, arg(help="Light falloff; none is the paper's light. auto: inverse-square, but "
-                                                   "none for --method gan.")] = "auto",
+                                                   "none for the paper's presets of --method gan.")] = "auto",
         transfer: TransferOption = "auto",
         variant: Variant = "llvm_ad_rgb",
         explain: Annotated[bool, arg(help="Print what this fit would leave out, and why, and end without fitting.")] = False,
@@ -131,16 +131,21 @@ def fit_command(arguments: Sequence[str]) -> Callable[..., int]:
     def command(*values: Any, **options: Any) -> int:
         return fit(*values, **options)
 
-    # One flat set of options, those of the method; --fix may be repeated.
-    settings = UseAppendAction[OmitArgPrefixes[METHODS[_method_named(arguments)].config]]  # type: ignore[misc, valid-type]
-    command.__doc__, command.__signature__ = fit.__doc__, inspect.signature(fit)  # type: ignore[attr-defined]
-    command.__annotations__ = fit.__annotations__ | {"config": settings}
+    # One flat set of options, those of the method, with the defaults of the preset named; --fix may be repeated.
+    kind = METHODS[_named(arguments, "--method", METHODS)].config
+    presets = get_args(get_type_hints(kind).get("preset"))
+    default = kind(preset=_named(arguments, "--preset", presets)) if presets else kind()  # type: ignore[call-arg]
+    signature = inspect.signature(fit)
+    chosen = [p.replace(default=default) if p.name == "config" else p for p in signature.parameters.values()]
+    command.__doc__ = fit.__doc__
+    command.__signature__ = signature.replace(parameters=chosen)  # type: ignore[attr-defined]
+    command.__annotations__ = fit.__annotations__ | {"config": UseAppendAction[OmitArgPrefixes[kind]]}  # type: ignore[misc, valid-type]
     return command
 
 
 def with_flags(arguments: list[str]) -> list[str]:
     """Arguments with --calibrate alone and --no-calibrate as True and False: unsaid is a third, which no flag of tyro's has."""
-    if _method_named(arguments) != "hierarchical":
+    if _named(arguments, "--method", METHODS) != "hierarchical":
         return arguments
     found = []
     for here, after in zip(arguments, [*arguments[1:], ""]):
@@ -149,9 +154,10 @@ def with_flags(arguments: list[str]) -> list[str]:
     return found
 
 
-def _method_named(arguments: Sequence[str]) -> str:
-    method = next(iter(METHODS))
+def _named(arguments: Sequence[str], option: str, names: Collection[str]) -> str:
+    """Which of the names the arguments give for an option; the first where they give none."""
+    named = next(iter(names))
     for here, after in zip(arguments, [*arguments[1:], ""]):
-        name = after if here == "--method" else here.removeprefix("--method=") if here.startswith("--method=") else None
-        method = name if name in METHODS else method
-    return method  # the last one counts, as for every option
+        name = after if here == option else here.removeprefix(f"{option}=") if here.startswith(f"{option}=") else ""
+        named = name if name in names else named
+    return named  # the last one counts, as for every option

@@ -7,15 +7,17 @@ from pathlib import Path
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 
 from ..errors import ConfigError
-from ..fit.config import GanConfig
+from ..fit.gan_config import GanConfig
 from ..render import RendererName, make_renderer
 from ..system import files
 from ..system.progress import Progress, say
 from ..views import Falloff
 from .options import Out, Overwrite, Photos, Variant, read_photos
 
+PAPER = GanConfig(preset="paper-two-stage")
 
-def pretrain(picture: Positional[Photos], out: Out, config: UseAppendAction[OmitArgPrefixes[GanConfig]],
+
+def pretrain(picture: Positional[Photos], out: Out, config: UseAppendAction[OmitArgPrefixes[GanConfig]] = PAPER,
              resolution: int = 256, renderer: RendererName = "mitsuba", falloff: Falloff = "none",
              variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
     """First stage of the paper's two-stage training: the generator learns from one picture with global features.

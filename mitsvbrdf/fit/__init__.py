@@ -11,7 +11,8 @@ from ..measure.rerender import rerender
 from ..render import Renderer
 from ..system.profile import profile_summary, profiled
 from .confidence import deviations
-from .config import DirectConfig, FitConfig, GanConfig, HierarchicalConfig, HybridConfig
+from .config import DirectConfig, FitConfig, HierarchicalConfig, HybridConfig
+from .gan_config import GanConfig
 from .left_out import left_out
 from .light_power import light_power_told, with_light_power
 from .live import LiveRecord

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import ClassVar, Literal, get_args
+from typing import ClassVar
 
 from ..capture.guess import GuessMethod
 from ..errors import ConfigError
@@ -12,10 +12,8 @@ from ..views import Falloff
 from . import losses
 from .fixed_maps import stated_maps
 
-Preset = Literal["paper-one-stage", "paper-two-stage"]
-
 POSITIVE = ("budget", "iterations", "width", "learning_rate", "normal_roughness_steps", "materials", "likeness",
-            "spread", "relief")
+            "spread", "relief", "pictures", "discriminator_rate")
 
 
 def check_seed(seed: int) -> None:
@@ -28,7 +26,6 @@ def check_seed(seed: int) -> None:
 class FitConfig:
     """What all methods share."""
 
-    falloff: ClassVar[Falloff] = "inverse-square"  # the light that the method takes for granted
     default_budget: ClassVar[float] = 120.0  # seconds
 
     bsdf: Bsdf = "roughconductor"
@@ -36,7 +33,8 @@ class FitConfig:
     guess: GuessMethod = "robust"
     """How the guessed diffuse map is made: robust (ours), min (the paper's), mean-blur (Zhao 2020)."""
     budget: float | None = None
-    """Stop after this many seconds. With neither limit: hierarchical, hybrid 120 s, direct 60 s, gan as its preset says."""
+    """Stop after this many seconds. With neither limit: hierarchical, hybrid 120 s, direct 60 s, gan 300 s or
+    the iterations of its preset."""
     iterations: int | None = None
     """Stop after this many iterations (with --budget: whichever comes first)."""
     seed: int = 0
@@ -64,6 +62,11 @@ class FitConfig:
     def limited(self) -> FitConfig:
         """Itself with the method's default limit filled in where none was given."""
         return self if self.budget or self.iterations else replace(self, **self.default_limit)
+
+    @property
+    def falloff(self) -> Falloff:
+        """The light that the method takes for granted."""
+        return "inverse-square"
 
     @property
     def default_limit(self) -> dict:
@@ -175,48 +178,3 @@ class DirectConfig(FitConfig):
     """Weight of the roughness of the specular and roughness maps (total variation)."""
     flat: float = 0.02
     """Weight of the tilt of the normals."""
-
-
-@dataclass(frozen=True)
-class GanConfig(FitConfig):
-    """The paper's method: adversarial and diffuse loss only, one photo or a blend of two as input (III.D, III.F)."""
-
-    falloff: ClassVar[Falloff] = "none"
-    guess: GuessMethod = "min"
-    preset: Preset = "paper-one-stage"
-    """paper-one-stage: 20,000 iterations; paper-two-stage: 10,000 on one picture, then 15,000 on the photos."""
-    pretrained: str | None = None
-    """A checkpoint of `mitsvbrdf pretrain`, to start the second stage from."""
-    width: int = 64
-    """Channels of the first convolution."""
-    learning_rate: float = 2e-5
-    """Adam's step size (III.F)."""
-    normal_roughness_steps: int = 5
-    """Gradient steps of the normal/roughness decoder per step of the diffuse/specular decoder (III.F)."""
-    diffuse: float = 10.0
-    """Weight of the diffuse loss beside the adversarial loss (the paper prints none)."""
-
-    def check(self) -> None:
-        """Raise ConfigError for numbers out of range, and for a preset that is none or does not go with the checkpoint."""
-        super().check()
-        if self.preset not in get_args(Preset):
-            raise ConfigError(f"a preset of {get_args(Preset)}", repr(self.preset), "choose one of these")
-        if self.pretrained and self.preset != "paper-two-stage":
-            raise ConfigError("--preset paper-two-stage beside a pretrained checkpoint", f"--preset {self.preset}",
-                              "add --preset paper-two-stage")
-
-    @property
-    def holds_views(self) -> bool:
-        """True: the paper states its views."""
-        return True
-
-    @property
-    def stages(self) -> tuple[int, int]:
-        """The paper's iterations (on one picture, on the target photos)."""
-        return (0, 20_000) if self.preset == "paper-one-stage" else (10_000, 15_000)
-
-    @property
-    def default_limit(self) -> dict:
-        """The paper's iterations, without those that the checkpoint has had."""
-        first, second = self.stages
-        return {"iterations": second if self.pretrained else first + second}

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
+from typing import Literal
 
 import torch
 import torch.nn.functional as F
@@ -16,7 +17,8 @@ from ..material.maps import CHANNELS, SVBRDF, Bsdf
 
 # The losses with a weight, what a user calls them, and the maps they speak about (none: those speak about the photos).
 NAMES = {"photometric": "photometric loss", "diffuse": "diffuse loss", "smooth": "smoothness of specular and roughness",
-         "flat": "price on tilted normals", "adversarial": "discriminator"}
+         "flat": "price on tilted normals", "adversarial": "discriminator", "features": "feature matching"}
+Game = Literal["relativistic", "bce", "hinge"]
 ABOUT = {"diffuse": ("diffuse", "base_color", "metallic"), "smooth": ("specular", "metallic", "roughness"), "flat": ("normal",)}
 
 
@@ -93,12 +95,35 @@ def tilt(svbrdf: SVBRDF) -> Tensor:
     return torch.sqrt(x**2 + y**2 + 1e-8).mean()
 
 
-def discriminator(real: Tensor, fake: Tensor) -> Tensor:
-    """Binary cross entropy of the discriminator's probabilities: photos are 1, renderings 0 (Goodfellow 2014)."""
-    return (F.binary_cross_entropy(real, torch.ones_like(real))
-            + F.binary_cross_entropy(fake, torch.zeros_like(fake))) / 2
+def discriminator(real: Tensor, fake: Tensor, game: Game = "bce") -> Tensor:
+    """What the discriminator minimises.
+
+    Args:
+        real: logits of photos.
+        fake: logits of renderings, the same shape.
+        game: ``bce``, cross entropy with photos 1 and renderings 0 (Goodfellow 2014); ``hinge`` (Lim 2017); ``relativistic``,
+            how surely each photo looks more real than the rendering it is paired with (Jolicoeur-Martineau 2019).
+    """
+    if game == "relativistic":
+        return F.softplus(fake - real).mean()
+    if game == "hinge":
+        return (F.relu(1 - real).mean() + F.relu(1 + fake).mean()) / 2
+    return (F.softplus(-real).mean() + F.softplus(fake).mean()) / 2
 
 
-def adversarial(fake: Tensor) -> Tensor:
-    """What the generator minimises: -log of the probability that its rendering is a photo (non-saturating form)."""
-    return F.binary_cross_entropy(fake, torch.ones_like(fake))
+def adversarial(real: Tensor, fake: Tensor, game: Game = "bce") -> Tensor:
+    """What the generator minimises; ``bce`` is -log of the probability that its rendering is a photo (non-saturating form).
+
+    Args:
+        real: logits of photos, which only ``relativistic`` looks at.
+        fake: logits of renderings.
+        game: as for :func:`discriminator`.
+    """
+    if game == "relativistic":
+        return F.softplus(real - fake).mean()
+    return -fake.mean() if game == "hinge" else F.softplus(-fake).mean()
+
+
+def features(real: Sequence[Tensor], fake: Sequence[Tensor]) -> Tensor:
+    """Mean distance of a discriminator's activations, each layer in units of the photo's mean (Salimans 2016)."""
+    return torch.stack([(f - r).abs().mean() / r.abs().mean().clamp_min(1e-3) for r, f in zip(real, fake)]).mean()

@@ -6,7 +6,8 @@ import importlib
 from typing import NamedTuple
 
 from ..errors import ConfigError
-from .config import DirectConfig, FitConfig, GanConfig, HierarchicalConfig, HybridConfig
+from .config import DirectConfig, FitConfig, HierarchicalConfig, HybridConfig
+from .gan_config import GanConfig
 from .method import Method
 from .task import Config, FitTask
 

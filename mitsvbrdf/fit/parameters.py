@@ -33,7 +33,12 @@ def to_svbrdf(bsdf: Bsdf, raw: Mapping[str, Tensor], fixed: Mapping[str, Tensor]
 
     A grey specular map, 1 x R x R, is expanded to three channels: its last stride is 0, which renderers look at.
     """
-    return from_units(bsdf, {name: torch.tanh(x if name == "normal" else x / 2) for name, x in raw.items()}, fixed)
+    return from_units(bsdf, {name: torch.tanh(x) for name, x in before_tanh(raw).items()}, fixed)
+
+
+def before_tanh(raw: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """What a last layer with Tanh, as the paper's, has to put out for these raw maps: they are logits but for the normal."""
+    return {name: x if name == "normal" else x / 2 for name, x in raw.items()}
 
 
 def from_units(bsdf: Bsdf, units: Mapping[str, Tensor], fixed: Mapping[str, Tensor] | None = None) -> SVBRDF:

@@ -23,6 +23,7 @@ from mitsvbrdf.measure.metrics import map_rmse
 from mitsvbrdf.render import make_renderer
 
 SMALL = {"hybrid": HybridConfig(width=8), "direct": DirectConfig(), "gan": GanConfig(width=8),
+         "gan, one stage": GanConfig(width=8, preset="paper-one-stage"),
          "gan, two stages": GanConfig(width=8, preset="paper-two-stage")}
 
 
@@ -146,7 +147,7 @@ def test_step_sizes_are_cut_until_the_fit_stays_finite(method, capture):
     loop.iteration = 1
     step, cut, cuts = loop.method.step, loop.method.cut_step, []
     loop.method.cut_step = lambda: (cut(), cuts.append(1))
-    sizes = {"hybrid": lambda m: m.peaks[0], "direct": lambda m: m.peak, "gan": lambda m: m.learning_rate}[method]
+    sizes = {"hybrid": lambda m: m.peaks[0], "direct": lambda m: m.peak, "gan": lambda m: m.cut}[method]
     first = sizes(loop.method)
     loop.method.step = lambda p: step(p) if sizes(loop.method) < first / 8 else {"photometric": math.nan}
     loop.run()
@@ -179,13 +180,13 @@ def test_a_fit_that_stays_broken_ends_with_one_error(capture):
 
 def test_pretrained_generator_is_taken_over(capture, tmp_path):
     renderer, path = make_renderer("mitsuba"), tmp_path / "g.safetensors"
-    pretrain(capture, renderer, GanConfig(width=8, iterations=3), path)
+    pretrain(capture, renderer, GanConfig(width=8, preset="paper-one-stage", iterations=3), path)
     config = GanConfig(width=8, preset="paper-two-stage", pretrained=str(path), iterations=1)
     method = make_method(FitTask(capture, renderer, config, torch.zeros(32, 32, 3)))
     saved = load_tensors(path)[0]
     for name, value in method.generator.state_dict().items():
         assert torch.equal(value, saved[f"method.generator.{name}"])
-    assert method.stage == 2
+    assert [phase.photos for phase in method.phases] == [None]
     with pytest.raises(ConfigError, match="width 16"):
         make_method(FitTask(capture, renderer, with_limits(config, width=16), torch.zeros(32, 32, 3)))
 
@@ -223,7 +224,20 @@ def test_limits_are_checked(wrong):
 
 
 def test_presets_are_the_papers():
-    assert GanConfig().limited().iterations == 20_000
-    assert GanConfig(preset="paper-two-stage").limited().iterations == 25_000
-    assert GanConfig(preset="paper-two-stage", pretrained="x").limited().iterations == 15_000
-    assert (GanConfig().learning_rate, GanConfig().normal_roughness_steps) == (2e-5, 5)
+    one, two = GanConfig(preset="paper-one-stage"), GanConfig(preset="paper-two-stage")
+    assert one.limited().iterations == 20_000 and two.limited().iterations == 25_000
+    assert dataclasses.replace(two, pretrained="x").limited().iterations == 15_000
+    assert GanConfig().limited().budget == 300
+    for paper in (one, two):
+        assert (paper.width, paper.learning_rate, paper.discriminator_rate) == (64, 2e-5, 2e-5)
+        assert (paper.normal_roughness_steps, paper.pictures, paper.game, paper.guess) == (5, 1, "bce", "min")
+        assert paper.grey_specular and paper.falloff == "none" and paper.holds_views and not paper.flash_offset
+        assert not any((paper.start, paper.decay, paper.level, paper.angles, paper.paired, paper.clipping, paper.grow,
+                        paper.average, paper.features, paper.crop))
+    assert [(round(p.share, 9), p.photos) for p in two.phases(256)] == [(0.4, 1), (0.6, None)]
+    assert GanConfig(preset="paper-one-stage", width=8).width == 8  # what is given stays
+
+
+def test_a_preset_that_is_none_is_refused():
+    with pytest.raises(ConfigError, match="minutes"):
+        GanConfig(preset="hours")

@@ -19,7 +19,7 @@ from mitsvbrdf.system import images
 
 SIDE = 16
 METHODS = {"hybrid": HybridConfig, "direct": DirectConfig, "gan": GanConfig}
-NARROW = {"hybrid": {"width": 4}, "direct": {}, "gan": {"width": 4}}
+NARROW = {"hybrid": {"width": 4}, "direct": {}, "gan": {"width": 4, "preset": "paper-one-stage"}}
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +57,7 @@ def test_nothing_is_allocated_for_a_map_that_is_held(method, capture):
     renderer, guess = ANALYTIC, torch.full((SIDE, SIDE, 3), 0.2)
     everything = unknowns(make_method(FitTask(capture, renderer, config_of(method), guess)))
     made = make_method(FitTask(capture, renderer, config_of(method, fix=("normal=flat", "specular=0.04")), guess))
-    channels = 5  # two slopes and three specular levels
+    channels = 3 if method == "gan" else 5  # two slopes and three specular levels, or one
     if method == "direct":
         assert everything - unknowns(made) == channels * SIDE**2
     elif method == "hybrid":  # the last layers are 1 x 1 convolutions of 4 channels, with a bias
@@ -172,7 +172,7 @@ def test_losses_without_weight_or_subject_are_not_computed(settings, unused, cap
 
 @pytest.mark.parametrize("config, wanted", [
     (DirectConfig(fix=("diffuse=0.5", "normal=flat")), {"price on tilted normals"}),
-    (GanConfig(fix=("diffuse=0.5", "normal=flat")), {"diffuse loss"}),
+    (GanConfig(fix=("diffuse=0.5", "normal=flat")), {"diffuse loss", "feature matching"}),
     (HybridConfig(fix=("diffuse=0.5", "normal=flat")), {"diffuse loss", "price on tilted normals"})])
 def test_only_losses_of_the_method_are_left_out(config, wanted, capture):
     said = dict(left_out(FitTask(capture, ANALYTIC, config)))

@@ -16,7 +16,8 @@ from mitsvbrdf.render import make_renderer
 from mitsvbrdf.system import profile
 from mitsvbrdf.system.profile import OTHER, STEP, Profile, profile_summary, profiled, profiling, switch_at
 
-CONFIGS = {"hybrid": HybridConfig(width=8), "direct": DirectConfig(), "gan": GanConfig(width=8)}
+CONFIGS = {"hybrid": HybridConfig(width=8), "direct": DirectConfig(),
+           "gan": GanConfig(width=8, preset="paper-one-stage", precision="float32")}
 
 
 @pytest.fixture
@@ -103,10 +104,10 @@ def test_methods_name_their_parts(method, renders, clock, capture, monkeypatch):
     # Only renderer, generator and discriminator take time here; all of it has to be where it belongs, in both directions.
     slow_render, slow_maps, slow_verdict = taking(clock, 3, 5), taking(clock, 70, 110), taking(clock, 1300, 1700)
     generator, name = (networks.TwoStreamGenerator, "decode") if method == "gan" else (networks.AllPhotosGenerator, "forward")
-    put_out, judge = getattr(generator, name), networks.PatchDiscriminator.forward
+    put_out, judge = getattr(generator, name), networks.PatchDiscriminator.activations
     monkeypatch.setattr(generator, name, lambda *a: put_out(*a) | {
         k: slow_maps(v) for k, v in put_out(*a).items() if k == "roughness"})
-    monkeypatch.setattr(networks.PatchDiscriminator, "forward", lambda *a: slow_verdict(judge(*a)))
+    monkeypatch.setattr(networks.PatchDiscriminator, "activations", lambda *a: [*judge(*a)[:-1], slow_verdict(judge(*a)[-1])])
     analytic = ANALYTIC
 
     class Slow:
@@ -122,7 +123,7 @@ def test_methods_name_their_parts(method, renders, clock, capture, monkeypatch):
     wanted = {"renderer": 3 * renders, "renderer, backward": 5 * renders}
     if method != "direct":  # the discriminator learns from a photo and a rendering, then judges each rendering
         wanted |= {"network": 70 * renders, "network, backward": 110 * renders,
-                   "discriminator": 2 * 1300 + 2 * 1700 + 1300 * renders, "discriminator, backward": 1700 * renders}
+                   "discriminator": 1300 + 1700 + 1300 * renders, "discriminator, backward": 1700 * renders}
     assert taken == wanted
     assert {"losses", "losses, backward", "hand-over", "hand-over, backward", "optimiser", OTHER} <= set(found.steps[0])
 

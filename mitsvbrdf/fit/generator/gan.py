@@ -1,32 +1,41 @@
-"""``gan``: the paper's method. A two-stream generator turns one photo into maps; their rendering under that photo's view
-has to pass for the photo (adversarial loss) and the diffuse map has to look like the guessed one (diffuse loss).
+"""``gan``: the paper's method. A generator proposes maps; their rendering has to pass for the photo of the same view
+(adversarial loss), and the diffuse map has to look like the guessed one (diffuse loss).
 
-What the paper leaves open, and what is done here: the encoder moves with the diffuse/specular decoder, once an iteration;
-blends are made in linear light, and the same blend of the same views is rendered; the maps reported are those generated
-from the first photo; of the first stage only the generator's weights are kept.
+The paper's presets and ours are the same code; each ingredient is a setting of :class:`mitsvbrdf.fit.GanConfig`. What the
+paper leaves open, and what is done here: the encoder moves with the diffuse/specular decoder, once an iteration; blends are
+made in linear light, and the same blend of the same views is rendered; the maps reported are those generated from the first
+photo; of the first stage only the generator's weights are kept.
 """
 
 from __future__ import annotations
 
+import contextlib
+import itertools
+from collections.abc import Iterator
+from dataclasses import replace
+
 import torch
 from torch import Tensor, nn
 
-from ... import color
 from ...errors import ConfigError
 from ...material.maps import SVBRDF
+from ...material.resample import enlarged
 from ...system.profile import profiled, switch_at
 from ...views import Views
 from .. import losses
 from ..checkpoint import load_module_state, load_optimizer_state, load_tensors, module_state, optimizer_state, part
-from ..config import GanConfig
-from ..method import Method, descend
+from ..gan_config import GanConfig, Phase
+from ..method import Method, cosine, descend
 from ..parameters import from_units, streams_of
+from ..start import robust_start
 from ..task import FitTask
-from .networks import PatchDiscriminator, TwoStreamGenerator, seeded
+from .networks import AllPhotosGenerator, PatchDiscriminator, TwoStreamGenerator, seeded
+from .pictures import Pictures, PictureSource, seen_through
+from .scale import Scale, condition_channels, has_fast_bfloat16
 
 
 class Gan(Method[GanConfig]):
-    """Steps of the paper's training (III.F).
+    """Steps of the training (III.F).
 
     Args:
         task: photos, guess, preset and weights.
@@ -37,108 +46,211 @@ class Gan(Method[GanConfig]):
 
     def __init__(self, task: FitTask[GanConfig]) -> None:
         super().__init__(task)
-        config, self.guess = task.config, task.guess
+        config = self.config
+        self.task = task
+        self.streams = streams_of(config.bsdf, self.fixed, config.grey_specular)
+        self.start = robust_start(self.capture, task.guess, config.bsdf, self.fixed) if config.start else None
         self.random = torch.Generator().manual_seed(config.seed)
+        self.bfloat16 = config.precision == "bfloat16" or config.precision == "auto" and has_fast_bfloat16()
         with seeded(config.seed):
-            streams = streams_of(config.bsdf, self.fixed, config.grey_specular)
-            self.generator = TwoStreamGenerator(streams, config.width)
-        self.learning_rate = config.learning_rate
+            self.generator: AllPhotosGenerator | TwoStreamGenerator = (
+                TwoStreamGenerator(self.streams, config.width, config.start) if config.generator == "two-stream"
+                else AllPhotosGenerator(condition_channels(len(self.capture)), self.streams, config.width, change=config.start))
         if config.pretrained:
             load_generator(self.generator, config, config.pretrained)
-        first, second = config.stages
-        self.first_share = 0.0 if config.pretrained else first / (first + second)
-        self.stage = 1 if self.first_share > 0 else 2
-        self._new_stage()
+        self.cut = 1.0  # of all step sizes, after steps that were undone
+        self.offset = torch.zeros(2, dtype=torch.float64, requires_grad=True)  # of the flash, in patch sides
+        self.phases = config.phases(self.capture.resolution)
+        self.whole = self._scale(Phase(1.0), {})  # the result is of this size
+        self._begin(0, {})
 
-    def _new_stage(self) -> None:
-        """A new discriminator and new optimisers; the generator's weights stay."""
-        g = self.generator
-        with seeded(self.config.seed + self.stage):
-            self.discriminator = PatchDiscriminator(self.config.width)
-        trained: dict[str, list[nn.Module | None]] = {
-            "slow": [g.encoder, g.diffuse_specular], "fast": [g.normal_roughness], "judge": [self.discriminator]}
-        parameters = {name: [p for module in modules if module is not None for p in module.parameters()]
-                      for name, modules in trained.items()}
-        self.optimizers = {name: torch.optim.Adam(some, lr=self.learning_rate, betas=(0.5, 0.999))
-                           for name, some in parameters.items() if some}
+    @property
+    def learning_rate(self) -> float:
+        """Adam's step size of the generator at the start of a phase."""
+        return self.config.learning_rate * self.cut
+
+    def _scale(self, phase: Phase, carried: dict[str, Tensor]) -> Scale:
+        capture = self.capture if phase.photos is None else self.capture.pick(self.capture.index[:phase.photos])
+        return Scale(self.task, capture, capture.resolution >> phase.halvings, self.streams, self.start, carried)
+
+    def _begin(self, phase: int, carried: dict[str, Tensor]) -> None:
+        """A phase: a new discriminator and new optimisers; the generator's weights stay."""
+        config, g = self.config, self.generator
+        self.phase, self.scale = phase, self._scale(self.phases[phase], carried)
+        self.source = PictureSource(self.scale.capture, config.clipping, config.crop)
+        with seeded(config.seed + 1 + phase):
+            inputs = 3 + 2 * config.angles + 3 * config.paired
+            self.discriminator = PatchDiscriminator(config.width, inputs, config.level)
+        trained: dict[str, list[nn.Module | None]] = (
+            {"slow": [g.encoder, g.diffuse_specular], "fast": [g.normal_roughness]} if isinstance(g, TwoStreamGenerator)
+            else {"slow": [g]})
+        groups = {name: [p for module in modules if module is not None for p in module.parameters()]
+                  for name, modules in (trained | {"judge": [self.discriminator]}).items()}
+        rates = {"judge": config.discriminator_rate}
+        self.optimizers = {name: torch.optim.Adam(some, lr=rates.get(name, config.learning_rate), betas=(0.5, 0.999))
+                           for name, some in groups.items() if some}
+        if self.fits_offset:
+            self.optimizers["flash"] = torch.optim.Adam([self.offset], lr=config.learning_rate)
+        self.averaged = ({name: value.detach().clone() for name, value in g.state_dict().items()} if config.average else {})
 
     def step(self, progress: float) -> dict[str, float]:
-        """One iteration: discriminator once, diffuse/specular and encoder once, normal/roughness several times."""
-        if self.stage == 1 and progress >= self.first_share:
-            self.stage = 2
-            self._new_stage()
-        photo, views, weights = self._draw_input()
-        size = photo.shape[-1]
-        with profiled("network"):
-            code = self.generator.encode(photo)
-            lower = self.generator.decode(1, code, size)
+        """One iteration: the discriminator learns once; then the generator, its normal/roughness decoder perhaps repeatedly."""
+        share = self._enter_phase(progress)
+        for name, optimizer in self.optimizers.items():
+            rate = self.config.discriminator_rate if name == "judge" else self.config.learning_rate
+            optimizer.param_groups[0]["lr"] = rate * self.cut * (cosine(share) if self.config.decay else 1.0)
         logged: dict[str, float] = {}
-        fast = [self.optimizers["fast"]] if "fast" in self.optimizers else []
-        for substep in range(self.config.normal_roughness_steps if fast else 1):
-            first = substep == 0
-            if not first:
-                code, lower = code.detach(), {k: v.detach() for k, v in lower.items()}
-            with profiled("network"):
-                units = self.generator.decode(0, code, size) | lower
-                switch_at("network, backward", *units.values())
-            with profiled("hand-over"):
-                svbrdf = from_units(self.config.bsdf, units, self.fixed)
-                switch_at("hand-over, backward", *svbrdf.maps.values())
-            fake = self._picture(svbrdf, views, weights)
-            with profiled("discriminator"):
-                if first:
-                    logged["discriminator"] = self.discriminator.learn(photo, fake.detach(), self.optimizers["judge"])
-                adversarial = losses.adversarial(self.discriminator(fake))
-                switch_at("discriminator, backward", adversarial)
+        pictures = self.source.draw(self.config.pictures, self.random)
+        for substep in range(self.config.normal_roughness_steps if "fast" in self.optimizers else 1):
+            if substep and self.config.fresh_pictures:
+                pictures = self.source.draw(self.config.pictures, self.random)
+            self._substep(pictures, substep == 0, logged)
+        self._average()
+        return logged | {"phase": float(self.phase)}
+
+    def _enter_phase(self, progress: float) -> float:
+        """Begin the phase that this share of the run has come to; returns the share of that phase that is done."""
+        begins = list(itertools.accumulate((phase.share for phase in self.phases[:-1]), initial=0.0))
+        present = max(number for number, begin in enumerate(begins) if progress >= begin)
+        if present > self.phase:
+            grown = self.phases[present].halvings != self.phases[self.phase].halvings
+            change = self._change() if grown and self.config.start else {}
+            if change:
+                self.generator.begin_change()
+            self._begin(present, change)
+        done = (progress - begins[self.phase]) / self.phases[self.phase].share
+        return min(max(done, 0.0), 1.0)
+
+    def _substep(self, pictures: Pictures, first: bool, logged: dict[str, float]) -> None:
+        config, plays = self.config, not {"adversarial", "features"} <= set(self.unused)
+        svbrdf = self._material(pictures, first)
+        total = torch.zeros(())
+        if plays:
+            fake, told = self._rendered(svbrdf, pictures), self._told(pictures)
+            if first:
+                with profiled("discriminator"), self._networks():
+                    logged["discriminator"] = self.discriminator.learn(
+                        pictures.shown, fake.detach(), self.optimizers["judge"], config.game, told)
+            with profiled("discriminator"), frozen(self.discriminator):
+                terms = self._verdict(pictures.shown, fake, told)
+                total = losses.weighted(terms, config.weights)
+                switch_at("discriminator, backward", total)
+            logged |= {name: float(value.detach()) for name, value in terms.items()}
+        if first and "diffuse" not in self.unused:
             with profiled("losses"):
-                total = adversarial
-                if "diffuse" not in self.unused:
-                    diffuse = losses.diffuse(svbrdf, self.guess)
-                    logged["diffuse"] = float(diffuse.detach())
-                    total = total + self.config.diffuse * diffuse
+                diffuse = losses.diffuse(svbrdf, self.scale.guess_in(pictures.window))
+                logged["diffuse"] = float(diffuse.detach())
+                total = total + config.diffuse * diffuse
+        if total.requires_grad:
+            moved = [name for name in ("fast", "slow", "flash") if name in self.optimizers and (first or name == "fast")]
             with profiled("losses, backward"):
-                gradient = descend(total, *fast, *([self.optimizers["slow"]] if first else []))
-            logged |= {"adversarial": float(adversarial.detach()), "gradient": logged.get("gradient", 0.0) + gradient}
-        return logged | {"stage": float(self.stage)}
+                gradient = descend(total, *(self.optimizers[name] for name in moved))
+            logged["gradient"] = logged.get("gradient", 0.0) + gradient
 
-    def _draw_input(self) -> tuple[Tensor, Views, Tensor]:
-        """With equal chance one photo, or two blended with a random weight: display values, views, weights (III.F)."""
-        count = 1 if self.stage == 1 else len(self.capture)
-        order = torch.randperm(count, generator=self.random)
-        coin, weight = torch.rand(2, generator=self.random).tolist()
-        picked = order[:1] if coin < 0.5 or count == 1 else order[:2]
-        weights = torch.tensor([1.0] if len(picked) == 1 else [weight, 1 - weight]).reshape(-1, 1, 1, 1)
-        linear = color.decode(self.capture.photos[picked], self.capture.transfer)
-        blend = (weights * linear).sum(dim=0)
-        return color.encode(blend, self.capture.transfer).permute(2, 0, 1)[None], self.views.pick(picked), weights
+    def _material(self, pictures: Pictures, first: bool = True) -> SVBRDF:
+        """The maps proposed; of a later substep only normal and roughness carry gradients."""
+        with profiled("network"):
+            change = self._out(self.scale, pictures, first)
+            switch_at("network, backward", *change.values())
+        with profiled("hand-over"):
+            units, fixed = self.scale.units(change, pictures.window), self.scale.fixed_in(pictures.window)
+            svbrdf = from_units(self.config.bsdf, units, fixed)
+            switch_at("hand-over, backward", *svbrdf.maps.values())
+        return svbrdf
 
-    def _picture(self, svbrdf: SVBRDF, views: Views, weights: Tensor) -> Tensor:
-        # Each view is clipped as its photo was before it is blended, so that input and rendering show the same physics.
+    def _out(self, scale: Scale, pictures: Pictures, first: bool = True) -> dict[str, Tensor]:
+        """What the generator puts out, before Tanh, in the window of the pictures."""
+        g, (top, left, side) = self.generator, pictures.window
+        with self._networks():
+            if isinstance(g, TwoStreamGenerator):
+                with torch.set_grad_enabled(first and torch.is_grad_enabled()):
+                    code = g.encode(pictures.shown[:1])
+                    lower = g.decode(1, code, side)
+                out = g.decode(0, code, side) | lower
+            else:
+                out = g(scale.condition[..., top:top + side, left:left + side])
+        out = {name: value.float() for name, value in out.items()}
+        if self.fits_offset and "normal" in out:
+            # The patch is flat as a whole (it lies in z = 0): without this a common tilt would hide the flash offset.
+            out["normal"] = out["normal"] - out["normal"].mean(dim=(1, 2), keepdim=True)
+        return out
+
+    def _rendered(self, svbrdf: SVBRDF, pictures: Pictures) -> Tensor:
         with profiled("renderer"):
-            rendered = self.renderer.render(svbrdf, views)
+            views = seen_through(pictures.window, self._views(), self.scale.capture.resolution)
+            rendered = self.renderer.render(svbrdf, views.pick(pictures.index))
             switch_at("renderer, backward", rendered)
         with profiled("losses"):
-            blend = (weights * rendered.clamp(0, 1)).sum(dim=0)
-            picture = color.to_display(blend, self.capture.transfer).permute(2, 0, 1)[None]
-            switch_at("losses, backward", picture)
-        return picture
+            fake = pictures.of(rendered)
+            switch_at("losses, backward", fake)
+        return fake
+
+    def _told(self, pictures: Pictures) -> Tensor | None:
+        """What the discriminator is told beside a picture."""
+        channels = [pictures.angles] * self.config.angles + [pictures.shown * 2 - 1] * self.config.paired
+        return torch.cat(channels, dim=1) if channels else None
+
+    def _verdict(self, shown: Tensor, fake: Tensor, told: Tensor | None) -> dict[str, Tensor]:
+        """The generator's own losses of what the discriminator makes of its renderings."""
+        with self._networks():
+            seen = self.discriminator.activations(fake, told)
+            with torch.no_grad():
+                real = (self.discriminator.activations(shown, told)
+                        if self.config.game == "relativistic" or "features" not in self.unused else seen)
+        own = {"adversarial": lambda: losses.adversarial(real[-1].float(), seen[-1].float(), self.config.game),
+               "features": lambda: losses.features([r.float() for r in real[:-1]], [s.float() for s in seen[:-1]])}
+        return {name: loss() for name, loss in own.items() if name not in self.unused}
+
+    def _networks(self) -> contextlib.AbstractContextManager:
+        return torch.autocast("cpu", torch.bfloat16) if self.bfloat16 else contextlib.nullcontext()
+
+    def _views(self) -> Views:
+        if not self.fits_offset:
+            return self.views
+        offset = torch.cat((self.offset, torch.zeros(1, dtype=torch.float64))) * self.views.size
+        return replace(self.views, light=self.views.light + offset)
+
+    def _average(self) -> None:
+        for name, value in self.generator.state_dict().items() if self.averaged else ():
+            self.averaged[name].lerp_(value, 1 - self.config.average)
 
     def estimate(self) -> tuple[SVBRDF, Views]:
-        """The maps generated from the first photo, and the views, which stay."""
+        """The maps generated from the first photo, or from all, at full size, and the views with the flash offset found."""
+        with torch.no_grad(), self._averaged_weights():
+            change = {name: enlarged(value, self.capture.resolution) for name, value in self._change().items()}
+            svbrdf = from_units(self.config.bsdf, self.whole.units(change), self.fixed)
+            return svbrdf.map(Tensor.contiguous), self._views()
+
+    def _change(self) -> dict[str, Tensor]:
+        """What the generator adds to the start now, before Tanh, at the resolution of the phase."""
+        pictures = self.source.first()
         with torch.no_grad():
-            units = self.generator(self.capture.photos[:1].permute(0, 3, 1, 2))
-            return from_units(self.config.bsdf, units, self.fixed).map(Tensor.contiguous), self.views
+            out = self._out(self.scale, pictures)
+            return {name: value + self.scale.carried[name] if self.scale.carried else value for name, value in out.items()}
+
+    @contextlib.contextmanager
+    def _averaged_weights(self) -> Iterator[None]:
+        """The generator with the running average of its weights, where one is kept."""
+        if not self.averaged:
+            yield
+            return
+        own = module_state("", self.generator)
+        load_module_state("", self.generator, self.averaged)
+        try:
+            yield
+        finally:
+            load_module_state("", self.generator, own)
 
     def cut_step(self) -> None:
         """Halve the step size of all optimisers."""
-        self.learning_rate /= 2
-        for optimizer in self.optimizers.values():
-            optimizer.param_groups[0]["lr"] = self.learning_rate
+        self.cut /= 2
 
     def state(self) -> dict[str, Tensor]:
-        """Stage, step size, random numbers, and weights and averages of the networks."""
-        state = {"random": self.random.get_state(), "stage": torch.tensor(self.stage),
-                 "learning_rate": torch.tensor(self.learning_rate, dtype=torch.float64)}
+        """Phase, step sizes, random numbers, and weights and averages of the networks."""
+        state = {"random": self.random.get_state(), "phase": torch.tensor(self.phase), "offset": self.offset.detach().clone(),
+                 "cut": torch.tensor(self.cut, dtype=torch.float64)}
+        state |= {f"carried.{name}": value for name, value in self.scale.carried.items()}
+        state |= {f"averaged{name}": value.clone() for name, value in self.averaged.items()}
         for name in ("generator", "discriminator"):
             state |= module_state(name, getattr(self, name))
         for name, optimizer in self.optimizers.items():
@@ -147,17 +259,31 @@ class Gan(Method[GanConfig]):
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
-        self.stage = int(state["stage"])
-        self.learning_rate = float(state["learning_rate"])
-        self._new_stage()
+        self.cut = float(state["cut"])
+        self._begin(int(state["phase"]), part(state, "carried."))
         self.random.set_state(state["random"])
+        with torch.no_grad():
+            self.offset.copy_(state["offset"])
         for name in ("generator", "discriminator"):
             load_module_state(name, getattr(self, name), state)
         for name, optimizer in self.optimizers.items():
             load_optimizer_state(name, optimizer, state)
+        self.averaged = {name: state[f"averaged{name}"].clone() for name in self.averaged}
 
 
-def load_generator(generator: TwoStreamGenerator, config: GanConfig, path: str) -> None:
+@contextlib.contextmanager
+def frozen(module: nn.Module) -> Iterator[None]:
+    """Gradients pass through the module inside, and none of its own weights is computed."""
+    for parameter in module.parameters():
+        parameter.requires_grad_(False)
+    try:
+        yield
+    finally:
+        for parameter in module.parameters():
+            parameter.requires_grad_(True)
+
+
+def load_generator(generator: nn.Module, config: GanConfig, path: str) -> None:
     """Fill a generator from a checkpoint of ``mitsvbrdf pretrain`` or of a ``gan`` fit.
 
     Raises:

@@ -27,6 +27,7 @@ from ..parameters import streams_of, to_raw, to_svbrdf
 from ..start import robust_start
 from ..task import FitTask
 from .networks import AllPhotosGenerator, PatchDiscriminator, seeded
+from .scale import condition_of
 
 PATCH = 128  # side of the crops the discriminator compares
 
@@ -48,12 +49,9 @@ class Hybrid(Method[HybridConfig]):
         start = robust_start(capture, guess, config.bsdf, self.fixed)
         self.start = to_raw(start, streams)
         self.edges = losses.edge_weights(guess)
-        photos = capture.photos.permute(0, 3, 1, 2)
-        clipped = (photos >= color.CLIPPED).any(dim=1).float()
-        condition = torch.cat((photos.flatten(0, 1), clipped, color.encode(guess).permute(2, 0, 1)))
-        self.condition = (condition[None] * 2 - 1).contiguous(memory_format=torch.channels_last)
+        self.condition = condition_of(capture, guess).contiguous(memory_format=torch.channels_last)
         with seeded(config.seed):
-            generator = AllPhotosGenerator(condition.shape[0], streams, config.width)
+            generator = AllPhotosGenerator(self.condition.shape[1], streams, config.width)
         self.generator = convert_conv2d_weight_memory_format(generator, torch.channels_last)
         self.offset = torch.zeros(2, dtype=torch.float64, requires_grad=True)  # patch sides
         groups: list[dict[str, Any]] = [{"params": list(self.generator.parameters()), "lr": config.learning_rate}]
@@ -82,7 +80,7 @@ class Hybrid(Method[HybridConfig]):
             switch_at("losses, backward", fake)
             with profiled("discriminator"):
                 logged["discriminator"] = self.discriminator.learn(real, fake.detach(), self.judge)
-                loss = losses.adversarial(self.discriminator(fake))
+                loss = losses.adversarial(real, self.discriminator.activations(fake)[-1])
                 switch_at("discriminator, backward", loss)
             return loss
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from .. import losses
+from ..losses import Game
 from ..method import descend
 from ..parameters import STREAMS, Streams
 
@@ -33,14 +34,15 @@ class TwoStreamGenerator(nn.Module):
 
     Encoder: 5 convolutions (three of them halve the size). Decoder ``normal_roughness``: 1 convolution and 3
     deconvolutions; decoder ``diffuse_specular``: 3 deconvolutions. All but the last are followed by instance norm and
-    leaky ReLU; the last by Tanh. Ours: three specular channels (the paper names its one channel a fault).
+    leaky ReLU; the last by Tanh, which is taken in :mod:`.gan`, where a start may be added before it.
 
     Args:
         streams: which maps come out of which decoder, with how many channels; one without maps is not built.
         width: channels of the first convolution (64 in full size).
+        change: whether the last layers begin at zero, because what they put out is a change to a start (ours).
     """
 
-    def __init__(self, streams: Streams = STREAMS["roughconductor"], width: int = 64) -> None:
+    def __init__(self, streams: Streams = STREAMS["roughconductor"], width: int = 64, change: bool = False) -> None:
         super().__init__()
         w = width
         self.streams = streams
@@ -54,15 +56,21 @@ class TwoStreamGenerator(nn.Module):
         self.normal_roughness = nn.Sequential(
             _block(nn.Conv2d(8 * w, 8 * w, 3, padding=1)), *self._upward(w, first)) if first else None
         self.diffuse_specular = nn.Sequential(*self._upward(w, second)) if second else None
+        if change:
+            self.begin_change()
+
+    def begin_change(self) -> None:
+        """Set the last layers to zero: what is put out is no change."""
+        _zero(decoder[-1] for decoder in (self.normal_roughness, self.diffuse_specular) if decoder is not None)
 
     @staticmethod
     def _upward(w: int, channels: int) -> list[nn.Module]:
         return [_block(nn.ConvTranspose2d(8 * w, 4 * w, 4, stride=2, padding=1)),
                 _block(nn.ConvTranspose2d(4 * w, 2 * w, 4, stride=2, padding=1)),
-                nn.ConvTranspose2d(2 * w, channels, 4, stride=2, padding=1), nn.Tanh()]
+                nn.ConvTranspose2d(2 * w, channels, 4, stride=2, padding=1)]
 
     def forward(self, photo: Tensor) -> dict[str, Tensor]:
-        """Maps in (-1, 1) by name, each C x R x R, of a photo 1 x 3 x R x R in display values."""
+        """Unbounded maps by name, before Tanh, each C x R x R, of a photo 1 x 3 x R x R in display values."""
         code, size = self.encode(photo), photo.shape[-1]
         return self.decode(0, code, size) | self.decode(1, code, size)
 
@@ -82,61 +90,81 @@ class TwoStreamGenerator(nn.Module):
 class PatchDiscriminator(nn.Module):
     """The paper's discriminator (III.D): 5 convolutions, the first four with instance norm and leaky ReLU, then Sigmoid.
 
-    Returns the probability of being a photo for each patch, N x 1 x r x r, for images N x 3 x R x R in display values.
+    Args:
+        width: channels of the first convolution.
+        inputs: channels it sees: a picture, and what else it is told.
+        level: no norm after the first convolution (ours): instance norm takes out how bright a picture is.
     """
 
-    def __init__(self, width: int = 64) -> None:
+    def __init__(self, width: int = 64, inputs: int = 3, level: bool = False) -> None:
         super().__init__()
         w = width
-        self.layers = nn.Sequential(
-            _block(nn.Conv2d(3, w, 4, stride=2, padding=1)),
+        self.layers = nn.ModuleList([
+            _block(nn.Conv2d(inputs, w, 4, stride=2, padding=1), normalise=not level),
             _block(nn.Conv2d(w, 2 * w, 4, stride=2, padding=1)),
             _block(nn.Conv2d(2 * w, 4 * w, 4, stride=2, padding=1)),
             _block(nn.Conv2d(4 * w, 8 * w, 3, padding=1)),
-            nn.Conv2d(8 * w, 1, 3, padding=1), nn.Sigmoid())
+            nn.Conv2d(8 * w, 1, 3, padding=1)])
 
     def forward(self, image: Tensor) -> Tensor:
-        """The probabilities of an image's patches."""
-        return self.layers(pad_to_multiple(image * 2 - 1, 16))
+        """Probability of being a photo for each patch, N x 1 x r x r, of images N x 3 x R x R in display values."""
+        return torch.sigmoid(self.activations(image)[-1])
 
-    def learn(self, photos: Tensor, renderings: Tensor, optimizer: torch.optim.Optimizer) -> float:
+    def activations(self, image: Tensor, told: Tensor | None = None) -> list[Tensor]:
+        """What each layer puts out; the last are the logits of the patches.
+
+        Args:
+            image: N x 3 x R x R in display values.
+            told: further channels N x C x R x R, as they are.
+        """
+        x = pad_to_multiple(image * 2 - 1 if told is None else torch.cat((image * 2 - 1, told), dim=1), 16)
+        found = []
+        for layer in self.layers:
+            x = layer(x)
+            found.append(x)
+        return found
+
+    def learn(self, photos: Tensor, renderings: Tensor, optimizer: torch.optim.Optimizer, game: Game = "bce",
+              told: Tensor | None = None) -> float:
         """One step towards telling photos from renderings; returns the loss before it, NaN where no step was made."""
-        loss = losses.discriminator(self(photos), self(renderings))
+        both = torch.cat((photos, renderings)), None if told is None else torch.cat((told, told))
+        real, fake = self.activations(*both)[-1].float().chunk(2)
+        loss = losses.discriminator(real, fake, game)
         return float(loss.detach()) + descend(loss, optimizer)
 
 
 class AllPhotosGenerator(nn.Module):
     """The hybrid's generator: an encoder over all photos at once, two decoders with skips, a change to a start out.
 
-    The maps are ``start + change`` in raw numbers (:mod:`.parameters`); the last layers begin at zero, so training
-    begins at the start.
+    The maps are ``start + change`` before Tanh; the last layers begin at zero, so training begins at the start.
 
     Args:
         inputs: channels of the conditioning image.
         streams: which maps come out of which decoder, with how many channels; one without maps is not built.
         width: channels of the finest level.
-        normalise: instance norm, which helps a network that learns from one material alone. Without it levels get through,
-            and what comes out of a crop does not depend on what lies around it further than the network sees.
+        change: whether the last layers begin at zero, because what they put out is a change to a start.
     """
 
     def __init__(self, inputs: int, streams: Streams = STREAMS["roughconductor"], width: int = 16,
-                 normalise: bool = True) -> None:
+                 change: bool = True) -> None:
         super().__init__()
-        self.normalise = normalise
         self.streams = [stream for stream in streams if stream]
         widths = [width, 2 * width, 4 * width, 6 * width, 6 * width]
-        self.down = nn.ModuleList([_block(nn.Conv2d(inputs, width, 3, padding=1), normalise)] + [
-            _block(nn.Conv2d(a, b, 4, stride=2, padding=1), normalise) for a, b in zip(widths, widths[1:])])
+        self.down = nn.ModuleList([_block(nn.Conv2d(inputs, width, 3, padding=1))] + [
+            _block(nn.Conv2d(a, b, 4, stride=2, padding=1)) for a, b in zip(widths, widths[1:])])
         self.up = nn.ModuleList(self._decoder(widths, sum(s.values())) for s in self.streams)
+        if change:
+            self.begin_change()
+
+    def begin_change(self) -> None:
+        """Set the last layers to zero: what is put out is no change."""
+        _zero(list(decoder.children())[-1] for decoder in self.up)
 
     def _decoder(self, widths: list[int], channels: int) -> nn.ModuleList:
         # The finest level only mixes channels (1 x 1): it has the most pixels, and its neighbours are in the skip already.
-        layers = [_block(nn.Conv2d(below + at, at, *((1,) if at == widths[0] else (3, 1, 1))), self.normalise)
+        layers = [_block(nn.Conv2d(below + at, at, *((1,) if at == widths[0] else (3, 1, 1))))
                   for at, below in zip(widths[-2::-1], widths[:0:-1])]
-        last = nn.Conv2d(widths[0], channels, 1)
-        for parameter in last.parameters():
-            nn.init.zeros_(parameter)
-        return nn.ModuleList([*layers, last])
+        return nn.ModuleList([*layers, nn.Conv2d(widths[0], channels, 1)])
 
     def forward(self, condition: Tensor) -> dict[str, Tensor]:
         """Changes by name, each C x R x R, for a conditioning image 1 x inputs x R x R."""
@@ -156,6 +184,12 @@ class AllPhotosGenerator(nn.Module):
             maps = last(x)[:, :, :size, :size]
             out |= dict(zip(stream, maps.split(list(stream.values()), dim=1)))
         return out
+
+
+def _zero(layers: Iterable[nn.Module]) -> None:
+    for layer in layers:
+        for parameter in layer.parameters():
+            nn.init.zeros_(parameter)
 
 
 def pad_to_multiple(image: Tensor, factor: int) -> Tensor:

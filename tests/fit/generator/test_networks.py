@@ -1,27 +1,56 @@
 """The networks have the papers' layers."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from helpers import ANALYTIC, GRID
 
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture
-from mitsvbrdf.fit import FitTask, GanConfig, make_method
 from mitsvbrdf.fit.generator.networks import AllPhotosGenerator, PatchDiscriminator, TwoStreamGenerator
+from mitsvbrdf.fit.generator.pictures import PictureSource, seen_through
 from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.maps import SVBRDF
 
 
 def test_input_and_rendering_of_the_gan_show_the_same_blend():
     # Were the generator right, its picture would be the input itself, for one photo and for blends of two.
     truth, views = make_material("inlay", 16), GRID
     photos = color.to_display(ANALYTIC.render(truth, views))
-    gan = make_method(FitTask(Capture(photos, views), ANALYTIC, GanConfig(width=8), truth["diffuse"]))
-    seen = set()
-    for _ in range(20):
-        photo, picked, weights = gan._draw_input()
-        seen.add(len(picked))
-        assert torch.allclose(gan._picture(truth, picked, weights), photo, atol=1e-4)
+    random, seen = torch.Generator().manual_seed(0), set()
+    for clipping in (True, False):
+        source = PictureSource(Capture(photos, views), clipping)
+        for _ in range(20):
+            pictures = source.draw(2, random)
+            seen |= {int((row > 0).sum()) for row in pictures.weights}
+            assert torch.allclose(pictures.of(ANALYTIC.render(truth, views.pick(pictures.index))), pictures.shown, atol=1e-4)
     assert seen == {1, 2}
+
+
+def test_a_crop_is_lit_as_the_whole_is():
+    # What is rendered of a crop's texels under the views moved to it is the crop of what is rendered of the whole.
+    truth, views = make_material("inlay", 32), replace(GRID, size=1.0)
+    photos = color.to_display(ANALYTIC.render(truth, views))
+    source = PictureSource(Capture(photos, views), True, crop=16)
+    random = torch.Generator().manual_seed(0)
+    for _ in range(5):
+        pictures = source.draw(2, random)
+        top, left, side = pictures.window
+        assert side == 16
+        part = SVBRDF(truth.bsdf, {k: v[top:top + side, left:left + side] for k, v in truth.maps.items()})
+        lit = seen_through(pictures.window, views, 32).pick(pictures.index)
+        assert torch.allclose(pictures.of(ANALYTIC.render(part, lit)), pictures.shown, atol=1e-4)
+
+
+def test_a_rendering_too_bright_is_told_so_unless_the_photo_is_clipped():
+    photos = torch.full((1, 16, 16, 3), 0.5)
+    photos[:, :8] = 1.0
+    for clipping, slope in ((True, [0, 1]), (False, [0, 0])):
+        source = PictureSource(Capture(photos, GRID.pick([0])), clipping)
+        rendered = torch.full((1, 16, 16, 3), 1.5, requires_grad=True)
+        source.first().of(rendered).sum().backward()
+        assert (rendered.grad[0, [0, 15]].sum(dim=(1, 2)) > 0).int().tolist() == slope
 
 
 def test_networks_have_the_papers_layers():

@@ -1,0 +1,180 @@
+"""Settings of ``gan``: the paper's presets, ours, and a switch for each ingredient between them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, NamedTuple, get_args
+
+from ..capture.guess import GuessMethod
+from ..errors import ConfigError
+from ..views import Falloff
+from .config import FitConfig
+from .losses import Game
+
+Preset = Literal["minutes", "paper-one-stage", "paper-two-stage"]
+Precision = Literal["auto", "float32", "bfloat16"]
+
+# The paper's method (III.C to III.F); it prints no weight of the diffuse loss.
+_PAPER: dict[str, Any] = {
+    "guess": "min", "grey_specular": True, "generator": "two-stream", "start": False, "width": 64, "learning_rate": 2e-5,
+    "decay": False, "normal_roughness_steps": 5, "fresh_pictures": False, "pictures": 1,
+    "discriminator_rate": 2e-5, "game": "bce", "level": False, "angles": False, "paired": False, "clipping": False,
+    "grow": False, "average": 0.0, "adversarial": 1.0, "features": 0.0, "diffuse": 10.0, "flash_offset": False}
+PRESETS: dict[str, dict[str, Any]] = {
+    "minutes": {
+        "guess": "robust", "grey_specular": False, "generator": "all-photos", "start": True, "width": 16,
+        "learning_rate": 2e-3, "decay": True, "normal_roughness_steps": 1, "fresh_pictures": False, "pictures": 6,
+        "discriminator_rate": 1e-3, "game": "relativistic", "level": True, "angles": True,
+        "paired": False, "clipping": True, "grow": True, "average": 0.0, "adversarial": 1.0, "features": 0.0, "diffuse": 5.0,
+        "flash_offset": True},
+    "paper-one-stage": _PAPER, "paper-two-stage": _PAPER}
+
+SMALLEST = 32  # side of the coarsest phase, texels
+AS_PRESET: Any = None  # a setting left out: GanConfig fills in what its preset has
+
+
+class Phase(NamedTuple):
+    """A part of the training: a discriminator and optimisers of its own; the generator's weights stay.
+
+    Args:
+        share: of the whole run.
+        photos: how many of the first photos are used; None uses all.
+        halvings: how often the resolution is halved.
+    """
+
+    share: float
+    photos: int | None = None
+    halvings: int = 0
+
+
+@dataclass(frozen=True)
+class GanConfig(FitConfig):
+    """A generator against a discriminator: adversarial and diffuse loss (III.D, III.F); left out, a setting is its preset's."""
+
+    default_budget: ClassVar[float] = 300.0
+
+    preset: Preset = "minutes"
+    """minutes: ours; paper-one-stage: 20,000 iterations; paper-two-stage: 10,000 on one picture, 15,000 on the photos."""
+    pretrained: str | None = None
+    """A checkpoint of `mitsvbrdf pretrain`, to start the paper's second stage from."""
+    guess: GuessMethod = AS_PRESET
+    """How the guessed diffuse map is made: robust (ours), min (the paper's), mean-blur (Zhao 2020)."""
+    grey_specular: bool = AS_PRESET
+    """One grey specular level a texel (the paper's) instead of three channels."""
+    generator: Literal["all-photos", "two-stream"] = AS_PRESET
+    """What proposes the maps: a network that sees all photos, or the paper's, which sees the picture it is compared with."""
+    start: bool = AS_PRESET
+    """Whether the generator starts at the guess and a robust constant specular and roughness; else untrained (the paper's)."""
+    width: int = AS_PRESET
+    """Channels of the first convolution of both networks."""
+    learning_rate: float = AS_PRESET
+    """Adam's step size of the generator."""
+    decay: bool = AS_PRESET
+    """Whether step sizes fall along a cosine to 2 % in each phase."""
+    normal_roughness_steps: int = AS_PRESET
+    """Gradient steps of the normal/roughness decoder per step of the diffuse/specular decoder (III.F)."""
+    fresh_pictures: bool = AS_PRESET
+    """Whether each of these steps draws another photo or blend."""
+    pictures: int = AS_PRESET
+    """Photos or blends that a step compares."""
+    crop: int = 0
+    """Side of random crops to train on, in texels (Zhao 2020's stationary mode: one photo is enough); 0 takes all."""
+    discriminator_rate: float = AS_PRESET
+    """Adam's step size of the discriminator."""
+    game: Game = AS_PRESET
+    """What the networks play: bce (the paper's), hinge, or relativistic (photo against the rendering of the same view)."""
+    level: bool = AS_PRESET
+    """Whether the discriminator sees how bright pictures are: no norm in its first layer."""
+    angles: bool = AS_PRESET
+    """Whether the discriminator sees where highlights would lie: two channels of the half vector."""
+    paired: bool = AS_PRESET
+    """Whether the discriminator sees the photo beside what it judges."""
+    clipping: bool = AS_PRESET
+    """Whether a rendering is clipped where its photo is, and only there; else everywhere, which stops gradients."""
+    grow: bool = AS_PRESET
+    """Whether a quarter and half the resolution come first."""
+    average: float = AS_PRESET
+    """Decay of the running average of the generator's weights that makes the result; 0 takes the weights themselves."""
+    precision: Precision = "auto"
+    """What the networks compute in; renderer and losses stay in float32. auto: bfloat16 where the CPU multiplies in it."""
+    adversarial: float = AS_PRESET
+    """Weight of the adversarial loss."""
+    features: float = AS_PRESET
+    """Weight of feature matching: the distance between the discriminator's activations for rendering and photo."""
+    diffuse: float = AS_PRESET
+    """Weight of the diffuse loss beside the adversarial loss (the paper prints none)."""
+    flash_offset: bool = AS_PRESET
+    """Whether the sideways distance between lens and flash is fitted, one for all photos; the paper's is 0."""
+
+    def __post_init__(self) -> None:
+        """Fill in what the preset has.
+
+        Raises:
+            ConfigError: no such preset.
+        """
+        if self.preset not in get_args(Preset):
+            raise ConfigError(f"a preset of {get_args(Preset)}", repr(self.preset), "choose one of these")
+        for name, value in PRESETS[self.preset].items():
+            if getattr(self, name) is AS_PRESET:
+                object.__setattr__(self, name, value)
+        if self.of_paper and self.bsdf == "principled":  # it has no specular map
+            object.__setattr__(self, "grey_specular", False)
+
+    def check(self) -> None:
+        """Raise ConfigError for numbers out of range, and for settings that do not go together."""
+        super().check()
+        if self.pretrained and self.preset != "paper-two-stage":
+            raise ConfigError("--preset paper-two-stage beside a pretrained checkpoint", f"--preset {self.preset}",
+                              "add --preset paper-two-stage")
+        if self.normal_roughness_steps > 1 and self.generator != "two-stream":
+            raise ConfigError("--generator two-stream with several steps of one decoder", f"--generator {self.generator}",
+                              "leave --normal-roughness-steps at 1")
+        if self.average >= 1:
+            raise ConfigError("average below 1", str(self.average), "0.99 averages over some 100 steps; 0 does not average")
+        if 0 < self.crop < 16:
+            raise ConfigError("crop of 16 texels or more, or 0", str(self.crop), "0 trains on whole pictures")
+
+    @property
+    def of_paper(self) -> bool:
+        """Whether it is one of the paper's presets."""
+        return self.preset != "minutes"
+
+    @property
+    def holds_views(self) -> bool:
+        """Whether the views stay as the capture has them: the paper states its views."""
+        return self.of_paper
+
+    @property
+    def wants_flash_offset(self) -> bool | None:
+        """Whether the flash offset is to be fitted, as asked for; the paper has none."""
+        return self.flash_offset or (None if self.of_paper else False)
+
+    @property
+    def falloff(self) -> Falloff:
+        """None in the paper: its light keeps its power however far it goes."""
+        return "none" if self.of_paper else "inverse-square"
+
+    @property
+    def stages(self) -> tuple[int, int]:
+        """The paper's iterations (on one picture, on the target photos)."""
+        return (0, 20_000) if self.preset == "paper-one-stage" else (10_000, 15_000)
+
+    @property
+    def default_limit(self) -> dict:
+        """Seconds of ours; the paper's iterations, without those that the checkpoint has had."""
+        if not self.of_paper:
+            return super().default_limit
+        first, second = self.stages
+        return {"iterations": second if self.pretrained else first + second}
+
+    def phases(self, resolution: int) -> list[Phase]:
+        """The parts of the training, for maps of this side: the paper's two stages, or growing resolutions."""
+        if self.preset == "paper-two-stage" and not self.pretrained:
+            first, second = self.stages
+            return [Phase(first / (first + second), photos=1), Phase(second / (first + second))]
+        shares = {2: 0.25, 1: 0.3, 0: 0.45} if self.grow else {0: 1.0}
+        kept = {halvings: share for halvings, share in shares.items() if not halvings or resolution >> halvings >= SMALLEST}
+        return [Phase(share / sum(kept.values()), halvings=halvings) for halvings, share in kept.items()]
+
+
+
