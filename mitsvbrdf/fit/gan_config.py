@@ -117,7 +117,8 @@ class GanConfig(FitConfig):
         for name, value in PRESETS[self.preset].items():
             if getattr(self, name) is AS_PRESET:
                 object.__setattr__(self, name, value)
-        if self.of_paper and self.bsdf == "principled":  # it has no specular map
+        if self.of_paper and (self.bsdf == "principled" or any(item.startswith("specular=") for item in self.fix)):
+            # No specular map is fitted.
             object.__setattr__(self, "grey_specular", False)
 
     def check(self) -> None:
