@@ -77,7 +77,7 @@ def descend(total: Tensor, *optimizers: torch.optim.Optimizer) -> float:
     total.backward()
     with profiled("optimiser"):
         gradients = [p.grad for o in optimizers for group in o.param_groups for p in group["params"] if p.grad is not None]
-        if not math.isfinite(sum(float(g.sum()) for g in gradients)):
+        if not math.isfinite(float(torch.nn.utils.get_total_norm(gradients))):
             return math.nan
         for optimizer in optimizers:
             optimizer.step()

@@ -64,10 +64,9 @@ class Gan(Method[GanConfig]):
         self.whole = self._scale(Phase(1.0), {})  # the result is of this size
         self._begin(0, {})
 
-    @property
-    def learning_rate(self) -> float:
-        """Adam's step size of the generator at the start of a phase."""
-        return self.config.learning_rate * self.cut
+    def _rate(self, name: str) -> float:
+        """Adam's step size at the start of a phase."""
+        return self.cut * (self.config.discriminator_rate if name == "judge" else self.config.learning_rate)
 
     def _scale(self, phase: Phase, carried: dict[str, Tensor]) -> Scale:
         capture = self.capture if phase.photos is None else self.capture.pick(self.capture.index[:phase.photos])
@@ -84,21 +83,20 @@ class Gan(Method[GanConfig]):
         trained: dict[str, list[nn.Module | None]] = (
             {"slow": [g.encoder, g.diffuse_specular], "fast": [g.normal_roughness]} if isinstance(g, TwoStreamGenerator)
             else {"slow": [g]})
-        groups = {name: [p for module in modules if module is not None for p in module.parameters()]
-                  for name, modules in (trained | {"judge": [self.discriminator]}).items()}
-        rates = {"judge": config.discriminator_rate}
-        self.optimizers = {name: torch.optim.Adam(some, lr=rates.get(name, config.learning_rate), betas=(0.5, 0.999))
-                           for name, some in groups.items() if some}
+        groups: dict[str, list[Tensor]] = {
+            name: [p for module in modules if module is not None for p in module.parameters()]
+            for name, modules in (trained | {"judge": [self.discriminator]}).items()}
         if self.fits_offset:
-            self.optimizers["flash"] = torch.optim.Adam([self.offset], lr=config.learning_rate)
+            groups["flash"] = [self.offset]
+        self.optimizers = {name: torch.optim.Adam(some, lr=self._rate(name), betas=(0.5, 0.999), fused=True)
+                           for name, some in groups.items() if some}
         self.averaged = ({name: value.detach().clone() for name, value in g.state_dict().items()} if config.average else {})
 
     def step(self, progress: float) -> dict[str, float]:
         """One iteration: the discriminator learns once; then the generator, its normal/roughness decoder perhaps repeatedly."""
         share = self._enter_phase(progress)
         for name, optimizer in self.optimizers.items():
-            rate = self.config.discriminator_rate if name == "judge" else self.config.learning_rate
-            optimizer.param_groups[0]["lr"] = rate * self.cut * (cosine(share) if self.config.decay else 1.0)
+            optimizer.param_groups[0]["lr"] = self._rate(name) * (cosine(share) if self.config.decay else 1.0)
         logged: dict[str, float] = {}
         pictures = self.source.draw(self.config.pictures, self.random)
         for substep in range(self.config.normal_roughness_steps if "fast" in self.optimizers else 1):
@@ -234,12 +232,12 @@ class Gan(Method[GanConfig]):
         if not self.averaged:
             yield
             return
-        own = module_state("", self.generator)
-        load_module_state("", self.generator, self.averaged)
+        own = {name: value.clone() for name, value in self.generator.state_dict().items()}
+        self.generator.load_state_dict(self.averaged)
         try:
             yield
         finally:
-            load_module_state("", self.generator, own)
+            self.generator.load_state_dict(own)
 
     def cut_step(self) -> None:
         """Halve the step size of all optimisers."""

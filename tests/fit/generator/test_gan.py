@@ -1,0 +1,189 @@
+"""``gan``: where it starts, how it grows, what its discriminator sees, and that the game between the two finds maps."""
+
+import math
+
+import pytest
+import torch
+import torch.nn.functional as F
+from helpers import ANALYTIC, MITSUBA, photos_of
+
+from mitsvbrdf.errors import ConfigError
+from mitsvbrdf.fit import FitTask, GanConfig, fit_svbrdf, losses, make_method
+from mitsvbrdf.fit.generator.gan import frozen
+from mitsvbrdf.fit.generator.networks import PatchDiscriminator
+from mitsvbrdf.fit.generator.pictures import PictureSource
+from mitsvbrdf.fit.start import robust_start
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.maps import flat
+from mitsvbrdf.measure.metrics import map_rmse
+
+
+@pytest.fixture(scope="module")
+def tiles():
+    return photos_of(make_material("tiles", 64))
+
+
+def gan_of(capture, renderer=ANALYTIC, **settings):
+    config = GanConfig(**{"width": 4, "pictures": 2, "precision": "float32"} | settings)
+    config.check()
+    return make_method(FitTask(capture, renderer, config))
+
+
+@pytest.mark.parametrize("generator", ["all-photos", "two-stream"])
+def test_it_starts_where_the_papers_first_stage_ends(generator, tiles):
+    gan = gan_of(tiles, generator=generator)
+    start = robust_start(tiles, gan.task.guess, "roughconductor")
+    for name, value in gan.estimate()[0].maps.items():
+        # Maps begin 0.002 inside their range, roughness 1 % of it, so that Tanh has a slope.
+        assert (value - start[name]).abs().max() < 0.011, name
+    assert (gan.estimate()[0]["normal"] == torch.tensor([0.0, 0.0, 1.0])).all()
+
+
+def test_untrained_it_starts_anywhere(tiles):
+    normals = gan_of(tiles, start=False).estimate()[0]["normal"]
+    assert normals[..., :2].abs().max() > 0.02
+
+
+@pytest.mark.parametrize("generator", ["all-photos", "two-stream"])
+def test_what_was_found_is_carried_to_the_next_resolution(generator, tiles):
+    gan = gan_of(tiles, generator=generator)
+    assert [phase.halvings for phase in gan.phases] == [1, 0]
+    for _ in range(4):
+        gan.step(0.0)
+    found = gan.estimate()[0]
+    assert (found["normal"][..., 2] < 0.9999).any()  # it has moved
+    change = gan._change()
+    gan.generator.begin_change()
+    gan._begin(1, change)
+    for name, value in gan.estimate()[0].maps.items():
+        assert torch.allclose(value, found[name], atol=1e-6), name
+    assert gan.source.capture.resolution == 64
+    gan.step(0.6)
+    assert gan.phase == 1
+
+
+def test_phases_share_the_run(tiles):
+    config = GanConfig()
+    assert [p.halvings for p in config.phases(256)] == [2, 1, 0] and [p.halvings for p in config.phases(48)] == [0]
+    assert sum(p.share for p in config.phases(64)) == pytest.approx(1)
+    gan, seen = gan_of(tiles), []
+    for progress in (0.0, 0.39, 0.41, 0.99):
+        gan._enter_phase(progress)
+        seen.append(gan.phase)
+    assert seen == [0, 0, 1, 1]  # 0.3 to 0.45: the first of the two phases ends at 0.4
+    assert gan._enter_phase(0.7) == pytest.approx(0.5)
+
+
+def test_the_game_draws_renderings_to_the_photos():
+    # No loss but the adversarial and the diffuse one: measured 0.61 of the first re-rendering error, 0.61 of the roughness's.
+    truth = make_material("leather", 32)
+    capture = photos_of(truth)
+    result = fit_svbrdf(capture, MITSUBA, GanConfig(width=8, iterations=120))
+    start = map_rmse(robust_start(capture, result.guess, "roughconductor"), truth)
+    assert result.rerender_rmse < 0.8 * result.trace[0]["rerender_rmse"]
+    assert map_rmse(result.svbrdf, truth)["roughness"] < 0.8 * start["roughness"]
+
+
+def test_without_the_adversarial_loss_the_maps_stay_at_the_start(tiles):
+    gan = gan_of(tiles, adversarial=0.0)
+    before = gan.estimate()[0]
+    for _ in range(3):
+        losses_of_step = gan.step(0.0)
+    assert "adversarial" not in losses_of_step and losses_of_step["diffuse"] < 0.01
+    assert (gan.estimate()[0]["normal"] == before["normal"]).all()
+
+
+def test_the_losses_of_the_games():
+    real, fake = torch.randn(2, 3, 1, 4, 4, generator=torch.Generator().manual_seed(0))
+    p, q = torch.sigmoid(real), torch.sigmoid(fake)
+    one = torch.ones_like(p)
+    assert torch.allclose(losses.discriminator(real, fake, "bce"),
+                          (F.binary_cross_entropy(p, one) + F.binary_cross_entropy(q, 0 * one)) / 2)
+    assert torch.allclose(losses.adversarial(real, fake, "bce"), F.binary_cross_entropy(q, one))
+    assert torch.allclose(losses.discriminator(real, fake, "relativistic"), -torch.log(torch.sigmoid(real - fake)).mean())
+    assert torch.allclose(losses.adversarial(real, fake, "relativistic"), -torch.log(torch.sigmoid(fake - real)).mean())
+    hinged = [max(0.0, 1 - r) + max(0.0, 1 + f) for r, f in zip(real.flatten().tolist(), fake.flatten().tolist())]
+    assert float(losses.discriminator(real, fake, "hinge")) == pytest.approx(sum(hinged) / len(hinged) / 2, rel=1e-5)
+    assert torch.allclose(losses.adversarial(real, fake, "hinge"), -fake.mean())
+    for game in ("bce", "relativistic"):  # what it costs not to know
+        assert float(losses.discriminator(0 * real, 0 * fake, game)) == pytest.approx(math.log(2))
+
+
+def test_a_surely_wrong_verdict_still_has_a_gradient():
+    fake = torch.tensor([-200.0], requires_grad=True)
+    losses.adversarial(torch.tensor([200.0]), fake, "bce").backward()
+    assert fake.grad.item() == pytest.approx(-1.0)
+
+
+def test_features_match_where_activations_do():
+    real = [torch.rand(2, 3, 4, 4) + 1, torch.rand(2, 5, 2, 2) + 1]
+    assert losses.features(real, real) == 0
+    assert float(losses.features(real, [2 * r for r in real])) == pytest.approx(1.0, rel=1e-5)
+
+
+def test_a_discriminator_of_level_sees_how_bright_a_picture_is():
+    # Instance norm after the first layer takes a change of contrast out, but at the border.
+    photo = torch.rand(1, 3, 64, 64, generator=torch.Generator().manual_seed(0))
+    moved = {}
+    for level in (False, True):
+        torch.manual_seed(0)
+        judge = PatchDiscriminator(8, level=level)
+        with torch.no_grad():
+            logits = [judge.activations(x)[-1][..., 1:-1, 1:-1] for x in (photo, photo / 2, photo.flip(0, 2))]
+        moved[level] = float((logits[0] - logits[1]).std() / (logits[0] - logits[2]).std())
+    assert moved[True] > 2 * moved[False], moved
+
+
+@pytest.mark.parametrize("angles, paired, channels", [(False, False, 3), (True, False, 5), (True, True, 8)])
+def test_what_the_discriminator_is_told(angles, paired, channels, tiles):
+    gan = gan_of(tiles, angles=angles, paired=paired)
+    assert gan.discriminator.layers[0][0].in_channels == channels
+    pictures = gan.source.draw(2, gan.random)
+    told = gan._told(pictures)
+    assert (0 if told is None else told.shape[1]) == channels - 3
+    assert math.isfinite(gan.step(0.0)["adversarial"])
+
+
+def test_highlights_lie_where_the_angles_are_small(tiles):
+    # Of a flat, smooth, specular patch the brightest pixel is where the half vector is nearest the normal.
+    angles = PictureSource(tiles, True).angles
+    images = ANALYTIC.render(flat(64, diffuse=0.0, specular=0.9, roughness=0.3), tiles.views)[..., 0]
+    for image, off in zip(images, angles[:, 0]):
+        bright, near = (divmod(int(where), 64) for where in (image.argmax(), off.argmin()))
+        assert max(abs(a - b) for a, b in zip(bright, near)) <= 2 and off.min() >= 0
+
+
+def test_frozen_weights_get_no_gradient_and_thaw():
+    judge, image = PatchDiscriminator(4), torch.rand(1, 3, 32, 32, requires_grad=True)
+    with frozen(judge):
+        judge.activations(image)[-1].sum().backward()
+    assert image.grad.abs().sum() > 0 and all(p.grad is None and p.requires_grad for p in judge.parameters())
+
+
+def test_the_running_average_of_the_weights(tiles):
+    gan = gan_of(tiles, average=0.5, decay=False)
+    name = "up.0.0.0.weight"
+    expected = gan.generator.state_dict()[name].clone()
+    for _ in range(3):
+        gan.step(0.0)
+        expected = 0.5 * expected + 0.5 * gan.generator.state_dict()[name]
+    assert torch.allclose(gan.averaged[name], expected, atol=1e-7)
+    now = gan.generator.state_dict()[name].clone()
+    gan.estimate()
+    assert torch.equal(gan.generator.state_dict()[name], now) and not torch.equal(now, expected)
+
+
+def test_fresh_pictures_in_each_step_of_a_decoder(tiles):
+    for fresh, wanted in ((True, 3), (False, 1)):
+        gan = gan_of(tiles, generator="two-stream", normal_roughness_steps=3, fresh_pictures=fresh)
+        draw, drawn = gan.source.draw, []
+        gan.source.draw = lambda *a, draw=draw, drawn=drawn: (drawn.append(1), draw(*a))[1]
+        gan.step(0.0)
+        assert len(drawn) == wanted
+
+
+@pytest.mark.parametrize("wrong, words", [({"average": 1.0}, "average below 1"), ({"crop": 4}, "crop of 16"),
+                                          ({"normal_roughness_steps": 5}, "two-stream"), ({"pictures": 0}, "pictures > 0")])
+def test_settings_that_do_not_go_together_are_refused(wrong, words):
+    with pytest.raises(ConfigError, match=words):
+        GanConfig(**wrong).check()
