@@ -133,11 +133,11 @@ def page(record: dict) -> str:
         "# Gradients of the generator's weights", "",
         "Written by `python -m mitsvbrdf.verify.generator_gradients`, nothing by hand. Machine: "
         f"{on['cpu']}. Versions: mitsuba {with_['mitsuba']}, drjit {with_['drjit']}, torch {with_['torch']}.", "",
-        f"Photos of `{record['material']}` at {record['resolution']} px; networks of the default width, in float32. Compared "
-        "with the float64 twin: the gradient of the whole loss with respect to all weights of the generator, relative L2, after "
-        f"{', '.join(map(str, AFTER[:-1]))} and {AFTER[-1]} steps. Where a rounding carries an activation, an error or a clipped "
-        "pixel across a kink of its function, a single state differs more: hence the median. The last two rows of each group "
-        "are the float64 twin with one thing wrong.", "",
+        f"Photos of `{record['material']}` at {record['resolution']} px; networks of the default width, in float32. "
+        "Compared with the float64 twin: the gradient of the whole loss with respect to all weights of the generator, relative "
+        f"L2, after {', '.join(map(str, AFTER[:-1]))} and {AFTER[-1]} steps. Where a rounding carries an activation, an error "
+        "or a clipped pixel across a kink of its function, a single state differs more: hence the median. The last two rows of "
+        "each group are the float64 twin with one thing wrong.", "",
         "| method | BSDF | through | median | largest |", "|---|---|---|---:|---:|", *rows, ""])
 
 

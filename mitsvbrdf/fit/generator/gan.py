@@ -234,12 +234,12 @@ class Gan(Method[GanConfig]):
         if not self.averaged:
             yield
             return
-        own = module_state("", self.generator)
-        load_module_state("", self.generator, self.averaged)
+        own = {name: value.clone() for name, value in self.generator.state_dict().items()}
+        self.generator.load_state_dict(self.averaged)
         try:
             yield
         finally:
-            load_module_state("", self.generator, own)
+            self.generator.load_state_dict(own)
 
     def cut_step(self) -> None:
         """Halve the step size of all optimisers."""
