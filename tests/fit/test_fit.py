@@ -27,7 +27,7 @@ SMALL = {"hybrid": HybridConfig(width=8), "direct": DirectConfig(), "gan": GanCo
          "gan, two stages": GanConfig(width=8, preset="paper-two-stage")}
 # Of 64 px there are two phases; the second begins at iteration 10 of 24, the checkpoint is from iteration 5 or 13.
 RESUMED = {name: (config, 32, 13) for name, config in SMALL.items()} | {
-    "gan, averaged, bfloat16": (GanConfig(width=4, average=0.9, precision="bfloat16"), 64, 13),
+    "gan, averaged, bfloat16": (GanConfig(width=4, pictures=2, average=0.9, precision="bfloat16"), 64, 13),
     "gan, before it grows": (GanConfig(width=4, pictures=2, average=0.9), 64, 5),
     "gan, crops": (GanConfig(width=4, crop=16, features=1.0, paired=True, precision="float32"), 32, 13),
     "gan, five fresh steps": (GanConfig(width=4, preset="paper-one-stage", fresh_pictures=True), 32, 13)}
