@@ -34,12 +34,12 @@ from ..views import Views, nine_view_grid
 
 PHOTO_NOISE = 0.003  # of the made photos, linear
 
-# The methods as they come: `hierarchical` may end before its budget, `gan` has steps large enough to move at all in seconds.
+# The methods as they come: `hierarchical` may end before its budget.
 CONFIGS: dict[str, Callable[[float, int], FitConfig]] = {
     "hierarchical": lambda budget, seed: HierarchicalConfig(budget=budget, seed=seed),
     "hybrid": lambda budget, seed: HybridConfig(budget=budget, seed=seed),
     "direct": lambda budget, seed: DirectConfig(budget=budget, seed=seed),
-    "gan": lambda budget, seed: GanConfig(budget=budget / 2, seed=seed, width=16, learning_rate=1e-3),
+    "gan": lambda budget, seed: GanConfig(budget=budget, seed=seed),
 }
 Method = Literal["hierarchical", "hybrid", "direct", "gan"]
 
@@ -167,8 +167,8 @@ def line(case: str, method: str, row: dict) -> str:
 
 
 def main(json: Annotated[Path, tyro.conf.arg(metavar="FILE", help="Where the record goes.")] = Path("out/stiff.json"),
-         budget: Annotated[float, tyro.conf.arg(help="Seconds for each fit at most; `gan` gets half, and "
-                                                       "`hierarchical` ends by itself.")] = 20.0,
+         budget: Annotated[float, tyro.conf.arg(help="Seconds for each fit at most; `hierarchical` ends by "
+                                                       "itself.")] = 20.0,
          resolution: Annotated[int, tyro.conf.arg(help="Side of the maps in texels.")] = 64,
          methods: Annotated[tuple[Method, ...], tyro.conf.arg(help="Which methods.")] = get_args(Method),
          renderer: RendererName = "mitsuba", seed: int = 0) -> int:

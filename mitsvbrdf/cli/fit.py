@@ -16,6 +16,7 @@ from ..fit import FitTask, fit_svbrdf, left_out
 from ..fit.checkpoint import load_tensors
 from ..fit.confidence import confidence
 from ..fit.config import FitConfig
+from ..fit.left_out import used
 from ..fit.methods import METHODS
 from ..fit.result import FitResult
 from ..render import Renderer, RendererName, make_renderer
@@ -49,7 +50,8 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig,
                                                    "none for the paper's presets of --method gan.")] = "auto",
         transfer: TransferOption = "auto",
         variant: Variant = "llvm_ad_rgb",
-        explain: Annotated[bool, arg(help="Print what this fit would leave out, and why, and end without fitting.")] = False,
+        explain: Annotated[bool, arg(help="Print what this fit would leave out, and why, and the networks it "
+                                                  "would use, and end without fitting.")] = False,
         profile: Annotated[bool, arg(help="Print where the time of a step goes: network, renderer, losses, forward and "
                                           "backward.")] = False,
         resume: Annotated[bool, arg(help="Go on from the checkpoint in OUT, same options, more --iterations.")] = False,
@@ -74,8 +76,11 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig,
     engine = make_renderer(renderer, variant)
     keep_apart(capture, out)
     if explain:
-        for what, why in left_out(FitTask(shots, engine, config)):
+        task = FitTask(shots, engine, config)
+        for what, why in left_out(task):
             say(f"left out: {what} ({why})")
+        if networks := used(task):
+            say("used: " + ", ".join(f"{what} ({how})" for what, how in networks))
         return 0
     title = f"fit {shots.source.name if shots.source else ''} · {method} · {engine.name}"
     asked = {"renderer": renderer, "resolution": resolution, "views": views, "falloff": shots.views.falloff,

@@ -13,7 +13,7 @@ from ..system.profile import profile_summary, profiled
 from .confidence import deviations
 from .config import DirectConfig, FitConfig, HierarchicalConfig, HybridConfig
 from .gan_config import GanConfig
-from .left_out import left_out
+from .left_out import left_out, used
 from .light_power import light_power_told, with_light_power
 from .live import LiveRecord
 from .loop import Loop
@@ -72,7 +72,7 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     result = FitResult(
         svbrdf=svbrdf, views=views, guess=task.guess, rerendered=images, rerender_rmse=total, per_photo=each,
         trace=loop.trace, config=config, renderer=renderer.name, variant=renderer.variant,
-        left_out=tuple(left_out(task, views)), stopped=stopped, undone=tuple(loop.undone),
+        left_out=tuple(left_out(task, views)), used=tuple(used(task)), stopped=stopped, undone=tuple(loop.undone),
         restarts=tuple(loop.restarts), deviations=spreads,
         flash_offset=tuple(offset) if offset else None, profile=profile_summary(),
         calibration=views_record(capture, views, task.estimated, *method.views_deviation, told))

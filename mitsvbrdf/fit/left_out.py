@@ -5,8 +5,14 @@ from __future__ import annotations
 from ..render.needs import scene_needs
 from ..views import Views
 from . import losses
+from .config import HybridConfig
 from .fixed_maps import described, unknown_but
+from .gan_config import GanConfig
 from .task import FitTask
+
+# Of the methods that solve every texel by itself.
+_NO_GENERATOR = "each texel is solved by itself, and at equal time that errs less in the maps: docs/benchmark.md"
+_NO_DISCRIMINATOR = "there is no generator to teach: each pixel's error says what to change"
 
 
 def left_out(task: FitTask, views: Views | None = None) -> list[tuple[str, str]]:
@@ -25,4 +31,27 @@ def left_out(task: FitTask, views: Views | None = None) -> list[tuple[str, str]]
     items += [(losses.NAMES[name], why) for name, why in task.unused.items()]
     if config.wants_flash_offset is not None and task.why_no_flash_offset:
         items.append(("flash offset", task.why_no_flash_offset))
+    if not isinstance(config, (GanConfig, HybridConfig)):
+        items += [("generator", _NO_GENERATOR), ("discriminator", _NO_DISCRIMINATOR)]
+    elif "discriminator" not in dict(used(task)):
+        items.append(("discriminator", "no loss asks for its verdict"))
+    return items
+
+
+def used(task: FitTask) -> list[tuple[str, str]]:
+    """The networks that a fit trains, as (what, how): generator and discriminator, or one of them, or none."""
+    config = task.config
+    if isinstance(config, HybridConfig):
+        items = [("generator", f"sees all photos; its maps are compared with each of them; width {config.width}")]
+        verdicts = {"adversarial": config.adversarial}
+    elif isinstance(config, GanConfig):
+        sees = "all photos" if config.generator == "all-photos" else "the picture its maps are compared with"
+        items = [("generator", f"sees {sees}; width {config.width}")]
+        verdicts = {"adversarial": config.adversarial, "features": config.features}
+    else:
+        return []
+    weights = [f"{losses.NAMES[name]}, weight {weight:g}" for name, weight in verdicts.items() if name not in task.unused]
+    if weights:
+        game = f"; game {config.game}" if isinstance(config, GanConfig) else ""
+        items.append(("discriminator", f"{' and '.join(weights)}{game}"))
     return items

@@ -17,7 +17,7 @@ from ..material.maps import CHANNELS, SVBRDF, Bsdf
 
 # The losses with a weight, what a user calls them, and the maps they speak about (none: those speak about the photos).
 NAMES = {"photometric": "photometric loss", "diffuse": "diffuse loss", "smooth": "smoothness of specular and roughness",
-         "flat": "price on tilted normals", "adversarial": "discriminator", "features": "feature matching"}
+         "flat": "price on tilted normals", "adversarial": "adversarial loss", "features": "feature matching"}
 Game = Literal["relativistic", "bce", "hinge"]
 ABOUT = {"diffuse": ("diffuse", "base_color", "metallic"), "smooth": ("specular", "metallic", "roughness"), "flat": ("normal",)}
 

@@ -34,6 +34,7 @@ _SHAPE = {
     "stopped": str, "undone_steps": int, "undone": [{"iteration": int, "reason": str}],
     "restarts": [{"iteration": int, "reason": str}], "seconds": NUMBER, "iterations": int, "seed": int,
     "config": {"fix": [str], "grey_specular": bool}, "command": {str: object}, "left_out": [{"what": str, "why": str}],
+    "used": [{"what": str, "how": str}],
     "capture": {"photos": [int], "resolution": int, "transfer": str, "calibrated": bool, "notes": [str]},
     "versions": {str: object}, "machine": {str: object}, "trace": [{str: NUMBER}]}
 
@@ -172,7 +173,7 @@ def _missing(fit: SavedFit) -> str:
     """What the record lacks for a page; empty text where it is whole."""
     if fit.record.get("schema_version") != SCHEMA_VERSION:
         return "schema_version"
-    if wrong := misfit(fit.record, _SHAPE):
+    if wrong := misfit({"used": [], **fit.record}, _SHAPE):  # older records have no `used`
         return wrong
     whole = (fit.names == [f"{number:02d}" for number in fit.seen]
              and fit.views is not None and len(fit.views) == len(fit.names) > 0
@@ -223,6 +224,7 @@ def _record(result: FitResult, capture: Capture, command: dict) -> dict:
         "seconds": result.trace[-1]["seconds"], "iterations": result.trace[-1]["iteration"],
         "seed": result.config.seed, "config": asdict(result.config), "command": command,
         "left_out": [{"what": what, "why": why} for what, why in result.left_out],
+        "used": [{"what": what, "how": how} for what, how in result.used],
         "capture": {"name": capture.source.name if capture.source else None, "photos": list(capture.index),
                     "resolution": capture.resolution, "transfer": capture.transfer,
                     "calibrated": capture.calibrated, "notes": list(capture.notes)},

@@ -31,7 +31,8 @@ class FitResult:
         trace: one dict a measurement: seconds, iteration, each loss, rerender_rmse.
         config: the settings.
         renderer: the name of the renderer; ``variant`` its Mitsuba variant or None.
-        left_out: (what, why) of each thing the scene did not need.
+        left_out: (what, why) of each thing the scene or the method did not need.
+        used: (what, how) of each network that was trained.
         stopped: why the fit ended: "settled", "budget", "iterations", "interrupted" or "unstable" (too many steps undone).
         undone: ``iteration`` and ``reason`` of each step that made something non-finite and was taken back.
         restarts: the same of each return to the state of the lowest loss, from which the fit had diverged.
@@ -62,6 +63,7 @@ class FitResult:
     flash_offset: tuple[float, float] | None = None
     profile: dict | None = None
     calibration: dict = field(default_factory=dict)
+    used: tuple[tuple[str, str], ...] = ()
 
     def __repr__(self) -> str:
         return (f"FitResult({method_name(self.config)}, {self.svbrdf!r}, re-rendering RMSE {self.rerender_rmse:.4f}, "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections.abc import Iterator, Sequence, Sized
 
@@ -9,7 +10,9 @@ from ..capture import Capture
 from ..color import CLIPPED
 from ..measure.burn_in import burn_in
 from .confidence import confidence
+from .config import HybridConfig
 from .fixed_maps import described
+from .gan_config import GanConfig
 from .result import FitResult
 
 # Behind each number, what twelve real captures of nine photos had, fitted with `hybrid` and `direct` at 64 px.
@@ -23,6 +26,9 @@ FAINT = 0.015  # F0, median; eleven had 0.0156 and more, one 0.013. Water has 0.
 WORSE = 2.5  # times the median error of a photo; 1.1 to 2.3
 POOR = 0.1  # re-rendering RMSE
 BURNT_IN = 0.3  # share of specular or roughness that lies as the highlights do; ten had up to 0.18, the two of wood 0.4 to 0.74
+# Discriminator loss, median over the last fifth of the measurements, and how many measurements it takes to speak of one.
+# Runs that went well ended at 0.05 to 0.7, hinge 0.4 to 1; with photos that no rendering resembles, at 0.004 and less.
+SURE, MEASURED = 0.01, 5
 
 
 def fit_warnings(result: FitResult, capture: Capture) -> Iterator[str]:
@@ -33,6 +39,7 @@ def fit_warnings(result: FitResult, capture: Capture) -> Iterator[str]:
     yield from _burnt_in(result)
     if result.trace[-1]["iteration"] == 0:
         yield "no step was made, so the maps are where the fit starts: give more seconds"
+    yield from _game(result)
     yield from about_steps(result.undone, result.restarts)
     if result.stopped == "unstable":
         yield "too many steps had to be undone, so the fit ended early: lower the learning rate or check the calibration"
@@ -94,6 +101,19 @@ def _burnt_in(result: FitResult) -> Iterator[str]:
     for name, share in burn_in(result.svbrdf, result.views).items():
         if share > BURNT_IN and name not in fixed:
             yield f"{share:.0%} of the {name} map lies as the photos' highlights do: it may be theirs, not the material's"
+
+
+def _game(result: FitResult) -> Iterator[str]:
+    """Whether the discriminator was so sure that it learned no more; its verdict then says little about what to change."""
+    losses, config = [entry["discriminator"] for entry in result.trace if "discriminator" in entry], result.config
+    if len(losses) < MEASURED:
+        return
+    loss = statistics.median(losses[-math.ceil(len(losses) / 5):])
+    if loss < SURE and isinstance(config, (GanConfig, HybridConfig)):
+        guess = 1.0 if isinstance(config, GanConfig) and config.game == "hinge" else math.log(2)
+        rate = f"--discriminator-rate, now {config.discriminator_rate:g}" if isinstance(config, GanConfig) else "--adversarial"
+        yield (f"the discriminator told renderings from photos almost surely (its loss in the end {loss:.2g}; {guess:.2g} is a "
+               f"guess), so it hardly helped: lower {rate}")
 
 
 def _count(events: Sized, what: str) -> str:

@@ -2,6 +2,6 @@
 
 ``crosscheck`` compares images and gradients of given maps; ``float32_limits`` says how exact float32 can be there;
 ``stability`` sweeps to the ends of every range; ``leave_out`` measures what is left out of a scene; ``soak`` runs thousands of
-steps. Each makes a record for JSON, and a page beside it shows that record. What is allowed stands in
-:mod:`mitsvbrdf.measure.tolerances`.
+steps; ``generator_gradients`` compares what reaches a generator's weights through the whole method. Each makes a record for
+JSON, and a page beside it shows that record. What is allowed stands in :mod:`mitsvbrdf.measure.tolerances`.
 """

@@ -6,7 +6,8 @@ import pytest
 import torch
 from helpers import ANALYTIC, GRID
 
-from mitsvbrdf.fit import DirectConfig, fit_svbrdf
+from mitsvbrdf.capture import Capture
+from mitsvbrdf.fit import DirectConfig, GanConfig, HybridConfig, fit_svbrdf
 from mitsvbrdf.fit.warnings import fit_warnings
 from mitsvbrdf.material.maps import SVBRDF
 from mitsvbrdf.views import Views, coverage_angle
@@ -57,3 +58,33 @@ def test_roughness_that_lies_as_the_highlights_do(fix, count, fitted, leather):
 def test_dark_photos(fitted, leather):
     dark = dataclasses.replace(leather, photos=leather.photos * 0.05)
     assert any("nearly black" in warning for warning in fit_warnings(fitted, dark))
+
+
+def played(fitted, config, losses):
+    trace = [{"iteration": 10 * n, "seconds": 1.0 * n, "rerender_rmse": 0.05} | ({"discriminator": loss} if n else {})
+             for n, loss in enumerate([0.0, *losses])]
+    return dataclasses.replace(fitted, config=config, trace=trace)
+
+
+@pytest.mark.parametrize("config, words", [
+    (GanConfig(), "(its loss in the end 0.004; 0.69 is a guess), so it hardly helped: lower --discriminator-rate, now 0.001"),
+    (GanConfig(game="bce"), "0.69 is a guess"), (GanConfig(game="hinge"), "0.004; 1 is a guess"),
+    (HybridConfig(), "lower --adversarial")])
+def test_a_discriminator_that_is_sure(config, words, fitted, leather):
+    (warning,) = fit_warnings(played(fitted, config, [0.6] * 8 + [0.004] * 2), leather)
+    assert words in warning
+    # An ordinary end, one sure moment in the last fifth, sure only earlier, too few measurements.
+    for losses in ([0.6] * 8 + [0.05] * 2, [0.6] * 8 + [0.001, 0.1, 0.1], [0.004] * 8 + [0.6] * 2, [0.004] * 4):
+        assert not list(fit_warnings(played(fitted, config, losses), leather))
+
+
+@pytest.mark.parametrize("game", ["bce", "hinge", "relativistic"])
+def test_games_that_are_lost_and_games_that_are_not(game, leather):
+    # Photos of noise, which no generator that stands still comes near: measured losses
+    # of 0.001 to 0.005, or 0 (hinge). A fair game at the start: 0.69, or 1.
+    noise = torch.rand(leather.photos.shape, generator=torch.Generator().manual_seed(0))
+    config = GanConfig(game=game, width=4, pictures=2, discriminator_rate=0.02, iterations=80)
+    lost = fit_svbrdf(Capture(noise, GRID), ANALYTIC, dataclasses.replace(config, learning_rate=1e-9))
+    fair = fit_svbrdf(leather, ANALYTIC, dataclasses.replace(config, discriminator_rate=1e-3))
+    said = [any("almost surely" in warning for warning in result.warnings) for result in (lost, fair)]
+    assert said == [True, False]

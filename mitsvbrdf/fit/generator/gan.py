@@ -179,7 +179,7 @@ class Gan(Method[GanConfig]):
             rendered = self.renderer.render(svbrdf, views.pick(pictures.index))
             switch_at("renderer, backward", rendered)
         with profiled("losses"):
-            fake = pictures.of(rendered)
+            fake = pictures.of(rendered.float())  # of analytic64 too: the networks are float32
             switch_at("losses, backward", fake)
         return fake
 

@@ -123,7 +123,7 @@ class Hybrid(Method[HybridConfig]):
         photo, top, left = (int(torch.randint(high, (1,), generator=self.random)) for high in (
             len(self.capture), self.capture.resolution - side + 1, self.capture.resolution - side + 1))
         cut = (slice(photo, photo + 1), slice(top, top + side), slice(left, left + side))
-        fake = color.to_display(rendered[cut], self.capture.transfer)
+        fake = color.to_display(rendered[cut].float(), self.capture.transfer)  # the networks are float32
         return self.capture.photos[cut].permute(0, 3, 1, 2), fake.permute(0, 3, 1, 2)
 
     def cut_step(self) -> None:
