@@ -21,7 +21,7 @@ def test_patches_are_the_slices_around_chosen_pixels():
 
 
 def test_the_distance_of_a_shifted_set_is_the_mean_length_of_the_projected_shift():
-    # Of x and x + t every projection is off by |t . w|; over the unit sphere its mean is |t| Gamma(d/2) / (sqrt(pi) Gamma((d+1)/2)).
+    # Of x and x + t each projection is off by |t . w|; its mean over the sphere is |t| Gamma(d/2) / (sqrt(pi) Gamma((d+1)/2)).
     d = 12
     x = torch.randn(500, d, generator=torch.Generator().manual_seed(2))
     shift = torch.linspace(-1, 1, d)

@@ -1,4 +1,4 @@
-"""The finish leaves the maps alone, moves what is unsure alone, and pairs photos with lights that show the same half vectors."""
+"""The finish leaves the maps alone, moves only what is unsure, and pairs photos with lights of the same half vectors."""
 
 import dataclasses
 import os
@@ -108,11 +108,13 @@ def test_patch_distance_is_the_sorted_difference_of_projected_patches():
     rendered, photos = torch.rand(2, 1, 19, 19, 3, generator=random)
     angle = torch.rand(1, 19, 19, generator=random)
     found = patch_distance(rendered, photos, angle, torch.Generator().manual_seed(0), bins=1)
-    directions = torch.nn.functional.normalize(torch.randn(PATCH * PATCH * 3, 64, generator=torch.Generator().manual_seed(0)), dim=0)
+    directions = torch.randn(PATCH * PATCH * 3, 64, generator=torch.Generator().manual_seed(0))
+    directions = directions / directions.norm(dim=0)
     every = torch.zeros(1, 19, 19, dtype=torch.bool)
     every[:, PATCH // 2::STRIDE, PATCH // 2::STRIDE] = True
     # The convolution has its channels first; so have these patches.
-    flat = [patches_of(x, every).reshape(-1, PATCH, PATCH, 3).permute(0, 3, 1, 2).flatten(1) @ directions for x in (rendered, photos)]
+    flat = [patches_of(x, every).reshape(-1, PATCH, PATCH, 3).permute(0, 3, 1, 2).flatten(1) @ directions
+            for x in (rendered, photos)]
     truth = (flat[0].sort(dim=0).values - flat[1].sort(dim=0).values).abs().mean()
     assert float(found) == pytest.approx(float(truth), rel=1e-5)
 
