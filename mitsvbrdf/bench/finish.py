@@ -98,8 +98,8 @@ def page(record: dict) -> str:
         "part in that choice.",
         "- *RMSE*: display values, all pixels. *FLIP*: 67 pixels a degree, mean.",
         f"- *Bar*: patches at most {NEARER} and RMSE at most {FARTHER} times those of the maps.", "",
-        f"**{good} of {len(rows)} captures meet the bar**; {nearer} that of patches, {close} that of RMSE. Medians of look over "
-        f"maps: patches {middle['patches']:.2f}, RMSE {middle['rmse']:.2f}, FLIP {middle['flip']:.2f}.", "",
+        f"**{good} of {len(rows)} captures meet the bar**; {nearer} that of patches, {close} that of RMSE. Medians of look "
+        f"over maps: patches {middle['patches']:.2f}, RMSE {middle['rmse']:.2f}, FLIP {middle['flip']:.2f}.", "",
         "| capture | highlights | patches: maps | look | ratio | RMSE: maps | look | ratio | FLIP: maps | look | "
         "RMSE seen: maps | look | finish, s | bar |",
         "|---|---|---|---|---|---|---|---|---|---|---|---|---|---|"]
