@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -27,6 +27,7 @@ from ..fit.result import FitResult
 from ..material.maps import SVBRDF
 from ..measure.metrics import flip
 from ..measure.patch_statistics import PROJECTIONS, SEED, SIDE, highlights, patches_of, sliced_wasserstein
+from ..measure.rerender import rerender
 from ..render import Renderer, make_renderer
 from ..system import files
 from ..system.progress import say
@@ -34,6 +35,15 @@ from ..system.provenance import machine, versions
 
 LEFT_OUT = (4, 7)
 NEARER, FARTHER = 0.8, 1.1  # what the patches' distance and the RMSE may be, over those of the maps, for the bar
+
+
+def reduced(result: FitResult, capture: Capture, renderer: Renderer, side: int) -> tuple[FitResult, Capture]:
+    """A fit and its photos with fewer texels, by area averages; as they are where they have no more."""
+    if capture.resolution <= side:
+        return result, capture
+    smaller, svbrdf = capture.averaged(side), result.svbrdf.resized(side)
+    images, rmse, each = rerender(renderer, svbrdf, result.views, smaller)
+    return replace(result, svbrdf=svbrdf, rerendered=images, rerender_rmse=rmse, per_photo=each), smaller
 
 
 def figures(result: FitResult, left: Capture, renderer: Renderer) -> dict:
@@ -80,6 +90,8 @@ def passes(row: dict) -> bool:
 def page(record: dict) -> str:
     """The figures as Markdown."""
     rows = record["captures"]
+    smaller = record["finish_at"] < record["resolution"]
+    averaged = f", maps and photos averaged to {record['finish_at']} px" if smaller else ""
     good = sum(map(passes, rows.values()))
     ratios = {name: sorted(row["look"][name] / row["maps"][name] for row in rows.values())
               for name in ("patches", "rmse", "flip")}
@@ -89,9 +101,9 @@ def page(record: dict) -> str:
     lines = [
         "# The adversarial finish, measured", "",
         "Written by `python -m mitsvbrdf.bench.finish` from `finish.json`.", "",
-        f"The default fit to all photos but {' and '.join(map(str, record['left_out']))}, {record['resolution']} px; then "
-        f"{record['config']['steps']} steps of `--finish gan`, seed {record['config']['seed']}. Figures are of the two photos "
-        "left out, as calibrated.", "",
+        f"The default fit to all photos but {' and '.join(map(str, record['left_out']))}, {record['resolution']} px"
+        f"{averaged}; then {record['config']['steps']} steps of `--finish gan`, seed {record['config']['seed']}. Figures are "
+        "of the two photos left out, as calibrated.", "",
         f"- *Patches*: sliced Wasserstein-1 distance between {SIDE} x {SIDE} x 3 patches of rendering and photo, "
         f"{PROJECTIONS} projections, seed {SEED}, display values; inside highlights: where the brighter of photo and maps' "
         "rendering, averaged over the patch in linear light, is over twice the rendering of the diffuse map. The look takes no "
@@ -116,26 +128,29 @@ def _median(ordered: Sequence[float]) -> float:
     return (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2 if ordered else math.nan
 
 
-def write(rows: dict[str, dict], config: FinishConfig, resolution: int, out: Path) -> None:
-    """``finish.json`` and ``finish.md`` of what :func:`figures` gave for each capture."""
-    record = {"schema_version": 1, "left_out": list(LEFT_OUT), "resolution": resolution, "config": asdict(config),
-              "captures": rows, "machine": machine(), "versions": versions()}
+def write(rows: dict[str, dict], config: FinishConfig, sides: tuple[int, int], out: Path) -> None:
+    """``finish.json`` and ``finish.md`` of what :func:`figures` gave for each capture; texels a side of fit and finish."""
+    record = {"schema_version": 1, "left_out": list(LEFT_OUT), "resolution": sides[0], "finish_at": sides[1],
+              "config": asdict(config), "captures": rows, "machine": machine(), "versions": versions()}
     files.write_json(out / "finish.json", record)
     files.write_bytes(out / "finish.md", page(record).encode())
 
 
 def main(captures: Annotated[Path, tyro.conf.arg(metavar="FOLDER", help="Of calibrated captures of nine photos each.")],
          out: Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder to write.")],
-         resolution: Annotated[int, tyro.conf.arg(help="Side of the maps in texels.")] = 256) -> int:
+         resolution: Annotated[int, tyro.conf.arg(help="Side of the maps in texels.")] = 256,
+         finish_at: Annotated[int, tyro.conf.arg(help="Side at which solved maps and photos, averaged, are finished and "
+                                                      "compared.")] = 256) -> int:
     """Fit, finish and measure each capture; both files are written after each."""
     renderer, config = make_renderer("mitsuba"), FinishConfig()
     rows: dict[str, dict] = {}
     for folder in sorted(path for path in captures.iterdir() if path.is_dir()):
         shots = read_capture(folder, resolution=resolution)
         kept = shots.pick([number for number in shots.index if number not in LEFT_OUT])
-        result = finished(fit_svbrdf(kept, renderer, HierarchicalConfig()), kept, renderer, config)
-        rows[folder.name] = figures(result, shots.pick(LEFT_OUT), renderer)
-        write(rows, config, resolution, out)
+        solved, kept = reduced(fit_svbrdf(kept, renderer, HierarchicalConfig()), kept, renderer, finish_at)
+        result = finished(solved, kept, renderer, config)
+        rows[folder.name] = figures(result, shots.pick(LEFT_OUT).averaged(finish_at), renderer)
+        write(rows, config, (resolution, finish_at), out)
         say(f"{folder.name}: bar {'met' if passes(rows[folder.name]) else 'missed'}")
     return 0
 

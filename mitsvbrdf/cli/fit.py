@@ -57,7 +57,7 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig,
         finish: Annotated[Literal["none", "gan"],
                           arg(help="gan: OUT/look beside OUT/maps, one plausible draw of what no photo saw, for pictures; the "
                                    "maps stay the same.")] = "none",
-        finish_steps: Annotated[int, arg(help="Steps of the finish; 120 take a minute at 256 px.")] = FinishConfig.steps,
+        finish_steps: Annotated[int, arg(help="Steps of the finish; 80 take under a minute at 256 px.")] = FinishConfig.steps,
         resume: Annotated[bool, arg(help="Go on from the checkpoint in OUT, same options, more --iterations.")] = False,
         overwrite: Overwrite = False) -> int:
     """Recover the maps of a material from photos.

@@ -12,7 +12,7 @@ from .config import check_seed
 class FinishConfig:
     """The adversarial finish of a fit: one plausible draw of what no photo saw, beside the maps, which stay."""
 
-    steps: int = 120
+    steps: int = 80
     """Steps of generator and discriminator."""
     seed: int = 0
     """Seed of the draw: noise, weights, lights and patches."""
@@ -44,6 +44,8 @@ class FinishConfig:
     """Weight of the re-rendering error of photos seen."""
     diffuse: float = 1.0
     """Weight of the distance of the diffuse map to the solved one."""
+    worst: float = 1.4
+    """Re-rendering RMSE of the photos seen that the look may have, over that of the maps; its change is weakened to this."""
 
     def check(self) -> None:
         """Raise ConfigError for numbers out of range."""

@@ -43,7 +43,7 @@ def test_the_bar_asks_for_both():
 def test_the_page_counts_what_the_record_holds(row, tmp_path):
     other = json.loads(json.dumps(row[0]))
     other["look"] = other["maps"]
-    write({"one": row[0], "other": other}, FinishConfig(), 32, tmp_path)
+    write({"one": row[0], "other": other}, FinishConfig(), (32, 32), tmp_path)
     record = json.loads((tmp_path / "finish.json").read_text())
     text = (tmp_path / "finish.md").read_text()
     assert text == page(record) and "**1 of 2 captures meet the bar**" in text

@@ -41,6 +41,7 @@ WHAT = ("look/ is one plausible draw of what no photo saw, for pictures; maps/ h
 NOISE = 4  # channels of noise that the generator sees
 STEEPEST = 0.95  # length of x and y of a normal that the finish bends, or that of the solved one
 VIEW_SCALE = 10.0  # brings 1 - z of half vectors, some hundredths, to the size of display values
+SHARES = (1.0, 0.85, 0.7, 0.55, 0.4, 0.25, 0.1, 0.0)  # of the generator's change that are tried
 AVERAGED = 10  # steps at the start and at the end whose losses are told
 
 Report = Callable[[str, float], object]
@@ -77,12 +78,12 @@ def finished(result: FitResult, capture: Capture, renderer: Renderer, config: Fi
             if stopped:
                 return result
     with torch.no_grad():
-        look = finish.material().map(Tensor.contiguous).check()
-    _, total, each = rerender(renderer, look, result.views, capture)
+        share, look, (_, total, each) = finish.weakened(config.worst * result.rerender_rmse)
     ends = {name: {"first": _mean(logged[:AVERAGED], name), "last": _mean(logged[-AVERAGED:], name)} for name in logged[0]}
     return replace(result, look=look, finish={
-        "what": WHAT, "config": asdict(config), "steps": config.steps, "seconds": round(time.perf_counter() - began, 3),
-        "losses": ends, "rerender_rmse": total, "per_photo": dict(zip(capture.names, each))})
+        "what": WHAT, "config": asdict(config), "steps": config.steps, "share": share,
+        "seconds": round(time.perf_counter() - began, 3), "losses": ends, "rerender_rmse": total,
+        "per_photo": dict(zip(capture.names, each))})
 
 
 def why_not(result: FitResult) -> str | None:
@@ -135,13 +136,22 @@ class Finish:
         self.half = geometry(self.views, size)[1]
         self.matte_photos = self._shown(self.matte, self.views)
 
-    def material(self) -> SVBRDF:
-        """The look as it is now: where the bound of a map is 0, its solved value to the bit."""
+    def weakened(self, worst: float) -> tuple[float, SVBRDF, tuple[Tensor, float, list[float]]]:
+        """The largest share of the change that meets the photos seen to within this RMSE; its look, and that re-rendered."""
+        for share in SHARES:
+            look = self.material(share).map(Tensor.contiguous)
+            met = rerender(self.renderer, look, self.views, self.capture)
+            if met[1] <= worst:
+                break
+        return share, look.check(), met
+
+    def material(self, share: float = 1.0) -> SVBRDF:
+        """The look as it is now, with a share of its change: where the bound of a map is 0, its solved value to the bit."""
         change = self.generator(self.condition)
         maps = dict(self.solved.maps)
         for name, bound in self.bounds.items():
-            moved = self.numbers[name] + bound * torch.tanh(change[name].permute(1, 2, 0))
-            free = bound > 0
+            moved = self.numbers[name] + share * bound * torch.tanh(change[name].permute(1, 2, 0))
+            free = share * bound > 0
             if name == "normal":
                 solved, flat = (2 * x - 1 for x in (self.numbers[name], moved))
                 longest = solved.norm(dim=-1, keepdim=True).clamp_min(STEEPEST)

@@ -15,10 +15,11 @@ from mitsvbrdf.fit.generator.finish import Finish, finished, why_not
 from mitsvbrdf.fit.generator.judge import PATCH, STRIDE, HighlightDiscriminator, patch_distance, relativistic
 from mitsvbrdf.fit.generator.moved_lights import draw, moved_views
 from mitsvbrdf.material.made import make_material
+from mitsvbrdf.measure.metrics import photo_rmse
 from mitsvbrdf.measure.patch_statistics import patches_of
 from mitsvbrdf.views import Views, geometry
 
-QUICK = FinishConfig(steps=4, width=4, judge_width=8)
+QUICK = FinishConfig(steps=4, width=4, judge_width=8, worst=10.0)
 
 
 @pytest.fixture(scope="module")
@@ -46,10 +47,21 @@ def test_maps_keep_their_bits_and_certain_texels_stay(result, capture):
 
 
 def test_no_texel_moves_by_more_than_its_bound(result, capture):
-    found = finished(result, capture, ANALYTIC, dataclasses.replace(QUICK, learning_rate=1.0))
+    found = finished(result, capture, ANALYTIC, dataclasses.replace(QUICK, learning_rate=1.0, worst=1e9))
     bound = QUICK.reach * (result.deviations["roughness"] - QUICK.certain).clamp_min(0)
     moved = (found.look["roughness"] - found.svbrdf["roughness"]).abs()
     assert bool((moved <= bound + 1e-6).all()) and float(moved.max()) > 0.5 * float(bound.max())
+
+
+def test_a_look_that_misses_the_photos_is_weakened(result, capture):
+    # Without judges that hold it: a step size that goes anywhere.
+    wild = dataclasses.replace(QUICK, learning_rate=1.0, photometric=0.0, diffuse=0.0, worst=1.2)
+    found = finished(result, capture, ANALYTIC, wild)
+    assert found.finish["share"] < 1 and found.finish["rerender_rmse"] <= 1.2 * result.rerender_rmse
+    images = ANALYTIC.render(found.look, result.views)
+    assert photo_rmse(images, capture.photos, capture.transfer)[0] == pytest.approx(found.finish["rerender_rmse"], rel=1e-6)
+    held = finished(result, capture, ANALYTIC, dataclasses.replace(wild, worst=1e-9))
+    assert held.finish["share"] == 0 and all(torch.equal(held.look[name], value) for name, value in result.svbrdf.maps.items())
 
 
 def test_a_seed_decides_the_draw(result, capture):
