@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import pytest
 from helpers import ANALYTIC, photos_of
@@ -32,6 +33,12 @@ def test_figures_tell_the_truth_from_a_short_fit(row):
     assert found["look"]["rmse"] < 0.002 and found["look"]["patches"] < 0.002  # rounding to 8 bits: 0.0011 rms
     assert found["look"]["patches"] < 0.5 * found["maps"]["patches"] and found["look"]["flip"] < found["maps"]["flip"]
     assert 0 < found["highlights"] < 1 and passes(found)
+
+
+def test_the_published_page_is_that_of_the_published_record():
+    folder = Path(__file__).parents[2] / "docs/results"
+    record = json.loads((folder / "finish.json").read_text())
+    assert (folder / "finish.md").read_text() == page(record) and len(record["captures"]) == 18
 
 
 def test_the_bar_asks_for_both():
