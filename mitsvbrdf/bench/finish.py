@@ -110,8 +110,8 @@ def page(record: dict) -> str:
         "part in that choice.",
         "- *RMSE*: display values, all pixels. *FLIP*: 67 pixels a degree, mean.",
         f"- *Bar*: patches at most {NEARER} and RMSE at most {FARTHER} times those of the maps.",
-        *(["- Averaged maps meet the photos seen less well than the maps did (RMSE seen): averaging takes relief away. Where it "
-           "does, part of what the look mends is that."] if smaller else []), "",
+        *(["- Averaged maps meet the photos seen less well than the maps did (RMSE seen): averaging takes relief away. Part "
+           "of what the look mends there is that."] if smaller else []), "",
         f"**{good} of {len(rows)} captures meet the bar**; {nearer} that of patches, {close} that of RMSE. Medians of look "
         f"over maps: patches {middle['patches']:.2f}, RMSE {middle['rmse']:.2f}, FLIP {middle['flip']:.2f}.", "",
         "| capture | highlights | patches: maps | look | ratio | RMSE: maps | look | ratio | FLIP: maps | look | "
