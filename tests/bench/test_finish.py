@@ -13,6 +13,8 @@ from mitsvbrdf.fit.finish_config import FinishConfig
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.measure.metrics import photo_rmse
 
+ROOT = Path(__file__).parents[2]
+
 
 @pytest.fixture(scope="module")
 def row():
@@ -35,10 +37,10 @@ def test_figures_tell_the_truth_from_a_short_fit(row):
     assert 0 < found["highlights"] < 1 and passes(found)
 
 
-def test_the_published_page_is_that_of_the_published_record():
-    folder = Path(__file__).parents[2] / "docs/results"
-    record = json.loads((folder / "finish.json").read_text())
-    assert (folder / "finish.md").read_text() == page(record) and len(record["captures"]) == 18
+@pytest.mark.parametrize("folder, count", [("docs/results", 18), ("docs/results/finish-256", 4)])
+def test_the_published_page_is_that_of_the_published_record(folder, count):
+    record, path = json.loads((ROOT / folder / "finish.json").read_text()), ROOT / folder / "finish.md"
+    assert path.read_text() == page(record) and len(record["captures"]) == count
 
 
 def test_the_bar_asks_for_both():
