@@ -16,6 +16,8 @@ from ..fit import FitTask, fit_svbrdf, left_out
 from ..fit.checkpoint import load_tensors
 from ..fit.confidence import confidence
 from ..fit.config import FitConfig
+from ..fit.finish_config import FinishConfig
+from ..fit.generator.finish import finished, why_not
 from ..fit.left_out import used
 from ..fit.methods import METHODS
 from ..fit.result import FitResult
@@ -23,7 +25,7 @@ from ..render import Renderer, RendererName, make_renderer
 from ..system import result_folder
 from ..system.interrupts import undisturbed
 from ..system.profile import profiling
-from ..system.progress import Progress, print_numbers, print_profile, say
+from ..system.progress import Progress, print_numbers, print_profile, progress_bar, say
 from .options import (
     FalloffOption,
     Out,
@@ -54,6 +56,10 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig,
                                                   "would use, and end without fitting.")] = False,
         profile: Annotated[bool, arg(help="Print where the time of a step goes: network, renderer, losses, forward and "
                                           "backward.")] = False,
+        finish: Annotated[Literal["none", "gan"],
+                          arg(help="gan: OUT/look beside OUT/maps, one plausible draw of what no photo saw, for pictures; the "
+                                   "maps stay the same.")] = "none",
+        finish_steps: Annotated[int, arg(help="Steps of the finish; 80 take under a minute at 256 px.")] = FinishConfig.steps,
         resume: Annotated[bool, arg(help="Go on from the checkpoint in OUT, same options, more --iterations.")] = False,
         overwrite: Overwrite = False) -> int:
     """Recover the maps of a material from photos.
@@ -65,9 +71,11 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig,
 
     Ctrl-C ends the fit and keeps its best result. OUT then holds report.html, the page to look at, maps/, guess/, photos/,
     rerendered/, sheet.png, curve.svg, scene.xml (for plain Mitsuba), fit.json, report.json and the checkpoint that --resume
-    goes on from.
+    goes on from; with --finish gan also look/ and its page, look.html.
     """
     config.check()
+    finishing = FinishConfig(steps=finish_steps, seed=config.seed) if finish == "gan" else None
+    (finishing or FinishConfig()).check()
     if falloff == "auto":
         falloff = config.falloff
     chosen = photo_numbers(views)
@@ -79,22 +87,26 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig,
         task = FitTask(shots, engine, config)
         for what, why in left_out(task):
             say(f"left out: {what} ({why})")
+        if finishing is None:
+            say("left out: adversarial finish (not asked for)")
         if networks := used(task):
             say("used: " + ", ".join(f"{what} ({how})" for what, how in networks))
         return 0
     title = f"fit {shots.source.name if shots.source else ''} · {method} · {engine.name}"
     asked = {"renderer": renderer, "resolution": resolution, "views": views, "falloff": shots.views.falloff,
-             "transfer": transfer, "variant": variant}
-    result, before = _fit_into(out, photos, shots, engine, config, asked, title, profile, resume, overwrite)
+             "transfer": transfer, "variant": variant, "finish": finish}
+    result, before = _fit_into(out, photos, shots, engine, config, finishing, asked, title, profile, resume, overwrite)
     _say_result(result, shots, before)
+    if finishing:
+        _say_finish(result)
     page = "report.html, " if (out / "report.html").is_file() else ""
-    say(f"wrote {out}/{page}sheet.png, maps/, rerendered/, scene.xml, fit.json")
+    say(f"wrote {out}/{page}sheet.png, maps/, {'look/, ' if result.look else ''}rerendered/, scene.xml, fit.json")
     return 0
 
 
-def _fit_into(out: Path, photos: Capture, shots: Capture, engine: Renderer, config: FitConfig, asked: dict, title: str,
-              profile: bool, resume: bool, overwrite: bool) -> tuple[FitResult, int | None]:
-    """Fit, and write the result; also tells the iteration of the checkpoint gone on from."""
+def _fit_into(out: Path, photos: Capture, shots: Capture, engine: Renderer, config: FitConfig, finishing: FinishConfig | None,
+              asked: dict, title: str, profile: bool, resume: bool, overwrite: bool) -> tuple[FitResult, int | None]:
+    """Fit, finish where asked to, and write the result; also tells the iteration of the checkpoint gone on from."""
     from ..report.folder import write_fit
 
     folders = result_folder.partial_folder(out), out
@@ -108,9 +120,22 @@ def _fit_into(out: Path, photos: Capture, shots: Capture, engine: Renderer, conf
         with Progress(title) as progress, profiling() if profile else contextlib.nullcontext():
             result = fit_svbrdf(shots, engine, config, checkpoint=folder / result_folder.CHECKPOINT,
                                 resume=earlier if resume else None, report=progress, live=folder / result_folder.LIVE)
+        if finishing:
+            with progress_bar("adversarial finish") as finish_report:
+                result = finished(result, shots, engine, finishing, finish_report)
         with undisturbed():
             write_fit(result, shots, folder, command=asked, left_out=shown)
     return result, before
+
+
+def _say_finish(result: FitResult) -> None:
+    if result.finish:
+        say(f"look/ after {result.finish['seconds']:.0f} s: one plausible draw, for pictures; re-rendering RMSE "
+            f"{result.finish['rerender_rmse']:.4f}")
+    elif why := why_not(result):
+        say(f"adversarial finish left out: {why}")
+    else:
+        say("interrupted: the maps were kept, without a look; the same command with --resume makes it")
 
 
 def _say_result(result: FitResult, shots: Capture, before: int | None) -> None:

@@ -28,8 +28,8 @@ Out = Annotated[Path, arg(aliases=["-o"], help="Folder (or file) to write.")]
 Overwrite = Annotated[bool, arg(help="Replace results that are there already.")]
 Variant = Annotated[Literal["llvm_ad_rgb", "cuda_ad_rgb"], arg(help="Mitsuba variant.")]
 ViewList = Annotated[str | None, arg(metavar="0,1,2,...", help="Which photos to use, by number; left out: all.")]
-Material = Annotated[str, arg(metavar="MAPS", help="The OUT of a fit, a folder of maps, or builtin:NAME (inlay, tiles, "
-                                                   "leather, plates).")]
+Material = Annotated[str, arg(metavar="MAPS", help="The OUT of a fit (OUT/look for its look), a folder of maps, or "
+                                                   "builtin:NAME (inlay, tiles, leather, plates).")]
 ViewSource = Annotated[str, arg(help="A capture whose views to use, or builtin:grid (nine views from two sides away).")]
 Photos = Annotated[Path, arg(metavar="CAPTURE", help="A folder of photos, calibrated or plain; see docs/formats.md.")]
 TransferChoice = Literal["auto", "gamma2.2", "srgb", "linear"]
@@ -54,10 +54,12 @@ def keep_apart_from_maps(maps: Path, out: Path) -> None:
 
 
 def name_of(maps: str) -> str:
-    """What a material is called: ``builtin:NAME`` by its name, others like the folder of their fit."""
+    """What a material is called: ``builtin:NAME`` by its name, others like the folder of their fit; its look NAME-look."""
     if maps.startswith("builtin:"):
         return maps.removeprefix("builtin:")
     folder = Path(os.path.abspath(maps))
+    if folder.name == "look" and (folder.parent / "maps").is_dir():
+        return f"{folder.parent.name}-look"
     return folder.parent.name if folder.name == "maps" else folder.name
 
 

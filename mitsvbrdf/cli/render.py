@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from ..errors import MapsError
+from ..material.map_files import MAP_FOLDERS
 from ..material.maps import SVBRDF
 from ..render import RendererName, make_renderer
 from ..system import images, result_folder
@@ -23,6 +24,7 @@ from .options import (
     fit_of_maps,
     keep_apart,
     material_of,
+    name_of,
     views_of,
 )
 
@@ -49,12 +51,12 @@ def render(maps: Positional[Material], out: Out, views: ViewSource = "builtin:gr
     with result_folder.output_folder(out, overwrite) as folder:
         for name, image in zip(names, rendered):
             images.write_linear(folder / name, image, transfer)
-    say(f"wrote {len(names)} images to {out}")
+    say(f"wrote {len(names)} images of {name_of(maps)} to {out}")
     return 0
 
 
 def _with_guessed_diffuse(svbrdf: SVBRDF, maps: Path) -> SVBRDF:
-    folder = maps.parent if maps.name == "maps" else maps
+    folder = maps.parent if maps.name in MAP_FOLDERS else maps
     guessed = images.read_image(folder / "guess" / "diffuse.exr", MapsError)
     name = "diffuse" if svbrdf.bsdf == "roughconductor" else "base_color"
     return SVBRDF(svbrdf.bsdf, dict(svbrdf.maps) | {name: guessed})

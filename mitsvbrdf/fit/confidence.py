@@ -49,7 +49,7 @@ def deviations(svbrdf: SVBRDF, views: Views, images: Tensor, task: FitTask) -> d
     weights, missed = (F.adaptive_avg_pool2d(x.permute(0, 3, 1, 2), side).permute(2, 3, 0, 1).reshape(side * side, -1, 1)
                        for x in (seen, miss))
     known = svbrdf.to(torch.float64).resized(side)
-    numbers = {name: _numbers(name, value) for name, value in known.maps.items() if name not in task.fixed}
+    numbers = {name: numbers_of(name, value) for name, value in known.maps.items() if name not in task.fixed}
     if task.config.grey_specular:
         numbers["specular"] = numbers["specular"][..., :1]
     slopes = jacobian(known, numbers, views, capture.transfer)
@@ -83,7 +83,7 @@ def jacobian(known: SVBRDF, numbers: Mapping[str, Tensor], views: Views, transfe
 
     Args:
         known: the material, r x r, float64.
-        numbers: the unknown maps in the numbers of :func:`_numbers`, r x r x C; the columns come in this order.
+        numbers: the unknown maps in the numbers of :func:`numbers_of`, r x r x C; the columns come in this order.
         views: N views.
         transfer: how display values encode light.
     """
@@ -92,7 +92,7 @@ def jacobian(known: SVBRDF, numbers: Mapping[str, Tensor], views: Views, transfe
     def shown(name: str, channel: int, step: float) -> Tensor:
         moved = numbers[name].clone()
         moved[..., channel] += step
-        maps = {**known.maps, name: _map(name, moved).expand_as(known[name])}
+        maps = {**known.maps, name: map_of(name, moved).expand_as(known[name])}
         return color.encode(renderer.render(SVBRDF(known.bsdf, maps), views), transfer)
 
     columns = [(shown(name, channel, STEP) - shown(name, channel, -STEP)) / (2 * STEP)
@@ -100,15 +100,15 @@ def jacobian(known: SVBRDF, numbers: Mapping[str, Tensor], views: Views, transfe
     return torch.stack(columns, dim=-1).permute(1, 2, 0, 3, 4).flatten(2, 3).flatten(0, 1)
 
 
-def _numbers(name: str, value: Tensor) -> Tensor:
+def numbers_of(name: str, value: Tensor) -> Tensor:
     """A map in the numbers errors are counted in; of a normal, x and y."""
     if name == "normal":
         return (value[..., :2] + 1) / 2
     return color.encode(value) if name in COLOURS else value
 
 
-def _map(name: str, numbers: Tensor) -> Tensor:
-    """The inverse of :func:`_numbers`."""
+def map_of(name: str, numbers: Tensor) -> Tensor:
+    """The inverse of :func:`numbers_of`."""
     if name == "normal":
         flat = numbers * 2 - 1
         return torch.cat((flat, (1 - flat.square().sum(dim=-1, keepdim=True)).clamp_min(1e-4).sqrt()), dim=-1)

@@ -12,7 +12,7 @@ from typing import get_args
 from .. import color
 from ..capture import Capture
 from ..errors import MapsError, MitsvbrdfError
-from ..material.map_files import load_maps
+from ..material.map_files import MAP_FOLDERS, load_maps
 from ..material.maps import SVBRDF
 from ..measure.burn_in import burn_in
 from ..render import Renderer, RendererName, make_renderer
@@ -99,6 +99,11 @@ class SavedFit:
         """Its maps."""
         return load_maps(self.path / "maps", self.record["bsdf"])
 
+    @cached_property
+    def look(self) -> SVBRDF | None:
+        """One plausible draw of what no photo saw; None where its fit had no finish."""
+        return load_maps(self.path / "look", self.record["bsdf"]) if "finish" in self.record else None
+
     def renderer(self) -> Renderer | None:
         """That of the fit; None for one that is not ours."""
         name, variant = self.record["renderer"], self.record.get("variant")
@@ -123,13 +128,13 @@ def read_fit(maps: str | Path) -> SavedFit:
     """What is known of the fit that maps come from; the defaults where there is no ``fit.json``.
 
     Args:
-        maps: a fit's folder, or the ``maps`` folder inside it.
+        maps: a fit's folder, or the ``maps`` or ``look`` folder inside it.
 
     Raises:
         MapsError: the ``fit.json`` cannot be understood.
     """
     folder = Path(os.path.abspath(maps))
-    folder = folder.parent if folder.name == "maps" else folder
+    folder = folder.parent if folder.name in MAP_FOLDERS else folder
     return _read(folder) if (folder / FILE).is_file() else SavedFit(path=folder)
 
 
@@ -234,6 +239,7 @@ def _record(result: FitResult, capture: Capture, command: dict) -> dict:
                                                      "unit": "patch sides"},
         "calibration": result.calibration,
         **({"profile": result.profile} if result.profile else {}),
+        **({"finish": result.finish} if result.finish else {}),
         "versions": versions(),
         "machine": machine(),
         "trace": result.trace,

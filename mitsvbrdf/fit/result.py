@@ -41,6 +41,9 @@ class FitResult:
         warnings: in sentences; see :mod:`mitsvbrdf.fit.warnings`.
         flash_offset: by how much (x, y) the fit moved the flash beside the lens, in the unit of the views, or None.
         calibration: what is known of the views and how surely; see :func:`mitsvbrdf.fit.view_record.views_record`.
+        look: one plausible draw of what no photo saw, for pictures; None without
+            :func:`mitsvbrdf.fit.generator.finish.finished`.
+        finish: settings, seconds and losses of that, and what it is, or None.
         profile: where the time of the steps went, where :func:`mitsvbrdf.system.profile.profiling` was on, else None.
     """
 
@@ -64,6 +67,8 @@ class FitResult:
     profile: dict | None = None
     calibration: dict = field(default_factory=dict)
     used: tuple[tuple[str, str], ...] = ()
+    look: SVBRDF | None = None
+    finish: dict | None = None
 
     def __repr__(self) -> str:
         return (f"FitResult({method_name(self.config)}, {self.svbrdf!r}, re-rendering RMSE {self.rerender_rmse:.4f}, "

@@ -23,6 +23,7 @@ ENCODINGS: dict[str, dict[str, str]] = {
     "gamma 2.2": dict.fromkeys(("diffuse", "specular", "roughness", "base_color"), "gamma 2.2") | {"metallic": "linear"},
     "srgb": dict.fromkeys(COLOURS, "srgb") | {"roughness": "linear", "metallic": "linear"},
 }
+MAP_FOLDERS = ("maps", "look")  # of a fit: the expected values, and one plausible draw of what no photo saw
 SHORT_NAMES = {"diffuse": "dif", "specular": "spe", "roughness": "rgh", "normal": "nom"}
 
 

@@ -27,6 +27,7 @@ from ..pages.pictures import at_most, magma, picture_uri
 from ..render import Renderer
 from ..system import files, images
 from .checks import fit_report
+from .look_page import write_look_page
 from .viewer import viewer_html
 
 LARGEST_MAP = 512  # pixels a side on the page
@@ -144,7 +145,7 @@ def _write_page(found: SavedFit, record: dict) -> None:
     write_page(found.path / "report.html", "report/report.html", title=title, fit=fit, record=record, maps=_maps(found),
                photos=[_photo(found.path, photo, side) for photo in record["photos"]], viewer=viewer_html(found.svbrdf),
                curves=_curves(fit["trace"]), measured=_thinned(fit["trace"]), unknown=UNKNOWN, ramp=_ramp(), titles=TITLES,
-               scalar=_scalar, from_where=about_views(fit.get("calibration") or {}))
+               look=write_look_page(found), scalar=_scalar, from_where=about_views(fit.get("calibration") or {}))
 
 
 def _maps(found: SavedFit) -> list[dict]:

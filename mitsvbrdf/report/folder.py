@@ -22,7 +22,7 @@ from .sheet import loss_curve, write_sheet
 
 def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dict | None = None,
               left_out: Capture | None = None) -> None:
-    """Write a fit: maps, their uncertainty, guess, photos and re-renderings, sheet, curve, Mitsuba scene, ``fit.json``, page.
+    """Write a fit: maps, look, uncertainty, guess, photos and re-renderings, sheet, curve, Mitsuba scene, ``fit.json``, page.
 
     Args:
         result: what :func:`mitsvbrdf.fit.fit_svbrdf` gave.
@@ -37,6 +37,8 @@ def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dic
     out = Path(out)
     keep_photos(out, capture)
     save_maps(result.svbrdf, out / "maps")
+    if result.look:
+        save_maps(result.look, out / "look")
     write_linear(out / "guess" / "diffuse", result.guess, "srgb")
     for name, spread in result.deviations.items():
         images.write_exr(out / "uncertainty" / f"{name}.exr", spread.square().mean(dim=-1, keepdim=True).sqrt())

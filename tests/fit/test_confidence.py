@@ -10,7 +10,7 @@ from helpers import ANALYTIC, GRID, photos_of
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.fit import DirectConfig, FitTask, fit_svbrdf
-from mitsvbrdf.fit.confidence import UNKNOWN, _map, _numbers, confidence, deviations, jacobian
+from mitsvbrdf.fit.confidence import UNKNOWN, confidence, deviations, jacobian, map_of, numbers_of
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.render import make_renderer
@@ -26,11 +26,11 @@ def test_slopes_are_those_of_reverse_mode(bsdf):
     if bsdf == "principled":
         made = SVBRDF(bsdf, {"base_color": made["diffuse"] + 0.05, "metallic": made["roughness"] / 2,
                              "roughness": made["roughness"], "normal": made["normal"]})
-    numbers = {name: _numbers(name, value) for name, value in made.maps.items()}
+    numbers = {name: numbers_of(name, value) for name, value in made.maps.items()}
     slopes = jacobian(made, numbers, views, "srgb")
     leaves = {name: value.clone().requires_grad_() for name, value in numbers.items()}
     shown = color.encode(make_renderer("analytic64").render(
-        SVBRDF(bsdf, {name: _map(name, value) for name, value in leaves.items()}), views), "srgb")
+        SVBRDF(bsdf, {name: map_of(name, value) for name, value in leaves.items()}), views), "srgb")
     weights = torch.randn(shown.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     wanted = torch.cat([g.flatten(0, 1) for g in torch.autograd.grad(shown, list(leaves.values()), weights)], dim=1)
     found = (slopes * weights.permute(1, 2, 0, 3).reshape(SIDE**2, -1, 1)).sum(dim=1)
@@ -82,7 +82,7 @@ def test_the_deviation_predicts_where_the_error_is():
     truth = make_material("plates", SIDE)
     result = fit_svbrdf(photos_of(truth), ANALYTIC, DirectConfig(iterations=150))
     for name, spread in result.deviations.items():
-        error = (_numbers(name, result.svbrdf[name]) - _numbers(name, truth[name])).square().mean(dim=-1).flatten()
+        error = (numbers_of(name, result.svbrdf[name]) - numbers_of(name, truth[name])).square().mean(dim=-1).flatten()
         ranks = torch.stack([x.argsort().argsort().double() for x in (error, spread.square().mean(dim=-1).flatten())])
         assert torch.corrcoef(ranks)[0, 1] > 0.5, name
         # And its size, over that of the error. Measured: 0.48, 1.0, 0.56, 0.56.

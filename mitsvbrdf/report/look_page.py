@@ -1,0 +1,64 @@
+"""The page of a fit's look: the draw that is for pictures, beside the maps that are for validation."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import torch
+
+from .. import color
+from ..fit.record import SavedFit
+from ..material.maps import CHANNELS, TITLES, shown_map
+from ..pages.page import write_page
+from ..pages.pictures import at_most, picture_uri
+from ..render.analytic import AnalyticRenderer
+from ..views import Views
+from .viewer import viewer_html
+
+PAGE = "look.html"
+LARGEST = 512  # pixels a side on the page
+
+
+def write_look_page(found: SavedFit) -> str | None:
+    """Write ``look.html`` into a fit's folder: maps, a light that no photo had, and the live viewer, all of its look.
+
+    Args:
+        found: the fit.
+
+    Returns:
+        The page's name; None where the fit has no look.
+
+    Raises:
+        MapsError: the look cannot be read.
+        OutputError: the page cannot be written.
+    """
+    if found.look is None:
+        return None
+    assert found.views is not None and found.transfer is not None  # a fit's record has them
+    view, finish = unseen_view(found.views), found.record["finish"]
+    engine, transfer = found.renderer() or AnalyticRenderer(), found.transfer
+    with torch.no_grad():
+        relit = [(title, picture_uri(at_most(color.to_display(engine.render(svbrdf, view)[0], transfer), LARGEST)))
+                 for title, svbrdf in (("maps/", found.svbrdf), ("look/", found.look))]
+    maps = [(TITLES[name], picture_uri(at_most(shown_map(name, found.look[name]), LARGEST)))
+            for name in CHANNELS[found.look.bsdf]]
+    name = found.record["capture"].get("name") or "Capture"
+    write_page(found.path / PAGE, "report/look.html", title=f"{name}: look", finish=finish, maps=maps, relit=relit,
+               solved_rmse=found.record["rerender_rmse"], viewer=viewer_html(found.look))
+    return PAGE
+
+
+def unseen_view(views: Views) -> Views:
+    """A view between those of the photos: half way between two of them, as far from every camera as that can be.
+
+    Args:
+        views: of the photos.
+
+    Returns:
+        One view, its camera, light and intensity the means of two.
+    """
+    pairs = torch.combinations(torch.arange(len(views)), with_replacement=True)
+    camera, light, intensity = (x[pairs].mean(dim=1) for x in (views.camera, views.light, views.intensity))
+    farthest = int(torch.cdist(camera, views.camera).amin(dim=1).argmax())
+    between = dataclasses.replace(views, camera=camera, light=light, intensity=intensity)
+    return between.pick([farthest])
