@@ -235,7 +235,7 @@ class Gan(Method[GanConfig]):
             yield
             return
         own = module_state("", self.generator)
-        load_module_state("", self.generator, self.averaged)
+        self.generator.load_state_dict(self.averaged)
         try:
             yield
         finally:
