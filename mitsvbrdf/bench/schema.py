@@ -56,7 +56,7 @@ class FitRecord(TypedDict):
     ``why`` explains.
     """
 
-    suite: Literal["methods", "ablation"]
+    suite: Literal["methods", "ablation", "gan"]
     method: str
     kind: Literal["material", "capture"]
     name: str

@@ -11,8 +11,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from ..pages.page import figure
-from . import methods, summary
+from . import summary
 from .summary import ERRORS, Point
+from .variants import FULL
 
 PEERS = "peers-baseline"
 
@@ -166,18 +167,18 @@ def renderer_tables(record: Mapping) -> list[Table]:
     return tables
 
 
-def ablation_tables(record: Mapping) -> list[Table]:
-    """The error with each ingredient off, and how much more that is, by budget."""
+def ablation_tables(record: Mapping, suite: str = "ablation") -> list[Table]:
+    """The error of each variant of a method, and how much more that is than the whole method's, by budget."""
     tables = []
-    for kind, error, title, fits in judged(record, "ablation"):
+    for kind, error, title, fits in judged(record, suite):
         times, found = summary.budgets(fits), summary.curves(fits, error)
         change = summary.differences(fits, error)
         rows = [[name, *(_changed(at_time(points, budget), change.get(name, {}).get(budget)) for budget in times)]
                 for name, points in found.items()]
         if rows:
             tables.append(Table(f"{title}, {count_of(kind, fits)}", ["", *(f"{budget:g} s" for budget in times)], rows,
-                                f"Behind the error: median difference to `{methods.FULL}` over pairs of the same "
-                                f"{kind} and seed, quartiles in brackets; above 0 the ingredient helps."))
+                                f"Behind the error: median difference to `{FULL}` over pairs of the same {kind} and seed, quartiles "
+                                f"in brackets; above 0 {'the ingredient helps' if suite == 'ablation' else 'it is worse'}."))
     return tables
 
 

@@ -96,9 +96,10 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
           renderer: RendererName, variant: str, quick: bool) -> tuple[list[Job], dict, dict]:
     """All jobs, what their records share, and the numbers published for what they fit."""
     from ..bench.jobs import fit_jobs
-    from ..bench.methods import VARIANTS, method_table, variant_table
+    from ..bench.methods import method_table
     from ..bench.published import published
     from ..bench.renderers import render_jobs
+    from ..bench.variants import ablations, variant_table
     from ..fit.config import check_seed
     from ..render import make_renderer
 
@@ -135,9 +136,9 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
         phone.check()
         jobs += capture_jobs(*_sources(chosen, data), phone, HierarchicalConfig(budget=max(budgets), seed=seeds[0]),
                              chosen["resolution"], engine, variant)
-    if "ablation" in suites:
-        default = next(iter(table.values()))
-        jobs += fit_jobs("ablation", variant_table(default, VARIANTS), tasks, budgets, seeds, engine)
+    for suite, (method, variants) in ablations().items():
+        if suite in suites:
+            jobs += fit_jobs(suite, variant_table(table[method], variants), tasks, budgets, seeds, engine)
     settings = {"resolution": chosen["resolution"], "views": _name(source), "renderer": renderer, "variant": variant,
                 "quick": quick}
     return jobs, settings, published(data / "peers.json", tasks, chosen["resolution"]) if data else {}
