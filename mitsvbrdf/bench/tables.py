@@ -177,8 +177,9 @@ def ablation_tables(record: Mapping, suite: str = "ablation") -> list[Table]:
                 for name, points in found.items()]
         if rows:
             tables.append(Table(f"{title}, {count_of(kind, fits)}", ["", *(f"{budget:g} s" for budget in times)], rows,
-                                f"Behind the error: median difference to `{FULL}` over pairs of the same {kind} and seed, quartiles "
-                                f"in brackets; above 0 {'the ingredient helps' if suite == 'ablation' else 'it is worse'}."))
+                                f"Behind the error: median difference to `{FULL}` over pairs of the same "
+                                f"{kind} and seed, quartiles in brackets; above 0 "
+                                f"{'the ingredient helps' if suite == 'ablation' else 'it is worse'}."))
     return tables
 
 
