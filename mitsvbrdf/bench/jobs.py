@@ -19,6 +19,7 @@ from .from_phone import CaptureJob
 from .methods import fit, settings_of
 from .paper.references import ReferenceJob
 from .paper.schedule import ScheduleJob
+from .paper.sheets import SheetJob
 from .paper.steps import StepJob
 from .renderers import RenderJob
 from .store import Store
@@ -98,7 +99,7 @@ class FitJob:
                 "stopped": found.stopped, "why": None, "errors": errors}
 
 
-Job = FitJob | RenderJob | CaptureJob | ReferenceJob | ScheduleJob | StepJob
+Job = FitJob | RenderJob | CaptureJob | ReferenceJob | ScheduleJob | StepJob | SheetJob
 
 
 def fit_jobs(suite: str, methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequence[float],

@@ -138,6 +138,17 @@ class StepRecord(TypedDict):
     ratio: Spread
 
 
+class SheetRecord(TypedDict):
+    """A picture of one material's maps by several methods; ``errors``: whose -> map -> RMSE, as written on it."""
+
+    suite: Literal["sheets"]
+    kind: Literal["material"]
+    name: str
+    config: dict[str, Any]
+    file: str
+    errors: dict[str, dict[str, float]]
+
+
 class Benchmark(TypedDict):
     """The whole file. ``published``: kind -> name -> whose -> error -> value, of what was fitted here."""
 
@@ -147,13 +158,14 @@ class Benchmark(TypedDict):
     versions: dict[str, str | None]
     seeds: list[int]
     published: dict[str, dict[str, dict[str, dict[str, float]]]]
-    records: list[RenderRecord | FitRecord | CaptureRecord | ReferenceRecord | ScheduleRecord | StepRecord]
+    records: list[RenderRecord | FitRecord | CaptureRecord | ReferenceRecord | ScheduleRecord | StepRecord | SheetRecord]
 
 
 def identity(record: dict) -> tuple:
     """What no two records of a file share."""
     names = {"renderers": ("suite", "bsdf", "resolution", "views", "truth"), "capture": ("suite", "kind", "name", "sheet"),
-             "references": ("suite", "kind", "name"), "schedule": ("suite", "method", "kind", "name", "seed"),
+             "references": ("suite", "kind", "name"), "sheets": ("suite", "kind", "name"),
+             "schedule": ("suite", "method", "kind", "name", "seed"),
              "steps": ("suite", "preset", "resolution", "width")}
     return tuple(record[name] for name in names.get(record["suite"], ("suite", "method", "kind", "name", "budget", "seed")))
 

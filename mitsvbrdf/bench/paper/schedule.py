@@ -13,7 +13,7 @@ from ...fit.loop import Loop
 from ...material.maps import SVBRDF
 from ...render import Renderer
 from ...system.timing import timed
-from ..methods import Fitted, Report, as_lit, settings_of
+from ..methods import Fitted, as_lit, settings_of
 from ..tasks import Task
 
 POINTS = 50  # of the curve, besides the start
@@ -63,7 +63,7 @@ class ScheduleJob:
     @property
     def iterations(self) -> int:
         """How many it makes."""
-        return self.config.iterations or self.config.default_limit["iterations"]
+        return self.config.default_limit["iterations"] if self.config.iterations is None else self.config.iterations
 
     @property
     def cost(self) -> float:
@@ -74,11 +74,11 @@ class ScheduleJob:
     def run(self, report: Callable[[float], object] = lambda share: None) -> dict:
         """The figures: ``errors`` of the result, ``trace`` with those of the state at some fifty iterations."""
         trace: list[dict[str, float]] = []
-        found, wall = timed(self._fit, trace, lambda entry, share: report(share))
+        found, wall = timed(self._fit, trace, report)
         return {"seconds": found.seconds, "wall": round(wall, 3), "iterations": found.iterations, "stopped": found.stopped,
                 "errors": _short(self.task.errors(found)), "trace": trace}
 
-    def _fit(self, trace: list[dict[str, float]], report: Report) -> Fitted:
+    def _fit(self, trace: list[dict[str, float]], report: Callable[[float], object]) -> Fitted:
         config = replace(self.config, iterations=self.iterations, budget=None, seed=self.seed)
         config.check()
         lit = as_lit(self.task.photos, config)
@@ -89,7 +89,7 @@ class ScheduleJob:
             rmse, svbrdf, _ = loop.seen
             now = self._fitted(svbrdf, rmse, entry["seconds"], entry["iteration"], "going on")
             trace.append({"iteration": entry["iteration"], "seconds": entry["seconds"]} | _short(self.task.errors(now)))
-            report(entry, share)
+            report(share)
 
         loop = Loop(method, lit, self.renderer, config, report=kept)
         stopped = loop.run()

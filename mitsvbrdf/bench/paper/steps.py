@@ -96,7 +96,8 @@ class StepJob:
 
     def run(self, report: Callable[[float], object] = lambda share: None) -> dict:
         """The figures: ``rows`` of both versions, which take turns, and the ``ratio`` of their seconds turn by turn."""
-        photos = as_lit(photograph(make_material(STEPPED_MATERIAL, self.resolution), nine_view_grid(), self.renderer), self.config)
+        material = make_material(STEPPED_MATERIAL, self.resolution)
+        photos = as_lit(photograph(material, nine_view_grid(), self.renderer), self.config)
         versions = {NOW: _method(Gan, photos, self.renderer, self.config),
                     EARLIER: _method(EarlierGan, photos, self.renderer, replace(self.config, precision="float32"))}
         turns = in_turns({name: partial(_seconds, method) for name, method in versions.items()}, self.repeats,
