@@ -26,7 +26,7 @@ def _renderers(settings: Mapping, here: Sequence[Mapping]) -> str:
 
 
 def _steps(settings: Mapping, here: Sequence[Mapping]) -> str:
-    return f"--repeats {here[0]['config']['repeats']} --resolution {settings['resolution']}"
+    return f"--repeats {here[0]['config']['repeats']} --resolution {settings['resolution']} --views {settings['views']}"
 
 
 def _fits(settings: Mapping, here: Sequence[Mapping]) -> str:

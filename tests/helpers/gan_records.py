@@ -31,7 +31,8 @@ SCHEDULE = {"suite": "schedule", "method": "gan-two-stage", "kind": "material", 
             "trace": [maps(0.4 - k / 2000, iteration=k, seconds=4.5 * k, photos=0.2) for k in (0, 100, 200)]}
 STEPS = {"suite": "steps", "preset": "paper-two-stage", "resolution": 256, "width": 64, "config": {"repeats": 3},
          "rows": [{"version": name, "bfloat16": name == "now", "seconds": timing(seconds),
-                   "parts": {"network": 0.75, "other": 0.25}} for name, seconds in (("now", 2.0), ("earlier", 5.0))], "ratio": timing(2.5)}
+                   "parts": {"network": 0.75, "other": 0.25}} for name, seconds in (("now", 2.0), ("earlier", 5.0))],
+         "ratio": timing(2.5)}
 SHEET = {"suite": "sheets", "kind": "material", "name": "inlay", "file": "gan-inlay.jpg", "errors": {"gan": {"diffuse": 0.1}},
          "config": {"budget": 5.0, "seed": 0, "methods": {"gan": {}, "hierarchical": {}}}}
 FITS = [*fitted("methods", "gan-two-stage", (0.3, 0.4, 0.5), "a", "min"),
