@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 
 from . import summary
+from .tasks import LEFT_OUT
 from .variants import FULL, ablations
 
 
@@ -17,7 +18,8 @@ def commands(record: Mapping) -> list[str]:
         here = [r for r in record["records"] if r["suite"] == suite]
         if here:
             quick = " --quick" if record["settings"]["quick"] else ""
-            made.append(f"mitsvbrdf bench --suite {suite}{quick} {options(record['settings'], here)}")
+            made.append(f"mitsvbrdf bench --suite {suite}{quick} {options(record['settings'], here)}"
+                        f"{_left_out(record['settings'])}")
     return made
 
 
@@ -56,6 +58,12 @@ def _sheets(settings: Mapping, here: Sequence[Mapping]) -> str:
     config = here[0]["config"]
     return (f"{_named(here)} --methods {','.join(config['methods'])} --budgets {config['budget']:g} --seeds {config['seed']} "
             f"--resolution {settings['resolution']} --views {settings['views']}")
+
+
+def _left_out(settings: Mapping) -> str:
+    """The photos left out, where they are not the usual ones."""
+    numbers = settings.get("left_out", LEFT_OUT)
+    return "" if tuple(numbers) == LEFT_OUT else f" --left-out {','.join(map(str, numbers))}"
 
 
 def _named(here: Sequence[Mapping]) -> str:

@@ -32,6 +32,7 @@ from .tables import (
     judged,
     renderer_tables,
 )
+from .tasks import LEFT_OUT
 
 Picture = Callable[[str, Figure | None, str], list[str]]  # name, drawing, what it shows -> lines of Markdown
 
@@ -148,14 +149,19 @@ def _beside_published(record: Mapping, kind: str, error: str, title: str, fits: 
     return [f"- {title}, `{default}` after {longest:g} s against MaterialGAN as published: {text}."]
 
 
+def left_out_by(record: Mapping) -> str:
+    """The numbers of the photos that fits of real captures did not see, in words."""
+    return _list([str(i) for i in record["settings"].get("left_out", LEFT_OUT)])
+
+
 def _methods(record: Mapping, picture: Picture) -> list[str]:
     lines = []
     for kind, heading, text in (
             ("material", "## Known materials", "Photos made of known maps, 8 bits, without noise; the error of the maps is the "
              "mean of the four RMSEs, the error under new light is that of pictures lit from the side, 25 and 50 degrees off "
              "the upright, as no photo with a flash was."),
-            ("capture", "## Real captures", "Photos 4 and 7 are left out of every fit and predicted afterwards. MaterialGAN, "
-             "trained on a large data set, saw all nine, those two as well.")):
+            ("capture", "## Real captures", f"Photos {left_out_by(record)} are left out of every fit and predicted afterwards. "
+             "MaterialGAN, trained on a large data set, saw all nine, those two as well.")):
         fits = summary.of(record["records"], "methods", kind)
         if not fits:
             continue

@@ -25,7 +25,8 @@ Suite = Literal["all", "renderers", "methods", "ablation", "capture", "gan", "sc
 USUAL_SUITES = "renderers", "methods"  # the others are asked for by name: they take longer than both
 
 # What is measured where nothing else is said, and with --quick.
-WHOLE = {"resolution": 256, "budgets": "10,30,100,300", "seeds": "0,1,2", "repeats": 5, "megapixels": 3.0}
+WHOLE = {"resolution": 256, "budgets": "10,30,100,300", "seeds": "0,1,2", "repeats": 5, "megapixels": 3.0,
+         "left-out": "4,7"}
 QUICK = {"resolution": 64, "budgets": "2,5", "seeds": "0", "repeats": 2, "megapixels": 0.5, "materials": "builtin:inlay",
          "captures": "none"}
 WHOLE_CASES = {"sizes": (64, 128, 256, 512, 1024, 2048), "views": (1, 4, 16, 64), "samples": (1, 4, 16, 64, 256)}
@@ -48,6 +49,8 @@ def bench(
     resolution: Annotated[int | None, arg(help="Side of maps and photos in the fits; left out: 256.")] = None,
     views: Annotated[str | None, arg(help="Whose views the photos of known materials have: a capture or builtin:grid; left "
                                           "out: cards-blue of the data, else builtin:grid.")] = None,
+    left_out: Annotated[str | None, arg(metavar="NUMBER,...", help="Photos of real captures that no fit sees; left out: "
+                                                                   "4,7.")] = None,
     data: Annotated[Path | None, arg(help="Folder with captures/, materials/, peers.json; left out: MITSVBRDF_DATA.")] = None,
     repeats: Annotated[int | None, arg(help="Timed turns of the renderers; left out: 5.")] = None,
     megapixels: Annotated[float | None, arg(help="Of the simulated phone's photos; left out: 3.")] = None,
@@ -71,7 +74,7 @@ def bench(
     from ..bench.store import Store, read_benchmark
 
     asked = {"resolution": resolution, "budgets": budgets, "seeds": seeds, "repeats": repeats, "materials": materials,
-             "captures": captures, "megapixels": megapixels, "variants": variants}
+             "captures": captures, "megapixels": megapixels, "variants": variants, "left-out": left_out}
     chosen = WHOLE | (QUICK if quick else {}) | {name: value for name, value in asked.items() if value is not None}
     files.check_output(json_file, page, gan_page)
     if suite == "none":
@@ -111,6 +114,7 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
 
     budgets = _numbers("--budgets", chosen["budgets"], float, lambda x: 0 < x < math.inf)
     seeds = _numbers("--seeds", chosen["seeds"], int, lambda x: x >= 0)
+    chosen["left-out"] = _numbers("--left-out", chosen["left-out"], int, lambda x: x >= 0)
     for seed in seeds:
         check_seed(seed)
     if chosen["resolution"] < 8 or chosen["repeats"] < 1:
@@ -146,7 +150,7 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
         jobs += _variant_jobs(suite, chosen, table, tasks, budgets, seeds, engine) if suite in ("ablation", "gan") else []
         jobs += _paper_jobs(suite, chosen, picked, source, data, engine, tasks, max(budgets), seeds)
     settings = {"resolution": chosen["resolution"], "views": _name(source), "renderer": renderer, "variant": variant,
-                "quick": quick}
+                "quick": quick, "left_out": chosen["left-out"]}
     found = published(data / "peers.json", tasks, chosen["resolution"]) if data else {}
     return jobs, settings, found | (printed() if "gan" in suites else {})
 
@@ -206,7 +210,7 @@ def _tasks(chosen: dict, source: str, data: Path | None, engine: Renderer) -> li
     materials, captures = _sources(chosen, data)
     lit = views_of(source, "inverse-square")[1]
     tasks: list = [known_material(name, chosen["resolution"], lit, engine) for name in materials]
-    return tasks + [real_capture(Path(name), chosen["resolution"]) for name in captures]
+    return tasks + [real_capture(Path(name), chosen["resolution"], chosen["left-out"]) for name in captures]
 
 
 def _sources(chosen: dict, data: Path | None) -> tuple[list[str], list[str]]:

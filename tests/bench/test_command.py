@@ -125,7 +125,8 @@ def test_data_is_found_where_it_is_named(out, monkeypatch, tmp_path):
     (["--materials", "builtin:gold"], "made material"), (["--materials", "nowhere"], "nowhere"),
     (["--captures", "nowhere"], "nowhere"), (["--data", "nowhere"], "nowhere"), (["--views", "nowhere"], "nowhere"),
     (["--materials", "none"], "--materials"), (["--suite", "none"], "--json"), (["--repeats", "0"], "--repeats"),
-    (["--materials", "inlay,builtin:inlay"], "inlay twice"), (["--suite", "capture", "--captures", "all"], "none called all"),
+    (["--materials", "inlay,builtin:inlay"], "inlay twice"), (["--left-out", "x"], "4,7"),
+    (["--suite", "capture", "--captures", "all"], "none called all"),
 ])
 def test_mistakes_are_one_error(extra, words, out, capsys):
     assert cli.main([*TINY, "--suite", "methods", "--json", str(out), *extra]) == 2

@@ -23,7 +23,6 @@ TWO_STAGE = "`gan-two-stage`, the paper's preset"
 OURS: dict[str, tuple[tuple[str, str], ...]] = {
     TWO_STAGE: (("methods", "gan-two-stage"),), f"{GAN}, {PAPERS_LOSSES}": (("gan", PAPERS_LOSSES),),
     GAN: (("methods", "gan"), ("gan", FULL)), "`hierarchical`": (("methods", "hierarchical"),)}
-BESIDE_PHOTOS = "MaterialGAN", "Gao 2019"
 
 
 @dataclass(frozen=True)
@@ -136,7 +135,7 @@ def capture_tables(record: Mapping) -> list[Table]:
     fits = [r for each in found.values() for r in each]
     labels, published = [label for label, each in found.items() if each], record["published"].get("capture", {})
     for error, title in ERRORS["capture"].items():
-        whose = [who for who in BESIDE_PHOTOS if any(error in published.get(n, {}).get(who, {}) for n in summary.names(fits))]
+        whose = list(dict.fromkeys(who for n in summary.names(fits) for who, e in published.get(n, {}).items() if error in e))
         rows, values = [], []
         for name in summary.names(fits):
             points = [_last(found[label], error, [name]) for label in labels]
