@@ -33,7 +33,7 @@ KEPT = ("width", "learning_rate", "discriminator_rate", "decay")  # ours there t
 GAN_VARIANTS: dict[str, dict[str, object]] = {
     # Every ingredient as in the paper: its generator from untrained weights, its game and its diffuse loss, its guess.
     PAPERS_LOSSES: {name: value for name, value in PRESETS["paper-one-stage"].items() if name not in KEPT},
-    NO_GAME: {"adversarial": 0.0},
+    NO_GAME: {"adversarial": 0.0, "features": 0.0},
     "no diffuse loss": {"diffuse": 0.0},
     "the paper's guess": {"guess": "min"},
     "no start at the guess": {"start": False},

@@ -24,10 +24,10 @@ NOT_COMPARABLE = (
     "material. They stand here for their order of size.")
 MEASURED = (
     "Photos are made of known maps, nine views, 8 bits, without noise. *Published maps* are those that the authors of a method "
-    "recovered from photos of their own and published; their error is measured here, their run time is not known. Guessed "
-    "diffuse: the error of the guess that the fit of that row was given, `min` in the paper's rows, `robust` in the others. "
-    "`gan-two-stage` has here the same seconds as the other rows, which is a small part of the paper's schedule; the schedule "
-    "has its own section.")
+    "recovered from photos of their own and published; their error is measured here, at the size of the fits, and their run "
+    "time is not known. Guessed diffuse: the error of the guess that the fit of that row was given, `min` in the paper's rows, "
+    "`robust` in the others. `gan-two-stage` has here the same seconds as the other rows, which is a small part of the paper's "
+    "schedule; the schedule has its own section.")
 START = (
     "`gan` starts at the robust guess, one specular level and one roughness for all texels, and flat normals. What it is worth "
     "is what it takes off the error of this start.")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import get_args
 
 from ...capture.guess import GuessMethod, guess_diffuse
@@ -74,7 +73,7 @@ class ReferenceJob:
         if isinstance(self.task, KnownMaterial):
             guesses = {guess_by(method): {"diffuse": self._of_maps(maps)["diffuse"]} for method, maps in starts.items()}
             found = guesses | {START: self._of_material(first) | {"photos": self._of_photos(first)["seen"]}}
-            found |= {name: self._of_material(maps) for name, maps in peers(self.task.folder).items()}
+            found |= {name: self._of_material(maps) for name, maps in peers(self.task).items()}
         else:
             found = {START: self._of_photos(first)}
         return {"errors": found}
@@ -93,7 +92,13 @@ class ReferenceJob:
                 for part, shots in parts.items() if shots is not None}
 
 
-def peers(folder: Path | None) -> dict[str, SVBRDF]:
-    """Whose -> the maps that published methods recovered of a known material: folders in ``peers/`` beside its maps."""
-    folders = sorted(p for p in (folder / "peers").iterdir() if p.is_dir()) if folder and (folder / "peers").is_dir() else []
-    return {METHOD_NAMES.get(p.name, p.name): load_maps(p) for p in folders}
+def peers(task: KnownMaterial) -> dict[str, SVBRDF]:
+    """Whose -> the maps that published methods recovered of a known material, no larger than its photos here.
+
+    They lie in folders in ``peers/`` beside the known maps. Errors are counted at the size of the smaller maps: larger ones
+    than those of the fits would be held against more detail.
+    """
+    inside = task.folder / "peers" if task.folder else None
+    found = {METHOD_NAMES.get(p.name, p.name): load_maps(p) for p in sorted(inside.iterdir())
+             if p.is_dir()} if inside and inside.is_dir() else {}
+    return {who: maps.resized(min(maps.resolution, task.photos.resolution)) for who, maps in found.items()}

@@ -103,7 +103,7 @@ class SheetJob:
             rows.append(SheetRow(f"{name}, {fitted.seconds:.0f} s", fitted.svbrdf, guess, errors))
             found[name] = errors | {"seconds": fitted.seconds}
             report((number + 1) / len(self.methods))
-        for who, maps in peers(self.task.folder).items():
+        for who, maps in peers(self.task).items():
             assert self.task.folder is not None
             errors = {e: v for e, v in evaluate_maps(maps, self.task.folder).items() if e in MAPS}
             rows.append(SheetRow(f"{who}, published maps", maps, None, errors))

@@ -8,7 +8,7 @@ import torch
 from helpers import ANALYTIC, GRID, photos_of
 from helpers.bench_records import benchmark
 
-from mitsvbrdf.bench.paper.references import START, ReferenceJob
+from mitsvbrdf.bench.paper.references import START, ReferenceJob, peers
 from mitsvbrdf.bench.paper.schedule import POINTS, ScheduleJob
 from mitsvbrdf.bench.paper.steps import EARLIER, NOW, EarlierGan, StepJob
 from mitsvbrdf.bench.schema import check_benchmark
@@ -46,6 +46,13 @@ def test_references_of_a_material_are_counted_as_its_maps_are(tmp_path):
     tiles = make_material("tiles", 16)
     # Maps in files have 8 bits: off by up to 0.002.
     assert errors["Gao 2019"]["normal"] == pytest.approx(rmse(tiles["normal"] / 2, task.truth["normal"] / 2), abs=0.004)
+
+
+def test_published_maps_are_counted_at_the_size_of_the_fits(tmp_path):
+    save_maps(make_material("leather", 32), tmp_path / "hide")
+    save_maps(make_material("tiles", 32), tmp_path / "hide/peers/gao2019")
+    found = peers(known_material(str(tmp_path / "hide"), 16, GRID, ANALYTIC))
+    assert found["Gao 2019"].resolution == 16 and peers(known_material("builtin:inlay", 16, GRID, ANALYTIC)) == {}
 
 
 def test_references_of_a_capture_are_the_starts_photos(tmp_path):
