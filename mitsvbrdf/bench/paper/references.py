@@ -17,7 +17,7 @@ from ..published import METHOD_NAMES
 from ..tasks import KnownMaterial, Task, novel_light_rmse
 
 START = "the start"
-SECONDS = 8.0  # what it takes at 256 px, about
+SECONDS = 8.0  # a guess, only to say how long it will take
 
 
 def guess_by(method: str) -> str:

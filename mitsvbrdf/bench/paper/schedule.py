@@ -17,8 +17,8 @@ from ..methods import Fitted, as_lit, settings_of
 from ..tasks import Task
 
 POINTS = 50  # of the curve, besides the start
-SECONDS = 1.5e-5  # of an iteration of five steps, a texel at width 64, measured at 128 px on one core; only a guess
-AT_LEAST = 0.02  # seconds of an iteration, however small
+SECONDS = 2e-4  # of an iteration, a texel at width 64: a guess, only to say how long it will take
+AT_LEAST = 0.2  # seconds of an iteration, however small; on a busy machine 0.26 (32 px, width 8) and 0.50 (64 px, width 16)
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,10 @@ class ScheduleJob:
         return self.iterations * max(AT_LEAST, each)
 
     def run(self, report: Callable[[float], object] = lambda share: None) -> dict:
-        """The figures: ``errors`` of the result, ``trace`` with those of the state at some fifty iterations."""
+        """The figures: ``errors`` of the result, ``trace`` with those of the state at some fifty iterations.
+
+        The seconds have what counting these errors took in them.
+        """
         trace: list[dict[str, float]] = []
         found, wall = timed(self._fit, trace, report)
         return {"seconds": found.seconds, "wall": round(wall, 3), "iterations": found.iterations, "stopped": found.stopped,

@@ -22,7 +22,7 @@ from ..methods import as_lit
 STEPPED_MATERIAL = "inlay"
 NOW, EARLIER = "now", "earlier"
 LATE = 0.9  # share of the run that is timed: the last phase, at full size
-SECONDS_A_STEP = 2e-4  # a texel at width 64; only to say how long it will take
+SECONDS_A_STEP = 2e-4  # a texel at width 64: a guess, only to say how long it will take
 
 
 class EarlierGan(Gan):
