@@ -41,6 +41,11 @@ def print_benchmark(record: Mapping) -> None:
     """The tables at equal time, to equal error, of renderers and of the ablation, without spreads, on the terminal."""
     tables = [*equal_time(record), *equal_error(record), *renderer_tables(record), *ablation_tables(record),
               *capture_tables(record)]
+    print_tables(tables)
+
+
+def print_tables(tables: Sequence[Table]) -> None:
+    """Tables on the terminal, without their spreads."""
     with contextlib.suppress(BrokenPipeError):
         for table in tables:
             shown = Shown(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)

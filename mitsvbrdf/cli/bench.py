@@ -277,9 +277,11 @@ def _name(source: str) -> str:
 def _show(record: dict, page: Path | None, gan_page: Path | None) -> None:
     """The tables on the terminal and, where they were asked for, the pages."""
     from ..bench.page import print_benchmark, write_benchmark_page
-    from ..bench.paper.page import write_gan_page
+    from ..bench.paper.page import print_gan, write_gan_page
 
     print_benchmark(record)
+    if gan_page or any(r["suite"] in ("gan", "steps") for r in record["records"]):
+        print_gan(record)
     if page:
         say_written(*write_benchmark_page(page, record))
     if gan_page:

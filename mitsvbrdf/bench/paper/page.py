@@ -8,7 +8,7 @@ from pathlib import Path
 from ...pages.page import svg_file
 from ...system import files
 from ..commands import commands
-from ..page import left_out_by, made_on, markdown
+from ..page import left_out_by, made_on, markdown, print_tables
 from ..tables import Table
 from . import tables
 from .plots import schedule_figure
@@ -32,6 +32,7 @@ START = (
     "`gan` starts at the robust guess, one specular level and one roughness for all texels, and flat normals. What it is worth "
     "is what it takes off the error of this start.")
 GAME = "The same method, budget, materials and seeds; without the adversarial loss, only the diffuse loss is left."
+INGREDIENTS = "`full` is `gan` as it is. Counted are the materials, budgets and seeds that every row has."
 CAPTURES = (
     "RMSE in display values. Photos {} are left out of every fit and predicted with the flash offset it found. MaterialGAN, "
     "trained on a large data set, saw all nine photos, those two as well; a method *without them* did not.")
@@ -80,12 +81,18 @@ def gan_page(record: Mapping, curve: str) -> str:
              *_sheets(record),
              *_section("From the start to the end", START, [start] if start else []),
              *_section("With and without the adversarial loss", GAME, tables.game_tables(record)),
-             *_section("Each ingredient", "`full` is `gan` as it is.", tables.ingredient_tables(record)),
+             *_section("Each ingredient", INGREDIENTS, tables.ingredient_tables(record)),
              *_section("Real captures", CAPTURES.format(left_out_by(record)), tables.capture_tables(record)),
              *_section("The paper's full schedule", SCHEDULE, [schedule] if schedule else [], picture),
              *_section("Seconds of an iteration", "", tables.step_tables(record)),
              "## How to reproduce", "", *(f"    {line}" for line in _commands(record)), ""]
     return "\n".join(lines)
+
+
+def print_gan(record: Mapping) -> None:
+    """The tables of materials, of the adversarial loss, of ingredients and of iterations on the terminal, without spreads."""
+    print_tables([*tables.measured_tables(record), *tables.game_tables(record), *tables.ingredient_tables(record),
+                  *tables.step_tables(record)])
 
 
 def _section(heading: str, text: str, found: Sequence[Table], picture: Sequence[str] = ()) -> list[str]:

@@ -123,9 +123,20 @@ def game_tables(record: Mapping) -> list[Table]:
 
 
 def ingredient_tables(record: Mapping) -> list[Table]:
-    """Each variant of ``gan``: by budget, and map by map."""
-    maps = each_map(record, "gan")
-    return [*ablation_tables(record, "gan"), *([maps] if maps else [])]
+    """Each variant of ``gan``: by budget, and map by map, over the fits that all variants have."""
+    common = {**record, "records": [r for kind in ERRORS for r in _shared(summary.of(record["records"], "gan", kind))]}
+    maps = each_map(common, "gan")
+    return [*ablation_tables(common, "gan"), *([maps] if maps else [])]
+
+
+def _shared(fits: Sequence[Mapping]) -> list[Mapping]:
+    """The fits of what every method was run on: the same materials or captures, budgets and seeds."""
+    def what(r: Mapping) -> tuple:
+        return r["name"], r["budget"], r["seed"]
+
+    each = [{what(r) for r in fits if r["method"] == method} for method in {r["method"] for r in fits}]
+    shared = set.intersection(*each) if each else set()
+    return [r for r in fits if what(r) in shared]
 
 
 def capture_tables(record: Mapping) -> list[Table]:

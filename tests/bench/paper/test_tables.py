@@ -66,6 +66,14 @@ def test_each_ingredient_is_paired_with_the_whole():
     assert cells(tables.ingredient_tables(WHOLE)[-1])["full"][4] == "**0.0600**"
 
 
+def test_ingredients_are_compared_on_what_all_were_fitted_to():
+    few = [r for r in WHOLE["records"]
+           if (r["suite"], r.get("method")) != ("gan", "bce") or (r["name"], r["seed"]) == ("a", 1)]
+    rows = cells(tables.ingredient_tables({**WHOLE, "records": few})[0])
+    assert rows == {"full": ["0.0500"], "no adversarial loss": ["0.1200, +0.0700"], "bce": ["0.0600, +0.0100"]}
+    assert cells(tables.game_tables({**WHOLE, "records": few})[0])["b"][0] == "0.0600 (0.0550–0.0650)"  # with all of theirs
+
+
 def test_captures_stand_beside_what_was_published():
     left_out, seen = tables.capture_tables(WHOLE)
     assert left_out.heads == ["", "the start", "`gan`", "MaterialGAN, published"]
