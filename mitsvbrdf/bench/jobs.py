@@ -2,7 +2,8 @@
 
 ``renderers`` holds every renderer against the float64 truth. ``methods`` fits known materials and real captures with every
 method, each budget a fit of its own, for schedules follow the budget. ``ablation`` does the same with the default method and
-with one of its ingredients after the other taken away. ``capture`` goes from a phone's raw photos to maps.
+with one of its ingredients after the other taken away; ``gan`` with what lies between the paper's method and ours.
+``capture`` goes from a phone's raw photos to maps. :mod:`mitsvbrdf.bench.paper` has what only the paper's tables need.
 """
 
 from __future__ import annotations
@@ -16,6 +17,10 @@ from ..render import Renderer
 from ..system.timing import timed
 from .from_phone import CaptureJob
 from .methods import fit, settings_of
+from .paper.references import ReferenceJob
+from .paper.schedule import ScheduleJob
+from .paper.sheets import SheetJob
+from .paper.steps import StepJob
 from .renderers import RenderJob
 from .store import Store
 from .tasks import Task
@@ -30,7 +35,7 @@ class FitJob:
     """One fit: a method with its own budget and seed on one material or capture.
 
     Args:
-        suite: ``methods`` or ``ablation``.
+        suite: ``methods``, ``ablation`` or ``gan``.
         method: its name.
         config: its settings; budget and seed are set here.
         task: what is fitted.
@@ -94,7 +99,7 @@ class FitJob:
                 "stopped": found.stopped, "why": None, "errors": errors}
 
 
-Job = FitJob | RenderJob | CaptureJob
+Job = FitJob | RenderJob | CaptureJob | ReferenceJob | ScheduleJob | StepJob | SheetJob
 
 
 def fit_jobs(suite: str, methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequence[float],

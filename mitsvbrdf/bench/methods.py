@@ -1,4 +1,4 @@
-"""What competes: every method of ``fit`` with its settings, the default with one ingredient off, and one fit of either."""
+"""What competes: every method of ``fit`` with its settings, and one fit of any of them."""
 
 from __future__ import annotations
 
@@ -17,21 +17,6 @@ from ..material.maps import SVBRDF
 from ..render import Renderer
 from ..system.timing import timed
 from .peers_baseline import PeersBaseline, PeersConfig
-
-# The ablation: an ingredient of the default method that is off -> the settings that take it away.
-VARIANTS: dict[str, dict[str, object]] = {
-    "one basis material": {"materials": 1},
-    "no neighbours as starts": {"neighbours": False},
-    "sharing not enforced": {"spread": 10.0},  # deviations as large as expectation-maximisation finds them
-    "relief 5 times as deep": {"relief": 0.1},
-    "no freedom at full size": {"own": 0.0},
-    "all pixels alike at 64 px": {"tails": 0.0},
-    "burn-in not taken out": {"independent": False},
-    "no flash offset": {"flash_offset": False},  # common to all photos; each flash is still refined within 0.01
-    "views as calibrated": {"calibrate": False},  # neither camera nor flash
-}
-
-FULL = "full"  # the default method as it is, among its variants
 
 Report = Callable[[dict, float], None]  # told an entry of the trace and the share done
 
@@ -60,35 +45,21 @@ class Fitted:
 
 
 def method_table() -> dict[str, FitConfig]:
-    """Name -> settings: the methods of ``fit``, one entry for each preset where a method has presets, and the baseline."""
+    """Name -> settings: the methods of ``fit``, with one more entry for each further preset, and the baseline."""
     table: dict[str, FitConfig] = {}
     for name, (config, *_) in METHODS.items():
+        table[name] = default = config()
         presets = get_args(get_type_hints(config)["preset"]) if any(f.name == "preset" for f in fields(config)) else ()
-        table |= {f"{name}-{preset.removeprefix('paper-')}": config(preset=preset) for preset in presets}  # type: ignore[call-arg]
-        table |= {} if presets else {name: config()}
+        table |= {f"{name}-{preset.removeprefix('paper-')}": config(preset=preset)  # type: ignore[call-arg]
+                  for preset in presets if preset != getattr(default, "preset", None)}
     return table | {"peers-baseline": PeersConfig()}
 
 
-def variant_table(config: FitConfig, variants: Mapping[str, Mapping[str, object]]) -> dict[str, FitConfig]:
-    """Name -> settings: the configuration as it is, and with the changes of each variant.
-
-    Raises:
-        ConfigError: a variant that changes what the configuration does not have, or to a value it refuses.
-    """
-    table = {FULL: config}
-    for name, changes in variants.items():
-        unknown = [key for key in changes if key not in {f.name for f in fields(config)}]
-        if unknown or name == FULL:
-            raise ConfigError(f"a variant of {type(config).__name__}", f"{name!r} with {unknown or 'the name of the whole'}",
-                              "mend VARIANTS in mitsvbrdf/bench/methods.py")
-        table[name] = replace(config, **changes)  # type: ignore[arg-type]
-        table[name].check()
-    return table
-
-
 def settings_of(config: FitConfig) -> dict:
-    """The settings as JSON has them, but for budget and seed, which each fit sets."""
-    plain = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(config).items()}
+    """The class, the guess, and the settings that are not the class's own, as JSON has them; each fit sets budget and seed."""
+    own = asdict(type(config)())
+    plain = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(config).items()
+             if value != own[name] or name == "guess"}
     return {"class": type(config).__name__} | {k: v for k, v in plain.items() if k not in ("budget", "seed")}
 
 

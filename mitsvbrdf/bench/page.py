@@ -16,6 +16,7 @@ from ..pages.page import svg_file
 from ..system import files
 from ..system.progress import console
 from . import summary
+from .commands import commands
 from .plots import methods_figure, renderers_figure, small_multiples
 from .summary import ERRORS
 from .tables import (
@@ -31,6 +32,7 @@ from .tables import (
     judged,
     renderer_tables,
 )
+from .tasks import LEFT_OUT
 
 Picture = Callable[[str, Figure | None, str], list[str]]  # name, drawing, what it shows -> lines of Markdown
 
@@ -39,6 +41,11 @@ def print_benchmark(record: Mapping) -> None:
     """The tables at equal time, to equal error, of renderers and of the ablation, without spreads, on the terminal."""
     tables = [*equal_time(record), *equal_error(record), *renderer_tables(record), *ablation_tables(record),
               *capture_tables(record)]
+    print_tables(tables)
+
+
+def print_tables(tables: Sequence[Table]) -> None:
+    """Tables on the terminal, without their spreads."""
     with contextlib.suppress(BrokenPipeError):
         for table in tables:
             shown = Shown(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
@@ -73,7 +80,9 @@ def write_benchmark_page(path: str | Path, record: Mapping) -> list[Path]:
         return [f"![{what}]({path.stem}-{name}.svg)", ""]
 
     whole = picture("methods", methods_figure(record), "Error against run time of all methods")
-    lines = [*_head(record), *_in_short(record), *whole, *_methods(record, picture), *_renderers(record, picture),
+    head = ["# Benchmark: error against run time", "",
+            f"Written by `mitsvbrdf bench --page`, nothing by hand. {made_on(record)}", ""]
+    lines = [*head, *_in_short(record), *whole, *_methods(record, picture), *_renderers(record, picture),
              *_ablation(record), *_capture(record), *_how(record)]
     files.write_bytes(path, "\n".join(lines).encode())
     for name, data in pictures.items():
@@ -81,7 +90,8 @@ def write_benchmark_page(path: str | Path, record: Mapping) -> list[Path]:
     return [path, *(path.with_name(name) for name in pictures)]
 
 
-def _markdown(table: Table | None, level: str = "###") -> list[str]:
+def markdown(table: Table | None, level: str = "###") -> list[str]:
+    """A table as lines of Markdown under its title; none for None."""
     if table is None:
         return []
     lines = [f"{level} {table.title}", "", f"| {' | '.join(table.heads)} |", "|---" + "|---:" * (len(table.heads) - 1) + "|"]
@@ -89,16 +99,15 @@ def _markdown(table: Table | None, level: str = "###") -> list[str]:
     return [*lines, "", *([table.note, ""] if table.note else [])]
 
 
-def _head(record: Mapping) -> list[str]:
+def made_on(record: Mapping) -> str:
+    """On what machine, with which versions and settings the records were made, in sentences."""
     m, v, s = record["machine"], record["versions"], record["settings"]
     model = m.get("model") or m.get("cpu")
     memory = f", {m['memory_gib']} GiB" if m.get("memory_gib") else ""
     packages = ", ".join(f"{name} {v[name]}" for name in ("mitsvbrdf", "mitsuba", "drjit", "torch", "python") if v.get(name))
-    return ["# Benchmark: error against run time", "",
-            f"Written by `mitsvbrdf bench --page`, nothing by hand. Machine: {model}, {m['cores']} cores{memory}, "
-            f"{m['system']}. Versions: {packages}, {m.get('libllvm') or 'libLLVM unknown'}; code {s['code']}. "
-            f"Fits: {s['resolution']} px, through `{s['renderer']}`"
-            + (f", seeds {', '.join(map(str, record['seeds']))}" if record["seeds"] else "") + ".", ""]
+    return (f"Machine: {model}, {m['cores']} cores{memory}, {m['system']}. Versions: {packages}, "
+            f"{m.get('libllvm') or 'libLLVM unknown'}; code {s['code']}. Fits: {s['resolution']} px, through `{s['renderer']}`"
+            + (f", seeds {', '.join(map(str, record['seeds']))}" if record["seeds"] else "") + ".")
 
 
 def _in_short(record: Mapping) -> list[str]:
@@ -145,23 +154,28 @@ def _beside_published(record: Mapping, kind: str, error: str, title: str, fits: 
     return [f"- {title}, `{default}` after {longest:g} s against MaterialGAN as published: {text}."]
 
 
+def left_out_by(record: Mapping) -> str:
+    """The numbers of the photos that fits of real captures did not see, in words."""
+    return _list([str(i) for i in record["settings"].get("left_out", LEFT_OUT)])
+
+
 def _methods(record: Mapping, picture: Picture) -> list[str]:
     lines = []
     for kind, heading, text in (
             ("material", "## Known materials", "Photos made of known maps, 8 bits, without noise; the error of the maps is the "
              "mean of the four RMSEs, the error under new light is that of pictures lit from the side, 25 and 50 degrees off "
              "the upright, as no photo with a flash was."),
-            ("capture", "## Real captures", "Photos 4 and 7 are left out of every fit and predicted afterwards. MaterialGAN, "
-             "trained on a large data set, saw all nine, those two as well.")):
+            ("capture", "## Real captures", f"Photos {left_out_by(record)} are left out of every fit and predicted afterwards. "
+             "MaterialGAN, trained on a large data set, saw all nine, those two as well.")):
         fits = summary.of(record["records"], "methods", kind)
         if not fits:
             continue
         lines += [heading, "", text, ""]
         for table in equal_time({**record, "records": fits}) + equal_error({**record, "records": fits}):
-            lines += _markdown(table)
-        lines += _markdown(each_map(record)) if kind == "material" else []
+            lines += markdown(table)
+        lines += markdown(each_map(record)) if kind == "material" else []
         for error, title in ERRORS[kind].items():
-            lines += _markdown(each_one(record, kind, error, title))
+            lines += markdown(each_one(record, kind, error, title))
             lines += picture(f"{kind}-{error.replace('_', '-')}", small_multiples(record, kind, error), f"{title}, one by one")
     return lines
 
@@ -173,16 +187,16 @@ def _renderers(record: Mapping, picture: Picture) -> list[str]:
     lines = ["## Renderers", "", "Made inlaid wood, the flash 0.1 patch sides beside the lens, against the float64 twin "
              "`analytic64`; all renderers in turn, median and quartiles.", "",
              *picture("renderers", renderers_figure(record), "Error against run time of the renderers")]
-    return lines + [line for table in tables for line in _markdown(table)]
+    return lines + [line for table in tables for line in markdown(table)]
 
 
 def _ablation(record: Mapping) -> list[str]:
-    lines = [line for table in ablation_tables(record) for line in _markdown(table)]
+    lines = [line for table in ablation_tables(record) for line in markdown(table)]
     return ["## Each ingredient off", "", *lines] if lines else []
 
 
 def _capture(record: Mapping) -> list[str]:
-    lines = [line for table in capture_tables(record) for line in _markdown(table)]
+    lines = [line for table in capture_tables(record) for line in markdown(table)]
     text = ("Known materials are photographed by a simulated phone (`synth --handheld`: a lens, its flash beside it, noise, "
             "JPEG); what `capture` makes of the photos is held against the truth. Cameras: distance from the truth over that "
             "to the patch, root mean square, without a sheet after the best similarity. Rectification: pixels of 512. Maps: "
@@ -197,35 +211,7 @@ def _how(record: Mapping) -> list[str]:
             "seconds are the loop's own, after kernels are compiled, without what comes before and after it (`wall` in the "
             "JSON has that too). Methods take turns. Real captures, known materials and published numbers lie in the folder "
             "that `MITSVBRDF_DATA` names.", "",
-            *(f"    {line}" for line in commands(record)), ""]
-
-
-def commands(record: Mapping) -> list[str]:
-    """The commands that make the same records, one for each suite."""
-    records, made = record["records"], []
-    for suite in ("renderers", "methods", "ablation", "capture"):
-        here = [r for r in records if r["suite"] == suite]
-        if not here:
-            continue
-        line = f"mitsvbrdf bench --suite {suite}" + (" --quick" if record["settings"]["quick"] else "")
-        if suite == "capture":
-            config = here[0]["config"]
-            line += "".join(f" --{option} {','.join(dict.fromkeys(r['name'] for r in here if r['kind'] == kind)) or 'none'}"
-                            for option, kind in (("materials", "material"), ("captures", "capture")))
-            line += (f" --budgets {config['budget']:g} --seeds {config['seed']} --megapixels {config['megapixels']:g}"
-                     f" --resolution {record['settings']['resolution']}")
-        elif suite == "renderers":
-            line += f" --repeats {here[0]['config']['repeats']}"
-        else:
-            for option, kind in (("materials", "material"), ("captures", "capture")):
-                names = summary.names(summary.of(here, suite, kind))
-                line += f" --{option} {','.join(names) or 'none'}"
-            methods = f" --methods {','.join(dict.fromkeys(r['method'] for r in here))}" if suite == "methods" else ""
-            line += (methods + f" --budgets {','.join(f'{b:g}' for b in summary.budgets(here))}"
-                     f" --seeds {','.join(map(str, sorted({r['seed'] for r in here})))}"
-                     f" --resolution {record['settings']['resolution']} --views {record['settings']['views']}")
-        made.append(line)
-    return [*made, "mitsvbrdf bench --suite none --page benchmark.md"]
+            *(f"    {line}" for line in (*commands(record), "mitsvbrdf bench --suite none --page benchmark.md")), ""]
 
 
 def _list(words: Sequence[str]) -> str:

@@ -56,7 +56,7 @@ class FitRecord(TypedDict):
     ``why`` explains.
     """
 
-    suite: Literal["methods", "ablation"]
+    suite: Literal["methods", "ablation", "gan"]
     method: str
     kind: Literal["material", "capture"]
     name: str
@@ -90,6 +90,65 @@ class CaptureRecord(TypedDict):
     why: str | None
 
 
+class ReferenceRecord(TypedDict):
+    """What the fits of one material or capture are compared with; ``errors``: whose -> error -> value, named as in a fit."""
+
+    suite: Literal["references"]
+    kind: Literal["material", "capture"]
+    name: str
+    config: dict[str, Any]
+    errors: dict[str, dict[str, float]]
+
+
+class ScheduleRecord(TypedDict):
+    """One run of the paper's schedule: ``errors`` of its result; ``trace`` has those of the state, iteration and seconds."""
+
+    suite: Literal["schedule"]
+    method: str
+    kind: Literal["material", "capture"]
+    name: str
+    seed: int
+    config: dict[str, Any]
+    seconds: float
+    wall: float
+    iterations: int
+    stopped: str
+    errors: dict[str, float]
+    trace: list[dict[str, float]]
+
+
+class StepRow(TypedDict):
+    """One version of an iteration; ``parts``: the share of each part of it."""
+
+    version: Literal["now", "earlier"]
+    bfloat16: bool
+    seconds: Spread
+    parts: dict[str, float]
+
+
+class StepRecord(TypedDict):
+    """Iterations of one preset of ``gan``; ``ratio`` is how many times as long the earlier version takes."""
+
+    suite: Literal["steps"]
+    preset: str
+    resolution: int
+    width: int
+    config: dict[str, Any]
+    rows: list[StepRow]
+    ratio: Spread
+
+
+class SheetRecord(TypedDict):
+    """A picture of one material's maps by several methods; ``errors``: whose -> map -> RMSE, as written on it."""
+
+    suite: Literal["sheets"]
+    kind: Literal["material"]
+    name: str
+    config: dict[str, Any]
+    file: str
+    errors: dict[str, dict[str, float]]
+
+
 class Benchmark(TypedDict):
     """The whole file. ``published``: kind -> name -> whose -> error -> value, of what was fitted here."""
 
@@ -99,12 +158,15 @@ class Benchmark(TypedDict):
     versions: dict[str, str | None]
     seeds: list[int]
     published: dict[str, dict[str, dict[str, dict[str, float]]]]
-    records: list[RenderRecord | FitRecord | CaptureRecord]
+    records: list[RenderRecord | FitRecord | CaptureRecord | ReferenceRecord | ScheduleRecord | StepRecord | SheetRecord]
 
 
 def identity(record: dict) -> tuple:
     """What no two records of a file share."""
-    names = {"renderers": ("suite", "bsdf", "resolution", "views", "truth"), "capture": ("suite", "kind", "name", "sheet")}
+    names = {"renderers": ("suite", "bsdf", "resolution", "views", "truth"), "capture": ("suite", "kind", "name", "sheet"),
+             "references": ("suite", "kind", "name"), "sheets": ("suite", "kind", "name"),
+             "schedule": ("suite", "method", "kind", "name", "seed"),
+             "steps": ("suite", "preset", "resolution", "width")}
     return tuple(record[name] for name in names.get(record["suite"], ("suite", "method", "kind", "name", "budget", "seed")))
 
 

@@ -21,7 +21,8 @@ PACKAGE = Path(__file__).parents[1]
 # The code that shapes a record: all else may change between two runs that add to one file.
 SHAPING = ("capture/**/*.py", "calibrate/*.py", "fit/**/*.py", "material/*.py", "measure/*.py", "render/*.py", "synth/*.py",
            "evaluate/*.py", "system/layout.py", "color.py", "views.py",
-           "bench/peers_baseline.py", "bench/tasks.py", "bench/renderers.py", "bench/from_phone.py")
+           "bench/paper/references.py", "bench/paper/schedule.py", "bench/paper/steps.py", "bench/peers_baseline.py",
+           "bench/tasks.py", "bench/renderers.py", "bench/from_phone.py")
 
 
 class Store:

@@ -10,8 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from ..system.timing import spread
-from .methods import FULL
 from .published import Published
+from .variants import FULL
 
 # The errors that are judged by, of known materials and of real captures, and what to call them.
 ERRORS: dict[str, dict[str, str]] = {
@@ -41,9 +41,12 @@ class Point:
     seeds: int
 
 
+FIT_SUITES = ("methods", "ablation", "gan")  # whose records are fits
+
+
 def of(records: Iterable[Mapping], suite: str, kind: str) -> list[Mapping]:
     """The fits of a suite of materials or of captures."""
-    return [r for r in records if r["suite"] == suite and r["kind"] == kind] if suite != "renderers" else []
+    return [r for r in records if r["suite"] == suite and r["kind"] == kind] if suite in FIT_SUITES else []
 
 
 def names(fits: Iterable[Mapping]) -> list[str]:
@@ -116,4 +119,4 @@ def differences(fits: Sequence[Mapping], error: str) -> dict[str, dict[float, di
 
 def failures(records: Iterable[Mapping]) -> list[Mapping]:
     """Fits that could not be done."""
-    return [r for r in records if r["suite"] in ("methods", "ablation") and r["stopped"] == "failed"]
+    return [r for r in records if r["suite"] in FIT_SUITES and r["stopped"] == "failed"]

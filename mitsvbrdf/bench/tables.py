@@ -11,8 +11,9 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from ..pages.page import figure
-from . import methods, summary
+from . import summary
 from .summary import ERRORS, Point
+from .variants import FULL
 
 PEERS = "peers-baseline"
 
@@ -47,9 +48,10 @@ def equal_time(record: Mapping) -> list[Table]:
     tables = []
     for kind, error, title, fits in judged(record, "methods"):
         found, times = summary.curves(fits, error), summary.budgets(fits)
-        rows = [[_method(name, fits), *(_error(at_time(points, budget)) for budget in times)] for name, points in found.items()]
+        rows = [[_method(name, fits), *(error_cell(at_time(points, budget)) for budget in times)]
+                for name, points in found.items()]
         values = [[_value(at_time(points, budget)) for budget in times] for points in found.values()]
-        rows = _with_best(rows, values)
+        rows = with_best(rows, values)
         published = summary.published_mean(record["published"], kind, summary.names(fits), error)
         rows += [[f"{who}, published", *[""] * (len(times) - 1), f"{value:.4f}"] for who, value in published.items()]
         if found:
@@ -107,7 +109,7 @@ def each_one(record: Mapping, kind: str, error: str, title: str) -> Table | None
     for name in names:
         found = {m: at_time(points, longest) for m, points in summary.curves(fits, error, [name]).items()}
         given = record["published"].get(kind, {}).get(name, {})
-        rows.append([name, *(_error(found.get(m), False) for m in methods),
+        rows.append([name, *(error_cell(found.get(m), False) for m in methods),
                      *(f"{given[who][error]:.4f}" if error in given.get(who, {}) else "" for who in whose)])
         values.append([_value(found.get(m)) for m in methods] + [given.get(who, {}).get(error) for who in whose])
     if not rows:
@@ -116,19 +118,20 @@ def each_one(record: Mapping, kind: str, error: str, title: str) -> Table | None
                  ["", *(f"`{m}`" for m in methods), *(f"{who}, published" for who in whose)], _best_in_row(rows, values))
 
 
-def each_map(record: Mapping) -> Table | None:
-    """The error of each map at the longest budget, and what was published for the same materials."""
-    fits = summary.of(record["records"], "methods", "material")
+def each_map(record: Mapping, suite: str = "methods") -> Table | None:
+    """The error of each map at the longest budget."""
+    fits = summary.of(record["records"], suite, "material")
     heads = ("diffuse", "specular", "roughness", "normal", "mean", "novel_light")
     longest = max(summary.budgets(fits), default=0)
     found = {head: summary.curves(fits, head) for head in heads}
     methods = list(dict.fromkeys(r["method"] for r in fits))
-    rows = [[f"`{m}`", *(_error(at_time(found[head].get(m, []), longest), False) for head in heads)] for m in methods]
+    rows = [[f"`{m}`" if suite == "methods" else m,
+             *(error_cell(at_time(found[head].get(m, []), longest), False) for head in heads)] for m in methods]
     values = [[_value(at_time(found[head].get(m, []), longest)) for head in heads] for m in methods]
     if not rows:
         return None
     return Table(f"RMSE of each map, {longest:g} s, {count_of('material', fits)}", ["", *heads[:-1], "new light"],
-                 _with_best(rows, values))
+                 with_best(rows, values))
 
 
 def renderer_tables(record: Mapping) -> list[Table]:
@@ -166,18 +169,19 @@ def renderer_tables(record: Mapping) -> list[Table]:
     return tables
 
 
-def ablation_tables(record: Mapping) -> list[Table]:
-    """The error with each ingredient off, and how much more that is, by budget."""
+def ablation_tables(record: Mapping, suite: str = "ablation") -> list[Table]:
+    """The error of each variant of a method, and how much more that is than the whole method's, by budget."""
     tables = []
-    for kind, error, title, fits in judged(record, "ablation"):
+    for kind, error, title, fits in judged(record, suite):
         times, found = summary.budgets(fits), summary.curves(fits, error)
         change = summary.differences(fits, error)
         rows = [[name, *(_changed(at_time(points, budget), change.get(name, {}).get(budget)) for budget in times)]
                 for name, points in found.items()]
         if rows:
             tables.append(Table(f"{title}, {count_of(kind, fits)}", ["", *(f"{budget:g} s" for budget in times)], rows,
-                                f"Behind the error: median difference to `{methods.FULL}` over pairs of the same "
-                                f"{kind} and seed, quartiles in brackets; above 0 the ingredient helps."))
+                                f"Behind the error: median difference to `{FULL}` over pairs of the same "
+                                f"{kind} and seed, quartiles in brackets; above 0 "
+                                f"{'the ingredient helps' if suite == 'ablation' else 'it is worse'}."))
     return tables
 
 
@@ -233,7 +237,8 @@ def _value(point: Point | None) -> float | None:
     return None if point is None else point.median
 
 
-def _error(point: Point | None, spread: bool = True) -> str:
+def error_cell(point: Point | None, spread: bool = True) -> str:
+    """The median error, with its quartiles where there are several seeds; a dash for None."""
     if point is None:
         return "–"
     between = f" ({point.low:.4f}–{point.high:.4f})" if spread and point.seeds > 1 else ""
@@ -242,7 +247,7 @@ def _error(point: Point | None, spread: bool = True) -> str:
 
 def _changed(point: Point | None, change: Mapping | None) -> str:
     if point is None or change is None:
-        return _error(point, False)
+        return error_cell(point, False)
     quartiles = f" ({change['low']:+.4f} to {change['high']:+.4f})" if change["repeats"] > 1 else ""
     return f"{point.median:.4f}, {change['median']:+.4f}{quartiles}"
 
@@ -253,7 +258,7 @@ def _time(spread: Mapping) -> str:
     return f"{median} {unit} ({low}–{high})"
 
 
-def _with_best(rows: list[list[str]], values: list[list[float | None]]) -> list[list[str]]:
+def with_best(rows: list[list[str]], values: list[list[float | None]]) -> list[list[str]]:
     """The lowest of each column in bold."""
     for column in range(len(values[0]) if values else 0):
         here = [row[column] for row in values if row[column] is not None]

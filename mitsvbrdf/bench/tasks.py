@@ -23,7 +23,7 @@ from ..synth import photograph
 from ..views import Views
 from .methods import Fitted
 
-LEFT_OUT = (4, 7)  # numbers of the photos that fits of real captures do not see
+LEFT_OUT = (4, 7)  # numbers of the photos that fits of real captures do not see, where nothing else is said
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class RealCapture:
     Args:
         name: of the capture.
         photos: what is fitted.
-        left_out: what is predicted; None where the capture has none of :data:`LEFT_OUT`, or states no views to predict from.
+        left_out: what is predicted; None where the capture has none of these photos, or states no views to predict from.
     """
 
     kind: ClassVar = "capture"
@@ -86,17 +86,23 @@ def known_material(name: str, resolution: int, views: Views, renderer: Renderer)
                          photograph(shown, views, renderer))
 
 
-def real_capture(folder: Path, resolution: int) -> RealCapture:
+def real_capture(folder: Path, resolution: int, left_out: Sequence[int] = LEFT_OUT) -> RealCapture:
     """A task from a folder of photos.
+
+    Args:
+        folder: of the capture.
+        resolution: of the fit.
+        left_out: numbers of the photos that it does not see.
 
     Raises:
         CaptureError, ConfigError: photos that cannot be used, or none that is not left out.
     """
     shots = read_capture(folder, resolution=resolution)
-    seen = [i for i in shots.index if i not in LEFT_OUT]
+    seen = [i for i in shots.index if i not in left_out]
     if not seen:
-        raise ConfigError(f"photos besides {LEFT_OUT}", f"{list(shots.index)} in {folder}", "give a capture with more photos")
-    held = [i for i in shots.index if i in LEFT_OUT and shots.calibrated]
+        raise ConfigError(f"photos besides {tuple(left_out)}", f"{list(shots.index)} in {folder}",
+                          "give a capture with more photos")
+    held = [i for i in shots.index if i in left_out and shots.calibrated]
     return RealCapture(folder.name, shots.pick(seen), shots.pick(held) if held else None)
 
 

@@ -21,11 +21,12 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 Names = Annotated[str | None, arg(metavar="NAME,...")]
-Suite = Literal["all", "renderers", "methods", "ablation", "capture", "none"]
+Suite = Literal["all", "renderers", "methods", "ablation", "capture", "gan", "schedule", "steps", "sheets", "none"]
 USUAL_SUITES = "renderers", "methods"  # the others are asked for by name: they take longer than both
 
 # What is measured where nothing else is said, and with --quick.
-WHOLE = {"resolution": 256, "budgets": "10,30,100,300", "seeds": "0,1,2", "repeats": 5, "megapixels": 3.0}
+WHOLE = {"resolution": 256, "budgets": "10,30,100,300", "seeds": "0,1,2", "repeats": 5, "megapixels": 3.0,
+         "left-out": "4,7"}
 QUICK = {"resolution": 64, "budgets": "2,5", "seeds": "0", "repeats": 2, "megapixels": 0.5, "materials": "builtin:inlay",
          "captures": "none"}
 WHOLE_CASES = {"sizes": (64, 128, 256, 512, 1024, 2048), "views": (1, 4, 16, 64), "samples": (1, 4, 16, 64, 256)}
@@ -37,18 +38,25 @@ def bench(
     json_file: Annotated[Path, arg(name="json", help="The file of all records; one that is there is gone on with.")]
         = Path("out/bench.json"),
     page: Annotated[Path | None, arg(help="Write a Markdown page to this file, its pictures beside it.")] = None,
+    gan_page: Annotated[Path | None, arg(help="Write the paper's tables, reproduced, to this Markdown file.")] = None,
     materials: Annotated[Names, arg(help="Known materials: builtin:NAME, folders, or names in the data; none: without. Left "
                                          "out: all made ones and all in the data.")] = None,
     captures: Annotated[Names, arg(help="Real captures: folders or names in the data; none: without. Left out: all.")] = None,
     methods: Annotated[Names, arg(help="Methods; left out: all.")] = None,
+    variants: Annotated[Names, arg(help="Of the suites ablation and gan, beside the whole method; left out: all.")] = None,
     budgets: Annotated[str | None, arg(metavar="SECONDS,...", help="Of the fits; left out: 10,30,100,300.")] = None,
     seeds: Annotated[str | None, arg(metavar="NUMBER,...", help="Of the fits; left out: 0,1,2.")] = None,
     resolution: Annotated[int | None, arg(help="Side of maps and photos in the fits; left out: 256.")] = None,
     views: Annotated[str | None, arg(help="Whose views the photos of known materials have: a capture or builtin:grid; left "
                                           "out: cards-blue of the data, else builtin:grid.")] = None,
+    left_out: Annotated[str | None, arg(metavar="NUMBER,...", help="Photos of real captures that no fit sees; left out: "
+                                                                   "4,7.")] = None,
     data: Annotated[Path | None, arg(help="Folder with captures/, materials/, peers.json; left out: MITSVBRDF_DATA.")] = None,
     repeats: Annotated[int | None, arg(help="Timed turns of the renderers; left out: 5.")] = None,
     megapixels: Annotated[float | None, arg(help="Of the simulated phone's photos; left out: 3.")] = None,
+    schedule_size: Annotated[int, arg(help="Side of maps and photos in the suite schedule.")] = 64,
+    schedule_width: Annotated[int, arg(help="Channels of the first convolutions there.")] = 16,
+    iterations: Annotated[int | None, arg(help="Of the suite schedule; left out: all of the paper's.")] = None,
     quick: Annotated[bool, arg(help="A few minutes for everything: one made material, 64 px, 2 and 5 s, one seed.")] = False,
     renderer: Annotated[RendererName, arg(help="What the fits render with.")] = "mitsuba",
     variant: Variant = "llvm_ad_rgb",
@@ -66,13 +74,14 @@ def bench(
     from ..bench.store import Store, read_benchmark
 
     asked = {"resolution": resolution, "budgets": budgets, "seeds": seeds, "repeats": repeats, "materials": materials,
-             "captures": captures, "megapixels": megapixels}
+             "captures": captures, "megapixels": megapixels, "variants": variants, "left-out": left_out}
     chosen = WHOLE | (QUICK if quick else {}) | {name: value for name, value in asked.items() if value is not None}
-    files.check_output(json_file, page)
+    files.check_output(json_file, page, gan_page)
     if suite == "none":
-        _show(dict(read_benchmark(json_file)), page)
+        _show(dict(read_benchmark(json_file)), page, gan_page)
         return 0
     suites = USUAL_SUITES if suite == "all" else (suite,)
+    chosen |= {"schedule": (schedule_size, schedule_width, iterations), "folder": json_file.parent}
     jobs, settings, found = _jobs(suites, chosen, methods, views, _data(data), renderer, variant, quick)
     store = Store(json_file, settings, overwrite)
     store.publish(found)
@@ -88,7 +97,7 @@ def bench(
         return 130
     store.write()
     say_written(json_file)
-    _show(dict(store.content), page)
+    _show(dict(store.content), page, gan_page)
     return 0
 
 
@@ -96,7 +105,8 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
           renderer: RendererName, variant: str, quick: bool) -> tuple[list[Job], dict, dict]:
     """All jobs, what their records share, and the numbers published for what they fit."""
     from ..bench.jobs import fit_jobs
-    from ..bench.methods import VARIANTS, method_table, variant_table
+    from ..bench.methods import method_table
+    from ..bench.paper.printed import printed
     from ..bench.published import published
     from ..bench.renderers import render_jobs
     from ..fit.config import check_seed
@@ -104,6 +114,7 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
 
     budgets = _numbers("--budgets", chosen["budgets"], float, lambda x: 0 < x < math.inf)
     seeds = _numbers("--seeds", chosen["seeds"], int, lambda x: x >= 0)
+    chosen["left-out"] = _numbers("--left-out", chosen["left-out"], int, lambda x: x >= 0)
     for seed in seeds:
         check_seed(seed)
     if chosen["resolution"] < 8 or chosen["repeats"] < 1:
@@ -113,19 +124,19 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
     unknown = [name for name in _split(methods) if name not in table]
     if unknown:
         raise ConfigError(f"methods of {list(table)}", ", ".join(unknown), "check --methods")
-    picked = {name: table[name] for name in _split(methods)} or table
+    picked = {name: table[name] for name in _split(methods)}
 
     engine = make_renderer(renderer, variant)
     shots = {p.name: str(p) for p in _inside(data, "captures")}
     source = shots.get("cards-blue", "builtin:grid") if views is None else shots.get(views, views)
     tasks = []
-    if set(suites) & {"methods", "ablation"}:
+    if set(suites) & {"methods", "ablation", "gan", "sheets"}:
         tasks = _tasks(chosen, source, data, engine)
     jobs: list = []
     if "renderers" in suites:
         jobs += render_jobs(**(QUICK_CASES if quick else WHOLE_CASES), repeats=chosen["repeats"], variant=variant)
     if "methods" in suites:
-        jobs += fit_jobs("methods", picked, tasks, budgets, seeds, engine)
+        jobs += fit_jobs("methods", picked or table, tasks, budgets, seeds, engine)
     if "capture" in suites:
         from ..bench.from_phone import capture_jobs
         from ..fit import HierarchicalConfig
@@ -135,12 +146,62 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
         phone.check()
         jobs += capture_jobs(*_sources(chosen, data), phone, HierarchicalConfig(budget=max(budgets), seed=seeds[0]),
                              chosen["resolution"], engine, variant)
-    if "ablation" in suites:
-        default = next(iter(table.values()))
-        jobs += fit_jobs("ablation", variant_table(default, VARIANTS), tasks, budgets, seeds, engine)
+    for suite in suites:
+        jobs += _variant_jobs(suite, chosen, table, tasks, budgets, seeds, engine) if suite in ("ablation", "gan") else []
+        jobs += _paper_jobs(suite, chosen, picked, source, data, engine, tasks, max(budgets), seeds)
     settings = {"resolution": chosen["resolution"], "views": _name(source), "renderer": renderer, "variant": variant,
-                "quick": quick}
-    return jobs, settings, published(data / "peers.json", tasks, chosen["resolution"]) if data else {}
+                "quick": quick, "left_out": chosen["left-out"]}
+    found = published(data / "peers.json", tasks, chosen["resolution"]) if data else {}
+    return jobs, settings, found | (printed() if "gan" in suites else {})
+
+
+def _variant_jobs(suite: str, chosen: dict, table: dict, tasks: list, budgets: list[float], seeds: list[int],
+                  engine: Renderer) -> list[Job]:
+    """Fits of a method and of its variants; beside those of ``gan``, what the paper's tables compare them with."""
+    from ..bench.jobs import fit_jobs
+    from ..bench.paper.references import ReferenceJob
+    from ..bench.variants import ablations, variant_table
+
+    method, variants = ablations()[suite]
+    names = _split(chosen.get("variants"))
+    unknown = [name for name in names if name not in variants]
+    if unknown:
+        raise ConfigError(f"variants of {list(variants)}", ", ".join(unknown), "check --variants")
+    wanted = {name: variants[name] for name in names or variants}
+    references = [ReferenceJob(task, engine) for task in tasks] if suite == "gan" else []
+    return [*references, *fit_jobs(suite, variant_table(table[method], wanted), tasks, budgets, seeds, engine)]
+
+
+def _paper_jobs(suite: str, chosen: dict, picked: dict, source: str, data: Path | None, engine: Renderer, tasks: list,
+                budget: float, seeds: list[int]) -> list[Job]:
+    """What the paper's tables need besides fits at equal time: its schedule, seconds of an iteration, sheets of pictures."""
+    from dataclasses import replace
+
+    from ..bench.methods import method_table
+    from ..bench.paper.schedule import ScheduleJob
+    from ..bench.paper.sheets import SheetJob
+    from ..bench.paper.steps import StepJob
+    from ..fit import GanConfig
+
+    if suite == "steps":
+        return [StepJob(GanConfig(preset=preset), chosen["resolution"], engine, chosen["repeats"])
+                for preset in ("paper-two-stage", "minutes")]
+    if suite == "sheets":
+        shown = picked or {name: method_table()[name] for name in ("gan", "hierarchical")}
+        return [SheetJob(shown, task, budget, seeds[0], engine, chosen["folder"]) for task in tasks if task.kind == "material"]
+    if suite != "schedule":
+        return []
+    side, width, iterations = chosen["schedule"]
+    runs = picked or {"gan-two-stage": GanConfig(preset="paper-two-stage")}
+    wrong = [name for name, config in runs.items() if not isinstance(config, GanConfig)]
+    if wrong:
+        raise ConfigError("gan, gan-one-stage or gan-two-stage in the suite schedule", ", ".join(wrong), "check --methods")
+    sized = {name: replace(config, width=width, iterations=iterations) for name, config in runs.items()}
+    for config in sized.values():
+        config.check()
+    return [ScheduleJob(name, config, task, seed, engine)
+            for task in _tasks(chosen | {"resolution": side}, source, data, engine)
+            for seed in seeds for name, config in sized.items()]
 
 
 def _tasks(chosen: dict, source: str, data: Path | None, engine: Renderer) -> list:
@@ -149,7 +210,7 @@ def _tasks(chosen: dict, source: str, data: Path | None, engine: Renderer) -> li
     materials, captures = _sources(chosen, data)
     lit = views_of(source, "inverse-square")[1]
     tasks: list = [known_material(name, chosen["resolution"], lit, engine) for name in materials]
-    return tasks + [real_capture(Path(name), chosen["resolution"]) for name in captures]
+    return tasks + [real_capture(Path(name), chosen["resolution"], chosen["left-out"]) for name in captures]
 
 
 def _sources(chosen: dict, data: Path | None) -> tuple[list[str], list[str]]:
@@ -213,10 +274,15 @@ def _name(source: str) -> str:
     return source if source.startswith("builtin:") else Path(os.path.abspath(source)).name
 
 
-def _show(record: dict, page: Path | None) -> None:
-    """The tables on the terminal and, where it was asked for, the page."""
+def _show(record: dict, page: Path | None, gan_page: Path | None) -> None:
+    """The tables on the terminal and, where they were asked for, the pages."""
     from ..bench.page import print_benchmark, write_benchmark_page
+    from ..bench.paper.page import print_gan, write_gan_page
 
     print_benchmark(record)
+    if gan_page or any(r["suite"] in ("gan", "steps") for r in record["records"]):
+        print_gan(record)
     if page:
         say_written(*write_benchmark_page(page, record))
+    if gan_page:
+        say_written(*write_gan_page(gan_page, record))

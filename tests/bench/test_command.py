@@ -89,7 +89,7 @@ def test_interrupted_runs_go_on_with_the_same_records(out, monkeypatch, capsys):
 @pytest.mark.slow
 def test_quick_measures_everything(out, monkeypatch, tmp_path):
     monkeypatch.setattr("mitsvbrdf.cli.bench.QUICK_CASES", {"sizes": (8,), "views": (1,), "samples": ()})
-    monkeypatch.setattr("mitsvbrdf.bench.methods.VARIANTS", {"no neighbours": {"neighbours": False}})
+    monkeypatch.setattr("mitsvbrdf.bench.variants.VARIANTS", {"no neighbours": {"neighbours": False}})
     for suite in ("ablation", "all"):
         assert cli.main(["bench", "--quick", "--suite", suite, "--renderer", "analytic", "--resolution", "16", "--budgets",
                          "0.1", "--repeats", "1", "--json", str(out), "--page", str(tmp_path / "p.md")]) == 0
@@ -125,7 +125,8 @@ def test_data_is_found_where_it_is_named(out, monkeypatch, tmp_path):
     (["--materials", "builtin:gold"], "made material"), (["--materials", "nowhere"], "nowhere"),
     (["--captures", "nowhere"], "nowhere"), (["--data", "nowhere"], "nowhere"), (["--views", "nowhere"], "nowhere"),
     (["--materials", "none"], "--materials"), (["--suite", "none"], "--json"), (["--repeats", "0"], "--repeats"),
-    (["--materials", "inlay,builtin:inlay"], "inlay twice"), (["--suite", "capture", "--captures", "all"], "none called all"),
+    (["--materials", "inlay,builtin:inlay"], "inlay twice"), (["--left-out", "x"], "4,7"),
+    (["--suite", "capture", "--captures", "all"], "none called all"),
 ])
 def test_mistakes_are_one_error(extra, words, out, capsys):
     assert cli.main([*TINY, "--suite", "methods", "--json", str(out), *extra]) == 2

@@ -124,6 +124,12 @@ def test_published_numbers_are_those_of_the_same_photos(tmp_path):
     assert found["material"] == {"leather": {"MaterialGAN": maps | {"mean": pytest.approx(0.03)}}}  # a made inlay is another
     assert found["capture"]["cards"]["MaterialGAN"] == {"seen": pytest.approx(math.sqrt(0.13 / 7)),
                                                         "left_out": pytest.approx(math.sqrt(0.25 / 2))}
+    assert set(found["capture"]["cards"]) == {"MaterialGAN"}
+    stated["captures"]["cards"]["left_out_7_8_rmse_256"] = {"gao2019": 0.5}
+    (tmp_path / "peers.json").write_text(json.dumps(stated))
+    blind = published(tmp_path / "peers.json", [real_capture(tmp_path / "cards", 16, (7, 8))], 256)["capture"]["cards"]
+    assert blind["Gao 2019 without them"] == {"left_out": 0.5}  # fitted to photos 0 to 6, as fits here are then
+    assert blind["MaterialGAN"]["left_out"] == pytest.approx(math.sqrt((0.16 + 0.04) / 2))
     assert published(tmp_path / "peers.json", tasks, 128) == {"material": {}, "capture": {}}  # numbers of another size
     assert published(tmp_path / "none.json", tasks, 256) == {"material": {}, "capture": {}}
     (tmp_path / "peers.json").write_text('{"materials": []}')

@@ -1,0 +1,76 @@
+"""The commands that make the records of a benchmark again, one for each suite."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Mapping, Sequence
+
+from . import summary
+from .tasks import LEFT_OUT
+from .variants import FULL, ablations
+
+
+def commands(record: Mapping) -> list[str]:
+    """Lines to type; the suites in the order in which they stand here."""
+    made = []
+    for suite, options in {"renderers": _renderers, "methods": _fits, "ablation": _fits, "gan": _fits, "capture": _capture,
+                           "schedule": _schedule, "steps": _steps, "sheets": _sheets}.items():
+        here = [r for r in record["records"] if r["suite"] == suite]
+        if here:
+            quick = " --quick" if record["settings"]["quick"] else ""
+            made.append(f"mitsvbrdf bench --suite {suite}{quick} {options(record['settings'], here)}"
+                        f"{_left_out(record['settings'])}")
+    return made
+
+
+def _renderers(settings: Mapping, here: Sequence[Mapping]) -> str:
+    return f"--repeats {here[0]['config']['repeats']}"
+
+
+def _steps(settings: Mapping, here: Sequence[Mapping]) -> str:
+    return f"--repeats {here[0]['config']['repeats']} --resolution {settings['resolution']} --views {settings['views']}"
+
+
+def _fits(settings: Mapping, here: Sequence[Mapping]) -> str:
+    suite, methods = here[0]["suite"], list(dict.fromkeys(r["method"] for r in here))
+    picked = f" --methods {','.join(methods)}" if suite == "methods" else ""
+    if suite != "methods" and set(methods) != {FULL, *ablations()[suite].variants}:
+        picked = f" --variants {shlex.quote(','.join(name for name in methods if name != FULL))}"
+    return (f"{_named(here)}{picked} --budgets {','.join(f'{b:g}' for b in summary.budgets(here))} {_seeds(here)} "
+            f"--resolution {settings['resolution']} --views {settings['views']}")
+
+
+def _capture(settings: Mapping, here: Sequence[Mapping]) -> str:
+    config = here[0]["config"]
+    return (f"{_named(here)} --budgets {config['budget']:g} --seeds {config['seed']} --megapixels {config['megapixels']:g} "
+            f"--resolution {settings['resolution']}")
+
+
+def _schedule(settings: Mapping, here: Sequence[Mapping]) -> str:
+    config = here[0]["config"]
+    methods = ",".join(dict.fromkeys(r["method"] for r in here))
+    return (f"{_named(here)} --methods {methods} --iterations {here[0]['iterations']} --schedule-size {config['resolution']} "
+            f"--schedule-width {config['width']} {_seeds(here)} --resolution {settings['resolution']} "
+            f"--views {settings['views']}")
+
+
+def _sheets(settings: Mapping, here: Sequence[Mapping]) -> str:
+    config = here[0]["config"]
+    return (f"{_named(here)} --methods {','.join(config['methods'])} --budgets {config['budget']:g} --seeds {config['seed']} "
+            f"--resolution {settings['resolution']} --views {settings['views']}")
+
+
+def _left_out(settings: Mapping) -> str:
+    """The photos left out, where they are not the usual ones."""
+    numbers = settings.get("left_out", LEFT_OUT)
+    return "" if tuple(numbers) == LEFT_OUT else f" --left-out {','.join(map(str, numbers))}"
+
+
+def _named(here: Sequence[Mapping]) -> str:
+    """The materials and captures of these records, as options."""
+    return " ".join(f"--{kind}s {','.join(summary.names(r for r in here if r['kind'] == kind)) or 'none'}"
+                    for kind in summary.KINDS)
+
+
+def _seeds(here: Sequence[Mapping]) -> str:
+    return f"--seeds {','.join(map(str, sorted({r['seed'] for r in here})))}"

@@ -1,0 +1,42 @@
+"""How the errors fall along the paper's schedule, as SVG. It shows numbers of the record and computes none."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from matplotlib.figure import Figure
+
+from ...pages.canvas import PlainNumbers
+from ...pages.colours import CHART_GRID, CHART_LINES, CHART_TEXT
+from ..plots import FONT_SIZES
+from .tables import MAPS, schedule_title, schedules
+
+ACROSS = 2  # panels in a row
+
+
+def schedule_figure(record: Mapping) -> Figure | None:
+    """The error of each map against the iteration, one panel a run; None without runs."""
+    runs = schedules(record)
+    if not runs:
+        return None
+    down, across = math.ceil(len(runs) / ACROSS), min(ACROSS, len(runs))
+    drawing = Figure(figsize=(10, 3.1 * down), layout="constrained")
+    panels = drawing.subplots(down, across, squeeze=False, sharey=True).flatten()
+    for panel, run in zip(panels, runs):
+        for name, colour in zip(MAPS, CHART_LINES):
+            points = [(entry["iteration"], entry[name]) for entry in run["trace"] if name in entry]
+            panel.plot([x for x, _ in points], [y for _, y in points], color=colour, linewidth=1.4, label=name)
+        panel.set_title(schedule_title(run).replace("`", ""), loc="left", fontsize=FONT_SIZES["label"])
+        panel.set_xlabel("iteration", fontsize=FONT_SIZES["small"])
+        panel.set_yscale("log")
+        for formatter in (panel.yaxis.set_major_formatter, panel.yaxis.set_minor_formatter):
+            formatter(PlainNumbers())
+        panel.grid(True, which="major", color=CHART_GRID, linewidth=0.7)
+        panel.spines[["top", "right"]].set_visible(False)
+        panel.tick_params(labelsize=FONT_SIZES["tick"], which="both", labelcolor=CHART_TEXT)
+    for panel in panels[len(runs):]:
+        panel.set_visible(False)
+    panels[0].set_ylabel("RMSE of the map", fontsize=FONT_SIZES["small"])
+    panels[0].legend(fontsize=FONT_SIZES["tick"], frameon=False)
+    return drawing

@@ -1,0 +1,42 @@
+"""The page of the paper's tables: every section, with or without its records, and the one in the docs."""
+
+import json
+import xml.etree.ElementTree as ElementTree
+
+import pytest
+from helpers import ROOT
+from helpers.bench_records import benchmark
+from helpers.gan_records import WHOLE
+
+from mitsvbrdf.bench.paper.page import NOT_RUN, write_gan_page
+from mitsvbrdf.bench.store import read_benchmark
+
+RESULTS = ROOT / "docs/results/gan.json"
+
+
+def test_the_page_has_every_section_and_its_curve(tmp_path):
+    page, curve = write_gan_page(tmp_path / "gan.md", WHOLE)
+    text = page.read_text()
+    for words in ("code 0123456789ab", "### As printed, set 5", "not published", "### Mean of 2 known materials",
+                  "](gan-inlay.jpg)", "## From the start to the end", "Lower with the adversarial loss on 1 of 2", "| bce |",
+                  "## Real captures", "](gan-schedule.svg)", "### Seconds of an iteration",
+                  "mitsvbrdf bench --suite gan --materials a,b"):
+        assert words in text, words
+    assert NOT_RUN not in text
+    ElementTree.parse(curve)  # well-formed
+    again = write_gan_page(tmp_path / "again/gan.md", WHOLE)
+    assert [p.read_bytes() for p in again] == [page.read_bytes(), curve.read_bytes()]
+
+
+def test_what_has_no_records_is_not_run(tmp_path):
+    (page,) = write_gan_page(tmp_path / "gan.md", benchmark([]))
+    assert page.read_text().count(NOT_RUN) == 8
+
+
+@pytest.mark.skipif(not RESULTS.exists(), reason="docs/results/gan.json is not measured yet")
+def test_the_page_in_the_docs_is_what_its_records_make(tmp_path):
+    record = read_benchmark(RESULTS)
+    for made in write_gan_page(tmp_path / "gan.md", record):
+        assert made.read_bytes() == (RESULTS.parent / made.name).read_bytes(), f"make {made.name} anew: --suite none --gan-page"
+    for sheet in (r["file"] for r in json.loads(RESULTS.read_text())["records"] if r["suite"] == "sheets"):
+        assert (RESULTS.parent / sheet).stat().st_size <= 400_000
