@@ -24,7 +24,8 @@ from mitsvbrdf.render import make_renderer
 
 SMALL = {"hybrid": HybridConfig(width=8), "direct": DirectConfig(), "gan": GanConfig(width=8),
          "gan, one stage": GanConfig(width=8, preset="paper-one-stage"),
-         "gan, two stages": GanConfig(width=8, preset="paper-two-stage")}
+         "gan, two stages": GanConfig(width=8, preset="paper-two-stage"),
+         "gan, outlook": GanConfig(width=8, generator="variational", guessed_normal=True, highlight_aware=True)}
 
 
 def with_limits(config, **limits):
