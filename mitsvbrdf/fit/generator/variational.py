@@ -7,6 +7,8 @@ al. 2016). Training draws codes, the result takes the mean (Kingma and Welling 2
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -19,6 +21,8 @@ from ..parameters import Streams
 from .networks import block, pad_to_multiple, zero
 
 PHOTO_CHANNELS = 6  # of condition_of, before the guess: rgb, where it is clipped, and the half vector's two angles
+
+SURE = -4.0  # log variance that a photo's say begins with: codes drawn are near their mean
 
 
 def condition_of(capture: Capture, guess: Tensor) -> Tensor:
@@ -49,8 +53,10 @@ class VariationalGenerator(nn.Module):
         super().__init__()
         self.streams = [stream for stream in streams if stream]
         self.widths = [width, 2 * width, 4 * width, 6 * width]
-        self.photos, self.guess = self._encoder(PHOTO_CHANNELS), self._encoder(3)
+        self.photos, self.guess = self._encoder(PHOTO_CHANNELS, of_all), self._encoder(3, block)
         self.posterior = nn.ModuleList(nn.Conv2d(w, 2 * w, 1) for w in self.widths)
+        for layer, width_here in zip(self.posterior, self.widths):
+            nn.init.constant_(layer.bias[width_here:], SURE)  # type: ignore[index]
         self.up = nn.ModuleList(self._decoder(sum(s.values())) for s in self.streams)
         self.divergence = torch.zeros(())
         if change:
@@ -60,9 +66,9 @@ class VariationalGenerator(nn.Module):
         """Set the last layers to zero: what is put out is no change."""
         zero(list(decoder.children())[-1] for decoder in self.up)
 
-    def _encoder(self, inputs: int) -> nn.ModuleList:
-        return nn.ModuleList([block(nn.Conv2d(inputs, self.widths[0], 3, padding=1))] + [
-            block(nn.Conv2d(a, b, 4, stride=2, padding=1)) for a, b in zip(self.widths, self.widths[1:])])
+    def _encoder(self, inputs: int, layer: Callable[[nn.Conv2d], nn.Sequential]) -> nn.ModuleList:
+        return nn.ModuleList([layer(nn.Conv2d(inputs, self.widths[0], 3, padding=1))] + [
+            layer(nn.Conv2d(a, b, 4, stride=2, padding=1)) for a, b in zip(self.widths, self.widths[1:])])
 
     def _decoder(self, channels: int) -> nn.ModuleList:
         widths = self.widths
@@ -96,6 +102,18 @@ class VariationalGenerator(nn.Module):
                 x = layer(torch.cat((F.interpolate(x, scale_factor=2.0, mode="nearest"), level), dim=1))
             out |= dict(zip(stream, last(x)[0, :, :size, :size].split(list(stream.values()))))
         return out
+
+
+class OverAll(nn.GroupNorm):
+    """Instance norm over all photos together, N x C x r x r: which of them is brighter stays."""
+
+    def forward(self, x: Tensor) -> Tensor:  # noqa: D102
+        return super().forward(x.transpose(0, 1).flatten(1, 2)[None]).unflatten(2, (len(x), -1))[0].transpose(0, 1)
+
+
+def of_all(layer: nn.Conv2d) -> nn.Sequential:
+    """A convolution of each photo, instance norm over all of them, and leaky ReLU."""
+    return nn.Sequential(layer, OverAll(layer.out_channels, layer.out_channels), nn.LeakyReLU(0.2, inplace=True))
 
 
 def product_of_experts(means: Tensor, log_variances: Tensor) -> tuple[Tensor, Tensor]:
