@@ -61,10 +61,17 @@ class GanConfig(FitConfig):
     """How the guessed diffuse map is made: robust (ours), min (the paper's), mean-blur (Zhao 2020)."""
     grey_specular: bool = AS_PRESET
     """One grey specular level a texel (the paper's) instead of three channels."""
-    generator: Literal["all-photos", "two-stream"] = AS_PRESET
-    """What proposes the maps: a network that sees all photos, or the paper's, which sees the picture it is compared with."""
+    generator: Literal["all-photos", "two-stream", "variational"] = AS_PRESET
+    """What proposes the maps: a network that sees all photos, or the paper's, which sees the picture it is compared with;
+    variational: one that weighs what each photo says, in any order (the paper's outlook)."""
     start: bool = AS_PRESET
     """Whether the generator starts at the guess and a robust constant specular and roughness; else untrained (the paper's)."""
+    guessed_normal: bool = False
+    """Whether normals start at those guessed from shading (Glencross 2008; the paper's outlook); else they start flat."""
+    highlight_aware: bool = False
+    """Whether the generator's first layers look past saturated pixels (Guo Jie 2021; the paper's outlook)."""
+    kl: float = 0.01
+    """Weight of the divergence that the codes of the variational generator pay."""
     width: int = AS_PRESET
     """Channels of the first convolution of both networks."""
     learning_rate: float = AS_PRESET
@@ -130,6 +137,8 @@ class GanConfig(FitConfig):
         if self.normal_roughness_steps > 1 and self.generator != "two-stream":
             raise ConfigError("--generator two-stream with several steps of one decoder", f"--generator {self.generator}",
                               "leave --normal-roughness-steps at 1")
+        if self.guessed_normal and not self.start:
+            raise ConfigError("--start beside a guessed normal", "no start", "add --start, or leave --guessed-normal out")
         if self.average >= 1:
             raise ConfigError("average below 1", str(self.average), "0.99 averages over some 100 steps; 0 does not average")
         if 0 < self.crop < 16:

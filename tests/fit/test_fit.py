@@ -24,7 +24,8 @@ from mitsvbrdf.render import make_renderer
 
 SMALL = {"hybrid": HybridConfig(width=8), "direct": DirectConfig(), "gan": GanConfig(width=8),
          "gan, one stage": GanConfig(width=8, preset="paper-one-stage"),
-         "gan, two stages": GanConfig(width=8, preset="paper-two-stage")}
+         "gan, two stages": GanConfig(width=8, preset="paper-two-stage"),
+         "gan, outlook": GanConfig(width=8, generator="variational", guessed_normal=True, highlight_aware=True)}
 # Of 64 px there are two phases; the second begins at iteration 10 of 24, the checkpoint is from iteration 5 or 13.
 RESUMED = {name: (config, 32, 13) for name, config in SMALL.items()} | {
     "gan, averaged, bfloat16": (GanConfig(width=4, pictures=2, average=0.9, precision="bfloat16"), 64, 13),

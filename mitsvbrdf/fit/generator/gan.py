@@ -17,21 +17,21 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
-from ...errors import ConfigError
 from ...material.maps import SVBRDF
 from ...material.resample import enlarged
 from ...system.profile import profiled, switch_at
 from ...views import Views
 from .. import losses
-from ..checkpoint import load_module_state, load_optimizer_state, load_tensors, module_state, optimizer_state, part
+from ..checkpoint import load_module_state, load_optimizer_state, module_state, optimizer_state, part
 from ..gan_config import GanConfig, Phase
 from ..method import Method, cosine, descend
 from ..parameters import from_units, streams_of
-from ..start import robust_start
 from ..task import FitTask
-from .networks import AllPhotosGenerator, PatchDiscriminator, TwoStreamGenerator, seeded
+from .build import make_generator, starting_material
+from .networks import PatchDiscriminator, TwoStreamGenerator, seeded
 from .pictures import Pictures, PictureSource, seen_through
-from .scale import Scale, condition_channels, has_fast_bfloat16
+from .scale import Scale, has_fast_bfloat16
+from .variational import VariationalGenerator
 
 
 class Gan(Method[GanConfig]):
@@ -49,15 +49,10 @@ class Gan(Method[GanConfig]):
         config = self.config
         self.task = task
         self.streams = streams_of(config.bsdf, self.fixed, config.grey_specular)
-        self.start = robust_start(self.capture, task.guess, config.bsdf, self.fixed) if config.start else None
+        self.start = starting_material(task)
         self.random = torch.Generator().manual_seed(config.seed)
         self.bfloat16 = config.precision == "bfloat16" or config.precision == "auto" and has_fast_bfloat16()
-        with seeded(config.seed):
-            self.generator: AllPhotosGenerator | TwoStreamGenerator = (
-                TwoStreamGenerator(self.streams, config.width, config.start) if config.generator == "two-stream"
-                else AllPhotosGenerator(condition_channels(len(self.capture)), self.streams, config.width, change=config.start))
-        if config.pretrained:
-            load_generator(self.generator, config, config.pretrained)
+        self.generator = make_generator(config, self.streams, len(self.capture))
         self.cut = 1.0  # of all step sizes, after steps that were undone
         self.offset = torch.zeros(2, dtype=torch.float64, requires_grad=True)  # of the flash, in patch sides
         self.phases = config.phases(self.capture.resolution)
@@ -139,6 +134,9 @@ class Gan(Method[GanConfig]):
                 diffuse = losses.diffuse(svbrdf, self.scale.guess_in(pictures.window))
                 logged["diffuse"] = float(diffuse.detach())
                 total = total + config.diffuse * diffuse
+        if isinstance(self.generator, VariationalGenerator):
+            total = total + config.kl * self.generator.divergence
+            logged["divergence"] = float(self.generator.divergence.detach())
         if total.requires_grad:
             moved = [name for name in ("fast", "slow", "flash") if name in self.optimizers and (first or name == "fast")]
             with profiled("losses, backward"):
@@ -156,8 +154,8 @@ class Gan(Method[GanConfig]):
             switch_at("hand-over, backward", *svbrdf.maps.values())
         return svbrdf
 
-    def _out(self, scale: Scale, pictures: Pictures, first: bool = True) -> dict[str, Tensor]:
-        """What the generator puts out, before Tanh, in the window of the pictures."""
+    def _out(self, scale: Scale, pictures: Pictures, first: bool = True, photo: int = 0) -> dict[str, Tensor]:
+        """What the generator puts out, before Tanh, in the window of the pictures; of all photos, ``photo`` comes first."""
         g, (top, left, side) = self.generator, pictures.window
         with self._networks():
             if isinstance(g, TwoStreamGenerator):
@@ -166,7 +164,9 @@ class Gan(Method[GanConfig]):
                     lower = g.decode(1, code, side)
                 out = g.decode(0, code, side) | lower
             else:
-                out = g(scale.condition[..., top:top + side, left:left + side])
+                condition = scale.condition_from(photo)[..., top:top + side, left:left + side]
+                drawn = {"random": self.random} if isinstance(g, VariationalGenerator) and torch.is_grad_enabled() else {}
+                out = g(condition, **drawn)
         out = {name: value.float() for name, value in out.items()}
         if self.fits_offset and "normal" in out:
             # The patch is flat as a whole (it lies in z = 0): without this a common tilt would hide the flash offset.
@@ -214,16 +214,20 @@ class Gan(Method[GanConfig]):
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The maps generated from the first photo, or from all, at full size, and the views with the flash offset found."""
-        with torch.no_grad(), self._averaged_weights():
-            change = {name: enlarged(value, self.capture.resolution) for name, value in self._change().items()}
-            svbrdf = from_units(self.config.bsdf, self.whole.units(change), self.fixed)
-            return svbrdf.map(Tensor.contiguous), self._views()
-
-    def _change(self) -> dict[str, Tensor]:
-        """What the generator adds to the start now, before Tanh, at the resolution of the phase."""
-        pictures = self.source.first()
         with torch.no_grad():
-            out = self._out(self.scale, pictures)
+            return self.maps_from(0), self._views()
+
+    def maps_from(self, photo: int) -> SVBRDF:
+        """The maps generated at full size from this photo, or from all with this one in the first place."""
+        with torch.no_grad(), self._averaged_weights():
+            change = {name: enlarged(value, self.capture.resolution) for name, value in self._change(photo).items()}
+            return from_units(self.config.bsdf, self.whole.units(change), self.fixed).map(Tensor.contiguous)
+
+    def _change(self, photo: int = 0) -> dict[str, Tensor]:
+        """What the generator adds to the start now, before Tanh, at the resolution of the phase."""
+        pictures = self.source.whole(photo)
+        with torch.no_grad():
+            out = self._out(self.scale, pictures, photo=photo)
             return {name: value + self.scale.carried[name] if self.scale.carried else value for name, value in out.items()}
 
     @contextlib.contextmanager
@@ -279,18 +283,3 @@ def frozen(module: nn.Module) -> Iterator[None]:
     finally:
         for parameter in module.parameters():
             parameter.requires_grad_(True)
-
-
-def load_generator(generator: nn.Module, config: GanConfig, path: str) -> None:
-    """Fill a generator from a checkpoint of ``mitsvbrdf pretrain`` or of a ``gan`` fit.
-
-    Raises:
-        ConfigError: no checkpoint, or one of another width or parameter set.
-    """
-    tensors, note = load_tensors(path)
-    try:
-        load_module_state("generator", generator, part(tensors, "method."))
-    except RuntimeError:
-        raise ConfigError(f"a generator of width {config.width} for {config.bsdf}",
-                          f"another one in {path} (bsdf {note.get('bsdf')})",
-                          "use the --width, --bsdf, --fix and --grey-specular it was pretrained with") from None

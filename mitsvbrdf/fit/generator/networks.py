@@ -23,7 +23,8 @@ def seeded(seed: int) -> Iterator[None]:
         yield
 
 
-def _block(layer: nn.Conv2d | nn.ConvTranspose2d, normalise: bool = True) -> nn.Sequential:
+def block(layer: nn.Conv2d | nn.ConvTranspose2d, normalise: bool = True) -> nn.Sequential:
+    """A layer, instance norm where asked for, and leaky ReLU."""
     # Group norm with one channel a group is instance norm; torch computes it several times faster on a CPU.
     norm = [nn.GroupNorm(layer.out_channels, layer.out_channels)] if normalise else []
     return nn.Sequential(layer, *norm, nn.LeakyReLU(0.2, inplace=True))
@@ -47,26 +48,26 @@ class TwoStreamGenerator(nn.Module):
         w = width
         self.streams = streams
         self.encoder = nn.Sequential(
-            _block(nn.Conv2d(3, w, 7, padding=3, padding_mode="reflect")),
-            _block(nn.Conv2d(w, 2 * w, 4, stride=2, padding=1)),
-            _block(nn.Conv2d(2 * w, 4 * w, 4, stride=2, padding=1)),
-            _block(nn.Conv2d(4 * w, 8 * w, 4, stride=2, padding=1)),
-            _block(nn.Conv2d(8 * w, 8 * w, 3, padding=1)))
+            block(nn.Conv2d(3, w, 7, padding=3, padding_mode="reflect")),
+            block(nn.Conv2d(w, 2 * w, 4, stride=2, padding=1)),
+            block(nn.Conv2d(2 * w, 4 * w, 4, stride=2, padding=1)),
+            block(nn.Conv2d(4 * w, 8 * w, 4, stride=2, padding=1)),
+            block(nn.Conv2d(8 * w, 8 * w, 3, padding=1)))
         first, second = (sum(s.values()) for s in self.streams)
         self.normal_roughness = nn.Sequential(
-            _block(nn.Conv2d(8 * w, 8 * w, 3, padding=1)), *self._upward(w, first)) if first else None
+            block(nn.Conv2d(8 * w, 8 * w, 3, padding=1)), *self._upward(w, first)) if first else None
         self.diffuse_specular = nn.Sequential(*self._upward(w, second)) if second else None
         if change:
             self.begin_change()
 
     def begin_change(self) -> None:
         """Set the last layers to zero: what is put out is no change."""
-        _zero(decoder[-1] for decoder in (self.normal_roughness, self.diffuse_specular) if decoder is not None)
+        zero(decoder[-1] for decoder in (self.normal_roughness, self.diffuse_specular) if decoder is not None)
 
     @staticmethod
     def _upward(w: int, channels: int) -> list[nn.Module]:
-        return [_block(nn.ConvTranspose2d(8 * w, 4 * w, 4, stride=2, padding=1)),
-                _block(nn.ConvTranspose2d(4 * w, 2 * w, 4, stride=2, padding=1)),
+        return [block(nn.ConvTranspose2d(8 * w, 4 * w, 4, stride=2, padding=1)),
+                block(nn.ConvTranspose2d(4 * w, 2 * w, 4, stride=2, padding=1)),
                 nn.ConvTranspose2d(2 * w, channels, 4, stride=2, padding=1)]
 
     def forward(self, photo: Tensor) -> dict[str, Tensor]:
@@ -100,10 +101,10 @@ class PatchDiscriminator(nn.Module):
         super().__init__()
         w = width
         self.layers = nn.ModuleList([
-            _block(nn.Conv2d(inputs, w, 4, stride=2, padding=1), normalise=not level),
-            _block(nn.Conv2d(w, 2 * w, 4, stride=2, padding=1)),
-            _block(nn.Conv2d(2 * w, 4 * w, 4, stride=2, padding=1)),
-            _block(nn.Conv2d(4 * w, 8 * w, 3, padding=1)),
+            block(nn.Conv2d(inputs, w, 4, stride=2, padding=1), normalise=not level),
+            block(nn.Conv2d(w, 2 * w, 4, stride=2, padding=1)),
+            block(nn.Conv2d(2 * w, 4 * w, 4, stride=2, padding=1)),
+            block(nn.Conv2d(4 * w, 8 * w, 3, padding=1)),
             nn.Conv2d(8 * w, 1, 3, padding=1)])
 
     def forward(self, image: Tensor) -> Tensor:
@@ -150,19 +151,19 @@ class AllPhotosGenerator(nn.Module):
         super().__init__()
         self.streams = [stream for stream in streams if stream]
         widths = [width, 2 * width, 4 * width, 6 * width, 6 * width]
-        self.down = nn.ModuleList([_block(nn.Conv2d(inputs, width, 3, padding=1))] + [
-            _block(nn.Conv2d(a, b, 4, stride=2, padding=1)) for a, b in zip(widths, widths[1:])])
+        self.down = nn.ModuleList([block(nn.Conv2d(inputs, width, 3, padding=1))] + [
+            block(nn.Conv2d(a, b, 4, stride=2, padding=1)) for a, b in zip(widths, widths[1:])])
         self.up = nn.ModuleList(self._decoder(widths, sum(s.values())) for s in self.streams)
         if change:
             self.begin_change()
 
     def begin_change(self) -> None:
         """Set the last layers to zero: what is put out is no change."""
-        _zero(list(decoder.children())[-1] for decoder in self.up)
+        zero(list(decoder.children())[-1] for decoder in self.up)
 
     def _decoder(self, widths: list[int], channels: int) -> nn.ModuleList:
         # The finest level only mixes channels (1 x 1): it has the most pixels, and its neighbours are in the skip already.
-        layers = [_block(nn.Conv2d(below + at, at, *((1,) if at == widths[0] else (3, 1, 1))))
+        layers = [block(nn.Conv2d(below + at, at, *((1,) if at == widths[0] else (3, 1, 1))))
                   for at, below in zip(widths[-2::-1], widths[:0:-1])]
         return nn.ModuleList([*layers, nn.Conv2d(widths[0], channels, 1)])
 
@@ -186,7 +187,8 @@ class AllPhotosGenerator(nn.Module):
         return out
 
 
-def _zero(layers: Iterable[nn.Module]) -> None:
+def zero(layers: Iterable[nn.Module]) -> None:
+    """Set all weights of these layers to zero."""
     for layer in layers:
         for parameter in layer.parameters():
             nn.init.zeros_(parameter)

@@ -84,9 +84,9 @@ class PictureSource:
         chosen = torch.tensor(index)
         return self._cut(chosen, mixed[:, :len(index)].contiguous(), self._window(random))
 
-    def first(self) -> Pictures:
-        """The first photo, whole."""
-        return self._cut(torch.zeros(1, dtype=torch.long), torch.ones(1, 1), (0, 0, self.capture.resolution))
+    def whole(self, photo: int = 0) -> Pictures:
+        """One photo, whole."""
+        return self._cut(torch.tensor([photo]), torch.ones(1, 1), (0, 0, self.capture.resolution))
 
     def _cut(self, index: Tensor, weights: Tensor, window: Window) -> Pictures:
         top, left, side = window

@@ -15,6 +15,7 @@ from ...material.resample import area_averaged, enlarged
 from ..gan_config import GanConfig
 from ..parameters import Streams, before_tanh, to_raw
 from ..task import FitTask
+from . import variational
 from .pictures import Window
 
 
@@ -38,7 +39,16 @@ class Scale:
         self.guess = area_averaged(task.guess, resolution)
         self.start = before_tanh(to_raw(start if same else start.resized(resolution), streams)) if start else {}
         self.carried = {name: enlarged(value, resolution) for name, value in carried.items()}
-        self.condition = condition_of(self.capture, self.guess)
+        self.variational = task.config.generator == "variational"
+        self.condition = self._condition(self.capture)
+
+    def _condition(self, capture: Capture) -> Tensor:
+        return (variational.condition_of if self.variational else condition_of)(capture, self.guess)
+
+    def condition_from(self, photo: int) -> Tensor:
+        """What a generator of all photos is shown, with this one in the first place and the others after it, in their order."""
+        numbers = self.capture.index
+        return self._condition(self.capture.pick((*numbers[photo:], *numbers[:photo]))) if photo else self.condition
 
     def units(self, change: Mapping[str, Tensor], window: Window | None = None) -> dict[str, Tensor]:
         """Maps in (-1, 1), C x R x R: Tanh of start, what was carried, and this change.

@@ -49,7 +49,7 @@ def test_a_rendering_too_bright_is_told_so_unless_the_photo_is_clipped():
     for clipping, slope in ((True, [0, 1]), (False, [0, 0])):
         source = PictureSource(Capture(photos, GRID.pick([0])), clipping)
         rendered = torch.full((1, 16, 16, 3), 1.5, requires_grad=True)
-        source.first().of(rendered).sum().backward()
+        source.whole().of(rendered).sum().backward()
         assert (rendered.grad[0, [0, 15]].sum(dim=(1, 2)) > 0).int().tolist() == slope
 
 

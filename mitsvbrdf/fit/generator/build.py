@@ -1,0 +1,78 @@
+"""The generator that the settings ask for, and the material it starts from."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from torch import nn
+
+from ...errors import ConfigError
+from ...material.maps import SVBRDF
+from ..checkpoint import load_module_state, load_tensors, part
+from ..gan_config import GanConfig
+from ..parameters import Streams
+from ..start import robust_start
+from ..task import FitTask
+from .guessed_normal import guess_normal
+from .highlight_aware import make_highlight_aware
+from .networks import AllPhotosGenerator, TwoStreamGenerator, seeded
+from .scale import condition_channels
+from .variational import VariationalGenerator
+
+Generator = AllPhotosGenerator | TwoStreamGenerator | VariationalGenerator
+
+
+def make_generator(config: GanConfig, streams: Streams, photos: int) -> Generator:
+    """A generator with the weights of its seed, or of the pretrained checkpoint.
+
+    Args:
+        config: its kind and size.
+        streams: the channels of the maps to fit.
+        photos: how many the capture has.
+
+    Raises:
+        ConfigError: the pretrained checkpoint is of another size or kind.
+    """
+    with seeded(config.seed):
+        generator: Generator
+        encoder: nn.Sequential | nn.ModuleList
+        if config.generator == "two-stream":
+            generator = TwoStreamGenerator(streams, config.width, config.start)
+            encoder, seen = generator.encoder, 1
+        elif config.generator == "variational":
+            generator = VariationalGenerator(streams, config.width, change=config.start)
+            encoder, seen = generator.photos, 1
+        else:
+            generator = AllPhotosGenerator(condition_channels(photos), streams, config.width, change=config.start)
+            encoder, seen = generator.down, photos
+        if config.highlight_aware:
+            make_highlight_aware(encoder, seen)
+    if config.pretrained:
+        load_generator(generator, config, config.pretrained)
+    return generator
+
+
+def starting_material(task: FitTask[GanConfig]) -> SVBRDF | None:
+    """What the generator's maps are a change to; None where it starts untrained."""
+    config = task.config
+    if not config.start:
+        return None
+    start = robust_start(task.capture, task.guess, config.bsdf, task.fixed)
+    if config.guessed_normal and "normal" not in task.fixed:
+        start = replace(start, maps=dict(start.maps) | {"normal": guess_normal(task.capture, task.guess)})
+    return start
+
+
+def load_generator(generator: nn.Module, config: GanConfig, path: str) -> None:
+    """Fill a generator from a checkpoint of ``mitsvbrdf pretrain`` or of a ``gan`` fit.
+
+    Raises:
+        ConfigError: no checkpoint, or one of another width or parameter set.
+    """
+    tensors, note = load_tensors(path)
+    try:
+        load_module_state("generator", generator, part(tensors, "method."))
+    except RuntimeError:
+        raise ConfigError(f"a generator of width {config.width} for {config.bsdf}",
+                          f"another one in {path} (bsdf {note.get('bsdf')})",
+                          "use the --width, --bsdf, --fix and --grey-specular it was pretrained with") from None
