@@ -17,16 +17,16 @@ Precision = Literal["auto", "float32", "bfloat16"]
 # The paper's method (III.C to III.F); it prints no weight of the diffuse loss.
 _PAPER: dict[str, Any] = {
     "guess": "min", "grey_specular": True, "generator": "two-stream", "start": False, "width": 64, "learning_rate": 2e-5,
-    "decay": False, "normal_roughness_steps": 5, "fresh_pictures": False, "pictures": 1,
-    "discriminator_rate": 2e-5, "game": "bce", "level": False, "angles": False, "paired": False, "clipping": False,
-    "grow": False, "average": 0.0, "adversarial": 1.0, "features": 0.0, "diffuse": 10.0, "flash_offset": False}
+    "decay": False, "normal_roughness_steps": 5, "fresh_pictures": False, "pictures": 1, "discriminator_rate": 2e-5,
+    "game": "bce", "level": False, "angles": False, "paired": False, "clipping": False, "grow": False, "settled": 1.0,
+    "average": 0.0, "adversarial": 1.0, "features": 0.0, "diffuse": 10.0, "smooth": 0.0, "flash_offset": False}
 PRESETS: dict[str, dict[str, Any]] = {
     "minutes": {
         "guess": "robust", "grey_specular": False, "generator": "all-photos", "start": True, "width": 16,
         "learning_rate": 2e-3, "decay": True, "normal_roughness_steps": 1, "fresh_pictures": False, "pictures": 6,
-        "discriminator_rate": 1e-3, "game": "relativistic", "level": True, "angles": True,
-        "paired": False, "clipping": True, "grow": True, "average": 0.0, "adversarial": 1.0, "features": 0.0, "diffuse": 5.0,
-        "flash_offset": True},
+        "discriminator_rate": 3e-4, "game": "relativistic", "level": True, "angles": True, "paired": False,
+        "clipping": True, "grow": True, "settled": 0.1, "average": 0.0, "adversarial": 1.0, "features": 0.0, "diffuse": 5.0,
+        "smooth": 1.0, "flash_offset": True},
     "paper-one-stage": _PAPER, "paper-two-stage": _PAPER}
 
 SMALLEST = 32  # side of the coarsest phase, texels
@@ -100,6 +100,9 @@ class GanConfig(FitConfig):
     """Whether a rendering is clipped where its photo is, and only there; else everywhere, which stops gradients."""
     grow: bool = AS_PRESET
     """Whether a quarter and half the resolution come first."""
+    settled: float = AS_PRESET
+    """How far, once it has grown, specular, metallic and roughness follow: smaller sizes have settled them, and a new
+    discriminator would unsettle them; 1: as far as the others."""
     average: float = AS_PRESET
     """Decay of the running average of the generator's weights that makes the result; 0 takes the weights themselves."""
     precision: Precision = "auto"
@@ -110,6 +113,8 @@ class GanConfig(FitConfig):
     """Weight of feature matching: the distance between the discriminator's activations for rendering and photo."""
     diffuse: float = AS_PRESET
     """Weight of the diffuse loss beside the adversarial loss (the paper prints none)."""
+    smooth: float = AS_PRESET
+    """Weight of the roughness of the specular and roughness maps (total variation)."""
     flash_offset: bool = AS_PRESET
     """Whether the sideways distance between lens and flash is fitted, one for all photos; the paper's is 0."""
 
@@ -182,7 +187,7 @@ class GanConfig(FitConfig):
         if self.preset == "paper-two-stage" and not self.pretrained:
             first, second = self.stages
             return [Phase(first / (first + second), photos=1), Phase(second / (first + second))]
-        shares = {2: 0.25, 1: 0.3, 0: 0.45} if self.grow else {0: 1.0}
+        shares = {2: 0.4, 1: 0.3, 0: 0.3} if self.grow else {0: 1.0}
         kept = {halvings: share for halvings, share in shares.items() if not halvings or resolution >> halvings >= SMALLEST}
         return [Phase(share / sum(kept.values()), halvings=halvings) for halvings, share in kept.items()]
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import torch
@@ -129,11 +129,16 @@ class Gan(Method[GanConfig]):
                 total = losses.weighted(terms, config.weights)
                 switch_at("discriminator, backward", total)
             logged |= {name: float(value.detach()) for name, value in terms.items()}
-        if first and "diffuse" not in self.unused:
+        if first:
             with profiled("losses"):
-                diffuse = losses.diffuse(svbrdf, self.scale.guess_in(pictures.window))
-                logged["diffuse"] = float(diffuse.detach())
-                total = total + config.diffuse * diffuse
+                guess = self.scale.guess_in(pictures.window)
+                own: dict[str, Callable[[], Tensor]] = {
+                    "diffuse": lambda: losses.diffuse(svbrdf, guess),
+                    "smooth": lambda: losses.total_variation(svbrdf, losses.edge_weights(guess), self.fixed)}
+                terms = {name: loss() for name, loss in own.items() if name not in self.unused}
+                if terms:
+                    total = total + losses.weighted(terms, config.weights)
+            logged |= {name: float(value.detach()) for name, value in terms.items()}
         if isinstance(self.generator, VariationalGenerator):
             total = total + config.kl * self.generator.divergence
             logged["divergence"] = float(self.generator.divergence.detach())
@@ -167,7 +172,8 @@ class Gan(Method[GanConfig]):
                 condition = scale.condition_from(photo)[..., top:top + side, left:left + side]
                 drawn = {"random": self.random} if isinstance(g, VariationalGenerator) and torch.is_grad_enabled() else {}
                 out = g(condition, **drawn)
-        out = {name: value.float() for name, value in out.items()}
+        moves = {name: self.config.settled if scale.carried and name in losses.ABOUT["smooth"] else 1.0 for name in out}
+        out = {name: moves[name] * value.float() for name, value in out.items()}
         if self.fits_offset and "normal" in out:
             # The patch is flat as a whole (it lies in z = 0): without this a common tilt would hide the flash offset.
             out["normal"] = out["normal"] - out["normal"].mean(dim=(1, 2), keepdim=True)

@@ -67,18 +67,18 @@ def test_phases_share_the_run(tiles):
     assert [p.halvings for p in config.phases(256)] == [2, 1, 0] and [p.halvings for p in config.phases(48)] == [0]
     assert sum(p.share for p in config.phases(64)) == pytest.approx(1)
     gan, seen = gan_of(tiles), []
-    for progress in (0.0, 0.39, 0.41, 0.99):
+    for progress in (0.0, 0.2, 0.49, 0.51):
         gan._enter_phase(progress)
         seen.append(gan.phase)
-    assert seen == [0, 0, 1, 1]  # 0.3 to 0.45: the first of the two phases ends at 0.4
-    assert gan._enter_phase(0.7) == pytest.approx(0.5)
+    assert seen == [0, 0, 0, 1]  # 0.4 to 0.3: the first of the two phases ends at 0.5
+    assert gan._enter_phase(0.75) == pytest.approx(0.5)
 
 
 def test_the_game_draws_renderings_to_the_photos():
     # No loss but the adversarial and the diffuse one: measured 0.61 of the first re-rendering error, 0.61 of the roughness's.
     truth = make_material("leather", 32)
     capture = photos_of(truth)
-    result = fit_svbrdf(capture, MITSUBA, GanConfig(width=8, iterations=120))
+    result = fit_svbrdf(capture, MITSUBA, GanConfig(width=8, iterations=120, discriminator_rate=1e-3))
     start = map_rmse(robust_start(capture, result.guess, "roughconductor"), truth)
     assert result.rerender_rmse < 0.8 * result.trace[0]["rerender_rmse"]
     assert map_rmse(result.svbrdf, truth)["roughness"] < 0.8 * start["roughness"]
