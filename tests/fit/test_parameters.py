@@ -1,6 +1,5 @@
 """Parameters, start and losses."""
 
-import math
 
 import pytest
 import torch
@@ -38,10 +37,3 @@ def test_clipped_pixels_only_ask_for_at_least_their_value():
     assert loss.item() == pytest.approx((0.5 + 5 * 0.5**2) / 3, abs=1e-5)  # only the second pixel is off, by 0.5
     (gradient,) = torch.autograd.grad(loss, rendered)
     assert gradient.flatten()[0] == 0 and gradient.flatten()[1] < 0
-
-
-def test_adversarial_losses_are_cross_entropies():
-    real, fake = torch.tensor([0.9, 0.6]), torch.tensor([0.2, 0.3])
-    expected = -(math.log(0.9) + math.log(0.6) + math.log(0.8) + math.log(0.7)) / 4
-    assert losses.discriminator(real, fake).item() == pytest.approx(expected, rel=1e-5)
-    assert losses.adversarial(fake).item() == pytest.approx(-(math.log(0.2) + math.log(0.3)) / 2, rel=1e-5)
