@@ -67,7 +67,7 @@ def played(fitted, config, losses):
 
 
 @pytest.mark.parametrize("config, words", [
-    (GanConfig(), "(its loss in the end 0.004; 0.69 is a guess), so it hardly helped: lower --discriminator-rate, now 0.0003"),
+    (GanConfig(), "(its loss in the end 0.004; 0.69 is a guess), so it hardly helped: lower --discriminator-rate, now 0.001"),
     (GanConfig(game="bce"), "0.69 is a guess"), (GanConfig(game="hinge"), "0.004; 1 is a guess"),
     (HybridConfig(), "lower --adversarial")])
 def test_a_discriminator_that_is_sure(config, words, fitted, leather):
