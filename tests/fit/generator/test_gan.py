@@ -52,14 +52,37 @@ def test_what_was_found_is_carried_to_the_next_resolution(generator, tiles):
         gan.step(0.0)
     found = gan.estimate()[0]
     assert (found["normal"][..., 2] < 0.9999).any()  # it has moved
-    change = gan._change()
-    gan.generator.begin_change()
-    gan._begin(1, change)
+    gan._enter_phase(0.6)
     for name, value in gan.estimate()[0].maps.items():
         assert torch.allclose(value, found[name], atol=1e-6), name
     assert gan.source.capture.resolution == 64
     gan.step(0.6)
     assert gan.phase == 1
+
+
+def test_what_is_settled_stays_once_it_has_grown(tiles):
+    gan = gan_of(tiles, settled=0.0)
+    gan.step(0.0)
+    gan._enter_phase(0.6)
+    before = gan.estimate()[0]
+    for _ in range(3):
+        gan.step(0.6)
+    after = gan.estimate()[0]
+    assert torch.equal(before["roughness"], after["roughness"]) and torch.equal(before["specular"], after["specular"])
+    assert not torch.equal(before["normal"], after["normal"]) and not torch.equal(before["diffuse"], after["diffuse"])
+
+
+def test_the_discriminators_weights_get_no_gradient_while_the_generator_learns(tiles, monkeypatch):
+    gan, seen = gan_of(tiles), []
+    activations = gan.discriminator.activations
+
+    def watched(image, told=None):
+        seen.append((image.requires_grad, all(p.requires_grad for p in gan.discriminator.parameters())))
+        return activations(image, told)
+
+    monkeypatch.setattr(gan.discriminator, "activations", watched)
+    gan.step(0.0)
+    assert seen == [(False, True), (True, False), (False, False)]  # it learns; the rendering is judged; the photo beside it
 
 
 def test_phases_share_the_run(tiles):
