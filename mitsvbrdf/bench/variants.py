@@ -48,6 +48,7 @@ GAN_VARIANTS: dict[str, dict[str, object]] = {
     "no clipping": {"clipping": False},
     "no growing": {"grow": False},
     "one picture a step": {"pictures": 1},
+    "no head start": {"head_start": 0.0},
     "no falling step sizes": {"decay": False},
     "with average": {"average": 0.99},
     "one specular level": {"grey_specular": True},

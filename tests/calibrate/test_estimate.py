@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 import signal
 from dataclasses import replace
 
@@ -250,7 +249,7 @@ def test_resuming_is_bit_equal(glossy, tmp_path):
     whole = fit_svbrdf(shots, MITSUBA, config)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     first = fit_svbrdf(shots, MITSUBA, config, checkpoint=path, report=lambda entry, _: (
-        entry["iteration"] == 6 and os.kill(os.getpid(), signal.SIGINT)))  # the flash has been moved once
+        entry["iteration"] == 6 and signal.raise_signal(signal.SIGINT)))  # the flash has been moved once
     signal.signal(signal.SIGINT, before)
     assert first.stopped == "interrupted" and min(map(abs, first.flash_offset)) > 0
     resumed = fit_svbrdf(shots, MITSUBA, config, resume=path)

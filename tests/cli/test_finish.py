@@ -67,13 +67,12 @@ def test_a_whole_fit_resumes_into_its_finish(folders, shots, tmp_path, capsys):
 
 
 def test_ctrl_c_during_the_finish_keeps_the_maps(shots, tmp_path, monkeypatch, capsys):
-    import os
     import signal
 
     step = Finish.step
 
     def interrupted(self, progress):
-        os.kill(os.getpid(), signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
         return step(self, progress)
 
     monkeypatch.setattr(Finish, "step", interrupted)

@@ -59,9 +59,12 @@ class Gan(Method[GanConfig]):
         self.whole = self._scale(Phase(1.0), {})  # the result is of this size
         self._begin(0, {})
 
-    def _rate(self, name: str) -> float:
-        """Adam's step size at the start of a phase."""
-        return self.cut * (self.config.discriminator_rate if name == "judge" else self.config.learning_rate)
+    def _rate(self, name: str, share: float = 0.0) -> float:
+        """Adam's step size when this share of the phase is done."""
+        config = self.config
+        judges, falling = name == "judge", cosine(share) if config.decay else 1.0
+        rising = 1.0 if judges or share >= config.head_start else share / config.head_start
+        return self.cut * rising * falling * (config.discriminator_rate if judges else config.learning_rate)
 
     def _scale(self, phase: Phase, carried: dict[str, Tensor]) -> Scale:
         capture = self.capture if phase.photos is None else self.capture.pick(self.capture.index[:phase.photos])
@@ -91,7 +94,7 @@ class Gan(Method[GanConfig]):
         """One iteration: the discriminator learns once; then the generator, its normal/roughness decoder perhaps repeatedly."""
         share = self._enter_phase(progress)
         for name, optimizer in self.optimizers.items():
-            optimizer.param_groups[0]["lr"] = self._rate(name) * (cosine(share) if self.config.decay else 1.0)
+            optimizer.param_groups[0]["lr"] = self._rate(name, share)
         logged: dict[str, float] = {}
         pictures = self.source.draw(self.config.pictures, self.random)
         for substep in range(self.config.normal_roughness_steps if "fast" in self.optimizers else 1):

@@ -1,7 +1,6 @@
 """The finish leaves the maps alone, moves only what is unsure, and pairs photos with lights of the same half vectors."""
 
 import dataclasses
-import os
 import signal
 
 import pytest
@@ -81,7 +80,7 @@ def test_the_look_starts_as_the_maps(result, capture):
 
 def test_ctrl_c_leaves_the_look_out_and_the_fit_as_it_was(result, capture):
     def stop(text, share):
-        os.kill(os.getpid(), signal.SIGINT)
+        signal.raise_signal(signal.SIGINT)
 
     steps = []
     assert finished(result, capture, ANALYTIC, QUICK, lambda text, share: (steps.append(share), stop(text, share))) is result

@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from helpers import ANALYTIC, MITSUBA, photos_of
 
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.fit import FitTask, GanConfig, fit_svbrdf, losses, make_method
+from mitsvbrdf.fit import FitTask, GanConfig, fit_svbrdf, gan_config, losses, make_method
 from mitsvbrdf.fit.generator.gan import frozen
 from mitsvbrdf.fit.generator.networks import PatchDiscriminator
 from mitsvbrdf.fit.generator.pictures import PictureSource
@@ -23,8 +23,14 @@ def tiles():
     return photos_of(make_material("tiles", 64))
 
 
+@pytest.fixture
+def growing(monkeypatch):
+    """Lets 64 texels grow from 32."""
+    monkeypatch.setattr(gan_config, "SMALLEST", 32)
+
+
 def gan_of(capture, renderer=ANALYTIC, **settings):
-    config = GanConfig(**{"width": 4, "pictures": 2, "precision": "float32"} | settings)
+    config = GanConfig(**{"width": 4, "pictures": 2, "precision": "float32", "head_start": 0.0} | settings)
     config.check()
     return make_method(FitTask(capture, renderer, config))
 
@@ -45,7 +51,7 @@ def test_untrained_it_starts_anywhere(tiles):
 
 
 @pytest.mark.parametrize("generator", ["all-photos", "two-stream"])
-def test_what_was_found_is_carried_to_the_next_resolution(generator, tiles):
+def test_what_was_found_is_carried_to_the_next_resolution(generator, tiles, growing):
     gan = gan_of(tiles, generator=generator)
     assert [phase.halvings for phase in gan.phases] == [1, 0]
     for _ in range(4):
@@ -60,7 +66,7 @@ def test_what_was_found_is_carried_to_the_next_resolution(generator, tiles):
     assert gan.phase == 1
 
 
-def test_what_is_settled_stays_once_it_has_grown(tiles):
+def test_what_is_settled_stays_once_it_has_grown(tiles, growing):
     gan = gan_of(tiles, settled=0.0)
     gan.step(0.0)
     gan._enter_phase(0.6)
@@ -85,9 +91,26 @@ def test_the_discriminators_weights_get_no_gradient_while_the_generator_learns(t
     assert seen == [(False, True), (True, False), (False, False)]  # it learns; the rendering is judged; the photo beside it
 
 
-def test_phases_share_the_run(tiles):
+def test_a_coarse_phase_has_64_texels_or_more():
     config = GanConfig()
-    assert [p.halvings for p in config.phases(256)] == [2, 1, 0] and [p.halvings for p in config.phases(48)] == [0]
+    assert [p.halvings for p in config.phases(256)] == [2, 1, 0] and [p.halvings for p in config.phases(128)] == [1, 0]
+    assert [p.halvings for p in config.phases(127)] == [0]
+
+
+def test_the_discriminator_has_a_head_start_in_each_phase(tiles, growing):
+    gan = gan_of(tiles, head_start=0.2, decay=False, learning_rate=1e-2, discriminator_rate=1e-3)
+
+    def rates(progress):
+        gan.step(progress)
+        return [gan.optimizers[name].param_groups[0]["lr"] for name in ("slow", "judge")]
+
+    # Two phases of half the run each: 0.05 of the run is a tenth of the first.
+    assert rates(0.0) == [0.0, 1e-3] and rates(0.05) == pytest.approx([5e-3, 1e-3]) and rates(0.3) == [1e-2, 1e-3]
+    assert rates(0.5) == [0.0, 1e-3] and gan.phase == 1 and rates(0.575) == pytest.approx([7.5e-3, 1e-3])
+
+
+def test_phases_share_the_run(tiles, growing):
+    config = GanConfig()
     assert sum(p.share for p in config.phases(64)) == pytest.approx(1)
     gan, seen = gan_of(tiles), []
     for progress in (0.0, 0.2, 0.49, 0.51):

@@ -1,6 +1,5 @@
 """Rounds raise no cost, repeat bit by bit, are taken back, and end well."""
 
-import os
 import signal
 
 import pytest
@@ -114,7 +113,7 @@ def test_ctrl_c_keeps_the_last(capture, tmp_path):
 
     def interrupt(entry, share):
         if entry["iteration"] == Hierarchical.measured_every:
-            os.kill(os.getpid(), signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
 
     result = fit_svbrdf(capture, MITSUBA, report=interrupt, checkpoint=tmp_path / "c.safetensors")
     assert result.stopped == "interrupted" and result.trace[-1]["iteration"] == Hierarchical.measured_every
