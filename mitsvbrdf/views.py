@@ -134,6 +134,19 @@ class Views:
         for camera, light, intensity in zip(self.camera.tolist(), self.light.tolist(), self.intensity.tolist()):
             yield View(tuple(camera), tuple(light), tuple(intensity))
 
+    def carried(self, shift: Tensor) -> Views:
+        """Cameras and lights moved together: a point moved along is lit as the point itself was.
+
+        Args:
+            shift: N x 3 or 3, in the unit of the positions.
+        """
+        moved = replace(self, camera=self.camera + shift, light=self.light + shift)
+        if self.falloff == "inverse-square":
+            return moved
+        # A light without falloff is as bright everywhere as at the centre of the patch, from which this one has moved.
+        nearer = moved.light.square().sum(dim=1) / self.light.square().sum(dim=1)
+        return replace(moved, intensity=self.intensity * nearer[:, None])
+
     def pick(self, index: Sequence[int] | Tensor) -> Views:
         """The views at these positions, in this order."""
         index = torch.as_tensor(index, dtype=torch.long)

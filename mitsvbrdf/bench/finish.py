@@ -22,7 +22,7 @@ from ..errors import exit_code
 from ..evaluate.placement import predict
 from ..fit import HierarchicalConfig, fit_svbrdf
 from ..fit.finish_config import FinishConfig
-from ..fit.generator.finish import finished, matte
+from ..fit.generator.finish import finished, matte, why_not
 from ..fit.result import FitResult
 from ..material.maps import SVBRDF
 from ..measure.metrics import flip
@@ -151,6 +151,12 @@ def main(captures: Annotated[Path, tyro.conf.arg(metavar="FOLDER", help="Of cali
         kept = shots.pick([number for number in shots.index if number not in LEFT_OUT])
         solved, kept = reduced(fit_svbrdf(kept, renderer, HierarchicalConfig()), kept, renderer, finish_at)
         result = finished(solved, kept, renderer, config)
+        if result.look is None:
+            why = why_not(result)
+            if why is None or solved.stopped == "interrupted":
+                raise KeyboardInterrupt
+            say(f"{folder.name}: left out, {why}")
+            continue
         rows[folder.name] = figures(result, shots.pick(LEFT_OUT).averaged(finish_at), renderer)
         write(rows, config, (resolution, finish_at), out)
         say(f"{folder.name}: bar {'met' if passes(rows[folder.name]) else 'missed'}")

@@ -196,6 +196,9 @@ def _paper_jobs(suite: str, chosen: dict, picked: dict, source: str, data: Path 
     wrong = [name for name, config in runs.items() if not isinstance(config, GanConfig)]
     if wrong:
         raise ConfigError("gan, gan-one-stage or gan-two-stage in the suite schedule", ", ".join(wrong), "check --methods")
+    endless = [name for name, config in runs.items() if iterations is None and not config.of_paper]
+    if endless:
+        raise ConfigError("--iterations for a method without a schedule of its own", ", ".join(endless), "give --iterations")
     sized = {name: replace(config, width=width, iterations=iterations) for name, config in runs.items()}
     for config in sized.values():
         config.check()

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..capture import Capture
+from ..errors import ConfigError
 from ..measure.rerender import rerender
 from ..render import Renderer
 from ..system.profile import profile_summary, profiled
@@ -85,8 +86,13 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
 
     Args:
         capture: its first photo is used.
-        config: ``iterations`` defaults to the paper's 10,000.
+        config: of one of the paper's presets; ``iterations`` defaults to the paper's 10,000.
+
+    Raises:
+        ConfigError: another preset.
     """
+    if not config.of_paper:
+        raise ConfigError("a preset of the paper", f"preset {config.preset}", 'give GanConfig(preset="paper-one-stage", ...)')
     config = replace(config, preset="paper-one-stage", pretrained=None,
                      iterations=config.iterations or (None if config.budget else 10_000))
     one = capture.pick(capture.index[:1])

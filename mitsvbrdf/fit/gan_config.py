@@ -13,6 +13,7 @@ from .losses import Game
 
 Preset = Literal["minutes", "paper-one-stage", "paper-two-stage"]
 Precision = Literal["auto", "float32", "bfloat16"]
+GeneratorKind = Literal["all-photos", "two-stream", "variational"]
 
 # The paper's method (III.C to III.F); it prints no weight of the diffuse loss.
 _PAPER: dict[str, Any] = {
@@ -25,7 +26,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     "minutes": {
         "guess": "robust", "grey_specular": False, "generator": "all-photos", "start": True, "width": 16,
         "learning_rate": 2e-3, "head_start": 0.1, "decay": True, "normal_roughness_steps": 1, "fresh_pictures": False,
-        "pictures": 6, "discriminator_rate": 1e-3, "game": "relativistic", "level": True, "angles": True, "paired": False,
+        "pictures": 6, "discriminator_rate": 5e-4, "game": "relativistic", "level": True, "angles": True, "paired": True,
         "clipping": True, "grow": True, "settled": 0.1, "average": 0.0, "adversarial": 1.0, "features": 0.0, "diffuse": 5.0,
         "smooth": 1.0, "flash_offset": True},
     "paper-one-stage": _PAPER, "paper-two-stage": _PAPER}
@@ -64,7 +65,7 @@ class GanConfig(FitConfig):
     """How the guessed diffuse map is made: robust (ours), min (the paper's), mean-blur (Zhao 2020)."""
     grey_specular: bool = AS_PRESET
     """One grey specular level a texel (the paper's) instead of three channels."""
-    generator: Literal["all-photos", "two-stream", "variational"] = AS_PRESET
+    generator: GeneratorKind = AS_PRESET
     """What proposes the maps: a network that sees all photos, or the paper's, which sees the picture it is compared with;
     variational: one that weighs what each photo says, in any order (the paper's outlook)."""
     start: bool = AS_PRESET
@@ -106,8 +107,8 @@ class GanConfig(FitConfig):
     grow: bool = AS_PRESET
     """Whether a quarter and half the resolution come first."""
     settled: float = AS_PRESET
-    """How far, once it has grown, specular, metallic and roughness follow: smaller sizes have settled them, and a new
-    discriminator would unsettle them; 1: as far as the others."""
+    """How far, once it has grown, specular and metallic follow: smaller sizes have settled them, and a new discriminator
+    would unsettle them; 1: as far as the others."""
     average: float = AS_PRESET
     """Decay of the running average of the generator's weights that makes the result; 0 takes the weights themselves."""
     precision: Precision = "auto"
@@ -141,6 +142,16 @@ class GanConfig(FitConfig):
     def check(self) -> None:
         """Raise ConfigError for numbers out of range, and for settings that do not go together."""
         super().check()
+        for name, known in (("generator", GeneratorKind), ("game", Game), ("precision", Precision)):
+            if getattr(self, name) not in get_args(known):
+                raise ConfigError(f"{name} of {get_args(known)}", repr(getattr(self, name)), "choose one of these")
+        if not any(self.weights.values()):
+            raise ConfigError("a fit with a loss", "all weights 0", "give --adversarial or --diffuse a weight > 0")
+        if self._one_picture_first and (self.generator != "two-stream" or self.grow):
+            raise ConfigError("the two-stream generator, not growing, in a preset that begins with one picture",
+                              f"generator {self.generator}, {'growing' if self.grow else 'not growing'}",
+                              "give --generator two-stream and --no-grow, or a --pretrained first stage; in Python, "
+                              "GanConfig(preset=...) anew instead of replace(...)")
         if self.pretrained and self.preset != "paper-two-stage":
             raise ConfigError("--preset paper-two-stage beside a pretrained checkpoint", f"--preset {self.preset}",
                               "add --preset paper-two-stage")
@@ -155,6 +166,10 @@ class GanConfig(FitConfig):
             raise ConfigError("a head start of 0 to 1", str(self.head_start), "0.1 is a tenth of it; 0 gives none")
         if 0 < self.crop < 16:
             raise ConfigError("crop of 16 texels or more, or 0", str(self.crop), "0 trains on whole pictures")
+
+    @property
+    def _one_picture_first(self) -> bool:
+        return self.preset == "paper-two-stage" and not self.pretrained
 
     @property
     def of_paper(self) -> bool:
@@ -191,10 +206,10 @@ class GanConfig(FitConfig):
 
     def phases(self, resolution: int) -> list[Phase]:
         """The parts of the training, for maps of this side: the paper's two stages, or growing resolutions."""
-        if self.preset == "paper-two-stage" and not self.pretrained:
+        if self._one_picture_first:
             first, second = self.stages
             return [Phase(first / (first + second), photos=1), Phase(second / (first + second))]
-        shares = {2: 0.4, 1: 0.3, 0: 0.3} if self.grow else {0: 1.0}
+        shares = {2: 0.2, 1: 0.3, 0: 0.5} if self.grow else {0: 1.0}
         kept = {halvings: share for halvings, share in shares.items() if not halvings or resolution >> halvings >= SMALLEST}
         return [Phase(share / sum(kept.values()), halvings=halvings) for halvings, share in kept.items()]
 

@@ -45,7 +45,7 @@ def used(task: FitTask) -> list[tuple[str, str]]:
         items = [("generator", f"sees all photos; its maps are compared with each of them; width {config.width}")]
         verdicts = {"adversarial": config.adversarial}
     elif isinstance(config, GanConfig):
-        sees = "all photos" if config.generator == "all-photos" else "the picture its maps are compared with"
+        sees = "all photos" if config.generator != "two-stream" else "the first of the pictures its maps are compared with"
         items = [("generator", f"sees {sees}; width {config.width}")]
         verdicts = {"adversarial": config.adversarial, "features": config.features}
     else:

@@ -246,10 +246,26 @@ def test_presets_are_the_papers():
         assert (paper.width, paper.learning_rate, paper.discriminator_rate) == (64, 2e-5, 2e-5)
         assert (paper.normal_roughness_steps, paper.pictures, paper.game, paper.guess) == (5, 1, "bce", "min")
         assert paper.grey_specular and paper.falloff == "none" and paper.holds_views and not paper.flash_offset
+        assert (paper.head_start, paper.settled, paper.smooth, paper.adversarial) == (0, 1, 0, 1)
         assert not any((paper.start, paper.decay, paper.level, paper.angles, paper.paired, paper.clipping, paper.grow,
                         paper.average, paper.features, paper.crop))
     assert [(round(p.share, 9), p.photos) for p in two.phases(256)] == [(0.4, 1), (0.6, None)]
     assert GanConfig(preset="paper-one-stage", width=8).width == 8  # what is given stays
+
+
+@pytest.mark.parametrize("settings, said", [
+    ({"game": "rpgan"}, "relativistic"), ({"generator": "unet"}, "two-stream"), ({"precision": "bf16"}, "bfloat16"),
+    ({"adversarial": 0.0, "diffuse": 0.0, "smooth": 0.0}, "a loss"), ({"head_start": 1.5}, "head start"),
+    ({"preset": "paper-two-stage", "generator": "all-photos", "normal_roughness_steps": 1}, "--generator two-stream"),
+    ({"preset": "paper-two-stage", "grow": True}, "growing")])
+def test_settings_that_do_not_go_together_are_refused(settings, said):
+    with pytest.raises(ConfigError, match=said):
+        GanConfig(**settings).check()
+
+
+def test_only_the_papers_first_stage_is_pretrained(capture, tmp_path):
+    with pytest.raises(ConfigError, match="preset minutes"):
+        pretrain(capture, ANALYTIC, GanConfig(iterations=1), tmp_path / "first.pt")
 
 
 def test_a_preset_that_is_none_is_refused():

@@ -31,7 +31,8 @@ MEASURED = (
 START = (
     "`gan` starts at the robust guess, one specular level and one roughness for all texels, and flat normals. What it is worth "
     "is what it takes off the error of this start.")
-GAME = "The same method, budget, materials and seeds; without the adversarial loss, only the diffuse loss is left."
+GAME = ("The same method, budget, materials and seeds; without the adversarial loss, only the diffuse loss and the smoothness "
+        "of specular and roughness are left.")
 INGREDIENTS = "`full` is `gan` as it is. Counted are the materials, budgets and seeds that every row has."
 CAPTURES = (
     "RMSE in display values. Photos {} are left out of every fit and predicted with the flash offset it found. MaterialGAN, "

@@ -44,9 +44,12 @@ class EarlierGan(Gan):
             total = losses.weighted(self._verdict(pictures.shown, fake, told), config.weights)
             switch_at("discriminator, backward", total)
         with profiled("losses"):
-            diffuse = losses.diffuse(svbrdf, self.scale.guess_in(pictures.window))
-            logged["diffuse"] = float(diffuse.detach())
-            total = total + config.diffuse * diffuse
+            guess = self.scale.guess_in(pictures.window)
+            terms = {"diffuse": losses.diffuse(svbrdf, guess)}
+            if "smooth" not in self.unused:
+                terms["smooth"] = losses.total_variation(svbrdf, losses.edge_weights(guess), self.fixed)
+            logged |= {name: float(value.detach()) for name, value in terms.items()}
+            total = total + losses.weighted(terms, config.weights)
         moved = [name for name in ("fast", "slow", "flash") if name in self.optimizers and (first or name == "fast")]
         with profiled("losses, backward"):
             descend(total, *(self.optimizers[name] for name in moved))

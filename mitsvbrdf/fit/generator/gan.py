@@ -33,6 +33,9 @@ from .pictures import Pictures, PictureSource, seen_through
 from .scale import Scale, has_fast_bfloat16
 from .variational import VariationalGenerator
 
+SETTLED = ("specular", "metallic")  # by the smaller sizes
+FIRST_STEP = 0.02  # of the step size, at the least, while it rises: no step moves nothing
+
 
 class Gan(Method[GanConfig]):
     """Steps of the training (III.F).
@@ -43,6 +46,8 @@ class Gan(Method[GanConfig]):
     Raises:
         ConfigError: the pretrained checkpoint is of another size or kind.
     """
+
+    latest_is_best = True  # the game is for looks: its maps get better while the photos are met no more closely
 
     def __init__(self, task: FitTask[GanConfig]) -> None:
         super().__init__(task)
@@ -62,8 +67,8 @@ class Gan(Method[GanConfig]):
     def _rate(self, name: str, share: float = 0.0) -> float:
         """Adam's step size when this share of the phase is done."""
         config = self.config
-        judges, falling = name == "judge", cosine(share) if config.decay else 1.0
-        rising = 1.0 if judges or share >= config.head_start else share / config.head_start
+        judges, falling = name == "judge", cosine(max(share, 0.0)) if config.decay else 1.0
+        rising = 1.0 if judges or share < 0 or share >= config.head_start else max(share / config.head_start, FIRST_STEP)
         return self.cut * rising * falling * (config.discriminator_rate if judges else config.learning_rate)
 
     def _scale(self, phase: Phase, carried: dict[str, Tensor]) -> Scale:
@@ -105,17 +110,17 @@ class Gan(Method[GanConfig]):
         return logged | {"phase": float(self.phase)}
 
     def _enter_phase(self, progress: float) -> float:
-        """Begin the phase that this share of the run has come to; returns the share of that phase that is done."""
+        """Begin the phase that is due; returns its share that is done, below 0 in a run resumed with a higher limit."""
         begins = list(itertools.accumulate((phase.share for phase in self.phases[:-1]), initial=0.0))
         present = max(number for number, begin in enumerate(begins) if progress >= begin)
         if present > self.phase:
             grown = self.phases[present].halvings != self.phases[self.phase].halvings
-            change = self._change() if grown and self.config.start else {}
+            with self._averaged_weights():
+                change = self._change() if grown and self.config.start else {}
             if change:
                 self.generator.begin_change()
             self._begin(present, change)
-        done = (progress - begins[self.phase]) / self.phases[self.phase].share
-        return min(max(done, 0.0), 1.0)
+        return min((progress - begins[self.phase]) / self.phases[self.phase].share, 1.0)
 
     def _substep(self, pictures: Pictures, first: bool, logged: dict[str, float]) -> None:
         config, plays = self.config, not {"adversarial", "features"} <= set(self.unused)
@@ -175,7 +180,7 @@ class Gan(Method[GanConfig]):
                 condition = scale.condition_from(photo)[..., top:top + side, left:left + side]
                 drawn = {"random": self.random} if isinstance(g, VariationalGenerator) and torch.is_grad_enabled() else {}
                 out = g(condition, **drawn)
-        moves = {name: self.config.settled if scale.carried and name in losses.ABOUT["smooth"] else 1.0 for name in out}
+        moves = {name: self.config.settled if scale.carried and name in SETTLED else 1.0 for name in out}
         out = {name: moves[name] * value.float() for name, value in out.items()}
         if self.fits_offset and "normal" in out:
             # The patch is flat as a whole (it lies in z = 0): without this a common tilt would hide the flash offset.

@@ -7,7 +7,7 @@ bit. So the two can be judged side by side, though they show different pieces of
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
@@ -82,9 +82,4 @@ def moved_views(views: Views, lights: list[MovedLight], resolution: int) -> View
     """The views of moved lights: one for each, in their order."""
     picked = views.pick([each.photo for each in lights])
     shift = torch.tensor([[each.right, -each.down, 0] for each in lights], dtype=torch.float64) / resolution * views.size
-    moved = replace(picked, camera=picked.camera + shift, light=picked.light + shift)
-    if views.falloff == "inverse-square":
-        return moved
-    # A light without falloff is as bright everywhere as at the centre of the patch, from which this one has moved.
-    nearer = (moved.light.square().sum(dim=1) / picked.light.square().sum(dim=1))[:, None]
-    return replace(moved, intensity=picked.intensity * nearer)
+    return picked.carried(shift)

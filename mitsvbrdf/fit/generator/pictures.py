@@ -121,4 +121,4 @@ def seen_through(window: Window, views: Views, resolution: int) -> Views:
         return views
     middle = torch.tensor([(left + side / 2) / resolution - 0.5, 0.5 - (top + side / 2) / resolution, 0.0])
     shift = middle.to(views.camera) * views.size
-    return replace(views, camera=views.camera - shift, light=views.light - shift, size=views.size * side / resolution)
+    return replace(views.carried(-shift), size=views.size * side / resolution)

@@ -28,9 +28,10 @@ def test_input_and_rendering_of_the_gan_show_the_same_blend():
     assert seen == {1, 2}
 
 
-def test_a_crop_is_lit_as_the_whole_is():
+@pytest.mark.parametrize("falloff", ["inverse-square", "none"])
+def test_a_crop_is_lit_as_the_whole_is(falloff):
     # What is rendered of a crop's texels under the views moved to it is the crop of what is rendered of the whole.
-    truth, views = make_material("inlay", 32), replace(GRID, size=1.0)
+    truth, views = make_material("inlay", 32), replace(GRID, size=1.0, falloff=falloff)
     photos = color.to_display(ANALYTIC.render(truth, views))
     source = PictureSource(Capture(photos, views), True, crop=16)
     random = torch.Generator().manual_seed(0)
