@@ -49,7 +49,6 @@ GAN_VARIANTS: dict[str, dict[str, object]] = {
     "no growing": {"grow": False},
     "one picture a step": {"pictures": 1},
     "no head start": {"head_start": 0.0},
-    "nothing settled": {"settled": 1.0},
     "no smoothness": {"smooth": 0.0},
     "no falling step sizes": {"decay": False},
     "with average": {"average": 0.99},

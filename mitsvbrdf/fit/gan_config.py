@@ -20,14 +20,14 @@ _PAPER: dict[str, Any] = {
     "guess": "min", "grey_specular": True, "generator": "two-stream", "start": False, "width": 64, "learning_rate": 2e-5,
     "head_start": 0.0, "decay": False, "normal_roughness_steps": 5, "fresh_pictures": False, "pictures": 1,
     "discriminator_rate": 2e-5, "game": "bce", "level": False, "angles": False, "paired": False, "clipping": False,
-    "grow": False, "settled": 1.0, "average": 0.0, "adversarial": 1.0, "features": 0.0, "diffuse": 10.0, "smooth": 0.0,
+    "grow": False, "average": 0.0, "adversarial": 1.0, "features": 0.0, "diffuse": 10.0, "smooth": 0.0,
     "flash_offset": False}
 PRESETS: dict[str, dict[str, Any]] = {
     "minutes": {
         "guess": "robust", "grey_specular": False, "generator": "all-photos", "start": True, "width": 16,
         "learning_rate": 2e-3, "head_start": 0.1, "decay": True, "normal_roughness_steps": 1, "fresh_pictures": False,
-        "pictures": 6, "discriminator_rate": 5e-4, "game": "relativistic", "level": True, "angles": True, "paired": True,
-        "clipping": True, "grow": True, "settled": 0.1, "average": 0.0, "adversarial": 1.0, "features": 0.0, "diffuse": 5.0,
+        "pictures": 6, "discriminator_rate": 1e-3, "game": "relativistic", "level": True, "angles": True, "paired": True,
+        "clipping": True, "grow": True, "average": 0.0, "adversarial": 1.0, "features": 0.0, "diffuse": 5.0,
         "smooth": 1.0, "flash_offset": True},
     "paper-one-stage": _PAPER, "paper-two-stage": _PAPER}
 
@@ -106,9 +106,6 @@ class GanConfig(FitConfig):
     """Whether a rendering is clipped where its photo is, and only there; else everywhere, which stops gradients."""
     grow: bool = AS_PRESET
     """Whether a quarter and half the resolution come first."""
-    settled: float = AS_PRESET
-    """How far, once it has grown, specular and metallic follow: smaller sizes have settled them, and a new discriminator
-    would unsettle them; 1: as far as the others."""
     average: float = AS_PRESET
     """Decay of the running average of the generator's weights that makes the result; 0 takes the weights themselves."""
     precision: Precision = "auto"

@@ -104,15 +104,8 @@ def _burnt_in(result: FitResult) -> Iterator[str]:
 
 
 def _game(result: FitResult) -> Iterator[str]:
-    """Whether the maps ended farther from the photos than they started; and whether the discriminator was so sure that it
-    learned no more: its verdict then says little about what to change.
-    """
+    """Whether the discriminator was so sure that it learned no more; its verdict then says little about what to change."""
     losses, config = [entry["discriminator"] for entry in result.trace if "discriminator" in entry], result.config
-    if isinstance(config, GanConfig) and config.start:
-        first, last = (result.trace[number]["rerender_rmse"] for number in (0, -1))
-        if last > first:
-            yield (f"the game went astray: the photos are met worse than where it started ({last:.2g}, there {first:.2g}): "
-                   "give more seconds or another --seed, or leave out photos that show something else")
     if len(losses) < MEASURED:
         return
     loss = statistics.median(losses[-math.ceil(len(losses) / 5):])

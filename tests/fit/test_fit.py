@@ -246,7 +246,7 @@ def test_presets_are_the_papers():
         assert (paper.width, paper.learning_rate, paper.discriminator_rate) == (64, 2e-5, 2e-5)
         assert (paper.normal_roughness_steps, paper.pictures, paper.game, paper.guess) == (5, 1, "bce", "min")
         assert paper.grey_specular and paper.falloff == "none" and paper.holds_views and not paper.flash_offset
-        assert (paper.head_start, paper.settled, paper.smooth, paper.adversarial) == (0, 1, 0, 1)
+        assert (paper.head_start, paper.smooth, paper.adversarial) == (0, 0, 1)
         assert not any((paper.start, paper.decay, paper.level, paper.angles, paper.paired, paper.clipping, paper.grow,
                         paper.average, paper.features, paper.crop))
     assert [(round(p.share, 9), p.photos) for p in two.phases(256)] == [(0.4, 1), (0.6, None)]

@@ -163,15 +163,17 @@ def capture_tables(record: Mapping) -> list[Table]:
 
 
 def schedule_table(record: Mapping) -> Table | None:
-    """Where the paper's schedule ends: the state after the last iteration, as every ``gan`` fit returns it."""
+    """Where the paper's schedule ends: the result, which explains its photos best, and the state after the last iteration."""
     given, rows = _references(record, "material"), []
     for r in schedules(record):
         guess = given.get(r["name"], {}).get(guess_by(r["config"].get("guess", "")), {}).get("diffuse")
-        rows.append([schedule_title(r), *(_number(r["errors"].get(e)) for e in (*MAPS, "mean", "photos")), _number(guess),
-                     f"{r['seconds']:.0f}"])
+        for what, errors in (("result", r["errors"]), ("last", r["trace"][-1])):
+            rows.append([f"{schedule_title(r)}, {what}", *(_number(errors.get(e)) for e in (*MAPS, "mean", "photos")),
+                         _number(guess), f"{r['seconds']:.0f}"])
     if not rows:
         return None
-    return Table("Errors at the end", ["", *MAPS, "mean", "photos", "guessed diffuse", "seconds"], rows)
+    return Table("Errors at the end", ["", *MAPS, "mean", "photos", "guessed diffuse", "seconds"], rows,
+                 "Result: the state of the lowest re-rendering error, as every fit returns it; last: after the last iteration.")
 
 
 def schedules(record: Mapping) -> list[Mapping]:

@@ -33,7 +33,6 @@ from .pictures import Pictures, PictureSource, seen_through
 from .scale import Scale, has_fast_bfloat16
 from .variational import VariationalGenerator
 
-SETTLED = ("specular", "metallic")  # by the smaller sizes
 FIRST_STEP = 0.02  # of the step size, at the least, while it rises: no step moves nothing
 
 
@@ -46,8 +45,6 @@ class Gan(Method[GanConfig]):
     Raises:
         ConfigError: the pretrained checkpoint is of another size or kind.
     """
-
-    latest_is_best = True  # the game is for looks: its maps get better while the photos are met no more closely
 
     def __init__(self, task: FitTask[GanConfig]) -> None:
         super().__init__(task)
@@ -180,8 +177,7 @@ class Gan(Method[GanConfig]):
                 condition = scale.condition_from(photo)[..., top:top + side, left:left + side]
                 drawn = {"random": self.random} if isinstance(g, VariationalGenerator) and torch.is_grad_enabled() else {}
                 out = g(condition, **drawn)
-        moves = {name: self.config.settled if scale.carried and name in SETTLED else 1.0 for name in out}
-        out = {name: moves[name] * value.float() for name, value in out.items()}
+        out = {name: value.float() for name, value in out.items()}
         if self.fits_offset and "normal" in out:
             # The patch is flat as a whole (it lies in z = 0): without this a common tilt would hide the flash offset.
             out["normal"] = out["normal"] - out["normal"].mean(dim=(1, 2), keepdim=True)

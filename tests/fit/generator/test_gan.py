@@ -66,18 +66,6 @@ def test_what_was_found_is_carried_to_the_next_resolution(generator, average, ti
     assert gan.phase == 1
 
 
-def test_what_is_settled_stays_once_it_has_grown(tiles, growing):
-    gan = gan_of(tiles, settled=0.0)
-    gan.step(0.0)
-    gan._enter_phase(0.6)
-    before = gan.estimate()[0]
-    for _ in range(3):
-        gan.step(0.6)
-    after = gan.estimate()[0]
-    assert torch.equal(before["specular"], after["specular"])
-    assert not any(torch.equal(before[name], after[name]) for name in ("normal", "diffuse", "roughness"))
-
-
 def test_the_discriminators_weights_get_no_gradient_while_the_generator_learns(tiles, monkeypatch):
     gan, seen = gan_of(tiles), []
     activations = gan.discriminator.activations
