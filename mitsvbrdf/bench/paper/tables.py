@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from .. import summary
 from ..summary import ERRORS, Point
-from ..tables import Table, ablation_tables, count_of, each_map, error_cell, with_best
+from ..tables import Table, ablation_tables, each_map, error_cell, with_best
 from ..variants import FULL, NO_GAME, PAPERS_LOSSES
 from .printed import GUESS
 from .references import START, guess_by
@@ -156,9 +156,8 @@ def capture_tables(record: Mapping) -> list[Table]:
             values.append([p.median if p else None for p in points])
         if rows:
             tables.append(Table(title, ["", "the start", *labels, *(f"{who}, published" for who in whose)], rows,
-                                f"{count_of('capture', fits).capitalize()}: "
-                                + "; ".join(f"{label} {_number(_median([v[k] for v in values]), 4)}"
-                                            for k, label in enumerate(labels)) + f", median. {_seeds(fits)}"))
+                                "Median of these: " + "; ".join(f"{label} {_number(_median([v[k] for v in values]), 4)}"
+                                                                for k, label in enumerate(labels)) + f". {_seeds(fits)}"))
     return tables
 
 
