@@ -83,7 +83,7 @@ def test_games_that_are_lost_and_games_that_are_not(game, leather):
     # Photos of noise, which no generator that stands still comes near: measured losses
     # of 0.001 to 0.005, or 0 (hinge). A fair game at the start: 0.69, or 1.
     noise = torch.rand(leather.photos.shape, generator=torch.Generator().manual_seed(0))
-    config = GanConfig(game=game, width=4, pictures=2, discriminator_rate=0.02, iterations=80)
+    config = GanConfig(game=game, paired=False, width=4, pictures=2, discriminator_rate=0.02, iterations=80)
     lost = fit_svbrdf(Capture(noise, GRID), ANALYTIC, dataclasses.replace(config, learning_rate=1e-9))
     fair = fit_svbrdf(leather, ANALYTIC, dataclasses.replace(config, discriminator_rate=1e-3))
     said = [any("almost surely" in warning for warning in result.warnings) for result in (lost, fair)]
