@@ -89,11 +89,13 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
         config: of one of the paper's presets; ``iterations`` defaults to the paper's 10,000.
 
     Raises:
-        ConfigError: another preset.
+        ConfigError: another preset, or a checkpoint to start from.
     """
-    if not config.of_paper:
-        raise ConfigError("a preset of the paper", f"preset {config.preset}", 'give GanConfig(preset="paper-one-stage", ...)')
-    config = replace(config, preset="paper-one-stage", pretrained=None,
+    if not config.of_paper or config.pretrained:
+        raise ConfigError("a preset of the paper, from untrained weights",
+                          f"preset {config.preset}" + (f" from {config.pretrained}" if config.pretrained else ""),
+                          'give GanConfig(preset="paper-one-stage", ...) without pretrained')
+    config = replace(config, preset="paper-one-stage",
                      iterations=config.iterations or (None if config.budget else 10_000))
     one = capture.pick(capture.index[:1])
     Loop(make_method(FitTask(one, renderer, config)), one, renderer, config, checkpoint, report).run()

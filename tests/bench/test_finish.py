@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from helpers import ANALYTIC, photos_of
 
+from mitsvbrdf.bench import finish as bench
 from mitsvbrdf.bench.finish import figures, page, passes, write
 from mitsvbrdf.fit import HierarchicalConfig, fit_svbrdf
 from mitsvbrdf.fit.finish_config import FinishConfig
@@ -57,3 +58,20 @@ def test_the_page_counts_what_the_record_holds(row, tmp_path):
     text = (tmp_path / "finish.md").read_text()
     assert text == page(record) and "**1 of 2 captures meet the bar**" in text
     assert f"| other | {other['highlights']:.0%} | {other['maps']['patches']:.4f} |" in text and "| 1.00 |" in text
+
+
+@pytest.mark.parametrize("why", [None, "the photos have one view"])
+def test_a_capture_without_a_look_is_left_out_and_ctrl_c_ends_all(why, tmp_path, monkeypatch, capsys):
+    shots = photos_of(make_material("tiles", 16))
+    solved = fit_svbrdf(shots, ANALYTIC, HierarchicalConfig(iterations=1))
+    for name, value in {"read_capture": shots, "fit_svbrdf": solved, "finished": solved, "why_not": why,
+                        "make_renderer": ANALYTIC}.items():
+        monkeypatch.setattr(bench, name, lambda *args, value=value, **settings: value)
+    (tmp_path / "captures/one").mkdir(parents=True)
+    if why is None:
+        with pytest.raises(KeyboardInterrupt):
+            bench.main(tmp_path / "captures", tmp_path / "out", 16, 16)
+    else:
+        assert bench.main(tmp_path / "captures", tmp_path / "out", 16, 16) == 0
+        assert "one: left out, the photos have one view" in "".join(capsys.readouterr())
+    assert not (tmp_path / "out").exists()

@@ -264,8 +264,9 @@ def test_settings_that_do_not_go_together_are_refused(settings, said):
 
 
 def test_only_the_papers_first_stage_is_pretrained(capture, tmp_path):
-    with pytest.raises(ConfigError, match="preset minutes"):
-        pretrain(capture, ANALYTIC, GanConfig(iterations=1), tmp_path / "first.pt")
+    for wrong, said in ((GanConfig(), "preset minutes"), (GanConfig(preset="paper-two-stage", pretrained="a.pt"), "a.pt")):
+        with pytest.raises(ConfigError, match=said):
+            pretrain(capture, ANALYTIC, dataclasses.replace(wrong, iterations=1), tmp_path / "first.pt")
 
 
 def test_a_preset_that_is_none_is_refused():

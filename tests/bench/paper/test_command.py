@@ -34,7 +34,8 @@ def test_all_suites_end_in_one_page(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("suite, extra, words", [
     ("gan", ["--variants", "magic"], "no adversarial loss"), ("schedule", ["--methods", "direct"], "gan-two-stage"),
-    ("schedule", ["--schedule-width", "0"], "width"), ("schedule", ["--iterations", "0"], "iterations")])
+    ("schedule", ["--methods", "gan"], "give --iterations"), ("schedule", ["--schedule-width", "0"], "width"),
+    ("schedule", ["--iterations", "0"], "iterations")])
 def test_mistakes_are_one_error(suite, extra, words, tmp_path, capsys):
     assert cli.main([*TINY, "--suite", suite, "--json", str(tmp_path / "b.json"), *extra]) == 2
     message = capsys.readouterr().err

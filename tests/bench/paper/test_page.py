@@ -3,7 +3,6 @@
 import json
 import xml.etree.ElementTree as ElementTree
 
-import pytest
 from helpers import ROOT
 from helpers.bench_records import benchmark
 from helpers.gan_records import WHOLE
@@ -33,7 +32,6 @@ def test_what_has_no_records_is_not_run(tmp_path):
     assert page.read_text().count(NOT_RUN) == 8
 
 
-@pytest.mark.skipif(not RESULTS.exists(), reason="docs/results/gan.json is not measured yet")
 def test_the_page_in_the_docs_is_what_its_records_make(tmp_path):
     record = read_benchmark(RESULTS)
     for made in write_gan_page(tmp_path / "gan.md", record):

@@ -4,7 +4,7 @@ import shlex
 
 import pytest
 from helpers.bench_records import benchmark
-from helpers.gan_records import WHOLE
+from helpers.gan_records import WHOLE, fitted
 
 from mitsvbrdf import cli
 from mitsvbrdf.bench.commands import commands
@@ -78,6 +78,9 @@ def test_captures_stand_beside_what_was_published():
     left_out, seen = tables.capture_tables(WHOLE)
     assert left_out.heads == ["", "the start", "`gan`", "MaterialGAN, published"]
     assert cells(left_out) == {"c": ["0.0900", "0.0600", "0.0210"]} and cells(seen)["c"] == ["0.0900", "0.0300", "0.0200"]
+    more = [*fitted("methods", "gan", (0.04,), "d", kind="capture"), *fitted("methods", "gan", (0.09,), "e", kind="capture")]
+    _, seen = tables.capture_tables({**WHOLE, "records": [*WHOLE["records"], *more]})
+    assert seen.note == "Median of these: `gan` 0.0400. One seed."  # of 0.03, 0.04, 0.09
 
 
 def test_a_schedule_ends_with_its_result_and_its_last_state():
