@@ -13,7 +13,7 @@ from ..tables import Table
 from . import tables
 from .plots import schedule_figure
 
-NOT_RUN = "Not run."
+NOT_RUN = "Not in these records: "
 
 INTRODUCTION = (
     "The errors are RMSE of maps encoded to 0 to 1, counted as in the paper: diffuse and specular by gamma 2.2, roughness as "
@@ -28,6 +28,9 @@ MEASURED = (
     "time is not known. Guessed diffuse: the error of the guess that the fit of that row was given, `min` in the paper's rows, "
     "`robust` in the others. `gan-two-stage` has here the same seconds as the other rows, which is a small part of the paper's "
     "schedule; the schedule has its own section.")
+PICTURES = (
+    "From left to right: the input photo; diffuse, specular, roughness and normal; the guessed diffuse map; a rendering of the "
+    "photo's view; and one lit from the side, as no photo was.")
 START = (
     "`gan` starts at the robust guess, one specular level and one roughness for all texels, and flat normals. What it is worth "
     "is what it takes off the error of this start.")
@@ -48,7 +51,7 @@ def write_gan_page(path: str | Path, record: Mapping) -> list[Path]:
 
     Args:
         path: the page, e.g. ``docs/results/gan.md``.
-        record: a :class:`mitsvbrdf.bench.schema.Benchmark`; what it lacks is "not run".
+        record: a :class:`mitsvbrdf.bench.schema.Benchmark`; what it lacks is named in the end.
 
     Returns:
         Every file that was written, the page first.
@@ -73,20 +76,26 @@ def gan_page(record: Mapping, curve: str) -> str:
         record: a :class:`mitsvbrdf.bench.schema.Benchmark`.
         curve: the file of the schedule's picture.
     """
-    start, schedule = tables.start_and_end(record), tables.schedule_table(record)
-    picture = [f"![Error of each map against the iteration]({curve})", ""] if schedule else []
+    start, schedule = tables.start_and_end(record), tables.schedule_tables(record)
+    sections: dict[str, tuple[str, Sequence[Table | str]]] = {
+        "What the paper prints": (NOT_COMPARABLE, tables.printed_tables(record)),
+        "The same columns, measured here": (MEASURED, tables.measured_tables(record)),
+        "Pictures": (PICTURES, _sheets(record)),
+        "From the start to the end": (START, [start] if start else []),
+        "With and without the adversarial loss": (GAME, tables.game_tables(record)),
+        "Each ingredient": (INGREDIENTS, tables.ingredient_tables(record)),
+        "Real captures": (CAPTURES.format(left_out_by(record)), tables.capture_tables(record)),
+        "The paper's full schedule": (SCHEDULE, [*schedule, f"![Errors against the iteration]({curve})"] if schedule else []),
+        "Seconds of an iteration": ("", tables.step_tables(record))}
     lines = ["# The paper's tables, reproduced", "",
-             f"Written by `mitsvbrdf bench --gan-page`, nothing by hand. {made_on(record)}", "", INTRODUCTION, "",
-             *_section("What the paper prints", NOT_COMPARABLE, tables.printed_tables(record)),
-             *_section("The same columns, measured here", MEASURED, tables.measured_tables(record)),
-             *_sheets(record),
-             *_section("From the start to the end", START, [start] if start else []),
-             *_section("With and without the adversarial loss", GAME, tables.game_tables(record)),
-             *_section("Each ingredient", INGREDIENTS, tables.ingredient_tables(record)),
-             *_section("Real captures", CAPTURES.format(left_out_by(record)), tables.capture_tables(record)),
-             *_section("The paper's full schedule", SCHEDULE, [schedule] if schedule else [], picture),
-             *_section("Seconds of an iteration", "", tables.step_tables(record)),
-             "## How to reproduce", "", *(f"    {line}" for line in _commands(record)), ""]
+             f"Written by `mitsvbrdf bench --gan-page`, nothing by hand. {made_on(record)}", "", INTRODUCTION, ""]
+    for heading, (text, found) in sections.items():
+        if found:
+            lines += [f"## {heading}", "", *([text, ""] if text else [])]
+            lines += [line for part in found for line in ([part, ""] if isinstance(part, str) else markdown(part))]
+    missing = [heading.lower() for heading, (_, found) in sections.items() if not found]
+    lines += [NOT_RUN + "; ".join(missing) + ".", ""] if missing else []
+    lines += ["## How to reproduce", "", *(f"    {line}" for line in _commands(record)), ""]
     return "\n".join(lines)
 
 
@@ -96,19 +105,8 @@ def print_gan(record: Mapping) -> None:
                   *tables.step_tables(record)])
 
 
-def _section(heading: str, text: str, found: Sequence[Table], picture: Sequence[str] = ()) -> list[str]:
-    lines = [line for table in found for line in markdown(table)] or [NOT_RUN, ""]
-    return [f"## {heading}", "", *([text, ""] if text else []), *lines, *picture]
-
-
 def _sheets(record: Mapping) -> list[str]:
-    lines = []
-    for r in record["records"]:
-        if r["suite"] == "sheets":
-            lines += [f"![Maps and renderings of {r['name']}]({r['file']})", ""]
-    text = ("From left to right: the input photo; diffuse, specular, roughness and normal; the guessed diffuse map; a "
-            "rendering of the photo's view; and one lit from the side, as no photo was.")
-    return ["## Pictures", "", text, "", *lines] if lines else []
+    return [f"![Maps and renderings of {r['name']}]({r['file']})" for r in record["records"] if r["suite"] == "sheets"]
 
 
 def _commands(record: Mapping) -> list[str]:

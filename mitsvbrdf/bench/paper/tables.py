@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from .. import summary
-from ..summary import ERRORS, Point
+from ..summary import ERRORS, KINDS, Point
 from ..tables import Table, ablation_tables, each_map, error_cell, with_best
 from ..variants import FULL, NO_GAME, PAPERS_LOSSES
 from .printed import GUESS
@@ -16,6 +16,8 @@ from .references import START, guess_by
 MAPS = ("diffuse", "specular", "roughness", "normal")
 COLUMNS = (*MAPS, "mean", GUESS)
 HEADS = ["", *MAPS, "mean", "guessed diffuse", "seconds"]
+SCHEDULE_ERRORS = {"material": {name: name for name in (*MAPS, "mean", "photos")},
+                   "capture": {"seen": "photos seen", "left_out": "photos left out"}}
 
 # What is ours, from the paper's method to the default: a name, and (suite, method) of its fits, the first that is there.
 GAN = "`gan`"
@@ -147,37 +149,41 @@ def capture_tables(record: Mapping) -> list[Table]:
     labels, published = [label for label, each in found.items() if each], record["published"].get("capture", {})
     for error, title in ERRORS["capture"].items():
         whose = list(dict.fromkeys(who for n in summary.names(fits) for who, e in published.get(n, {}).items() if error in e))
-        rows, values = [], []
+        starts, rows, values = any(START in given.get(name, {}) for name in summary.names(fits)), [], []
         for name in summary.names(fits):
             points = [_last(found[label], error, [name]) for label in labels]
             start = given.get(name, {}).get(START, {}).get(error)
             beside = [published.get(name, {}).get(who, {}).get(error) for who in whose]
-            rows.append([name, _number(start), *(error_cell(p) for p in points), *map(_number, beside)])
+            rows.append([name, *([_number(start)] if starts else []), *(error_cell(p) for p in points), *map(_number, beside)])
             values.append([p.median if p else None for p in points])
         if rows:
-            tables.append(Table(title, ["", "the start", *labels, *(f"{who}, published" for who in whose)], rows,
-                                "Median of these: " + "; ".join(f"{label} {_number(_median([v[k] for v in values]), 4)}"
-                                                                for k, label in enumerate(labels)) + f". {_seeds(fits)}"))
+            heads = ["", *(["the start"] if starts else []), *labels, *(f"{who}, published" for who in whose)]
+            middle = "; ".join(f"{label} {_number(_median([v[k] for v in values]), 4)}" for k, label in enumerate(labels))
+            tables.append(Table(title, heads, rows, f"Median of these: {middle}. {_seeds(fits)}"))
     return tables
 
 
-def schedule_table(record: Mapping) -> Table | None:
+def schedule_tables(record: Mapping) -> list[Table]:
     """Where the paper's schedule ends: the result, which explains its photos best, and the state after the last iteration."""
-    given, rows = _references(record, "material"), []
-    for r in schedules(record):
-        guess = given.get(r["name"], {}).get(guess_by(r["config"].get("guess", "")), {}).get("diffuse")
-        for what, errors in (("result", r["errors"]), ("last", r["trace"][-1])):
-            rows.append([f"{schedule_title(r)}, {what}", *(_number(errors.get(e)) for e in (*MAPS, "mean", "photos")),
-                         _number(guess), f"{r['seconds']:.0f}"])
-    if not rows:
-        return None
-    return Table("Errors at the end", ["", *MAPS, "mean", "photos", "guessed diffuse", "seconds"], rows,
-                 "Result: the state of the lowest re-rendering error, as every fit returns it; last: after the last iteration.")
+    given, tables = _references(record, "material"), []
+    for kind, columns in SCHEDULE_ERRORS.items():
+        rows, known = [], kind == "material"
+        for r in schedules(record, kind):
+            guess = given.get(r["name"], {}).get(guess_by(r["config"].get("guess", "")), {}).get("diffuse")
+            for what, errors in (("result", r["errors"]), ("last", r["trace"][-1])):
+                rows.append([f"{schedule_title(r)}, {what}", *(_number(errors.get(e)) for e in columns),
+                             *([_number(guess)] if known else []), f"{r['seconds']:.0f}"])
+        if rows:
+            heads = [*columns.values(), *(["guessed diffuse"] if known else []), "seconds"]
+            tables.append(Table(f"Errors at the end, {KINDS[kind]}s", ["", *heads], rows,
+                                "Result: the state of the lowest re-rendering error, as every fit returns it; last: after the "
+                                "last iteration."))
+    return tables
 
 
-def schedules(record: Mapping) -> list[Mapping]:
-    """The long runs of known materials."""
-    return [r for r in record["records"] if r["suite"] == "schedule" and r["kind"] == "material"]
+def schedules(record: Mapping, kind: str) -> list[Mapping]:
+    """The long runs of known materials, or of real captures."""
+    return [r for r in record["records"] if r["suite"] == "schedule" and r["kind"] == kind]
 
 
 def schedule_title(r: Mapping) -> str:
