@@ -1,13 +1,16 @@
 """The package's errors: each says what was expected, what came, and the way out.
 
 Everything raised on purpose derives from :class:`MitsvbrdfError`; the command line turns it into one
-message and exit code 2.
+message and exit code 2. What was mended instead is a Python warning, on the command line a line of its own.
 """
 
 from __future__ import annotations
 
+import contextlib
 import sys
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from typing import Any
 
 
 class MitsvbrdfError(Exception):
@@ -32,6 +35,10 @@ class MapsError(MitsvbrdfError):
     """Material maps cannot be used."""
 
 
+class MapsWarning(UserWarning):
+    """Something in material maps was mended; says what, where, and how many texels."""
+
+
 class OutputError(MitsvbrdfError):
     """A result cannot be written where it was asked for."""
 
@@ -42,6 +49,22 @@ class ConfigError(MitsvbrdfError):
 
 class BackendError(MitsvbrdfError):
     """Mitsuba, Dr.Jit or libLLVM is missing or does not work here."""
+
+
+@contextlib.contextmanager
+def plain_warnings() -> Iterator[None]:
+    """Inside, warnings of this package are single lines on standard error, without the place in the code."""
+    with warnings.catch_warnings():
+        others = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+            if issubclass(category, MapsWarning):
+                print(f"warning: {message}", file=sys.stderr)
+            else:
+                others(message, category, *place, **more)
+
+        warnings.showwarning = show
+        yield
 
 
 def exit_code(command: Callable[[], int], interrupted: str = "interrupted") -> int:

@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable, Sequence
 
 from .. import __version__
-from ..errors import exit_code
+from ..errors import exit_code, plain_warnings
 
 # What each command does, the first line of its docstring. ``leave-out`` is the function leave_out of the module leave_out.
 COMMANDS = {
@@ -56,7 +56,8 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"mitsvbrdf {__version__}")
         return 0
     unfinished = "; what is unfinished goes on with --resume" if arguments[:1] and arguments[0] in RESUMED else ""
-    return exit_code(lambda: _run(arguments), "interrupted" + unfinished)
+    with plain_warnings():
+        return exit_code(lambda: _run(arguments), "interrupted" + unfinished)
 
 
 def command(name: str, arguments: Sequence[str] = ()) -> Callable[..., int]:

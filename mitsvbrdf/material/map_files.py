@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 
 import torch
@@ -13,9 +14,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .. import color
-from ..errors import ConfigError, MapsError
+from ..errors import ConfigError, MapsError, MapsWarning
 from ..system import files, images
-from .maps import CHANNELS, COLOURS, SVBRDF, Bsdf
+from .maps import CHANNELS, COLOURS, LOWEST_Z, SVBRDF, Bsdf
 
 # How the fields' files are encoded, by the names that material.json and --encoding use.
 ENCODINGS: dict[str, dict[str, str]] = {
@@ -25,6 +26,10 @@ ENCODINGS: dict[str, dict[str, str]] = {
 }
 MAP_FOLDERS = ("maps", "look")  # of a fit: the expected values, and one plausible draw of what no photo saw
 SHORT_NAMES = {"diffuse": "dif", "specular": "spe", "roughness": "rgh", "normal": "nom"}
+
+# Normals of published maps point into the surface at up to 0.2 % of the texels: noise of networks, empty corners.
+FEW = 0.01  # share of the texels at which that is mended; a map with more is in another convention
+RAISED = 1 / 255  # their z: the lowest above 0 that an 8-bit file holds
 
 
 def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None = None) -> SVBRDF:
@@ -40,6 +45,9 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
             base_color and metallic are there.
         encoding: ``linear``, ``gamma 2.2`` or ``srgb`` for 8- and 16-bit files; left out: what material.json says, else
             gamma 2.2, the field's habit. EXR is linear; normals are (n + 1) / 2, +Y up.
+
+    Warns:
+        MapsWarning: normals that point into the surface, up to 1 % of them, were lifted just above it.
 
     Raises:
         MapsError: naming what is missing or wrong.
@@ -113,7 +121,7 @@ def read_map(path: Path, name: str, channels: int, codes: dict[str, str]) -> Ten
     if image.shape[2] != channels:
         image = image.mean(dim=2, keepdim=True).expand(*image.shape[:2], channels)
     if name == "normal":
-        return F.normalize(image * 2 - 1, dim=-1)
+        return _lifted(F.normalize(image * 2 - 1, dim=-1), path)
     if path.suffix.lower() != ".exr":
         transfer = codes.get(name, "linear").replace(" ", "")
         image = color.decode(image, transfer)  # type: ignore[arg-type]
@@ -131,7 +139,19 @@ def _from_strip(path: Path) -> SVBRDF:
     return SVBRDF("roughconductor", {
         "diffuse": color.decode(diffuse), "specular": color.decode(specular),
         "roughness": color.decode(roughness.mean(dim=2, keepdim=True)).clamp_min(1 / 512),
-        "normal": F.normalize(normal * 2 - 1, dim=-1)})
+        "normal": _lifted(F.normalize(normal * 2 - 1, dim=-1), path)})
+
+
+def _lifted(normal: Tensor, path: Path) -> Tensor:
+    """Unit normals, H x W x 3, those of a few texels that point into the surface turned just above it, and said."""
+    under = normal[..., 2:] < LOWEST_Z
+    count, texels = int(under.sum()), under.numel()
+    if not 0 < count <= FEW * texels:
+        return normal
+    warnings.warn(f"{path}: {count} of {texels} normals ({count / texels:.2%}) point into the surface; lifted just above it",
+                  MapsWarning, stacklevel=2)
+    raised = torch.cat((normal[..., :2], torch.full_like(normal[..., 2:], RAISED)), dim=-1)
+    return torch.where(under, F.normalize(raised, dim=-1), normal)
 
 
 def save_maps(svbrdf: SVBRDF, folder: str | Path, **about: object) -> None:

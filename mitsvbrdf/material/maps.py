@@ -97,8 +97,9 @@ class SVBRDF:
                 raise MapsError("finite values", f"{int(bad.sum())} NaN or infinite in {name}, first at "
                                 f"(row, column, channel) {tuple(bad.nonzero()[0].tolist())}", "mend or re-export the map")
             if name == "normal":
-                if (value[..., 2] <= 0).any():
-                    raise MapsError("normals with z > 0", "normals that point into the surface",
+                under = int((value[..., 2] <= 0).sum())
+                if under:
+                    raise MapsError("normals with z > 0", f"{under} of {value[..., 2].numel()} that point into the surface",
                                     "check that blue is z and the map is +Y up, tangent space")
                 length = value.norm(dim=-1)
                 if not bool(((length - 1).abs() <= UNIT).all()):
