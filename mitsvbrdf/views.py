@@ -168,6 +168,13 @@ class Views:
         return bool(torch.equal(self.camera, self.light))
 
 
+def shift_lights(views: Views, flash_offset: tuple[float, float] | None) -> Views:
+    """The views with every light moved sideways by this much, in patch sides."""
+    if flash_offset is None:
+        return views
+    return replace(views, light=views.light + views.light.new_tensor([*flash_offset, 0.0]) * views.size)
+
+
 def _finite(x: float) -> bool:
     return x == x and abs(x) != float("inf")
 

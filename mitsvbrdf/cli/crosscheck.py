@@ -88,7 +88,7 @@ def _materials(maps: str | None, resolution: int | None,
 
 
 def _with_offset(views: Views, offset: tuple[float, float] | None) -> Views:
-    from ..evaluate import shift_lights
+    from ..views import shift_lights
 
     if offset:
         say(f"with the flash offset of the fit, ({offset[0]:.3f}, {offset[1]:.3f}) patch sides")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -41,14 +43,17 @@ def evaluate(maps: Positional[Material],
     """Measure maps: against known maps (--reference) or against photos (--capture).
 
     Map RMSE is counted as in the field: diffuse and specular gamma-encoded, roughness as stored, normal as (n + 1) / 2.
-    Re-rendering RMSE is in display values clipped to [0, 1], over all pixels and photos. Burn-in is the share of a map's
-    variance that lies as the highlights of the fit's photos do (without a fit.json: of the photos given).
+    Re-rendering RMSE is in display values clipped to [0, 1], over all pixels. A photo that the fit saw has the view that the
+    fit ended with, which gives the numbers that the fit printed; photos left out have the calibration and the flash offset of
+    the fit. A line below has these for all, seen or not. Burn-in is the share of a map's variance that lies as the highlights
+    of the fit's photos do (without a fit.json: of the photos given).
 
     Photos left out of a fit have their own errors of calibration, which no fit can know. --refine-views also measures with the
     camera, flash and exposure of each photo moved to where they explain it best, within priors, and prints how far that was.
     """
     from ..calibrate.refine import Priors
-    from ..evaluate import evaluate_capture, evaluate_maps, placed
+    from ..evaluate import evaluate_maps, placed
+    from ..evaluate.photos import evaluate_photos
     from ..measure.burn_in import burn_in
     from ..measure.metrics import map_rmse
 
@@ -65,10 +70,8 @@ def evaluate(maps: Positional[Material],
         print_numbers("Map RMSE", found)
     elif capture is not None:
         fit = fit_of_maps(maps)
-        offset = fit.flash_offset if flash_offset == "fitted" else None
-        if offset:
-            say(f"with the flash offset of the fit, ({offset[0]:.3f}, {offset[1]:.3f}) patch sides; "
-                "--flash-offset none leaves it out")
+        if flash_offset == "none":
+            fit = replace(fit, flash_offset=None)
         transfer = fit.transfer or "auto" if transfer == "auto" else transfer
         chosen = photo_numbers(views)
         photos = read_photos(capture, resolution or svbrdf.resolution, None, transfer,
@@ -77,20 +80,33 @@ def evaluate(maps: Positional[Material],
         for note in shots.notes[len(photos.notes):]:
             say(note)
         shots = shots if chosen is None else shots.pick(chosen)
-        found = evaluate_capture(svbrdf, shots, make_renderer(renderer, variant), offset, Priors() if refine_views else None)
-        labels = [fit.label(shots, number) for number in shots.index]
-        for title, errors in (("", found), (" with refined views", found.get("refined"))):
-            if errors:
-                print_numbers("Re-rendering RMSE" + title,
-                              dict(zip(labels, errors["per_photo"].values())) | {"all": errors["rerender_rmse"]})
-        for name, view in found.get("refined", {}).get("views", {}).items():
-            say(f"photo {name}: {_moved(view['change'])}")
+        found, _ = evaluate_photos(svbrdf, fit, shots, make_renderer(renderer, variant), Priors() if refine_views else None)
+        labels = {name: fit.label(shots, number) for name, number in zip(shots.names, shots.index)}
+        _print_errors(found["views"], found, labels)
+        if found["fitted_views"]:
+            errors = found["calibrated"]
+            say(f"with {errors['views']}: " + ", ".join(f"{name} {error:.4f}" for name, error in _totals(errors).items()))
+        if found["refined"]:
+            _print_errors("views refined beside these maps", found["refined"], labels)
+            for name, view in found["refined"]["views"].items():
+                say(f"photo {name}: {_moved(view['change'])}")
         found["burn_in"] = burn_in(svbrdf, fit.views or shots.views)
         print_numbers("Burn-in (0 is best)", found["burn_in"])
     if json_file:
         files.write_json(json_file, found)
         say_written(json_file)
     return 0
+
+
+def _print_errors(views: str, errors: dict, labels: Mapping[str, str]) -> None:
+    each = {labels[name]: error for name, error in errors["per_photo"].items()}
+    print_numbers(f"Re-rendering RMSE, {views}", each | _totals(errors))
+
+
+def _totals(errors: dict) -> dict[str, float]:
+    """Over all photos; of photos seen and left out each its own, and none over both."""
+    apart = {"seen": errors["rmse_seen"], "left out": errors["rmse_left_out"]}
+    return {"all": errors["rerender_rmse"]} if None in apart.values() else apart
 
 
 def _moved(change: dict[str, float]) -> str:

@@ -140,7 +140,11 @@ def _say_finish(result: FitResult) -> None:
 
 def _say_result(result: FitResult, shots: Capture, before: int | None) -> None:
     """Errors, how it ended, how sure it is, and its warnings; ``before`` is the iteration gone on from."""
-    print_numbers("Re-rendering RMSE", dict(zip(shots.names, result.per_photo)) | {"all": result.rerender_rmse})
+    moved = result.calibrated_rmse is not None
+    print_numbers(f"Re-rendering RMSE{', views as fitted' if moved else ''}",
+                  dict(zip(shots.names, result.per_photo)) | {"all": result.rerender_rmse})
+    if moved:
+        say(f"with the calibrated views and the flash offset found: {result.calibrated_rmse:.4f}")
     if result.profile:
         print_profile(result.profile)
     if result.stopped == "interrupted":

@@ -38,7 +38,7 @@ def render(maps: Positional[Material], out: Out, views: ViewSource = "builtin:gr
                                                                      "instead of its own (paper IV.B).")] = "fitted",
            variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
     """Render maps for the views of a capture: OUT/NN.png (display values) and NN.exr (linear)."""
-    from ..evaluate import shift_lights
+    from ..views import shift_lights
 
     svbrdf, fit = material_of(maps), fit_of_maps(maps)
     if diffuse == "guessed":

@@ -13,8 +13,8 @@ from ..material.maps import SVBRDF
 from ..measure.metrics import map_rmse
 from ..measure.rerender import rerender
 from ..render import Renderer, make_renderer
-from ..views import Views
-from .placement import placed, shift_lights
+from ..views import Views, shift_lights
+from .placement import placed
 
 
 def evaluate_maps(svbrdf: SVBRDF, material: str | Path) -> dict[str, float]:

@@ -14,14 +14,7 @@ from ..fit.record import SavedFit
 from ..material.maps import SVBRDF
 from ..measure.rerender import rerender
 from ..render import Renderer
-from ..views import Views
-
-
-def shift_lights(views: Views, flash_offset: tuple[float, float] | None) -> Views:
-    """The views with every light moved sideways by this much, in patch sides."""
-    if flash_offset is None:
-        return views
-    return replace(views, light=views.light + torch.tensor([*flash_offset, 0.0], dtype=torch.float64) * views.size)
+from ..views import shift_lights
 
 
 def placed(capture: Capture, fit: SavedFit) -> Capture:

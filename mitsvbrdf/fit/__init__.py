@@ -6,11 +6,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import torch
+from torch import Tensor
+
 from ..capture import Capture
 from ..errors import ConfigError
+from ..material.maps import SVBRDF
 from ..measure.rerender import rerender
 from ..render import Renderer
 from ..system.profile import profile_summary, profiled
+from ..views import Views, shift_lights
 from .confidence import deviations
 from .config import DirectConfig, FitConfig, HierarchicalConfig, HybridConfig
 from .gan_config import GanConfig
@@ -72,12 +77,25 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     offset = moved.mean(dim=0)[:2].tolist() if method.fits_offset else None
     result = FitResult(
         svbrdf=svbrdf, views=views, guess=task.guess, rerendered=images, rerender_rmse=total, per_photo=each,
+        calibrated_rmse=_calibrated_rmse(svbrdf, views, capture, renderer, moved.mean(dim=0), told),
         trace=loop.trace, config=config, renderer=renderer.name, variant=renderer.variant,
         left_out=tuple(left_out(task, views)), used=tuple(used(task)), stopped=stopped, undone=tuple(loop.undone),
         restarts=tuple(loop.restarts), deviations=spreads,
         flash_offset=tuple(offset) if offset else None, profile=profile_summary(),
         calibration=views_record(capture, views, task.estimated, *method.views_deviation, told))
     return replace(result, warnings=(*capture.notes[len(stated):], *fit_warnings(result, capture)))
+
+
+def _calibrated_rmse(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Renderer, offset: Tensor,
+                     told: float | None) -> float | None:
+    """The error with stated views and what all photos share; None where the fit moved no view by itself, or none is stated."""
+    given = capture.views
+    x, y = (offset[:2] / given.size).tolist()
+    stated = replace(shift_lights(given, (x, y)), intensity=given.intensity * (told or 1.0))
+    pairs = ((stated.camera, views.camera), (stated.light, views.light), (stated.intensity, views.intensity))
+    if not capture.calibrated or all(torch.allclose(one, other.to(one.dtype), rtol=1e-6) for one, other in pairs):
+        return None
+    return rerender(renderer, svbrdf, stated, capture)[1]
 
 
 def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint: Path,

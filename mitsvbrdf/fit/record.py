@@ -30,6 +30,7 @@ SCHEMA_VERSION = 1
 # What a page needs of fit.json, as types; {str: X} is an object of X, [X] a list of X.
 _SHAPE = {
     "method": str, "renderer": str, "bsdf": str, "rerender_rmse": NUMBER, "per_photo": {str: NUMBER},
+    "calibrated_rmse": (*NUMBER, type(None)),
     "confidence": {str: {"median_sd": NUMBER, "determined_share": NUMBER}}, "burn_in": {str: NUMBER}, "warnings": [str],
     "stopped": str, "undone_steps": int, "undone": [{"iteration": int, "reason": str}],
     "restarts": [{"iteration": int, "reason": str}], "seconds": NUMBER, "iterations": int, "seed": int,
@@ -178,7 +179,7 @@ def _missing(fit: SavedFit) -> str:
     """What the record lacks for a page; empty text where it is whole."""
     if fit.record.get("schema_version") != SCHEMA_VERSION:
         return "schema_version"
-    if wrong := misfit({"used": [], **fit.record}, _SHAPE):  # older records have no `used`
+    if wrong := misfit({"used": [], "calibrated_rmse": None, **fit.record}, _SHAPE):  # older records lack these
         return wrong
     whole = (fit.names == [f"{number:02d}" for number in fit.seen]
              and fit.views is not None and len(fit.views) == len(fit.names) > 0
@@ -221,7 +222,7 @@ def _record(result: FitResult, capture: Capture, command: dict) -> dict:
         "method": method_name(result.config),
         "renderer": result.renderer, "variant": result.variant, "bsdf": result.svbrdf.bsdf,
         "rerender_rmse": result.rerender_rmse,
-        "per_photo": dict(zip(capture.names, result.per_photo)),
+        "per_photo": dict(zip(capture.names, result.per_photo)), "calibrated_rmse": result.calibrated_rmse,
         "confidence": confidence(result.deviations), "burn_in": burn_in(result.svbrdf, views),
         "warnings": list(result.warnings),
         "stopped": result.stopped, "undone_steps": len(result.undone), "undone": list(result.undone),

@@ -28,6 +28,8 @@ class FitResult:
         rerendered: linear radiance N x R x R x 3 of the photos used.
         rerender_rmse: over these photos, in display values clipped to [0, 1].
         per_photo: the same for each photo.
+        calibrated_rmse: the same with the stated views and ``flash_offset`` instead; None where these are ``views``, or no
+            views were stated.
         trace: one dict a measurement: seconds, iteration, each loss, rerender_rmse.
         config: the settings.
         renderer: the name of the renderer; ``variant`` its Mitsuba variant or None.
@@ -69,6 +71,7 @@ class FitResult:
     used: tuple[tuple[str, str], ...] = ()
     look: SVBRDF | None = None
     finish: dict | None = None
+    calibrated_rmse: float | None = None
 
     def __repr__(self) -> str:
         return (f"FitResult({method_name(self.config)}, {self.svbrdf!r}, re-rendering RMSE {self.rerender_rmse:.4f}, "
@@ -83,11 +86,12 @@ def result_html(result: FitResult) -> str:
     """Error and why the fit ended, maps, guessed diffuse map, at most nine re-rendered photos, and warnings, as HTML."""
     end = result.trace[-1] if result.trace else {}
     took = f" after {end['seconds']:.1f} s, {end['iteration']} iterations" if {"seconds", "iteration"} <= set(end) else ""
+    stated = "" if result.calibrated_rmse is None else f" with views as fitted, {result.calibrated_rmse:.4f} as calibrated"
     again = [(f"#{number} · {error:.4f}", uri_of(color.to_display(image, "srgb")))
              for number, (image, error) in enumerate(zip(result.rerendered[:SHOWN], result.per_photo), 1)]
     return html_of(f"FitResult · {method_name(result.config)} · {result.renderer} · {result.svbrdf.bsdf}",
                  [("Maps", maps_html(result.svbrdf) + [("Guessed diffuse", uri_of(shown_map("diffuse", result.guess)))]),
                   ("Re-rendered, in sRGB, with the RMSE in display values", again)],
-                 [f"re-rendering RMSE {result.rerender_rmse:.4f} over {count_words(len(result.per_photo))}; "
+                 [f"re-rendering RMSE {result.rerender_rmse:.4f} over {count_words(len(result.per_photo))}{stated}; "
                   f"stopped: {result.stopped}{took}", *filter(None, [about_views(result.calibration)])],
                  [f"warning: {warning}" for warning in result.warnings])

@@ -156,9 +156,10 @@ def print_profile(profile: dict) -> None:
 
 
 def print_numbers(title: str, numbers: dict[str, float]) -> None:
-    """A small table of named numbers."""
-    table = Table(title=title, title_justify="left", show_header=False)
+    """A small table of named numbers, under a line that may be longer than it is wide."""
+    table = Table(show_header=False)
     for name, value in numbers.items():
         table.add_row(name, f"{value:.4f}")
     with contextlib.suppress(BrokenPipeError):
+        console.print(title, style="italic", markup=False, soft_wrap=True)
         console.print(table)

@@ -15,7 +15,8 @@ from helpers import ANALYTIC, GRID, photos_of
 
 from mitsvbrdf import cli
 from mitsvbrdf.capture import read_capture, write_capture
-from mitsvbrdf.evaluate.compare import Entry, compare, fitted_views
+from mitsvbrdf.evaluate.compare import Entry, compare
+from mitsvbrdf.evaluate.photos import fitted_views
 from mitsvbrdf.fit.record import SavedFit
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
@@ -148,7 +149,23 @@ def test_evaluate_finds_the_same_figures(compared, shots):
         assert cli.main([*common, "--capture", str(shots[0].source), "--renderer", "analytic", "--resolution", str(SIDE)]) == 0
         alone = json.loads(found.read_text())
         for name in ("rerender_rmse", "per_photo"):
-            assert method["calibrated"][name] == pytest.approx(alone[name], rel=1e-6)
+            assert method[name] == pytest.approx(alone[name], rel=1e-6)
+            assert method["calibrated"][name] == pytest.approx(alone["calibrated"][name], rel=1e-6)
+
+
+def test_evaluate_says_seen_and_left_out_apart_with_the_views_of_each(compared, shots, capsys):
+    folder, record, _, _ = compared
+    assert cli.main(["evaluate", str(folder / "fit"), "--capture", str(shots[0].source), "--renderer", "analytic",
+                     "--resolution", str(SIDE)]) == 0
+    said = capsys.readouterr().out.split("Burn-in")[0]
+    fitted, stated = said.split("with calibrated views: ")
+    assert fitted.startswith("Re-rendering RMSE, views as fitted for 00, 01, the others with the calibration\n")
+    *each, seen, left = (float(word) for word in re.findall(r"\d\.\d{4}", fitted))
+    # Printed are 4 digits, so each number is off by 5e-5 at most.
+    assert seen == pytest.approx(np.sqrt(np.mean(np.square(each[:2]))), abs=1e-4) and left == each[2] and "all" not in fitted
+    (method, *_) = record["methods"]
+    assert [float(word) for word in re.findall(r"\d\.\d{4}", stated)] == pytest.approx(
+        [method["calibrated"]["rmse_seen"], method["rmse_left_out"]], abs=5e-5)
 
 
 def test_the_page_shows_what_was_measured(compared, shots):

@@ -9,6 +9,7 @@ from helpers.hierarchical_fits import SIDE, left_alone
 
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture
+from mitsvbrdf.evaluate import evaluate_fit
 from mitsvbrdf.fit import DirectConfig, HierarchicalConfig, fit_svbrdf
 from mitsvbrdf.fit.hierarchical import stages
 from mitsvbrdf.fit.hierarchical.stages import Stage
@@ -103,3 +104,5 @@ def test_flash_beside_the_lens_is_found(name, phone):
     fixed = fit_svbrdf(shots, MITSUBA, HierarchicalConfig(flash_offset=False, calibrate=False))
     assert fixed.flash_offset is None and torch.equal(fixed.views.light, shots.views.light)
     assert result.rerender_rmse < fixed.rerender_rmse
+    assert fixed.calibrated_rmse is None  # it moved no view
+    assert result.calibrated_rmse == pytest.approx(evaluate_fit(result, shots)["rerender_rmse"], rel=1e-5)
