@@ -6,10 +6,13 @@ import math
 import statistics
 from collections.abc import Iterator, Sequence, Sized
 
+import torch.nn.functional as F
+from torch import Tensor
+
 from ..capture import Capture
 from ..color import CLIPPED
 from ..measure.burn_in import burn_in
-from .confidence import confidence
+from .confidence import DETERMINED, confidence
 from .config import HybridConfig
 from .fixed_maps import described
 from .gan_config import GanConfig
@@ -23,6 +26,12 @@ GAIN = 1.25  # photos over re-rendering, or the other way round; 0.93 to 1.01
 USABLE = 0.1  # share of the pixels that must be neither dark nor clipped, to speak of a gain
 WHITE, WHITE_SHARE = 0.97, 0.1  # diffuse albedo, and the share of texels that may have it; ten had 0, two 0.3 and more
 FAINT = 0.015  # F0, median; eleven had 0.0156 and more, one 0.013. Water has 0.02, and nothing known less
+# Median F0 beyond an ordinary non-metal's (0.02 to 0.08), and the share of it that must be determined to believe that; of
+# eighteen fits to seven photos one had 0.31 with a fifth of it determined, the others 0.1 and less, or were determined.
+STRONG, HARDLY = 0.1, 0.5
+MORE_SHARE = 0.1  # share of the texels that may reflect more than arrives; three of the eighteen had 0.28 to 0.55, the rest 0
+ASIDE = 0.05  # patch sides from the middle that count as beside it
+COARSE = 64  # pixels a side at which photos are compared with each other; the closest two of the eighteen are 4.6 / 255 apart
 WORSE = 2.5  # times the median error of a photo; 1.1 to 2.3
 POOR = 0.1  # re-rendering RMSE
 BURNT_IN = 0.3  # share of specular or roughness that lies as the highlights do; ten had up to 0.18, the two of wood 0.4 to 0.74
@@ -35,6 +44,7 @@ def fit_warnings(result: FitResult, capture: Capture) -> Iterator[str]:
     """Warnings about the photos, the calibration and the fit, one sentence each."""
     yield from about_photos(capture)
     yield from _light(result, capture)
+    yield from _implausible(result)
     yield from _errors(result, capture)
     yield from _burnt_in(result)
     if result.trace[-1]["iteration"] == 0:
@@ -67,6 +77,20 @@ def about_photos(capture: Capture) -> Iterator[str]:
         yield "one photo: specular, roughness and normals are hardly determined; take more from other places"
     elif float((photos - photos.mean(dim=0)).square().mean().sqrt()) < ALIKE:
         yield "the photos are all alike: no highlight moves, so specular, roughness and normals are hardly determined"
+    else:
+        yield from _twice(capture)
+
+
+def _twice(capture: Capture) -> Iterator[str]:
+    """Pairs of photos that are the same picture; of many copies of one, each beside the first."""
+    small = F.adaptive_avg_pool2d(capture.photos.permute(0, 3, 1, 2), min(COARSE, capture.resolution)).flatten(1)
+    named: set[int] = set()
+    for first in range(len(capture)):
+        for second in range(first + 1, len(capture)):
+            if second not in named and float((small[first] - small[second]).square().mean().sqrt()) < ALIKE:
+                named.add(second)
+                yield (f"photos {capture.names[first]} and {capture.names[second]} are the same picture: leave one out with "
+                       "--views, and take another from elsewhere")
 
 
 def _light(result: FitResult, capture: Capture) -> Iterator[str]:
@@ -84,6 +108,30 @@ def _light(result: FitResult, capture: Capture) -> Iterator[str]:
     specular, sure = float(material["specular"].median()), confidence(result.deviations).get("specular")
     if sure and sure["determined_share"] > 0.25 and specular < FAINT:
         yield f"specular of {specular:.2g} is below that of any known material: the light may be weaker than stated"
+
+
+def _implausible(result: FitResult) -> Iterator[str]:
+    """Maps that no usual material has, and what would tell more."""
+    material, fixed = result.svbrdf.as_roughconductor(), described(result.config.fix)
+    spread = result.deviations.get("specular")
+    if spread is not None and "specular" not in fixed:
+        unsure = spread.square().mean(dim=-1).sqrt() >= DETERMINED
+        level, share = float(material["specular"].median()), 1 - float(unsure.float().mean())
+        if level > STRONG and share < HARDLY:
+            yield (f"median specular (F0) of {level:.2g}, {share:.0%} of it determined: a metal's, or a guess. Add a photo "
+                   f"with its highlight {_place(unsure)}, or --fix specular=0.04 where it is no metal")
+    if not {"diffuse", "specular"} & set(fixed):
+        more = float(((material["diffuse"] + material["specular"]).amax(dim=-1) > 1).float().mean())
+        if more > MORE_SHARE:
+            yield (f"{more:.0%} of the texels reflect more than arrives (diffuse + specular above 1): the light may be "
+                   "stronger than stated, or try --fix specular=0.04 where it is no metal")
+
+
+def _place(mask: Tensor) -> str:
+    """Where the centre of a mask (R x R, row 0 at the top) lies on the patch, in words."""
+    down, right = ((mask.nonzero().double().mean(dim=0) + 0.5) / len(mask) - 0.5).tolist()
+    words = ["top" if down < 0 else "bottom"] * (abs(down) > ASIDE) + ["left" if right < 0 else "right"] * (abs(right) > ASIDE)
+    return f"at the {' '.join(words)} of the patch" if words else "where none is yet"
 
 
 def _errors(result: FitResult, capture: Capture) -> Iterator[str]:

@@ -60,6 +60,52 @@ def test_dark_photos(fitted, leather):
     assert any("nearly black" in warning for warning in fit_warnings(fitted, dark))
 
 
+def with_maps(fitted, fix=(), spread=None, **values):
+    """The fit with constant maps, and a standard deviation of specular for each texel."""
+    maps = {name: torch.full_like(fitted.svbrdf[name], value) for name, value in values.items()}
+    spread = torch.full((SIDE, SIDE, 3), 0.2) if spread is None else spread
+    return dataclasses.replace(fitted, svbrdf=SVBRDF("roughconductor", dict(fitted.svbrdf.maps) | maps),
+                               deviations=dict(fitted.deviations) | {"specular": spread},
+                               config=dataclasses.replace(fitted.config, fix=fix))
+
+
+@pytest.mark.parametrize("rows, columns, place", [
+    (slice(0, 16), slice(0, 16), "where none is yet"), (slice(0, 16), slice(3, 16), "at the right of the patch"),
+    (slice(0, 12), slice(0, 12), "at the top left of the patch"), (slice(4, 16), slice(0, 16), "at the bottom of the patch")])
+def test_a_strong_specular_that_hardly_anything_determines(rows, columns, place, fitted, leather):
+    spread = torch.full((SIDE, SIDE, 3), 0.01)
+    spread[rows, columns] = 0.2
+    share = 1 - (rows.stop - rows.start) * (columns.stop - columns.start) / SIDE**2
+    (said,) = [warning for warning in fit_warnings(with_maps(fitted, spread=spread, diffuse=0.2, specular=0.28), leather)
+               if warning.startswith("median specular")]
+    assert f"of 0.28, {share:.0%} of it determined" in said and f"highlight {place}," in said and "--fix specular=0.04" in said
+
+
+def test_a_specular_that_is_usual_determined_or_given_is_no_doubt(fitted, leather):
+    sure = torch.full((SIDE, SIDE, 3), 0.01)
+    for found in (with_maps(fitted, diffuse=0.2, specular=0.28, spread=sure), with_maps(fitted, diffuse=0.2, specular=0.05),
+                  with_maps(fitted, ("specular=0.28",), diffuse=0.2, specular=0.28)):
+        assert not any("median specular" in warning for warning in fit_warnings(found, leather))
+
+
+def test_texels_that_reflect_more_than_arrives(fitted, leather):
+    bright = [warning for warning in fit_warnings(with_maps(fitted, diffuse=0.8, specular=0.3), leather)
+              if "100% of the texels reflect more than arrives" in warning]
+    assert len(bright) == 1
+    for found in (with_maps(fitted, diffuse=0.6, specular=0.3), with_maps(fitted, ("diffuse=0.8",), diffuse=0.8, specular=0.3)):
+        assert not any("more than arrives" in warning for warning in fit_warnings(found, leather))
+
+
+def test_photos_that_are_the_same_picture(fitted, leather):
+    copied = leather.photos.clone()
+    copied[6] = copied[2] + 0.5 / 255  # written anew, say
+    copied[7] = copied[2]
+    said = [warning.split(" are the same picture")[0] for warning in
+            fit_warnings(fitted, dataclasses.replace(leather, photos=copied)) if "same picture" in warning]
+    assert said == ["photos 02 and 06", "photos 02 and 07"]
+    assert not any("same picture" in warning for warning in fit_warnings(fitted, leather))
+
+
 def played(fitted, config, losses):
     trace = [{"iteration": 10 * n, "seconds": 1.0 * n, "rerender_rmse": 0.05} | ({"discriminator": loss} if n else {})
              for n, loss in enumerate([0.0, *losses])]
@@ -80,11 +126,11 @@ def test_a_discriminator_that_is_sure(config, words, fitted, leather):
 
 @pytest.mark.parametrize("game", ["bce", "hinge", "relativistic"])
 def test_games_that_are_lost_and_games_that_are_not(game, leather):
-    # Photos of noise, which no generator that stands still comes near: measured losses
-    # of 0.001 to 0.005, or 0 (hinge). A fair game at the start: 0.69, or 1.
+    # Photos of noise, which no generator that stands still comes near: measured losses after 200 iterations, three seeds,
+    # 0.0001 to 0.0014, or 0 (hinge); after 80 still 0.02 on some processors. A fair game at the start: 0.67 to 0.69, or 0.99.
     noise = torch.rand(leather.photos.shape, generator=torch.Generator().manual_seed(0))
-    config = GanConfig(game=game, paired=False, width=4, pictures=2, discriminator_rate=0.02, iterations=80)
+    config = GanConfig(game=game, paired=False, width=4, pictures=2, discriminator_rate=0.02, iterations=200)
     lost = fit_svbrdf(Capture(noise, GRID), ANALYTIC, dataclasses.replace(config, learning_rate=1e-9))
-    fair = fit_svbrdf(leather, ANALYTIC, dataclasses.replace(config, discriminator_rate=1e-3))
+    fair = fit_svbrdf(leather, ANALYTIC, dataclasses.replace(config, discriminator_rate=1e-3, iterations=80))
     said = [any("almost surely" in warning for warning in result.warnings) for result in (lost, fair)]
     assert said == [True, False]
