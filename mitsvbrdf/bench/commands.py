@@ -16,11 +16,19 @@ def commands(record: Mapping) -> list[str]:
     for suite, options in {"renderers": _renderers, "methods": _fits, "ablation": _fits, "gan": _fits, "capture": _capture,
                            "schedule": _schedule, "steps": _steps, "sheets": _sheets}.items():
         here = [r for r in record["records"] if r["suite"] == suite]
-        if here:
-            quick = " --quick" if record["settings"]["quick"] else ""
-            made.append(f"mitsvbrdf bench --suite {suite}{quick} {options(record['settings'], here)}"
-                        f"{_left_out(record['settings'])}")
+        quick = " --quick" if record["settings"]["quick"] else ""
+        made += [f"mitsvbrdf bench --suite {suite}{quick} {options(record['settings'], alike)}{_left_out(record['settings'])}"
+                 for alike in _alike(here)]
     return made
+
+
+def _alike(here: Sequence[Mapping]) -> list[list[Mapping]]:
+    """The records of a suite, those of long runs apart by size, width and iterations: one command each."""
+    groups: dict[tuple, list[Mapping]] = {}
+    for r in here:
+        own = (r["config"]["resolution"], r["config"]["width"], r["iterations"]) if r["suite"] == "schedule" else ()
+        groups.setdefault(own, []).append(r)
+    return list(groups.values())
 
 
 def _renderers(settings: Mapping, here: Sequence[Mapping]) -> str:

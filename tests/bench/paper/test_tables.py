@@ -4,7 +4,7 @@ import shlex
 
 import pytest
 from helpers.bench_records import benchmark
-from helpers.gan_records import WHOLE, fitted
+from helpers.gan_records import OF_PHOTOS, SCHEDULE, WHOLE, fitted
 
 from mitsvbrdf import cli
 from mitsvbrdf.bench.commands import commands
@@ -90,6 +90,14 @@ def test_a_schedule_ends_with_its_result_and_its_last_state():
     assert rows[title + "result"] == ["0.1200", "0.2400", "0.3600", "0.4800", "0.3000", "0.1000", "0.1000", "900"]
     assert rows[title + "last"][4] == "0.3000"
     assert cells(real)[title.replace(" a,", " c,") + "last"] == ["0.1100", "0.1300", "900"]
+
+
+def test_long_runs_of_several_sizes_have_a_command_each():
+    other = OF_PHOTOS | {"config": OF_PHOTOS["config"] | {"resolution": 32}}
+    made = [line for line in commands(benchmark([SCHEDULE, OF_PHOTOS, other])) if "schedule" in line]
+    assert [line.split("--materials ")[1].split(" --seeds")[0] for line in made] == [
+        f"{who} --methods gan-two-stage --iterations 200 --schedule-size {side} --schedule-width 16"
+        for who, side in (("a --captures c", 64), ("none --captures c", 32))]
 
 
 def test_iterations_stand_side_by_side():
