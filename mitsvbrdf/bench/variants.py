@@ -15,6 +15,7 @@ FULL = "full"  # the method as it is, among its variants
 # An ingredient of the default method that is off -> the settings that take it away.
 VARIANTS: dict[str, dict[str, object]] = {
     "one basis material": {"materials": 1},
+    "own numbers integrated out": {"integrated": True},
     "no neighbours as starts": {"neighbours": False},
     "sharing not enforced": {"spread": 10.0},  # deviations as large as expectation-maximisation finds them
     "relief 5 times as deep": {"relief": 0.1},

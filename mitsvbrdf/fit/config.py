@@ -113,6 +113,8 @@ class HierarchicalConfig(FitConfig):
     """Pixels farther from a highlight than so many lobe widths count less at 64 px, in such photos; 0 counts all alike."""
     independent: bool = True
     """Whether specular and roughness are kept from following where the photos' highlights were, in such photos."""
+    integrated: bool = False
+    """Whether look-alikes share what texels say with their own slopes and diffuse colours integrated out, not maximised."""
     neighbours: bool = True
     """Whether texels try their neighbours' answers as starts."""
     calibrate: bool | None = None

@@ -33,6 +33,7 @@ from ..method import Method
 from ..start import robust_start
 from ..task import FitTask
 from .highlights import independent, trust
+from .marginal import integrated
 from .moved_views import LEVELLED, REFINED, MovedViews
 from .scales import Scale, Scales
 from .solver import Observations
@@ -165,8 +166,17 @@ class Hierarchical(Method[HierarchicalConfig]):
         if scale.free:
             self.answer = self.ties.loosen(answer, variance)
         else:
-            self.answer = self.ties.share(answer, variance, scale.member, self.stages.tied,
-                                          lambda planes: self.independent(planes, scale, answer))
+            shared = self.ties.share(answer._replace(x=self._evidence()), variance, scale.member, self.stages.tied,
+                                     lambda planes: self.independent(planes, scale, answer))
+            self.answer = shared._replace(x=answer.x)
+
+    def _evidence(self) -> Tensor:
+        """What texels say of what they share: their answers, or those with their own numbers integrated out."""
+        scale, answer, ties = self.scale, self.answer, self.ties
+        if not self.config.integrated:
+            return answer.x
+        return integrated(scale.solver, self.observations(scale, answer), answer.x, answer.precision + LEAST_PRECISION,
+                          ties.shared, ties.low, ties.high)
 
     def observations(self, scale: Scale, answer: Answer) -> Observations:
         """The photos; while texels are tied to look-alikes, pixels near highlights count most."""
