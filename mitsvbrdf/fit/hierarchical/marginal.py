@@ -7,8 +7,8 @@ roughness. Beside thousands of such numbers the few that are shared come out wro
     int exp(-cost / 2) dy  ~  exp(-cost / 2) |H_yy|^(-1/2),    H = J^T W J + precision,
 
 adds log |H_yy| to the cost, and that moves the maximum of the rest by -V grad log |H_yy| / 2, V = H^-1: the first-order
-correction of Cox and Snell 1968 and Firth 1993. It grows with the square of the noise, so it takes the noise that is seen, which
-is less than the noise that texels are allowed.
+correction of Cox and Snell 1968 and Firth 1993. It grows with the square of the noise, so it takes the noise that is seen,
+which is less than the noise that texels are allowed.
 """
 
 from __future__ import annotations
