@@ -62,8 +62,9 @@ def _table(record: dict) -> list[dict]:
     """Groups of rows: what was measured, its value for each method, and whether the values were counted alike."""
     methods, groups = record["methods"], []
 
-    def row(name: str, values: list[float], alike: bool = True) -> dict:
-        return {"name": name, "values": values, "best": min(values) if alike and len(values) > 1 else None}
+    def row(name: str, values: list[float | None], alike: bool = True) -> dict:
+        known = [value for value in values if value is not None]
+        return {"name": name, "values": values, "best": min(known) if alike and len(known) > 1 else None}
 
     if record["reference"] is not None:
         groups.append({"title": "Map RMSE", "rows": [row(TITLES.get(name, name), [m["map_rmse"][name] for m in methods])
@@ -72,6 +73,9 @@ def _table(record: dict) -> list[dict]:
     calibrated = not any(m["fitted_views"] for m in methods)
     alike = calibrated and unmoved
     rows = [row("all photos, as pictured", [m["rerender_rmse"] for m in methods], alike)]
+    if any(m["left_out"] for m in methods):  # never all with all: each fit's photos are its own
+        rows.append(row("those that the fit saw, as pictured", [m["rmse_seen"] for m in methods], alike=False))
+        rows.append(row("those that the fit did not see", [m["rmse_left_out"] for m in methods], alike=False))
     if not calibrated:
         rows.append(row("all, calibration and flash offset", [m["calibrated"]["rerender_rmse"] for m in methods], unmoved))
     if methods[0]["refined"]:

@@ -198,6 +198,10 @@ def test_the_table_has_every_figure(compared):
         for key in path:
             values = [value[key] for value in values]
         assert page.values(row) == [round(value, 4) for value in values]
+    seen, left = methods[0]["rmse_seen"], methods[0]["rmse_left_out"]  # of the fit; the maps beside it saw nothing
+    assert seen == pytest.approx(np.sqrt(np.mean([methods[0]["per_photo"][name] ** 2 for name in ("00", "01")])))
+    for title, value in (("those that the fit saw, as pictured", seen), ("those that the fit did not see", left)):
+        assert re.search(rf"{title}</th><td>{value:.4f}</td><td>–</td>", page.text)
     # Marked is the smallest where views were the same: four maps, their mean, and two rows over all photos.
     rows = [re.findall(r'<td( class="best")?>([0-9.]+)</td>', row) for row in page.text.split("<tr>")]
     marked = [row for row in rows if any(best for best, _ in row)]
