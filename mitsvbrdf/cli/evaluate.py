@@ -90,6 +90,8 @@ def evaluate(maps: Positional[Material],
             _print_errors("views refined beside these maps", found["refined"], labels)
             for name, view in found["refined"]["views"].items():
                 say(f"photo {name}: {_moved(view['change'])}")
+        else:
+            del found["refined"]  # not asked for
         found["burn_in"] = burn_in(svbrdf, fit.views or shots.views)
         print_numbers("Burn-in (0 is best)", found["burn_in"])
     if json_file:
