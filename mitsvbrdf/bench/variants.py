@@ -19,6 +19,7 @@ VARIANTS: dict[str, dict[str, object]] = {
     "no neighbours as starts": {"neighbours": False},
     "sharing not enforced": {"spread": 10.0},  # deviations as large as expectation-maximisation finds them
     "relief 5 times as deep": {"relief": 0.1},
+    "detail believed alike in all photos": {"noise": 0.03},
     "no freedom at full size": {"own": 0.0},
     "all pixels alike at 64 px": {"tails": 0.0},
     "burn-in not taken out": {"independent": False},

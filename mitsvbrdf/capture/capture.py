@@ -11,7 +11,7 @@ from torch import Tensor
 
 from .. import color
 from ..errors import CaptureError
-from ..material.resample import area_averaged
+from ..material.resample import area_averaged, sampled
 from ..pages.notebook import SHOWN, count_words, html_of, point_words, uri_of
 from ..views import Views
 
@@ -86,8 +86,7 @@ class Capture:
 
     def sampled(self, resolution: int) -> Capture:
         """Every k-th pixel of the photos, the middle one, for the greatest k that leaves at least ``resolution`` a side."""
-        step = max(1, self.resolution // resolution)
-        return replace(self, photos=self.photos[:, step // 2::step, step // 2::step].contiguous())
+        return replace(self, photos=sampled(self.photos.movedim(-1, 1), resolution).movedim(1, -1).contiguous())
 
     def pick(self, index: Sequence[int]) -> Capture:
         """The photos with these numbers (as in :attr:`index`), in this order.

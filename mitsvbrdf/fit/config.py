@@ -13,7 +13,7 @@ from . import losses
 from .fixed_maps import stated_maps
 
 POSITIVE = ("budget", "iterations", "width", "learning_rate", "normal_roughness_steps", "materials", "likeness",
-            "spread", "relief", "pictures", "discriminator_rate")
+            "spread", "relief", "noise", "pictures", "discriminator_rate")
 
 
 def check_seed(seed: int) -> None:
@@ -115,6 +115,9 @@ class HierarchicalConfig(FitConfig):
     """Whether specular and roughness are kept from following where the photos' highlights were, in such photos."""
     integrated: bool = False
     """Whether look-alikes share what texels say with their own slopes and diffuse colours integrated out, not maximised."""
+    noise: float | None = None
+    """Of photos that do not follow the model, at full size: standard deviation of display values, above 0; the higher, the less
+    detail of specular, roughness and normals is believed. None finds it by predicting each photo from the others."""
     neighbours: bool = True
     """Whether texels try their neighbours' answers as starts."""
     calibrate: bool | None = None

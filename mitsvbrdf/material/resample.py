@@ -24,6 +24,12 @@ def enlarged(planes: Tensor, side: int) -> Tensor:
     return F.interpolate(planes[None], (side, side), mode="bilinear", align_corners=False)[0].contiguous()
 
 
+def sampled(planes: Tensor, side: int) -> Tensor:
+    """Every k-th row and column of planes (... x R x R), the middle one, for the greatest k that leaves at least ``side``."""
+    step = max(1, planes.shape[-1] // side)
+    return planes[..., step // 2::step, step // 2::step].contiguous()
+
+
 def _interpolated(images: Tensor, side: int, **how: Any) -> Tensor:
     planes = images.movedim(-1, -3)
     found = F.interpolate(planes if planes.dim() == 4 else planes[None], (side, side), **how)

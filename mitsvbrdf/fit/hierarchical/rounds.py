@@ -20,6 +20,8 @@ explained from three starts, whose lobes are of very different width, and the mo
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -33,19 +35,20 @@ from ..method import Method
 from ..start import robust_start
 from ..task import FitTask
 from .highlights import independent, trust
+from .left_out import FEWEST, NOISES, least_as_good, prediction_errors
 from .marginal import integrated
 from .moved_views import LEVELLED, REFINED, MovedViews
 from .scales import Scale, Scales
 from .solver import Observations
-from .stages import Stage, Stages, unexplained
+from .stages import NOISE, Stage, Stages, unexplained
 from .starts import LESS, Rivals, other_starts, stepped
-from .ties import Answer, Ties
+from .ties import LEAST_PRECISION, Answer, Ties
 
 ROBUST = 3.0  # errors beyond so many times the noise count by their size alone
 ROBUST_END = 10.0  # the same at full size of photos of a phone, where no start is that far from its highlight any more
 STEPS, OTHER_STEPS = 6, 4  # Levenberg-Marquardt steps of a round, and of another start
 LAST_STEPS = 8  # and at the end
-LEAST_PRECISION = 1e-3  # added to that of the prior where variances are asked for
+AGREED = 4  # rounds in which texels forget a photo that is left out
 
 
 class Hierarchical(Method[HierarchicalConfig]):
@@ -95,7 +98,7 @@ class Hierarchical(Method[HierarchicalConfig]):
             cost = self.solve()
         self._move_views()
         with profiled("sharing"):
-            self._tie()
+            self.answer = self._tied(self.scale, self.observations(self.scale, self.answer), self.answer)
         return {"cost": float(cost)}
 
     def _begin_next_stage(self) -> None:
@@ -111,15 +114,41 @@ class Hierarchical(Method[HierarchicalConfig]):
             self.scale = self.scales.of(stage)
             self.answer = self.start()
         if stage == Stage.FINE:
-            self.scale, self.answer = self._at_full_size()
+            self.scale, self.answer = self._at_full_size(learn=True)
         self.stages.enter(stage)
 
-    def _at_full_size(self) -> tuple[Scale, Answer]:
-        """The present answer enlarged; texels that were tied are free there, and their look-alikes are asked no more."""
+    def _at_full_size(self, learn: bool = False) -> tuple[Scale, Answer]:
+        """The present answer enlarged; texels that were tied are free there, and their look-alikes are asked no more.
+
+        Args:
+            learn: learn first how far photos of a phone are to be believed there.
+        """
         fine = self.scales.of(Stage.FINE)
-        tied = not self.stages.exact
-        answer = self.ties.enlarge(self.answer, self.scale, fine, tied)
-        return (self.scales.of(Stage.FINE, free=True), self.ties.free(answer)) if tied else (fine, answer)
+        if self.stages.exact:
+            return fine, self.ties.enlarge(self.answer, self.scale, fine, False)
+        if learn:
+            with profiled("noise"):
+                self.stages.believe(self._noise_of_detail(fine))
+        return self.scales.of(Stage.FINE, free=True), self._freed(self.answer, fine)
+
+    def _freed(self, answer: Answer, fine: Scale) -> Answer:
+        return self.ties.free(self.ties.enlarge(answer, self.scale, fine, True))
+
+    def _noise_of_detail(self, fine: Scale) -> float:
+        """The noise of photos of a phone at full size: as asked for, or by which each is predicted well from the others."""
+        count = len(self.capture)
+        if self.config.noise is not None or count < FEWEST:
+            return self.config.noise or NOISE
+        scale, photos, starts = self.scale, self.observations(self.scale, self.answer), []
+        for others in (photos.without(k) for k in range(count)):
+            answer = self.answer
+            for _ in range(AGREED):
+                answer = self._tied(scale, others, answer._replace(x=stepped(scale.solver, others, answer, self.ties, STEPS).x))
+            free, some = self._freed(answer, fine), self.scales.sampled
+            starts.append(Answer(some(free.x), some(free.mean), some(free.precision), free.spread))
+        sharp = self.scales.of(Stage.ALONE)
+        photos = replace(self.observations(sharp, self.answer), robust=ROBUST_END * NOISE, noise=NOISE, weights=None)
+        return NOISES[least_as_good(prediction_errors(photos, sharp.solver, self.ties, starts, NOISES))]
 
     def _keep(self) -> None:
         """Remember the answer to this start, if it is the best so far."""
@@ -159,24 +188,17 @@ class Hierarchical(Method[HierarchicalConfig]):
                     self.answer, _ = self.ties.levelled(self.answer)
                 self.moved.refine(self.preview(), self.scale.capture)
 
-    def _tie(self) -> None:
-        """The prior of the next round, from what texels are seen to be."""
-        scale, answer = self.scale, self.answer
-        variance = scale.solver.variances(self.observations(scale, answer), answer.x, answer.precision + LEAST_PRECISION)
+    def _tied(self, scale: Scale, photos: Observations, answer: Answer) -> Answer:
+        """The answer with the prior of the next round, from what texels are seen to be."""
+        ties, precision = self.ties, answer.precision + LEAST_PRECISION
+        variance, says = scale.solver.variances(photos, answer.x, precision), answer.x
         if scale.free:
-            self.answer = self.ties.loosen(answer, variance)
-        else:
-            shared = self.ties.share(answer._replace(x=self._evidence()), variance, scale.member, self.stages.tied,
-                                     lambda planes: self.independent(planes, scale, answer))
-            self.answer = shared._replace(x=answer.x)
-
-    def _evidence(self) -> Tensor:
-        """What texels say of what they share: their answers, or those with their own numbers integrated out."""
-        scale, answer, ties = self.scale, self.answer, self.ties
-        if not self.config.integrated:
-            return answer.x
-        return integrated(scale.solver, self.observations(scale, answer), answer.x, answer.precision + LEAST_PRECISION,
-                          ties.shared, ties.low, ties.high)
+            return ties.loosen(answer, variance)
+        if self.config.integrated:
+            says = integrated(scale.solver, photos, says, precision, ties.shared, ties.low, ties.high)
+        shared = ties.share(answer._replace(x=says), variance, scale.member, self.stages.tied,
+                            lambda planes: self.independent(planes, scale, answer))
+        return shared._replace(x=answer.x)
 
     def observations(self, scale: Scale, answer: Answer) -> Observations:
         """The photos; while texels are tied to look-alikes, pixels near highlights count most."""

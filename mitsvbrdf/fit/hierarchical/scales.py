@@ -9,7 +9,7 @@ from functools import cached_property
 from torch import Tensor
 
 from ...capture import Capture
-from ...material.resample import area_averaged
+from ...material.resample import area_averaged, sampled
 from ..config import HierarchicalConfig
 from .appearance import appearance_of, basis_materials, membership
 from .solver import TexelSolver
@@ -71,6 +71,11 @@ class Scales:
         capture = self.captures[stage]
         guess = area_averaged(self.guess, capture.resolution)
         return Scale(capture, guess, self.solver(capture.resolution), self.basis, self.config.likeness, free)
+
+    @staticmethod
+    def sampled(planes: Tensor) -> Tensor:
+        """Planes of full size, ... x R x R, at the texels of the first stages' sampled photos."""
+        return sampled(planes, min(COARSE, planes.shape[-1]))
 
     def solver(self, side: int) -> TexelSolver:
         """The solver of so many texels a side, made once."""

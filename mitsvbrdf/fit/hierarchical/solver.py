@@ -9,7 +9,7 @@ that wants out is left out of the step of the others).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any, SupportsFloat
@@ -54,6 +54,15 @@ class Observations:
     noise: float
     robust: float | None = None
     weights: Tensor | None = None
+
+    def pick(self, rows: Sequence[int]) -> Observations:
+        """The photos of these rows."""
+        weights = None if self.weights is None else self.weights[rows].contiguous()
+        return replace(self, photos=self.photos[rows].contiguous(), views=self.views.pick(rows), weights=weights)
+
+    def without(self, row: int) -> Observations:
+        """All photos but one."""
+        return self.pick([k for k in range(len(self.photos)) if k != row])
 
 
 @dataclass(frozen=True)

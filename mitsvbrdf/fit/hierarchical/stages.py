@@ -57,6 +57,7 @@ class Stages:
         self.stage, self.rounds = Stage.ALONE, 0
         self.noise = torch.tensor(NOISE)
         self.unexplained = torch.full((2,), torch.nan)
+        self.detail = torch.tensor(NOISE)
 
     @property
     def exact(self) -> bool:
@@ -94,6 +95,10 @@ class Stages:
         """Learn what ALONE left unexplained (:func:`unexplained`), and so which kind of photos these are."""
         self.unexplained = left
 
+    def believe(self, noise: float) -> None:
+        """Learn the noise of photos of a phone at full size."""
+        self.detail = torch.tensor(noise)
+
     def enter(self, stage: Stage) -> None:
         """Begin a stage."""
         self.stage, self.rounds = stage, 0
@@ -117,17 +122,17 @@ class Stages:
             return max(LEAST_NOISE, NOISE * EASED**done)
         if self.exact:
             return max(LEAST_NOISE, UNTOLD * float(self.unexplained[1]), NOISE * EASED**(2 * done + 2))
-        return NOISE
+        return float(self.detail) if stage == Stage.FINE else NOISE
 
     def state(self) -> dict[str, Tensor]:
         """Everything :meth:`load_state` needs."""
-        return {"stage": torch.tensor([self.stage, self.rounds]), "noise": self.noise.clone(),
+        return {"stage": torch.tensor([self.stage, self.rounds]), "noise": self.noise.clone(), "detail": self.detail.clone(),
                 "unexplained": self.unexplained.nan_to_num(-1.0)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
         self.stage, self.rounds = Stage(int(state["stage"][0])), int(state["stage"][1])
-        self.noise = state["noise"].clone()
+        self.noise, self.detail = state["noise"].clone(), state["detail"].clone()
         self.unexplained = torch.where(state["unexplained"] < 0, torch.nan, state["unexplained"])
 
 

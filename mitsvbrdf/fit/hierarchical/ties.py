@@ -18,6 +18,7 @@ SHARED = ("specular", "metallic", "roughness")
 BOUNDS = {"roughness": (0.05, 1.0), "normal": (-3.0, 3.0), "specular": (0.05, 1.0)}  # else 0 to 1
 # Standard deviations of the first prior; that of the diffuse map stays.
 VAGUE = {"diffuse": 0.5, "base_color": 0.5, "specular": 0.1, "metallic": 0.3, "roughness": 0.1, "normal": 0.1}
+LEAST_PRECISION = 1e-3  # added to that of the prior where variances are asked for
 FIXED = 1e-4  # standard deviation of a number that is not to move
 # How far a texel may leave its tied answer at full size, in units of config.own: standard deviations at first and at least.
 FREEDOM = {"normal": (0.5, 0.17), "roughness": (0.5, 0.5), "specular": (1.0, 1.0), "metallic": (1.0, 1.0)}
