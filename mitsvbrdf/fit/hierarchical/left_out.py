@@ -9,7 +9,8 @@ explained best (one standard error as in Breiman et al. 1984, of differences bet
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import torch
@@ -20,31 +21,36 @@ from .starts import stepped
 from .ties import LEAST_PRECISION, Answer, Ties
 
 NOISES = (0.03, 0.05, 0.08, 0.12, 0.18)  # of display values; above the last, only diffuse maps keep detail
-FEWEST = 4  # photos; of fewer, none can be spared
+FEWEST, MOST = 4, 9  # photos; of fewer none can be spared, and of many no more are left out in turn
 STEPS, ROUNDS = 6, 3  # of Levenberg-Marquardt, and of these with the freedom that texels took
 
 
-def prediction_errors(photos: Observations, solver: TexelSolver, ties: Ties, starts: Sequence[Answer],
+def in_turn(count: int) -> range:
+    """Which of so many photos are left out in turn: all or evenly some, none where they are too few."""
+    return range(0, count if count >= FEWEST else 0, math.ceil(count / MOST))
+
+
+def prediction_errors(photos: Observations, solver: TexelSolver, ties: Ties, starts: Mapping[int, Answer],
                       noises: Sequence[float]) -> Tensor:
-    """Mean squared error of each photo's display values, predicted from the other photos: one row for each noise.
+    """Mean squared error of some photos' display values, each predicted from all others: one row for each noise.
 
     Args:
         photos: N photos; their own noise does not matter, the ratio of ``robust`` to it stays.
         solver: of their texels.
         ties: of the fit.
-        starts: N answers, each found without that photo, with texels that may leave it (:meth:`Ties.free`).
+        starts: photo -> an answer found without it, with texels that may leave it (:meth:`Ties.free`).
         noises: to try.
     """
     errors = torch.zeros(len(noises), len(starts))
-    for k, start in enumerate(starts):
-        others, alone = photos.without(k), replace(photos.pick([k]), noise=1.0, robust=None)
+    for column, (photo, start) in enumerate(starts.items()):
+        others, alone = photos.without(photo), replace(photos.pick([photo]), noise=1.0, robust=None)
         for row, noise in enumerate(noises):
             robust = None if photos.robust is None else photos.robust / photos.noise * noise
             told, answer = replace(others, noise=noise, robust=robust), start
             for _ in range(ROUNDS):
                 answer = answer._replace(x=stepped(solver, told, answer, ties, STEPS).x)
                 answer = ties.loosen(answer, solver.variances(told, answer.x, answer.precision + LEAST_PRECISION))
-            errors[row, k] = solver.normal_equations(alone, answer.x)[0].mean() / 3
+            errors[row, column] = solver.normal_equations(alone, answer.x)[0].mean() / 3
     return errors
 
 

@@ -35,7 +35,7 @@ from ..method import Method
 from ..start import robust_start
 from ..task import FitTask
 from .highlights import independent, trust
-from .left_out import FEWEST, NOISES, least_as_good, prediction_errors
+from .left_out import NOISES, in_turn, least_as_good, prediction_errors
 from .marginal import integrated
 from .moved_views import LEVELLED, REFINED, MovedViews
 from .scales import Scale, Scales
@@ -136,16 +136,15 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def _noise_of_detail(self, fine: Scale) -> float:
         """The noise of photos of a phone at full size: as asked for, or by which each is predicted well from the others."""
-        count = len(self.capture)
-        if self.config.noise is not None or count < FEWEST:
+        turns, scale, starts = in_turn(len(self.capture)), self.scale, dict[int, Answer]()
+        if self.config.noise is not None or not turns or not self.stages.finished:  # else there is no time for it
             return self.config.noise or NOISE
-        scale, photos, starts = self.scale, self.observations(self.scale, self.answer), []
-        for others in (photos.without(k) for k in range(count)):
-            answer = self.answer
+        for photo in turns:
+            others, answer = self.observations(scale, self.answer).without(photo), self.answer
             for _ in range(AGREED):
                 answer = self._tied(scale, others, answer._replace(x=stepped(scale.solver, others, answer, self.ties, STEPS).x))
             free, some = self._freed(answer, fine), self.scales.sampled
-            starts.append(Answer(some(free.x), some(free.mean), some(free.precision), free.spread))
+            starts[photo] = Answer(some(free.x), some(free.mean), some(free.precision), free.spread)
         sharp = self.scales.of(Stage.ALONE)
         photos = replace(self.observations(sharp, self.answer), robust=ROBUST_END * NOISE, noise=NOISE, weights=None)
         return NOISES[least_as_good(prediction_errors(photos, sharp.solver, self.ties, starts, NOISES))]

@@ -8,7 +8,7 @@ from helpers import TWIN, photos_of
 from helpers.hierarchical_fits import SIDE, method_of
 
 from mitsvbrdf import color
-from mitsvbrdf.fit.hierarchical.left_out import FEWEST, NOISES, least_as_good, prediction_errors
+from mitsvbrdf.fit.hierarchical.left_out import FEWEST, NOISES, in_turn, least_as_good, prediction_errors
 from mitsvbrdf.fit.hierarchical.solver import Observations
 from mitsvbrdf.fit.hierarchical.stages import NOISE, Stage
 from mitsvbrdf.material.made import make_material
@@ -42,7 +42,7 @@ def test_texels_that_may_not_move_predict_what_the_twin_draws(case, capture):
     x[ties.slopes] += 0.2  # of another material
     held = ties.free(truth._replace(x=x))
     held = held._replace(precision=torch.full_like(x, 1e12))
-    errors = prediction_errors(photos, solver, ties, [held] * len(photos.photos), [0.05, 0.18])
+    errors = prediction_errors(photos, solver, ties, dict.fromkeys(range(len(photos.photos)), held), [0.05, 0.18])
     shown = color.encode(TWIN.render(solver.svbrdf(x.double()), photos.views))
     error = torch.where(photos.photos >= 0.995, (shown - photos.photos).clamp_max(0), shown - photos.photos)
     wanted = error.square().mean(dim=(1, 2, 3)).expand(2, -1)  # 0.002 to 0.005
@@ -52,12 +52,25 @@ def test_texels_that_may_not_move_predict_what_the_twin_draws(case, capture):
 
 def test_no_photo_helps_to_predict_itself(case):
     method, solver, photos, truth = case
-    starts = [truth] * len(photos.photos)
+    starts = dict.fromkeys(range(len(photos.photos)), truth)
     odd = photos.photos.clone()
     odd[3] = odd[3].flip(0)  # a picture of something else
     errors = [prediction_errors(replace(photos, photos=pictures), solver, method.ties, starts, [0.03])[0]
               for pictures in (photos.photos, odd)]
     assert errors[1][3] > 20 * errors[0][3]
+
+
+@pytest.mark.parametrize("count, left_out", [
+    (3, []), (4, [0, 1, 2, 3]), (9, [*range(9)]), (10, [0, 2, 4, 6, 8]), (25, [0, 3, 6, 9, 12, 15, 18, 21, 24])])
+def test_which_photos_are_left_out_in_turn(count, left_out):
+    assert [*in_turn(count)] == left_out
+
+
+def test_the_errors_are_of_the_photos_left_out(case):
+    method, solver, photos, truth = case
+    every = prediction_errors(photos, solver, method.ties, dict.fromkeys(range(9), truth), [0.05])
+    some = prediction_errors(photos, solver, method.ties, dict.fromkeys((2, 7), truth), [0.05])
+    assert torch.equal(some, every[:, [2, 7]]) and every.unique().numel() == 9
 
 
 def detail_of(capture):
@@ -85,3 +98,11 @@ def test_a_noise_that_was_given_or_cannot_be_found(two_stages, phone, capture):
         assert float(method.stages.detail) == pytest.approx(noise)
         method.step(0.0)
         assert float(method.stages.noise) == pytest.approx(noise)
+
+
+def test_where_the_time_is_short_nothing_is_left_out(two_stages, phone, monkeypatch):
+    monkeypatch.setattr("mitsvbrdf.fit.hierarchical.rounds.prediction_errors", None)
+    method = method_of(photos_of(make_material("leather", SIDE)))
+    while method.stages.stage != Stage.FINE:
+        method.step(0.6)
+    assert float(method.stages.detail) == pytest.approx(NOISE)
