@@ -98,6 +98,10 @@ def test_a_noise_that_was_given_or_cannot_be_found(two_stages, phone, capture):
         assert float(method.stages.detail) == pytest.approx(noise)
         method.step(0.0)
         assert float(method.stages.noise) == pytest.approx(noise)
+    resumed = method_of(capture)
+    resumed.load_state(given.state())
+    resumed.step(0.0)
+    assert float(resumed.stages.noise) == pytest.approx(0.11)
 
 
 def test_where_the_time_is_short_nothing_is_left_out(two_stages, phone, monkeypatch):
