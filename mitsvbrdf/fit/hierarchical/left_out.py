@@ -20,8 +20,9 @@ from .solver import Observations, TexelSolver
 from .starts import stepped
 from .ties import LEAST_PRECISION, Answer, Ties
 
-# Of display values. With a photo less, more is asked for than all of them need: of six real captures that asked for 0.12 or 0.18
-# four predicted photos that no fit saw as well or better with 0.08, one 2 % worse and one 12 %, and explained those seen better.
+# Of display values. With a photo less, more is asked for than all of them need: of six real captures that asked for 0.12 or
+# 0.18, four predicted photos that no fit saw as well or better with 0.08, one 2 % worse and one 12 %, and all explained those
+# seen better.
 NOISES = (0.03, 0.05, 0.08)
 FEWEST, MOST = 4, 9  # photos; of fewer none can be spared, and of many no more are left out in turn
 STEPS, ROUNDS = 6, 3  # of Levenberg-Marquardt, and of these with the freedom that texels took
