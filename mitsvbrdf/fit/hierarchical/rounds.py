@@ -12,7 +12,8 @@ highlights it never showed are left open, and what the model lacks is burnt in. 
 Photos of a simulation follow the model to the last digit, and then a texel can be trusted with everything; photos of a phone
 do not. So the fit first lets every texel explain its photos freely. What is left unexplained then tells which kind they are
 (:mod:`~mitsvbrdf.fit.hierarchical.stages`). Photos of a phone are first explained at 64 px, where texels must agree; at full
-size each may leave that answer by as much as the photos were seen to ask for (:mod:`~mitsvbrdf.fit.hierarchical.ties`).
+size each may leave that answer by as much as the photos were seen to ask for (:mod:`~mitsvbrdf.fit.hierarchical.ties`), and
+photos are believed as far as each is predicted from the others (:mod:`~mitsvbrdf.fit.hierarchical.left_out`).
 
 Texels that share a roughness also hold each other in a wrong one. Photos of a simulation, which can tell, are therefore
 explained from three starts, whose lobes are of very different width, and the most probable answer is refined at full size.
@@ -139,8 +140,9 @@ class Hierarchical(Method[HierarchicalConfig]):
         turns, scale, starts = in_turn(len(self.capture)), self.scale, dict[int, Answer]()
         if self.config.noise is not None or not turns or not self.stages.finished:  # else there is no time for it
             return self.config.noise or NOISE
+        every = self.observations(scale, self.answer)
         for photo in turns:
-            others, answer = self.observations(scale, self.answer).without(photo), self.answer
+            others, answer = every.without(photo), self.answer
             for _ in range(AGREED):
                 answer = self._tied(scale, others, answer._replace(x=stepped(scale.solver, others, answer, self.ties, STEPS).x))
             free, some = self._freed(answer, fine), self.scales.sampled
