@@ -7,6 +7,7 @@ work, prints a table and keeps the record as JSON. A fit of an hour depends on w
 from __future__ import annotations
 
 import contextlib
+import gc
 import itertools
 import os
 import re
@@ -56,6 +57,7 @@ def soak(renderers: Sequence[Renderer], bsdf: Bsdf, work: str, steps: int, resol
     Raises:
         ConfigError: too few steps, or no ``/proc`` to read the memory from.
     """
+    gc.collect()  # kernels call every BSDF that lives: scenes of before, freed on the way, would have them made again
     turn = 2 * len(renderers)  # steps until every renderer has drawn both kinds of views
     if steps < max(20, 4 * turn):
         raise ConfigError(f"{max(20, 4 * turn)} steps or more", str(steps), "give --steps 2000")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+import itertools
 import json
 import mmap
 import sys
@@ -12,6 +14,7 @@ from helpers import ANALYTIC
 
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.render import make_renderer
+from mitsvbrdf.render.scene import SceneRenderer
 from mitsvbrdf.system import timing
 from mitsvbrdf.verify import soak
 
@@ -60,9 +63,27 @@ class Compiling:
 def test_mitsuba_compiles_nothing_after_the_second_turn(work):
     record = soak.soak([make_renderer("mitsuba"), make_renderer("mitsuba-scene")], "roughconductor", work, 20, resolution=8)
     assert record["renderers"] == ["mitsuba", "mitsuba-scene"] and record["work"] == work
-    assert record["kernels"]["late"] == 0 and record["kernels"]["late_steps"] == []
+    assert record["kernels"]["late_steps"] == [] and record["kernels"]["late"] == 0
     assert record["drjit"]["variables"] == 0
     assert [step for step, _ in record["memory"]["samples"]] == list(range(20))
+
+
+def test_a_scene_of_before_makes_no_kernel_late_by_being_freed(monkeypatch):
+    steps = itertools.count()
+
+    def collecting(renderer, material, views):
+        if next(steps) == 10:
+            gc.collect()
+        soak.without_gradients(renderer, material, views)
+
+    monkeypatch.setitem(soak.WORK, "images", collecting)
+    gc.disable()  # else it may free the first scene at once
+    try:
+        soak.soak([SceneRenderer()], "roughconductor", "gradients", 20, resolution=8)
+        record = soak.soak([SceneRenderer(samples=16)], "roughconductor", "images", 20, resolution=8)  # kernels no other test has
+    finally:
+        gc.enable()
+    assert record["kernels"] == {"first": 2, "late": 0, "late_steps": []}
 
 
 def test_resident_memory_counts_what_is_written_to():
