@@ -18,17 +18,18 @@ def stop_signals() -> Iterator[list[int]]:
             raise KeyboardInterrupt
         stop.append(1)
 
-    if (threading.current_thread() is not threading.main_thread()
-            or signal.getsignal(signal.SIGINT) is not signal.default_int_handler):
+    pressed = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or pressed not in (signal.default_int_handler, signal.SIG_IGN):
         yield stop  # somebody else listens
         return
-    signal.signal(signal.SIGINT, asked_to_stop)
-    terminate = signal.signal(signal.SIGTERM, asked_to_stop)
+    # A job that a script starts in the background is not to hear Ctrl-C, and still is ended by SIGTERM.
+    heard = (signal.SIGTERM,) if pressed == signal.SIG_IGN else (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, asked_to_stop) for number in heard}
     try:
         yield stop
     finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        signal.signal(signal.SIGTERM, terminate)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextlib.contextmanager
