@@ -109,7 +109,7 @@ class GanConfig(FitConfig):
     average: float = AS_PRESET
     """Decay of the running average of the generator's weights that makes the result; 0 takes the weights themselves."""
     precision: Precision = "auto"
-    """What the networks compute in; renderer and losses stay in float32. auto: bfloat16 where the CPU multiplies in it."""
+    """What the networks compute in; renderer and losses stay in float32. auto: bfloat16 where it is faster (measured)."""
     adversarial: float = AS_PRESET
     """Weight of the adversarial loss."""
     features: float = AS_PRESET

@@ -28,12 +28,12 @@ SECONDS_A_STEP = 2e-4  # a texel at width 64: a guess, only to say how long it w
 class EarlierGan(Gan):
     """The same training as an earlier version computed it, to be timed beside the present one.
 
-    Every gradient step computes the gradients of the discriminator's weights, which nobody asks for, and the diffuse loss,
-    which moves nothing but the diffuse/specular decoder; networks are to compute in float32.
+    Every gradient step computes the gradients of the discriminator's weights, which nobody asks for, the diffuse loss, which
+    moves nothing but the diffuse/specular decoder, and the output of networks that did not move since; in float32.
     """
 
     def _substep(self, pictures: Pictures, first: bool, logged: dict[str, float]) -> None:
-        config = self.config
+        config, self.resting = self.config, None
         svbrdf = self._material(pictures, first)
         fake, told = self._rendered(svbrdf, pictures), self._told(pictures)
         if first:

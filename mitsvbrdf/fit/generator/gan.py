@@ -30,7 +30,8 @@ from ..task import FitTask
 from .build import make_generator, starting_material
 from .networks import PatchDiscriminator, TwoStreamGenerator, seeded
 from .pictures import Pictures, PictureSource, seen_through
-from .scale import Scale, has_fast_bfloat16
+from .precision import is_faster_in_bfloat16
+from .scale import Scale
 from .variational import VariationalGenerator
 
 FIRST_STEP = 0.02  # of the step size, at the least, while it rises: no step moves nothing
@@ -53,8 +54,9 @@ class Gan(Method[GanConfig]):
         self.streams = streams_of(config.bsdf, self.fixed, config.grey_specular)
         self.start = starting_material(task)
         self.random = torch.Generator().manual_seed(config.seed)
-        self.bfloat16 = config.precision == "bfloat16" or config.precision == "auto" and has_fast_bfloat16()
+        self.bfloat16 = config.precision == "bfloat16" or config.precision == "auto" and is_faster_in_bfloat16()
         self.generator = make_generator(config, self.streams, len(self.capture))
+        self.resting: tuple[Tensor, dict[str, Tensor]] | None = None  # features and maps of what later substeps do not move
         self.cut = 1.0  # of all step sizes, after steps that were undone
         self.offset = torch.zeros(2, dtype=torch.float64, requires_grad=True)  # of the flash, in patch sides
         self.phases = config.phases(self.capture.resolution)
@@ -102,6 +104,8 @@ class Gan(Method[GanConfig]):
         for substep in range(self.config.normal_roughness_steps if "fast" in self.optimizers else 1):
             if substep and self.config.fresh_pictures:
                 pictures = self.source.draw(self.config.pictures, self.random)
+            if substep < 2 or self.config.fresh_pictures:
+                self.resting = None  # the first substep moves the encoder
             self._substep(pictures, substep == 0, logged)
         self._average()
         return logged | {"phase": float(self.phase)}
@@ -169,10 +173,11 @@ class Gan(Method[GanConfig]):
         g, (top, left, side) = self.generator, pictures.window
         with self._networks():
             if isinstance(g, TwoStreamGenerator):
-                with torch.set_grad_enabled(first and torch.is_grad_enabled()):
-                    code = g.encode(pictures.shown[:1])
-                    lower = g.decode(1, code, side)
-                out = g.decode(0, code, side) | lower
+                if first or self.resting is None:
+                    with torch.set_grad_enabled(first and torch.is_grad_enabled()):
+                        code = g.encode(pictures.shown[:1])
+                        self.resting = code, g.decode(1, code, side)
+                out = g.decode(0, self.resting[0], side) | self.resting[1]
             else:
                 condition = scale.condition_from(photo)[..., top:top + side, left:left + side]
                 drawn = {"random": self.random} if isinstance(g, VariationalGenerator) and torch.is_grad_enabled() else {}
@@ -260,7 +265,7 @@ class Gan(Method[GanConfig]):
     def state(self) -> dict[str, Tensor]:
         """Phase, step sizes, random numbers, and weights and averages of the networks."""
         state = {"random": self.random.get_state(), "phase": torch.tensor(self.phase), "offset": self.offset.detach().clone(),
-                 "cut": torch.tensor(self.cut, dtype=torch.float64)}
+                 "cut": torch.tensor(self.cut, dtype=torch.float64), "bfloat16": torch.tensor(self.bfloat16)}
         state |= {f"carried.{name}": value for name, value in self.scale.carried.items()}
         state |= {f"averaged{name}": value.clone() for name, value in self.averaged.items()}
         for name in ("generator", "discriminator"):
@@ -271,7 +276,7 @@ class Gan(Method[GanConfig]):
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
-        self.cut = float(state["cut"])
+        self.cut, self.bfloat16 = float(state["cut"]), bool(state["bfloat16"])
         self._begin(int(state["phase"]), part(state, "carried."))
         self.random.set_state(state["random"])
         with torch.no_grad():

@@ -87,11 +87,6 @@ def condition_channels(photos: int) -> int:
     return 4 * photos + 3
 
 
-def has_fast_bfloat16() -> bool:
-    """Whether the CPU multiplies in bfloat16."""
-    return bool(torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported())
-
-
 def _cut(value: Tensor, window: Window) -> Tensor:
     top, left, side = window
     return value[top:top + side, left:left + side]

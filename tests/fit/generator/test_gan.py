@@ -9,6 +9,7 @@ from helpers import ANALYTIC, MITSUBA, photos_of
 
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import FitTask, GanConfig, fit_svbrdf, gan_config, losses, make_method
+from mitsvbrdf.fit.generator import precision
 from mitsvbrdf.fit.generator.gan import frozen
 from mitsvbrdf.fit.generator.networks import PatchDiscriminator
 from mitsvbrdf.fit.generator.pictures import PictureSource
@@ -215,6 +216,43 @@ def test_fresh_pictures_in_each_step_of_a_decoder(tiles):
         gan.source.draw = lambda *a, draw=draw, drawn=drawn: (drawn.append(1), draw(*a))[1]
         gan.step(0.0)
         assert len(drawn) == wanted
+
+
+def test_what_later_substeps_do_not_move_is_computed_once(tiles):
+    once, anew = (gan_of(tiles, generator="two-stream", normal_roughness_steps=5) for _ in range(2))
+    substep = anew._substep
+
+    def forgetful(*arguments):
+        anew.resting = None
+        substep(*arguments)
+
+    anew._substep = forgetful
+    encoded = []
+    once.generator.encoder.register_forward_hook(lambda *_: encoded.append(1))
+    for _ in range(2):
+        once.step(0.0)
+        anew.step(0.0)
+    assert len(encoded) == 2 * 2  # before and after the substep that moves it
+    assert all(torch.equal(value, anew.state()[name]) for name, value in once.state().items())
+
+
+@pytest.mark.parametrize("float32, bfloat16, faster", [(0.1, 0.05, True), (0.1, 0.09, False), (0.1, 0.15, False)])
+def test_bfloat16_is_taken_where_it_is_faster(float32, bfloat16, faster, monkeypatch):
+    monkeypatch.setattr(precision, "side_by_side", lambda jobs: [job() for job in jobs.values()] and {
+        "float32": {"median": float32}, "bfloat16": {"median": bfloat16}})
+    assert precision.is_faster_in_bfloat16.__wrapped__() == faster
+
+
+@pytest.mark.parametrize("began", [True, False])
+def test_a_resumed_run_computes_as_it_began(began, tiles, monkeypatch):
+    for now in (began, not began):
+        monkeypatch.setattr("mitsvbrdf.fit.generator.gan.is_faster_in_bfloat16", lambda now=now: now)
+        gan = gan_of(tiles, precision="auto")
+        assert gan.bfloat16 == now
+        if now == began:
+            state = gan.state()
+    gan.load_state(state)
+    assert gan.bfloat16 == began
 
 
 @pytest.mark.parametrize("wrong, words", [({"average": 1.0}, "average below 1"), ({"crop": 4}, "crop of 16"),
