@@ -186,15 +186,19 @@ def texel_positions(resolution: int, dtype: torch.dtype = torch.float64) -> Tens
     return torch.stack((x, y, torch.zeros_like(x)), dim=-1)
 
 
-def coverage_angle(views: Views, resolution: int) -> Tensor:
-    """Smallest angle (rad) between (0, 0, 1) and the half vectors of the views at each texel: R x R, float64."""
+def half_angles(views: Views, resolution: int) -> Tensor:
+    """Angles (rad) between (0, 0, 1) and the half vector of each view at each texel: N x R x R, float64."""
     views = views.in_patch_sides().to(torch.float64)
-    position = texel_positions(resolution)
-    best = torch.full((resolution, resolution), torch.inf, dtype=torch.float64)
+    position, angles = texel_positions(resolution), []
     for camera, light in zip(views.camera.detach(), views.light.detach()):
         half = F.normalize(camera - position, dim=-1) + F.normalize(light - position, dim=-1)
-        best = torch.minimum(best, torch.atan2(half[..., :2].norm(dim=-1), half[..., 2]))
-    return best
+        angles.append(torch.atan2(half[..., :2].norm(dim=-1), half[..., 2]))
+    return torch.stack(angles)
+
+
+def coverage_angle(views: Views, resolution: int) -> Tensor:
+    """The smallest of the views' :func:`half_angles` at each texel: R x R, float64."""
+    return half_angles(views, resolution).amin(dim=0)
 
 
 def cubic(x: Tensor, values: Tensor) -> Tensor:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from ...calibrate.refine import CHANGE, ITERATIONS, PRIORS, moved, refine_views
+from ...calibrate.refine import CHANGE, ITERATIONS, PRIORS, UNKNOWNS, Priors, moved, refine_views
 from ...capture import Capture
 from ...material.maps import SVBRDF
 from ...views import Views
@@ -18,6 +18,9 @@ from .stages import Stage
 LEVELLED, DAMPED = {Stage.ALONE: (5, 7, 9)}, 0.65
 REFINED = {Stage.ALONE: (12,), Stage.TOGETHER: (3, 5, 7, 9), Stage.FINE: (5,)}  # rounds after which the views are refined
 TILTED = 0.03  # patch sides by which the flash seems moved where the patch is not level
+# How far stated ones of these are off is learned from the photos (empirical Bayes).
+LEARNED = [UNKNOWNS.index("camera_z"), UNKNOWNS.index("log_exposure")]
+WIDEST = 10.0  # times as far as such a calibration usually is off
 FEW_STEPS = 10  # of refining views that were not stated: they move far, and will again after the next rounds
 
 
@@ -31,12 +34,21 @@ class MovedViews:
         fits_offset: whether a flash offset that all photos share is among what may change.
     """
 
+    STATE = "change", "deviation", "flash_deviation", "off"
+
     def __init__(self, capture: Capture, refined: Refined, fits_offset: bool) -> None:
         self.stated, self.refined, self.fits_offset = capture.views, refined, fits_offset
         priors = PRIORS[capture.calibration]
-        self.priors = priors if fits_offset else replace(priors, common_flash=(0.0, 0.0))
+        self.usual = priors if fits_offset else replace(priors, common_flash=(0.0, 0.0))
+        self.off = torch.tensor([priors.camera[2], priors.exposure], dtype=torch.float64)
         self.change = torch.zeros(len(capture), CHANGE.size, dtype=torch.float64)
         self.deviation, self.flash_deviation = torch.zeros_like(self.change), torch.zeros(2, dtype=torch.float64)
+
+    @property
+    def priors(self) -> Priors:
+        """How far the views may be off, by what the photos have shown of it."""
+        height, exposure = self.off.tolist()
+        return replace(self.usual, camera=(*self.usual.camera[:2], height), exposure=exposure)
 
     def moved(self, views: Views) -> Views:
         """Views with the changes found so far."""
@@ -58,7 +70,7 @@ class MovedViews:
         flash = self.change[:, CHANGE["flash"]][:, :2]  # x and y; a view
         common = flash[0]
         said = common - 2 * self.stated.in_patch_sides().camera[:, 2].mean() * slope
-        variance = torch.tensor(self.priors.common_flash).double().square()
+        variance = torch.tensor(self.usual.common_flash).double().square()
         flash += DAMPED * (variance / (variance + TILTED**2) * said - common)
 
     def refine(self, svbrdf: SVBRDF, capture: Capture) -> None:
@@ -66,6 +78,10 @@ class MovedViews:
         found = refine_views(svbrdf, capture.views, capture, self.priors, FEW_STEPS if self.refined == "always" else ITERATIONS)
         self.change, self.deviation = found.change, found.deviation
         self.flash_deviation = found.common_covariance.diagonal().sqrt()
+        if self.refined == "unless exact":
+            usual = torch.tensor([self.usual.camera[2], self.usual.exposure], dtype=torch.float64)
+            seen = (found.change.square() + found.deviation.square()).mean(dim=0).sqrt()[LEARNED]
+            self.off = torch.minimum(torch.maximum(seen, usual), WIDEST * usual)
 
     @property
     def deviations(self) -> tuple[Tensor | None, Tensor | None]:
@@ -76,9 +92,9 @@ class MovedViews:
 
     def state(self) -> dict[str, Tensor]:
         """Everything :meth:`load_state` needs."""
-        return {name: getattr(self, name).clone() for name in ("change", "deviation", "flash_deviation")}
+        return {name: getattr(self, name).clone() for name in self.STATE}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
-        self.change, self.deviation, self.flash_deviation = (
-            state[name].clone() for name in ("change", "deviation", "flash_deviation"))
+        for name in self.STATE:
+            setattr(self, name, state[name].clone())

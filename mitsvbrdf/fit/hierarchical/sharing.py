@@ -2,9 +2,10 @@
 
 A texel whose highlight no photo caught knows nothing of its specular level and roughness; texels of the same stuff do. The
 model is hierarchical: a texel's number is that of its basis materials, plus a deviation of its own with standard deviation
-tau. From each texel's posterior the prior it had is divided out again, which leaves what its photos alone say; the means of
-the basis materials are averages of that, weighted by how sure each texel is, and tau follows by expectation-maximisation
-(Dempster et al. 1977; the division is that of expectation propagation, Minka 2001).
+tau. Each basis material has a tau of its own: gilt may vary where the wood around it does not. From each texel's posterior the
+prior it had is divided out again, which leaves what its photos alone say; the means of the basis materials are averages of
+that, weighted by how sure each texel is, and tau follows by expectation-maximisation (Dempster et al. 1977; the division is
+that of expectation propagation, Minka 2001).
 """
 
 from __future__ import annotations
@@ -22,13 +23,15 @@ FARTHEST = 0.15  # a texel's own evidence counts as at most so far from its prio
 LEAST_EVIDENCE = 1.0  # precision below which photos say nothing of a number between 0 and 1
 TYPICAL = {"specular": (DIELECTRIC_F0 ** (1 / 2.2), 0.05)}  # mean and standard deviation of a texel of which nothing is known
 UNKNOWN = 0.0, float("inf")
+COMMON = 20.0  # texels whose worth the common spread counts as in that of each basis material
 NOBODY = 1e-30
 
 
 class Shared(NamedTuple):
-    """What texels share: ``mean`` S x M of each number and ``spread`` S, the standard deviation tau around it."""
+    """What texels share: ``mean`` S x M of each number, the deviation ``tau`` S x M from it, and its ``spread`` S over all."""
 
     mean: Tensor
+    tau: Tensor
     spread: Tensor
 
 
@@ -43,7 +46,7 @@ def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, pr
         prior_mean: of the prior that these had, S x M.
         prior_precision: the same.
         member: M x K, of :func:`mitsvbrdf.fit.hierarchical.appearance.membership`.
-        spread: S, tau so far.
+        spread: S, tau over all so far.
         typical: whether :data:`TYPICAL` counts. It decides where photos leave a whole material open, as they do a broad lobe
             that looks like a diffuse one; where photos do not follow the model it would weigh more than their highlights.
     """
@@ -60,5 +63,7 @@ def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, pr
         mean = basis @ member.T
         own = 1 / (precision + 1 / tau2)
         off = own * (precision * alone + mean / tau2) - mean
-        tau2 = (off.square() + own).mean(dim=1, keepdim=True)
-    return Shared(mean, tau2[:, 0].sqrt().clamp_min(LEAST_SPREAD))
+        square = off.square() + own
+        common = square.mean(dim=1, keepdim=True)
+        tau2 = (square @ member + COMMON * common) / (member.sum(dim=0) + COMMON) @ member.T
+    return Shared(mean, tau2.sqrt().clamp_min(LEAST_SPREAD), common[:, 0].sqrt().clamp_min(LEAST_SPREAD))

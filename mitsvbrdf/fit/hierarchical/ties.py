@@ -84,10 +84,10 @@ class Ties:
         if len(self.shared):
             names = [self.unknowns.names[i] for i in self.shared]
             x, unsure, *prior = (t[self.shared].flatten(1) for t in (answer.x, variance, answer.mean, answer.precision))
-            found, spread = shared(names, x, unsure, prior[0], prior[1], member, answer.spread, typical=not tied)
+            found, tau, spread = shared(names, x, unsure, prior[0], prior[1], member, answer.spread, typical=not tied)
             mean[self.shared] = corrected(found.reshape(-1, *answer.x.shape[1:]))
-            nearest = spread.clamp_max(self.config.spread) if tied else spread
-            precision[self.shared] = (nearest**-2.0)[:, None, None].expand(-1, *answer.x.shape[1:])
+            nearest = tau.clamp_max(self.config.spread) if tied else tau
+            precision[self.shared] = (nearest**-2.0).reshape(-1, *answer.x.shape[1:])
         if len(self.slopes):
             relief = (answer.x[self.slopes].square() + variance[self.slopes]).mean().sqrt().clamp_min(LEAST_SPREAD)
             mean[self.slopes] = 0

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from mitsvbrdf import color
-from mitsvbrdf.fit.hierarchical.sharing import FARTHEST, LEAST_SPREAD, ROUNDS, TYPICAL, shared
+from mitsvbrdf.fit.hierarchical.sharing import COMMON, FARTHEST, LEAST_SPREAD, ROUNDS, TYPICAL, Shared, shared
 
 TWO = torch.tensor([[1.0, 0.0], [0.0, 1.0]]).repeat_interleave(50, dim=0)  # 50 texels each of two basis materials
 FIRST, SECOND = slice(0, 50), slice(50, 100)
@@ -20,12 +20,13 @@ def told(alone, sure, member=TWO, spread=0.1, prior=(0.5, 100.0), name="roughnes
     total = sure + precision
     x = (sure * alone + precision * mean) / total
     found = shared([name], x[None], 1 / total[None], mean[None], precision[None], member, torch.tensor([spread]), typical)
-    return found.mean[0], float(found.spread[0])
+    return Shared(found.mean[0], found.tau[0], float(found.spread[0]))
 
 
 def twin(alone, sure, member, tau2):
-    """The same by numpy in float64, with dense normal equations of nothing but the definition; returns means and tau."""
+    """The same by numpy in float64, from nothing but the definition: means, tau of each texel, and over all."""
     alone, sure, member = (np.asarray(v, dtype=np.float64) for v in (alone, sure, member))
+    share, tau2 = member / member.sum(axis=0), np.full(len(sure), tau2)
     for _ in range(ROUNDS):
         weight = 1 / (1 / sure + tau2)
         materials = (member * (weight * alone)[:, None]).sum(axis=0) / (member * weight[:, None]).sum(axis=0)
@@ -33,8 +34,10 @@ def twin(alone, sure, member, tau2):
         # Of y ~ N(z, 1 / sure), z ~ N(mean, tau2): expectation and variance of z, and their mean square around the mean.
         variance = tau2 / (1 + sure * tau2)
         expected = mean + sure * tau2 / (1 + sure * tau2) * (alone - mean)
-        tau2 = ((expected - mean) ** 2 + variance).mean()
-    return mean, math.sqrt(tau2)
+        square = (expected - mean) ** 2 + variance
+        own, count = share.T @ square, member.sum(axis=0)  # of each basis material, drawn to what all have
+        tau2 = member @ (own + (square.mean() - own) * COMMON / (COMMON + count))
+    return mean, np.sqrt(tau2), math.sqrt(square.mean())
 
 
 def test_two_groups_of_equal_noise_in_closed_form():
@@ -42,11 +45,11 @@ def test_two_groups_of_equal_noise_in_closed_form():
     d, s = 0.05, 0.03
     signs = torch.tensor([1.0, -1.0]).repeat(50)
     levels = torch.cat((torch.full((50,), 0.45), torch.full((50,), 0.55)))
-    mean, spread = told(levels + d * signs, s**-2, spread=math.sqrt(d**2 - s**2))
+    mean, _, spread = told(levels + d * signs, s**-2, spread=math.sqrt(d**2 - s**2))
     assert torch.allclose(mean, levels, atol=1e-5)  # all share one part in a million
     assert spread == pytest.approx(math.sqrt(d**2 - s**2), rel=1e-3)
     # From elsewhere it gets there, by a factor of d^2 - tau^2 - s^2 each time.
-    assert told(levels + d * signs, s**-2, spread=0.2)[1] == pytest.approx(math.sqrt(d**2 - s**2), rel=0.1)
+    assert told(levels + d * signs, s**-2, spread=0.2).spread == pytest.approx(math.sqrt(d**2 - s**2), rel=0.1)
 
 
 def test_unequal_noise_and_soft_groups_as_the_twin():
@@ -54,36 +57,48 @@ def test_unequal_noise_and_soft_groups_as_the_twin():
     alone = 0.5 + 0.04 * torch.randn(100, generator=random)
     sure = 10 ** (1 + 3 * torch.rand(100, generator=random))
     for member in (TWO, torch.softmax(torch.randn(100, 3, generator=random), dim=1)):
-        mean, spread = told(alone, sure, member, spread=0.05)
-        wanted, tau = twin(alone, sure, member, 0.05**2)
+        mean, own, spread = told(alone, sure, member, spread=0.05)
+        wanted, taus, tau = twin(alone, sure, member, 0.05**2)
         # Dividing the prior out again costs float32 four digits where the photos say ten times less than it.
         assert np.allclose(mean, wanted, atol=1e-5) and spread == pytest.approx(tau, rel=1e-4)
+        assert np.allclose(own, taus, rtol=1e-4)
+
+
+def test_each_group_has_its_own_spread():
+    # Two groups as wide as 0.02 and 0.1, seen without noise: 50 texels of each, drawn to all as 20 texels' worth.
+    signs = torch.tensor([1.0, -1.0]).repeat(50)
+    wide = torch.cat((torch.full((50,), 0.02), torch.full((50,), 0.1)))
+    found = told(0.5 + wide * signs, 1e8)
+    square = np.array([0.02, 0.1]) ** 2
+    expected = np.sqrt((50 * square + COMMON * square.mean()) / (50 + COMMON))
+    assert np.allclose(found.tau[[0, 50]], expected, rtol=1e-3)
+    assert found.spread == pytest.approx(square.mean() ** 0.5, rel=1e-3)
 
 
 def test_the_prior_itself_is_no_evidence():
     # Texels that photos tell nothing have the posterior of their prior, 0.5. Few of their group that know outweigh them.
     sure = torch.zeros(100)
     sure[:5] = 1e4
-    mean, _ = told(torch.full((100,), 0.4), sure, prior=(0.5, 400.0))
+    mean, *_ = told(torch.full((100,), 0.4), sure, prior=(0.5, 400.0))
     assert torch.allclose(mean[FIRST], torch.full((50,), 0.4), atol=2e-3)  # 45 texels count 1e-3 each, five 100 each
     assert torch.allclose(mean[SECOND], torch.full((50,), 0.5), atol=1e-3)  # a group without any stays where it was
 
 
 def test_limits():
-    assert told(0.5, 1e6, spread=0.02)[1] == pytest.approx(LEAST_SPREAD)
-    mean, _ = told(0.9, 1e4, prior=(0.5, 100.0))  # further off its prior than evidence may count
+    assert told(0.5, 1e6, spread=0.02).spread == pytest.approx(LEAST_SPREAD)
+    mean, *_ = told(0.9, 1e4, prior=(0.5, 100.0))  # further off its prior than evidence may count
     assert torch.allclose(mean, torch.full((100,), 0.5 + FARTHEST), atol=1e-5)
-    mean, _ = told(0.99, 1e4, prior=(0.95, 100.0))
+    mean, *_ = told(0.99, 1e4, prior=(0.95, 100.0))
     assert mean.max() <= 1
 
 
 def test_what_is_typical_decides_where_nothing_is_known():
     usual, _ = TYPICAL["specular"]
     assert color.decode(torch.tensor(usual)).item() == pytest.approx(0.04, rel=1e-4)
-    unknown = told(0.5, 0.0, name="specular", typical=True)[0]
+    unknown = told(0.5, 0.0, name="specular", typical=True).mean
     assert torch.allclose(unknown, torch.full((100,), usual), atol=2e-3)
-    assert torch.allclose(told(0.5, 0.0, typical=True)[0], torch.full((100,), 0.5), atol=1e-5)  # roughness has no usual
+    assert torch.allclose(told(0.5, 0.0, typical=True).mean, torch.full((100,), 0.5), atol=1e-5)  # roughness has no usual
     # One group is known to be usual, the other not known at all.
     sure = torch.cat((torch.full((50,), 1e5), torch.zeros(50)))
-    mean, _ = told(usual, sure, prior=(0.3, 50.0), name="specular", typical=True)
+    mean, *_ = told(usual, sure, prior=(0.3, 50.0), name="specular", typical=True)
     assert torch.allclose(mean, torch.full((100,), usual), atol=2e-3)
