@@ -54,7 +54,7 @@ def evaluate(maps: Positional[Material],
     from ..calibrate.refine import Priors
     from ..evaluate import evaluate_maps, placed
     from ..evaluate.photos import evaluate_photos
-    from ..measure.burn_in import burn_in
+    from ..measure.burn_in import burn_in, local_burn_in
     from ..measure.metrics import map_rmse
 
     if (reference is None) == (capture is None):
@@ -93,7 +93,9 @@ def evaluate(maps: Positional[Material],
         else:
             del found["refined"]  # not asked for
         found["burn_in"] = burn_in(svbrdf, fit.views or shots.views)
+        found["local_burn_in"] = local_burn_in(svbrdf, fit.views or shots.views)
         print_numbers("Burn-in (0 is best)", found["burn_in"])
+        print_numbers("Local burn-in (around 0 is best)", found["local_burn_in"])
     if json_file:
         files.write_json(json_file, found)
         say_written(json_file)

@@ -14,7 +14,7 @@ from ..capture import Capture
 from ..errors import MapsError, MitsvbrdfError
 from ..material.map_files import MAP_FOLDERS, load_maps
 from ..material.maps import SVBRDF
-from ..measure.burn_in import burn_in
+from ..measure.burn_in import burn_in, local_burn_in
 from ..render import Renderer, RendererName, make_renderer
 from ..system import files
 from ..system.provenance import machine, versions
@@ -224,7 +224,7 @@ def _record(result: FitResult, capture: Capture, command: dict) -> dict:
         "rerender_rmse": result.rerender_rmse,
         "per_photo": dict(zip(capture.names, result.per_photo)), "calibrated_rmse": result.calibrated_rmse,
         "confidence": confidence(result.deviations), "burn_in": burn_in(result.svbrdf, views),
-        "warnings": list(result.warnings),
+        "local_burn_in": local_burn_in(result.svbrdf, views), "warnings": list(result.warnings),
         "stopped": result.stopped, "undone_steps": len(result.undone), "undone": list(result.undone),
         "restarts": list(result.restarts),
         "seconds": result.trace[-1]["seconds"], "iterations": result.trace[-1]["iteration"],
