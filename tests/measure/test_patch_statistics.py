@@ -41,7 +41,7 @@ def test_the_distance_is_that_of_an_independent_solver_in_one_dimension():
 def test_the_distance_does_not_ask_what_lies_where_and_keeps_its_bits():
     x = torch.rand(200, 147, generator=torch.Generator().manual_seed(4))
     y = torch.rand(200, 147, generator=torch.Generator().manual_seed(5))
-    assert sliced_wasserstein(x, x.flip(0)) == 0
+    assert sliced_wasserstein(x, x.flip(0)) < 1e-15  # a product's rounding may depend on the row: 2e-18 on AMD, 0 on Intel
     assert sliced_wasserstein(x, y, seed=7) == sliced_wasserstein(x, y, seed=7) != sliced_wasserstein(x, y, seed=8)
     with pytest.raises(MapsError, match="as many"):
         sliced_wasserstein(x, y[:100])

@@ -17,7 +17,7 @@ from mitsvbrdf.verify.generator_gradients import FAULTS, METHODS, Faulty, differ
 THROUGH = {"mitsuba": MITSUBA, "mitsuba-scene": make_renderer("mitsuba-scene")}
 # Of the whole loss, relative L2. Measured on an Intel Xeon, over five states of each of three seeds: medians of 3e-7 to 7e-7,
 # float32's rounding. Rarely a rounding crosses a kink (leaky ReLU, |e|, a clipped pixel): a single state then had up to 4e-4.
-# A camera 1 % too far gives 7e-3 and more in every state, roughness squared twice 1.4 and more.
+# A camera 1 % too far gives 2e-3 to 4e-2 (medians 1e-2; Intel and AMD), roughness squared twice 1.4 and more.
 MEDIAN, LARGEST = 1e-5, 2e-3
 # RMSE of the maps of a short fit. Measured over twenty fits: 1e-8, in two of them 1e-5 and 5e-5 (kinks, which Adam and the
 # game magnify: after 20 steps up to 7e-4, after 40 up to 1e-2); roughness squared twice: 3e-3 and more.
@@ -43,8 +43,8 @@ def test_the_generators_weights_get_the_same_gradients_through_every_renderer(me
     found = differences(task, THROUGH | {fault: Faulty(fault) for fault in FAULTS})
     for name in THROUGH:
         assert statistics.median(found[name]) <= MEDIAN and max(found[name]) <= LARGEST, (name, found[name])
-    for fault in FAULTS:  # what is wrong is far above what is tolerated
-        assert statistics.median(found[fault]) > 100 * MEDIAN and min(found[fault]) > LARGEST, (fault, found[fault])
+    for fault in FAULTS:  # what is wrong is above either limit
+        assert statistics.median(found[fault]) > 100 * MEDIAN and max(found[fault]) > LARGEST, (fault, found[fault])
 
 
 @pytest.mark.parametrize("method", METHODS)
