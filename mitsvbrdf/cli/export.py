@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import math
+import shutil
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
 
-from ..errors import ConfigError
+from ..errors import BackendError, ConfigError
 from ..export import FORMATS, check_options, export_material
 from ..export.maps import Naming
-from ..export.textures import Bits, NormalConvention
-from ..system import result_folder
+from ..export.textures import Bits, Export, NormalConvention
+from ..system import images, result_folder
 from ..system.progress import say
 from .options import Material, Overwrite, fit_of_maps, keep_apart_from_maps, material_of, name_of
+
+if TYPE_CHECKING:
+    from ..material.maps import SVBRDF
+
+PREVIEW, THUMBNAIL = 512, 128  # pixels a side
 
 
 def export(maps: Positional[Material],
@@ -21,28 +28,71 @@ def export(maps: Positional[Material],
            naming: Annotated[Naming, arg(help="File names of the maps format.")] = "own",
            normal: Annotated[NormalConvention, arg(help="Normals of the maps format: gl is +Y up, dx +Y down.")] = "gl",
            bits: Annotated[Bits, arg(help="Of PNG files; glTF and colours in USD always have 8.")] = 16,
+           tile: Annotated[bool, arg(help="Make opposite edges meet, so that the material can be repeated.")] = False,
+           side_cm: Annotated[float | None, arg(help="Side of the patch; left out: as the sheet in the photos told, else "
+                                                     "unknown.")] = None,
+           licence: Annotated[str | None, arg(metavar="TEXT", help="What users may do with it, such as CC0-1.0.")] = None,
+           preview: Annotated[bool, arg(help="Beside the formats, a picture of a sphere that wears it.")] = True,
+           zip: Annotated[bool, arg(help="Beside each format's folder, the same as FORMAT.zip.")] = False,
            out: Annotated[Path | None, arg(aliases=["-o"], help="Folder to write; left out: export inside MAPS.")] = None,
            overwrite: Overwrite = False) -> int:
     """Write a material for other programs: OUT/FORMAT/, with an export.json that states what each file holds.
 
-    gltf is one GLB with the textures inside; materialx a standard_surface; usd a UsdPreviewSurface; mitsuba a scene and its
-    material as JSON; maps PNG files. Where diffuse and specular have to become base colour and metallic (gltf, maps), what
-    that loses is printed: RMSE of both maps as linear^(1/2.2).
+    gltf is one GLB with the textures inside; materialx a standard_surface and an OpenPBR surface; usd a UsdPreviewSurface
+    with MaterialX beside it; mitsuba a scene and its material as JSON; maps PNG files. Where a format cannot say all, what that
+    changes is printed: RMSE of the maps as linear^(1/2.2), and of pictures under three lights in display values.
     """
     formats = [part.strip() for part in to.split(",")]
     check_options(formats, naming, normal, bits)
+    if side_cm is not None and not 0 < side_cm < math.inf:
+        raise ConfigError("a side above 0", f"--side-cm {side_cm}", "give it in centimetres")
     builtin = maps.startswith("builtin:")
     if builtin and out is None:
         raise ConfigError("an output folder, beside a builtin material", "none", "add -o FOLDER")
     out = out or Path(maps) / "export"
     svbrdf, fit = material_of(maps), fit_of_maps(maps)
+    side = side_cm / 100 if side_cm is not None else fit.side_metres
     name = name_of(maps)
     if not builtin:
         keep_apart_from_maps(Path(maps), out)
+    if tile:
+        svbrdf, side = _tiled(svbrdf, side)
     with result_folder.output_folder(out, overwrite) as folder:
-        done = export_material(svbrdf, folder, formats, name, naming, normal, bits, fit.views)
+        done = export_material(svbrdf, folder, formats, name, naming, normal, bits, fit.views, side, licence)
+        if zip:
+            for kind in done:
+                shutil.make_archive(str(folder / kind), "zip", folder, kind)
+        if preview:
+            _draw(folder, svbrdf)
+    _tell(out, done)
+    return 0
+
+
+def _tiled(svbrdf: SVBRDF, side: float | None) -> tuple[SVBRDF, float | None]:
+    from ..material.tiling import seamless
+
+    svbrdf, part = seamless(svbrdf)
+    say("its edges meet already" if part == 1 else
+        f"edges meet now; {part:.0%} of the patch's side is left, at the same resolution")
+    return svbrdf, part * side if side else None
+
+
+def _draw(folder: Path, svbrdf: SVBRDF) -> None:
+    """``preview.png`` and ``thumbnail.png``; without them where Mitsuba cannot run, which no format needs."""
+    from ..material.resample import area_averaged
+    from ..relight.sphere import sphere
+
+    try:
+        picture = sphere(svbrdf, PREVIEW)
+    except BackendError as error:
+        say(f"no preview: {error}")
+        return
+    images.write_png(folder / "preview.png", picture)
+    images.write_png(folder / "thumbnail.png", area_averaged(picture, THUMBNAIL))
+
+
+def _tell(out: Path, done: dict[str, Export]) -> None:
     for kind, written in done.items():
         for what, errors in (written.conversion or {}).items():
             say(f"lost in {kind}, {what}: " + ", ".join(f"{name} {error:.4f}" for name, error in errors.items()))
         say(f"wrote {', '.join(str(out / kind / file) for file in written.files)}")
-    return 0

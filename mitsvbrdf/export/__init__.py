@@ -17,7 +17,7 @@ FORMATS = ("gltf", "materialx", "usd", "mitsuba", "maps")
 
 def export_material(svbrdf: SVBRDF, out: str | Path, to: Sequence[str] = FORMATS, name: str = "material",
                     naming: Naming = "own", normal: NormalConvention = "gl", bits: Bits = 16,
-                    views: Views | None = None) -> dict[str, Export]:
+                    views: Views | None = None, side: float | None = None, licence: str | None = None) -> dict[str, Export]:
     """Write ``out/FORMAT/`` for each format, with an ``export.json`` that says what every file holds, and how.
 
     Args:
@@ -29,6 +29,8 @@ def export_material(svbrdf: SVBRDF, out: str | Path, to: Sequence[str] = FORMATS
         normal: of ``maps``; all other formats define theirs, which is OpenGL's.
         bits: of PNG files; colours of ``usd`` and all of ``gltf`` have 8.
         views: the first one is shown by the Mitsuba scene; left out: from above, near the centre.
+        side: of the patch in metres, for the sizes of meshes and heights; left out: the mesh has side 1.
+        licence: what users may do with it, in every ``export.json`` and in the GLB.
 
     Returns:
         What was written, by format.
@@ -41,15 +43,16 @@ def export_material(svbrdf: SVBRDF, out: str | Path, to: Sequence[str] = FORMATS
     out, svbrdf = Path(out), svbrdf.detach()
     check_options(to, naming, normal, bits)
     writers = {
-        "gltf": lambda folder: gltf.write_gltf(folder, svbrdf),
+        "gltf": lambda folder: gltf.write_gltf(folder, svbrdf, side, licence),
         "materialx": lambda folder: materialx.write_materialx(folder, svbrdf, bits),
-        "usd": lambda folder: usd.write_usd(folder, svbrdf, bits),
+        "usd": lambda folder: usd.write_usd(folder, svbrdf, bits, side),
         "mitsuba": lambda folder: mitsuba.write_mitsuba(folder, svbrdf, views or nine_view_grid()),
-        "maps": lambda folder: maps.write_maps(folder, svbrdf, name, naming, normal, bits)}
+        "maps": lambda folder: maps.write_maps(folder, svbrdf, name, naming, normal, bits, side)}
     done = {}
     for kind in dict.fromkeys(to):
         done[kind] = writers[kind](out / kind)
-        done[kind].write(out / kind, format=kind, name=name, bsdf=svbrdf.bsdf, size=svbrdf.resolution)
+        done[kind].write(out / kind, format=kind, name=name, bsdf=svbrdf.bsdf, size=svbrdf.resolution, side_metres=side,
+                         licence=licence)
     return done
 
 

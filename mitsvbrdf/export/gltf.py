@@ -13,10 +13,12 @@ import torch
 from torch import Tensor
 
 from .. import __version__, color
-from ..material.conversion import as_principled, with_specular_color
+from ..material.conversion import as_shown, layered, relative_f0
 from ..material.maps import DIELECTRIC_F0, SVBRDF
+from ..material.relief import heights, occlusion
 from ..system import files, images
-from .textures import LINEAR, SRGB, Export, Texture, described, residual, stored
+from .residual import residual
+from .textures import LINEAR, SRGB, Export, Texture, described, stored
 
 FILE = "material.glb"
 FLOAT, UNSIGNED_SHORT = 5126, 5123
@@ -28,37 +30,39 @@ CORNERS = ((-0.5, -0.5, 0.0), (0.5, -0.5, 0.0), (0.5, 0.5, 0.0), (-0.5, 0.5, 0.0
 UVS = ((0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0))
 TRIANGLES = (0, 1, 2, 0, 2, 3)
 NOTES = (
-    "glTF lets diffuse light through by 1 - max(F), where ours is a sum: diffuse is darker by at most F0 seen from above",
+    "glTF lets diffuse light through by 1 - max(F), ours by a sum: the base colour is diffuse / (1 - max(F0)), the same seen "
+    "from above, darker at grazing angles",
     "glTF's Fresnel curve is Schlick's, ours that of a real refractive index; F0 is the same",
     "roughness is ours: the GGX alpha is its square in both",
     "textures have 8 bits: GPUs decode sRGB from 8 bits only",
 )
 
 
-def write_gltf(folder: Path, svbrdf: SVBRDF) -> Export:
-    """Write ``folder/material.glb``: base colour, metallic and roughness packed, normal; F0 by KHR_materials_specular.
+def write_gltf(folder: Path, svbrdf: SVBRDF, side: float | None = None, licence: str | None = None) -> Export:
+    """Write ``folder/material.glb``: base colour; occlusion, roughness and metallic packed; normal; and F0.
 
-    Base colour and metallic are those of :func:`mitsvbrdf.material.conversion.as_principled`. The extension, for
-    ``roughconductor`` materials only, carries what metallic cannot say of F0; viewers without it show the conversion alone.
+    Base colour and metallic are those of :func:`mitsvbrdf.material.conversion.layered`: only what clearly is a metal is one.
+    ``KHR_materials_specular``, for ``roughconductor`` materials only, carries F0; viewers without it show 0.04.
 
     Args:
         folder: made when missing.
         svbrdf: the material.
+        side: of the patch in metres; left out: 1, of whatever it is.
+        licence: for the file's ``copyright``.
     """
-    material, factor = as_principled(svbrdf), None
-    lost = {}
+    material, factor, lost = svbrdf, None, {}
     if svbrdf.bsdf == "roughconductor":
-        material, factor = with_specular_color(svbrdf, material)
-        base, metallic = material["base_color"], material["metallic"]
-        shown = {"diffuse": base * (1 - metallic), "specular": base * metallic + DIELECTRIC_F0 * (1 - metallic) * factor}
-        lost = {"with KHR_materials_specular": residual(svbrdf, SVBRDF("roughconductor", dict(svbrdf.maps) | shown)),
-                "without it": residual(svbrdf, material)}
-    # R of the packed texture is free for occlusion, which we do not have: 1.
-    packed = torch.cat((torch.ones_like(material["roughness"]), material["roughness"], material["metallic"]), dim=-1)
+        material = layered(svbrdf, svbrdf["specular"].amax(dim=-1, keepdim=True))
+        factor = relative_f0(svbrdf, DIELECTRIC_F0)
+        for kind, f0 in {"with KHR_materials_specular": factor, "without it": torch.ones_like(factor)}.items():
+            f0 = f0 * DIELECTRIC_F0
+            lost[kind] = residual(svbrdf, as_shown(material, f0, f0.amax(dim=-1, keepdim=True)))
+    shaded = occlusion(heights(svbrdf["normal"]))[..., None].to(material["roughness"])
+    packed = torch.cat((shaded, material["roughness"], material["metallic"]), dim=-1)
     images = {"base_color": stored("base_color", material["base_color"]), "metallic_roughness": packed,
               "normal": stored("normal", material["normal"])}
     textures = [described(f"{FILE}: base_color", "base_color", 8),
-                Texture(f"{FILE}: metallic_roughness", "roughness in G, metallic in B", LINEAR, 8),
+                Texture(f"{FILE}: metallic_roughness", "occlusion in R, roughness in G, metallic in B", LINEAR, 8),
                 described(f"{FILE}: normal", "normal", 8)]
     extension = {}
     if factor is not None:
@@ -67,11 +71,11 @@ def write_gltf(folder: Path, svbrdf: SVBRDF) -> Export:
         textures.append(Texture(f"{FILE}: specular_color", f"factor on the dielectric F0 of 0.04, divided by {largest:.6g}",
                                 SRGB, 8))
         extension = {"specularColorFactor": [largest] * 3, "specularColorTexture": {"index": 3}}
-    files.write_bytes(folder / FILE, _glb(images, extension))
+    files.write_bytes(folder / FILE, _glb(images, extension, side or 1.0, licence))
     return Export((FILE,), tuple(textures), NOTES, lost)
 
 
-def _glb(textures: dict[str, Tensor], specular: dict) -> bytes:
+def _glb(textures: dict[str, Tensor], specular: dict, side: float, licence: str | None) -> bytes:
     blob, views = bytearray(), []
 
     def add(data: bytes, **about: int) -> int:
@@ -87,7 +91,8 @@ def _glb(textures: dict[str, Tensor], specular: dict) -> bytes:
                 "count": len(rows), "type": kind, **ends}
 
     # The tangent is +x and, with w = 1, the bitangent cross(normal, tangent) = +y: the up of our normal maps.
-    accessors = [accessor(CORNERS, "VEC3"), accessor(((0.0, 0.0, 1.0),) * 4, "VEC3"),
+    corners = tuple(tuple(side * x for x in corner) for corner in CORNERS)
+    accessors = [accessor(corners, "VEC3"), accessor(((0.0, 0.0, 1.0),) * 4, "VEC3"),
                  accessor(((1.0, 0.0, 0.0, 1.0),) * 4, "VEC4"), accessor(UVS, "VEC2"),
                  {"bufferView": add(struct.pack("<6H", *TRIANGLES), target=ELEMENT_ARRAY_BUFFER),
                   "componentType": UNSIGNED_SHORT, "count": 6, "type": "SCALAR"}]
@@ -96,9 +101,9 @@ def _glb(textures: dict[str, Tensor], specular: dict) -> bytes:
     material: dict = {
         "name": "material",
         "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "metallicRoughnessTexture": {"index": 1}},
-        "normalTexture": {"index": 2}}
+        "normalTexture": {"index": 2}, "occlusionTexture": {"index": 1}}
     document = {
-        "asset": {"version": "2.0", "generator": f"mitsvbrdf {__version__}"},
+        "asset": {"version": "2.0", "generator": f"mitsvbrdf {__version__}"} | ({"copyright": licence} if licence else {}),
         "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"name": "patch", "mesh": 0}],
         "meshes": [{"name": "patch", "primitives": [{
             "attributes": {"POSITION": 0, "NORMAL": 1, "TANGENT": 2, "TEXCOORD_0": 3}, "indices": 4, "material": 0}]}],

@@ -3,36 +3,53 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from ..material.conversion import as_principled
+import torch
+
+from ..material.conversion import as_shown, layered
 from ..material.map_files import ENCODINGS
-from ..material.maps import SVBRDF
+from ..material.maps import DIELECTRIC_F0, SVBRDF
+from ..material.relief import heights, occlusion
 from ..system import files
-from .textures import NORMALS, Bits, Export, NormalConvention, residual, write_texture
+from .residual import residual
+from .textures import NORMALS, Bits, Export, NormalConvention, write_texture
 
 Naming = Literal["own", "polyhaven", "ambientcg", "substance", "materialgan"]
 
 # File name of each map; NAME stands for the material's. "own" has both parameter sets, and load_maps reads it.
 FILE_NAMES: dict[str, dict[str, str]] = {
     "own": {"diffuse": "diffuse", "specular": "specular", "base_color": "base_color", "metallic": "metallic",
-            "roughness": "roughness", "normal gl": "normal", "normal dx": "normal_dx"},
+            "roughness": "roughness", "normal gl": "normal", "normal dx": "normal_dx", "specular_level": "specular_level",
+            "height": "height", "occlusion": "occlusion", "packed": "occlusion_roughness_metallic"},
     "polyhaven": {"base_color": "NAME_diff", "metallic": "NAME_metal", "roughness": "NAME_rough",
-                  "normal gl": "NAME_nor_gl", "normal dx": "NAME_nor_dx"},
+                  "normal gl": "NAME_nor_gl", "normal dx": "NAME_nor_dx", "specular_level": "NAME_spec",
+                  "height": "NAME_disp", "occlusion": "NAME_ao", "packed": "NAME_arm"},
     "ambientcg": {"base_color": "NAME_Color", "metallic": "NAME_Metalness", "roughness": "NAME_Roughness",
-                  "normal gl": "NAME_NormalGL", "normal dx": "NAME_NormalDX"},
+                  "normal gl": "NAME_NormalGL", "normal dx": "NAME_NormalDX", "specular_level": "NAME_Specular",
+                  "height": "NAME_Displacement", "occlusion": "NAME_AmbientOcclusion"},
     "substance": {"base_color": "NAME_BaseColor", "metallic": "NAME_Metallic", "roughness": "NAME_Roughness",
-                  "normal gl": "NAME_Normal_OpenGL", "normal dx": "NAME_Normal_DirectX"},
+                  "normal gl": "NAME_Normal_OpenGL", "normal dx": "NAME_Normal_DirectX", "specular_level": "NAME_SpecularLevel",
+                  "height": "NAME_Height", "occlusion": "NAME_AmbientOcclusion", "packed": "NAME_ORM"},
     "materialgan": {"diffuse": "dif", "specular": "spe", "roughness": "rgh", "normal gl": "nom", "normal dx": "nom_dx"},
 }
-LOSSY_NOTE = "base colour and metallic are the nearest to diffuse and specular, which say more; conversion_rmse: what is lost"
+# Where the size stands in the name, of sizes that have one: 1K is 1024 texels.
+SIZED = {"polyhaven": "NAME_{map}_{size}k", "ambientcg": "NAME_{size}K_{map}"}
+FULL_LEVEL = 0.08  # F0 of specular level 1, in Blender, Unreal and Substance; 0.5 is 0.04
+LOSSY_NOTE = (
+    "metallic is 0 or 1: base colour is F0 of metals, and of all else diffuse / (1 - F0), for most programs lay the highlight "
+    "over the diffuse light; the specular level (Blender's Specular IOR Level, F0 = 0.08 times it) has F0 up to 0.08")
 GAMMA_NOTE = "MaterialGAN's programs take dif, spe and rgh for gamma 2.2: here dif and spe are sRGB and rgh is linear"
 
 
 def write_maps(folder: Path, svbrdf: SVBRDF, name: str = "material", naming: Naming = "own", normal: NormalConvention = "gl",
-               bits: Bits = 16) -> Export:
+               bits: Bits = 16, side: float | None = None) -> Export:
     """Write the maps of a preset into the folder: colours sRGB, the rest linear, whatever the preset.
+
+    Beside what a fit finds there are the height that the normals stand for, between 0 and 1, ambient occlusion by it, and
+    occlusion, roughness and metallic packed in the channels of one file.
 
     Args:
         folder: made when missing.
@@ -40,21 +57,46 @@ def write_maps(folder: Path, svbrdf: SVBRDF, name: str = "material", naming: Nam
         name: the material's, for presets that have it in file names.
         naming: of :data:`FILE_NAMES`.
         normal: ``gl`` or ``dx``.
-        bits: of all files.
+        bits: of all files; the height always has 16.
+        side: of the patch in metres, for the height; left out: it is told in patch sides.
     """
-    material = as_principled(svbrdf)
-    both = {**svbrdf.as_roughconductor().maps, **material.maps}
+    both, lost = dict(svbrdf.as_roughconductor().maps), {}
+    level = (both["specular"].mean(dim=-1, keepdim=True) / FULL_LEVEL).clamp_max(1.0)
+    material = svbrdf
+    if svbrdf.bsdf == "roughconductor":
+        material = layered(svbrdf, FULL_LEVEL * level)
+        level = torch.where(material["metallic"] > 0, 0.5, level)
+        for kind, f0 in {"with the specular level": FULL_LEVEL * level,
+                         "without it": torch.full_like(level, DIELECTRIC_F0)}.items():
+            lost[kind] = residual(svbrdf, as_shown(material, f0, f0))
+    height = heights(svbrdf["normal"])
+    low, high = float(height.min()), float(height.max())
+    both |= {**material.maps, "specular_level": level, "occlusion": occlusion(height).float()[..., None],
+             "height": ((height - low) / max(high - low, 1e-12)).float()[..., None]}
+    both["packed"] = torch.cat((both["occlusion"], both["roughness"], both["metallic"]), dim=-1)
+    range_told = f"height, from 0 to 1: {(high - low) * (side or 1):.6g} {'metres' if side else 'patch sides'}"
+    holds = {"packed": "occlusion in R, roughness in G, metallic in B", "height": range_told}
     chosen = {key.removesuffix(f" {normal}"): file for key, file in FILE_NAMES[naming].items()}
-    chosen = {key: file.replace("NAME", _safe(name)) + ".png" for key, file in chosen.items() if key in both}
-    written = [write_texture(folder, file, key, both[key], bits, normal) for key, file in chosen.items()]
+    written = []
+    for key, file in chosen.items():
+        if key in both and not (key == "specular_level" and svbrdf.bsdf == "principled"):
+            texture = write_texture(folder, f"{_named(file, name, naming, svbrdf.resolution)}.png", key, both[key],
+                                    16 if key == "height" else bits, normal)
+            written.append(replace(texture, holds=holds.get(key, key)))
     if naming in ("own", "materialgan"):  # names that load_maps knows
         files.write_json(folder / "material.json", {
             "bsdf": "roughconductor" if naming == "materialgan" else svbrdf.bsdf, "size": svbrdf.resolution,
             "encoding": {key: code for key, code in ENCODINGS["srgb"].items() if key in chosen} | {"normal": NORMALS[normal]}})
-    converted = svbrdf.bsdf == "roughconductor" and "metallic" in chosen
-    notes = ((LOSSY_NOTE,) if converted else ()) + ((GAMMA_NOTE,) if naming == "materialgan" else ())
-    lost = {"base colour and metallic": residual(svbrdf, material)} if converted else None
-    return Export(tuple(texture.file for texture in written), tuple(written), notes, lost)
+    lossy = bool(lost) and "metallic" in chosen
+    notes = ((LOSSY_NOTE,) if lossy else ()) + ((GAMMA_NOTE,) if naming == "materialgan" else ())
+    return Export(tuple(texture.file for texture in written), tuple(written), notes, lost if lossy else None)
+
+
+def _named(file: str, name: str, naming: str, size: int) -> str:
+    """The file's name with the material's, and with its size in thousands where the library has that."""
+    if naming in SIZED and size % 1024 == 0:
+        file = SIZED[naming].format(map=file.removeprefix("NAME_"), size=size // 1024)
+    return file.replace("NAME", _safe(name))
 
 
 def _safe(name: str) -> str:

@@ -1,78 +1,99 @@
-"""The material as a MaterialX document: ``standard_surface`` with image textures.
+"""The material as MaterialX documents with image textures: ``standard_surface``, and OpenPBR for those who read 1.39.
 
-Source: MaterialX specification 1.38; Autodesk Standard Surface (Georgiev et al. 2019), whose roughness is the square root
-of the GGX alpha, as ours.
+Source: MaterialX specification 1.38 and 1.39; Autodesk Standard Surface (Georgiev et al. 2019) and OpenPBR Surface 1.1, whose
+roughness is the square root of the GGX alpha, as ours.
 """
 
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 
-from ..material.maps import SVBRDF
-from ..render.bsdf import F0_RANGE, index_from_f0
+from ..material.conversion import as_shown, layered, relative_f0, usual_f0
+from ..material.maps import DIELECTRIC_F0, SVBRDF
+from ..render.bsdf import index_from_f0
 from ..system import files, images
-from .textures import LINEAR, SRGB, Bits, Export, Texture, stored, write_texture
+from .residual import residual
+from .textures import SRGB, Bits, Export, Texture, stored, write_texture
 
-FILE = "material.mtlx"
-SPECULAR_NOTE = ("diffuse and F0 are exact, without metalness: the strongest channel of F0 is the specular_IOR, whose Fresnel "
-                 "curve is ours, and F0 over it the specular_color; F0 above 0.999 is cut")
-LAYER_NOTE = "standard_surface lays the specular lobe over the diffuse one, which gets what is left of the light; ours is a sum"
+
+class Surface(NamedTuple):
+    """A surface shader: its version of MaterialX, its node, and what our maps are called there."""
+
+    version: str
+    node: str
+    inputs: Mapping[str, str]
+    refractive_index: str
+
+
+SURFACES = {
+    "material.mtlx": Surface("1.38", "standard_surface", {
+        "base_color": "base_color", "metallic": "metalness", "specular_color": "specular_color",
+        "roughness": "specular_roughness", "normal": "normal"}, "specular_IOR"),
+    "openpbr.mtlx": Surface("1.39", "open_pbr_surface", {
+        "base_color": "base_color", "metallic": "base_metalness", "specular_color": "specular_color",
+        "roughness": "specular_roughness", "normal": "geometry_normal"}, "specular_ior")}
+SPECULAR_NOTE = ("one refractive index for all that is no metal, for viewers cannot read a map of it; specular_color is F0 "
+                 "over the index's: F0 is exact, and grazing light scaled alike")
+LAYER_NOTE = "the specular lobe lies over the diffuse one, which gets what is left of the light; ours is a sum"
 
 
 def write_materialx(folder: Path, svbrdf: SVBRDF, bits: Bits = 16) -> Export:
-    """Write ``folder/material.mtlx`` and ``folder/textures/*``.
+    """Write ``folder/material.mtlx``, ``folder/openpbr.mtlx`` and ``folder/textures/*``.
 
     Args:
         folder: made when missing.
         svbrdf: the material.
-        bits: of the PNG textures; the refractive index of a ``roughconductor`` material is a float32 EXR.
+        bits: of the PNG textures.
     """
-    inputs = {"roughness": "specular_roughness", "normal": "normal"}
-    if svbrdf.bsdf == "principled":
-        inputs = {"base_color": "base_color", "metallic": "metalness"} | inputs
-    else:
-        inputs = {"diffuse": "base_color"} | inputs
-    written = {inputs[name]: write_texture(folder, f"textures/{name}.png", name, svbrdf[name], bits) for name in inputs}
+    material, level, largest, lost = svbrdf, DIELECTRIC_F0, 1.0, {}
     if svbrdf.bsdf == "roughconductor":
-        f0 = svbrdf["specular"]
-        level = f0.amax(dim=-1, keepdim=True).clamp(*F0_RANGE)
-        written["specular_color"] = _write_colour(folder, f0 / level, bits)
-        images.write_exr(folder / "textures/specular_ior.exr", index_from_f0(level))
-        written["specular_IOR"] = Texture("textures/specular_ior.exr", "refractive index", LINEAR, 32)
-    files.write_bytes(folder / FILE, _document(written))
+        level = usual_f0(svbrdf)
+        material, relative = layered(svbrdf, torch.tensor(level)), relative_f0(svbrdf, level)
+        lost = {"materialx": residual(svbrdf, as_shown(material, relative * level, torch.tensor(level)))}
+        largest = max(float(relative.max()), 1.0)  # a texture ends at 1, the factor beside it does not
+    written = {name: write_texture(folder, f"textures/{name}.png", name, value, bits) for name, value in material.maps.items()}
+    if svbrdf.bsdf == "roughconductor":
+        file = "textures/specular_color.png"
+        images.write_png(folder / file, stored("specular", relative / largest), bits)
+        written["specular_color"] = Texture(file, f"F0 over {level:.6g}, divided by {largest:.6g}", SRGB, bits)
+    index = float(index_from_f0(torch.tensor(level)))
+    for file, surface in SURFACES.items():
+        files.write_bytes(folder / file, _document(surface, written, index, largest))
     notes = (LAYER_NOTE,) if svbrdf.bsdf == "principled" else (SPECULAR_NOTE, LAYER_NOTE)
-    return Export((FILE,), tuple(written.values()), notes)
+    return Export(tuple(SURFACES), tuple(written.values()), notes, lost)
 
 
-def _write_colour(folder: Path, value: torch.Tensor, bits: Bits) -> Texture:
-    images.write_png(folder / "textures/specular_color.png", stored("specular", value), bits)
-    return Texture("textures/specular_color.png", "F0 over its strongest channel", SRGB, bits)
-
-
-def _document(textures: dict[str, Texture]) -> bytes:
-    """MaterialX 1.38, which 1.39 reads too; ``textures`` by the input of standard_surface that each feeds."""
-    root = ET.Element("materialx", version="1.38", colorspace="lin_rec709")
+def _document(surface: Surface, textures: Mapping[str, Texture], index: float, largest: float) -> bytes:
+    """The document of a surface; ``largest`` multiplies the texture of ``specular_color``."""
+    root = ET.Element("materialx", version=surface.version, colorspace="lin_rec709")
     graph = ET.SubElement(root, "nodegraph", name="maps")
-    shader = ET.SubElement(root, "standard_surface", name="shader", type="surfaceshader")
-    _input(shader, "base", "float", value="1")
-    if "metalness" in textures:
-        _input(shader, "specular_IOR", "float", value="1.5")  # F0 = 0.04
-    for target, texture in textures.items():
+    shader = ET.SubElement(root, surface.node, name="shader", type="surfaceshader")
+    if surface.node == "standard_surface":
+        _input(shader, "base", "float", value="1")
+    _input(shader, surface.refractive_index, "float", value=f"{index:.7g}")
+    for name, texture in textures.items():
         kind = "vector3" if texture.normal else "color3" if texture.colour_space == SRGB else "float"
-        image = ET.SubElement(graph, "image", name=f"{target}_image", type=kind)
+        image = ET.SubElement(graph, "image", name=f"{name}_image", type=kind)
         space = {"colorspace": "srgb_texture"} if texture.colour_space == SRGB else {}
         _input(image, "file", "filename", value=texture.file, **space)
         for axis in "uv":
             _input(image, f"{axis}addressmode", "string", value="clamp")
-        source = f"{target}_image"
+        source = f"{name}_image"
         if texture.normal:
-            source = f"{target}_map"
-            _input(ET.SubElement(graph, "normalmap", name=source, type="vector3"), "in", "vector3", nodename=f"{target}_image")
-        ET.SubElement(graph, "output", name=f"{target}_out", type=kind, nodename=source)
-        _input(shader, target, kind, nodegraph="maps", output=f"{target}_out")
+            source = f"{name}_map"
+            _input(ET.SubElement(graph, "normalmap", name=source, type="vector3"), "in", "vector3", nodename=f"{name}_image")
+        if name == "specular_color" and largest > 1:
+            source = f"{name}_scaled"
+            scaled = ET.SubElement(graph, "multiply", name=source, type="color3")
+            _input(scaled, "in1", "color3", nodename=f"{name}_image")
+            _input(scaled, "in2", "float", value=f"{largest:.7g}")
+        ET.SubElement(graph, "output", name=f"{name}_out", type=kind, nodename=source)
+        _input(shader, surface.inputs[name], kind, nodegraph="maps", output=f"{name}_out")
     material = ET.SubElement(root, "surfacematerial", name="material", type="material")
     _input(material, "surfaceshader", "surfaceshader", nodename="shader")
     ET.indent(root)

@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from .. import __version__, color
-from ..material.maps import COLOURS, SVBRDF
-from ..measure.metrics import map_rmse
+from ..material.maps import COLOURS
 from ..system import files, images
 
 Bits = Literal[8, 16]
@@ -74,7 +73,7 @@ class Export:
         files: the files to open, relative to the folder.
         textures: all textures.
         notes: what the format cannot say, and what it says in another way.
-        conversion: RMSE of diffuse and specular lost on the way, by kind of conversion; see :func:`residual`.
+        conversion: what is lost on the way, by kind of conversion; see :func:`mitsvbrdf.export.residual.residual`.
     """
 
     files: tuple[str, ...]
@@ -85,12 +84,6 @@ class Export:
     def write(self, folder: Path, **about: object) -> None:
         """Write ``export.json`` into the folder."""
         files.write_json(folder / "export.json", {
-            "schema_version": 1, "mitsvbrdf": __version__, **about, "files": list(self.files),
+            "schema_version": 2, "mitsvbrdf": __version__, **about, "files": list(self.files),
             "textures": [asdict(texture) for texture in self.textures],
             "row_0": "top of the patch", "notes": list(self.notes), "conversion_rmse": self.conversion or {}})
-
-
-def residual(svbrdf: SVBRDF, converted: SVBRDF) -> dict[str, float]:
-    """What the conversion lost: RMSE of ``diffuse`` and ``specular`` as linear^(1/2.2), like all errors of maps."""
-    errors = map_rmse(converted, svbrdf)
-    return {name: errors[name] for name in ("diffuse", "specular")}

@@ -1,47 +1,62 @@
-"""One patch with its material as a USD text file: ``UsdPreviewSurface`` with ``UsdUVTexture`` nodes.
+"""The material as USD text: ``UsdPreviewSurface``, and beside it MaterialX's ``standard_surface`` for those who read that.
 
-Source: UsdPreviewSurface specification 2.6 (Pixar). Its specular workflow has our diffuse and F0; alpha is roughness squared.
+``material.usda`` is the material alone, to be referenced and bound; ``patch.usda`` is a square that wears it.
+
+Source: UsdPreviewSurface specification 2.6 (Pixar), metallic workflow; MaterialX in USD (UsdMtlx, ``config:mtlx:version``).
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
-from ..material.maps import CHANNELS, COLOURS, SVBRDF
-from ..system import files
-from .textures import Bits, Export, write_texture
+import torch
 
-FILE = "material.usda"
-SHADER_INPUTS = {"diffuse": "diffuseColor", "specular": "specularColor", "base_color": "diffuseColor", "metallic": "metallic",
-                 "roughness": "roughness", "normal": "normal"}
+from ..material.conversion import as_shown, layered, relative_f0, usual_f0
+from ..material.maps import COLOURS, DIELECTRIC_F0, SVBRDF
+from ..render.bsdf import index_from_f0
+from ..system import files, images
+from .residual import residual
+from .textures import LINEAR, SRGB, Bits, Export, Texture, stored, write_texture
+
+MATERIAL, PATCH = "material.usda", "patch.usda"
+HIGHEST_F0 = 0.9  # of what is no metal: a refractive index of 38
 NOTES = (
-    "UsdPreviewSurface lets diffuse light through by what the specular lobe leaves, where ours is a sum",
+    "metallic workflow: importers (Blender 4.5, three.js) pass the specular one by; F0 of what is no metal is grey, a texture "
+    "of the refractive index, beside one index for all where a reader takes no texture; the MaterialX shader has it in colour",
+    "UsdPreviewSurface lets diffuse light through by what the specular lobe leaves, where ours is a sum: diffuseColor is "
+    "diffuse / (1 - F0), the same seen from above",
     "its Fresnel curve is Schlick's, ours that of a real refractive index; F0 is the same",
     "colours have 8 bits: GPUs decode sRGB from 8 bits only",
 )
+PREVIEW = {"base_color": "color3f diffuseColor", "metallic": "float metallic", "roughness": "float roughness",
+           "normal": "normal3f normal", "ior": "float ior"}
+MTLX = {"base_color": "color3f base_color", "metallic": "float metalness", "roughness": "float specular_roughness",
+        "normal": "float3 normal", "specular_color": "color3f specular_color"}
 
 # st = (0, 0) is the lower left corner of an image, so row 0 of it is the top of the patch.
-STAGE_TEMPLATE = '''#usda 1.0
+STAGE = '''#usda 1.0
 (
-    defaultPrim = "patch"
-    metersPerUnit = 1
+    defaultPrim = "{prim}"
+    metersPerUnit = {unit}
     upAxis = "Y"
 )
 
-def Xform "patch"
+{content}'''
+SQUARE = '''def Xform "patch"
 {{
     def Mesh "square" (
         prepend apiSchemas = ["MaterialBindingAPI"]
     )
     {{
         uniform bool doubleSided = 0
-        float3[] extent = [(-0.5, -0.5, 0), (0.5, 0.5, 0)]
+        float3[] extent = [(-{h}, -{h}, 0), ({h}, {h}, 0)]
         int[] faceVertexCounts = [4]
         int[] faceVertexIndices = [0, 1, 2, 3]
         normal3f[] normals = [(0, 0, 1), (0, 0, 1), (0, 0, 1), (0, 0, 1)] (
             interpolation = "vertex"
         )
-        point3f[] points = [(-0.5, -0.5, 0), (0.5, -0.5, 0), (0.5, 0.5, 0), (-0.5, 0.5, 0)]
+        point3f[] points = [(-{h}, -{h}, 0), ({h}, -{h}, 0), ({h}, {h}, 0), (-{h}, {h}, 0)]
         texCoord2f[] primvars:st = [(0, 0), (1, 0), (1, 1), (0, 1)] (
             interpolation = "vertex"
         )
@@ -49,66 +64,114 @@ def Xform "patch"
         rel material:binding = </patch/material>
     }}
 
-    def Material "material"
-    {{
-        token outputs:surface.connect = </patch/material/surface.outputs:surface>
-
-        def Shader "surface"
-        {{
-            uniform token info:id = "UsdPreviewSurface"
-            int inputs:useSpecularWorkflow = {specular_workflow}
-{inputs}
-            token outputs:surface
-        }}
-
-        def Shader "st"
-        {{
-            uniform token info:id = "UsdPrimvarReader_float2"
-            string inputs:varname = "st"
-            float2 outputs:result
-        }}
-{textures}    }}
-}}
-'''
-TEXTURE_TEMPLATE = '''
-        def Shader "{name}"
-        {{
-            uniform token info:id = "UsdUVTexture"
-            asset inputs:file = @./{file}@
-            float2 inputs:st.connect = </patch/material/st.outputs:result>
-            token inputs:sourceColorSpace = "{space}"
-            token inputs:wrapS = "clamp"
-            token inputs:wrapT = "clamp"
-{more}            {kind} outputs:{channels}
-        }}
-'''
-NORMAL_DECODING = '''            float4 inputs:scale = (2, 2, 2, 1)
-            float4 inputs:bias = (-1, -1, -1, 0)
+{material}}}
 '''
 
 
-def write_usd(folder: Path, svbrdf: SVBRDF, bits: Bits = 16) -> Export:
-    """Write ``folder/material.usda`` and ``folder/textures/*.png``.
-
-    A ``roughconductor`` material uses the specular workflow (diffuse, F0), a ``principled`` one the metallic workflow with
-    the default ior of 1.5.
+def write_usd(folder: Path, svbrdf: SVBRDF, bits: Bits = 16, side: float | None = None) -> Export:
+    """Write ``folder/material.usda``, ``folder/patch.usda`` and ``folder/textures/*.png``.
 
     Args:
         folder: made when missing.
         svbrdf: the material.
         bits: of roughness, metallic and normal.
+        side: of the patch in metres; left out: 1, of whatever it is.
     """
-    written, inputs, nodes = [], [], []
-    for name, count in CHANNELS[svbrdf.bsdf].items():
-        texture = write_texture(folder, f"textures/{name}.png", name, svbrdf[name], 8 if name in COLOURS else bits)
-        written.append(texture)
-        kind = "normal3f" if name == "normal" else "float" if count == 1 else "color3f"
-        channels = "r" if count == 1 else "rgb"
-        inputs.append(f"            {kind} inputs:{SHADER_INPUTS[name]}.connect = </patch/material/{name}.outputs:{channels}>")
-        nodes.append(TEXTURE_TEMPLATE.format(
-            name=name, file=texture.file, space="sRGB" if name in COLOURS else "raw",
-            more=NORMAL_DECODING if name == "normal" else "", kind="float" if count == 1 else "float3", channels=channels))
-    workflow = int(svbrdf.bsdf == "roughconductor")
-    stage = STAGE_TEMPLATE.format(specular_workflow=workflow, inputs="\n".join(inputs), textures="".join(nodes))
-    files.write_bytes(folder / FILE, stage.encode())
-    return Export((FILE,), tuple(written), NOTES)
+    material, textures, lost = svbrdf, {}, {}
+    decoding = {"normal": ((2.0, 2.0, 2.0, 1.0), (-1.0, -1.0, -1.0, 0.0))}
+    usual, largest = DIELECTRIC_F0, 1.0
+    if svbrdf.bsdf == "roughconductor":
+        f0, usual = svbrdf["specular"].mean(dim=-1, keepdim=True).clamp_max(HIGHEST_F0), usual_f0(svbrdf)
+        material = layered(svbrdf, f0)
+        for kind, level in {"preview surface": f0, "preview surface, one refractive index": torch.full_like(f0, usual)}.items():
+            lost[kind] = residual(svbrdf, as_shown(material, level, level))
+        beyond = index_from_f0(torch.where(material["metallic"] > 0, DIELECTRIC_F0, f0)) - 1
+        most = float(beyond.max())
+        decoding["ior"] = (most,) * 4, (1.0,) * 4
+        images.write_png(folder / "textures/ior.png", beyond / most, 16)
+        textures["ior"] = Texture("textures/ior.png", f"(refractive index - 1) / {most:.6g}", LINEAR, 16)
+        relative = relative_f0(svbrdf, usual)
+        largest = max(float(relative.max()), 1.0)  # a texture ends at 1, the factor beside it does not
+        images.write_png(folder / "textures/specular_color.png", stored("specular", relative / largest), 8)
+        holds = f"F0 over {usual:.6g}, divided by {largest:.6g}"
+        textures["specular_color"] = Texture("textures/specular_color.png", holds, SRGB, 8)
+    for name, value in material.maps.items():
+        textures[name] = write_texture(folder, f"textures/{name}.png", name, value, 8 if name in COLOURS else bits)
+    text = _material(textures, float(index_from_f0(torch.tensor(usual))), decoding, largest)
+    alone = STAGE.format(prim="material", unit=1, content=text.format(at="/material"))
+    half = (100 * side if side else 1.0) / 2
+    worn = SQUARE.format(h=f"{half:.7g}", material=_indented(text.format(at="/patch/material")))
+    files.write_bytes(folder / MATERIAL, alone.encode())
+    files.write_bytes(folder / PATCH, STAGE.format(prim="patch", unit=0.01 if side else 1, content=worn).encode())
+    return Export((MATERIAL, PATCH), tuple(textures.values()), NOTES, lost)
+
+
+def _material(textures: Mapping[str, Texture], index: float, decoding: Mapping[str, tuple], largest: float) -> str:
+    """The material prim; ``{at}`` stands for its path.
+
+    Args:
+        textures: by the map that each holds.
+        index: refractive index of what is no metal, where no texture says it.
+        decoding: scale and bias of textures that have them.
+        largest: what the texture of ``specular_color`` is multiplied by.
+    """
+    surface, mtlx, nodes = [f"float inputs:ior = {index:.7g}"], [f"float inputs:specular_IOR = {index:.7g}"], []
+    for name, texture in textures.items():
+        if name in PREVIEW:
+            kind, entry = PREVIEW[name].split()
+            channels = "rgb" if "3" in kind else "r"
+            surface.append(f"{kind} inputs:{entry}.connect = <{{at}}/{name}.outputs:{channels}>")
+            nodes.append(_uv_texture(name, texture, channels, decoding.get(name)))
+        if name in MTLX:
+            kind, entry = MTLX[name].split()
+            more, source = _mtlx_texture(f"mtlx_{name}", texture, kind, largest if name == "specular_color" else None)
+            nodes += more
+            mtlx.append(f"{kind} inputs:{entry}.connect = <{{at}}/{source}.outputs:out>")
+    shaders = [_shader("surface", "UsdPreviewSurface", "token outputs:surface", "int inputs:useSpecularWorkflow = 0", *surface),
+               _shader("mtlx", "ND_standard_surface_surfaceshader", "token outputs:out", "float inputs:base = 1", *mtlx),
+               _shader("st", "UsdPrimvarReader_float2", "float2 outputs:result", 'string inputs:varname = "st"'), *nodes]
+    return '''def Material "material" (
+    prepend apiSchemas = ["MaterialXConfigAPI"]
+)
+{{
+    uniform string config:mtlx:version = "1.39"
+    token outputs:surface.connect = <{at}/surface.outputs:surface>
+    token outputs:mtlx:surface.connect = <{at}/mtlx.outputs:out>
+
+''' + "\n".join(map(_indented, shaders)) + "}}\n"
+
+
+def _uv_texture(name: str, texture: Texture, channels: str, decoding: tuple | None) -> str:
+    numbers = [f"float4 inputs:{key} = ({', '.join(f'{x:.7g}' for x in value)})"
+               for key, value in zip(("scale", "bias"), decoding or ())]
+    kind = "float3" if channels == "rgb" else "float"
+    return _shader(name, "UsdUVTexture", f"{kind} outputs:{channels}", f"asset inputs:file = @./{texture.file}@",
+                   "float2 inputs:st.connect = <{at}/st.outputs:result>",
+                   f'token inputs:sourceColorSpace = "{"sRGB" if texture.colour_space == SRGB else "raw"}"',
+                   'token inputs:wrapS = "clamp"', 'token inputs:wrapT = "clamp"', *numbers)
+
+
+def _mtlx_texture(name: str, texture: Texture, kind: str, largest: float | None) -> tuple[list[str], str]:
+    """The image node and what decodes it, and the name of the last of them."""
+    node = {"color3f": "color3", "float3": "vector3", "float": "float"}[kind]
+    space = ' (\n        colorSpace = "srgb_texture"\n    )' if texture.colour_space == SRGB else ""
+    nodes = [_shader(name, f"ND_image_{node}", f"{kind} outputs:out", f"asset inputs:file = @./{texture.file}@{space}",
+                     'string inputs:uaddressmode = "clamp"', 'string inputs:vaddressmode = "clamp"')]
+    if texture.normal:
+        nodes.append(_shader(f"{name}map", "ND_normalmap_float", "float3 outputs:out",
+                             f"float3 inputs:in.connect = <{{at}}/{name}.outputs:out>"))
+        return nodes, f"{name}map"
+    if largest is not None:
+        nodes.append(_shader(f"{name}_scaled", "ND_multiply_color3FA", "color3f outputs:out",
+                             f"color3f inputs:in1.connect = <{{at}}/{name}.outputs:out>", f"float inputs:in2 = {largest:.7g}"))
+        return nodes, f"{name}_scaled"
+    return nodes, name
+
+
+def _shader(name: str, identifier: str, output: str, *inputs: str) -> str:
+    lines = [f'uniform token info:id = "{identifier}"', *inputs, output]
+    return f'def Shader "{name}"\n{{{{\n' + "".join(f"    {line}\n" for line in lines) + "}}\n"
+
+
+def _indented(text: str) -> str:
+    return "".join(f"    {line}\n" if line else "\n" for line in text.splitlines())

@@ -86,6 +86,12 @@ class SavedFit:
         return f"{number:02d} ({'seen' if number in self.seen else 'left out'})"
 
     @property
+    def side_metres(self) -> float | None:
+        """Side of its patch; None where no sheet in the photos told the unit of its views."""
+        sheet = self.views is not None and self.record.get("calibration", {}).get("from") == "sheet"
+        return self.views.size / 100 if sheet and self.views else None
+
+    @property
     def fixed(self) -> list[str]:
         """Names of the maps that were not fitted."""
         return list(described(self.record["config"]["fix"]))

@@ -6,81 +6,80 @@ A metal/rough material has diffuse b (1 - m) and F0 = b m + 0.04 (1 - m): four n
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor
 
 from .maps import DIELECTRIC_F0, SVBRDF
 
-COARSE, REFINEMENTS = 16, 24  # intervals of metallic looked at first; halvings of golden section: m to 1e-6
-GOLDEN = (math.sqrt(5) - 1) / 2
+# Between what reflects most without being a metal (diamond, 0.17) and least being one (0.4 and more in the strongest channel).
+METAL_F0 = 0.25
+DIELECTRICS = 0.02, 0.17  # F0 of water and of diamond
+METAL_DIFFUSE = 0.25  # largest diffuse colour of a metal, as a share of its F0: a bare metal has none, a fit leaves a little
+
+
+def is_metal(svbrdf: SVBRDF) -> Tensor:
+    """Which texels are clearly a metal: R x R x 1, bool. F0 alone does not tell; fits of wood and paper reach 0.3, too."""
+    maps = svbrdf.as_roughconductor()
+    f0, diffuse = (maps[name].amax(dim=-1, keepdim=True) for name in ("specular", "diffuse"))
+    return (f0 > METAL_F0) & (diffuse < METAL_DIFFUSE * f0)
 
 
 def as_principled(svbrdf: SVBRDF) -> SVBRDF:
-    """Base colour and metallic nearest to the diffuse and specular maps; a principled material as it is.
+    """Base colour and metallic, which is 0 or 1: F0 of metals, the diffuse colour of all else; a principled one as it is.
 
-    Of each texel the m in [0, 1] is searched that leaves the least sum of squares |b (1 - m) - diffuse|^2 +
-    |b m + 0.04 (1 - m) - specular|^2 (linear), b in [0, 1] being the least-squares answer for that m. Of equal answers
-    the less metallic one is taken.
+    The metallic between 0 and 1 that is nearest to both maps would turn a red card with an F0 of 0.1 into three quarters of
+    a metal, whose colour is in the highlight: under oblique light it is black.
 
     Returns:
-        A ``principled`` material of the same dtype and normals.
+        A ``principled`` material of the same dtype and normals. Lost are the F0 of what is no metal, which comes out as
+        0.04, and the diffuse light of metals.
     """
     if svbrdf.bsdf == "principled":
         return svbrdf
-    diffuse, specular = svbrdf["diffuse"].double(), svbrdf["specular"].double()
-    metallic = _search(diffuse, specular)
-    kind = svbrdf["diffuse"].dtype
-    return SVBRDF("principled", {"base_color": _base_color(metallic, diffuse, specular).to(kind), "metallic": metallic.to(kind),
+    metal = is_metal(svbrdf)
+    return SVBRDF("principled", {"base_color": torch.where(metal, svbrdf["specular"], svbrdf["diffuse"]),
+                                 "metallic": metal.to(svbrdf["diffuse"].dtype),
                                  "roughness": svbrdf["roughness"], "normal": svbrdf["normal"]})
 
 
-def with_specular_color(svbrdf: SVBRDF, converted: SVBRDF) -> tuple[SVBRDF, Tensor]:
-    """The converted material beside a factor on its dielectric F0 of 0.04, so that F0 is that of the original.
+def layered(svbrdf: SVBRDF, f0: Tensor) -> SVBRDF:
+    """Base colour and metallic for clients that lay the highlight over the diffuse light, which they let through by 1 - F0.
 
-    The factor c = (specular - b m) / (0.04 (1 - m)) adds what metallic leaves out, and cannot take away: b is lowered to
-    specular / m where it is higher. c is in [0, 25], so that 0.04 c reaches from 0 to 1; of a metal (m = 1) it is 1.
+    Of all but metals the base colour is the diffuse colour divided by that: seen from above, the diffuse light is ours.
+
+    Args:
+        svbrdf: a ``roughconductor`` material.
+        f0: the F0 that the client knows of what is no metal, broadcast to R x R x 1.
 
     Returns:
-        The material, and c: R x R x 3, linear. F0 = b m + 0.04 (1 - m) c.
+        A ``principled`` material. Cut are base colours above 1, of texels that reflect more light than arrives.
     """
-    metallic, specular = converted["metallic"], svbrdf.as_roughconductor()["specular"]
-    base = torch.where(metallic > 0, specular / metallic.clamp_min(1e-12), 1.0).minimum(converted["base_color"])
-    glass = DIELECTRIC_F0 * (1 - metallic)
-    factor = torch.where(glass > 0, (specular - base * metallic) / glass.clamp_min(1e-12), 1.0)
-    return SVBRDF("principled", dict(converted.maps) | {"base_color": base}), factor.clamp(0.0, 1 / DIELECTRIC_F0)
+    material = as_principled(svbrdf)
+    base = (svbrdf["diffuse"] / (1 - f0).clamp_min(1e-6)).clamp_max(1.0)
+    return SVBRDF("principled", dict(material.maps) | {
+        "base_color": torch.where(material["metallic"] > 0, material["base_color"], base)})
 
 
-def _base_color(metallic: Tensor, diffuse: Tensor, specular: Tensor) -> Tensor:
-    glass = 1 - metallic
-    fitted = (glass * diffuse + metallic * (specular - DIELECTRIC_F0 * glass)) / (glass**2 + metallic**2)
-    return fitted.clamp(0.0, 1.0)
+def usual_f0(svbrdf: SVBRDF) -> float:
+    """One F0 for all that is no metal, where a format has no map of it: the median, from water's to diamond's."""
+    others = svbrdf["specular"].mean(dim=-1)[~is_metal(svbrdf)[..., 0]]
+    return float(others.median().clamp(*DIELECTRICS)) if len(others) else DIELECTRIC_F0
 
 
-def _cost(metallic: Tensor, diffuse: Tensor, specular: Tensor) -> Tensor:
-    base, glass = _base_color(metallic, diffuse, specular), 1 - metallic
-    errors = (base * glass - diffuse).square() + (base * metallic + DIELECTRIC_F0 * glass - specular).square()
-    return errors.sum(dim=-1, keepdim=True)
+def relative_f0(svbrdf: SVBRDF, level: float) -> Tensor:
+    """F0 over the level that a client has for all, R x R x 3; 1 where a metal is."""
+    return torch.where(is_metal(svbrdf), 1.0, svbrdf["specular"] / level)
 
 
-def _search(diffuse: Tensor, specular: Tensor) -> Tensor:
-    """The metallic of least cost, R x R x 1: the best of 17 values, then golden section around it."""
-    best = torch.zeros_like(diffuse[..., :1])
-    least = _cost(best, diffuse, specular)
+def as_shown(material: SVBRDF, f0: Tensor, taken: Tensor) -> SVBRDF:
+    """What a client that lays the lobes shows from above, as diffuse and F0: the way back from :func:`layered`.
 
-    def offer(metallic: Tensor) -> None:
-        nonlocal best, least
-        cost = _cost(metallic, diffuse, specular)
-        best, least = torch.where(cost < least, metallic, best), torch.minimum(cost, least)
-
-    for step in range(1, COARSE + 1):
-        offer(torch.full_like(best, step / COARSE))
-    low, high = (best - 1 / COARSE).clamp_min(0), (best + 1 / COARSE).clamp_max(1)
-    for _ in range(REFINEMENTS):
-        width = GOLDEN * (high - low)
-        left, right = high - width, low + width
-        lower = _cost(left, diffuse, specular) < _cost(right, diffuse, specular)
-        low, high = torch.where(lower, low, left), torch.where(lower, right, high)
-    offer((low + high) / 2)
-    return best
+    Args:
+        material: a ``principled`` one.
+        f0: of what is no metal, broadcast to R x R x 3.
+        taken: the share of the light that the highlight takes from the diffuse, broadcast to R x R x 1.
+    """
+    base, metallic = material["base_color"], material["metallic"]
+    return SVBRDF("roughconductor", {
+        "diffuse": base * (1 - metallic) * (1 - taken), "specular": base * metallic + f0.clamp_max(1.0) * (1 - metallic),
+        "roughness": material["roughness"], "normal": material["normal"]})

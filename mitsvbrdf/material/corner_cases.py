@@ -14,9 +14,8 @@ from .maps import CHANNELS, SVBRDF, Bsdf, flat
 # How the maps of one BSDF become those of the other, as it stands in the output.
 CONVERSION: dict[str, str] = {
     "roughconductor": "diffuse = base_color (1 - metallic), specular = base_color metallic + 0.04 (1 - metallic)",
-    "principled": "the base_color and metallic whose diffuse and specular are nearest, in least squares",
+    "principled": "metallic 1 and base_color specular where it clearly is a metal, else 0 and diffuse; F0 is then 0.04",
 }
-NEARLY_METAL = 1 - 2**-24
 
 
 def builtin_materials(resolution: int = 128) -> dict[str, SVBRDF]:
@@ -61,16 +60,8 @@ def _ramp(resolution: int, low: float, high: float) -> Tensor:
 
 
 def as_bsdf(svbrdf: SVBRDF, bsdf: Bsdf) -> SVBRDF:
-    """The material as this BSDF, converted where it is the other (:data:`CONVERSION`).
-
-    Converted metallic stays one rounding below 1: a black metal reflects nothing at all, and no error is relative to that.
-    """
-    if svbrdf.bsdf == bsdf:
-        return svbrdf
-    if bsdf == "roughconductor":
-        return svbrdf.as_roughconductor()
-    made = as_principled(svbrdf)
-    return SVBRDF("principled", dict(made.maps) | {"metallic": made["metallic"].clamp_max(NEARLY_METAL)})
+    """The material as this BSDF, converted where it is the other (:data:`CONVERSION`)."""
+    return as_principled(svbrdf) if bsdf == "principled" else svbrdf.as_roughconductor()
 
 
 def random_material(bsdf: Bsdf, resolution: int = 48, seed: int = 0) -> SVBRDF:

@@ -21,7 +21,6 @@ OUTLINE = ((0.60, -0.05), (0.84, -0.01), (0.95, 0.08), (0.95, 0.22), (0.82, 0.31
            (0.17, 1.58), (0.0, 1.57), (-0.17, 1.58))
 QUADS_AROUND, QUADS_BETWEEN = 96, 5  # quads around the axis, and between two control points
 TILES_AROUND = 2  # around the axis: one is in front, and they meet at the sides
-STEEPEST = 10.0  # slope of a relief, 84 degrees: a texel whose normal lies down would stand hundreds of patch sides high
 
 
 @dataclass(frozen=True)
@@ -90,36 +89,6 @@ def relief(height: Tensor) -> Mesh:
     u, v = np.meshgrid(at, at)
     positions = np.stack((u - 0.5, v - 0.5, padded), axis=-1)
     return _sheet(positions, np.broadcast_to([0.0, 0.0, 1.0], positions.shape), np.stack((u, v), axis=-1))
-
-
-def heights(normal: Tensor) -> Tensor:
-    """Heights whose slopes are nearest to those of the normals in least squares: R x R in patch sides, mean 0.
-
-    Between neighbours the slope is the mean of theirs; at the border it is free. That is Poisson's equation with Neumann's
-    condition, solved exactly by a cosine transform (Simchony, Chellappa and Shao 1990, after Frankot and Chellappa 1988).
-    Slopes above :data:`STEEPEST` are cut.
-
-    Args:
-        normal: R x R x 3, unit vectors, +Y up, row 0 at the top.
-    """
-    n = normal.double()
-    size = len(n)
-    z = n[..., 2].clamp_min(1 / STEEPEST)
-    right, down = -n[..., 0] / z / size, n[..., 1] / z / size
-    between_right, between_down = (right[:, 1:] + right[:, :-1]) / 2, (down[1:] + down[:-1]) / 2
-    source = torch.zeros(size, size, dtype=torch.float64)
-    source[:, :-1] += between_right
-    source[:, 1:] -= between_right
-    source[:-1] += between_down
-    source[1:] -= between_down
-    mirrored = torch.cat((source, source.flip(0)))
-    mirrored = torch.cat((mirrored, mirrored.flip(1)), dim=1)
-    wave = 2 * torch.cos(torch.arange(2 * size, dtype=torch.float64) * math.pi / size) - 2
-    laplacian = wave[:, None] + wave
-    laplacian[0, 0] = 1
-    spectrum = torch.fft.fft2(mirrored) / laplacian
-    spectrum[0, 0] = 0
-    return torch.fft.ifft2(spectrum).real[:size, :size]
 
 
 def _sheet(positions: np.ndarray, normals: np.ndarray, uv: np.ndarray) -> Mesh:

@@ -13,12 +13,13 @@ import torch
 from ..errors import ConfigError
 from ..export.mitsuba import view_parameters
 from ..material.maps import SVBRDF
+from ..material.relief import heights
 from ..render.bsdf import needed_maps, plugin, slot_values
 from ..render.needs import Needs, material_needs
 from ..views import Views, nine_view_grid
 from .environment import WHITE_LUMINANCE, Environment, make_environment
 from .scene_file import read_scene
-from .shapes import heights, mitsuba_mesh, relief
+from .shapes import mitsuba_mesh, relief
 
 Place = Callable[[int], dict[str, Any]]
 

@@ -1,18 +1,21 @@
 """The command that exports, and its mistakes."""
 
 import json
+import zipfile
 from xml.etree import ElementTree
 
 import pytest
 from helpers.exported import stated
 
 from mitsvbrdf import cli
-from mitsvbrdf.errors import ConfigError
+from mitsvbrdf.errors import BackendError, ConfigError
 from mitsvbrdf.export import export_material
 from mitsvbrdf.material.conversion import as_principled
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import flat
+from mitsvbrdf.relight import sphere
+from mitsvbrdf.system import images
 
 
 def test_a_principled_material_loses_nothing(tmp_path):
@@ -28,10 +31,10 @@ def test_export_command(tmp_path, capsys):
     said = capsys.readouterr().out
     folder = tmp_path / "brick/export"
     assert (folder / "gltf/material.glb").is_file() and (folder / "maps/brick_nor_dx.png").is_file()
-    assert sorted(path.name for path in folder.iterdir()) == [".mitsvbrdf", "gltf", "maps"]
-    lost = stated(folder / "maps")["conversion_rmse"]["base colour and metallic"]
+    assert sorted(path.name for path in folder.iterdir()) == [".mitsvbrdf", "gltf", "maps", "preview.png", "thumbnail.png"]
+    lost = stated(folder / "maps")["conversion_rmse"]["with the specular level"]
     assert f"diffuse {lost['diffuse']:.4f}, specular {lost['specular']:.4f}" in said and lost["specular"] > 0
-    assert cli.main(["export", "builtin:tiles", "-o", str(tmp_path / "all")]) == 0
+    assert cli.main(["export", "builtin:tiles", "--no-preview", "-o", str(tmp_path / "all")]) == 0
     assert {path.parent.name for path in (tmp_path / "all").glob("*/export.json")} == {
         "gltf", "materialx", "usd", "mitsuba", "maps"}
 
@@ -41,16 +44,45 @@ def test_the_scene_shows_the_first_photo_of_the_fit(tmp_path):
     views = {"size": 2.0, "falloff": "none", "camera": [[0.5, 0.25, 4.0]], "light": [[0.5, 0.0, 4.0]], "intensity": [[8, 8, 8]]}
     fit = {"flash_offset": None, "views": views, "capture": {"transfer": "srgb", "name": "x", "photos": [2]}}
     (tmp_path / "fit.json").write_text(json.dumps(fit))
-    assert cli.main(["export", str(tmp_path), "--to", "mitsuba"]) == 0
+    assert cli.main(["export", str(tmp_path), "--to", "mitsuba", "--no-preview"]) == 0
     root = ElementTree.parse(tmp_path / "export/mitsuba/scene.xml").getroot()
     found = {entry.get("name"): entry.get("value") for entry in root.iter("default")}
     in_sides = {"camera_x": 0.25, "camera_y": 0.125, "camera_z": 2.0, "light_x": 0.25, "light_y": 0.0, "light_z": 2.0}
     assert {name: float(found[name]) for name in in_sides} == in_sides and found["intensity"] == "2.0, 2.0, 2.0"
 
 
+def test_a_texture_as_libraries_have_them(tmp_path, capsys):
+    """Seamless, with its size and licence, a picture, and a zip of each format."""
+    made = make_material("plates", 64).map(lambda value: value[3:51, 7:55].contiguous())
+    save_maps(made, tmp_path / "rust/maps")
+    command = ["export", str(tmp_path / "rust"), "--to", "usd,maps", "--tile", "--zip", "--side-cm", "12",
+               "--licence", "CC0-1.0"]
+    assert cli.main(command) == 0
+    folder = tmp_path / "rust/export"
+    said = stated(folder / "usd")
+    assert said["licence"] == "CC0-1.0" and 0.06 <= said["side_metres"] < 0.11  # what the overlap left of it
+    assert f"{said['side_metres'] / 0.12:.0%} of the patch's side is left" in capsys.readouterr().out
+    inside = set(zipfile.ZipFile(folder / "usd.zip").namelist())
+    assert {"usd/patch.usda", "usd/material.usda", "usd/export.json", "usd/textures/normal.png"} <= inside
+    for name, side in (("preview", 512), ("thumbnail", 128)):
+        picture = images.read_image(folder / f"{name}.png", ValueError)
+        assert picture.shape == (side, side, 3) and 0.02 < float(picture.std()) < 0.4
+    assert cli.main([*command[:-1], "CC-BY-4.0", "--overwrite"]) == 0
+
+
+def test_exports_go_without_mitsuba(tmp_path, monkeypatch, capsys):
+    def missing(*_):
+        raise BackendError("libLLVM 19 or newer", "none", "install libllvm19")
+
+    monkeypatch.setattr(sphere, "mitsuba_module", missing)
+    assert cli.main(["export", "builtin:tiles", "--to", "gltf", "-o", str(tmp_path / "out")]) == 0
+    assert "no preview: " in capsys.readouterr().out
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [".mitsvbrdf", "gltf"]
+
+
 def test_export_is_replaced_when_asked_only(tmp_path, capsys):
     save_maps(flat(8), tmp_path / "m")
-    command = ["export", str(tmp_path / "m"), "--to", "gltf", "-o", str(tmp_path / "out")]
+    command = ["export", str(tmp_path / "m"), "--to", "gltf", "--no-preview", "-o", str(tmp_path / "out")]
     assert cli.main(command) == 0
     assert cli.main(command) == 2 and "--overwrite" in capsys.readouterr().err
     assert cli.main([*command, "--overwrite", "--to", "usd"]) == 0
@@ -59,7 +91,8 @@ def test_export_is_replaced_when_asked_only(tmp_path, capsys):
 
 @pytest.mark.parametrize("arguments, word", [
     (["--to", "gltf,obj"], "obj"), (["--to", ""], "gltf"), (["--to", "gltf", "--naming", "polyhaven"], "maps"),
-    (["--to", "usd", "--normal", "dx"], "maps"), (["-o", "m"], "folder of its own"), (["-o", "m/maps"], "folder of its own")])
+    (["--to", "usd", "--normal", "dx"], "maps"), (["-o", "m"], "folder of its own"), (["-o", "m/maps"], "folder of its own"),
+    (["--side-cm", "0"], "side above 0"), (["--side-cm", "nan"], "side above 0")])
 def test_mistakes_of_the_caller(arguments, word, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     save_maps(flat(8), tmp_path / "m/maps")

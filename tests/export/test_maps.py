@@ -12,10 +12,25 @@ from helpers.exported import decoded, stated
 from mitsvbrdf.export import export_material
 from mitsvbrdf.export.maps import FILE_NAMES
 from mitsvbrdf.material.conversion import as_principled
+from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import load_maps
 from mitsvbrdf.material.maps import SVBRDF, flat
+from mitsvbrdf.material.relief import heights
 from mitsvbrdf.render.analytic import AnalyticRenderer
 from mitsvbrdf.views import Views
+
+DERIVED = ("occlusion", "occlusion in R, roughness in G, metallic in B")
+
+
+def wanted_maps(material):
+    """What the files hold: both parameter sets; the specular level L of Blender, Unreal and Substance means F0 = 0.08 L."""
+    both = dict(material.as_roughconductor().maps)
+    if material.bsdf == "principled":
+        return both | dict(material.maps)
+    metallic = as_principled(material)["metallic"]
+    level = (both["specular"].mean(dim=-1, keepdim=True) / 0.08).clamp(max=1)
+    base = torch.where(metallic > 0, both["specular"], (both["diffuse"] / (1 - 0.08 * level)).clamp(max=1))
+    return both | {"metallic": metallic, "base_color": base, "specular_level": torch.where(metallic > 0, 0.5, level)}
 
 
 @pytest.mark.parametrize("normal", ["gl", "dx"])
@@ -28,10 +43,12 @@ def test_maps_are_what_export_json_says(material, naming, bits, normal, tmp_path
     assert there - {"material.json"} == {texture["file"] for texture in said["textures"]} | {"export.json"}
     for texture in said["textures"]:
         name, pixels = texture["holds"], cv2.imread(str(folder / texture["file"]), cv2.IMREAD_UNCHANGED)
-        assert pixels.dtype == {8: np.uint8, 16: np.uint16}[texture["bits"]] and texture["bits"] == bits
+        assert pixels.dtype == {8: np.uint8, 16: np.uint16}[texture["bits"]]
+        assert texture["bits"] == (16 if name.startswith("height") else bits)  # 256 steps of height are stairs
         assert texture["colour_space"] == ("sRGB" if name in ("diffuse", "specular", "base_color") else "linear")
-        found, wanted = decoded(folder / texture["file"], texture["colour_space"]), (
-            as_principled(material) if name in ("base_color", "metallic") else material.as_roughconductor())[name].numpy()
+        if name in DERIVED or name.startswith("height"):
+            continue
+        found, wanted = decoded(folder / texture["file"], texture["colour_space"]), wanted_maps(material)[name].numpy()
         if name == "normal":
             assert ("DirectX" if normal == "dx" else "OpenGL") in texture["normal"]
             found, wanted = found * 2 - 1, wanted * ([1, -1, 1] if normal == "dx" else [1, 1, 1])
@@ -41,11 +58,15 @@ def test_maps_are_what_export_json_says(material, naming, bits, normal, tmp_path
 
 def test_names_are_those_of_the_libraries(tmp_path):
     names = {
-        "polyhaven": {"Old_brick_diff", "Old_brick_metal", "Old_brick_rough", "Old_brick_nor_gl"},
-        "ambientcg": {"Old_brick_Color", "Old_brick_Metalness", "Old_brick_Roughness", "Old_brick_NormalGL"},
-        "substance": {"Old_brick_BaseColor", "Old_brick_Metallic", "Old_brick_Roughness", "Old_brick_Normal_OpenGL"},
+        "polyhaven": {"Old_brick_diff", "Old_brick_metal", "Old_brick_rough", "Old_brick_nor_gl", "Old_brick_spec",
+                      "Old_brick_disp", "Old_brick_ao", "Old_brick_arm"},
+        "ambientcg": {"Old_brick_Color", "Old_brick_Metalness", "Old_brick_Roughness", "Old_brick_NormalGL",
+                      "Old_brick_Specular", "Old_brick_Displacement", "Old_brick_AmbientOcclusion"},
+        "substance": {"Old_brick_BaseColor", "Old_brick_Metallic", "Old_brick_Roughness", "Old_brick_Normal_OpenGL",
+                      "Old_brick_SpecularLevel", "Old_brick_Height", "Old_brick_AmbientOcclusion", "Old_brick_ORM"},
         "materialgan": {"dif", "spe", "rgh", "nom"},
-        "own": {"diffuse", "specular", "base_color", "metallic", "roughness", "normal"}}
+        "own": {"diffuse", "specular", "base_color", "metallic", "roughness", "normal", "specular_level", "height", "occlusion",
+                "occlusion_roughness_metallic"}}
     for naming, expected in names.items():
         export_material(flat(4), tmp_path / naming, ["maps"], "Old brick!", naming)
         assert {path.stem for path in (tmp_path / naming / "maps").glob("*.png")} == expected
@@ -55,7 +76,9 @@ def test_names_are_those_of_the_libraries(tmp_path):
 # What Blender's Node Wrangler takes a file for, by the words of its name.
 BLENDER_WORDS = {"base_color": {"diffuse", "diff", "albedo", "base", "col", "color", "basecolor"},
                  "metallic": {"metallic", "metalness", "metal", "mtl"}, "roughness": {"roughness", "rough", "rgh"},
-                 "normal": {"normal", "nor", "nrm", "nrml", "norm"}}
+                 "normal": {"normal", "nor", "nrm", "nrml", "norm"}, "specular_level": {"specular", "spec", "spc"},
+                 "height": {"displacement", "displace", "disp", "dsp", "height", "heightmap"},
+                 "occlusion": {"ao", "ambient", "occlusion"}}
 
 
 @pytest.mark.parametrize("naming", ["polyhaven", "ambientcg", "substance"])
@@ -64,7 +87,10 @@ def test_blender_knows_the_files_by_their_names(naming, tmp_path):
     for texture in stated(tmp_path / "maps")["textures"]:
         words = {word.lower() for word in re.findall("[A-Z]?[a-z]+|[A-Z]+", texture["file"].removesuffix(".png"))}
         meanings = {meaning for meaning, known in BLENDER_WORDS.items() if words & known}
-        assert meanings == {texture["holds"].split()[0]}, texture["file"]
+        if texture["file"].endswith(("_arm.png", "_ORM.png")):
+            assert not meanings  # several maps in one: for engines, and passed by
+            continue
+        assert meanings == {texture["holds"].split()[0].rstrip(",")}, texture["file"]
 
 
 @pytest.mark.parametrize("naming", ["own", "materialgan"])
@@ -102,3 +128,28 @@ def test_directx_normals_are_opengl_normals_with_green_turned_around(tmp_path):
     assert wrong[above, 8:24].mean() < wrong[below, 8:24].mean() / 1.3
     turned = shown(found["dx"] * [1, -1, 1])
     assert (turned - right).abs().max() < 1e-4 * right.max()  # one step of 16 bits
+
+
+def test_sizes_stand_in_names_where_libraries_have_them(tmp_path):
+    made = flat(1024)
+    for naming, file in {"polyhaven": "brick_diff_1k.png", "ambientcg": "brick_1K_Color.png",
+                         "substance": "brick_BaseColor.png"}.items():
+        export_material(made, tmp_path / naming, ["maps"], "brick", naming)
+        assert (tmp_path / naming / "maps" / file).is_file()
+
+
+def test_the_height_is_between_0_and_1_and_says_how_high_that_is(tmp_path):
+    made = make_material("plates", 64)
+    export_material(made, tmp_path, ["maps"], naming="polyhaven", side=0.5)
+    (said,) = (texture["holds"] for texture in stated(tmp_path / "maps")["textures"] if texture["holds"].startswith("height"))
+    metres = float(re.search(r"0 to 1: ([\d.e-]+) metres", said)[1])
+    truth = heights(made["normal"])
+    assert metres == pytest.approx(0.5 * float(truth.max() - truth.min()), rel=1e-5)
+    found = decoded(tmp_path / "maps/material_disp.png", "linear")[..., 0] * metres / 0.5 + float(truth.min())
+    assert np.abs(found - truth.numpy()).max() < 1e-4 * metres
+
+
+def test_packed_maps_are_those_of_the_single_files(tmp_path):
+    export_material(make_material("plates", 32), tmp_path, ["maps"], naming="polyhaven")
+    packed, *single = (decoded(tmp_path / f"maps/material_{name}.png", "linear") for name in ("arm", "ao", "rough", "metal"))
+    assert np.abs(packed - np.concatenate([each[..., :1] for each in single], axis=-1)).max() == 0

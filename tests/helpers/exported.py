@@ -4,7 +4,9 @@ import json
 
 import cv2
 import numpy as np
+import torch
 
+from mitsvbrdf.material.made import make_material
 from mitsvbrdf.system import images
 
 BSDFS = ["roughconductor", "principled"]
@@ -21,6 +23,14 @@ def decoded(path, colour_space):
     pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     values = np.atleast_3d(pixels)[..., ::-1] / np.iinfo(pixels.dtype).max
     return srgb_to_linear(values) if colour_space == "sRGB" else values
+
+
+def gilt_plates(resolution):
+    """The made material ``plates`` with bare gold in a corner."""
+    made = make_material("plates", resolution)
+    part = resolution // 4
+    made["diffuse"][:part, :part], made["specular"][:part, :part] = 0.0, torch.tensor([1.0, 0.77, 0.34])
+    return made
 
 
 def stated(folder):

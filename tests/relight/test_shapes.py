@@ -10,9 +10,10 @@ from helpers.stages import drawn, unjittered
 
 from mitsvbrdf.export.mitsuba import SCENES
 from mitsvbrdf.material.maps import CHANNELS, SVBRDF, flat
+from mitsvbrdf.material.relief import occlusion
 from mitsvbrdf.measure.metrics import image_error
 from mitsvbrdf.relight import make_stage
-from mitsvbrdf.relight.shapes import heights, relief, shaderball
+from mitsvbrdf.relight.shapes import mitsuba_mesh, relief, shaderball
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.system import images
 from mitsvbrdf.testing import assert_z_test, random_material
@@ -155,23 +156,6 @@ def bump(size):
     return height - height.mean(), F.normalize(torch.stack((-right, -up, torch.ones_like(x)), dim=-1), dim=-1)
 
 
-def test_heights_of_a_bump_and_of_a_slope():
-    height, normal = bump(128)
-    assert (heights(normal) - height).abs().max() < 1e-3 * 0.05  # measured 7.7e-4: slopes are averaged between texels
-    coarse, normal = bump(64)
-    assert (heights(normal) - coarse).abs().max() < 4e-3 * 0.05  # and 3.1e-3: of second order
-    tilted = F.normalize(torch.tensor([0.1, -0.3, 1.0], dtype=torch.float64), dim=0).expand(16, 16, 3)
-    x, y, _ = texel_positions(16).unbind(-1)
-    assert (heights(tilted) - (-0.1 * x + 0.3 * y)).abs().max() < 1e-12  # exact for a plane
-
-
-def test_a_normal_that_lies_down_is_no_tower():
-    normal = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64).repeat(64, 64, 1)
-    normal[20, 30] = F.normalize(torch.tensor([1.0, 0.0, 1e-5]).double(), dim=0)  # the lowest that maps may have
-    # As high as a slope of 10: measured 0.028 patch sides, and 285 without an end to slopes.
-    assert 0.01 < heights(normal).abs().max() < 0.05
-
-
 def test_a_displaced_patch_is_as_high_as_its_normals_say(mi):
     height, normal = bump(64)
     material = SVBRDF("roughconductor", {**flat(64).maps, "normal": normal.float()})
@@ -212,3 +196,19 @@ def test_the_shader_balls_file_is_its_recipe_and_its_maps_keep_their_angles(mi):
     # The dish seen from above: 1.36 at worst. A tile's side is 2.1 to 3.4, of the ball's 2.1 across.
     assert (largest / smallest).max() < 1.5
     assert 1.9 < 1 / largest.max() and 1 / smallest.min() < 3.5
+
+
+def test_rays_see_as_much_sky(mi):
+    """White ground with this relief under an evenly bright sky, one bounce of Mitsuba: its radiance is the share of the sky."""
+    height = 4 * bump(64)[0]
+    scene = mi.load_dict({
+        "type": "scene", "integrator": {"type": "direct"}, "sky": {"type": "constant", "radiance": 1.0},
+        "patch": mitsuba_mesh(mi, relief(height), "patch", mi.load_dict({"type": "diffuse", "reflectance": 1.0})),
+        "sensor": {"type": "orthographic", "to_world": mi.ScalarTransform4f().look_at([0, 0, 2], [0, 0, 0], [0, 1, 0])
+                   @ mi.ScalarTransform4f().scale([0.5, 0.5, 1]),
+                   "film": {"type": "hdrfilm", "width": 64, "height": 64, "rfilter": {"type": "box"}, "pixel_format": "rgb"}}})
+    seen = torch.tensor(mi.render(scene, spp=256, seed=0).numpy())[..., 0]
+    found = occlusion(height)
+    # Rays weigh by the slope's own normal, ours by the plane's; and they leave the patch at its border.
+    inner = slice(8, 56)
+    assert torch.corrcoef(torch.stack((seen[inner, inner].flatten().double(), found[inner, inner].flatten())))[0, 1] > 0.8

@@ -80,7 +80,7 @@ def test_a_scene_of_before_makes_no_kernel_late_by_being_freed(monkeypatch):
     gc.disable()  # else it may free the first scene at once
     try:
         soak.soak([SceneRenderer()], "roughconductor", "gradients", 20, resolution=8)
-        record = soak.soak([SceneRenderer(samples=16)], "roughconductor", "images", 20, resolution=8)  # kernels no other test has
+        record = soak.soak([SceneRenderer(samples=16)], "roughconductor", "images", 20, resolution=8)  # no other test's kernels
     finally:
         gc.enable()
     assert record["kernels"] == {"first": 2, "late": 0, "late_steps": []}

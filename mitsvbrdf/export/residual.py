@@ -1,0 +1,34 @@
+"""What a conversion changes of what is seen: pictures under three lights, of the material and of what a format says of it."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+
+from ..color import to_display
+from ..material.maps import SVBRDF
+from ..measure.metrics import map_rmse, photo_rmse
+from ..render.analytic import AnalyticRenderer
+from ..views import Views
+
+HEIGHT = 2.0  # of the camera, above the centre, in patch sides
+LIGHTS = {"at the camera": (0.0, 0.0, HEIGHT), "beside it": (0.8, 0.3, HEIGHT), "oblique": (1.5, 0.0, 0.6)}
+IRRADIANCE = math.pi / 2  # at the centre: white paper shows half of the largest display value's radiance
+
+
+def three_lights() -> Views:
+    """The camera above, one light a view; every light is as bright at the patch's centre."""
+    light = torch.tensor(list(LIGHTS.values()), dtype=torch.float64)
+    distance2 = light.square().sum(dim=1)
+    power = IRRADIANCE * distance2 * distance2.sqrt() / light[:, 2]
+    return Views.of(torch.tensor([[0.0, 0.0, HEIGHT]] * len(LIGHTS)), light, power[:, None].expand(-1, 3))
+
+
+def residual(svbrdf: SVBRDF, converted: SVBRDF) -> dict[str, float]:
+    """RMSE of the converted maps, as linear^(1/2.2), and of their pictures under :data:`LIGHTS`, in sRGB display values."""
+    errors = map_rmse(converted, svbrdf)
+    renderer, views = AnalyticRenderer(), three_lights()
+    wanted, shown = (renderer.render(each.as_roughconductor().to(torch.float32), views) for each in (svbrdf, converted))
+    _, pictures = photo_rmse(shown, to_display(wanted, "srgb"), "srgb")
+    return {name: errors[name] for name in ("diffuse", "specular")} | dict(zip(LIGHTS, pictures))

@@ -1,0 +1,70 @@
+"""The relief that a normal map stands for: its height, and how much of the sky each texel sees in it."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+STEEPEST = 10.0  # slope of a relief, 84 degrees: a texel whose normal lies down would stand hundreds of patch sides high
+DIRECTIONS = 16  # around a texel, in which its horizon is looked for
+FARTHEST = 0.25  # of what may hide the sky, in patch sides
+
+
+def heights(normal: Tensor) -> Tensor:
+    """Heights whose slopes are nearest to those of the normals in least squares: R x R in patch sides, mean 0.
+
+    Between neighbours the slope is the mean of theirs; at the border it is free. That is Poisson's equation with Neumann's
+    condition, solved exactly by a cosine transform (Simchony, Chellappa and Shao 1990, after Frankot and Chellappa 1988).
+    Slopes above :data:`STEEPEST` are cut.
+
+    Args:
+        normal: R x R x 3, unit vectors, +Y up, row 0 at the top.
+    """
+    n = normal.double()
+    size = len(n)
+    z = n[..., 2].clamp_min(1 / STEEPEST)
+    right, down = -n[..., 0] / z / size, n[..., 1] / z / size
+    between_right, between_down = (right[:, 1:] + right[:, :-1]) / 2, (down[1:] + down[:-1]) / 2
+    source = torch.zeros(size, size, dtype=torch.float64)
+    source[:, :-1] += between_right
+    source[:, 1:] -= between_right
+    source[:-1] += between_down
+    source[1:] -= between_down
+    mirrored = torch.cat((source, source.flip(0)))
+    mirrored = torch.cat((mirrored, mirrored.flip(1)), dim=1)
+    wave = 2 * torch.cos(torch.arange(2 * size, dtype=torch.float64) * math.pi / size) - 2
+    laplacian = wave[:, None] + wave
+    laplacian[0, 0] = 1
+    spectrum = torch.fft.fft2(mirrored) / laplacian
+    spectrum[0, 0] = 0
+    return torch.fft.ifft2(spectrum).real[:size, :size]
+
+
+def occlusion(height: Tensor) -> Tensor:
+    """Share of an evenly bright sky's light that reaches each texel past the relief around it, R x R in [0, 1].
+
+    The highest slope to what lies within :data:`FARTHEST` is the horizon of a direction; a flat texel gets cos^2 of its angle
+    of the light from there, averaged over :data:`DIRECTIONS`. Beyond the border the relief goes on as it ends.
+
+    Args:
+        height: R x R in patch sides, row 0 at the top.
+
+    Source: Bavoil, Sainz and Dimitrov 2008, "Image-space horizon-based ambient occlusion".
+    """
+    size = len(height)
+    rim = max(1, round(FARTHEST * size))
+    around = torch.nn.functional.pad(height[None, None], (rim,) * 4, mode="replicate")[0, 0]
+    seen = torch.zeros_like(height)
+    for k in range(DIRECTIONS):
+        angle = 2 * math.pi * k / DIRECTIONS
+        horizon, steps = torch.zeros_like(height), set()
+        for step in range(math.ceil(8 * math.log2(rim + 1)) + 1):  # eight for each doubling of the distance
+            far = min(2 ** (step / 8), rim)
+            steps.add((round(far * math.sin(angle)), round(far * math.cos(angle))))
+        for down, right in steps:
+            there = around[rim + down:rim + down + size, rim + right:rim + right + size]
+            horizon = torch.maximum(horizon, (there - height) * (size / math.hypot(down, right)))
+        seen += 1 / (1 + horizon.square())
+    return seen / DIRECTIONS
