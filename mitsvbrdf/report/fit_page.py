@@ -27,6 +27,7 @@ from ..pages.pictures import at_most, magma, picture_uri
 from ..render import Renderer
 from ..system import files, images
 from .checks import fit_report
+from .front import front
 from .look_page import write_look_page
 from .viewer import viewer_html
 
@@ -143,6 +144,7 @@ def _write_page(found: SavedFit, record: dict) -> None:
     side = int(max(SMALLEST_PHOTO, min(LARGEST_PHOTO, PHOTOS_WIDE / len(record["photos"])**0.5)))
     title = f"{fit['capture'].get('name') or 'Capture'}: recovered material"
     write_page(found.path / "report.html", "report/report.html", title=title, fit=fit, record=record, maps=_maps(found),
+               front=front(found, record["quick"]),
                photos=[_photo(found.path, photo, side) for photo in record["photos"]], viewer=viewer_html(found.svbrdf),
                curves=_curves(fit["trace"]), measured=_thinned(fit["trace"]), unknown=UNKNOWN, ramp=_ramp(), titles=TITLES,
                look=write_look_page(found), scalar=_scalar, from_where=about_views(fit.get("calibration") or {}))

@@ -57,6 +57,7 @@ def placed(position):
 
 camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
 camera.data.angle = 2 * math.atan(0.5 / job["camera"][2])
+camera.data.shift_x = 2e-5  # a ray right through the diagonal of the square may miss both triangles
 camera.location = placed(job["camera"])
 camera.rotation_euler = (math.pi / 2, 0, 0) if upright else (0, 0, 0)
 scene.collection.objects.link(camera)
@@ -70,8 +71,8 @@ for other in list(bpy.data.objects):
 scene.world = bpy.data.worlds.new("black")
 scene.world.color = (0, 0, 0)
 scene.render.engine = "CYCLES"
-scene.cycles.samples, scene.cycles.max_bounces, scene.cycles.pixel_filter_type = 16, 0, "BOX"
-scene.cycles.filter_width = 0.1  # about the middle of a pixel; a ray right through the diagonal of the square may miss it
+scene.cycles.samples, scene.cycles.max_bounces, scene.cycles.pixel_filter_type = 1, 0, "BOX"
+scene.cycles.filter_width = 0.01
 scene.cycles.use_denoising = scene.cycles.use_adaptive_sampling = False
 scene.render.resolution_x = scene.render.resolution_y = job["size"]
 scene.render.film_transparent = False

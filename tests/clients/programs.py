@@ -122,7 +122,6 @@ CLIENTS: dict[str, Callable[[Path, int], Tensor]] = {
     "Mitsuba, scene.xml": mitsuba,
     "Blender, glTF": blender("gltf/material.glb"),
     "Blender, USD": blender("usd/patch.usda"),
-    "Blender, USD": "its importer reads no coloured F0",
     "Blender, maps": blender("maps"),
     "three.js, glTF": browser("in_three", "gltf/material.glb"),
     "three.js, MaterialX": browser("in_materialx", "materialx/material.mtlx"),

@@ -2,6 +2,8 @@
 
 import io
 import shutil
+import zipfile
+from contextlib import contextmanager
 
 import numpy as np
 import PIL.Image
@@ -27,6 +29,14 @@ def larger(tmp_path_factory):
     return folder / "out" / "report.html"
 
 
+@contextmanager
+def read(path, **how):
+    """The page with its laboratory open."""
+    with opened(path, **how) as page:
+        page.evaluate("document.querySelector('.laboratory').open = true")
+        yield page
+
+
 def cut(page, number=0):
     return page.locator(".wipe").nth(number).evaluate("e => parseFloat(getComputedStyle(e).getPropertyValue('--cut'))")
 
@@ -39,7 +49,7 @@ def pixels(locator):
 @pytest.mark.parametrize("width, phone", [(1280, False), (390, True)])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_the_page_fits_and_reads_in_a_browser(width, phone, scheme, larger, tmp_path):
-    with opened(larger, width=width, height=844, scheme=scheme, phone=phone) as page:
+    with read(larger, width=width, height=844, scheme=scheme, phone=phone) as page:
         page.wait_for_timeout(500)  # the live view draws; errors would be said by now
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         assert page.locator(".photo").count() == 9 and page.locator(".photo.left").count() == 2
@@ -61,7 +71,7 @@ def test_the_slider_wipes_by_keyboard_and_pointer(larger, tmp_path):
     out = shutil.copytree(larger.parent, tmp_path / "out")
     images.write_png(out / "photos/00.png", torch.tensor([1.0, 0.0, 0.0]).expand(64, 64, 3))
     write_report(out, quick=True)
-    with opened(out / "report.html") as page:
+    with read(out / "report.html") as page:
         wipe, slider = page.locator(".wipe").first, page.locator(".wipe input").first
 
         def red():  # per cent of a line of the picture that shows the photo
@@ -88,7 +98,7 @@ def test_the_slider_wipes_by_keyboard_and_pointer(larger, tmp_path):
 
 @pytest.mark.slow
 def test_switches_and_the_large_picture_work_by_keyboard(larger):
-    with opened(larger) as page:
+    with read(larger) as page:
         spreads, plain = page.locator(".maps .spread"), page.locator(".maps .plain")
         assert not spreads.first.is_visible() and plain.first.is_visible()
         page.locator("#spreads").focus()
@@ -117,7 +127,7 @@ def test_switches_and_the_large_picture_work_by_keyboard(larger):
 
 @pytest.mark.slow
 def test_a_phone_wipes_by_touch(larger):
-    with opened(larger, width=390, height=844, phone=True) as page:
+    with read(larger, width=390, height=844, phone=True) as page:
         wipe = page.locator(".wipe").nth(2)
         wipe.scroll_into_view_if_needed()
         box = wipe.bounding_box()
@@ -127,7 +137,7 @@ def test_a_phone_wipes_by_touch(larger):
 
 @pytest.mark.slow
 def test_without_javascript_all_pictures_are_there(larger):
-    with opened(larger) as page:
+    with read(larger) as page:
         context = page.context.browser.new_context(java_script_enabled=False, viewport={"width": 390, "height": 844})
         plain = context.new_page()
         plain.goto(larger.resolve().as_uri())
@@ -137,3 +147,28 @@ def test_without_javascript_all_pictures_are_there(larger):
         assert not plain.locator(".wipe input").first.is_visible() and not plain.locator("#all").is_visible()
         plain.locator("#spreads").check()
         assert plain.locator(".maps .spread").first.is_visible()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width, phone", [(1280, False), (390, True)])
+def test_the_page_begins_with_the_material_and_its_textures(width, phone, larger, tmp_path):
+    with opened(larger, width=width, height=844, phone=phone) as page:
+        top = page.locator(".front .ball").bounding_box()
+        assert top["y"] + top["height"] < 844  # seen without scrolling
+        assert not page.locator("#photos").is_visible()
+        with page.expect_download() as download:
+            page.locator("a.main").click()
+        download.value.save_as(tmp_path / "all.zip")
+        inside = zipfile.ZipFile(tmp_path / "all.zip")
+        assert inside.testzip() is None and page.locator(".each a").all_inner_texts() == inside.namelist()
+        with page.expect_download() as download:
+            page.get_by_text("inlay_nor_gl.png").click()
+        download.value.save_as(tmp_path / "one.png")
+        assert (tmp_path / "one.png").read_bytes() == inside.read("inlay_nor_gl.png")
+        drawn = page.evaluate("""() => { const canvas = document.querySelector(".tiling");
+          const data = canvas.getContext("2d").getImageData(0, 0, 384, 384).data, at = (x, y) => 4 * (384 * y + x);
+          return [[...data.slice(at(20, 50), at(21, 50))], [...data.slice(at(148, 306), at(149, 306))]]; }""")
+        assert drawn[0] == drawn[1] and sum(drawn[0][:3]) > 0  # the same place of two tiles
+        page.get_by_role("link", name="Stability").click()
+        page.wait_for_timeout(200)
+        assert page.locator("#stability").is_visible()

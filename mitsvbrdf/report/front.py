@@ -1,0 +1,69 @@
+"""What a page begins with: the material on a sphere, whether it can be trusted, and its textures to take along."""
+
+from __future__ import annotations
+
+import base64
+import io
+import tempfile
+import zipfile
+from pathlib import Path
+
+from ..errors import BackendError
+from ..export.maps import write_maps
+from ..fit.record import SavedFit
+from ..material.maps import SVBRDF
+from ..pages.pictures import picture_uri
+from ..relight.sphere import sphere
+
+SIDES, HEAVIEST = (512, 256), 2 * 2**20  # texels a side of the textures: the first whose zip has at most so many bytes
+QUICK, FULL = 256, 512  # pixels of the sphere
+
+
+def front(found: SavedFit, quick: bool) -> dict:
+    """Picture, verdict and textures of a fit.
+
+    Args:
+        found: the fit.
+        quick: a smaller picture.
+
+    Returns:
+        ``picture`` (an address, or None where Mitsuba cannot run), ``good`` and ``verdict``; ``file`` and ``archive``, name and
+        address of a zip of textures, and the ``side`` of these in texels; ``metres``, side of the patch or None.
+    """
+    name = found.record["capture"].get("name") or "material"
+    try:
+        picture = picture_uri(sphere(found.svbrdf, QUICK if quick else FULL))
+    except BackendError:
+        picture = None
+    good, verdict = judged(found.record)
+    for side in SIDES:
+        textures = found.svbrdf.resized(min(side, found.svbrdf.resolution))
+        file, archive = packed(textures, name)
+        if len(archive) <= HEAVIEST:
+            break
+    return {"picture": picture, "good": good, "verdict": verdict, "file": file, "side": textures.resolution,
+            "archive": "data:application/zip;base64," + base64.b64encode(archive).decode(), "metres": found.side_metres}
+
+
+def judged(record: dict) -> tuple[bool, str]:
+    """Whether nothing speaks against the maps, and one sentence that says so, or what to look at first."""
+    photos = f"{len(record['per_photo'])} photo{'s' * (len(record['per_photo']) != 1)}"
+    met = f"rendered again, they are within {record['rerender_rmse']:.3f} of {photos}, where 1 is white"
+    if record["stopped"] == "interrupted":
+        return False, f"Look at this: the fit was interrupted, and these are the best maps until then; {met}."
+    if record["warnings"]:
+        more = len(record["warnings"]) - 1
+        rest = f" ({more} more below)" if more else ""
+        return False, f"Look at this: {record['warnings'][0].rstrip('.')}{rest}."
+    return True, f"Good: nothing speaks against these maps; {met}."
+
+
+def packed(svbrdf: SVBRDF, name: str) -> tuple[str, bytes]:
+    """Name and content of a zip of PNG textures, 8 bits, named as Blender's Node Wrangler knows them."""
+    with tempfile.TemporaryDirectory() as folder:
+        written = write_maps(Path(folder), svbrdf, name, "polyhaven", bits=8)
+        data = io.BytesIO()
+        with zipfile.ZipFile(data, "w", zipfile.ZIP_STORED) as archive:  # PNG is compressed already
+            for file in written.files:
+                archive.writestr(zipfile.ZipInfo(file), (Path(folder) / file).read_bytes())  # without the time
+    return f"{written.files[0].removesuffix('.png').rsplit('_', 1)[0]}.zip", data.getvalue()

@@ -1,0 +1,66 @@
+"""What a page begins with: a verdict from the record, and textures that are those of the exports."""
+
+import base64
+import io
+import re
+import zipfile
+
+import numpy as np
+import PIL.Image
+import pytest
+from helpers.exported import gilt_plates
+from helpers.fit_pages import Page
+
+from mitsvbrdf.errors import BackendError
+from mitsvbrdf.export.maps import write_maps
+from mitsvbrdf.fit.record import read_whole_fit
+from mitsvbrdf.report import front as front_page
+from mitsvbrdf.report.front import front, judged, packed
+
+
+@pytest.mark.parametrize("stopped, warnings, good, words", [
+    ("settled", [], True, "Good: nothing speaks against these maps; rendered again, they are within 0.025 of 2 photos"),
+    ("settled", ["photo 3 is dark."], False, "Look at this: photo 3 is dark."),
+    ("budget", ["one", "two", "three"], False, "Look at this: one (2 more below)."),
+    ("interrupted", [], False, "Look at this: the fit was interrupted")])
+def test_the_verdict_is_that_of_the_record(stopped, warnings, good, words):
+    record = {"per_photo": {"00": 0.02, "01": 0.03}, "rerender_rmse": 0.0254, "stopped": stopped, "warnings": warnings}
+    found, sentence = judged(record)
+    assert found is good and sentence.startswith(words)
+
+
+def test_the_zip_holds_what_export_writes(tmp_path):
+    made = gilt_plates(16)
+    written = write_maps(tmp_path, made, "Old brick!", "polyhaven", bits=8)
+    file, data = packed(made, "Old brick!")
+    inside = zipfile.ZipFile(io.BytesIO(data))
+    assert file == "Old_brick.zip" and inside.namelist() == list(written.files) and len(written.files) == 8
+    for name in written.files:
+        assert inside.read(name) == (tmp_path / name).read_bytes()
+    assert packed(made, "Old brick!")[1] == data
+
+
+def test_the_page_has_the_textures_of_its_fit(fitted):
+    page = Page(fitted / "report.html")
+    link = re.search(r'download="([^"]*)" href="data:application/zip;base64,([^"]*)"', page.source)
+    inside = zipfile.ZipFile(io.BytesIO(base64.b64decode(link[2])))
+    stem = link[1].removesuffix(".zip")
+    rough = np.asarray(PIL.Image.open(io.BytesIO(inside.read(f"{stem}_rough.png")))).astype(int)
+    assert np.abs(rough - 255 * read_whole_fit(fitted).svbrdf["roughness"][..., 0].numpy()).max() < 0.51
+    ball = page.pixels("a sphere of this material in a studio")
+    assert ball.shape == (256, 256, 3) and ball.std() > 5
+
+
+def test_pages_go_without_mitsuba(fitted, monkeypatch):
+    def missing(*_):
+        raise BackendError("libLLVM 19 or newer", "none", "install libllvm19")
+
+    monkeypatch.setattr(front_page, "sphere", missing)
+    assert front(read_whole_fit(fitted), quick=True)["picture"] is None
+
+
+def test_heavy_textures_are_smaller_on_the_page(fitted, monkeypatch):
+    monkeypatch.setattr(front_page, "SIDES", (32, 16))
+    assert front(read_whole_fit(fitted), quick=True)["side"] == 32
+    monkeypatch.setattr(front_page, "HEAVIEST", 1000)
+    assert front(read_whole_fit(fitted), quick=True)["side"] == 16
