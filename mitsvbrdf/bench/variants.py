@@ -46,7 +46,7 @@ GAN_VARIANTS: dict[str, dict[str, object]] = {
     "no level": {"level": False},
     "no angles": {"angles": False},
     "not paired": {"paired": False},
-    "with feature matching": {"features": 10.0},
+    "no feature matching": {"features": 0.0},
     "no clipping": {"clipping": False},
     "no growing": {"grow": False},
     "one picture a step": {"pictures": 1},

@@ -27,7 +27,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         "guess": "robust", "grey_specular": False, "generator": "all-photos", "start": True, "width": 16,
         "learning_rate": 2e-3, "head_start": 0.1, "decay": True, "normal_roughness_steps": 1, "fresh_pictures": False,
         "pictures": 6, "discriminator_rate": 1e-3, "game": "relativistic", "level": True, "angles": True, "paired": True,
-        "clipping": True, "grow": True, "average": 0.0, "adversarial": 1.0, "features": 0.0, "diffuse": 5.0,
+        "clipping": True, "grow": True, "average": 0.0, "adversarial": 1.0, "features": 10.0, "diffuse": 5.0,
         "smooth": 1.0, "flash_offset": True},
     "paper-one-stage": _PAPER, "paper-two-stage": _PAPER}
 
