@@ -16,9 +16,11 @@ from pathlib import Path
 from .errors import BackendError
 
 PACKAGES = {"torch": "torch", "numpy": "numpy", "opencv": "cv2", "OpenEXR": "OpenEXR", "safetensors": "safetensors",
-            "scipy": "scipy", "matplotlib": "matplotlib", "jinja2": "jinja2", "pillow": "PIL", "av": "av", "mpmath": "mpmath",
-            "flip": "flip_evaluator", "tyro": "tyro", "rich": "rich"}
-DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless", "PIL": "pillow", "flip_evaluator": "flip-evaluator"}
+            "scipy": "scipy", "matplotlib": "matplotlib", "jinja2": "jinja2", "pillow": "PIL", "mpmath": "mpmath",
+            "tyro": "tyro", "rich": "rich"}
+EXTRAS = {"flip": "flip_evaluator", "movie": "av", "heic": "pillow_heif", "raw": "rawpy"}  # by the extra that installs it
+DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless", "PIL": "pillow", "flip_evaluator": "flip-evaluator",
+                 "pillow_heif": "pillow-heif"}
 
 
 @dataclass(frozen=True)
@@ -45,6 +47,7 @@ def diagnose(variant: str = "llvm_ad_rgb") -> list[Row]:
     return [Row("Python", python, fresh, "" if fresh else "install Python 3.11 or newer"),
             Row("mitsvbrdf", _version("mitsvbrdf") or "not installed, run from its folder"),
             *(_package(name, module) for name, module in PACKAGES.items()),
+            *(_extra(name, module) for name, module in EXTRAS.items()),
             *_mitsuba(variant), Row("threads", _threads()), Row("memory", _memory())]
 
 
@@ -77,6 +80,12 @@ def _package(name: str, module: str) -> Row:
     except Exception as reason:  # a broken binary raises OSError and others; all mean that it cannot be used
         return Row(name, f"cannot be imported: {reason}", False, f"pip install {distribution}")
     return Row(name, _version(distribution) or str(getattr(found, "__version__", "version unknown")), True)
+
+
+def _extra(name: str, module: str) -> Row:
+    """A package that only some files or figures need; without it all else works."""
+    found = _package(name, module)
+    return found if found.ok else Row(name, "not installed", None, f'pip install "mitsvbrdf[{name}]"')
 
 
 def _mitsuba(variant: str) -> list[Row]:

@@ -51,6 +51,21 @@ def test_a_missing_package_is_named_with_the_line_to_type(monkeypatch, capsys, m
     assert f"-> {line}\n" in shown and shown.endswith("see the lines with NO.\n")
 
 
+def test_what_only_some_need_is_told_and_is_no_fault(monkeypatch, capsys):
+    real = doctor.importlib.import_module
+
+    def without(name, *rest):
+        if name in ("av", "flip_evaluator"):
+            raise ModuleNotFoundError(f"No module named {name!r}")
+        return real(name, *rest)
+
+    monkeypatch.setattr(doctor.importlib, "import_module", without)
+    assert doctor.doctor() == 0
+    shown = capsys.readouterr().out
+    assert '-> pip install "mitsvbrdf[movie]"\n' in shown and '-> pip install "mitsvbrdf[flip]"\n' in shown
+    assert "NO " not in shown
+
+
 def test_it_works_where_nothing_is_installed(monkeypatch, capsys):
     real = builtins.__import__
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from .. import color
-from ..errors import CaptureError, ConfigError, MapsError
+from ..errors import BackendError, CaptureError, ConfigError, MapsError
 from ..material.map_files import ENCODINGS
 from ..material.maps import SVBRDF
 
@@ -120,12 +120,15 @@ def flip(image: Tensor, reference: Tensor, transfer: color.Transfer = "gamma2.2"
         H x W, float32.
 
     Raises:
+        BackendError: the extra ``flip`` is not installed.
         MapsError: shapes that differ or are not H x W x 3.
 
     Source: Andersson et al. 2020, "FLIP: A Difference Evaluator for Alternating Images".
     """
-    import flip_evaluator
-
+    try:
+        import flip_evaluator
+    except ImportError:
+        raise BackendError("flip-evaluator, which computes FLIP", "none", 'pip install "mitsvbrdf[flip]"') from None
     if image.shape != reference.shape or image.ndim != 3 or image.shape[2] != 3:
         raise MapsError("two pictures of one shape H x W x 3", f"{tuple(image.shape)} and {tuple(reference.shape)}",
                         "compare one view at a time")

@@ -124,5 +124,6 @@ def av_module() -> ModuleType:
     try:
         import av
     except ImportError:
-        raise BackendError("PyAV, which writes movies", "none", "pip install av, or ask for --movie gif") from None
+        raise BackendError("PyAV, which writes movies", "none",
+                           'pip install "mitsvbrdf[movie]", or ask for --movie gif') from None
     return av

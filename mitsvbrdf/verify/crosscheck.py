@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from .. import color
+from ..errors import BackendError
 from ..material.corner_cases import CONVERSION, as_bsdf
 from ..material.maps import SVBRDF, Bsdf
 from ..measure.gradients import Measured, fixed_cotangent, render_and_gradients
@@ -109,15 +110,18 @@ class _Case:
         with torch.no_grad():  # as it is shown: a metallic map that wants its slope at 1 adds a rounding to dark texels
             image, exact = renderer.render(self.svbrdf, self.views[0]), self.truth.image
         off = relative_error(image, exact)
-        looks = [flip(torch.nan_to_num(a), b, self.transfer) for a, b in zip(image, exact)]
+        try:
+            looks = [flip(torch.nan_to_num(a), b, self.transfer) for a, b in zip(image, exact)]
+        except BackendError:  # it decides nothing here
+            looks = []
         shown = (color.to_display(image.double(), self.transfer) - color.to_display(exact, self.transfer)).abs()
-        per_view = [{"view": name, "flip": _flip(look)} | self._figures(off[k:k + 1], k + 1, got[k + 1])
-                    for k, (name, look) in enumerate(zip(self.truth.names, looks))]
+        per_view = [{"view": name, "flip": _flip(looks[k:k + 1])} | self._figures(off[k:k + 1], k + 1, got[k + 1])
+                    for k, name in enumerate(self.truth.names)]
         figures = {
             "left_out": self._left_out(renderer.name),
             **self._figures(off, 0, got[0]),
             "display": _finite({"mean": float(shown.mean()), "worst": float(shown.max())}),
-            "flip": _flip(torch.stack(looks)), "per_view": per_view,
+            "flip": _flip(looks), "per_view": per_view,
             "worst_texels": [texel for texels in self.classes.values() for texel in worst_texels(self.truth, image, texels)],
         }
         error_map = torch.nan_to_num(off.abs(), nan=torch.inf).amax(dim=-1)
@@ -159,8 +163,10 @@ def _finite(figures: dict) -> dict:
     return {name: value if math.isfinite(value) else None for name, value in figures.items()}
 
 
-def _flip(look: Tensor) -> dict:
-    return {"mean": float(look.mean()), "worst": float(look.max())}
+def _flip(looks: Sequence[Tensor]) -> dict:
+    """Of pixels of all views; None where FLIP cannot be computed here."""
+    whole = torch.stack(list(looks)) if looks else None
+    return {"mean": None if whole is None else float(whole.mean()), "worst": None if whole is None else float(whole.max())}
 
 
 def _image_figures(off: Tensor) -> dict:

@@ -185,7 +185,7 @@ def test_wrong_options_are_one_error_and_leave_nothing(tmp_path, wrong):
 
 def test_movies_without_pyav_are_refused_before_any_work(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "av", None)
-    with pytest.raises(BackendError, match="pip install av"):
+    with pytest.raises(BackendError, match='pip install "mitsvbrdf.movie."'):
         run(tmp_path / "o", preset="sweep", frames=2)
     assert not (tmp_path / "o").exists()
     assert run(tmp_path / "o", preset="sweep", frames=2, movie="gif") == 0 and (tmp_path / "o" / "sweep.gif").is_file()

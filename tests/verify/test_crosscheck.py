@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 
 import pytest
 import torch
@@ -162,6 +163,15 @@ def test_command_on_a_fit(tmp_path, capsys):
     assert torch.allclose(apart, torch.tensor([0.05, -0.02, 0.0]))
     printed = capsys.readouterr().out
     assert "all stated tolerances hold" in printed and "left out by analytic: light falloff" in printed and page.is_file()
+
+
+def test_without_flip_all_else_is_there(monkeypatch):
+    monkeypatch.setitem(sys.modules, "flip_evaluator", None)  # as where the extra is not installed
+    record = crosscheck({"leather": make_material("leather", 16)}, GRID, BOTH, [ANALYTIC], repeats=1)
+    assert record["configurations"] and not record["violations"]
+    for each in record["configurations"]:
+        assert each["flip"] == {"mean": None, "worst": None} and each["rough"]["image"]["mean"] < 1e-6
+        assert all(view["flip"]["mean"] is None for view in each["per_view"])
 
 
 def test_a_black_material_has_figures_too():
