@@ -70,6 +70,17 @@ def test_a_texture_as_libraries_have_them(tmp_path, capsys):
     assert cli.main([*command[:-1], "CC-BY-4.0", "--overwrite"]) == 0
 
 
+@pytest.mark.parametrize("told, side", [("sheet", 0.18), ("photos", None), ("given", None)])
+def test_a_sheet_in_the_photos_tells_the_side(told, side, tmp_path):
+    save_maps(flat(8), tmp_path / "maps")
+    views = {"size": 18.0, "falloff": "inverse-square", "camera": [[0, 0, 40]], "light": [[0, 0, 40]], "intensity": [[8, 8, 8]]}
+    fit = {"flash_offset": None, "views": views, "capture": {"transfer": "srgb", "name": "x", "photos": [2]},
+           "calibration": {"from": told}}
+    (tmp_path / "fit.json").write_text(json.dumps(fit))
+    assert cli.main(["export", str(tmp_path), "--to", "usd", "--no-preview"]) == 0
+    assert stated(tmp_path / "export/usd")["side_metres"] == side
+
+
 def test_exports_go_without_mitsuba(tmp_path, monkeypatch, capsys):
     def missing(*_):
         raise BackendError("libLLVM 19 or newer", "none", "install libllvm19")
