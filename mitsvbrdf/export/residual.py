@@ -14,6 +14,7 @@ from ..views import Views
 
 HEIGHT = 2.0  # of the camera, above the centre, in patch sides
 LIGHTS = {"at the camera": (0.0, 0.0, HEIGHT), "beside it": (0.8, 0.3, HEIGHT), "oblique": (1.5, 0.0, 0.6)}
+SIDE = 256  # pixels of the pictures, at most
 IRRADIANCE = math.pi / 2  # at the centre: white paper shows half of the largest display value's radiance
 
 
@@ -28,7 +29,8 @@ def three_lights() -> Views:
 def residual(svbrdf: SVBRDF, converted: SVBRDF) -> dict[str, float]:
     """RMSE of the converted maps, as linear^(1/2.2), and of their pictures under :data:`LIGHTS`, in sRGB display values."""
     errors = map_rmse(converted, svbrdf)
-    renderer, views = AnalyticRenderer(), three_lights()
-    wanted, shown = (renderer.render(each.as_roughconductor().to(torch.float32), views) for each in (svbrdf, converted))
+    renderer, views, side = AnalyticRenderer(), three_lights(), min(SIDE, svbrdf.resolution)
+    wanted, shown = (renderer.render(each.as_roughconductor().to(torch.float32).resized(side), views)
+                     for each in (svbrdf, converted))
     _, pictures = photo_rmse(shown, to_display(wanted, "srgb"), "srgb")
     return {name: errors[name] for name in ("diffuse", "specular")} | dict(zip(LIGHTS, pictures))

@@ -7,8 +7,11 @@ import math
 import torch
 from torch import Tensor
 
+from .resample import area_averaged, enlarged
+
 STEEPEST = 10.0  # slope of a relief, 84 degrees: a texel whose normal lies down would stand hundreds of patch sides high
 DIRECTIONS = 16  # around a texel, in which its horizon is looked for
+FINEST = 512  # texels a side that occlusion is computed of; larger ones are averaged, and it is enlarged
 FARTHEST = 0.25  # of what may hide the sky, in patch sides
 
 
@@ -54,14 +57,16 @@ def occlusion(height: Tensor) -> Tensor:
     Source: Bavoil, Sainz and Dimitrov 2008, "Image-space horizon-based ambient occlusion".
     """
     size = len(height)
+    if size > FINEST:
+        return enlarged(occlusion(area_averaged(height[..., None], FINEST)[..., 0])[None], size)[0]
     rim = max(1, round(FARTHEST * size))
     around = torch.nn.functional.pad(height[None, None], (rim,) * 4, mode="replicate")[0, 0]
     seen = torch.zeros_like(height)
     for k in range(DIRECTIONS):
         angle = 2 * math.pi * k / DIRECTIONS
         horizon, steps = torch.zeros_like(height), set()
-        for step in range(math.ceil(8 * math.log2(rim + 1)) + 1):  # eight for each doubling of the distance
-            far = min(2 ** (step / 8), rim)
+        for step in range(math.ceil(4 * math.log2(rim + 1)) + 1):  # four for each doubling of the distance
+            far = min(2 ** (step / 4), rim)
             steps.add((round(far * math.sin(angle)), round(far * math.cos(angle))))
         for down, right in steps:
             there = around[rim + down:rim + down + size, rim + right:rim + right + size]

@@ -6,6 +6,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
+from mitsvbrdf.material import relief
 from mitsvbrdf.material.relief import heights, occlusion
 from mitsvbrdf.views import texel_positions
 
@@ -52,3 +53,10 @@ def test_the_sky_beside_a_wall_has_a_closed_form(away):
     a = away / size
     found = float(occlusion(height)[size // 2, size // 2 - away])
     assert found == pytest.approx((1 + a / math.hypot(a, wall)) / 2, abs=0.03)  # measured up to 0.02: sixteen directions
+
+
+def test_occlusion_of_larger_reliefs_is_that_of_their_average(monkeypatch):
+    height = 4 * bump(600)[0]
+    coarse = occlusion(height)
+    monkeypatch.setattr(relief, "FINEST", 600)
+    assert coarse.shape == (600, 600) and float((coarse - occlusion(height)).abs().max()) < 0.01
