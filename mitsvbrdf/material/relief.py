@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
-from .resample import area_averaged, enlarged
+from .resample import enlarged
 
 STEEPEST = 10.0  # slope of a relief, 84 degrees: a texel whose normal lies down would stand hundreds of patch sides high
 DIRECTIONS = 16  # around a texel, in which its horizon is looked for
@@ -58,9 +59,11 @@ def occlusion(height: Tensor) -> Tensor:
     """
     size = len(height)
     if size > FINEST:
-        return enlarged(occlusion(area_averaged(height[..., None], FINEST)[..., 0])[None], size)[0]
+        # Smoothly, for area averages over 1 and 2 texels in turn would make steps.
+        coarse = F.interpolate(height[None, None], (FINEST, FINEST), mode="bilinear", antialias=True)[0, 0]
+        return enlarged(occlusion(coarse)[None], size)[0]
     rim = max(1, round(FARTHEST * size))
-    around = torch.nn.functional.pad(height[None, None], (rim,) * 4, mode="replicate")[0, 0]
+    around = F.pad(height[None, None], (rim,) * 4, mode="replicate")[0, 0]
     seen = torch.zeros_like(height)
     for k in range(DIRECTIONS):
         angle = 2 * math.pi * k / DIRECTIONS
