@@ -78,6 +78,14 @@ def test_the_residual_of_a_constant_material_has_a_closed_form():
     assert all(residual(made, made)[light] < 1e-7 for light in LIGHTS)  # display values in float32
 
 
+def test_the_pictures_of_a_matte_texel_have_a_closed_form():
+    """All of it at the centre, where every light gives half of pi: radiance 0.15 is shown where it should be 0.1, in sRGB."""
+    right, wrong = (flat(1, diffuse=diffuse, specular=0.0, roughness=1.0) for diffuse in (0.2, 0.3))
+    lost = residual(right, wrong)
+    for light in LIGHTS:
+        assert lost[light] == pytest.approx(1.055 * (0.15 ** (1 / 2.4) - 0.1 ** (1 / 2.4)), rel=1e-4)
+
+
 def test_three_lights_are_as_bright_at_the_centre():
     views = three_lights()
     distance2 = views.light.square().sum(dim=1)
