@@ -172,7 +172,7 @@ def test_losses_without_weight_or_subject_are_not_computed(settings, unused, cap
 
 @pytest.mark.parametrize("config, wanted", [
     (DirectConfig(fix=("diffuse=0.5", "normal=flat")), {"price on tilted normals"}),
-    (GanConfig(fix=("diffuse=0.5", "normal=flat")), {"diffuse loss", "feature matching"}),
+    (GanConfig(fix=("diffuse=0.5", "normal=flat")), {"diffuse loss"}),
     (HybridConfig(fix=("diffuse=0.5", "normal=flat")), {"diffuse loss", "price on tilted normals"})])
 def test_only_losses_of_the_method_are_left_out(config, wanted, capture):
     said = dict(left_out(FitTask(capture, ANALYTIC, config)))

@@ -33,7 +33,7 @@ def test_what_has_no_records_is_named_and_has_no_section(tmp_path):
     assert text.count("\n## ") == 1 and "real captures; the paper's full schedule; seconds" in text[text.index(NOT_RUN):]
 
 
-@pytest.mark.parametrize("name", ["gan", "gan-captures", "gan-ingredients", "gan-schedule"])
+@pytest.mark.parametrize("name", ["gan", "gan-256", "gan-captures", "gan-features", "gan-ingredients", "gan-schedule"])
 def test_the_page_in_the_docs_is_what_its_records_make(name, tmp_path):
     record = read_benchmark(RESULTS / f"{name}.json")
     for made in write_gan_page(tmp_path / f"{name}.md", record):

@@ -121,7 +121,7 @@ def test_the_game_draws_renderings_to_the_photos():
 
 
 def test_without_the_adversarial_loss_the_maps_stay_at_the_start(tiles):
-    gan = gan_of(tiles, adversarial=0.0)
+    gan = gan_of(tiles, adversarial=0.0, features=0.0)
     before = gan.estimate()[0]
     for _ in range(3):
         losses_of_step = gan.step(0.0)
