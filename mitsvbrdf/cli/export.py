@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -21,13 +20,14 @@ if TYPE_CHECKING:
     from ..material.maps import SVBRDF
 
 PREVIEW, THUMBNAIL = 512, 128  # pixels a side
+SMALLEST, LARGEST = 1e-3, 1e6  # side of a patch, centimetres
 
 
 def export(maps: Positional[Material],
            to: Annotated[str, arg(metavar="FORMAT,...", help=f"Any of {', '.join(FORMATS)}.")] = ",".join(FORMATS),
            naming: Annotated[Naming, arg(help="File names of the maps format.")] = "own",
            normal: Annotated[NormalConvention, arg(help="Normals of the maps format: gl is +Y up, dx +Y down.")] = "gl",
-           bits: Annotated[Bits, arg(help="Of PNG files; glTF and colours in USD always have 8.")] = 16,
+           bits: Annotated[Bits, arg(help="Of PNG files; glTF and colours in USD always have 8, heights 16.")] = 16,
            tile: Annotated[bool, arg(help="Make opposite edges meet, so that the material can be repeated.")] = False,
            side_cm: Annotated[float | None, arg(help="Side of the patch; left out: as the sheet in the photos told, else "
                                                      "unknown.")] = None,
@@ -44,8 +44,8 @@ def export(maps: Positional[Material],
     """
     formats = [part.strip() for part in to.split(",")]
     check_options(formats, naming, normal, bits)
-    if side_cm is not None and not 0 < side_cm < math.inf:
-        raise ConfigError("a side above 0", f"--side-cm {side_cm}", "give it in centimetres")
+    if side_cm is not None and not SMALLEST <= side_cm <= LARGEST:
+        raise ConfigError(f"a side of {SMALLEST:g} to {LARGEST:g} cm", f"--side-cm {side_cm:g}", "give it in centimetres")
     builtin = maps.startswith("builtin:")
     if builtin and out is None:
         raise ConfigError("an output folder, beside a builtin material", "none", "add -o FOLDER")
@@ -58,7 +58,7 @@ def export(maps: Positional[Material],
     if tile:
         svbrdf, side = _tiled(svbrdf, side)
     with result_folder.output_folder(out, overwrite) as folder:
-        done = export_material(svbrdf, folder, formats, name, naming, normal, bits, fit.views, side, licence)
+        done = export_material(svbrdf, folder, formats, name, naming, normal, bits, fit.views, side, licence or None, tile)
         if zip:
             for kind in done:
                 shutil.make_archive(str(folder / kind), "zip", folder, kind)

@@ -17,7 +17,8 @@ FORMATS = ("gltf", "materialx", "usd", "mitsuba", "maps")
 
 def export_material(svbrdf: SVBRDF, out: str | Path, to: Sequence[str] = FORMATS, name: str = "material",
                     naming: Naming = "own", normal: NormalConvention = "gl", bits: Bits = 16,
-                    views: Views | None = None, side: float | None = None, licence: str | None = None) -> dict[str, Export]:
+                    views: Views | None = None, side: float | None = None, licence: str | None = None,
+                    repeats: bool = False) -> dict[str, Export]:
     """Write ``out/FORMAT/`` for each format, with an ``export.json`` that says what every file holds, and how.
 
     Args:
@@ -31,6 +32,7 @@ def export_material(svbrdf: SVBRDF, out: str | Path, to: Sequence[str] = FORMATS
         views: the first one is shown by the Mitsuba scene; left out: from above, near the centre.
         side: of the patch in metres, for the sizes of meshes and heights; left out: the mesh has side 1.
         licence: what users may do with it, in every ``export.json`` and in the GLB.
+        repeats: whether its edges meet (:func:`mitsvbrdf.material.tiling.seamless`): textures then repeat, and heights go on.
 
     Returns:
         What was written, by format.
@@ -43,16 +45,16 @@ def export_material(svbrdf: SVBRDF, out: str | Path, to: Sequence[str] = FORMATS
     out, svbrdf = Path(out), svbrdf.detach()
     check_options(to, naming, normal, bits)
     writers = {
-        "gltf": lambda folder: gltf.write_gltf(folder, svbrdf, side, licence),
-        "materialx": lambda folder: materialx.write_materialx(folder, svbrdf, bits),
-        "usd": lambda folder: usd.write_usd(folder, svbrdf, bits, side),
-        "mitsuba": lambda folder: mitsuba.write_mitsuba(folder, svbrdf, views or nine_view_grid()),
-        "maps": lambda folder: maps.write_maps(folder, svbrdf, name, naming, normal, bits, side)}
+        "gltf": lambda folder: gltf.write_gltf(folder, svbrdf, side, licence, repeats),
+        "materialx": lambda folder: materialx.write_materialx(folder, svbrdf, bits, repeats),
+        "usd": lambda folder: usd.write_usd(folder, svbrdf, bits, side, repeats),
+        "mitsuba": lambda folder: mitsuba.write_mitsuba(folder, svbrdf, views or nine_view_grid(), repeats),
+        "maps": lambda folder: maps.write_maps(folder, svbrdf, name, naming, normal, bits, side, repeats)}
     done = {}
     for kind in dict.fromkeys(to):
         done[kind] = writers[kind](out / kind)
         done[kind].write(out / kind, format=kind, name=name, bsdf=svbrdf.bsdf, size=svbrdf.resolution, side_metres=side,
-                         licence=licence)
+                         licence=licence, repeats=repeats)
     return done
 
 

@@ -22,13 +22,14 @@ from .textures import LINEAR, SRGB, Export, Texture, described, stored
 
 FILE = "material.glb"
 FLOAT, UNSIGNED_SHORT = 5126, 5123
-CLAMP_TO_EDGE, LINEAR_FILTER, MIPMAPS = 33071, 9729, 9987
+CLAMP_TO_EDGE, REPEAT, LINEAR_FILTER, MIPMAPS = 33071, 10497, 9729, 9987
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 
 # The patch of docs/conventions.md, side 1, seen from +z. glTF's v grows downward: v = 0 is row 0 of the image, the top.
 CORNERS = ((-0.5, -0.5, 0.0), (0.5, -0.5, 0.0), (0.5, 0.5, 0.0), (-0.5, 0.5, 0.0))
 UVS = ((0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0))
 TRIANGLES = (0, 1, 2, 0, 2, 3)
+LAYER_NOTE = "glTF lets diffuse light through by 1 - max(F), ours by a sum: what is no metal is darker by F0, 4 %"
 NOTES = (
     "glTF lets diffuse light through by 1 - max(F), ours by a sum: the base colour is diffuse / (1 - max(F0)), the same seen "
     "from above, darker at grazing angles",
@@ -38,7 +39,8 @@ NOTES = (
 )
 
 
-def write_gltf(folder: Path, svbrdf: SVBRDF, side: float | None = None, licence: str | None = None) -> Export:
+def write_gltf(folder: Path, svbrdf: SVBRDF, side: float | None = None, licence: str | None = None,
+               repeats: bool = False) -> Export:
     """Write ``folder/material.glb``: base colour; occlusion, roughness and metallic packed; normal; and F0.
 
     Base colour and metallic are those of :func:`mitsvbrdf.material.conversion.layered`: only what clearly is a metal is one.
@@ -49,6 +51,7 @@ def write_gltf(folder: Path, svbrdf: SVBRDF, side: float | None = None, licence:
         svbrdf: the material.
         side: of the patch in metres; left out: 1, of whatever it is.
         licence: for the file's ``copyright``.
+        repeats: whether its edges meet.
     """
     material, factor, lost = svbrdf, None, {}
     if svbrdf.bsdf == "roughconductor":
@@ -57,7 +60,10 @@ def write_gltf(folder: Path, svbrdf: SVBRDF, side: float | None = None, licence:
         for kind, f0 in {"with KHR_materials_specular": factor, "without it": torch.ones_like(factor)}.items():
             f0 = f0 * DIELECTRIC_F0
             lost[kind] = residual(svbrdf, as_shown(material, f0, f0.amax(dim=-1, keepdim=True)))
-    shaded = occlusion(heights(svbrdf["normal"]))[..., None].to(material["roughness"])
+    else:
+        glass = torch.full_like(svbrdf["metallic"], DIELECTRIC_F0)
+        lost = {"base colour as it is": residual(svbrdf, as_shown(svbrdf, glass, glass))}
+    shaded = occlusion(heights(svbrdf["normal"], repeats), repeats)[..., None].to(material["roughness"])
     packed = torch.cat((shaded, material["roughness"], material["metallic"]), dim=-1)
     images = {"base_color": stored("base_color", material["base_color"]), "metallic_roughness": packed,
               "normal": stored("normal", material["normal"])}
@@ -71,11 +77,11 @@ def write_gltf(folder: Path, svbrdf: SVBRDF, side: float | None = None, licence:
         textures.append(Texture(f"{FILE}: specular_color", f"factor on the dielectric F0 of 0.04, divided by {largest:.6g}",
                                 SRGB, 8))
         extension = {"specularColorFactor": [largest] * 3, "specularColorTexture": {"index": 3}}
-    files.write_bytes(folder / FILE, _glb(images, extension, side or 1.0, licence))
-    return Export((FILE,), tuple(textures), NOTES, lost)
+    files.write_bytes(folder / FILE, _glb(images, extension, side or 1.0, licence, REPEAT if repeats else CLAMP_TO_EDGE))
+    return Export((FILE,), tuple(textures), NOTES if extension else (LAYER_NOTE, *NOTES[1:]), lost)
 
 
-def _glb(textures: dict[str, Tensor], specular: dict, side: float, licence: str | None) -> bytes:
+def _glb(textures: dict[str, Tensor], specular: dict, side: float, licence: str | None, wrap: int) -> bytes:
     blob, views = bytearray(), []
 
     def add(data: bytes, **about: int) -> int:
@@ -108,7 +114,7 @@ def _glb(textures: dict[str, Tensor], specular: dict, side: float, licence: str 
         "meshes": [{"name": "patch", "primitives": [{
             "attributes": {"POSITION": 0, "NORMAL": 1, "TANGENT": 2, "TEXCOORD_0": 3}, "indices": 4, "material": 0}]}],
         "materials": [material], "accessors": accessors, "bufferViews": views, "images": pictures,
-        "samplers": [{"magFilter": LINEAR_FILTER, "minFilter": MIPMAPS, "wrapS": CLAMP_TO_EDGE, "wrapT": CLAMP_TO_EDGE}],
+        "samplers": [{"magFilter": LINEAR_FILTER, "minFilter": MIPMAPS, "wrapS": wrap, "wrapT": wrap}],
         "textures": [{"name": name, "sampler": 0, "source": k} for k, name in enumerate(textures)],
         "buffers": [{"byteLength": len(blob)}]}
     if specular:

@@ -19,7 +19,7 @@ from .textures import NORMALS, Bits, Export, NormalConvention, write_texture
 
 Naming = Literal["own", "polyhaven", "ambientcg", "substance", "materialgan"]
 
-# File name of each map; NAME stands for the material's. "own" has both parameter sets, and load_maps reads it.
+# File name of each map; NAME stands for the material's. "own" has both parameter sets, and with OpenGL normals load_maps reads it.
 FILE_NAMES: dict[str, dict[str, str]] = {
     "own": {"diffuse": "diffuse", "specular": "specular", "base_color": "base_color", "metallic": "metallic",
             "roughness": "roughness", "normal gl": "normal", "normal dx": "normal_dx", "specular_level": "specular_level",
@@ -37,6 +37,7 @@ FILE_NAMES: dict[str, dict[str, str]] = {
 }
 # Where the size stands in the name, of sizes that have one: 1K is 1024 texels.
 SIZED = {"polyhaven": "NAME_{map}_{size}k", "ambientcg": "NAME_{size}K_{map}"}
+LONGEST = 100  # letters of a material's name in file names; more would not fit every file system
 FULL_LEVEL = 0.08  # F0 of specular level 1, in Blender, Unreal and Substance; 0.5 is 0.04
 LOSSY_NOTE = (
     "metallic is 0 or 1: base colour is F0 of metals, and of all else diffuse / (1 - F0), for most programs lay the highlight "
@@ -45,11 +46,12 @@ GAMMA_NOTE = "MaterialGAN's programs take dif, spe and rgh for gamma 2.2: here d
 
 
 def write_maps(folder: Path, svbrdf: SVBRDF, name: str = "material", naming: Naming = "own", normal: NormalConvention = "gl",
-               bits: Bits = 16, side: float | None = None) -> Export:
+               bits: Bits = 16, side: float | None = None, repeats: bool = False) -> Export:
     """Write the maps of a preset into the folder: colours sRGB, the rest linear, whatever the preset.
 
-    Beside what a fit finds there are the height that the normals stand for, between 0 and 1, ambient occlusion by it, and
-    occlusion, roughness and metallic packed in the channels of one file.
+    Beside what a fit finds there are the height that the normals stand for (plus 0.5: at a displacement's scale of 1 and
+    middle of 0.5 it is right on a square of side 1), ambient occlusion by it, and occlusion, roughness and metallic packed in
+    the channels of one file.
 
     Args:
         folder: made when missing.
@@ -58,7 +60,8 @@ def write_maps(folder: Path, svbrdf: SVBRDF, name: str = "material", naming: Nam
         naming: of :data:`FILE_NAMES`.
         normal: ``gl`` or ``dx``.
         bits: of all files; the height always has 16.
-        side: of the patch in metres, for the height; left out: it is told in patch sides.
+        side: of the patch in metres, to tell the height in; left out: it is told in patch sides.
+        repeats: whether its edges meet.
     """
     both, lost = dict(svbrdf.as_roughconductor().maps), {}
     level = (both["specular"].mean(dim=-1, keepdim=True) / FULL_LEVEL).clamp_max(1.0)
@@ -69,13 +72,12 @@ def write_maps(folder: Path, svbrdf: SVBRDF, name: str = "material", naming: Nam
         for kind, f0 in {"with the specular level": FULL_LEVEL * level,
                          "without it": torch.full_like(level, DIELECTRIC_F0)}.items():
             lost[kind] = residual(svbrdf, as_shown(material, f0, f0))
-    height = heights(svbrdf["normal"])
-    low, high = float(height.min()), float(height.max())
-    both |= {**material.maps, "specular_level": level, "occlusion": occlusion(height).float()[..., None],
-             "height": ((height - low) / max(high - low, 1e-12)).float()[..., None]}
+    height = heights(svbrdf["normal"], repeats)
+    both |= {**material.maps, "specular_level": level, "occlusion": occlusion(height, repeats).float()[..., None],
+             "height": (height + 0.5).clamp(0, 1)[..., None]}
     both["packed"] = torch.cat((both["occlusion"], both["roughness"], both["metallic"]), dim=-1)
-    range_told = f"height, from 0 to 1: {(high - low) * (side or 1):.6g} {'metres' if side else 'patch sides'}"
-    holds = {"packed": "occlusion in R, roughness in G, metallic in B", "height": range_told}
+    unit = f"the patch's side, {side:.6g} metres" if side else "the patch's side"
+    holds = {"packed": "occlusion in R, roughness in G, metallic in B", "height": f"height over {unit}, plus 0.5"}
     chosen = {key.removesuffix(f" {normal}"): file for key, file in FILE_NAMES[naming].items()}
     written = []
     for key, file in chosen.items():
@@ -101,4 +103,4 @@ def _named(file: str, name: str, naming: str, size: int) -> str:
 
 def _safe(name: str) -> str:
     """A file name of letters, digits, - and _ only."""
-    return re.sub(r"[^A-Za-z0-9_-]+", "_", name).strip("_") or "material"
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", name).strip("_")[:LONGEST] or "material"

@@ -42,13 +42,14 @@ SPECULAR_NOTE = ("one refractive index for all that is no metal, for viewers can
 LAYER_NOTE = "the specular lobe lies over the diffuse one, which gets what is left of the light; ours is a sum"
 
 
-def write_materialx(folder: Path, svbrdf: SVBRDF, bits: Bits = 16) -> Export:
+def write_materialx(folder: Path, svbrdf: SVBRDF, bits: Bits = 16, repeats: bool = False) -> Export:
     """Write ``folder/material.mtlx``, ``folder/openpbr.mtlx`` and ``folder/textures/*``.
 
     Args:
         folder: made when missing.
         svbrdf: the material.
         bits: of the PNG textures.
+        repeats: whether its edges meet.
     """
     material, level, largest, lost = svbrdf, DIELECTRIC_F0, 1.0, {}
     if svbrdf.bsdf == "roughconductor":
@@ -63,12 +64,13 @@ def write_materialx(folder: Path, svbrdf: SVBRDF, bits: Bits = 16) -> Export:
         written["specular_color"] = Texture(file, f"F0 over {level:.6g}, divided by {largest:.6g}", SRGB, bits)
     index = float(index_from_f0(torch.tensor(level)))
     for file, surface in SURFACES.items():
-        files.write_bytes(folder / file, _document(surface, written, index, largest))
+        files.write_bytes(folder / file, _document(surface, written, index, largest, repeats))
     notes = (LAYER_NOTE,) if svbrdf.bsdf == "principled" else (SPECULAR_NOTE, LAYER_NOTE)
     return Export(tuple(SURFACES), tuple(written.values()), notes, lost)
 
 
-def _document(surface: Surface, textures: Mapping[str, Texture], index: float, largest: float) -> bytes:
+def _document(surface: Surface, textures: Mapping[str, Texture], index: float, largest: float,
+              repeats: bool) -> bytes:
     """The document of a surface; ``largest`` multiplies the texture of ``specular_color``."""
     root = ET.Element("materialx", version=surface.version, colorspace="lin_rec709")
     graph = ET.SubElement(root, "nodegraph", name="maps")
@@ -82,7 +84,7 @@ def _document(surface: Surface, textures: Mapping[str, Texture], index: float, l
         space = {"colorspace": "srgb_texture"} if texture.colour_space == SRGB else {}
         _input(image, "file", "filename", value=texture.file, **space)
         for axis in "uv":
-            _input(image, f"{axis}addressmode", "string", value="clamp")
+            _input(image, f"{axis}addressmode", "string", value="periodic" if repeats else "clamp")
         source = f"{name}_image"
         if texture.normal:
             source = f"{name}_map"

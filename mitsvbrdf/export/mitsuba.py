@@ -56,7 +56,7 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
     return path
 
 
-def write_material(out: str | Path, bsdf: Bsdf) -> Path:
+def write_material(out: str | Path, bsdf: Bsdf, repeats: bool = False) -> Path:
     """Write ``out/bsdf.json``, the material of :func:`write_scene` as the dictionary that ``mitsuba.load_dict`` takes.
 
     JSON has no transforms: each ``to_uv`` is a 4 x 4 list, to be made a ``ScalarTransform4f`` when loading.
@@ -64,17 +64,18 @@ def write_material(out: str | Path, bsdf: Bsdf) -> Path:
     Args:
         out: the folder of the scene; its textures are named relative to it.
         bsdf: of the material that the scene was written for.
+        repeats: whether its textures repeat beyond their edges.
     """
     flip = [[1, 0, 0, 0], [0, -1, 0, 1], [0, 0, 1, 0], [0, 0, 0, 1]]
     path = Path(out) / "bsdf.json"
-    files.write_json(path, _material(bsdf, to_uv=flip))
+    files.write_json(path, _material(bsdf, to_uv=flip, wrap_mode="repeat" if repeats else "clamp"))
     return path
 
 
-def write_mitsuba(folder: Path, svbrdf: SVBRDF, views: Views) -> Export:
+def write_mitsuba(folder: Path, svbrdf: SVBRDF, views: Views, repeats: bool = False) -> Export:
     """Scene and material for Mitsuba 3; see :func:`write_scene` and :func:`write_material`."""
     write_scene(folder, svbrdf, views)
-    write_material(folder, svbrdf.bsdf)
+    write_material(folder, svbrdf.bsdf, repeats)
     slots = slot_values(svbrdf.bsdf, dict(svbrdf.maps), Needs(), stock=True)
     normals = {"normal": NORMALS["gl"]}
     textures = tuple(Texture(f"scene/{slot}.exr", HOLDS.get(slot, slot), LINEAR, 32, normals.get(slot)) for slot in slots)

@@ -21,6 +21,7 @@ from .textures import LINEAR, SRGB, Bits, Export, Texture, stored, write_texture
 
 MATERIAL, PATCH = "material.usda", "patch.usda"
 HIGHEST_F0 = 0.9  # of what is no metal: a refractive index of 38
+LAYER_NOTE = "the specular lobe takes its light from the diffuse one, ours is a sum: what is no metal is darker by F0, 4 %"
 NOTES = (
     "metallic workflow: importers (Blender 4.5, three.js) pass the specular one by; F0 of what is no metal is grey, a texture "
     "of the refractive index, beside one index for all where a reader takes no texture; the MaterialX shader has it in colour",
@@ -68,7 +69,8 @@ SQUARE = '''def Xform "patch"
 '''
 
 
-def write_usd(folder: Path, svbrdf: SVBRDF, bits: Bits = 16, side: float | None = None) -> Export:
+def write_usd(folder: Path, svbrdf: SVBRDF, bits: Bits = 16, side: float | None = None,
+              repeats: bool = False) -> Export:
     """Write ``folder/material.usda``, ``folder/patch.usda`` and ``folder/textures/*.png``.
 
     Args:
@@ -76,6 +78,7 @@ def write_usd(folder: Path, svbrdf: SVBRDF, bits: Bits = 16, side: float | None 
         svbrdf: the material.
         bits: of roughness, metallic and normal.
         side: of the patch in metres; left out: 1, of whatever it is.
+        repeats: whether its edges meet.
     """
     material, textures, lost = svbrdf, {}, {}
     decoding = {"normal": ((2.0, 2.0, 2.0, 1.0), (-1.0, -1.0, -1.0, 0.0))}
@@ -86,7 +89,7 @@ def write_usd(folder: Path, svbrdf: SVBRDF, bits: Bits = 16, side: float | None 
         for kind, level in {"preview surface": f0, "preview surface, one refractive index": torch.full_like(f0, usual)}.items():
             lost[kind] = residual(svbrdf, as_shown(material, level, level))
         beyond = index_from_f0(torch.where(material["metallic"] > 0, DIELECTRIC_F0, f0)) - 1
-        most = float(beyond.max())
+        most = max(float(beyond.max()), 1e-6)
         decoding["ior"] = (most,) * 4, (1.0,) * 4
         images.write_png(folder / "textures/ior.png", beyond / most, 16)
         textures["ior"] = Texture("textures/ior.png", f"(refractive index - 1) / {most:.6g}", LINEAR, 16)
@@ -95,15 +98,22 @@ def write_usd(folder: Path, svbrdf: SVBRDF, bits: Bits = 16, side: float | None 
         images.write_png(folder / "textures/specular_color.png", stored("specular", relative / largest), 8)
         holds = f"F0 over {usual:.6g}, divided by {largest:.6g}"
         textures["specular_color"] = Texture("textures/specular_color.png", holds, SRGB, 8)
+    else:
+        glass = torch.full_like(svbrdf["metallic"], DIELECTRIC_F0)
+        lost = {"base colour as it is": residual(svbrdf, as_shown(svbrdf, glass, glass))}
     for name, value in material.maps.items():
         textures[name] = write_texture(folder, f"textures/{name}.png", name, value, 8 if name in COLOURS else bits)
     text = _material(textures, float(index_from_f0(torch.tensor(usual))), decoding, largest)
+    if repeats:
+        text = text.replace('wrapS = "clamp"', 'wrapS = "repeat"').replace('wrapT = "clamp"', 'wrapT = "repeat"')
+        text = text.replace('addressmode = "clamp"', 'addressmode = "periodic"')
     alone = STAGE.format(prim="material", unit=1, content=text.format(at="/material"))
     half = (100 * side if side else 1.0) / 2
     worn = SQUARE.format(h=f"{half:.7g}", material=_indented(text.format(at="/patch/material")))
     files.write_bytes(folder / MATERIAL, alone.encode())
     files.write_bytes(folder / PATCH, STAGE.format(prim="patch", unit=0.01 if side else 1, content=worn).encode())
-    return Export((MATERIAL, PATCH), tuple(textures.values()), NOTES, lost)
+    notes = NOTES if svbrdf.bsdf == "roughconductor" else (LAYER_NOTE, *NOTES[2:])
+    return Export((MATERIAL, PATCH), tuple(textures.values()), notes, lost)
 
 
 def _material(textures: Mapping[str, Texture], index: float, decoding: Mapping[str, tuple], largest: float) -> str:

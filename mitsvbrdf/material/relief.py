@@ -16,7 +16,7 @@ FINEST = 512  # texels a side that occlusion is computed of; larger ones are ave
 FARTHEST = 0.25  # of what may hide the sky, in patch sides
 
 
-def heights(normal: Tensor) -> Tensor:
+def heights(normal: Tensor, periodic: bool = False) -> Tensor:
     """Heights whose slopes are nearest to those of the normals in least squares: R x R in patch sides, mean 0.
 
     Between neighbours the slope is the mean of theirs; at the border it is free. That is Poisson's equation with Neumann's
@@ -25,11 +25,15 @@ def heights(normal: Tensor) -> Tensor:
 
     Args:
         normal: R x R x 3, unit vectors, +Y up, row 0 at the top.
+        periodic: whether the last texel goes on in the first, for a material that is repeated; the slope of the whole is lost.
     """
     n = normal.double()
     size = len(n)
     z = n[..., 2].clamp_min(1 / STEEPEST)
     right, down = -n[..., 0] / z / size, n[..., 1] / z / size
+    if periodic:
+        between_right, between_down = (right + right.roll(-1, 1)) / 2, (down + down.roll(-1, 0)) / 2
+        return _solved(between_right - between_right.roll(1, 1) + between_down - between_down.roll(1, 0))
     between_right, between_down = (right[:, 1:] + right[:, :-1]) / 2, (down[1:] + down[:-1]) / 2
     source = torch.zeros(size, size, dtype=torch.float64)
     source[:, :-1] += between_right
@@ -37,16 +41,20 @@ def heights(normal: Tensor) -> Tensor:
     source[:-1] += between_down
     source[1:] -= between_down
     mirrored = torch.cat((source, source.flip(0)))
-    mirrored = torch.cat((mirrored, mirrored.flip(1)), dim=1)
-    wave = 2 * torch.cos(torch.arange(2 * size, dtype=torch.float64) * math.pi / size) - 2
+    return _solved(torch.cat((mirrored, mirrored.flip(1)), dim=1))[:size, :size]
+
+
+def _solved(source: Tensor) -> Tensor:
+    """What has this discrete Laplacian, where both go on periodically; mean 0."""
+    wave = 2 * torch.cos(torch.arange(len(source), dtype=torch.float64) * (2 * math.pi / len(source))) - 2
     laplacian = wave[:, None] + wave
     laplacian[0, 0] = 1
-    spectrum = torch.fft.fft2(mirrored) / laplacian
+    spectrum = torch.fft.fft2(source) / laplacian
     spectrum[0, 0] = 0
-    return torch.fft.ifft2(spectrum).real[:size, :size]
+    return torch.fft.ifft2(spectrum).real
 
 
-def occlusion(height: Tensor) -> Tensor:
+def occlusion(height: Tensor, periodic: bool = False) -> Tensor:
     """Share of an evenly bright sky's light that reaches each texel past the relief around it, R x R in [0, 1].
 
     The highest slope to what lies within :data:`FARTHEST` is the horizon of a direction; a flat texel gets cos^2 of its angle
@@ -54,6 +62,7 @@ def occlusion(height: Tensor) -> Tensor:
 
     Args:
         height: R x R in patch sides, row 0 at the top.
+        periodic: whether it begins anew beyond the border instead.
 
     Source: Bavoil, Sainz and Dimitrov 2008, "Image-space horizon-based ambient occlusion".
     """
@@ -61,9 +70,9 @@ def occlusion(height: Tensor) -> Tensor:
     if size > FINEST:
         # Smoothly, for area averages over 1 and 2 texels in turn would make steps.
         coarse = F.interpolate(height[None, None], (FINEST, FINEST), mode="bilinear", antialias=True)[0, 0]
-        return enlarged(occlusion(coarse)[None], size)[0]
+        return enlarged(occlusion(coarse, periodic)[None], size)[0]
     rim = max(1, round(FARTHEST * size))
-    around = F.pad(height[None, None], (rim,) * 4, mode="replicate")[0, 0]
+    around = F.pad(height[None, None], (rim,) * 4, mode="circular" if periodic else "replicate")[0, 0]
     seen = torch.zeros_like(height)
     for k in range(DIRECTIONS):
         angle = 2 * math.pi * k / DIRECTIONS

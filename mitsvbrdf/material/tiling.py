@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .. import color
+from ..errors import MapsError
 from .maps import COLOURS, SVBRDF
 from .resample import area_averaged
 
@@ -23,15 +24,20 @@ def seamless(svbrdf: SVBRDF) -> tuple[SVBRDF, float]:
     """The material with edges that meet left to right and top to bottom, all maps cut along the same lines.
 
     The overlap is the one whose best cuts differ least, so that tiles and weaves end where they began; it is the same both
-    ways, and a square stays a square. What is seamless already comes back as it is, and so does less than 16 texels a side.
+    ways, and a square stays a square. What is seamless already comes back as it is.
 
     Args:
         svbrdf: of any resolution, which it keeps.
 
     Returns:
         The material, and which part of its side it now shows.
+
+    Raises:
+        MapsError: fewer than 16 texels a side.
     """
     size = svbrdf.resolution
+    if size < 2 * NARROWEST:
+        raise MapsError(f"{2 * NARROWEST} texels a side or more, to make edges meet", str(size), "leave it as it is")
     layers = torch.cat([value.double() for value in svbrdf.maps.values()], dim=-1)
     overlap = _overlap(_looks(layers, svbrdf))
     if not overlap:
@@ -64,7 +70,7 @@ def _overlap(looks: Tensor) -> int:
     """How many columns and rows to lay over one another; 0 where the edges meet."""
     size = len(looks)
     both = looks, looks.transpose(0, 1)
-    if size < 2 * NARROWEST or all(_meet(each) for each in both):
+    if all(_meet(each) for each in both):
         return 0
     side = min(COARSE, size)
     coarse = [area_averaged(each, side) for each in both]

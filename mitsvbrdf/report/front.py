@@ -64,6 +64,8 @@ def packed(svbrdf: SVBRDF, name: str) -> tuple[str, bytes]:
         written = write_maps(Path(folder), svbrdf, name, "polyhaven", bits=8)
         data = io.BytesIO()
         with zipfile.ZipFile(data, "w", zipfile.ZIP_STORED) as archive:  # PNG is compressed already
-            for file in written.files:
-                archive.writestr(zipfile.ZipInfo(file), (Path(folder) / file).read_bytes())  # without the time
+            for texture in written.textures:
+                if not texture.holds.startswith("height"):  # Node Wrangler would add it to the relief of the normals
+                    content = (Path(folder) / texture.file).read_bytes()
+                    archive.writestr(zipfile.ZipInfo(texture.file), content)  # without the time
     return f"{written.files[0].removesuffix('.png').rsplit('_', 1)[0]}.zip", data.getvalue()

@@ -122,9 +122,12 @@ def test_khronos_validator_has_nothing_to_say(material, tmp_path):
     assert json.loads(done.stdout)["messages"] == []
 
 
-def test_size_and_licence_are_in_the_file(tmp_path):
-    write_gltf(tmp_path, flat(4), side=0.2, licence="CC0-1.0")
+def test_size_licence_and_whether_it_repeats_are_in_the_file(tmp_path):
+    write_gltf(tmp_path, flat(4))
+    assert parsed(tmp_path / "material.glb")[0]["samplers"][0]["wrapS"] == 33071  # clamp to edge
+    write_gltf(tmp_path, flat(4), side=0.2, licence="CC0-1.0", repeats=True)
     document, binary = parsed(tmp_path / "material.glb")
+    assert document["samplers"][0]["wrapS"] == document["samplers"][0]["wrapT"] == 10497  # repeat
     assert document["asset"]["copyright"] == "CC0-1.0"
     (primitive,) = document["meshes"][0]["primitives"]
     corners = numbers(document, binary, primitive["attributes"]["POSITION"])

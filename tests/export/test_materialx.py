@@ -47,3 +47,10 @@ def test_materialx_has_f0_in_one_index_and_a_colour(tmp_path):
     diffuse = (base * (1 - level))[metallic[..., 0] == 0]
     assert np.abs(diffuse - maps["diffuse"].numpy()[metallic[..., 0] == 0]).max() < 3e-5
     assert not list(folder.rglob("*.exr"))  # which viewers on the web do not read
+
+
+def test_addresses_repeat_where_edges_meet(tmp_path):
+    for repeats, mode in ((False, "clamp"), (True, "periodic")):
+        export_material(gilt_plates(16), tmp_path / mode, ["materialx"], repeats=repeats)
+        root = ElementTree.parse(tmp_path / mode / "materialx/openpbr.mtlx").getroot()
+        assert {entry.get("value") for entry in root.iter("input") if "addressmode" in entry.get("name")} == {mode}

@@ -6,6 +6,7 @@ from helpers.exported import decoded, gilt_plates, stated
 
 from mitsvbrdf.export import export_material
 from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.maps import flat
 
 Usd = pytest.importorskip("pxr.Usd", reason="needs usd-core, of the test extra")
 
@@ -106,3 +107,9 @@ def test_a_side_is_told_in_centimetres(tmp_path):
     stage = Usd.Stage.Open(str(tmp_path / "usd/patch.usda"))
     points = np.array(UsdGeom.Mesh(stage.GetPrimAtPath("/patch/square")).GetPointsAttr().Get())
     assert UsdGeom.GetStageMetersPerUnit(stage) * np.ptp(points[:, 0]) == pytest.approx(0.2)
+
+
+def test_a_black_material_has_no_number_that_is_none(tmp_path, recwarn):
+    export_material(flat(8, diffuse=0.0, specular=0.0), tmp_path, ["usd"])
+    assert not recwarn.list
+    assert decoded(tmp_path / "usd/textures/ior.png", "linear").max() == 0

@@ -36,6 +36,27 @@ def test_a_normal_that_lies_down_is_no_tower():
     assert 0.01 < heights(normal).abs().max() < 0.05
 
 
+def waves(size):
+    """A height that goes on over the edges, and its normals."""
+    x, y, _ = texel_positions(size).unbind(-1)
+    a, b = 2 * math.pi, 4 * math.pi
+    height = 0.02 * torch.cos(a * x) * torch.sin(b * y)
+    right, up = -0.02 * a * torch.sin(a * x) * torch.sin(b * y), 0.02 * b * torch.cos(a * x) * torch.cos(b * y)
+    return height, F.normalize(torch.stack((-right, -up, torch.ones_like(x)), dim=-1), dim=-1)
+
+
+def test_a_relief_that_is_repeated_has_no_edges():
+    height, normal = waves(64)
+    found = heights(normal, periodic=True)
+    assert (found - height).abs().max() < 0.01 * 0.02  # slopes are averaged between texels
+    tilted = F.normalize(normal + torch.tensor([0.2, 0.1, 0.0], dtype=torch.float64), dim=-1)  # a slope of the whole is lost
+    for each in (found, heights(tilted, periodic=True)):
+        assert float((each[:, 0] - each[:, -1]).abs().max()) < 1.5 * float((each[:, 1:] - each[:, :-1]).abs().max())
+    shifted = occlusion(height.roll((20, 9), (0, 1)), periodic=True).roll((-20, -9), (0, 1))
+    assert (shifted - occlusion(height, periodic=True)).abs().max() < 1e-12  # no texel is at an edge
+    assert (occlusion(height) - occlusion(height, periodic=True)).abs().max() > 1e-3
+
+
 def test_flat_and_sloping_ground_sees_the_whole_sky():
     assert bool((occlusion(torch.zeros(16, 16, dtype=torch.float64)) == 1).all())
     x = texel_positions(64)[..., 0]

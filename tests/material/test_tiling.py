@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from mitsvbrdf.errors import MapsError
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.material.tiling import seamless
@@ -21,9 +22,14 @@ def cropped(material, rows, columns):
 
 
 def test_what_is_seamless_stays_as_it_is():
-    for made in (make_material("tiles", 256), flat(32, diffuse=0.5), random_material("principled", 8)):  # the last: too small
+    for made in (make_material("tiles", 256), flat(32, diffuse=0.5)):
         found, part = seamless(made)
         assert found is made and part == 1
+
+
+def test_too_few_texels_are_refused():
+    with pytest.raises(MapsError, match="16 texels a side or more"):
+        seamless(random_material("principled", 8))
 
 
 @pytest.mark.parametrize("name", ["plates", "inlay"])
