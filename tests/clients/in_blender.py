@@ -18,7 +18,9 @@ path = Path(job["file"])
 
 
 def principled_of_maps(folder):
-    """A square with a material as Node Wrangler's Principled Texture Setup makes it from files of these names."""
+    """A square with the material that Node Wrangler's Principled Texture Setup makes of these files, but for two things: no
+    displacement, which repeats the relief of the normals, and nothing beyond the edges.
+    """
     bpy.ops.mesh.primitive_plane_add(size=1)
     material = bpy.data.materials.new("maps")
     material.use_nodes = True
