@@ -19,7 +19,7 @@ from .textures import NORMALS, Bits, Export, NormalConvention, write_texture
 
 Naming = Literal["own", "polyhaven", "ambientcg", "substance", "materialgan"]
 
-# File name of each map; NAME stands for the material's. "own" has both parameter sets, and with OpenGL normals load_maps reads it.
+# File name of each map; NAME stands for the material's. "own" has both parameter sets; with OpenGL normals load_maps reads it.
 FILE_NAMES: dict[str, dict[str, str]] = {
     "own": {"diffuse": "diffuse", "specular": "specular", "base_color": "base_color", "metallic": "metallic",
             "roughness": "roughness", "normal gl": "normal", "normal dx": "normal_dx", "specular_level": "specular_level",

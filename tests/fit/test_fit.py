@@ -255,7 +255,7 @@ def test_presets_are_the_papers():
 
 @pytest.mark.parametrize("settings, said", [
     ({"game": "rpgan"}, "relativistic"), ({"generator": "unet"}, "two-stream"), ({"precision": "bf16"}, "bfloat16"),
-    ({"adversarial": 0.0, "diffuse": 0.0, "smooth": 0.0}, "a loss"), ({"head_start": 1.5}, "head start"),
+    ({"adversarial": 0.0, "features": 0.0, "diffuse": 0.0, "smooth": 0.0}, "a loss"), ({"head_start": 1.5}, "head start"),
     ({"preset": "paper-two-stage", "generator": "all-photos", "normal_roughness_steps": 1}, "--generator two-stream"),
     ({"preset": "paper-two-stage", "grow": True}, "growing")])
 def test_settings_that_do_not_go_together_are_refused(settings, said):
