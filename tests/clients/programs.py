@@ -50,7 +50,7 @@ def blender(file: str) -> Callable[[Path, int], Tensor]:
     def draw(folder: Path, resolution: int) -> Tensor:
         python = Path(os.environ.get("MITSVBRDF_BLENDER", BLENDER))
         if not python.exists():
-            pytest.skip("needs " + "a Python 3.11 with bpy, in MITSVBRDF_BLENDER or as ./run slow installs it")
+            pytest.skip("needs a Python 3.11 with bpy, in MITSVBRDF_BLENDER or as ./run slow installs it")
         out = folder / "pictures"
         out.mkdir(exist_ok=True)
         job = _job(folder, resolution) | {"file": str(folder / file), "out": str(out / "blender")}
@@ -66,7 +66,7 @@ def node_modules() -> Path:
     for root in [*os.environ.get("NODE_PATH", "").split(os.pathsep), str(ROOT / ".venv/node_modules")]:
         if root and (Path(root) / "three/build/three.module.js").is_file():
             return Path(root)
-    pytest.skip("needs " + "the npm packages three and @google/model-viewer on NODE_PATH, as ./run slow installs them")
+    pytest.skip("needs the npm packages three and @google/model-viewer on NODE_PATH, as ./run slow installs them")
 
 
 def browser(function: str, file: str) -> Callable[[Path, int], Tensor]:

@@ -14,13 +14,14 @@ from pathlib import Path
 import torch
 from clients.programs import CLIENTS, LIMITS, compared, exported, truth
 from helpers.exported import gilt_plates
+from PIL import Image
 
 from mitsvbrdf.color import to_display
 from mitsvbrdf.export.residual import LIGHTS
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import load_maps
 from mitsvbrdf.material.maps import SVBRDF
-from mitsvbrdf.system import files, images
+from mitsvbrdf.system import files
 
 PICTURED = 160  # pixels a side
 
@@ -39,7 +40,8 @@ def measured(materials: dict[str, SVBRDF], pictured: tuple[str, ...], pictures: 
                 print(name, client, found[name][client], flush=True)
         if name in pictured:
             sheet = [torch.cat([images_of(light) for light in each], dim=1) for each in (wanted, *rows.values())]
-            images.write_png(pictures / f"clients-{name}.png", torch.cat(sheet, dim=0))
+            levels = (255 * torch.cat(sheet, dim=0)).round().to(torch.uint8).numpy()
+            Image.fromarray(levels).save(pictures / f"clients-{name}.jpg", quality=90)
     return found
 
 
@@ -68,7 +70,7 @@ def page(record: dict) -> str:
     lines += [f"- {client}: {why}." for client, why in LIMITS.items()]
     for name in record["pictured"]:
         lines += ["", f"## {name}", "", "From above: our renderer, then the clients in the order of the table; from left to "
-                  f"right: {', '.join(LIGHTS)}.", "", f"![{name} in all clients](clients-{name}.png)"]
+                  f"right: {', '.join(LIGHTS)}.", "", f"![{name} in all clients](clients-{name}.jpg)"]
     return "\n".join(lines) + "\n"
 
 
