@@ -1,7 +1,5 @@
 """Made materials: the same for the same seed, in range, and the same structure at every resolution."""
 
-import time
-
 import pytest
 import torch
 
@@ -62,12 +60,6 @@ def test_the_inlay_has_parts_of_different_kinds():
     assert inlay["roughness"][glaze] < 0.2 and inlay["diffuse"][glaze].max() > 0.6
     tilt = torch.rad2deg(torch.acos(inlay["normal"][..., 2].clamp(max=1)))
     assert 25 < tilt.max() < 30.5
-
-
-def test_a_material_is_made_in_a_moment():
-    start = time.perf_counter()
-    make_material("inlay", 256)
-    assert time.perf_counter() - start < 5  # measured: 0.5 s on one core; room for a loaded machine
 
 
 def test_mistakes_are_named():

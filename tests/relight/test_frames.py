@@ -194,7 +194,9 @@ def test_movies_without_pyav_are_refused_before_any_work(tmp_path, monkeypatch):
 def test_budget_is_for_all_frames_together(tmp_path):
     run(tmp_path / "o", preset="sweep", frames=3, movie="none", samples=None, budget=1.5)
     frames = record(tmp_path / "o")["presets"]["sweep"]["frames"]
-    assert [frame["stopped"] for frame in frames] == ["budget"] * 3 and all(frame["curve"] for frame in frames)
+    assert [frame["stopped"] for frame in frames] == ["budget"] * 3
+    # On a slow machine a frame may be done with its first sample, whose error cannot be estimated.
+    assert all(bool(frame["curve"]) == (frame["samples"] > 1) for frame in frames)
 
 
 def test_one_sample_is_too_few_to_estimate_its_error(tmp_path, capsys):
