@@ -1,29 +1,36 @@
-// The shading of render/analytic.py, formula by formula, for one point light. PRINCIPLED, MIN_ALPHA, F0_LOW, F0_HIGH and
-// DIELECTRIC_F0 are defined by viewer.js from the package's own constants. Directions are in the surface's frame: +x along u,
-// +y up, +z out of the surface. Lengths are in patch sides.
+// The shading of render/analytic.py, formula by formula, for one point light, or for a studio around the surface. PRINCIPLED,
+// MIN_ALPHA, F0_LOW, F0_HIGH and DIELECTRIC_F0 are defined by viewer.js from the package's own constants. Directions are in the
+// surface's frame: +x along u, +y up, +z out of the surface. Lengths are in patch sides.
+//
+// The patch is cut as Mitsuba cuts it: black where light or camera stand behind the surface or behind the normal of the texel.
+// On the sphere that would leave holes at its rim and a hard edge of its shadow; there only light behind the normal is cut.
 precision highp float;
 precision highp int;
 precision highp sampler2D;
 
 const float PI = 3.14159265358979;
 const int RECTIFIED = 0, PATCH = 1, SPHERE = 2;      // surface
+const int POINT = 0, STUDIO = 1;                     // lighting
 const int LIT = 0, COLOUR = 1, SECOND = 2, ROUGHNESS = 3, NORMAL = 4;  // show
 
 uniform sampler2D colourMap;  // rgb: diffuse or base colour; a: roughness
 uniform sampler2D secondMap;  // rgb: specular; r: metallic
 uniform sampler2D normalMap;
+uniform sampler2D lobes, diffuseLight, shares;  // of report/studio.py
 uniform vec3 camera, light, intensity;
+uniform mat3 turned;          // from here to the studio's axes: right, ahead, up
 uniform mat3 axes;            // of the camera: right, up, back
 uniform vec2 span;            // of the picture, in pixels
 uniform float zoom, exposure, roughnessScale;
 uniform vec4 uses;            // colour, second, roughness, normal: 1 or 0
-uniform int surface, show, samples, tiles;
+uniform int surface, lighting, show, samples, tiles;
 uniform bool linearOutput;
 
 out vec4 pixel;
 
 struct Texel { vec3 colour, second, normal; float roughness; };
-struct Point { vec3 position; mat3 frame; vec2 uv; };  // frame: along u, up, outward; uv: (0, 0) is the top left corner
+// frame: along u, up, outward; uv: (0, 0) is the top left corner; flip: -1 along an axis where the maps are mirrored.
+struct Point { vec3 position; mat3 frame; vec2 uv; vec3 flip; };
 
 vec4 lookUp(sampler2D map, vec2 uv) {  // bilinear, float textures need no filter of the card's
   ivec2 last = textureSize(map, 0) - 1;
@@ -41,11 +48,8 @@ Texel texelAt(vec2 uv) {
 // 2 cos / G1 of GGX masking, one direction (Walter et al. 2007, eq. 34).
 float smith(float a2, float cosine) { return cosine + sqrt(a2 + (1.0 - a2) * cosine * cosine); }
 
-// D G / (4 n.v): the specular BRDF over F, times n.l; across2 is |n x h|^2, since 1 - n.h^2 would cancel.
-float specular(float alpha, float n_l, float n_v, float n_h, float across2) {
-  float a2 = alpha * alpha, d = a2 * n_h * n_h + across2;
-  return a2 / (PI * d * d) * n_l / (smith(a2, n_l) * smith(a2, n_v));
-}
+// The density of half vectors; across2 is |n x h|^2, since 1 - n.h^2 would cancel.
+float density(float a2, float n_h, float across2) { float d = a2 * n_h * n_h + across2; return a2 / (PI * d * d); }
 
 // Unpolarised Fresnel reflectance of the real refractive index that has this F0; proportional to F0 beyond its range.
 vec3 fresnel(vec3 f0, float cosine) {
@@ -58,22 +62,70 @@ vec3 fresnel(vec3 f0, float cosine) {
 
 float fifth(float x) { return x * x * x * x * x; }  // pow is undefined at 0 in places
 
+vec3 specularColour(Texel m, float h_l) {
+#ifdef PRINCIPLED
+  vec3 metal = m.colour + (1.0 - m.colour) * fifth(1.0 - h_l);
+  return m.second.r * metal + (1.0 - m.second.r) * fresnel(vec3(DIELECTRIC_F0), h_l);
+#else
+  return fresnel(m.second, h_l);
+#endif
+}
+
+vec3 diffuseColour(Texel m, float n_l, float n_v, float h_l) {  // pi times the diffuse BRDF
+#ifdef PRINCIPLED
+  float w_l = fifth(1.0 - n_l), w_v = fifth(1.0 - n_v), retro = 2.0 * m.roughness * h_l * h_l;
+  return (1.0 - m.second.r) * m.colour * ((1.0 - w_l / 2.0) * (1.0 - w_v / 2.0) + retro * (w_l + w_v + w_l * w_v * (retro - 1.0)));
+#else
+  return m.colour;
+#endif
+}
+
+bool cut(float n_l, float n_v, vec3 l) { return n_l <= 0.0 || surface != SPHERE && (n_v <= 0.0 || l.z <= 0.0); }
+
 // The BRDF times n.l. v and l are unit vectors toward camera and light.
 vec3 reflected(Texel m, vec3 v, vec3 l) {
   float n_l = dot(m.normal, l), n_v = dot(m.normal, v);
-  if (n_l <= 0.0 || n_v <= 0.0 || l.z <= 0.0) return vec3(0);
+  if (cut(n_l, n_v, l)) return vec3(0);
+  n_v = max(n_v, 0.0);
   vec3 h = normalize(l + v), across = cross(m.normal, h);
-  float h_l = dot(h, l);
-  float lobe = specular(max(m.roughness * m.roughness, MIN_ALPHA), n_l, n_v, dot(m.normal, h), dot(across, across));
+  float h_l = dot(h, l), alpha = max(m.roughness * m.roughness, MIN_ALPHA), a2 = alpha * alpha;
+  // D G / (4 n.v) without its F, times n.l.
+  float lobe = density(a2, dot(m.normal, h), dot(across, across)) * n_l / (smith(a2, n_l) * smith(a2, n_v));
+  return diffuseColour(m, n_l, n_v, h_l) / PI * n_l + lobe * specularColour(m, h_l);
+}
+
+// Of a direction of the studio, one of `levels` pictures that lie one below the other: the first row is up, the last one down.
+vec3 around(sampler2D pictures, float level, float levels, vec3 d) {
+  float rows = float(textureSize(pictures, 0).y) / levels, row = acos(clamp(d.z, -1.0, 1.0)) / PI * (rows - 1.0) + 0.5;
+  return texture(pictures, vec2(atan(d.x, d.y) / (2.0 * PI) + 0.5, (level + row / rows) / levels)).rgb;
+}
+
+// Two lobes are mixed so that their alpha^2, the breadth squared, is that of this roughness.
+vec3 lobeOf(float roughness, vec3 d) {
+  float at = roughness * (LOBE_LEVELS - 1.0), below = min(floor(at), LOBE_LEVELS - 2.0);
+  vec3 fourth = vec3(at, below, below + 1.0);
+  fourth *= fourth;
+  fourth *= fourth;
+  return mix(around(lobes, below, LOBE_LEVELS, d), around(lobes, below + 1.0, LOBE_LEVELS, d),
+             (fourth.x - fourth.y) / (fourth.z - fourth.y));
+}
+
+vec3 reflectedStudio(Texel m, Point p, vec3 v) {  // split sum; seen aslant, an approximation
+  float n_v = dot(m.normal, v);
+  if (n_v <= 0.0 && surface != SPHERE) return vec3(0);
+  mat3 there = turned * p.frame;
+  vec2 share = texture(shares, vec2(n_v, m.roughness)).rg;
+  // Rough lobes lean from the mirrored direction to the normal (Lagarde and de Rousiers 2014, "Moving Frostbite to PBR").
+  float alpha = m.roughness * m.roughness, lean = (1.0 - alpha) * (sqrt(1.0 - alpha) + alpha);
+  vec3 normal = there * m.normal, main = there * mix(m.normal, reflect(-v, m.normal), lean);
 #ifdef PRINCIPLED
-  float metallic = m.second.r, w_l = fifth(1.0 - n_l), w_v = fifth(1.0 - n_v), retro = 2.0 * m.roughness * h_l * h_l;
-  vec3 metal = m.colour + (1.0 - m.colour) * fifth(1.0 - h_l);
-  float burley = (1.0 - w_l / 2.0) * (1.0 - w_v / 2.0) + retro * (w_l + w_v + w_l * w_v * (retro - 1.0));
-  return (1.0 - metallic) * m.colour / PI * n_l * burley
-      + lobe * (metallic * metal + (1.0 - metallic) * fresnel(vec3(DIELECTRIC_F0), h_l));
+  vec3 f0 = mix(vec3(DIELECTRIC_F0), m.colour, m.second.r), colour = (1.0 - m.second.r) * m.colour;
 #else
-  return m.colour / PI * n_l + lobe * fresnel(m.second, h_l);
+  vec3 f0 = m.second, colour = m.colour;
 #endif
+  vec3 f90 = (1.0 - f0) * min(f0 / F0_LOW, 1.0);  // no reflectance without F0
+  return colour * around(diffuseLight, 0.0, 1.0, normal)
+      + (f0 * share.x + f90 * share.y) * lobeOf(m.roughness, normalize(main));
 }
 
 vec3 radiance(Point p) {
@@ -81,9 +133,10 @@ vec3 radiance(Point p) {
   m.colour *= uses.x;
   m.second *= uses.y;
   m.roughness = min((uses.z > 0.0 ? m.roughness : 0.5) * roughnessScale, 1.0);
-  if (uses.w == 0.0) m.normal = vec3(0, 0, 1);
-  vec3 toLight = light - p.position, toCamera = camera - p.position;
-  return reflected(m, normalize(toCamera) * p.frame, normalize(toLight) * p.frame) * intensity / dot(toLight, toLight);
+  m.normal = uses.w == 0.0 ? vec3(0, 0, 1) : m.normal * p.flip;
+  vec3 toLight = light - p.position, v = normalize(camera - p.position) * p.frame;
+  if (lighting == STUDIO) return reflectedStudio(m, p, v);
+  return reflected(m, v, normalize(toLight) * p.frame) * intensity / dot(toLight, toLight);
 }
 
 float encoded(float x) { return x <= 0.0031308 ? 12.92 * x : 1.055 * pow(x, 1.0 / 2.4) - 0.055; }
@@ -95,12 +148,13 @@ vec3 shown(Point p) {  // linear radiance, or the value of one map
 #ifdef PRINCIPLED
   m.second = m.second.rrr;
 #endif
-  return show == COLOUR ? m.colour : show == SECOND ? m.second : show == ROUGHNESS ? vec3(m.roughness) : m.normal * 0.5 + 0.5;
+  return show == COLOUR ? m.colour : show == SECOND ? m.second : show == ROUGHNESS ? vec3(m.roughness) : m.normal * p.flip * 0.5 + 0.5;
 }
 
 bool seen(vec2 at, out Point p) {  // at: from -1 to 1 over the picture, +y up
+  p.flip = vec3(1);
   if (surface == RECTIFIED) {
-    p = Point(vec3(at / 2.0, 0), mat3(1), vec2(0.5, 0.5) + vec2(at.x, -at.y) / 2.0);
+    p = Point(vec3(at / 2.0, 0), mat3(1), vec2(0.5, 0.5) + vec2(at.x, -at.y) / 2.0, vec3(1));
     return true;
   }
   vec3 ray = normalize(axes * vec3(at, -zoom));
@@ -109,7 +163,7 @@ bool seen(vec2 at, out Point p) {  // at: from -1 to 1 over the picture, +y up
     p.frame = mat3(1);
     p.uv = vec2(0.5) + vec2(p.position.x, -p.position.y);
     if (ray.z >= 0.0 || any(lessThan(p.uv, vec2(0))) || any(greaterThan(p.uv, vec2(1)))) return false;
-  } else {  // a ball of diameter 1; one tile from pole to pole, and one over the front half
+  } else {  // a ball of diameter 1; one tile from pole to pole, and one over the front half; every other one is mirrored
     float b = dot(camera, ray), inside = b * b - dot(camera, camera) + 0.25;
     if (inside < 0.0) return false;
     p.position = camera - ray * (b + sqrt(inside));
@@ -119,7 +173,10 @@ bool seen(vec2 at, out Point p) {  // at: from -1 to 1 over the picture, +y up
     p.frame = mat3(u, cross(n, u), n);
     p.uv = vec2(0.5) + vec2(atan(n.x, n.z), -asin(clamp(n.y, -1.0, 1.0))) / PI;
   }
-  p.uv = fract(p.uv * float(tiles));
+  p.uv *= float(tiles);
+  vec2 odd = surface == SPHERE ? mod(floor(p.uv), 2.0) : vec2(0);
+  p.uv = mix(fract(p.uv), 1.0 - fract(p.uv), odd);
+  p.flip = vec3(1.0 - 2.0 * odd, 1);
   return true;
 }
 

@@ -10,8 +10,9 @@
   const [colour, second] = names;
 
   const start = () => ({
-    surface: "patch", show: "lit",
+    surface: "patch", show: "lit", lighting: "point",
     light: [0.3, 0.35, 1],   // above the patch; of the sphere: right, up and toward the camera from its foremost point
+    studio: 0,                // by how many degrees the studio is turned
     turn: [0, 0],             // of the camera around the surface, degrees to the right and up
     exposure: 0,              // stops
     roughnessScale: 1, tiles: 1,
@@ -19,28 +20,30 @@
   });
   const state = start();
   const DISTANCE = 3, FILL = 0.94;  // of the camera from the centre; how much of the picture the surface fills
-  const LIMITS = { exposure: [-4, 4], roughnessScale: [0.25, 3], tiles: [1, 4] };
+  const LIMITS = { studio: [-180, 180], exposure: [-4, 4], roughnessScale: [0.25, 3], tiles: [1, 4] };
 
   const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
   const along = (axes, [x, y, z]) => [0, 1, 2].map((i) => axes[0][i] * x + axes[1][i] * y + axes[2][i] * z);
 
   // ---- Maps ------------------------------------------------------------------------------------------------------------
-  // As report/viewer.py's encode_maps says: per channel a plane of high bytes, then one of low bytes.
+  // As report/viewer.py's encode says: per channel a plane of high bytes, then one of low bytes.
   async function decodeMaps() {
     const text = atob(find(".payload").textContent);
     const packed = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
     const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
     const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
-    const count = about.resolution ** 2, maps = {};
-    let plane = 0;
-    for (const { name, coding, top, low, high } of about.maps) {
+    const maps = {};
+    let at = 0;
+    for (const { name, coding, top, height, width, low, high } of [...about.maps, ...about.studio]) {
+      const count = height * width;
       const channels = low.map((least, channel) => {
-        const at = 2 * count * plane++, values = new Float32Array(count), step = (high[channel] - least) / top;
+        const values = new Float32Array(count), step = (high[channel] - least) / top;
         for (let i = 0; i < count; i++) {
           const x = least + (256 * bytes[at + i] + bytes[at + count + i]) * step;
           values[i] = coding === "square" ? x * x : x;
         }
+        at += 2 * count;
         return values;
       });
       maps[name] = coding === "octahedral" ? directions(channels) : channels;
@@ -65,6 +68,7 @@
     const number = (x) => x.toExponential(8);
     const head = ["#version 300 es", about.bsdf === "principled" ? "#define PRINCIPLED" : "",
       `#define MIN_ALPHA ${number(about.min_alpha)}`, `#define DIELECTRIC_F0 ${number(about.dielectric_f0)}`,
+      `#define LOBE_LEVELS ${number(about.lobe_levels)}`,
       `#define F0_LOW ${number(about.f0_range[0])}`, `#define F0_HIGH ${number(about.f0_range[1])}`].join("\n");
     const program = gl.createProgram();
     for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, head + "\n" + find(".shader").textContent]]) {
@@ -81,7 +85,7 @@
 
   class Screen {
     constructor(maps) {
-      const gl = this.gl = canvas.getContext("webgl2", { antialias: false, depth: false });
+      const gl = this.gl = canvas.getContext("webgl2", { antialias: false, depth: false, preserveDrawingBuffer: true });
       if (!gl) throw Error("The live viewer needs WebGL2, which this browser does not offer or has switched off.");
       this.program = programOf(gl);
       this.places = {};
@@ -90,25 +94,29 @@
       this.texture(0, "colourMap", [...one(colour), ...maps.roughness]);
       this.texture(1, "secondMap", one(second));
       this.texture(2, "normalMap", maps.normal);
+      about.studio.forEach(({ name, height, width }, i) => this.texture(3 + i, name, maps[name], { height, width, filtered: true }));
     }
 
-    texture(unit, name, channels) {
-      const gl = this.gl, side = about.resolution, texels = new Float32Array(4 * side * side);
+    // Floats, or half floats, which every card filters; those go around where they lie on a sphere.
+    texture(unit, name, channels, { height, width, filtered } = about.maps[0]) {
+      const gl = this.gl, texels = new Float32Array(4 * height * width);
+      const set = (keys, value) => keys.forEach((key) => gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${key}`], gl[value]));
       channels.forEach((values, channel) => values.forEach((value, i) => { texels[4 * i + channel] = value; }));
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
-      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, side, side, 0, gl.RGBA, gl.FLOAT, texels);
-      for (const filter of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, filter, gl.NEAREST);
+      gl.texImage2D(gl.TEXTURE_2D, 0, filtered ? gl.RGBA16F : gl.RGBA32F, width, height, 0, gl.RGBA, gl.FLOAT, texels);
+      set(["MIN_FILTER", "MAG_FILTER"], filtered ? "LINEAR" : "NEAREST");
+      set(name === "shares" ? ["WRAP_S", "WRAP_T"] : ["WRAP_T"], "CLAMP_TO_EDGE");
       gl.uniform1i(this.place(name), unit);
     }
 
     place(name) { return this.places[name] ??= this.gl.getUniformLocation(this.program, name); }
 
-    draw(scene, width, height, samples, linear = false) {
+    draw(scene, width, height, samples, { linear = false, from = 0, rows = height } = {}) {
       const gl = this.gl, floats = (name, values) => gl[`uniform${values.length}f`](this.place(name), ...values);
       const integer = (name, value) => gl.uniform1i(this.place(name), value);
       for (const name of ["camera", "light", "intensity"]) floats(name, scene[name]);
-      gl.uniformMatrix3fv(this.place("axes"), false, scene.axes.flat());
+      for (const name of ["axes", "turned"]) gl.uniformMatrix3fv(this.place(name), false, scene[name].flat());
       floats("span", [width, height]);
       floats("zoom", [scene.zoom]);
       floats("exposure", [2 ** scene.exposure]);
@@ -116,12 +124,17 @@
       floats("uses", [colour, second, "roughness", "normal"].map((name) => Number(scene.maps[name])));
       integer("surface", ["rectified", "patch", "sphere"].indexOf(scene.surface));
       integer("show", ["lit", colour, second, "roughness", "normal"].indexOf(scene.show));
+      integer("lighting", ["point", "studio"].indexOf(scene.lighting));
       integer("samples", samples);
       integer("tiles", scene.tiles);
       integer("linearOutput", Number(linear));
       gl.viewport(0, 0, width, height);
+      gl.enable(gl.SCISSOR_TEST);
+      gl.scissor(0, height - from - rows, width, rows);
       gl.drawArrays(gl.TRIANGLES, 0, 3);
     }
+
+    wait() { this.gl.readPixels(0, 0, 1, 1, this.gl.RGBA, this.gl.UNSIGNED_BYTE, new Uint8Array(4)); }  // until all is drawn
 
     read(scene, size, samples, linear) {
       const gl = this.gl, frame = gl.createFramebuffer(), store = gl.createRenderbuffer();
@@ -130,7 +143,7 @@
       gl.bindRenderbuffer(gl.RENDERBUFFER, store);
       gl.renderbufferStorage(gl.RENDERBUFFER, linear ? gl.RGBA32F : gl.RGBA8, size, size);
       gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.RENDERBUFFER, store);
-      this.draw(scene, size, size, samples, linear);
+      this.draw(scene, size, size, samples, { linear });
       const upsideDown = linear ? new Float32Array(4 * size * size) : new Uint8Array(4 * size * size);
       gl.readPixels(0, 0, size, size, gl.RGBA, linear ? gl.FLOAT : gl.UNSIGNED_BYTE, upsideDown);
       gl.deleteFramebuffer(frame);
@@ -151,6 +164,8 @@
     const right = [Math.cos(across), 0, -Math.sin(across)];
     const above = [back[1] * right[2], back[2] * right[0] - back[0] * right[2], -back[1] * right[0]];
     scene.axes = [right, above, back];
+    const around = scene.studio * Math.PI / 180;
+    scene.turned = [[Math.cos(around), Math.sin(around), 0], [0, 0, 1], [Math.sin(around), -Math.cos(around), 0]];
     scene.camera = overrides.camera ?? back.map((x) => DISTANCE * x);
     scene.zoom = FILL / reachOf(scene);
     const power = Math.PI * dot(scene.light, scene.light);
@@ -169,6 +184,9 @@
     }));
   }
 
+  // What the pointer does: it turns the studio, from one side of the picture to the other by half a turn, or moves the light.
+  const follow = (x, y) => set(state.lighting === "studio" ? { studio: 90 * x } : { light: lightAt(x, y) });
+
   // Where the pointer puts the light: above the point of the patch under it; beside the sphere's foremost point.
   function lightAt(x, y) {
     const scene = sceneOf();
@@ -179,21 +197,39 @@
   }
 
   // ---- Drawing, when something changed -----------------------------------------------------------------------------------
-  let screen = null, maps = null, asked = 0, settle = 0;
+  const REST = 120, PAUSE = 100;  // milliseconds: of stillness before it is drawn finely; the longest that this holds up the page
+  let screen = null, maps = null, asked = 0, settle = 0, fine = false;
 
-  function draw(samples) {
+  function draw(samples, from = 0, rows = canvas.height) {
     if (!screen || screen.gl.isContextLost()) return;
-    const side = Math.round(clamp(canvas.clientWidth * devicePixelRatio, 1, 2048));
-    if (canvas.width !== side) canvas.width = canvas.height = side;
-    screen.draw(sceneOf(), side, side, samples);
+    screen.draw(sceneOf(), canvas.width, canvas.height, samples, { from, rows });
   }
 
-  function redraw() {  // one sample a pixel while it moves; when it rests, nine on plain screens, four on those of phones
+  function rough() {
+    const side = Math.round(clamp(canvas.clientWidth * devicePixelRatio, 1, 2048));
+    if (canvas.width !== side) canvas.width = canvas.height = side;
+    draw(1);
+  }
+
+  // Nine samples a pixel on plain screens, four on those of phones; from the top, as many rows at once as the card can.
+  function refine(from = 0, rows = 16) {
+    if (!screen || screen.gl.isContextLost()) return;
+    const began = performance.now(), side = canvas.height;
+    rows = Math.min(rows, side - from);
+    draw(Math.ceil(3 / devicePixelRatio), from, rows);
+    screen.wait();
+    fine = from + rows === side;
+    const next = Math.ceil(clamp(rows * PAUSE / (performance.now() - began), 1, side));
+    if (!fine) settle = setTimeout(refine, 0, from + rows, next);
+  }
+
+  function redraw() {  // one sample a pixel while it moves
     clearTimeout(settle);
+    fine = false;
     asked ||= requestAnimationFrame(() => {
       asked = 0;
-      draw(1);
-      settle = setTimeout(() => requestAnimationFrame(() => draw(Math.ceil(3 / devicePixelRatio))), 120);
+      rough();
+      settle = setTimeout(refine, REST);
     });
   }
 
@@ -203,7 +239,7 @@
   };
 
   function tell() {
-    for (const name of ["surface", "show"]) form.elements[name].value = state[name];
+    for (const name of ["surface", "lighting", "show"]) form.elements[name].value = state[name];
     for (const name of names) form.querySelector(`input[type=checkbox][name=${name}]`).checked = state.maps[name];
     for (const [name, text] of Object.entries(told)) {
       const input = form.elements[name], value = name === "height" ? state.light[2] : state[name];
@@ -211,9 +247,11 @@
       input.previousElementSibling.textContent = text(value);
       input.setAttribute("aria-valuetext", text(value));
     }
-    for (const set of form.querySelectorAll(".lighting")) set.disabled = state.show !== "lit";
+    for (const set of form.querySelectorAll(".lit")) set.disabled = state.show !== "lit";
+    form.elements.height.disabled = state.lighting === "studio";
     const signed = (x, digits) => (x < 0 ? "−" : "") + Math.abs(x).toFixed(digits);
-    status.textContent = `Light ${state.light.map((x) => signed(x, 2)).join(", ")} · view ${state.turn.map((x) => signed(x, 0)).join("°, ")}°`;
+    const lit = state.lighting === "studio" ? `Studio ${signed(state.studio, 0)}°` : `Light ${state.light.map((x) => signed(x, 2)).join(", ")}`;
+    status.textContent = `${lit} · view ${state.turn.map((x) => signed(x, 0)).join("°, ")}°`;
   }
 
   function set(changes) {
@@ -237,7 +275,7 @@
     if (event.button > 0) return;
     canvas.setPointerCapture(event.pointerId);
     fingers.set(event.pointerId, place(event));
-    if (event.pointerType === "touch" && fingers.size === 1) set({ light: lightAt(...place(event)) });
+    if (event.pointerType === "touch" && fingers.size === 1) follow(...place(event));
   });
   canvas.addEventListener("pointermove", (event) => {
     const at = place(event), before = fingers.get(event.pointerId);
@@ -246,7 +284,7 @@
     if (turning) {
       const part = 60 / fingers.size;
       set({ turn: [state.turn[0] - part * (at[0] - before[0]), state.turn[1] - part * (at[1] - before[1])] });
-    } else set({ light: lightAt(...at) });
+    } else follow(...at);
     if (before) fingers.set(event.pointerId, at);
   });
   for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, (event) => {
@@ -262,6 +300,7 @@
     const [x, y, z] = state.light;
     if (rise) set({ light: [x, y, z + 0.05 * rise] });
     else if (event.shiftKey) set({ turn: state.turn.map((angle, i) => angle - 5 * arrow[i]) });
+    else if (state.lighting === "studio") set({ studio: (state.studio + 5 * arrow[0] + 540) % 360 - 180 });
     else set({ light: [x + 0.05 * arrow[0], y + 0.05 * arrow[1], z] });
   });
 
@@ -293,13 +332,14 @@
       return problem(error.message);
     }
     set({});
-    draw(1);
+    rough();
     return true;
   }
 
   window.mitsvbrdfViewer = {
     state, set,
     ready: begin(),  // whether it can draw
+    get fine() { return fine; },  // whether what stands there is as fine as it gets
     // Pixels of a square picture, four values each, row 0 at the top: bytes of sRGB, or, if `linear`, floats of linear
     // radiance. Whatever of the state is not given is as it stands. view: patch, sphere, or rectified, where pixel = texel
     // for camera and light at these positions. intensity: of the light, rgb; left out: pi |light|^2.

@@ -1,5 +1,7 @@
 """The live viewer of a material: an HTML fragment that shades the maps in WebGL2 with the formulas of ``render/analytic.py``.
 
+A point light or the studio of previews lights them.
+
 Maps travel as integers of 12 or 16 bits, high and low bytes apart, deflated, in base64. Eight bits would not do: a highlight of
 roughness 0.1 is 0.01 wide, as wide as 2.5 steps of an 8-bit normal map.
 """
@@ -15,6 +17,7 @@ from ..material.maps import CHANNELS, COLOURS, DIELECTRIC_F0, SVBRDF, TITLES
 from ..pages.page import page_text
 from ..render.analytic import MIN_ALPHA
 from ..render.bsdf import F0_RANGE
+from . import studio
 
 VIEWER_SIDE = 512  # texels along a side; maps of noise are 5.3 MB then, those of materials 2 to 4.5 MB
 TOP_LEVELS = {"square": 4095, "plain": 65535, "octahedral": 65535}  # highest integer of each coding
@@ -35,37 +38,54 @@ def viewer_html(svbrdf: SVBRDF, *, largest: int = VIEWER_SIDE) -> str:
     svbrdf = svbrdf.detach().check()
     if svbrdf.resolution > largest:
         svbrdf = svbrdf.resized(largest)
-    about, payload = encode_maps(svbrdf)
+    about, planes = encode_maps(svbrdf)
+    shares = studio.shares(MIN_ALPHA[svbrdf.bsdf])
+    coded = [encode("lobes", studio.lobes(), "square"), encode("diffuseLight", studio.diffuse(), "square"),
+             encode("shares", shares, "plain")]
+    about["studio"] = [entry for entry, _ in coded]
+    planes += [plane for _, each in coded for plane in each]
     about |= {"bsdf": svbrdf.bsdf, "resolution": svbrdf.resolution, "f0_range": F0_RANGE, "dielectric_f0": DIELECTRIC_F0,
-              "min_alpha": MIN_ALPHA[svbrdf.bsdf], "titles": {name: TITLES[name] for name in CHANNELS[svbrdf.bsdf]}}
-    return page_text("report/viewer.html", about=about, payload=base64.b64encode(payload).decode())
+              "min_alpha": MIN_ALPHA[svbrdf.bsdf], "lobe_levels": studio.LEVELS,
+              "titles": {name: TITLES[name] for name in CHANNELS[svbrdf.bsdf]}}
+    payload = base64.b64encode(zlib.compress(b"".join(planes), 9)).decode()
+    return page_text("report/viewer.html", about=about, payload=payload)
 
 
-def encode_maps(svbrdf: SVBRDF) -> tuple[dict, bytes]:
-    """Maps as bytes, and what a reader must know to decode them.
-
-    Each channel holds integers q in [0, top] that stand for x = low + q (high - low) / top, with its own low and high, so a
-    constant channel is exact. Of x the map's value is, by coding, ``square``: x^2 (colours: even steps for the eye),
-    ``plain``: x, ``octahedral``: the unit vector z > 0 of two channels, s = x + y, t = x - y over |x| + |y| + |z|
-    (Cigolle et al. 2014, hemi-octahedral), off by at most 3.8e-5 rad wherever it points.
-
-    Returns:
-        ``{"maps": [{"name", "coding", "top", "low": [...], "high": [...]}, ...]}`` in the order of the bytes, and the bytes:
-        zlib's format; inside, channel by channel, R x R high bytes, then R x R low bytes, row 0 at the top.
-    """
+def encode_maps(svbrdf: SVBRDF) -> tuple[dict, list[bytes]]:
+    """Maps as bytes, and what a reader must know of them: ``{"maps": [...]}`` and the planes, as :func:`encode` has them."""
     described, planes = [], []
     for name in CHANNELS[svbrdf.bsdf]:
-        value = svbrdf[name].detach().cpu().double().numpy()
         coding = "octahedral" if name == "normal" else "square" if name in COLOURS else "plain"
-        if coding == "octahedral":
-            x, y = np.moveaxis(value[..., :2], -1, 0) / np.abs(value).sum(-1)
-            value = np.stack((x + y, x - y), axis=-1)
-        elif coding == "square":
-            value = np.sqrt(value)
-        low, high = value.min((0, 1)), value.max((0, 1))
-        span, top = np.where(high > low, high - low, 1), TOP_LEVELS[coding]
-        levels = np.rint((value - low) / span * top).astype(np.uint16)
-        for channel in np.moveaxis(levels, -1, 0):
-            planes += [(channel >> 8).astype(np.uint8).tobytes(), (channel & 255).astype(np.uint8).tobytes()]
-        described.append({"name": name, "coding": coding, "top": top, "low": low.tolist(), "high": high.tolist()})
-    return {"maps": described}, zlib.compress(b"".join(planes), 9)
+        entry, found = encode(name, svbrdf[name].detach().cpu().double().numpy(), coding)
+        described.append(entry)
+        planes += found
+    return {"maps": described}, planes
+
+
+def encode(name: str, value: np.ndarray, coding: str) -> tuple[dict, list[bytes]]:
+    """A picture, H x W x C, as bytes, and what a reader must know to decode it.
+
+    Each channel holds integers q in [0, top] that stand for x = low + q (high - low) / top, with its own low and high, so a
+    constant channel is exact. Of x the value is, by coding, ``square``: x^2 (colours: even steps for the eye), ``plain``: x,
+    ``octahedral``: the unit vector z > 0 of two channels, s = x + y, t = x - y over |x| + |y| + |z| (Cigolle et al. 2014,
+    hemi-octahedral), off by at most 3.8e-5 rad wherever it points.
+
+    Returns:
+        ``{"name", "coding", "top", "height", "width", "low": [...], "high": [...]}``, and of each channel H x W high bytes,
+        then H x W low bytes, row 0 at the top. In the page all planes follow one another, deflated in zlib's format: those of
+        the maps, in their order, then those of the studio.
+    """
+    if coding == "octahedral":
+        x, y = np.moveaxis(value[..., :2], -1, 0) / np.abs(value).sum(-1)
+        value = np.stack((x + y, x - y), axis=-1)
+    elif coding == "square":
+        value = np.sqrt(value)
+    low, high = value.min((0, 1)), value.max((0, 1))
+    span, top = np.where(high > low, high - low, 1), TOP_LEVELS[coding]
+    levels = np.rint((value - low) / span * top).astype(np.uint16)
+    planes = []
+    for channel in np.moveaxis(levels, -1, 0):
+        planes += [(channel >> 8).astype(np.uint8).tobytes(), (channel & 255).astype(np.uint8).tobytes()]
+    height, width = value.shape[:2]
+    return {"name": name, "coding": coding, "top": top, "height": height, "width": width,
+            "low": low.tolist(), "high": high.tolist()}, planes

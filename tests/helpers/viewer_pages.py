@@ -31,6 +31,14 @@ def shown(svbrdf: SVBRDF, folder, width: int = 420, **window):
 
 def canvas_picture(page) -> np.ndarray:
     """What the window shows of the canvas, RGB bytes, after it has come to rest."""
-    page.wait_for_timeout(700)
+    page.wait_for_timeout(50)  # what was just changed is drawn in the next frame
+    page.wait_for_function("mitsvbrdfViewer.fine")
     data = np.frombuffer(page.locator("canvas").screenshot(), np.uint8)
     return cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1].astype(int)
+
+
+def looked(page, **options) -> dict:
+    """What the viewer draws with these options, and how; ``data`` is size x size x 4, row 0 at the top."""
+    code = "options => { const it = mitsvbrdfViewer.pixels(options); return {...it, data: Array.from(it.data)}; }"
+    found = page.evaluate(code, options)
+    return found | {"data": np.array(found["data"]).reshape(found["size"], found["size"], 4)}

@@ -16,21 +16,24 @@ from helpers.viewer_pages import changed
 from mitsvbrdf import make_material
 from mitsvbrdf.errors import MapsError
 from mitsvbrdf.material.maps import CHANNELS, COLOURS, SVBRDF, TITLES, flat
+from mitsvbrdf.render.analytic import MIN_ALPHA
+from mitsvbrdf.report import studio
 from mitsvbrdf.report.viewer import viewer_html
 from mitsvbrdf.testing import random_material
 
 
-def decoded(fragment: str) -> dict[str, np.ndarray]:
-    """The maps of a fragment, float64, by what ``encode_maps`` promises."""
+def decoded(fragment: str, of: str = "maps") -> dict[str, np.ndarray]:
+    """The maps of a fragment, or its studio, float64, by what ``encode`` promises."""
     about = json.loads(re.search(r'class="about">(.*?)</script>', fragment, re.S)[1])
     raw = zlib.decompress(base64.b64decode(re.search(r'class="payload">(.*?)</script>', fragment, re.S)[1]))
-    side, at, maps = about["resolution"], 0, {}
-    for entry in about["maps"]:
-        channels = []
+    at, maps = 0, {}
+    for entry in (*about["maps"], *about["studio"]):
+        channels, shape = [], (entry["height"], entry["width"])
+        count = shape[0] * shape[1]
         for low, high in zip(entry["low"], entry["high"]):
-            high_bytes, low_bytes = (raw[at + k * side**2:at + (k + 1) * side**2] for k in (0, 1))
-            at += 2 * side**2
-            levels = np.array([256 * a + b for a, b in zip(high_bytes, low_bytes)], dtype=np.float64).reshape(side, side)
+            high_bytes, low_bytes = (raw[at + k * count:at + (k + 1) * count] for k in (0, 1))
+            at += 2 * count
+            levels = np.array([256 * a + b for a, b in zip(high_bytes, low_bytes)], dtype=np.float64).reshape(shape)
             channels.append(low + levels / entry["top"] * (high - low))
         value = np.stack(channels, axis=-1)
         if entry["coding"] == "square":
@@ -41,7 +44,7 @@ def decoded(fragment: str) -> dict[str, np.ndarray]:
             value /= np.linalg.norm(value, axis=-1, keepdims=True)
         maps[entry["name"]] = value
     assert at == len(raw)
-    return maps
+    return {entry["name"]: maps[entry["name"]] for entry in about[of]}
 
 
 def steepest(resolution: int) -> SVBRDF:
@@ -52,6 +55,15 @@ def steepest(resolution: int) -> SVBRDF:
     across = (1 - z**2).sqrt()
     normal = torch.cat((across * around.cos(), across * around.sin(), z.clamp_min(1.001e-5)), dim=-1)
     return changed(random_material("roughconductor", resolution).to(torch.float64), normal=normal)
+
+
+def test_the_studio_survives_the_way():
+    found = decoded(viewer_html(flat(2)), "studio")
+    assert list(found) == ["lobes", "diffuseLight", "shares"]
+    for name, truth in {"lobes": studio.lobes(), "diffuseLight": studio.diffuse()}.items():
+        # Half a step of the square root, of 4095 from the darkest to the brightest.
+        assert np.abs(np.sqrt(found[name]) - np.sqrt(truth)).max() <= 0.5 / 4095 * np.sqrt(truth.max()) + 1e-12
+    assert np.abs(found["shares"] - studio.shares(MIN_ALPHA["roughconductor"])).max() <= 0.5 / 65535 + 1e-12
 
 
 @pytest.mark.parametrize("material", [random_material("roughconductor", 32), random_material("principled", 32), steepest(32),
