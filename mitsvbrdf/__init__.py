@@ -20,7 +20,7 @@ _HOME = {
     "FitResult": "fit", "fit_svbrdf": "fit",
     "evaluate_fit": "evaluate", "evaluate_maps": "evaluate", "evaluate_capture": "evaluate",
     "write_fit": "report.folder", "write_scene": "export.mitsuba",
-    "export_material": "export",
+    "ExportSettings": "export", "export_material": "export",
     "make_material": "material.made",
     "Progress": "system.progress",
     "MitsvbrdfError": "errors",

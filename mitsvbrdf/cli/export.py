@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,8 +11,7 @@ from tyro.conf import Positional, arg
 
 from ..errors import BackendError, ConfigError
 from ..export import FORMATS, check_options, export_material
-from ..export.maps import Naming
-from ..export.textures import Bits, Export, NormalConvention
+from ..export.textures import Bits, Export, ExportSettings, Naming, NormalConvention
 from ..system import images, result_folder
 from ..system.progress import say
 from .options import Material, Overwrite, fit_of_maps, keep_apart_from_maps, material_of, name_of
@@ -43,7 +43,8 @@ def export(maps: Positional[Material],
     changes is printed: RMSE of the maps as linear^(1/2.2), and of pictures under three lights in display values.
     """
     formats = [part.strip() for part in to.split(",")]
-    check_options(formats, naming, normal, bits)
+    settings = ExportSettings(name_of(maps), naming, normal, bits, licence=licence or None, repeats=tile)
+    check_options(formats, settings)
     if side_cm is not None and not SMALLEST <= side_cm <= LARGEST:
         raise ConfigError(f"a side of {SMALLEST:g} to {LARGEST:g} cm", f"--side-cm {side_cm:g}", "give it in centimetres")
     builtin = maps.startswith("builtin:")
@@ -52,13 +53,12 @@ def export(maps: Positional[Material],
     out = out or Path(maps) / "export"
     svbrdf, fit = material_of(maps), fit_of_maps(maps)
     side = side_cm / 100 if side_cm is not None else fit.side_metres
-    name = name_of(maps)
     if not builtin:
         keep_apart_from_maps(Path(maps), out)
     if tile:
         svbrdf, side = _tiled(svbrdf, side)
     with result_folder.output_folder(out, overwrite) as folder:
-        done = export_material(svbrdf, folder, formats, name, naming, normal, bits, fit.views, side, licence or None, tile)
+        done = export_material(svbrdf, folder, formats, replace(settings, side=side), fit.views)
         if zip:
             for kind in done:
                 shutil.make_archive(str(folder / kind), "zip", folder, kind)

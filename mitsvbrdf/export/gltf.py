@@ -18,7 +18,7 @@ from ..material.maps import DIELECTRIC_F0, SVBRDF
 from ..material.relief import heights, occlusion
 from ..system import files, images
 from .residual import residual
-from .textures import LINEAR, SRGB, Export, Texture, described, stored
+from .textures import DEFAULTS, LINEAR, SRGB, Export, ExportSettings, Texture, described, stored
 
 FILE = "material.glb"
 FLOAT, UNSIGNED_SHORT = 5126, 5123
@@ -39,8 +39,7 @@ NOTES = (
 )
 
 
-def write_gltf(folder: Path, svbrdf: SVBRDF, side: float | None = None, licence: str | None = None,
-               repeats: bool = False) -> Export:
+def write_gltf(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS) -> Export:
     """Write ``folder/material.glb``: base colour; occlusion, roughness and metallic packed; normal; and F0.
 
     Base colour and metallic are those of :func:`mitsvbrdf.material.conversion.layered`: only what clearly is a metal is one.
@@ -49,9 +48,7 @@ def write_gltf(folder: Path, svbrdf: SVBRDF, side: float | None = None, licence:
     Args:
         folder: made when missing.
         svbrdf: the material.
-        side: of the patch in metres; left out: 1, of whatever it is.
-        licence: for the file's ``copyright``.
-        repeats: whether its edges meet.
+        settings: how.
     """
     material, factor, lost = svbrdf, None, {}
     if svbrdf.bsdf == "roughconductor":
@@ -63,7 +60,7 @@ def write_gltf(folder: Path, svbrdf: SVBRDF, side: float | None = None, licence:
     else:
         glass = torch.full_like(svbrdf["metallic"], DIELECTRIC_F0)
         lost = {"base colour as it is": residual(svbrdf, as_shown(svbrdf, glass, glass))}
-    shaded = occlusion(heights(svbrdf["normal"], repeats), repeats)[..., None].to(material["roughness"])
+    shaded = occlusion(heights(svbrdf["normal"], settings.repeats), settings.repeats)[..., None].to(material["roughness"])
     packed = torch.cat((shaded, material["roughness"], material["metallic"]), dim=-1)
     images = {"base_color": stored("base_color", material["base_color"]), "metallic_roughness": packed,
               "normal": stored("normal", material["normal"])}
@@ -77,12 +74,12 @@ def write_gltf(folder: Path, svbrdf: SVBRDF, side: float | None = None, licence:
         textures.append(Texture(f"{FILE}: specular_color", f"factor on the dielectric F0 of 0.04, divided by {largest:.6g}",
                                 SRGB, 8))
         extension = {"specularColorFactor": [largest] * 3, "specularColorTexture": {"index": 3}}
-    files.write_bytes(folder / FILE, _glb(images, extension, side or 1.0, licence, REPEAT if repeats else CLAMP_TO_EDGE))
+    files.write_bytes(folder / FILE, _glb(images, extension, settings))
     return Export((FILE,), tuple(textures), NOTES if extension else (LAYER_NOTE, *NOTES[1:]), lost)
 
 
-def _glb(textures: dict[str, Tensor], specular: dict, side: float, licence: str | None, wrap: int) -> bytes:
-    blob, views = bytearray(), []
+def _glb(textures: dict[str, Tensor], specular: dict, settings: ExportSettings) -> bytes:
+    blob, views, wrap = bytearray(), [], REPEAT if settings.repeats else CLAMP_TO_EDGE
 
     def add(data: bytes, **about: int) -> int:
         blob.extend(b"\0" * (-len(blob) % 4))
@@ -97,7 +94,7 @@ def _glb(textures: dict[str, Tensor], specular: dict, side: float, licence: str 
                 "count": len(rows), "type": kind, **ends}
 
     # The tangent is +x and, with w = 1, the bitangent cross(normal, tangent) = +y: the up of our normal maps.
-    corners = tuple(tuple(side * x for x in corner) for corner in CORNERS)
+    corners = tuple(tuple((settings.side or 1.0) * x for x in corner) for corner in CORNERS)
     accessors = [accessor(corners, "VEC3"), accessor(((0.0, 0.0, 1.0),) * 4, "VEC3"),
                  accessor(((1.0, 0.0, 0.0, 1.0),) * 4, "VEC4"), accessor(UVS, "VEC2"),
                  {"bufferView": add(struct.pack("<6H", *TRIANGLES), target=ELEMENT_ARRAY_BUFFER),
@@ -105,11 +102,12 @@ def _glb(textures: dict[str, Tensor], specular: dict, side: float, licence: str 
     pictures = [{"name": name, "mimeType": "image/png", "bufferView": add(images.encode_png(image))}
                 for name, image in textures.items()]
     material: dict = {
-        "name": "material",
+        "name": settings.name,
         "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "metallicRoughnessTexture": {"index": 1}},
         "normalTexture": {"index": 2}, "occlusionTexture": {"index": 1}}
+    copyright = {"copyright": settings.licence} if settings.licence else {}
     document = {
-        "asset": {"version": "2.0", "generator": f"mitsvbrdf {__version__}"} | ({"copyright": licence} if licence else {}),
+        "asset": {"version": "2.0", "generator": f"mitsvbrdf {__version__}"} | copyright,
         "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"name": "patch", "mesh": 0}],
         "meshes": [{"name": "patch", "primitives": [{
             "attributes": {"POSITION": 0, "NORMAL": 1, "TANGENT": 2, "TEXCOORD_0": 3}, "indices": 4, "material": 0}]}],

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import torch
 
@@ -15,9 +14,7 @@ from ..material.maps import DIELECTRIC_F0, SVBRDF
 from ..material.relief import heights, occlusion
 from ..system import files
 from .residual import residual
-from .textures import NORMALS, Bits, Export, NormalConvention, write_texture
-
-Naming = Literal["own", "polyhaven", "ambientcg", "substance", "materialgan"]
+from .textures import DEFAULTS, NORMALS, Export, ExportSettings, write_texture
 
 # File name of each map; NAME stands for the material's. "own" has both parameter sets; with OpenGL normals load_maps reads it.
 FILE_NAMES: dict[str, dict[str, str]] = {
@@ -45,8 +42,7 @@ LOSSY_NOTE = (
 GAMMA_NOTE = "MaterialGAN's programs take dif, spe and rgh for gamma 2.2: here dif and spe are sRGB and rgh is linear"
 
 
-def write_maps(folder: Path, svbrdf: SVBRDF, name: str = "material", naming: Naming = "own", normal: NormalConvention = "gl",
-               bits: Bits = 16, side: float | None = None, repeats: bool = False) -> Export:
+def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS) -> Export:
     """Write the maps of a preset into the folder: colours sRGB, the rest linear, whatever the preset.
 
     Beside what a fit finds there are the height that the normals stand for (plus 0.5: at a displacement's scale of 1 and
@@ -56,13 +52,9 @@ def write_maps(folder: Path, svbrdf: SVBRDF, name: str = "material", naming: Nam
     Args:
         folder: made when missing.
         svbrdf: the material.
-        name: the material's, for presets that have it in file names.
-        naming: of :data:`FILE_NAMES`.
-        normal: ``gl`` or ``dx``.
-        bits: of all files; the height always has 16.
-        side: of the patch in metres, to tell the height in; left out: it is told in patch sides.
-        repeats: whether its edges meet.
+        settings: how.
     """
+    naming, normal, side = settings.naming, settings.normal, settings.side
     both, lost = dict(svbrdf.as_roughconductor().maps), {}
     level = (both["specular"].mean(dim=-1, keepdim=True) / FULL_LEVEL).clamp_max(1.0)
     material = svbrdf
@@ -72,8 +64,8 @@ def write_maps(folder: Path, svbrdf: SVBRDF, name: str = "material", naming: Nam
         for kind, f0 in {"with the specular level": FULL_LEVEL * level,
                          "without it": torch.full_like(level, DIELECTRIC_F0)}.items():
             lost[kind] = residual(svbrdf, as_shown(material, f0, f0))
-    height = heights(svbrdf["normal"], repeats)
-    both |= {**material.maps, "specular_level": level, "occlusion": occlusion(height, repeats).float()[..., None],
+    height = heights(svbrdf["normal"], settings.repeats)
+    both |= {**material.maps, "specular_level": level, "occlusion": occlusion(height, settings.repeats).float()[..., None],
              "height": (height + 0.5).clamp(0, 1)[..., None]}
     both["packed"] = torch.cat((both["occlusion"], both["roughness"], both["metallic"]), dim=-1)
     unit = f"the patch's side, {side:.6g} metres" if side else "the patch's side"
@@ -82,8 +74,8 @@ def write_maps(folder: Path, svbrdf: SVBRDF, name: str = "material", naming: Nam
     written = []
     for key, file in chosen.items():
         if key in both and not (key == "specular_level" and svbrdf.bsdf == "principled"):
-            texture = write_texture(folder, f"{_named(file, name, naming, svbrdf.resolution)}.png", key, both[key],
-                                    16 if key == "height" else bits, normal)
+            texture = write_texture(folder, f"{_named(file, settings.name, naming, svbrdf.resolution)}.png", key, both[key],
+                                    16 if key == "height" else settings.bits, normal)
             written.append(replace(texture, holds=holds.get(key, key)))
     if naming in ("own", "materialgan"):  # names that load_maps knows
         files.write_json(folder / "material.json", {

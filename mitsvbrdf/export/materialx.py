@@ -18,7 +18,7 @@ from ..material.maps import DIELECTRIC_F0, SVBRDF
 from ..render.bsdf import index_from_f0
 from ..system import files, images
 from .residual import residual
-from .textures import SRGB, Bits, Export, Texture, stored, write_texture
+from .textures import DEFAULTS, SRGB, Export, ExportSettings, Texture, stored, write_texture
 
 
 class Surface(NamedTuple):
@@ -42,14 +42,13 @@ SPECULAR_NOTE = ("one refractive index for all that is no metal, for viewers can
 LAYER_NOTE = "the specular lobe lies over the diffuse one, which gets what is left of the light; ours is a sum"
 
 
-def write_materialx(folder: Path, svbrdf: SVBRDF, bits: Bits = 16, repeats: bool = False) -> Export:
+def write_materialx(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS) -> Export:
     """Write ``folder/material.mtlx``, ``folder/openpbr.mtlx`` and ``folder/textures/*``.
 
     Args:
         folder: made when missing.
         svbrdf: the material.
-        bits: of the PNG textures.
-        repeats: whether its edges meet.
+        settings: how.
     """
     material, level, largest, lost = svbrdf, DIELECTRIC_F0, 1.0, {}
     if svbrdf.bsdf == "roughconductor":
@@ -57,14 +56,15 @@ def write_materialx(folder: Path, svbrdf: SVBRDF, bits: Bits = 16, repeats: bool
         material, relative = layered(svbrdf, torch.tensor(level)), relative_f0(svbrdf, level)
         lost = {"materialx": residual(svbrdf, as_shown(material, relative * level, torch.tensor(level)))}
         largest = max(float(relative.max()), 1.0)  # a texture ends at 1, the factor beside it does not
-    written = {name: write_texture(folder, f"textures/{name}.png", name, value, bits) for name, value in material.maps.items()}
+    written = {name: write_texture(folder, f"textures/{name}.png", name, value, settings.bits)
+               for name, value in material.maps.items()}
     if svbrdf.bsdf == "roughconductor":
         file = "textures/specular_color.png"
-        images.write_png(folder / file, stored("specular", relative / largest), bits)
-        written["specular_color"] = Texture(file, f"F0 over {level:.6g}, divided by {largest:.6g}", SRGB, bits)
+        images.write_png(folder / file, stored("specular", relative / largest), settings.bits)
+        written["specular_color"] = Texture(file, f"F0 over {level:.6g}, divided by {largest:.6g}", SRGB, settings.bits)
     index = float(index_from_f0(torch.tensor(level)))
     for file, surface in SURFACES.items():
-        files.write_bytes(folder / file, _document(surface, written, index, largest, repeats))
+        files.write_bytes(folder / file, _document(surface, written, index, largest, settings.repeats))
     notes = (LAYER_NOTE,) if svbrdf.bsdf == "principled" else (SPECULAR_NOTE, LAYER_NOTE)
     return Export(tuple(SURFACES), tuple(written.values()), notes, lost)
 

@@ -13,7 +13,7 @@ from ..render.bsdf import plugin, slot_values
 from ..render.needs import Needs
 from ..system import files, images
 from ..views import Views
-from .textures import LINEAR, NORMALS, Export, Texture
+from .textures import DEFAULTS, LINEAR, NORMALS, Export, ExportSettings, Texture
 
 # Beside the package in a checkout, inside it when installed from a wheel.
 SCENES = next((p for p in (Path(__file__).parents[1] / "scenes", Path(__file__).parents[2] / "scenes") if p.is_dir()),
@@ -72,10 +72,10 @@ def write_material(out: str | Path, bsdf: Bsdf, repeats: bool = False) -> Path:
     return path
 
 
-def write_mitsuba(folder: Path, svbrdf: SVBRDF, views: Views, repeats: bool = False) -> Export:
+def write_mitsuba(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS, *, views: Views) -> Export:
     """Scene and material for Mitsuba 3; see :func:`write_scene` and :func:`write_material`."""
     write_scene(folder, svbrdf, views)
-    write_material(folder, svbrdf.bsdf, repeats)
+    write_material(folder, svbrdf.bsdf, settings.repeats)
     slots = slot_values(svbrdf.bsdf, dict(svbrdf.maps), Needs(), stock=True)
     normals = {"normal": NORMALS["gl"]}
     textures = tuple(Texture(f"scene/{slot}.exr", HOLDS.get(slot, slot), LINEAR, 32, normals.get(slot)) for slot in slots)

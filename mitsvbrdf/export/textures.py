@@ -14,10 +14,37 @@ from ..material.maps import COLOURS
 from ..system import files, images
 
 Bits = Literal[8, 16]
+Naming = Literal["own", "polyhaven", "ambientcg", "substance", "materialgan"]
 NormalConvention = Literal["gl", "dx"]
 
 SRGB, LINEAR = "sRGB", "linear"
 NORMALS = {"gl": "OpenGL, +Y up, (n + 1) / 2", "dx": "DirectX, +Y down, (n + 1) / 2"}
+
+
+@dataclass(frozen=True)
+class ExportSettings:
+    """How a material is written.
+
+    Args:
+        name: the material's, in file names of ``maps`` and in the GLB.
+        naming: file names of ``maps``.
+        normal: of ``maps``; all other formats define theirs, which is OpenGL's.
+        bits: of PNG files; colours of ``usd`` and all of ``gltf`` have 8, heights 16.
+        side: of the patch in metres, for the sizes of meshes and heights; left out: the mesh has side 1, of whatever it is.
+        licence: what users may do with it, in every ``export.json`` and in the GLB.
+        repeats: whether its edges meet (:func:`mitsvbrdf.material.tiling.seamless`): textures then repeat, and heights go on.
+    """
+
+    name: str = "material"
+    naming: Naming = "own"
+    normal: NormalConvention = "gl"
+    bits: Bits = 16
+    side: float | None = None
+    licence: str | None = None
+    repeats: bool = False
+
+
+DEFAULTS = ExportSettings()
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from ..material.maps import COLOURS, DIELECTRIC_F0, SVBRDF
 from ..render.bsdf import index_from_f0
 from ..system import files, images
 from .residual import residual
-from .textures import LINEAR, SRGB, Bits, Export, Texture, stored, write_texture
+from .textures import DEFAULTS, LINEAR, SRGB, Export, ExportSettings, Texture, stored, write_texture
 
 MATERIAL, PATCH = "material.usda", "patch.usda"
 HIGHEST_F0 = 0.9  # of what is no metal: a refractive index of 38
@@ -69,16 +69,13 @@ SQUARE = '''def Xform "patch"
 '''
 
 
-def write_usd(folder: Path, svbrdf: SVBRDF, bits: Bits = 16, side: float | None = None,
-              repeats: bool = False) -> Export:
+def write_usd(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS) -> Export:
     """Write ``folder/material.usda``, ``folder/patch.usda`` and ``folder/textures/*.png``.
 
     Args:
         folder: made when missing.
         svbrdf: the material.
-        bits: of roughness, metallic and normal.
-        side: of the patch in metres; left out: 1, of whatever it is.
-        repeats: whether its edges meet.
+        settings: how.
     """
     material, textures, lost = svbrdf, {}, {}
     decoding = {"normal": ((2.0, 2.0, 2.0, 1.0), (-1.0, -1.0, -1.0, 0.0))}
@@ -102,21 +99,19 @@ def write_usd(folder: Path, svbrdf: SVBRDF, bits: Bits = 16, side: float | None 
         glass = torch.full_like(svbrdf["metallic"], DIELECTRIC_F0)
         lost = {"base colour as it is": residual(svbrdf, as_shown(svbrdf, glass, glass))}
     for name, value in material.maps.items():
-        textures[name] = write_texture(folder, f"textures/{name}.png", name, value, 8 if name in COLOURS else bits)
-    text = _material(textures, float(index_from_f0(torch.tensor(usual))), decoding, largest)
-    if repeats:
-        text = text.replace('wrapS = "clamp"', 'wrapS = "repeat"').replace('wrapT = "clamp"', 'wrapT = "repeat"')
-        text = text.replace('addressmode = "clamp"', 'addressmode = "periodic"')
+        textures[name] = write_texture(folder, f"textures/{name}.png", name, value, 8 if name in COLOURS else settings.bits)
+    text = _material(textures, float(index_from_f0(torch.tensor(usual))), decoding, largest, settings.repeats)
     alone = STAGE.format(prim="material", unit=1, content=text.format(at="/material"))
-    half = (100 * side if side else 1.0) / 2
+    half = (100 * settings.side if settings.side else 1.0) / 2
     worn = SQUARE.format(h=f"{half:.7g}", material=_indented(text.format(at="/patch/material")))
     files.write_bytes(folder / MATERIAL, alone.encode())
-    files.write_bytes(folder / PATCH, STAGE.format(prim="patch", unit=0.01 if side else 1, content=worn).encode())
+    files.write_bytes(folder / PATCH, STAGE.format(prim="patch", unit=0.01 if settings.side else 1, content=worn).encode())
     notes = NOTES if svbrdf.bsdf == "roughconductor" else (LAYER_NOTE, *NOTES[2:])
     return Export((MATERIAL, PATCH), tuple(textures.values()), notes, lost)
 
 
-def _material(textures: Mapping[str, Texture], index: float, decoding: Mapping[str, tuple], largest: float) -> str:
+def _material(textures: Mapping[str, Texture], index: float, decoding: Mapping[str, tuple], largest: float,
+              repeats: bool) -> str:
     """The material prim; ``{at}`` stands for its path.
 
     Args:
@@ -124,6 +119,7 @@ def _material(textures: Mapping[str, Texture], index: float, decoding: Mapping[s
         index: refractive index of what is no metal, where no texture says it.
         decoding: scale and bias of textures that have them.
         largest: what the texture of ``specular_color`` is multiplied by.
+        repeats: whether textures go on beyond their edges.
     """
     surface, mtlx, nodes = [f"float inputs:ior = {index:.7g}"], [f"float inputs:specular_IOR = {index:.7g}"], []
     for name, texture in textures.items():
@@ -131,10 +127,11 @@ def _material(textures: Mapping[str, Texture], index: float, decoding: Mapping[s
             kind, entry = PREVIEW[name].split()
             channels = "rgb" if "3" in kind else "r"
             surface.append(f"{kind} inputs:{entry}.connect = <{{at}}/{name}.outputs:{channels}>")
-            nodes.append(_uv_texture(name, texture, channels, decoding.get(name)))
+            nodes.append(_uv_texture(name, texture, channels, decoding.get(name), repeats))
         if name in MTLX:
             kind, entry = MTLX[name].split()
-            more, source = _mtlx_texture(f"mtlx_{name}", texture, kind, largest if name == "specular_color" else None)
+            scale = largest if name == "specular_color" else None
+            more, source = _mtlx_texture(f"mtlx_{name}", texture, kind, scale, repeats)
             nodes += more
             mtlx.append(f"{kind} inputs:{entry}.connect = <{{at}}/{source}.outputs:out>")
     shaders = [_shader("surface", "UsdPreviewSurface", "token outputs:surface", "int inputs:useSpecularWorkflow = 0", *surface),
@@ -151,22 +148,23 @@ def _material(textures: Mapping[str, Texture], index: float, decoding: Mapping[s
 ''' + "\n".join(map(_indented, shaders)) + "}}\n"
 
 
-def _uv_texture(name: str, texture: Texture, channels: str, decoding: tuple | None) -> str:
+def _uv_texture(name: str, texture: Texture, channels: str, decoding: tuple | None, repeats: bool) -> str:
     numbers = [f"float4 inputs:{key} = ({', '.join(f'{x:.7g}' for x in value)})"
                for key, value in zip(("scale", "bias"), decoding or ())]
     kind = "float3" if channels == "rgb" else "float"
     return _shader(name, "UsdUVTexture", f"{kind} outputs:{channels}", f"asset inputs:file = @./{texture.file}@",
                    "float2 inputs:st.connect = <{at}/st.outputs:result>",
                    f'token inputs:sourceColorSpace = "{"sRGB" if texture.colour_space == SRGB else "raw"}"',
-                   'token inputs:wrapS = "clamp"', 'token inputs:wrapT = "clamp"', *numbers)
+                   *(f'token inputs:wrap{axis} = "{"repeat" if repeats else "clamp"}"' for axis in "ST"), *numbers)
 
 
-def _mtlx_texture(name: str, texture: Texture, kind: str, largest: float | None) -> tuple[list[str], str]:
+def _mtlx_texture(name: str, texture: Texture, kind: str, largest: float | None,
+                  repeats: bool) -> tuple[list[str], str]:
     """The image node and what decodes it, and the name of the last of them."""
     node = {"color3f": "color3", "float3": "vector3", "float": "float"}[kind]
     space = ' (\n        colorSpace = "srgb_texture"\n    )' if texture.colour_space == SRGB else ""
     nodes = [_shader(name, f"ND_image_{node}", f"{kind} outputs:out", f"asset inputs:file = @./{texture.file}@{space}",
-                     'string inputs:uaddressmode = "clamp"', 'string inputs:vaddressmode = "clamp"')]
+                     *(f'string inputs:{axis}addressmode = "{"periodic" if repeats else "clamp"}"' for axis in "uv"))]
     if texture.normal:
         nodes.append(_shader(f"{name}map", "ND_normalmap_float", "float3 outputs:out",
                              f"float3 inputs:in.connect = <{{at}}/{name}.outputs:out>"))

@@ -9,6 +9,7 @@ import zipfile
 from pathlib import Path
 
 from ..errors import BackendError
+from ..export import ExportSettings
 from ..export.maps import write_maps
 from ..fit.record import SavedFit
 from ..material.maps import SVBRDF
@@ -61,7 +62,7 @@ def judged(record: dict) -> tuple[bool, str]:
 def packed(svbrdf: SVBRDF, name: str) -> tuple[str, bytes]:
     """Name and content of a zip of PNG textures, 8 bits, named as Blender's Node Wrangler knows them."""
     with tempfile.TemporaryDirectory() as folder:
-        written = write_maps(Path(folder), svbrdf, name, "polyhaven", bits=8)
+        written = write_maps(Path(folder), svbrdf, ExportSettings(name, "polyhaven", bits=8))
         data = io.BytesIO()
         with zipfile.ZipFile(data, "w", zipfile.ZIP_STORED) as archive:  # PNG is compressed already
             for texture in written.textures:

@@ -20,7 +20,7 @@ from browser import FLAGS, chromium
 from torch import Tensor
 
 from mitsvbrdf.color import to_display
-from mitsvbrdf.export import export_material
+from mitsvbrdf.export import ExportSettings, export_material
 from mitsvbrdf.export.residual import three_lights
 from mitsvbrdf.material.maps import SVBRDF
 from mitsvbrdf.measure.metrics import photo_rmse
@@ -138,7 +138,7 @@ def truth(svbrdf: SVBRDF) -> Tensor:
 
 def exported(svbrdf: SVBRDF, folder: Path) -> Path:
     """All formats, the maps as Blender's Node Wrangler takes them."""
-    export_material(svbrdf, folder, name="patch", naming="polyhaven")
+    export_material(svbrdf, folder, settings=ExportSettings("patch", "polyhaven"))
     return folder
 
 

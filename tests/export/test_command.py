@@ -9,7 +9,7 @@ from helpers.exported import stated
 
 from mitsvbrdf import cli
 from mitsvbrdf.errors import BackendError, ConfigError
-from mitsvbrdf.export import export_material
+from mitsvbrdf.export import ExportSettings, export_material
 from mitsvbrdf.material.conversion import as_principled
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
@@ -128,7 +128,8 @@ def test_maps_that_cannot_be_read(tmp_path, capsys):
     assert list(tmp_path.iterdir()) == [tmp_path / "empty"] and not list((tmp_path / "empty").iterdir())
 
 
-@pytest.mark.parametrize("wrong", [{"naming": "unity"}, {"normal": "vulkan"}, {"bits": 12}, {"to": ["obj"]}, {"to": []}])
+@pytest.mark.parametrize("wrong", [*({"settings": ExportSettings(**it)} for it in (
+    {"naming": "unity"}, {"normal": "vulkan"}, {"bits": 12})), {"to": ["obj"]}, {"to": []}])
 def test_mistakes_in_python(wrong, tmp_path):
     with pytest.raises(ConfigError, match="expected"):
         export_material(flat(4), tmp_path / "out", **wrong)

@@ -11,6 +11,7 @@ import pytest
 from helpers.exported import srgb_to_linear
 from PIL import Image
 
+from mitsvbrdf.export import ExportSettings
 from mitsvbrdf.export.gltf import write_gltf
 from mitsvbrdf.material.conversion import as_principled
 from mitsvbrdf.material.maps import flat
@@ -125,10 +126,10 @@ def test_khronos_validator_has_nothing_to_say(material, tmp_path):
 def test_size_licence_and_whether_it_repeats_are_in_the_file(tmp_path):
     write_gltf(tmp_path, flat(4))
     assert parsed(tmp_path / "material.glb")[0]["samplers"][0]["wrapS"] == 33071  # clamp to edge
-    write_gltf(tmp_path, flat(4), side=0.2, licence="CC0-1.0", repeats=True)
+    write_gltf(tmp_path, flat(4), ExportSettings("Old brick!", side=0.2, licence="CC0-1.0", repeats=True))
     document, binary = parsed(tmp_path / "material.glb")
     assert document["samplers"][0]["wrapS"] == document["samplers"][0]["wrapT"] == 10497  # repeat
-    assert document["asset"]["copyright"] == "CC0-1.0"
+    assert document["asset"]["copyright"] == "CC0-1.0" and document["materials"][0]["name"] == "Old brick!"
     (primitive,) = document["meshes"][0]["primitives"]
     corners = numbers(document, binary, primitive["attributes"]["POSITION"])
     assert np.allclose(np.abs(corners[:, :2]), 0.1)

@@ -12,6 +12,7 @@ from helpers.exported import gilt_plates
 from helpers.fit_pages import Page
 
 from mitsvbrdf.errors import BackendError
+from mitsvbrdf.export import ExportSettings
 from mitsvbrdf.export.maps import write_maps
 from mitsvbrdf.fit.record import read_whole_fit
 from mitsvbrdf.report import front as front_page
@@ -31,7 +32,7 @@ def test_the_verdict_is_that_of_the_record(stopped, warnings, good, words):
 
 def test_the_zip_holds_what_export_writes(tmp_path):
     made = gilt_plates(16)
-    written = write_maps(tmp_path, made, "Old brick!", "polyhaven", bits=8)
+    written = write_maps(tmp_path, made, ExportSettings("Old brick!", "polyhaven", bits=8))
     file, data = packed(made, "Old brick!")
     inside = zipfile.ZipFile(io.BytesIO(data))
     kept = [name for name in written.files if not name.endswith("_disp.png")]
