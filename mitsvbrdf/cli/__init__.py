@@ -70,7 +70,8 @@ def _run(arguments: list[str]) -> int:
     """Parse the arguments with the chosen command's options, every other command known by name and help alone."""
     import tyro
 
-    commands = {name: _named_only(text) for name, text in COMMANDS.items()}
+    completion = any(word.startswith(("--tyro-print-completion", "--tyro-write-completion")) for word in arguments)
+    commands = {name: command(name) if completion else _named_only(text) for name, text in COMMANDS.items()}
     chosen = next((word for word in arguments if not word.startswith("-")), "").replace("_", "-")  # tyro takes both
     if chosen in COMMANDS:
         commands[chosen] = command(chosen, arguments)

@@ -33,8 +33,7 @@ class FitConfig:
     guess: GuessMethod = "robust"
     """How the guessed diffuse map is made: robust (ours), min (the paper's), mean-blur (Zhao 2020)."""
     budget: float | None = None
-    """Stop after this many seconds. With neither limit: hierarchical, hybrid 120 s, direct 60 s, gan 300 s or
-    the iterations of its preset."""
+    """Stop after so many seconds. With no limit: hierarchical, hybrid 120, direct 60, gan 300 or its preset's iterations."""
     iterations: int | None = None
     """Stop after this many iterations (with --budget: whichever comes first)."""
     seed: int = 0
@@ -116,13 +115,11 @@ class HierarchicalConfig(FitConfig):
     integrated: bool = False
     """Whether look-alikes share what texels say with their own slopes and diffuse colours integrated out, not maximised."""
     noise: float | None = None
-    """Of photos that do not follow the model, at full size: standard deviation of display values, above 0; the higher, the less
-    detail of specular, roughness and normals is believed. None finds it by predicting each photo from the others."""
+    """Of a phone's photos at full size, in display values: the higher, the less detail is believed. None: found by them."""
     neighbours: bool = True
     """Whether texels try their neighbours' answers as starts."""
     calibrate: bool | None = None
-    """Estimate views where the capture has none, and refine camera, flash and exposure of each photo: --calibrate, or
-    --no-calibrate to hold them all. None refines stated views only where the photos do not follow the model."""
+    """Estimate missing views, refine camera, flash and exposure of each photo. None: refine stated ones of a phone only."""
     flash_offset: bool = True
     """Whether the sideways distance between lens and flash is fitted, one for all photos (calibrations claim 0)."""
 

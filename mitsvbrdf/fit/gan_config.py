@@ -66,8 +66,7 @@ class GanConfig(FitConfig):
     grey_specular: bool = AS_PRESET
     """One grey specular level a texel (the paper's) instead of three channels."""
     generator: GeneratorKind = AS_PRESET
-    """What proposes the maps: a network that sees all photos, or the paper's, which sees the picture it is compared with;
-    variational: one that weighs what each photo says, in any order (the paper's outlook)."""
+    """A network that sees all photos; the paper's, which sees the one compared with; or variational, the paper's outlook."""
     start: bool = AS_PRESET
     """Whether the generator starts at the guess and a robust constant specular and roughness; else untrained (the paper's)."""
     guessed_normal: bool = False

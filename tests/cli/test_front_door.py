@@ -54,6 +54,20 @@ def test_a_command_is_known_by_either_spelling(capsys):
         assert stop.value.code == 0 and "--repeats" in capsys.readouterr().out
 
 
+def test_the_shell_completes_options_of_every_command(tmp_path):
+    script = tmp_path / "mitsvbrdf"
+    with pytest.raises(SystemExit) as stop:
+        cli.main(["--tyro-write-completion", "bash", str(script)])
+    assert not stop.value.code
+    code = f"""source {script}
+COMP_WORDS=(mitsvbrdf "$1" "$2"); COMP_CWORD=2; COMP_LINE="mitsvbrdf $1 $2"; COMP_POINT=${{#COMP_LINE}}
+_tyro_mitsvbrdf mitsvbrdf "$2" "$1"; echo "${{COMPREPLY[@]}}"
+"""
+    for command, begun, whole in (("export", "--nam", "--naming"), ("fit", "--bud", "--budget"), ("sheet", "--pap", "--paper")):
+        done = subprocess.run(["bash", "-c", code, "bash", command, begun], capture_output=True, text=True)
+        assert done.stdout.split() == [whole], (command, done)
+
+
 def test_a_missing_package_is_one_error(tmp_path):
     code = """
 import sys
