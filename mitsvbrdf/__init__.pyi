@@ -7,6 +7,7 @@ from .errors import MitsvbrdfError as MitsvbrdfError
 from .evaluate import evaluate_capture as evaluate_capture
 from .evaluate import evaluate_fit as evaluate_fit
 from .evaluate import evaluate_maps as evaluate_maps
+from .export import ExportSettings as ExportSettings
 from .export import export_material as export_material
 from .export.mitsuba import write_scene as write_scene
 from .fit import DirectConfig as DirectConfig

@@ -231,6 +231,7 @@ def test_views_are_called_what_they_are(kind, glossy):
     assert ("light power" in said) == (kind == "photos") and "deviation" not in said
 
 
+@pytest.mark.slow
 def test_a_small_flash_offset_of_exact_photos_is_found():
     # Normals that lean explain it as well. Measured: off by 0.009, and the error of the normals 0.0087 instead of 0.0193.
     material, views, offset = make_material("inlay", 32), handheld(2), torch.tensor([-0.1, 0.03, 0.0])

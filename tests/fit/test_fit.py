@@ -76,7 +76,10 @@ def test_hybrid_finds_the_flash_beside_the_lens():
     assert result.flash_offset[0] < -0.05 and abs(result.flash_offset[1]) < 0.03
 
 
-@pytest.mark.parametrize("method", RESUMED)
+LONG = ("gan, before it grows", "gan, crops", "gan, five fresh steps")
+
+
+@pytest.mark.parametrize("method", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in RESUMED])
 def test_resume_is_bit_equal(method, tmp_path, monkeypatch):
     monkeypatch.setattr(gan_config, "SMALLEST", 32)
     config, side, saved_at = RESUMED[method]

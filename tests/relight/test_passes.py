@@ -28,7 +28,8 @@ def scenes(mi):
             for name, environment in kinds.items()}
 
 
-@pytest.mark.parametrize("preset", ["sweep", *(pytest.param(each, marks=pytest.mark.slow) for each in ("turntable", "sphere"))])
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", ["sweep", "turntable", "sphere"])
 def test_estimated_error_is_the_scatter_of_repeated_renders(mi, scenes, preset):
     truth = render_frame(mi, scenes[preset], Stop(samples=2048), seed=99).image.numpy()
     for samples in (8, 32):
@@ -89,7 +90,7 @@ def test_exposure_counts_in_the_error():
     assert mean.error(exposure=12) == 0  # all white
 
 
-@pytest.mark.parametrize("preset", ["sphere", "turntable"])
+@pytest.mark.parametrize("preset", ["sphere", pytest.param("turntable", marks=pytest.mark.slow)])
 def test_target_is_met_and_not_by_far(mi, scenes, preset):
     truth = render_frame(mi, scenes[preset], Stop(samples=4096), seed=99).image.numpy()
     found = render_frame(mi, scenes[preset], Stop(target_error=0.02), seed=1)

@@ -100,6 +100,7 @@ def test_only_what_a_material_needs_is_loaded(mi):
     assert lobe["type"] == "roughconductor" and lobe["eta"]["type"] == "bitmap"  # its real Fresnel curve
 
 
+@pytest.mark.slow
 def test_a_sphere_needs_one_reflection_and_a_shader_ball_more(mi):
     material = make_material("tiles", 32)
     sphere = make_stage(mi, material, "sphere", size=(24, 24))

@@ -48,7 +48,7 @@ def test_leaving_out_changes_nothing(name, case):
     assert image_error(make_renderer(name).render(svbrdf, GRID), full)["worst"] < SAME
 
 
-@pytest.mark.parametrize("bsdf", CHANNELS)
+@pytest.mark.parametrize("bsdf", ["roughconductor", pytest.param("principled", marks=pytest.mark.slow)])
 def test_full_scene_is_the_lean_one(bsdf):
     # Shadow rays, a bounce and an environment of which no light comes: asked for, they change nothing.
     svbrdf = make_material("inlay", 24)

@@ -55,7 +55,7 @@ def test_the_same_fit_twice(two_stages, phone, capture):
     assert all(torch.equal(first.svbrdf[name], second.svbrdf[name]) for name in CHANNELS["roughconductor"])
 
 
-@pytest.mark.parametrize("kind", ["exact", "phone"])
+@pytest.mark.parametrize("kind", ["exact", pytest.param("phone", marks=pytest.mark.slow)])
 def test_resuming_is_bit_equal_at_every_round(kind, two_stages, capture, tmp_path, monkeypatch):
     if kind == "phone":
         monkeypatch.setattr(stages, "EXACT", 0.0)
