@@ -8,7 +8,7 @@ import torch
 
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.material.made import make_material
-from mitsvbrdf.material.maps import CHANNELS, SVBRDF, flat
+from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.measure.gradients import fixed_cotangent
 from mitsvbrdf.measure.metrics import gradient_error, image_error
 from mitsvbrdf.render import make_renderer
