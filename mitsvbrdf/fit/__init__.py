@@ -66,12 +66,12 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     _, svbrdf, views = loop.best
     images, total, each = rerender(renderer, svbrdf, views, capture)
     with profiled("uncertainty"):
-        spreads = deviations(svbrdf, views, images, task, method.alike)
+        spreads = deviations(svbrdf, views, images, task)
         told = light_power_told(svbrdf, spreads) if task.light_power_unknown else None
         if told:
             svbrdf, views = with_light_power(svbrdf, told), replace(views, intensity=views.intensity * told)
             images, total, each = rerender(renderer, svbrdf, views, capture)
-            spreads = deviations(svbrdf, views, images, task, method.alike)
+            spreads = deviations(svbrdf, views, images, task)
     # Of all photos: where each has a camera and a flash of its own besides, they move around what is common.
     moved = (views.light - views.camera) - (capture.views.light - capture.views.camera)
     offset = moved.mean(dim=0)[:2].tolist() if method.fits_offset else None

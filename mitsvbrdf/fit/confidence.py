@@ -2,11 +2,8 @@
 
 What the photos say about one texel alone, in the model of the fit (Gauss-Newton, as in any nonlinear least squares): with
 J the derivative of its display values in all photos by its unknowns, s the noise, and a weak prior of standard deviation
-p, the covariance is (J^T J / s^2 + 1 / p^2)^-1. Networks and neighbours, which share evidence between texels, do not count; nor
-does what is wrong for all photos alike, such as the light power.
-
-Where a method ties texels to basis materials, and by as much as it saw (:class:`Alike`), p is what these say: a texel's number
-is that of its basis materials, which all their texels tell, plus a deviation of its own.
+p, the covariance is (J^T J / s^2 + 1 / p^2)^-1. Neighbours, priors and networks, which share evidence between texels, do not
+count; nor does what is wrong for all photos alike, such as the light power.
 
 All numbers are those in which map errors are counted (docs/conventions.md): diffuse and specular as linear^(1/2.2), roughness
 and metallic as they are, normals as (n + 1) / 2. Each has a range of 1, and the prior is that range: p = 1 / sqrt(12), the
@@ -17,7 +14,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -35,24 +31,9 @@ GRID = 64  # texels a side that are looked at; of larger maps, area averages
 UNKNOWN = 1 / math.sqrt(12)
 DETERMINED = 0.1  # a texel counts as determined when its standard deviation is below this
 STEP = 1e-5  # of the differences
-LEAST = 1e-6  # precision of what photos say of a texel, added where it is turned into a covariance
 
 
-class Alike(NamedTuple):
-    """Texels as members of basis materials: a texel's number is that of its basis materials, plus a deviation of its own.
-
-    Args:
-        own: standard deviation of that, by map, r x r x C.
-        usual: standard deviation of the basis materials' numbers before any photo, of maps of which that is known.
-        member: how much of each basis material texels are, r x r x K; sums to 1 over K.
-    """
-
-    own: Mapping[str, Tensor]
-    usual: Mapping[str, float]
-    member: Tensor
-
-
-def deviations(svbrdf: SVBRDF, views: Views, images: Tensor, task: FitTask, alike: Alike | None = None) -> dict[str, Tensor]:
+def deviations(svbrdf: SVBRDF, views: Views, images: Tensor, task: FitTask) -> dict[str, Tensor]:
     """Standard deviations of the maps that were fitted, by name: r x r x C (normal: x and y), r <= 64, float32.
 
     Args:
@@ -60,7 +41,6 @@ def deviations(svbrdf: SVBRDF, views: Views, images: Tensor, task: FitTask, alik
         views: as fitted.
         images: its re-rendered photos, linear, N x R x R x 3; their distance to the photos is the noise level.
         task: the photos, whose clipped pixels say nothing here, and the fixed maps.
-        alike: what texels say of each other; left out, nothing.
     """
     capture = task.capture
     side = min(GRID, svbrdf.resolution)
@@ -79,45 +59,10 @@ def deviations(svbrdf: SVBRDF, views: Views, images: Tensor, task: FitTask, alik
     unknowns, typical = slopes.shape[-1], max(float(miss.sum() / seen.sum().clamp_min(1)), QUANTIZATION_NOISE**2)
     noise2 = (missed.sum(dim=1, keepdim=True) + unknowns * typical) / weights.sum(dim=1, keepdim=True).clamp_min(unknowns)
     curve = slopes.mT @ (weights * slopes) / noise2
-    names = [name for name, value in numbers.items() for _ in range(value.shape[-1])]
-    curve += torch.eye(unknowns) / UNKNOWN**2 if alike is None else tied(curve, names, alike, len(views))
+    curve.diagonal(dim1=1, dim2=2).add_(1 / UNKNOWN**2)
     spread = torch.linalg.inv(curve).diagonal(dim1=1, dim2=2).clamp(0, UNKNOWN**2).sqrt().float()
     parts = spread.reshape(side, side, -1).split([value.shape[-1] for value in numbers.values()], dim=-1)
     return dict(zip(numbers, parts))
-
-
-def tied(curve: Tensor, names: list[str], alike: Alike, photos: int) -> Tensor:
-    """What look-alikes say of texels: the precision of their unknowns without their own photos, M x U x U.
-
-    A basis material is told by all its texels, each by what its photos say of the tied numbers whatever the others are. But
-    texels that the same photos light err alike: of a basis material count as many as there are photos.
-
-    Args:
-        curve: what its own photos say of each texel, M x U x U, M a square.
-        names: the map of each of the U unknowns.
-        alike: who is like whom.
-        photos: their number.
-    """
-    vague = torch.eye(len(names), dtype=curve.dtype) / UNKNOWN**2
-    at = torch.tensor([i for i, name in enumerate(names) if name in alike.own])
-    own2 = torch.cat([_pooled(alike.own[name].square(), len(curve)).expand(-1, names.count(name))
-                      for name in dict.fromkeys(names[i] for i in at)], dim=1)
-    own2, member = torch.diag_embed(own2), _pooled(alike.member, len(curve))
-    usual = torch.tensor([alike.usual.get(names[i], UNKNOWN) for i in at], dtype=curve.dtype)
-    # Of each texel: covariance of the tied numbers by its photos, which leave some open, and with its own deviation.
-    told = torch.linalg.inv(torch.linalg.inv(curve + vague)[:, at[:, None], at]) - vague[at[:, None], at]
-    worth = torch.linalg.inv(torch.linalg.inv(told + LEAST * torch.eye(len(at))) + own2)
-    counted = member * (photos / member.sum(dim=0).clamp_min(photos))
-    basis = torch.linalg.inv(torch.einsum("mk,mij->kij", counted, worth) + torch.diag(usual**-2))
-    found = vague.repeat(len(curve), 1, 1)
-    found[:, at[:, None], at] = torch.linalg.inv(own2 + torch.einsum("mk,kij->mij", member, basis))
-    return found
-
-
-def _pooled(value: Tensor, texels: int) -> Tensor:
-    """Area averages of a map, r x r x C, as texels x C, float64."""
-    side = math.isqrt(texels)
-    return F.adaptive_avg_pool2d(value.double().permute(2, 0, 1), side).flatten(1).T
 
 
 def confidence(spreads: Mapping[str, Tensor]) -> dict[str, dict[str, float]]:

@@ -12,7 +12,6 @@ from torch import Tensor
 from ..material.maps import SVBRDF
 from ..system.profile import profiled
 from ..views import Views
-from .confidence import Alike
 from .task import Config, FitTask
 
 
@@ -65,11 +64,6 @@ class Method(ABC, Generic[Config]):
     def views_deviation(self) -> tuple[Tensor | None, Tensor | None]:
         """Standard deviations of the changes of the views, N x 7, and of the common flash offset; None where not refined."""
         return None, None
-
-    @property
-    def alike(self) -> Alike | None:
-        """What texels say of each other, for how sure they are; None where every texel stands for itself."""
-        return None
 
 
 def descend(total: Tensor, *optimizers: torch.optim.Optimizer) -> float:

@@ -10,7 +10,7 @@ from helpers import ANALYTIC, GRID, photos_of
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.fit import DirectConfig, FitTask, fit_svbrdf
-from mitsvbrdf.fit.confidence import UNKNOWN, Alike, confidence, deviations, jacobian, map_of, numbers_of, tied
+from mitsvbrdf.fit.confidence import UNKNOWN, confidence, deviations, jacobian, map_of, numbers_of
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.render import make_renderer
@@ -103,46 +103,3 @@ def test_large_maps_are_looked_at_small():
     found = deviations(truth, views, images, FitTask(photos_of(truth, views), ANALYTIC, DirectConfig(grey_specular=True)))
     assert {name: tuple(value.shape) for name, value in found.items()} == {
         "diffuse": (64, 64, 3), "specular": (64, 64, 1), "roughness": (64, 64, 1), "normal": (64, 64, 2)}
-
-
-def test_look_alikes_tell_what_the_whole_model_says():
-    # 64 texels of two basis materials, each with two tied numbers and one of its own, in one Gaussian of all unknowns.
-    # Counted twice, in a texel and in its material, is 1 of 32: measured 0.9 % of the deviations at most.
-    g = torch.Generator().manual_seed(2)
-    slopes = torch.randn(64, 6, 3, generator=g, dtype=torch.float64) * torch.rand(64, 1, 1, generator=g) * 20
-    curve = slopes.mT @ slopes
-    member = torch.zeros(8, 8, 2)
-    member[:, :4, 0], member[:, 4:, 1] = 1, 1
-    own = {"roughness": torch.full((8, 8, 1), 0.05), "metallic": torch.full((8, 8, 1), 0.02)}
-    names = ["diffuse", "roughness", "metallic"]
-    prior = tied(curve, names, Alike(own, {"metallic": 0.1}, member), photos=64)
-    found = torch.linalg.inv(curve + prior).diagonal(dim1=1, dim2=2).sqrt()
-
-    whole = torch.zeros(64 * 3 + 4, 64 * 3 + 4, dtype=torch.float64)  # of texels, then of materials
-    for texel in range(64):
-        at = slice(3 * texel, 3 * texel + 3)
-        whole[at, at] += curve[texel]
-        whole[3 * texel, 3 * texel] += 1 / UNKNOWN**2
-        for i, deviation in ((1, 0.05), (2, 0.02)):
-            one, its = 3 * texel + i, 64 * 3 + 2 * int(texel % 8 > 3) + i - 1
-            whole[one, one] += deviation**-2
-            whole[its, its] += deviation**-2
-            whole[one, its] = whole[its, one] = -(deviation**-2)
-    for material in (0, 1):
-        whole[-4 + 2 * material, -4 + 2 * material] += 1 / UNKNOWN**2
-        whole[-3 + 2 * material, -3 + 2 * material] += 1 / 0.1**2
-    wanted = torch.linalg.inv(whole).diagonal()[:-4].sqrt().reshape(64, 3)
-    assert (found / wanted - 1).abs().max() < 0.02
-    alone = torch.linalg.inv(curve + torch.eye(3) / UNKNOWN**2).diagonal(dim1=1, dim2=2).sqrt()
-    assert (found[:, 1:] / alone[:, 1:]).median() < 0.7  # or nothing would have been shared
-
-
-def test_a_basis_material_counts_as_many_texels_as_there_are_photos():
-    curve = torch.full((64, 1, 1), 400.0, dtype=torch.float64)
-    own, member = 0.03, torch.ones(8, 8, 1)
-    for photos, count in ((9, 9), (100, 64)):
-        prior = tied(curve, ["roughness"], Alike({"roughness": torch.full((1, 1, 1), own)}, {}, member), photos)
-        wanted = own**2 + 1 / (count / (1 / 400 + own**2) + 1 / UNKNOWN**2)
-        assert prior[5, 0, 0] == pytest.approx(1 / wanted, rel=1e-6)
-
-

@@ -31,7 +31,6 @@ from ...material.resample import enlarged
 from ...render import make_renderer
 from ...system.profile import profiled
 from ...views import Views
-from ..confidence import Alike
 from ..config import HierarchicalConfig
 from ..method import Method
 from ..start import robust_start
@@ -41,11 +40,10 @@ from .left_out import NOISES, in_turn, least_as_good, prediction_errors
 from .marginal import integrated
 from .moved_views import LEVELLED, REFINED, MovedViews
 from .scales import Scale, Scales
-from .sharing import TYPICAL
 from .solver import Observations
 from .stages import NOISE, Stage, Stages, unexplained
 from .starts import LESS, Rivals, other_starts, stepped
-from .ties import LEAST_PRECISION, SHARED, Answer, Ties
+from .ties import LEAST_PRECISION, Answer, Ties
 
 ROBUST = 3.0  # errors beyond so many times the noise count by their size alone
 ROBUST_END = 10.0  # the same at full size of photos of a phone, where no start is that far from its highlight any more
@@ -252,15 +250,6 @@ class Hierarchical(Method[HierarchicalConfig]):
         x[ties.shared] = ties.bounded(self.independent(x[ties.shared], scale, answer), ties.shared)
         answer = ties.fixed_but_diffuse(answer._replace(x=x))
         return stepped(scale.solver, observations, answer, ties, LAST_STEPS).x
-
-    @property
-    def alike(self) -> Alike | None:
-        """Of photos that follow the model; those of a phone are tied by more than was seen."""
-        if not (self.stages.exact and len(self.ties.shared)):
-            return None
-        of, side, own = self.ties.unknowns.of, self.answer.x.shape[-1], self.answer.precision.rsqrt().permute(1, 2, 0)
-        return Alike({name: own[..., of(name)] for name in SHARED if len(of(name))},
-                     {name: deviation for name, (_, deviation) in TYPICAL.items()}, self.scale.member.reshape(side, side, -1))
 
     @property
     def views_deviation(self) -> tuple[Tensor | None, Tensor | None]:
