@@ -58,7 +58,7 @@ def export(maps: Positional[Material],
     if tile:
         svbrdf, side = _tiled(svbrdf, side)
     with result_folder.output_folder(out, overwrite) as folder:
-        done = export_material(svbrdf, folder, formats, replace(settings, side=side), fit.views)
+        done = export_material(svbrdf, folder, formats, settings=replace(settings, side=side), views=fit.views)
         if zip:
             for kind in done:
                 shutil.make_archive(str(folder / kind), "zip", folder, kind)

@@ -15,8 +15,8 @@ from .textures import DEFAULTS, Bits, Export, ExportSettings, Naming, NormalConv
 FORMATS = ("gltf", "materialx", "usd", "mitsuba", "maps")
 
 
-def export_material(svbrdf: SVBRDF, out: str | Path, to: Sequence[str] = FORMATS, settings: ExportSettings = DEFAULTS,
-                    views: Views | None = None) -> dict[str, Export]:
+def export_material(svbrdf: SVBRDF, out: str | Path, to: Sequence[str] = FORMATS, *,
+                    settings: ExportSettings = DEFAULTS, views: Views | None = None) -> dict[str, Export]:
     """Write ``out/FORMAT/`` for each format, with an ``export.json`` that says what every file holds, and how.
 
     Args:

@@ -2,9 +2,9 @@
 
 What a lobe gathers from all directions is split into the light that a lobe of that roughness gathers around the mirrored
 direction, as if seen from there (:func:`lobes`), and the share that it reflects (:func:`shares`). Measured against the sum over
-all directions: facing the viewer within 4 % on average, seen aslant, where real lobes are longer, up to 30 %. Diffuse light is
-the irradiance of the normal (:func:`diffuse`), Lambert's in both BSDFs. Directions lie in pictures as
-``relight/environment.py`` says.
+all directions: facing the viewer within 4 % on average; seen aslant, where real lobes are longer, metals are off by up to 30 %
+at 48 degrees and 45 % at 60 to 75, single texels by 75 %. Diffuse light is the irradiance of the normal (:func:`diffuse`),
+Lambert's in both BSDFs. Directions lie in pictures as ``relight/environment.py`` says.
 """
 
 from __future__ import annotations

@@ -197,7 +197,7 @@
   }
 
   // ---- Drawing, when something changed -----------------------------------------------------------------------------------
-  const REST = 120, PAUSE = 100;  // milliseconds: of stillness before it is drawn finely; the longest that this holds up the page
+  const REST = 120, PAUSE = 100;  // milliseconds: of stillness before it is drawn finely; about as long a stripe holds up the page
   let screen = null, maps = null, asked = 0, settle = 0, fine = false;
 
   function draw(samples, from = 0, rows = canvas.height) {
@@ -214,12 +214,13 @@
   // Nine samples a pixel on plain screens, four on those of phones; from the top, as many rows at once as the card can.
   function refine(from = 0, rows = 16) {
     if (!screen || screen.gl.isContextLost()) return;
+    if (from === 0) screen.wait();  // for what was drawn roughly, or the first stripe would seem slow
     const began = performance.now(), side = canvas.height;
     rows = Math.min(rows, side - from);
     draw(Math.ceil(3 / devicePixelRatio), from, rows);
     screen.wait();
     fine = from + rows === side;
-    const next = Math.ceil(clamp(rows * PAUSE / (performance.now() - began), 1, side));
+    const next = Math.ceil(clamp(rows * PAUSE / (performance.now() - began), 1, 4 * rows));
     if (!fine) settle = setTimeout(refine, 0, from + rows, next);
   }
 
@@ -249,6 +250,8 @@
     }
     for (const set of form.querySelectorAll(".lit")) set.disabled = state.show !== "lit";
     form.elements.height.disabled = state.lighting === "studio";
+    const source = state.lighting === "studio" ? "studio; arrow keys turn it" : "point light; arrow keys move it";
+    canvas.ariaLabel = `The material, lit by a ${source}`;
     const signed = (x, digits) => (x < 0 ? "−" : "") + Math.abs(x).toFixed(digits);
     const lit = state.lighting === "studio" ? `Studio ${signed(state.studio, 0)}°` : `Light ${state.light.map((x) => signed(x, 2)).join(", ")}`;
     status.textContent = `${lit} · view ${state.turn.map((x) => signed(x, 0)).join("°, ")}°`;
@@ -295,7 +298,8 @@
   canvas.addEventListener("keydown", (event) => {
     const arrow = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
     const rise = { "+": 1, "=": 1, "-": -1 }[event.key];
-    if (event.ctrlKey || event.altKey || event.metaKey || !(arrow || rise)) return;
+    const idle = state.lighting === "studio" && !event.shiftKey && !arrow?.[0];  // it turns sideways only
+    if (event.ctrlKey || event.altKey || event.metaKey || !(arrow || rise) || idle) return;
     event.preventDefault();
     const [x, y, z] = state.light;
     if (rise) set({ light: [x, y, z + 0.05 * rise] });

@@ -37,7 +37,7 @@ def wanted_maps(material):
 @pytest.mark.parametrize("bits", [8, 16])
 @pytest.mark.parametrize("naming", FILE_NAMES)
 def test_maps_are_what_export_json_says(material, naming, bits, normal, tmp_path):
-    export_material(material, tmp_path, ["maps"], ExportSettings("Old brick!", naming, normal, bits))
+    export_material(material, tmp_path, ["maps"], settings=ExportSettings("Old brick!", naming, normal, bits))
     folder, said = tmp_path / "maps", stated(tmp_path / "maps")
     there = {path.name for path in folder.iterdir()}
     assert there - {"material.json"} == {texture["file"] for texture in said["textures"]} | {"export.json"}
@@ -68,7 +68,7 @@ def test_names_are_those_of_the_libraries(tmp_path):
         "own": {"diffuse", "specular", "base_color", "metallic", "roughness", "normal", "specular_level", "height", "occlusion",
                 "occlusion_roughness_metallic"}}
     for naming, expected in names.items():
-        export_material(flat(4), tmp_path / naming, ["maps"], ExportSettings("Old brick!", naming))
+        export_material(flat(4), tmp_path / naming, ["maps"], settings=ExportSettings("Old brick!", naming))
         assert {path.stem for path in (tmp_path / naming / "maps").glob("*.png")} == expected
         assert len(json.loads((tmp_path / naming / "maps/export.json").read_text())["files"]) == len(expected)
 
@@ -83,7 +83,7 @@ BLENDER_WORDS = {"base_color": {"diffuse", "diff", "albedo", "base", "col", "col
 
 @pytest.mark.parametrize("naming", ["polyhaven", "ambientcg", "substance"])
 def test_blender_knows_the_files_by_their_names(naming, tmp_path):
-    export_material(flat(4), tmp_path, ["maps"], ExportSettings("brick", naming))
+    export_material(flat(4), tmp_path, ["maps"], settings=ExportSettings("brick", naming))
     for texture in stated(tmp_path / "maps")["textures"]:
         words = {word.lower() for word in re.findall("[A-Z]?[a-z]+|[A-Z]+", texture["file"].removesuffix(".png"))}
         meanings = {meaning for meaning, known in BLENDER_WORDS.items() if words & known}
@@ -95,7 +95,7 @@ def test_blender_knows_the_files_by_their_names(naming, tmp_path):
 
 @pytest.mark.parametrize("naming", ["own", "materialgan"])
 def test_exported_maps_are_read_again(material, naming, tmp_path):
-    export_material(material, tmp_path, ["maps"], ExportSettings(naming=naming))
+    export_material(material, tmp_path, ["maps"], settings=ExportSettings(naming=naming))
     found = load_maps(tmp_path / "maps")
     wanted = material if naming == "own" else material.as_roughconductor()
     assert found.bsdf == wanted.bsdf
@@ -120,7 +120,7 @@ def test_directx_normals_are_opengl_normals_with_green_turned_around(tmp_path):
 
     found = {}
     for convention, file in (("gl", "normal.png"), ("dx", "normal_dx.png")):
-        export_material(maps, tmp_path / convention, ["maps"], ExportSettings(normal=convention))
+        export_material(maps, tmp_path / convention, ["maps"], settings=ExportSettings(normal=convention))
         found[convention] = decoded(tmp_path / convention / "maps" / file, "linear") * 2 - 1
     above, below = slice(8, 16), slice(16, 24)  # rows on the two sides of the top of the bump
     right, wrong = shown(found["gl"]), shown(found["dx"])
@@ -134,28 +134,28 @@ def test_sizes_stand_in_names_where_libraries_have_them(tmp_path):
     made = flat(1024)
     for naming, file in {"polyhaven": "brick_diff_1k.png", "ambientcg": "brick_1K_Color.png",
                          "substance": "brick_BaseColor.png"}.items():
-        export_material(made, tmp_path / naming, ["maps"], ExportSettings("brick", naming))
+        export_material(made, tmp_path / naming, ["maps"], settings=ExportSettings("brick", naming))
         assert (tmp_path / naming / "maps" / file).is_file()
 
 
 def test_the_height_is_right_at_a_displacements_scale_of_1(tmp_path):
     """On a square of side 1 with the middle at 0.5, as programs have it by default; nothing is stretched."""
     made = make_material("plates", 64)
-    export_material(made, tmp_path, ["maps"], ExportSettings(naming="polyhaven", side=0.5))
+    export_material(made, tmp_path, ["maps"], settings=ExportSettings(naming="polyhaven", side=0.5))
     (said,) = (texture["holds"] for texture in stated(tmp_path / "maps")["textures"] if texture["holds"].startswith("height"))
     assert said == "height over the patch's side, 0.5 metres, plus 0.5"
     found = decoded(tmp_path / "maps/material_disp.png", "linear")[..., 0] - 0.5
     assert np.abs(found - heights(made["normal"]).numpy()).max() < 0.51 / 65535
-    export_material(flat(8), tmp_path / "flat", ["maps"], ExportSettings(naming="polyhaven"))
+    export_material(flat(8), tmp_path / "flat", ["maps"], settings=ExportSettings(naming="polyhaven"))
     assert np.ptp(decoded(tmp_path / "flat/maps/material_disp.png", "linear")) == 0
 
 
 def test_long_names_are_cut(tmp_path):
-    export_material(flat(4), tmp_path, ["maps"], ExportSettings("y" * 300, "polyhaven"))
+    export_material(flat(4), tmp_path, ["maps"], settings=ExportSettings("y" * 300, "polyhaven"))
     assert (tmp_path / f"maps/{'y' * 100}_diff.png").is_file()
 
 
 def test_packed_maps_are_those_of_the_single_files(tmp_path):
-    export_material(make_material("plates", 32), tmp_path, ["maps"], ExportSettings(naming="polyhaven"))
+    export_material(make_material("plates", 32), tmp_path, ["maps"], settings=ExportSettings(naming="polyhaven"))
     packed, *single = (decoded(tmp_path / f"maps/material_{name}.png", "linear") for name in ("arm", "ao", "rough", "metal"))
     assert np.abs(packed - np.concatenate([each[..., :1] for each in single], axis=-1)).max() == 0

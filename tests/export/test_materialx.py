@@ -51,6 +51,6 @@ def test_materialx_has_f0_in_one_index_and_a_colour(tmp_path):
 
 def test_addresses_repeat_where_edges_meet(tmp_path):
     for repeats, mode in ((False, "clamp"), (True, "periodic")):
-        export_material(gilt_plates(16), tmp_path / mode, ["materialx"], ExportSettings(repeats=repeats))
+        export_material(gilt_plates(16), tmp_path / mode, ["materialx"], settings=ExportSettings(repeats=repeats))
         root = ElementTree.parse(tmp_path / mode / "materialx/openpbr.mtlx").getroot()
         assert {entry.get("value") for entry in root.iter("input") if "addressmode" in entry.get("name")} == {mode}

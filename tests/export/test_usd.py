@@ -103,7 +103,7 @@ def test_materialx_knows_the_shaders_inputs(folder):
 def test_a_side_is_told_in_centimetres(tmp_path):
     from pxr import UsdGeom
 
-    export_material(make_material("plates", 8), tmp_path, ["usd"], ExportSettings(side=0.2))
+    export_material(make_material("plates", 8), tmp_path, ["usd"], settings=ExportSettings(side=0.2))
     stage = Usd.Stage.Open(str(tmp_path / "usd/patch.usda"))
     points = np.array(UsdGeom.Mesh(stage.GetPrimAtPath("/patch/square")).GetPointsAttr().Get())
     assert UsdGeom.GetStageMetersPerUnit(stage) * np.ptp(points[:, 0]) == pytest.approx(0.2)

@@ -197,7 +197,7 @@ class Hierarchical(Method[HierarchicalConfig]):
             return ties.loosen(answer, variance)
         if self.config.integrated:
             says = integrated(scale.solver, photos, says, precision, ties.shared, ties.low, ties.high)
-        shared = ties.share(answer._replace(x=says), variance, scale.member, self.stages.tied,
+        shared = ties.share(answer._replace(x=says), variance, scale.member, len(photos.views), self.stages.tied,
                             lambda planes: self.independent(planes, scale, answer))
         return shared._replace(x=answer.x)
 

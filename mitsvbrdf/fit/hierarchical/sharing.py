@@ -21,7 +21,7 @@ ROUNDS = 10  # of expectation-maximisation; tau changes by less than 1 % afterwa
 LEAST_SPREAD = 0.01  # of tau; below it the common level moves too little a round
 FARTHEST = 0.15  # a texel's own evidence counts as at most so far from its prior: divisions of small differences know no more
 LEAST_EVIDENCE = 1.0  # precision below which photos say nothing of a number between 0 and 1
-TYPICAL = {"specular": (DIELECTRIC_F0 ** (1 / 2.2), 0.05)}  # mean and standard deviation of a texel of which nothing is known
+TYPICAL = {"specular": (DIELECTRIC_F0 ** (1 / 2.2), 0.05)}  # mean and deviation of a material of which nothing is known
 UNKNOWN = 0.0, float("inf")
 COMMON = 20.0  # texels whose worth the common spread counts as in that of each basis material
 NOBODY = 1e-30
@@ -36,7 +36,7 @@ class Shared(NamedTuple):
 
 
 def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, prior_precision: Tensor, member: Tensor,
-           spread: Tensor, typical: bool = True) -> Shared:
+           spread: Tensor, photos: int) -> Shared:
     """The prior that texels get from each other.
 
     Args:
@@ -47,19 +47,21 @@ def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, pr
         prior_precision: the same.
         member: M x K, of :func:`mitsvbrdf.fit.hierarchical.appearance.membership`.
         spread: S, tau over all so far.
-        typical: whether :data:`TYPICAL` counts. It decides where photos leave a whole material open, as they do a broad lobe
-            that looks like a diffuse one; where photos do not follow the model it would weigh more than their highlights.
+        photos: how many follow the model; 0: :data:`TYPICAL` does not count. It decides where photos leave a whole material
+            open, as they do a broad lobe that looks like a diffuse one. It counts once for a basis material, and beside it its
+            texels as many as there are photos: those that the same photos light err alike. Where photos do not follow the
+            model it would weigh more than their highlights.
     """
     precision = (1 / variance - prior_precision).clamp_min(1e-3)  # of the photos alone
     alone = torch.where(precision > LEAST_EVIDENCE, (x / variance - prior_mean * prior_precision) / precision, x)
     alone = torch.minimum(torch.maximum(alone, prior_mean - FARTHEST), prior_mean + FARTHEST).clamp(0, 1)
-    usual, rare = torch.tensor([TYPICAL.get(name, UNKNOWN) if typical else UNKNOWN for name in names]).T[..., None]
-    vague = 1 / rare.square()
+    usual, rare = torch.tensor([TYPICAL.get(name, UNKNOWN) if photos else UNKNOWN for name in names]).T[..., None]
+    vague = (member.sum(dim=0) / max(photos, 1)).clamp_min(1) / rare.square()
     tau2 = spread.square()[:, None]
     for _ in range(ROUNDS):
         weight = 1 / (1 / precision + tau2)
         # A basis material of which no texel is any has weight 0, here and in the mean.
-        basis = (weight * alone + vague * usual) @ member / ((weight + vague) @ member).clamp_min(NOBODY)
+        basis = ((weight * alone) @ member + vague * usual) / (weight @ member + vague).clamp_min(NOBODY)
         mean = basis @ member.T
         own = 1 / (precision + 1 / tau2)
         off = own * (precision * alone + mean / tau2) - mean

@@ -69,7 +69,7 @@ class Ties:
         spread = torch.tensor([VAGUE[self.unknowns.names[i]] for i in self.shared])
         return Answer(x, x.clone(), self._precision(x, VAGUE.__getitem__), spread)
 
-    def share(self, answer: Answer, variance: Tensor, member: Tensor, tied: bool,
+    def share(self, answer: Answer, variance: Tensor, member: Tensor, photos: int, tied: bool,
               corrected: Callable[[Tensor], Tensor]) -> Answer:
         """What look-alikes say becomes the prior of specular and roughness; the relief seen becomes that of normals.
 
@@ -77,14 +77,15 @@ class Ties:
             answer: with the prior so far.
             variance: of the unknowns, given photos and prior, U x R x R.
             member: how much of each basis material texels are, M x K.
-            tied: whether photos are those of a phone.
+            photos: their number.
+            tied: whether they are those of a phone.
             corrected: what is made of the shared unknowns' means, S x R x R.
         """
         mean, precision, spread = answer.mean.clone(), answer.precision.clone(), answer.spread
         if len(self.shared):
             names = [self.unknowns.names[i] for i in self.shared]
             x, unsure, *prior = (t[self.shared].flatten(1) for t in (answer.x, variance, answer.mean, answer.precision))
-            found, tau, spread = shared(names, x, unsure, prior[0], prior[1], member, answer.spread, typical=not tied)
+            found, tau, spread = shared(names, x, unsure, prior[0], prior[1], member, answer.spread, 0 if tied else photos)
             mean[self.shared] = corrected(found.reshape(-1, *answer.x.shape[1:]))
             nearest = tau.clamp_max(self.config.spread) if tied else tau
             precision[self.shared] = (nearest**-2.0).reshape(-1, *answer.x.shape[1:])

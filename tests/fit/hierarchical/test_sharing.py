@@ -13,13 +13,13 @@ TWO = torch.tensor([[1.0, 0.0], [0.0, 1.0]]).repeat_interleave(50, dim=0)  # 50 
 FIRST, SECOND = slice(0, 50), slice(50, 100)
 
 
-def told(alone, sure, member=TWO, spread=0.1, prior=(0.5, 100.0), name="roughness", typical=False):
+def told(alone, sure, member=TWO, spread=0.1, prior=(0.5, 100.0), name="roughness", photos=0):
     """Give texels whose photos alone say ``alone`` with precision ``sure``, solved under a prior (mean, precision)."""
     alone, sure = (torch.as_tensor(v, dtype=torch.float32).expand(len(member)) for v in (alone, sure))
     mean, precision = (torch.full_like(alone, p) for p in prior)
     total = sure + precision
     x = (sure * alone + precision * mean) / total
-    found = shared([name], x[None], 1 / total[None], mean[None], precision[None], member, torch.tensor([spread]), typical)
+    found = shared([name], x[None], 1 / total[None], mean[None], precision[None], member, torch.tensor([spread]), photos)
     return Shared(found.mean[0], found.tau[0], float(found.spread[0]))
 
 
@@ -95,10 +95,19 @@ def test_limits():
 def test_what_is_typical_decides_where_nothing_is_known():
     usual, _ = TYPICAL["specular"]
     assert color.decode(torch.tensor(usual)).item() == pytest.approx(0.04, rel=1e-4)
-    unknown = told(0.5, 0.0, name="specular", typical=True).mean
+    unknown = told(0.5, 0.0, name="specular", photos=9).mean
     assert torch.allclose(unknown, torch.full((100,), usual), atol=2e-3)
-    assert torch.allclose(told(0.5, 0.0, typical=True).mean, torch.full((100,), 0.5), atol=1e-5)  # roughness has no usual
+    assert torch.allclose(told(0.5, 0.0, photos=9).mean, torch.full((100,), 0.5), atol=1e-5)  # roughness has no usual
     # One group is known to be usual, the other not known at all.
     sure = torch.cat((torch.full((50,), 1e5), torch.zeros(50)))
-    mean, *_ = told(usual, sure, prior=(0.3, 50.0), name="specular", typical=True)
+    mean, *_ = told(usual, sure, prior=(0.3, 50.0), name="specular", photos=9)
     assert torch.allclose(mean, torch.full((100,), usual), atol=2e-3)
+
+
+def test_what_is_typical_weighs_as_much_as_the_texels_that_one_photo_stands_for():
+    usual, rare = TYPICAL["specular"]
+    for photos, count in ((9, 50 / 9), (25, 2.0), (80, 1.0)):
+        mean, tau, _ = told(0.4, 400.0, name="specular", photos=photos, prior=(0.4, 100.0))
+        worth, held = 50 / (1 / 400 + float(tau[0]) ** 2), count / rare**2
+        # tau is still on its way when the mean is taken: measured 2e-4 apart.
+        assert float(mean[0]) == pytest.approx((worth * 0.4 + held * usual) / (worth + held), abs=1e-3)
