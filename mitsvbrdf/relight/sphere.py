@@ -13,19 +13,31 @@ from .stage import make_stage
 SAMPLES = 64
 
 
-def sphere(svbrdf: SVBRDF, size: int = 512, tiling: int = 2, variant: str = "llvm_ad_rgb") -> Tensor:
-    """The sphere as display values, size x size x 3.
+def mirrored(svbrdf: SVBRDF) -> SVBRDF:
+    """The material beside its mirror images, 2 R x 2 R: all edges meet, those to the next repetition too."""
+    def both(name: str, value: Tensor, axis: int, turned: int) -> Tensor:
+        image = value.flip(axis)
+        if name == "normal":
+            image = image * (1 - 2 * torch.eye(3, dtype=value.dtype)[turned])
+        return torch.cat((value, image), dim=axis)
+
+    return SVBRDF(svbrdf.bsdf, {name: both(name, both(name, value, 1, 0), 0, 1) for name, value in svbrdf.maps.items()})
+
+
+def sphere(svbrdf: SVBRDF, size: int = 512, variant: str = "llvm_ad_rgb") -> Tensor:
+    """The sphere as display values, size x size x 3; the maps and their mirror images cover it, without a seam.
 
     Args:
         svbrdf: the material.
         size: of the picture in pixels.
-        tiling: how often the maps are repeated along a side.
         variant: Mitsuba variant.
 
     Raises:
         BackendError: Mitsuba, the variant or libLLVM is missing.
     """
     mi = mitsuba_module(variant)
-    stage = make_stage(mi, svbrdf, "sphere", size=(size, size), tiling=tiling)
+    half = svbrdf.resolution // 2  # a whole patch faces the camera
+    covering = mirrored(svbrdf).map(lambda value: value.roll((half, half), (0, 1)))
+    stage = make_stage(mi, covering, "sphere", size=(size, size), tiling=1)
     picture = mi.render(stage.at(mi), spp=SAMPLES, seed=0)
     return shown(torch.tensor(picture.numpy()), 0.0)
