@@ -191,10 +191,19 @@ def test_movies_without_pyav_are_refused_before_any_work(tmp_path, monkeypatch):
     assert run(tmp_path / "o", preset="sweep", frames=2, movie="gif") == 0 and (tmp_path / "o" / "sweep.gif").is_file()
 
 
-def test_budget_is_for_all_frames_together(tmp_path):
+def test_budget_is_for_all_frames_together(tmp_path, monkeypatch):
+    given, draw = [], frames_module.render_frame
+
+    def watched(mi, scene, stop, **options):
+        given.append(stop.budget)
+        return draw(mi, scene, stop, **options)
+
+    monkeypatch.setattr(frames_module, "render_frame", watched)
     run(tmp_path / "o", preset="sweep", frames=3, movie="none", samples=None, budget=1.5)
     frames = record(tmp_path / "o")["presets"]["sweep"]["frames"]
     assert [frame["stopped"] for frame in frames] == ["budget"] * 3
+    first, second, _ = (frame["seconds"] for frame in frames)  # those to come share what is left
+    assert given == pytest.approx([0.5, max((1.5 - first) / 2, 1e-3), max(1.5 - first - second, 1e-3)], abs=1e-9)
     # On a slow machine a frame may be done with its first sample, whose error cannot be estimated.
     assert all(bool(frame["curve"]) == (frame["samples"] > 1) for frame in frames)
 
