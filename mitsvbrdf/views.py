@@ -252,3 +252,15 @@ def geometry(views: Views, resolution: int) -> tuple[Tensor, Tensor, Tensor]:
     half = F.normalize(light + F.normalize(camera, dim=-1), dim=-1)
     irradiance = views.intensity[:, None, None] * light[..., 2:] / reach**2
     return light.float(), half.float(), irradiance.float()
+
+
+def photo_numbers(text: str | None) -> list[int] | None:
+    """The numbers that a text like ``0,1,2,5`` names; None for None, which stands for all photos.
+
+    Raises:
+        ConfigError: it names none.
+    """
+    try:
+        return None if text is None else [int(part) for part in text.split(",")]
+    except ValueError:
+        raise ConfigError("photo numbers like 0,1,2,5", repr(text), "separate them by commas") from None

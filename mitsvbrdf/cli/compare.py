@@ -15,6 +15,7 @@ from ..errors import ConfigError, MapsError
 from ..render import RendererName, make_renderer
 from ..system import files, images
 from ..system.progress import print_numbers, say, say_written
+from ..views import photo_numbers
 from .options import (
     Out,
     Overwrite,
@@ -24,7 +25,6 @@ from .options import (
     check_new_file,
     fit_of_maps,
     material_of,
-    photo_numbers,
     read_photos,
 )
 

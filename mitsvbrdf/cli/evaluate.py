@@ -14,6 +14,7 @@ from ..errors import ConfigError
 from ..render import RendererName, make_renderer
 from ..system import files
 from ..system.progress import print_numbers, say, say_written
+from ..views import photo_numbers
 from .options import (
     FalloffOption,
     Material,
@@ -22,7 +23,6 @@ from .options import (
     ViewList,
     fit_of_maps,
     material_of,
-    photo_numbers,
     read_photos,
 )
 

@@ -16,50 +16,28 @@ from ..fit import FitTask, fit_svbrdf, left_out
 from ..fit.checkpoint import load_tensors
 from ..fit.confidence import confidence
 from ..fit.config import FitConfig
-from ..fit.finish_config import FinishConfig
 from ..fit.generator.finish import finished, why_not
 from ..fit.left_out import used
-from ..fit.methods import METHODS
+from ..fit.methods import METHODS, method_name
+from ..fit.options import FitOptions
 from ..fit.result import FitResult
-from ..render import Renderer, RendererName, make_renderer
+from ..render import Renderer, make_renderer
 from ..system import result_folder
 from ..system.interrupts import undisturbed
 from ..system.profile import profiling
 from ..system.progress import Progress, print_numbers, print_profile, progress_bar, say
-from .options import (
-    FalloffOption,
-    Out,
-    Overwrite,
-    Photos,
-    TransferOption,
-    Variant,
-    ViewList,
-    keep_apart,
-    photo_numbers,
-    read_photos,
-)
+from .options import Out, Overwrite, Photos, keep_apart, read_photos
 
-PREDICTED = 9  # photos left out of a fit that its page shows at once; `report --capture` shows all
+USUAL = FitOptions()
 
 
-def fit(capture: Positional[Photos], out: Out, config: FitConfig,
+def fit(capture: Positional[Photos], out: Out, config: FitConfig, options: OmitArgPrefixes[FitOptions] = USUAL,
         method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"],
                           arg(help="How to fit; `fit --method gan --help` shows that method's own options.")] = "hierarchical",
-        renderer: Annotated[RendererName, arg(help="What renders the maps and carries the gradients.")] = "mitsuba",
-        resolution: Annotated[int, arg(help="Side of the maps in texels; photos are area-averaged down to it.")] = 256,
-        views: ViewList = None,
-        falloff: Annotated[FalloffOption, arg(help="Light falloff; none is the paper's light. auto: inverse-square, but "
-                                                   "none for the paper's presets of --method gan.")] = "auto",
-        transfer: TransferOption = "auto",
-        variant: Variant = "llvm_ad_rgb",
         explain: Annotated[bool, arg(help="Print what this fit would leave out, and why, and the networks it "
                                                   "would use, and end without fitting.")] = False,
         profile: Annotated[bool, arg(help="Print where the time of a step goes: network, renderer, losses, forward and "
                                           "backward.")] = False,
-        finish: Annotated[Literal["none", "gan"],
-                          arg(help="gan: OUT/look beside OUT/maps, one plausible draw of what no photo saw, for pictures; the "
-                                   "maps stay the same.")] = "none",
-        finish_steps: Annotated[int, arg(help="Steps of the finish; 80 take under a minute at 256 px.")] = FinishConfig.steps,
         resume: Annotated[bool, arg(help="Go on from the checkpoint in OUT, same options, more --iterations.")] = False,
         overwrite: Overwrite = False) -> int:
     """Recover the maps of a material from photos.
@@ -73,39 +51,35 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig,
     rerendered/, sheet.png, curve.svg, scene.xml (for plain Mitsuba), fit.json, report.json and the checkpoint that --resume
     goes on from; with --finish gan also look/ and its page, look.html.
     """
-    config.check()
-    finishing = FinishConfig(steps=finish_steps, seed=config.seed) if finish == "gan" else None
-    (finishing or FinishConfig()).check()
-    if falloff == "auto":
-        falloff = config.falloff
-    chosen = photo_numbers(views)
-    photos = read_photos(capture, resolution, None, transfer, falloff)
-    shots = photos if chosen is None else photos.pick(chosen)
-    engine = make_renderer(renderer, variant)
+    options.check(config)
+    photos = read_photos(capture, options.resolution, None, options.transfer, options.light(config))
+    shots = options.chosen(photos)[0]
+    engine = make_renderer(options.renderer, options.variant)
     keep_apart(capture, out)
     if explain:
-        task = FitTask(shots, engine, config)
-        for what, why in left_out(task):
-            say(f"left out: {what} ({why})")
-        if finishing is None:
-            say("left out: adversarial finish (not asked for)")
-        if networks := used(task):
-            say("used: " + ", ".join(f"{what} ({how})" for what, how in networks))
-        return 0
-    title = f"fit {shots.source.name if shots.source else ''} · {method} · {engine.name}"
-    asked = {"renderer": renderer, "resolution": resolution, "views": views, "falloff": shots.views.falloff,
-             "transfer": transfer, "variant": variant, "finish": finish}
-    result, before = _fit_into(out, photos, shots, engine, config, finishing, asked, title, profile, resume, overwrite)
+        return _explain(FitTask(shots, engine, config), options)
+    result, before = _fit_into(out, photos, engine, config, options, profile, resume, overwrite)
     _say_result(result, shots, before)
-    if finishing:
+    if options.finish != "none":
         _say_finish(result)
     page = "report.html, " if (out / "report.html").is_file() else ""
     say(f"wrote {out}/{page}sheet.png, maps/, {'look/, ' if result.look else ''}rerendered/, scene.xml, fit.json")
     return 0
 
 
-def _fit_into(out: Path, photos: Capture, shots: Capture, engine: Renderer, config: FitConfig, finishing: FinishConfig | None,
-              asked: dict, title: str, profile: bool, resume: bool, overwrite: bool) -> tuple[FitResult, int | None]:
+def _explain(task: FitTask, options: FitOptions) -> int:
+    """Say what the fit leaves out and uses."""
+    for what, why in left_out(task):
+        say(f"left out: {what} ({why})")
+    if options.finish == "none":
+        say("left out: adversarial finish (not asked for)")
+    if networks := used(task):
+        say("used: " + ", ".join(f"{what} ({how})" for what, how in networks))
+    return 0
+
+
+def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, options: FitOptions, profile: bool, resume: bool,
+              overwrite: bool) -> tuple[FitResult, int | None]:
     """Fit, finish where asked to, and write the result; also tells the iteration of the checkpoint gone on from."""
     from ..report.folder import write_fit
 
@@ -114,17 +88,17 @@ def _fit_into(out: Path, photos: Capture, shots: Capture, engine: Renderer, conf
     if resume and earlier is None:
         raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
     before = load_tensors(earlier)[1].get("iteration") if resume and earlier else None
-    unused = [number for number in photos.index if number not in shots.index][:PREDICTED]
-    shown = photos.pick(sorted({*shots.index, *unused})) if unused else None
+    shots, shown = options.chosen(photos)
+    title = f"fit {shots.source.name if shots.source else ''} · {method_name(config)} · {engine.name}"
     with result_folder.output_folder(out, overwrite or resume, resume) as folder:
         with Progress(title) as progress, profiling() if profile else contextlib.nullcontext():
             result = fit_svbrdf(shots, engine, config, checkpoint=folder / result_folder.CHECKPOINT,
                                 resume=earlier if resume else None, report=progress, live=folder / result_folder.LIVE)
-        if finishing:
+        if finishing := options.finishing(config):
             with progress_bar("adversarial finish") as finish_report:
                 result = finished(result, shots, engine, finishing, finish_report)
         with undisturbed():
-            write_fit(result, shots, folder, command=asked, left_out=shown)
+            write_fit(result, shots, folder, command=options.record(shots), left_out=shown)
     return result, before
 
 
@@ -160,20 +134,20 @@ def _say_result(result: FitResult, shots: Capture, before: int | None) -> None:
         say(f"warning: {warning}")
 
 
-def fit_command(arguments: Sequence[str]) -> Callable[..., int]:
-    """``fit`` with the settings of the method that the arguments name as its options."""
+def fit_command(arguments: Sequence[str], function: Callable[..., int] = fit) -> Callable[..., int]:
+    """``fit``, or another function of a ``config``, with the settings of the method that the arguments name as its options."""
     def command(*values: Any, **options: Any) -> int:
-        return fit(*values, **options)
+        return function(*values, **options)
 
     # One flat set of options, those of the method, with the defaults of the preset named; --fix may be repeated.
     kind = METHODS[_named(arguments, "--method", METHODS)].config
     presets = get_args(get_type_hints(kind).get("preset"))
     default = kind(preset=_named(arguments, "--preset", presets)) if presets else kind()  # type: ignore[call-arg]
-    signature = inspect.signature(fit)
+    signature = inspect.signature(function)
     chosen = [p.replace(default=default) if p.name == "config" else p for p in signature.parameters.values()]
-    command.__doc__ = fit.__doc__
+    command.__doc__ = function.__doc__
     command.__signature__ = signature.replace(parameters=chosen)  # type: ignore[attr-defined]
-    command.__annotations__ = fit.__annotations__ | {"config": UseAppendAction[OmitArgPrefixes[kind]]}  # type: ignore[misc, valid-type]
+    command.__annotations__ = function.__annotations__ | {"config": UseAppendAction[OmitArgPrefixes[kind]]}  # type: ignore[misc, valid-type]
     return command
 
 

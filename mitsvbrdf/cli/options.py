@@ -74,6 +74,7 @@ def read_photos(capture: Path, resolution: int, views: str | None, transfer: Tra
                 falloff: Falloff) -> Capture:
     """The photos as asked for, with what was noticed about them said."""
     from ..capture import read_capture
+    from ..views import photo_numbers
 
     if resolution < 8:
         raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
@@ -84,14 +85,6 @@ def read_photos(capture: Path, resolution: int, views: str | None, transfer: Tra
     for note in shots.notes:
         say(note)
     return shots
-
-
-def photo_numbers(views: str | None) -> list[int] | None:
-    """The numbers that ``--views`` names; None for all."""
-    try:
-        return None if views is None else [int(part) for part in views.split(",")]
-    except ValueError:
-        raise ConfigError("photo numbers like 0,1,2,5", repr(views), "separate them by commas") from None
 
 
 def material_of(name: str, resolution: int = 256) -> SVBRDF:

@@ -21,7 +21,7 @@ from .sheet import loss_curve, write_sheet
 
 
 def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dict | None = None,
-              left_out: Capture | None = None) -> None:
+              left_out: Capture | None = None, pages: bool = True) -> None:
     """Write a fit: maps, look, uncertainty, guess, photos and re-renderings, sheet, curve, Mitsuba scene, ``fit.json``, page.
 
     Args:
@@ -30,18 +30,27 @@ def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dic
         out: the folder, made when missing.
         command: options of the command line, kept in ``fit.json``.
         left_out: photos that the fit did not use, for the page to predict; see :func:`.fit_page.write_report`.
+        pages: whether all of that is written; else maps, look, uncertainty and ``fit.json`` alone.
 
     Raises:
         OutputError: ``out`` cannot be written, or its ``photos/`` is where the capture came from.
     """
     out = Path(out)
-    keep_photos(out, capture)
+    if pages:  # first: it refuses a folder where the capture's own photos are
+        keep_photos(out, capture)
     save_maps(result.svbrdf, out / "maps")
     if result.look:
         save_maps(result.look, out / "look")
-    write_linear(out / "guess" / "diffuse", result.guess, "srgb")
     for name, spread in result.deviations.items():
         images.write_exr(out / "uncertainty" / f"{name}.exr", spread.square().mean(dim=-1, keepdim=True).sqrt())
+    write_record(out, result, capture, command or {})
+    if pages:
+        _write_pages(result, capture, out, left_out)
+
+
+def _write_pages(result: FitResult, capture: Capture, out: Path, left_out: Capture | None) -> None:
+    """What people look at, and the scene."""
+    write_linear(out / "guess" / "diffuse", result.guess, "srgb")
     for name, image in zip(capture.names, result.rerendered):
         write_linear(out / "rerendered" / name, image, capture.transfer)
     title = f"{capture.source.name if capture.source else 'capture'}: {method_name(result.config)}, {result.svbrdf.bsdf}"
@@ -55,7 +64,6 @@ def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dic
                 remarks=remarks)
     loss_curve(out / "curve.svg", result.trace)
     write_scene(out, result.svbrdf, result.views)
-    write_record(out, result, capture, command or {})
     (out / "report.json").unlink(missing_ok=True)  # photos that an earlier fit left out are none of this one's
     try:
         write_report(out, quick=True, left_out=left_out)

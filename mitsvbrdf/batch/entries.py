@@ -1,0 +1,120 @@
+"""What a batch is asked to fit: folders of captures, patterns and lists, each entry a capture and its own options."""
+
+from __future__ import annotations
+
+import glob
+import os
+import shlex
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from ..capture.photo import SUFFIXES
+from ..errors import CaptureError, ConfigError
+
+CALIBRATIONS = ("capture.json", "camera_pos.txt")
+PATTERN = frozenset("*?[")
+
+
+class Entry(NamedTuple):
+    """A capture to fit.
+
+    Args:
+        source: its absolute path, or its URL.
+        own: options that its line in a list gives, in words.
+        where: the list and its line, for errors; empty for what the command line names.
+    """
+
+    source: str
+    own: tuple[str, ...] = ()
+    where: str = ""
+
+
+def entries(names: Sequence[str]) -> list[Entry]:
+    """The captures that names stand for, in their order.
+
+    Args:
+        names: each a capture (a folder, its JSON file, or a URL), a folder of captures, a pattern of these, a list file with
+            one of these a line, options behind it, ``#`` before a remark; or ``-``, a list on standard input.
+
+    Raises:
+        CaptureError: a name that stands for no capture, with its line where it is in a list.
+    """
+    found = [entry for name in names for entry in _expanded(name)]
+    if not found:
+        raise CaptureError("captures to fit", "none", "name folders, patterns like 'shots/*', or a list file")
+    return found
+
+
+def name_of_source(source: str) -> str:
+    """What a capture is called: its folder's name in letters that every file system has."""
+    path = source.split("://", 1)[-1].rstrip("/")
+    name = os.path.basename(os.path.dirname(path) if path.endswith(".json") else path)
+    return "".join(letter if letter.isascii() and (letter.isalnum() or letter in "._-") else "_" for letter in name
+                   ).strip("._")[:80] or "capture"
+
+
+def _expanded(name: str, own: tuple[str, ...] = (), where: str = "") -> Iterator[Entry]:
+    """The captures of one name."""
+    if "://" in name:
+        from .place import remote_captures
+        yield from (Entry(url, own, where) for url in remote_captures(name))
+        return
+    path = Path(os.path.expanduser(name))
+    if PATTERN & set(name) and not path.exists():
+        matches = sorted(glob.glob(str(path)))
+        if not matches:
+            raise _wrong("captures that match", f"none like {name}", where)
+        for match in matches:
+            if os.path.isdir(match) or not where and not match.endswith(".json"):
+                yield from _expanded(match, own, where)
+    elif path.is_dir():
+        yield from (Entry(os.path.realpath(folder), own, where) for folder in _captures_in(path, where))
+    elif path.suffix.lower() == ".json" and path.is_file():
+        yield Entry(os.path.realpath(path), own, where)
+    elif not where and (name == "-" or path.is_file()):
+        yield from _listed(sys.stdin if name == "-" else _lines(path), "standard input" if name == "-" else name,
+                           Path() if name == "-" else path.parent)
+    else:
+        raise _wrong("a folder of photos or a list file", f"nothing at {name}", where)
+
+
+def _captures_in(folder: Path, where: str) -> list[Path]:
+    """The folder itself where it is a capture, else the captures right inside it."""
+    if _is_capture(folder):
+        return [folder]
+    inside = sorted(each for each in folder.iterdir() if each.is_dir() and each.name[0] != "." and _is_capture(each))
+    if not inside:
+        raise _wrong("a capture, or a folder of captures", f"{folder}, which has no photos", where)
+    return inside
+
+
+def _is_capture(folder: Path) -> bool:
+    names = os.listdir(folder)
+    return any(name in CALIBRATIONS for name in names) or any(
+        os.path.splitext(name)[1].lower() in SUFFIXES and name[0] != "." for name in names) and "fit.json" not in names
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return path.read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError) as reason:
+        raise CaptureError("a list of captures, one a line", f"{path}: {reason}", "write it as UTF-8 text") from None
+
+
+def _listed(lines: Iterable[str], name: str, base: Path) -> Iterator[Entry]:
+    """The entries of a list; a relative path starts where the list lies."""
+    for number, line in enumerate(lines, 1):
+        where = f"line {number} of {name}"
+        try:
+            words = shlex.split(line, comments=True)
+        except ValueError as reason:
+            raise ConfigError("a capture and its options", f"{where}: {reason}", "close the quotes") from None
+        if words:
+            source = words[0] if "://" in words[0] else str(base / os.path.expanduser(words[0]))
+            yield from _expanded(source, tuple(words[1:]), where)
+
+
+def _wrong(expected: str, got: str, where: str) -> CaptureError:
+    return CaptureError(expected, f"{got} ({where})" if where else got, "check the name")

@@ -1,0 +1,65 @@
+"""Which result belongs to which capture: a hash of all that decides it, so that nothing is fitted twice or mistaken."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from .. import __version__
+from ..capture.photo import SUFFIXES
+
+CALIBRATION_FILES = ("capture.json", "camera_pos.txt", "image_size.txt", "light_power.txt", "light_pos.txt")
+
+Hash = Callable[[Path], str]
+
+
+def identity(source: str, asked: dict, hash_of: Hash) -> str:
+    """SHA-256, in hex, of photos, calibration, options and version.
+
+    Args:
+        source: a capture's path, or its URL.
+        asked: method, settings and options as JSON.
+        hash_of: of a file's content; :func:`file_hash`, or one that remembers.
+    """
+    if "://" in source:
+        from .place import remote_contents
+        contents: list[list] = remote_contents(source)
+    else:
+        contents = [[os.path.relpath(path, source), hash_of(path)] for path in capture_files(Path(source))]
+    named = [[name, hash_of(Path(name))] for name in _files_named(asked)]
+    text = json.dumps([__version__, asked, contents, named], sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def capture_files(source: Path) -> list[Path]:
+    """The files that a capture is read from: calibration and photos, by name."""
+    folder = source.parent if source.is_file() else source
+    folders = {folder}
+    stated = source if source.is_file() else folder / "capture.json"
+    try:
+        target = json.loads(stated.read_text(encoding="utf-8"))["target_dir"]
+        folders.add(folder / target)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        pass  # no such file, or a wrong one, which the fit will say
+    found = {path for each in folders if each.is_dir() for path in each.iterdir() if path.is_file() and path.name[0] != "." and (
+        path.name in CALIBRATION_FILES or path == source or path.suffix.lower() in SUFFIXES)}
+    return sorted(found)
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file's content, in hex."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _files_named(asked: object) -> list[str]:
+    """The files that options name: a fixed map, pretrained weights."""
+    if isinstance(asked, dict):
+        asked = list(asked.values())
+    if isinstance(asked, (list, tuple)):
+        return [name for part in asked for name in _files_named(part)]
+    name = asked.partition("=")[2] or asked if isinstance(asked, str) else ""
+    return [name] if name and os.path.isfile(name) else []

@@ -1,0 +1,119 @@
+"""What a library holds, told from its manifest and its files."""
+
+from __future__ import annotations
+
+import json
+import math
+import sqlite3
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .. import __version__
+from ..errors import MapsError
+from ..system.files import write_json
+from .manifest import FILE, Manifest, now
+
+if TYPE_CHECKING:
+    from ..capture import Capture
+    from ..render import Renderer
+
+INDEX = "library.json"
+
+
+def row_of(folder: Path, shown: Capture | None, engine: Renderer) -> dict:
+    """What the list of materials says of a fit.
+
+    Args:
+        folder: of the fit.
+        shown: its photos and some that it left out; None where it used all.
+        engine: predicts those.
+    """
+    from ..evaluate import placed
+    from ..evaluate.placement import predict
+    from ..fit.record import read_fit, record_in
+
+    record, error = record_in(folder), None
+    if (folder / "report.json").is_file():
+        error = json.loads((folder / "report.json").read_text())["left_out_rmse"]
+    elif shown is not None:
+        fit = read_fit(folder)
+        around = placed(shown, fit)
+        unseen = around.pick([number for number in around.index if number not in fit.seen])
+        error = predict(fit.svbrdf, unseen, engine, fit.flash_offset)[1]
+    burn_in = [value for name, value in record["burn_in"].items() if name in ("specular", "roughness")]
+    there = {name: name if (folder / name).is_file() else None for name in ("preview.jpg", "report.html")}
+    return {"error": record["rerender_rmse"], "left_out_error": error, "burn_in": max(burn_in, default=None),
+            "warnings": record["warnings"], "method": record["method"], "resolution": record["capture"]["resolution"],
+            "photos": len(record["capture"]["photos"]), "date": now(), "preview": there["preview.jpg"],
+            "report": there["report.html"]}
+
+
+def rows(manifest: Manifest, wanted: bool = True) -> Iterator[dict]:
+    """One row a material, as ``library.json`` has it.
+
+    Args:
+        manifest: of the library.
+        wanted: whether results that a newer one of the same capture took the place of are left out.
+    """
+    for each in manifest.materials(wanted=wanted):
+        yield _row(each)
+
+
+def _row(each: sqlite3.Row) -> dict:
+    asked, known = json.loads(each["asked"]), json.loads(each["row"] or "null") or {}
+    folder = each["folder"]
+
+    def inside(name: str | None) -> str | None:
+        return f"{folder}/{name}" if name else None
+
+    empty = {"error": None, "left_out_error": None, "burn_in": None, "warnings": [], "photos": None}
+    return empty | known | {
+        "name": each["name"], "id": each["identity"][:8], "folder": folder, "state": each["state"], "reason": each["reason"],
+        "seconds": each["seconds"] or known.get("seconds"), "peak_bytes": each["peak_bytes"], "attempts": each["attempts"],
+        "date": each["date"], "tags": json.loads(each["tags"]), "method": asked["config"]["method"],
+        "resolution": known.get("resolution", asked["options"]["resolution"]), "worker": each["worker"], "host": each["host"],
+        "source": each["source"], "options": each["own"],
+        "preview": inside(known.get("preview")) if each["state"] == "done" else None,
+        "report": inside(known.get("report")) if each["state"] == "done" else None}
+
+
+def library_of(manifest: Manifest, title: str, progress: dict | None = None) -> dict:
+    """All that the page of a library shows.
+
+    Args:
+        manifest: of the library.
+        title: its name.
+        progress: ``per_hour`` and ``left_seconds`` while a batch runs.
+    """
+    found = {"title": title, "made": now(), "version": __version__, "materials": list(rows(manifest))}
+    return found | ({"progress": progress} if progress else {})
+
+
+def write_library(home: Path, manifest: Manifest, title: str, progress: dict | None = None) -> None:
+    """Write ``library.json``, for pandas and others, and the page ``index.html``."""
+    from .page import write_library_page
+
+    library = library_of(manifest, title, progress)
+    write_json(home / INDEX, _finite(library))
+    write_library_page(home, _finite(library))
+
+
+def _finite(value: object) -> object:
+    """JSON without NaN and infinity, which it cannot hold: None in their place."""
+    if isinstance(value, dict):
+        return {name: _finite(part) for name, part in value.items()}
+    if isinstance(value, list):
+        return [_finite(part) for part in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def open_library(folder: Path) -> Manifest:
+    """The manifest of a library, to look at.
+
+    Raises:
+        MapsError: the folder is none.
+    """
+    if not (folder / FILE).is_file():
+        raise MapsError("a library that `mitsvbrdf batch` made", f"{folder}, which has no {FILE}", "give the LIBRARY of a batch")
+    return Manifest(folder / FILE, readonly=True)

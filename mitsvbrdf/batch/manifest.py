@@ -1,0 +1,179 @@
+"""What became of every capture of a library: one SQLite file, written by one batch at a time.
+
+SQLite and not Parquet: each change of a state is a transaction of its own that survives a power cut, and rows change thousands
+of times; ``library.json`` is what pandas reads. Files are the truth and this is their index: a result that lies in the library
+counts as done, whatever stands here, and so a manifest that was lost is made anew from them.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+
+from ..errors import OutputError
+from .identity import file_hash
+
+FILE = "manifest.sqlite"
+VERSION = 1
+SHORT = 8  # letters of an identity that a folder's name has
+_TABLES = """
+create table if not exists materials (
+  identity text primary key, name text not null, folder text not null unique, source text not null, asked text not null,
+  own text not null, tags text not null, cost real not null, wanted integer not null, state text not null default 'pending',
+  reason text not null default '', attempts integer not null default 0, published text, seconds real, peak_bytes integer,
+  worker text, host text, date text, row text);
+create table if not exists attempts (
+  attempt text primary key, identity text not null, worker text not null, host text, started text not null, ended text,
+  state text not null default 'running', reason text not null default '', seconds real, peak_bytes integer);
+create table if not exists hashes (path text primary key, bytes integer, changed integer, sha256 text);
+create index if not exists by_state on materials (wanted, state);
+create index if not exists by_source on materials (source);
+"""
+
+
+def now() -> str:
+    """The time as the manifest has it: UTC, to the second."""
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+class Manifest:
+    """The materials of a library, their attempts, and the hashes of files that did not change.
+
+    Args:
+        path: of the file, made where it is missing.
+        readonly: whether it is only looked at; it may be in use by a batch meanwhile.
+
+    Raises:
+        OutputError: it cannot be opened, or is none of ours.
+    """
+
+    def __init__(self, path: Path, readonly: bool = False) -> None:
+        self.path = path
+        try:
+            if readonly:
+                self.db = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=30)
+            else:
+                self.db = sqlite3.connect(path, timeout=30)
+                self.db.executescript(_TABLES)
+                self.db.execute(f"pragma user_version = {VERSION}")
+            self.db.row_factory = sqlite3.Row
+            version = self.db.execute("pragma user_version").fetchone()[0]
+        except sqlite3.Error as reason:
+            raise OutputError("a library's manifest", f"{path}: {reason}", "move it away; results are found again") from None
+        if version != VERSION:
+            raise OutputError(f"a manifest of version {VERSION}", f"{version} in {path}", "use the version that made it")
+
+    def close(self) -> None:
+        """Close the file."""
+        self.db.close()
+
+    @contextmanager
+    def _change(self) -> Iterator[None]:
+        try:
+            with self.db:
+                yield
+        except sqlite3.Error as reason:
+            raise OutputError(f"to write {self.path}", str(reason), "free space; the same command goes on") from None
+
+    def hash_of(self, path: Path) -> str:
+        """A file's SHA-256, remembered for as long as its size and time of change stay."""
+        stat = path.stat()
+        known = self.db.execute("select * from hashes where path = ?", (str(path),)).fetchone()
+        if known and (known["bytes"], known["changed"]) == (stat.st_size, stat.st_mtime_ns):
+            return known["sha256"]
+        found = file_hash(path)
+        self.db.execute("insert or replace into hashes values (?, ?, ?, ?)",
+                        (str(path), stat.st_size, stat.st_mtime_ns, found))
+        return found
+
+    def want(self, materials: Iterable[dict]) -> None:
+        """These are what the batch is about; others stay, and are wanted no more where they are of the same source.
+
+        Args:
+            materials: ``identity``, ``name``, ``source``, ``asked`` (JSON), ``own`` (options of its line), ``tags``, ``cost``.
+        """
+        materials = list(materials)
+        with self._change():
+            self.db.executemany("update materials set wanted = 0 where source = ?",
+                                {(each["source"],) for each in materials})
+            for each in materials:
+                folder = f"{each['name']}-{each['identity'][:SHORT]}"
+                self.db.execute(
+                    "insert into materials (identity, name, folder, source, asked, own, tags, cost, wanted) values "
+                    "(:identity, :name, :folder, :source, :asked, :own, :tags, :cost, 1) on conflict (identity) do update set "
+                    "source = :source, own = :own, tags = :tags, cost = :cost, wanted = 1",
+                    each | {"folder": folder, "asked": json.dumps(each["asked"]), "tags": json.dumps(each["tags"])})
+
+    def materials(self, *states: str, wanted: bool = True) -> list[sqlite3.Row]:
+        """The materials in these states, all where none is named; by name."""
+        some = f" and state in ({', '.join('?' * len(states))})" if states else ""
+        return self.db.execute(f"select * from materials where wanted >= ?{some} order by name, identity",
+                               (int(wanted), *states)).fetchall()
+
+    def counts(self) -> dict[str, int]:
+        """How many are wanted in each state."""
+        return {"done": 0, "failed": 0, "running": 0, "pending": 0} | dict(
+            map(tuple, self.db.execute("select state, count(*) from materials where wanted = 1 group by state")))
+
+    def begin(self, identity: str, worker: str, host: str) -> str:
+        """An attempt begins; returns its name."""
+        with self._change():
+            self.db.execute("update materials set state = 'running', attempts = attempts + 1, worker = ?, host = ?, reason = '' "
+                            "where identity = ?", (worker, host, identity))
+            count = self.db.execute("select attempts from materials where identity = ?", (identity,)).fetchone()[0]
+            attempt = f"{identity[:SHORT]}-{count}"
+            self.db.execute("insert into attempts (attempt, identity, worker, host, started) values (?, ?, ?, ?, ?)",
+                            (attempt, identity, worker, host, now()))
+        return attempt
+
+    def end(self, attempt: str, state: str, outcome: dict, ended: str = "") -> None:
+        """An attempt has ended.
+
+        Args:
+            attempt: its name.
+            state: of its material from now on: pending (again), done or failed.
+            outcome: ``state`` of the attempt, ``reason``, and where known ``seconds``, ``peak_bytes``, ``row``.
+            ended: the attempt whose result counts, where it is another one.
+        """
+        facts = {"seconds": None, "peak_bytes": None, "row": None, "reason": ""} | outcome
+        facts |= {"attempt": attempt, "material": state, "time": now(), "row": json.dumps(facts["row"]),
+                  "published": (ended or attempt) if state == "done" else None}
+        with self._change():
+            self.db.execute("update attempts set ended = :time, state = :state, reason = :reason, seconds = :seconds, "
+                            "peak_bytes = :peak_bytes where attempt = :attempt", facts)
+            self.db.execute("update materials set state = :material, reason = :reason, seconds = :seconds, "
+                            "peak_bytes = :peak_bytes, row = :row, date = :time, published = :published where identity = "
+                            "(select identity from attempts where attempt = :attempt)", facts)
+
+    def adopt(self, identity: str, record: dict) -> None:
+        """A result that lies in the library counts as done: that of an attempt whose end nobody saw."""
+        with self._change():
+            self.db.execute("update attempts set state = 'done', ended = ?, reason = 'found in the library' where attempt = ? "
+                            "and identity = ?", (now(), record["attempt"], identity))
+            self.db.execute("update materials set state = 'done', reason = '', seconds = ?, row = ?, date = ?, published = ?, "
+                            "attempts = max(attempts, ?) where identity = ?",
+                            (record["row"].get("seconds"), json.dumps(record["row"]), record["row"].get("date"),
+                             record["attempt"], int(record["attempt"].rpartition("-")[2]), identity))
+
+    def again(self, identity: str, reason: str = "") -> None:
+        """A material waits to be fitted (again)."""
+        with self._change():
+            self.db.execute("update materials set state = 'pending', reason = ?, row = null, published = null "
+                            "where identity = ?", (reason, identity))
+
+    def interrupted(self) -> None:
+        """What was running when an earlier batch died waits again, and its attempts are lost."""
+        with self._change():
+            self.db.execute("update attempts set state = 'lost', ended = ?, reason = 'the batch ended' "
+                            "where state = 'running'", (now(),))
+            self.db.execute("update materials set state = 'pending' where state = 'running'")
+
+    def forget(self, identity: str) -> None:
+        """Take a material that is wanted no more out of the list."""
+        with self._change():
+            self.db.execute("delete from attempts where identity = ?", (identity,))
+            self.db.execute("delete from materials where identity = ?", (identity,))
