@@ -5,7 +5,7 @@ and started anew at the next task. It talks in lines of JSON over two pipes::
 
     child: {"ready": true}
     guard: {"task": {...}}
-    child: {"state": "done" | "failed", "reason": "...", "row": {...} or null}
+    child: {"state": "done" | "failed" | "full", "reason": "...", "row": {...} or null}
 
 A child ends at the end of its pipe, and calls :func:`die_with_parent` first of all.
 """
@@ -32,6 +32,7 @@ CHILD = (sys.executable, "-P", "-m", "mitsvbrdf.batch.child")
 START_SECONDS = 300.0  # until a child must be ready: the imports of a cold disk
 POLL_SECONDS = 0.05, 0.2  # between two looks at memory and clock: at first, and later
 EXIT_SECONDS = 2.0  # a child that closed its pipe has so long to end by itself, so that its own exit code is seen
+ANSWERS = ("done", "failed", "full")  # the last: no space is left for the result
 LOG_CHARACTERS = 20_000
 LOG_BYTES = 64 << 20  # what a child may print; beyond, its log begins anew
 GIB = 1 << 30
@@ -78,7 +79,7 @@ class Guard:
             task: handed to the child as it is.
 
         Returns:
-            ``state`` (done, failed, crashed, timeout or memory), ``reason`` in a sentence, ``log`` (the tail of what the
+            ``state`` (done, failed, full, crashed, timeout or memory), ``reason`` in a sentence, ``log`` (the tail of what the
             child printed), ``seconds`` of the task, ``peak_bytes`` of memory, ``row`` of the child, ``host``.
         """
         os.ftruncate(self._log.fileno(), 0)
@@ -87,12 +88,12 @@ class Guard:
             child = self._child = self._child or _Child(self._command, self._environment, self._log.fileno())
             started = time.monotonic()
             answer = child.ask(task, self._memory, self._timeout)
-            if answer.get("state") not in ("done", "failed"):
+            if answer.get("state") not in ANSWERS:
                 raise _Ended("crashed", f"child gave an answer that nobody knows: {str(answer)[:200]}")
         except (_Ended, OSError) as end:
             answer = {"state": getattr(end, "state", "crashed"), "reason": getattr(end, "reason", f"no child: {end}")}
         seconds, peak = time.monotonic() - started, self._child.peak if self._child else 0
-        if answer["state"] not in ("done", "failed"):
+        if answer["state"] not in ANSWERS:
             self._end_child()
         return {"state": answer["state"], "reason": str(answer.get("reason") or ""), "log": self._tail(),
                 "seconds": round(seconds, 3), "peak_bytes": peak, "row": answer.get("row"), "host": socket.gethostname()}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
@@ -76,6 +77,11 @@ def _row(each: sqlite3.Row) -> dict:
         "source": each["source"], "options": each["own"],
         "preview": inside(known.get("preview")) if each["state"] == "done" else None,
         "report": inside(known.get("report")) if each["state"] == "done" else None}
+
+
+def title_of(library: str) -> str:
+    """The name of a library: of its folder, or the last part of its URL."""
+    return os.path.basename(library.rstrip("/") if "://" in library else os.path.realpath(library))
 
 
 def library_of(manifest: Manifest, title: str, progress: dict | None = None) -> dict:

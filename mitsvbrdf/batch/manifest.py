@@ -114,6 +114,10 @@ class Manifest:
         return self.db.execute(f"select * from materials where wanted >= ?{some} order by name, identity",
                                (int(wanted), *states)).fetchall()
 
+    def material(self, identity: str) -> sqlite3.Row:
+        """The material of an identity."""
+        return self.db.execute("select * from materials where identity = ?", (identity,)).fetchone()
+
     def counts(self) -> dict[str, int]:
         """How many are wanted in each state."""
         return {"done": 0, "failed": 0, "running": 0, "pending": 0} | dict(

@@ -7,6 +7,7 @@ by its record, :data:`RECORD`, which is written last and without which the rest 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import json
 import os
 import shutil
@@ -45,10 +46,35 @@ class Place(Protocol):
         """Take a result that is not whole out of the way, without losing it."""
         ...
 
+    def remove(self, folder: str) -> None:
+        """Delete a result."""
+        ...
+
 
 def place_of(library: str) -> Place:
     """The place that a path or URL stands for."""
     return RemotePlace(library) if "://" in library else LocalPlace(Path(library))
+
+
+def home_of(library: str) -> Path:
+    """The folder of a library's manifest, page and quarantine: itself, or for one behind a URL a cache on this machine."""
+    if "://" not in library:
+        return Path(library)
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    home = cache / "mitsvbrdf" / "libraries" / hashlib.sha256(library.rstrip("/").encode()).hexdigest()[:16]
+    home.parent.mkdir(parents=True, exist_ok=True)
+    return home
+
+
+def upload(home: Path, library: str) -> None:
+    """Put page, manifest and quarantine of a library behind a URL beside its results."""
+    if "://" not in library:
+        return
+    fs, root = _file_system(library)
+    for path in home.rglob("*"):
+        name = str(path.relative_to(home))
+        if path.is_file() and not name.startswith((WORK, ".lock")):
+            fs.put_file(str(path), f"{root}/{name}")
 
 
 class LocalPlace:
@@ -105,6 +131,11 @@ class LocalPlace:
         with contextlib.suppress(FileNotFoundError):
             os.rename(path, aside)
 
+    def remove(self, folder: str) -> None:
+        """Its record first, so that half a result never passes for one."""
+        (self.root / folder / RECORD).unlink(missing_ok=True)
+        shutil.rmtree(self.root / folder, ignore_errors=True)
+
 
 class RemotePlace:
     """An object store: no renames there, so that the record, put last, is what makes a result."""
@@ -136,8 +167,6 @@ class RemotePlace:
 
     def damage(self, folder: str, record: dict, hashes: bool) -> str:
         """The first object that is missing or another one."""
-        import hashlib
-
         for name, stated in record["files"].items():
             path = f"{self.root}/{folder}/{name}"
             try:
@@ -152,7 +181,13 @@ class RemotePlace:
     def set_aside(self, folder: str) -> None:
         """Copies under ``NAME.damaged``; without its record the rest is no result any more."""
         self.fs.copy(f"{self.root}/{folder}", f"{self.root}/{folder}.damaged", recursive=True)
-        self.fs.rm(f"{self.root}/{folder}", recursive=True)
+        self.remove(folder)
+
+    def remove(self, folder: str) -> None:
+        """Its record first, so that half a result never passes for one."""
+        with contextlib.suppress(FileNotFoundError):
+            self.fs.rm(f"{self.root}/{folder}/{RECORD}")
+            self.fs.rm(f"{self.root}/{folder}", recursive=True)
 
 
 @contextlib.contextmanager

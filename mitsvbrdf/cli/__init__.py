@@ -18,6 +18,8 @@ COMMANDS = {
     "capture": "Make a capture of raw photos, for `mitsvbrdf fit`: find out where the phone was, rectify, "
                "leave bad photos out.",
     "fit": "Recover the maps of a material from photos.",
+    "batch": "Fit many captures into one library, whatever dies on the way.",
+    "library": "Look through a library of materials: list, check, export or tidy up what `mitsvbrdf batch` made.",
     "view": "Follow a fit in the browser: maps, curves and progress while it runs, then its report; Ctrl-C ends the page.",
     "guess": "Make the guessed diffuse map only: OUT/diffuse.exr and .png.",
     "render": "Render maps for the views of a capture: OUT/NN.png (display values) and NN.exr (linear).",
@@ -39,6 +41,7 @@ COMMANDS = {
              "phone was.",
     "demo": "Photograph a made material, recover it, and compare with the truth; about two minutes.",
 }
+FITTING = ("fit", "batch")  # these have the options of the methods
 RESUMED = ("fit", "relight")  # what these leave unfinished goes on with --resume
 
 
@@ -61,9 +64,13 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def command(name: str, arguments: Sequence[str] = ()) -> Callable[..., int]:
-    """The function of a command; that of ``fit`` has the options of the method that the arguments name."""
+    """The function of a command; ``fit`` and ``batch`` have the options of the method that the arguments name."""
     module = importlib.import_module(f".{name.replace('-', '_')}", __name__)
-    return module.fit_command(arguments) if name == "fit" else getattr(module, name.replace("-", "_"))
+    function = getattr(module, name.replace("-", "_"))
+    if name not in FITTING:
+        return function
+    from .fit import fit_command
+    return fit_command(arguments, function)
 
 
 def _run(arguments: list[str]) -> int:
@@ -75,7 +82,7 @@ def _run(arguments: list[str]) -> int:
     chosen = next((word for word in arguments if not word.startswith("-")), "").replace("_", "-")  # tyro takes both
     if chosen in COMMANDS:
         commands[chosen] = command(chosen, arguments)
-    if chosen == "fit":
+    if chosen in FITTING:
         from .fit import with_flags
         arguments = with_flags(arguments)
     return tyro.extras.subcommand_cli_from_dict(

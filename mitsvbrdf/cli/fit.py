@@ -134,15 +134,25 @@ def _say_result(result: FitResult, shots: Capture, before: int | None) -> None:
         say(f"warning: {warning}")
 
 
-def fit_command(arguments: Sequence[str], function: Callable[..., int] = fit) -> Callable[..., int]:
-    """``fit``, or another function of a ``config``, with the settings of the method that the arguments name as its options."""
-    def command(*values: Any, **options: Any) -> int:
+def fit_command(arguments: Sequence[str], function: Callable[..., Any] = fit,
+                usual: FitConfig | None = None) -> Callable[..., Any]:
+    """A function of a ``config`` with the settings of the method that the arguments name as its options.
+
+    Args:
+        arguments: of the command line.
+        function: what is called.
+        usual: settings that the arguments change; left out, or of another method, that method's defaults.
+    """
+    def command(*values: Any, **options: Any) -> Any:
         return function(*values, **options)
 
     # One flat set of options, those of the method, with the defaults of the preset named; --fix may be repeated.
-    kind = METHODS[_named(arguments, "--method", METHODS)].config
+    names = METHODS if usual is None else dict.fromkeys([method_name(usual), *METHODS])
+    kind = METHODS[_named(arguments, "--method", names)].config
     presets = get_args(get_type_hints(kind).get("preset"))
     default = kind(preset=_named(arguments, "--preset", presets)) if presets else kind()  # type: ignore[call-arg]
+    if isinstance(usual, kind) and "--preset" not in " ".join(arguments):
+        default = usual
     signature = inspect.signature(function)
     chosen = [p.replace(default=default) if p.name == "config" else p for p in signature.parameters.values()]
     command.__doc__ = function.__doc__

@@ -1,0 +1,182 @@
+"""From what was asked for to what is left to do: identities, what lies in the library already, and what has changed."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from ..capture.photo import SUFFIXES
+from ..errors import MitsvbrdfError, OutputError
+from ..fit.config import FitConfig, HierarchicalConfig
+from ..fit.options import FitOptions, config_record
+from .entries import Entry, name_of_source
+from .identity import capture_files, identity
+from .manifest import Manifest
+from .place import QUARANTINE, WORK, Place
+from .schedule import Work
+
+TYPICAL_SECONDS = 35.0  # of the default fit: nine photos, 256 px, one thread
+PHOTOS = 9  # of a capture whose files are not at hand
+ENDLESS = 3600.0  # seconds, of a fit that ends after iterations
+LOCK = ".lock"
+
+Report = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A capture, and how it is to be fitted.
+
+    Args:
+        entry: the capture.
+        config: method and settings.
+        options: the others.
+        pages: whether its page and pictures are written.
+        tags: words to find it by.
+    """
+
+    entry: Entry
+    config: FitConfig
+    options: FitOptions
+    pages: bool
+    tags: tuple[str, ...]
+
+    @property
+    def record(self) -> dict:
+        """What a worker is told, and what the identity is made of."""
+        return {"config": config_record(self.config), "options": asdict(self.options), "pages": self.pages}
+
+    @property
+    def cost(self) -> float:
+        """A guess of its seconds, to begin with the largest."""
+        limit = self.config.limited()
+        if not isinstance(self.config, HierarchicalConfig):
+            return limit.budget or ENDLESS
+        photos = PHOTOS
+        if "://" not in self.entry.source:
+            photos = sum(path.suffix.lower() in SUFFIXES for path in capture_files(Path(self.entry.source)))
+        return min(limit.budget or ENDLESS, TYPICAL_SECONDS * photos / PHOTOS * (self.options.resolution / 256) ** 2)
+
+
+def library_lock(home: Path) -> Callable[[], None]:
+    """Hold a library for this process alone; returns what lets go of it.
+
+    Raises:
+        OutputError: another batch has it, or the folder is none of ours or cannot be written.
+    """
+    from .manifest import FILE
+
+    try:
+        foreign = home.is_dir() and not (home / FILE).exists() and any(path.name != LOCK for path in home.iterdir())
+        if foreign or home.exists() and not home.is_dir():
+            raise OutputError("a new folder or a library", f"{home}, which is neither", "choose another place")
+        home.mkdir(parents=True, exist_ok=True)
+        lock = (home / LOCK).open("w")
+    except OSError as reason:
+        raise OutputError(f"a place to write at {home}", reason.strerror or str(reason), "choose another place") from None
+    import fcntl
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        lock.close()
+        raise OutputError("one batch at a time in a library", f"{home}, in use by another one",
+                          "wait for it, or choose another library") from None
+    return lock.close
+
+
+def register(asked: Iterable[Asked], manifest: Manifest, report: Report) -> dict[str, MitsvbrdfError]:
+    """Enter what is asked for into the manifest.
+
+    Args:
+        asked: each capture with its options; the same twice counts once.
+        manifest: of the library.
+        report: told what is being read and the share done.
+
+    Returns:
+        Captures that cannot even be read, by source.
+    """
+    asked, materials, unreadable = list(asked), {}, {}
+    for number, each in enumerate(asked):
+        report(os.path.basename(each.entry.source), number / len(asked))
+        try:
+            known = identity(each.entry.source, each.record, manifest.hash_of)
+            materials[known] = {
+                "identity": known, "name": name_of_source(each.entry.source), "source": each.entry.source,
+                "asked": each.record, "own": " ".join(each.entry.own), "tags": list(each.tags), "cost": each.cost}
+        except OSError as reason:
+            unreadable[each.entry.source] = OutputError("a capture that can be read", f"{each.entry.source}: {reason}",
+                                                        "check your rights to it")
+    manifest.want(materials.values())
+    return unreadable
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What a library has of what is wanted.
+
+    Args:
+        work: what is left to do.
+        done: how many were found whole.
+        adopted: how many of these an earlier batch finished without noting it.
+        damaged: by folder, what was wrong with a result that is made anew.
+    """
+
+    work: list[Work]
+    done: int
+    adopted: int
+    damaged: dict[str, str]
+
+
+def take_stock(manifest: Manifest, place: Place, home: Path, retry_failed: bool) -> Standing:
+    """Compare the manifest with the files, which are the truth, and say what is left to do.
+
+    Args:
+        manifest: of the library.
+        place: where its results lie.
+        home: folder of the manifest and of what is being made.
+        retry_failed: whether what failed is tried again.
+    """
+    manifest.interrupted()
+    shutil.rmtree(home / WORK, ignore_errors=True)
+    adopted, damaged = 0, {}
+    for each in manifest.materials("done", "pending"):
+        record = place.record(each["folder"])
+        whole = record is not None and record.get("identity") == each["identity"]
+        wrong = place.damage(each["folder"], record, hashes=False) if record and whole else "its record is missing"
+        if not wrong and record:
+            if each["state"] == "pending":
+                manifest.adopt(each["identity"], record)
+                adopted += 1
+        elif each["state"] == "done" or record is not None:
+            damaged[each["folder"]] = wrong
+            place.set_aside(each["folder"])
+            manifest.again(each["identity"], wrong)
+    if retry_failed:
+        for each in manifest.materials("failed"):
+            manifest.again(each["identity"], each["reason"])
+    left = [Work(each["identity"], each["cost"]) for each in manifest.materials("pending")]
+    return Standing(left, manifest.counts()["done"], adopted, damaged)
+
+
+def quarantine(home: Path, folder: str, reason: dict, log: str) -> None:
+    """Keep why a capture failed, and what its fit printed."""
+    from ..system.files import write_bytes, write_json
+
+    write_json(home / QUARANTINE / folder / "reason.json", reason)
+    write_bytes(home / QUARANTINE / folder / "log.txt", log.encode(errors="replace"))
+
+
+def release(home: Path, folder: str) -> None:
+    """A capture that failed before is done: its reason is of no use any more."""
+    shutil.rmtree(home / QUARANTINE / folder, ignore_errors=True)
+
+
+def task_of(manifest: Manifest, work: Work, attempt: str, library: str) -> dict:
+    """What a worker is told of a piece of work."""
+    row = manifest.material(work.identity)
+    return {"attempt": attempt, "name": row["name"], "identity": work.identity, "capture": row["source"], "library": library,
+            "options": json.loads(row["asked"])}

@@ -1,0 +1,194 @@
+"""The loop of a batch: hand work out, note what became of it, tell how it goes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..system.interrupts import stop_signals
+from .library import title_of, write_library
+from .manifest import Manifest
+from .place import Place
+from .pool import Pool
+from .prepare import quarantine, release, task_of
+from .schedule import Scheduler, Work
+
+TURN_SECONDS = 0.5  # at most so long nothing is looked at
+PAGE_SECONDS = 5.0  # between two writings of the page, which takes at most a fiftieth of the time
+PAGE_SHARE = 1 / 50
+NO_SPACE = "no space is left for results"
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How a batch stands.
+
+    Args:
+        counts: how many are done, failed, running and pending.
+        seconds: since it began.
+        ended: how many ended since then.
+        running: the names of those that run.
+    """
+
+    counts: dict[str, int]
+    seconds: float
+    ended: int
+    running: Sequence[str]
+
+    @property
+    def per_hour(self) -> float:
+        """Captures that end in an hour."""
+        return 3600 * self.ended / self.seconds if self.seconds else 0.0
+
+    @property
+    def left_seconds(self) -> float | None:
+        """Until all have ended; None before one has."""
+        left = self.counts["running"] + self.counts["pending"]
+        return 3600 * left / self.per_hour if self.per_hour else None
+
+
+Tell = Callable[[Progress, str], None]
+
+
+class Batch:
+    """A library that is being filled.
+
+    Args:
+        home: folder of the manifest, the page and the quarantine.
+        library: where results go: the same folder, or a URL.
+        place: that, opened.
+        manifest: what became of each capture.
+        scheduler: what is left to do.
+        tell: told how it stands after each end, with a line about it, and now and then with none.
+    """
+
+    def __init__(self, home: Path, library: str, place: Place, manifest: Manifest, scheduler: Scheduler, tell: Tell) -> None:
+        self.home, self.library, self.place, self.manifest = home, library, place, manifest
+        self.scheduler, self.tell = scheduler, tell
+        self.idle: dict[str, str] = {}  # hosts of workers without work
+        self.attempts: dict[str, str] = {}  # by worker
+        self.hosts: dict[str, str] = {}
+        self.started, self.ended, self.trouble = time.monotonic(), 0, ""
+        self._page_due = 0.0
+
+    def run(self, pool: Pool) -> bool:
+        """Until all is done, or Ctrl-C: the first one waits for what runs, the second one does not.
+
+        Returns:
+            Whether it was interrupted.
+        """
+        with stop_signals() as stop:
+            while len(stop) < 2:
+                ending = bool(stop or self.trouble)
+                if not ending:
+                    self._hand_out(pool)
+                if not self.scheduler.running and (ending or not self.scheduler.waiting):
+                    break
+                for event in pool.events(TURN_SECONDS):
+                    self._heard(event)
+                self._show("Ctrl-C again ends what runs" if stop else "")
+        self.write_page()
+        return bool(stop)
+
+    def _heard(self, event: dict) -> None:
+        """Take in what the pool says of a worker."""
+        worker = event["worker"]
+        if event["is"] == "worker":
+            self.idle[worker] = self.hosts[worker] = event["host"]
+        elif event["is"] == "done":
+            self._finished(worker, event["outcome"])
+        else:
+            self.idle.pop(worker, None)
+            self._lost(worker, event["reason"])
+
+    def _hand_out(self, pool: Pool) -> None:
+        """Give work to every idle worker."""
+        for worker in list(self.idle):
+            work = self._next(worker)
+            if work is None:
+                return
+            attempt = self.manifest.begin(work.identity, worker, self.idle.pop(worker))
+            self.attempts[worker] = attempt
+            pool.run(worker, task_of(self.manifest, work, attempt, self.library))
+
+    def _next(self, worker: str) -> Work | None:
+        """The next work that is not done yet: one whose worker was lost may have let its result appear before."""
+        while work := self.scheduler.hand_out(worker):
+            folder = self.manifest.material(work.identity)
+            record = self.place.record(folder["folder"]) if folder["attempts"] else None
+            if record is None or record.get("identity") != work.identity:
+                return work
+            self.manifest.adopt(work.identity, record)
+            self.scheduler.found_done(worker)
+            self._said(work, "done", {"reason": "", "row": record["row"], "seconds": record["row"].get("seconds")})
+        return None
+
+    def _finished(self, worker: str, outcome: dict) -> None:
+        attempt = self.attempts.pop(worker, None)
+        if attempt is None:
+            return
+        self.idle[worker] = self.hosts[worker]
+        work = self.scheduler.running[worker]
+        if outcome["state"] == "full":
+            self.trouble = f"{NO_SPACE}: {outcome['reason']}"
+            self.scheduler.put_back(worker)
+            self.manifest.end(attempt, "pending", outcome)
+            return
+        verdict = self.scheduler.finished(worker, outcome["state"])
+        self._noted(work, attempt, verdict, outcome)
+
+    def _lost(self, worker: str, reason: str) -> None:
+        attempt, found = self.attempts.pop(worker, None), self.scheduler.lost(worker)
+        if attempt and found:
+            self._noted(found[0], attempt, found[1], {"state": "lost", "reason": reason, "log": ""})
+
+    def _noted(self, work: Work, attempt: str, verdict: str, outcome: dict) -> None:
+        """Write down how an attempt ended; a capture that failed for good goes to the quarantine."""
+        material = self.manifest.material(work.identity)
+        if verdict == "done":
+            record = self.place.record(material["folder"]) or {}
+            if record.get("identity") != work.identity:
+                verdict, outcome = "failed", outcome | {"state": "failed", "reason": "its result did not appear"}
+            self.manifest.end(attempt, "done" if verdict == "done" else "failed", outcome, record.get("attempt", ""))
+            release(self.home, material["folder"])
+        else:
+            self.manifest.end(attempt, "pending" if verdict == "again" else "failed", outcome)
+        if verdict == "failed":
+            quarantine(self.home, material["folder"], {
+                "name": material["name"], "source": material["source"], "state": outcome["state"], "reason": outcome["reason"],
+                "attempts": material["attempts"]}, outcome.get("log", ""))
+        self._said(work, verdict, outcome)
+
+    def _said(self, work: Work, verdict: str, outcome: dict) -> None:
+        """One line about a capture."""
+        name = self.manifest.material(work.identity)["name"]
+        self.ended += verdict != "again"
+        row = outcome.get("row") or {}
+        if verdict == "done":
+            error = f", RMSE {row['error']:.4f}" if row.get("error") is not None else ""
+            line = f"{name}: done{error}, {outcome.get('seconds') or 0:.1f} s"
+        else:
+            line = f"{name}: {'failed' if verdict == 'failed' else 'again, after'} {outcome['state']}: {outcome['reason']}"
+        self.tell(self.progress(), line)
+
+    def progress(self) -> Progress:
+        """How it stands now."""
+        running = [self.manifest.material(work.identity)["name"] for work in self.scheduler.running.values()]
+        return Progress(self.manifest.counts(), time.monotonic() - self.started, self.ended, running)
+
+    def _show(self, line: str) -> None:
+        """Tell how it stands, and write the page anew where it is time."""
+        self.tell(self.progress(), line)
+        if time.monotonic() >= self._page_due:
+            before = time.monotonic()
+            self.write_page()
+            took = time.monotonic() - before
+            self._page_due = before + took + max(PAGE_SECONDS, took / PAGE_SHARE)
+
+    def write_page(self) -> None:
+        """Write ``library.json`` and ``index.html``."""
+        stands = self.progress()
+        left = {"per_hour": stands.per_hour, "left_seconds": stands.left_seconds}
+        write_library(self.home, self.manifest, title_of(self.library), left if stands.counts["running"] or stands.counts["pending"] else None)

@@ -1,0 +1,119 @@
+"""``mitsvbrdf library``: what a batch made, to list, check, export and tidy up."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from ..batch.library import open_library, rows, title_of, write_library
+from ..batch.manifest import FILE, Manifest
+from ..batch.place import home_of, place_of
+from ..batch.prepare import library_lock
+from ..batch.where import matcher
+from ..errors import ConfigError, MitsvbrdfError
+from ..system.progress import console, progress_bar, say
+
+COLUMNS = {"error": "{:.4f}", "left_out_error": "{:.4f}", "burn_in": "{:.2f}", "seconds": "{:.1f}", "attempts": "{}"}
+
+
+def library(folder: Annotated[Positional[str], arg(metavar="LIBRARY", help="The library that a batch made, a folder or a URL.")],
+            where: Annotated[str, arg(metavar="EXPRESSION", help="Only materials like these: \"error<0.05 tag:wood state:done\"; "
+                                                                 "docs/batch.md has all words.")] = "",
+            verify: Annotated[bool, arg(help="Count the hashes of all files anew, and say which have changed.")] = False,
+            export: Annotated[str, arg(metavar="FORMAT,...", help="Export each of them into OUT/NAME; formats as of `mitsvbrdf "
+                                                                  "export --to`.")] = "",
+            out: Annotated[Path | None, arg(aliases=["-o"], help="Where exports go.")] = None,
+            prune: Annotated[bool, arg(help="Delete results that a newer one of the same capture took the place of.")] = False,
+            as_json: Annotated[bool, arg(name="json", help="Print rows as JSON, one a line.")] = False,
+            overwrite: Annotated[bool, arg(help="Replace exports that are there already.")] = False) -> int:
+    """Look through a library of materials: list, check, export or tidy up what `mitsvbrdf batch` made.
+
+    `mitsvbrdf library LIBRARY --where "error>0.05"` lists the materials whose photos are met worst; the page LIBRARY/index.html
+    shows them and understands the same words. The exit code of --verify is 1 where a file has changed.
+    """
+    if bool(export) != (out is not None):
+        raise ConfigError("--export FORMAT with -o FOLDER", "one of them", "give both, or neither")
+    fits = matcher(where)
+    home = home_of(folder)
+    if prune:
+        return _prune(folder, home)
+    with contextlib.closing(open_library(home)) as manifest:
+        chosen = [row for row in rows(manifest) if fits(row)]
+        if verify:
+            return _verify(folder, manifest, {row["folder"] for row in chosen if row["state"] == "done"})
+        if out:
+            return _export(folder, chosen, export, out, overwrite)
+        if as_json:
+            for row in chosen:
+                say(json.dumps(row))
+        else:
+            _print(chosen)
+    return 0
+
+
+def _print(chosen: Sequence[dict]) -> None:
+    from rich.table import Table
+
+    table = Table(title=f"{len(chosen)} materials", title_justify="left")
+    for heading in ("material", "state", *(name.replace("_", " ") for name in COLUMNS), "warnings"):
+        table.add_column(heading, justify="left" if heading in ("material", "state") else "right")
+    for row in chosen:
+        numbers = ["" if row[name] is None else text.format(row[name]) for name, text in COLUMNS.items()]
+        table.add_row(row["folder"], row["state"], *numbers, str(len(row["warnings"]) or ""))
+    with contextlib.suppress(BrokenPipeError):
+        console.print(table)
+
+
+def _verify(library: str, manifest: Manifest, folders: set[str]) -> int:
+    """Count hashes anew; the exit code says whether all are as they were."""
+    place, wrong = place_of(library), {}
+    with progress_bar("hashes") as report:
+        for number, folder in enumerate(sorted(folders)):
+            report(folder, number / len(folders))
+            record = place.record(folder)
+            if damage := place.damage(folder, record, hashes=True) if record else "its record is missing":
+                wrong[folder] = damage
+    for folder, damage in wrong.items():
+        say(f"changed: {folder}: {damage}")
+    say(f"{len(folders) - len(wrong)} of {len(folders)} results are as they were made")
+    return int(bool(wrong))
+
+
+def _export(library: str, chosen: Sequence[dict], formats: str, out: Path, overwrite: bool) -> int:
+    """Export each material that is done into a folder of its own; one that cannot be is said, and the rest goes on."""
+    from ..batch.place import local_capture
+    from .export import export as export_one
+
+    wrong = 0
+    done = [row for row in chosen if row["state"] == "done"]
+    for row in done:
+        with local_capture(f"{library.rstrip('/')}/{row['folder']}") as result:
+            try:
+                export_one(str(result), formats, out=out / row["folder"], overwrite=overwrite)
+            except MitsvbrdfError as error:
+                wrong += 1
+                say(f"not exported: {row['folder']}: {error}")
+    say(f"exported {len(done) - wrong} of {len(done)} to {out}")
+    return int(bool(wrong))
+
+
+def _prune(library: str, home: Path) -> int:
+    """Delete what is wanted no more."""
+    open_library(home).close()
+    unlock = library_lock(home)
+    try:
+        with contextlib.closing(Manifest(home / FILE)) as manifest:
+            old = [row for row in manifest.materials(wanted=False) if not row["wanted"]]
+            for row in old:
+                place_of(library).remove(row["folder"])
+                manifest.forget(row["identity"])
+            write_library(home, manifest, title_of(library))
+    finally:
+        unlock()
+    say(f"deleted {len(old)} results that newer ones took the place of")
+    return 0
