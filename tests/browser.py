@@ -29,10 +29,11 @@ def chromium() -> str:
 
 @contextmanager
 def opened(path: Path, *, width: int = 1280, height: int = 900, scheme: Literal["light", "dark"] = "light", phone: bool = False,
-           flags: tuple[str, ...] = FLAGS) -> Iterator:
+           flags: tuple[str, ...] = FLAGS, beside: bool = False, at: str = "") -> Iterator:
     """A playwright page that shows this file, opened from disk; the browser ends with the block.
 
-    At the end of the block: no console message, no uncaught error, and no request but for the file itself.
+    At the end of the block: no console message, no uncaught error, and no request but for the file itself, or with ``beside``
+    for files of its folder.
 
     Args:
         path: an HTML file.
@@ -40,6 +41,8 @@ def opened(path: Path, *, width: int = 1280, height: int = 900, scheme: Literal[
         scheme: which colours the page is asked for.
         phone: touch, and two device pixels a CSS pixel.
         flags: of Chromium.
+        beside: the page consists of several files.
+        at: what follows the file's address, from # on.
     """
     executable = chromium()
     from playwright.sync_api import sync_playwright
@@ -53,9 +56,10 @@ def opened(path: Path, *, width: int = 1280, height: int = 900, scheme: Literal[
             page.on("console", lambda message: STALL in message.text or said.append(f"{message.type}: {message.text}"))
             page.on("pageerror", lambda error: said.append(f"uncaught: {error}"))
             page.on("request", lambda request: asked.append(request.url))
-            page.goto(address)
+            page.goto(address + at)
             yield page
-            outside = [url for url in asked if url.split("#")[0] != address and not url.startswith(("data:", "blob:"))]
+            own = (path.resolve().parent.as_uri() + "/",) if beside else ()
+            outside = [url for url in asked if url.split("#")[0] != address and not url.startswith(("data:", "blob:", *own))]
             assert not said and not outside, f"the page said {said} and asked for {outside}"
         finally:
             browser.close()

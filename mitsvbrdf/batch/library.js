@@ -1,0 +1,230 @@
+// The page of a library. Its data are in the global mitsvbrdfLibrary (page.py); what is shown follows from the address's hash:
+// q (the expression), sort, down, and at (which material is at the top of the window).
+
+const EVERY = 5000;  // ms between two looks at a library that a batch works at
+const TAGS = 16;  // shown at first
+const $ = (id) => document.getElementById(id);
+const where = JSON.parse($("asked").textContent);
+const view = { text: "", sort: "name", down: false };
+let library = null, rows = [], shown = [], states = {}, tags = [], orders = new Map(), allTags = false, test = () => true;
+history.scrollRestoration = "manual";
+
+// ---- Data --------------------------------------------------------------------------------------------------------------
+function take(data) {
+  library = data;
+  const names = Object.keys(data.columns), keys = new Set(), found = new Map();
+  states = Object.fromEntries(where.states.map((state) => [state, 0]));
+  rows = data.columns.name.map((_, i) => {
+    const row = {};
+    for (const name of names) row[name] = data.columns[name][i];
+    for (row.key = row.id || row.name; keys.has(row.key);) row.key += "+";
+    keys.add(row.key);
+    row.stamp = [row.key, row.state, row.name, row.error, row.preview, row.report, row.reason, row.warnings?.length].join("\n");
+    states[row.state]++;
+    for (const tag of new Set(row.tags ?? [])) found.set(tag, (found.get(tag) ?? 0) + 1);
+    return row;
+  });
+  tags = [...found].sort((a, b) => b[1] - a[1]);
+  orders = new Map();
+}
+
+// All rows in the order asked for; missing values last either way, equal ones by name.
+function ordered() {
+  const id = view.sort + view.down;
+  if (!orders.has(id)) orders.set(id, view.sort === "name" ? (view.down ? rows.toReversed() : rows) : byValue(view.sort, view.down));
+  return orders.get(id);
+}
+function byValue(field, down) {
+  const value = field === "date" ? (row) => row.date ? Date.parse(row.date) : null : (row) => numberOf(row, field);
+  const values = Float64Array.from(rows, (row) => value(row) ?? NaN), there = [], missing = [];
+  values.forEach((x, i) => (Number.isNaN(x) ? missing : there).push(i));
+  there.sort(down ? (a, b) => values[b] - values[a] || a - b : (a, b) => values[a] - values[b] || a - b);
+  return [...there, ...missing].map((i) => rows[i]);
+}
+
+// ---- What is shown -----------------------------------------------------------------------------------------------------
+// The caller scrolls, and draws the cards.
+let drawing = 0;
+function refresh() {
+  let problem = "";
+  try {
+    test = matcher(where, view.text);
+  } catch (error) {
+    if (!(error instanceof RangeError)) throw error;
+    problem = error.message;  // the last expression that was understood holds on
+  }
+  shown = ordered().filter(test);
+  $("shown").textContent = problem ? problem[0].toUpperCase() + problem.slice(1) + "." :
+    shown.length === rows.length ? `${count(rows.length)} materials` : `${count(shown.length)} of ${count(rows.length)} materials`;
+  $("shown").className = problem ? "bad" : "";
+  $("none").hidden = shown.length > 0;
+  $("none").textContent = rows.length ? "No material is like that." : "There are no captures yet.";
+  $("down").textContent = view.down ? "↓" : "↑";
+  $("down").setAttribute("aria-pressed", view.down);
+  if ($("where").value !== view.text) $("where").value = view.text;
+  $("sort").value = view.sort;
+  showChips();
+  cards.set(shown);
+  clearTimeout(drawing);
+  if ($("errors").hidden) showErrors($("errors"), rows, shown);
+  else drawing = setTimeout(() => showErrors($("errors"), rows, shown), 100);  // not between two letters typed
+}
+
+// Something else is asked for: from its beginning, where the window was further down.
+function ask(change) {
+  Object.assign(view, change);
+  refresh();
+  const start = $("cards").getBoundingClientRect().top + scrollY - $("tools").offsetHeight;
+  if (scrollY > start) scrollTo(0, start);
+  cards.draw(true);
+  keep();
+}
+
+function chip(text, n, pressed, press) {
+  const button = make("button", { type: "button", "aria-pressed": pressed, "data-name": text }, make("bdi", {}, text));
+  if (n !== null) button.append(make("span", {}, count(n)));
+  button.addEventListener("click", press);
+  return button;
+}
+
+function showChips() {
+  const focused = document.activeElement, [group, name] = [focused.parentElement, focused.dataset.name];
+  const terms = termsOf(view.text), others = terms.filter((term) => !/^state[:=]/i.test(term));
+  const press = (term) => () => ask({ text: (terms.includes(term) ? terms.filter((each) => each !== term) : [...terms, term]).join(" ") });
+  $("states").replaceChildren(
+    chip("All", rows.length, terms.length === others.length, () => ask({ text: others.join(" ") })),
+    ...where.states.filter((state) => states[state]).map((state) => chip(state[0].toUpperCase() + state.slice(1), states[state],
+      terms.includes("state:" + state), () => ask({ text: [...others, "state:" + state].join(" ") }))));
+  const warned = rows.warned ??= rows.filter((row) => row.warnings?.length).length;
+  const wanted = tags.map(([tag, n]) => [tag, n, termFor("tag", tag)]);
+  const listed = wanted.filter(([, , term], k) => allTags || k < TAGS || terms.includes(term));
+  $("tags").replaceChildren(
+    ...warned ? [chip("with warnings", warned, terms.includes("warnings>0"), press("warnings>0"))] : [],
+    ...listed.map(([tag, n, term]) => chip(tag, n, terms.includes(term), press(term))),
+    ...listed.length < wanted.length ? [chip("more tags", wanted.length - listed.length, false, () => { allTags = true; showChips(); })] : []);
+  if (name !== undefined) [...group.children].find((button) => button.dataset.name === name)?.focus({ preventScroll: true });
+}
+
+// ---- One material ------------------------------------------------------------------------------------------------------
+function makeCard(row) {
+  const picture = make("span", { class: "picture" });
+  const says = row.state === "failed" ? row.reason || "failed" : row.state === "done" ? "no picture" : row.state;
+  if (row.preview) {
+    const image = make("img", { alt: "", decoding: "async", "data-src": row.preview });
+    image.addEventListener("error", () => image.getAttribute("src") && image.replaceWith(make("span", {}, "no picture")));
+    picture.append(image);
+  } else picture.append(make("span", { dir: "auto" }, says));
+  const main = row.report ? make("a", { class: "card", href: row.report }) : make("button", { class: "card", type: "button" });
+  main.append(picture, make("span", { class: "name", dir: "auto", title: row.name }, row.name));
+  if (row.report) main.addEventListener("click", keepNow);
+  else main.addEventListener("click", () => showDetails(row));
+  const more = make("button", { class: "more", type: "button", "aria-label": `Details of ${row.name}` }, "⋯");
+  more.addEventListener("click", () => showDetails(row));
+  const error = make("span", { title: "error on the photos seen" }, row.error === null ? row.state : number(row.error));
+  if (row.warnings?.length) error.append(" ", make("span", { class: "bad" }, `⚠ ${row.warnings.length}`));
+  return make("li", { class: row.state }, main, make("div", { class: "under" }, error, more));
+}
+
+function showDetails(row) {
+  const dialog = $("details"), [form, image, links, list] = dialog.children;
+  form.firstElementChild.textContent = row.name;
+  image.hidden = !row.preview;
+  if (row.preview) image.src = row.preview;
+  else image.removeAttribute("src");
+  image.alt = `${row.name}, lit`;
+  const log = row.state === "failed" && row.address ? row.address + "/log.txt" : null;
+  links.replaceChildren(...[["Report", row.report], ["Picture alone", row.preview], ["Log", log]]
+    .filter(([, to]) => to).map(([name, to]) => make("a", { href: to }, name)));
+  const memory = numberOf(row, "memory");
+  list.replaceChildren(...pairs([["State", row.state], ["Reason", row.reason ?? ""], ["Warnings", (row.warnings ?? []).join("\n")],
+    ["Error", number(row.error)], ["Left-out error", number(row.left_out_error)], ["Burn-in", number(row.burn_in)],
+    ["Time", time(row.seconds)], ["Memory", memory === null ? "" : `${memory.toFixed(2)} GiB`], ["Attempts", String(row.attempts ?? "")],
+    ["Ended", (row.date ?? "").replace("T", " ")], ["Method", row.method ?? ""], ["Resolution", row.resolution ? `${row.resolution} px` : ""],
+    ["Photos", String(row.photos ?? "")], ["Tags", (row.tags ?? []).join(", ")], ["Source", row.source ?? ""], ["Options", row.options ?? ""],
+    ["Worker", [row.worker, row.host].filter(Boolean).join(" on ")], ["Folder", row.folder ?? ""], ["Identity", row.id ?? ""]]));
+  dialog.showModal();
+  dialog.scrollTop = 0;
+}
+
+// ---- The address's hash ------------------------------------------------------------------------------------------------
+let keeping = 0;
+function keep() {
+  clearTimeout(keeping);
+  keeping = setTimeout(keepNow, 250);  // browsers refuse more than a few changes a second
+}
+function keepNow() {
+  const place = cards.place(), hash = new URLSearchParams();
+  if (view.text) hash.set("q", view.text);
+  if (view.sort !== "name") hash.set("sort", view.sort);
+  if (view.down) hash.set("down", "1");
+  if (place) hash.set("at", `${place.above}.${place.key}`);
+  const next = hash.size ? "#" + hash : "";
+  if (next !== location.hash) history.replaceState(null, "", next || location.pathname + location.search);
+}
+function follow() {
+  const hash = new URLSearchParams(location.hash.slice(1)), sort = hash.get("sort");
+  const known = [...$("sort").options].some((option) => option.value === sort);
+  Object.assign(view, { text: hash.get("q") ?? "", sort: known ? sort : "name", down: hash.has("down") });
+  refresh();
+  const [, above, key] = /^(\d{1,5})\.([^]*)$/.exec(hash.get("at") ?? "") ?? [];
+  if (!cards.go(key === undefined ? null : { key, above: Number(above) })) scrollTo(0, 0);
+  cards.draw(true);
+}
+
+// ---- A batch at work ---------------------------------------------------------------------------------------------------
+let version = null;  // headers that ask whether library.js is another one
+function showAbout() {
+  const percent = rows.length ? Math.floor(100 * (states.done + states.failed) / rows.length) : 0;
+  document.title = (isLive() ? `${percent} % · ` : "") + library.title;
+  $("made").textContent = `${(library.made ?? "").replace("T", " ")} · mitsvbrdf ${library.version ?? ""}`;
+  showNumbers($("numbers"), rows, library.progress);
+  showProgress($("progress"), states, library.progress);
+}
+function isLive() {
+  return location.protocol.startsWith("http") && states.running + states.pending > 0;
+}
+async function look() {
+  const begun = performance.now();
+  try {
+    const answer = await fetch("library.js", { cache: "no-store", headers: version ?? {} });
+    $("lost").hidden = true;
+    if (answer.status === 200) {
+      const text = await answer.text(), place = cards.place();
+      take(JSON.parse(text.slice(text.indexOf("{"), text.lastIndexOf("}") + 1)));
+      const [unique, changed] = [answer.headers.get("ETag"), answer.headers.get("Last-Modified")];
+      version = unique ? { "If-None-Match": unique } : changed ? { "If-Modified-Since": changed } : null;
+      showAbout();
+      refresh();
+      cards.go(place);
+      cards.draw(true);
+    }
+  } catch (problem) {
+    if (!(problem instanceof TypeError || problem instanceof SyntaxError)) throw problem;  // nobody there, or half a file
+    $("lost").hidden = false;
+  }
+  if (isLive()) setTimeout(look, Math.max(EVERY, 20 * (performance.now() - begun)));  // a large library is looked at less often
+}
+
+// ---- Start -------------------------------------------------------------------------------------------------------------
+const cards = new Cards($("cards"), makeCard);
+if (!globalThis.mitsvbrdfLibrary) {
+  $("none").hidden = false;
+  $("none").textContent = "The file library.js, which belongs beside this page, is missing or broken.";
+} else {
+  take(globalThis.mitsvbrdfLibrary);
+  showAbout();
+  follow();
+  let typed = 0;
+  $("where").addEventListener("input", () => {
+    cancelAnimationFrame(typed);
+    typed = requestAnimationFrame(() => ask({ text: $("where").value }));
+  });
+  $("tools").addEventListener("submit", (event) => event.preventDefault());
+  $("sort").addEventListener("change", () => ask({ sort: $("sort").value }));
+  $("down").addEventListener("click", () => ask({ down: !view.down }));
+  $("details").addEventListener("click", (event) => { if (event.target === $("details")) $("details").close(); });
+  addEventListener("scroll", keep, { passive: true });
+  addEventListener("pagehide", keepNow);
+  addEventListener("hashchange", follow);
+  if (isLive()) setTimeout(look, EVERY);
+}

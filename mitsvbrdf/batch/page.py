@@ -1,0 +1,86 @@
+"""The page of a library: ``index.html``, which shows every material, and ``library.js``, its data.
+
+A page that is opened from disk may not read a JSON file, but it may load a script: ``library.js`` is JSON in an assignment. All
+materials may be thousands; ``library.js`` and ``cards.js`` of this folder, which the page holds, show only those near the
+window.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import secrets
+from collections.abc import Mapping
+from pathlib import Path
+from urllib.parse import quote
+
+from ..pages.page import write_page
+from ..system import files
+from .where import SEARCHED, STATES, described
+
+PAGE_FILE, DATA_FILE = "index.html", "library.js"
+GLOBAL = "mitsvbrdfLibrary"  # what the data file sets
+
+# Of a row, in the data file one list each: their names stand there once and not ten thousand times.
+COLUMNS = ("name", "id", "folder", "state", "error", "left_out_error", "burn_in", "warnings", "seconds", "peak_bytes",
+           "attempts", "date", "tags", "method", "resolution", "photos", "worker", "host", "source", "options", "reason")
+LINKS = {"preview": "preview", "report": "report", "address": "folder"}  # column of an address: the row's path
+SORTS = {"name": "Name", "error": "Error", "left_out_error": "Left-out error", "burn_in": "Burn-in", "warnings": "Warnings",
+         "seconds": "Seconds", "memory": "Memory", "attempts": "Attempts", "date": "Date"}
+
+
+def write_library_page(folder: Path, library: dict) -> None:
+    """Write ``index.html`` and ``library.js`` into the folder of a library.
+
+    The page opens from disk and from a server, asks for nothing outside its folder, and takes whatever a row says as text. From
+    a server it follows a batch at work: it asks for ``library.js`` again.
+
+    Args:
+        folder: of the library.
+        library: as in ``library.json``: ``title``, ``made``, ``version``, ``materials`` (a row each), and of a batch at work
+            ``progress`` with ``per_hour`` and ``left_seconds``, either of which may be None.
+
+    Raises:
+        OutputError: the folder cannot be written.
+    """
+    files.write_bytes(Path(folder) / DATA_FILE, data_script(library).encode())
+    write_page(Path(folder) / PAGE_FILE, "batch/library.html", title=library["title"], sorts=SORTS, data_file=DATA_FILE,
+               where={"fields": described(), "states": STATES, "searched": SEARCHED}, nonce=secrets.token_urlsafe(16))
+
+
+def data_script(library: Mapping) -> str:
+    """The data file: one assignment, on its right JSON, ASCII, without a ``<``. Rows are in the order of their names."""
+    rows = sorted(library["materials"], key=lambda row: _natural(row["name"]))
+    columns = {name: [_finite(row.get(name)) for row in rows] for name in COLUMNS}
+    columns |= {name: [address(row.get(path)) for row in rows] for name, path in LINKS.items()}
+    data = {name: library.get(name) for name in ("title", "made", "version", "progress")} | {"columns": columns}
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)  # ASCII: no U+2028 either
+    return f"{GLOBAL} = {text.replace('<', chr(92) + 'u003c')};\n"
+
+
+def address(path: str | None) -> str | None:
+    """A path below the library as a relative address; None for one that leads elsewhere.
+
+    Each part is percent-encoded, so that none is a query or a fragment. Absolute paths, those with a scheme, with ``..``, ``.``
+    or an empty part, and those with a backslash, which a browser may take for a slash, lead nowhere.
+    """
+    if not path or "\\" in path or re.match(r"[A-Za-z][A-Za-z0-9+.-]*:", path):
+        return None
+    parts = path.split("/")
+    if any(part in ("", ".", "..") for part in parts):
+        return None
+    try:
+        return "/".join(quote(part, safe="", errors="surrogateescape") for part in parts)
+    except UnicodeEncodeError:  # half a character: no name of a file
+        return None
+
+
+def _finite(value: object) -> object:
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _natural(name: str) -> tuple:
+    """Numbers in a name count as such: oak-2 comes before oak-10."""
+    parts = re.split(r"([0-9]+)", name.casefold())
+    return [(len(digits := part.lstrip("0")), digits) if k % 2 else part for k, part in enumerate(parts)], name

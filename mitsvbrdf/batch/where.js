@@ -1,0 +1,99 @@
+// Which materials are meant: the twin of where.py, which says what an expression may hold. Here, too, errors are thrown with
+// expected, got and the way out in one line.
+
+const SPACE = " \\t\\n\\r\\f\\v\\u00a0";
+const TERM = new RegExp(`(?:"(?:[^"]|"")*"|[^${SPACE}"])+`, "g");
+const COMPARISON = /^([A-Za-z_]+)(<=|>=|[<>=:])([\s\S]*)$/;
+const NUMBER = /^[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$/;
+const DATE = /^[0-9]{4}(-[0-9]{2}(-[0-9]{2}(T[0-9]{2}(:[0-9]{2}(:[0-9]{2})?)?)?)?)?$/;
+const COMPARE = {
+  "<": (a, b) => a < b, "<=": (a, b) => a <= b, ">": (a, b) => a > b, ">=": (a, b) => a >= b,
+  "=": (a, b) => a === b, ":": (a, b) => a === b,
+};
+
+// A test whether a row is meant. `where` is {fields, states, searched} as page.py gives it.
+function matcher(where, text) {
+  if (text.split('"').length % 2 === 0) refuse('a " at the end too', text, 'quote as in tag:"old wood"');
+  const tests = termsOf(text).map((term) => testOf(where, term));
+  return (row) => tests.every((test) => test(row));
+}
+
+function termsOf(text) {
+  return text.match(TERM) ?? [];
+}
+
+// The term that asks for a value, quoted where it needs to be.
+function termFor(field, value) {
+  return field + ":" + (/^[^\s",]+$/.test(value) ? value : `"${value.replaceAll('"', '""')}"`);
+}
+
+// The value of a number field; null where it is missing.
+function numberOf(row, field) {
+  if (field === "warnings") return row.warnings?.length ?? 0;
+  if (field === "memory") return row.peak_bytes == null ? null : row.peak_bytes / 2 ** 30;
+  return row[field] ?? null;
+}
+
+function testOf(where, term) {
+  const found = COMPARISON.exec(term);
+  if (!found) {
+    const word = unquoted(term).toLowerCase();
+    return (row) => searchedIn(where, row).includes(word);
+  }
+  const [field, compare, value] = [found[1].toLowerCase(), found[2], found[3]];
+  if (!Object.hasOwn(where.fields, field))
+    refuse("one of " + Object.keys(where.fields).join(", "), field, `write "${term}" in quotes to search for it as text`);
+  const { kind, example } = where.fields[field];
+  if (["choice", "text"].includes(kind) && !":=".includes(compare))
+    refuse(`${field}: or ${field}=`, field + compare, `write as in ${example}`);
+  if (!unquoted(value)) refuse(`a value after ${field}${compare}`, "none", `write as in ${example}`);
+  if (kind === "choice") return choiceTest(where, field, value);
+  if (kind === "text") return textTest(field, compare, unquoted(value).toLowerCase());
+  return (kind === "number" ? numberTest : dateTest)(field, compare, unquoted(value), example);
+}
+
+function numberTest(field, compare, value, example) {
+  if (!NUMBER.test(value)) refuse(`a number after ${field}${compare}`, value, `write as in ${example}`);
+  const limit = Number(value), holds = COMPARE[compare];
+  return (row) => {
+    const number = numberOf(row, field);
+    return number !== null && holds(number, limit);
+  };
+}
+
+function dateTest(field, compare, value, example) {
+  if (!DATE.test(value)) refuse(`a date after date${compare}`, value, `write as in ${example}`);
+  const holds = COMPARE[compare];
+  return (row) => Boolean(row.date) && holds(row.date.slice(0, value.length), value);
+}
+
+function choiceTest(where, field, value) {
+  const parts = value.includes('"') ? [value] : value.split(",");
+  const words = new Set(parts.map((part) => unquoted(part).toLowerCase()).filter(Boolean));
+  const unknown = field === "state" && [...words].filter((word) => !where.states.includes(word)).sort()[0];
+  if (unknown) refuse("done, failed, running or pending", unknown, "write as in state:failed");
+  if (field === "tag") return (row) => (row.tags ?? []).some((tag) => words.has(tag.toLowerCase()));
+  return (row) => words.has(textOf(row, field));
+}
+
+function textTest(field, compare, value) {
+  return compare === "=" ? (row) => textOf(row, field) === value : (row) => textOf(row, field).includes(value);
+}
+
+function unquoted(text) {
+  return text.replace(/"((?:[^"]|"")*)"/g, (all, inside) => inside.replaceAll('""', '"'));
+}
+
+function textOf(row, field) {
+  return (row[field] ?? "").toLowerCase();
+}
+
+// What a word is looked for in; kept with the row, for each letter typed asks for it again.
+const SEARCHED = Symbol("searched");
+function searchedIn(where, row) {
+  return row[SEARCHED] ??= [...where.searched.map((name) => row[name] ?? ""), ...(row.tags ?? [])].join("\n").toLowerCase();
+}
+
+function refuse(expected, got, fix) {
+  throw new RangeError(`expected ${expected}, got ${got}; ${fix}`);
+}

@@ -1,0 +1,164 @@
+"""Which materials of a library are meant: ``error<0.05 tag:wood``, the same here and on the library's page.
+
+``where.js`` is the twin of this file; it gets :data:`FIELDS` from here. A test runs both on the same rows.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Literal, NoReturn
+
+from ..errors import ConfigError
+
+Test = Callable[[Mapping], bool]
+
+STATES = ("done", "failed", "running", "pending")
+SEARCHED = ("name", "source", "method", "host", "reason")  # where a word without a field is looked for, beside the tags
+
+
+@dataclass(frozen=True)
+class Field:
+    """What can be asked of a material.
+
+    ``number`` and ``date`` are compared (a date to the day where a day is given), ``choice`` is one of some words, or several
+    (``tag:wood,stone``: either), ``text`` contains what follows ``:`` or is what follows ``=``.
+    """
+
+    kind: Literal["number", "date", "choice", "text"]
+    says: str
+    example: str
+
+
+FIELDS = {
+    "error": Field("number", "error on the photos seen", "error<0.05"),
+    "left_out_error": Field("number", "error on photos left out", "left_out_error>0.1"),
+    "burn_in": Field("number", "highlight burnt into roughness or specular", "burn_in>0.1"),
+    "warnings": Field("number", "count of warnings", "warnings>0"),
+    "seconds": Field("number", "time of the fit", "seconds>60"),
+    "memory": Field("number", "most memory, GiB", "memory>1.5"),
+    "attempts": Field("number", "how often it was begun", "attempts>1"),
+    "resolution": Field("number", "pixels a side", "resolution:256"),
+    "photos": Field("number", "count of photos", "photos>=9"),
+    "date": Field("date", "when it ended", "date>2026-11-01"),
+    "state": Field("choice", "done, failed, running or pending", "state:failed"),
+    "tag": Field("choice", "one of its tags", "tag:wood,stone"),
+    "method": Field("choice", "how it was fitted", "method:gan"),
+    "name": Field("text", "name of the material", 'name:"old oak"'),
+    "source": Field("text", "where its photos lay", "source:phone"),
+    "host": Field("text", "machine that fitted it", "host=node-1"),
+    "worker": Field("text", "worker that fitted it", "worker=w1"),
+    "options": Field("text", "options of the fit", "options:budget"),
+    "reason": Field("text", "why it failed", "reason:memory"),
+    "id": Field("text", "first digits of its identity", "id:1a2b"),
+}
+
+_SPACE = r" \t\n\r\f\v\u00a0"
+_TERM = re.compile(rf'(?:"(?:[^"]|"")*"|[^{_SPACE}"])+')
+_QUOTED = re.compile(r'"((?:[^"]|"")*)"')
+_COMPARISON = re.compile(r"([A-Za-z_]+)(<=|>=|[<>=:])([\s\S]*)")
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
+_DATE = re.compile(r"[0-9]{4}(-[0-9]{2}(-[0-9]{2}(T[0-9]{2}(:[0-9]{2}(:[0-9]{2})?)?)?)?)?")
+_COMPARE: dict[str, Callable[..., bool]] = {
+    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "=": operator.eq, ":": operator.eq}
+
+
+def matcher(text: str) -> Test:
+    """A test whether a row of ``library.json`` is meant.
+
+    Args:
+        text: terms with spaces between them, all of which must hold; empty: every row. A term compares a field
+            (:data:`FIELDS`), or is a word that the name, a tag, the source, the method, the host or the reason contains.
+            Upper and lower case are the same. Double quotes hold a term with spaces together: ``tag:"old wood"``. A missing
+            number or date fulfils no comparison.
+
+    Raises:
+        ConfigError: what cannot be understood.
+    """
+    if text.count('"') % 2:
+        _refuse('a " at the end too', text, 'quote as in tag:"old wood"')
+    tests = [_test(term) for term in _TERM.findall(text)]
+    return lambda row: all(test(row) for test in tests)
+
+
+def number_of(row: Mapping, field: str) -> float | None:
+    """The value of a number field of a row; None where it is missing or not finite."""
+    if field == "warnings":
+        return len(row.get("warnings") or ())
+    value = row.get("peak_bytes" if field == "memory" else field)
+    if value is None or not math.isfinite(value):
+        return None
+    return value / 2**30 if field == "memory" else value
+
+
+def described() -> dict[str, dict]:
+    """:data:`FIELDS` for the page."""
+    return {name: asdict(field) for name, field in FIELDS.items()}
+
+
+def _test(term: str) -> Test:
+    found = _COMPARISON.fullmatch(term)
+    if found is None:
+        word = _unquoted(term).lower()
+        return lambda row: word in _searched(row)
+    field, compare, value = found[1].lower(), found[2], found[3]
+    if field not in FIELDS:
+        _refuse("one of " + ", ".join(FIELDS), field, f'write "{term}" in quotes to search for it as text')
+    kind, example = FIELDS[field].kind, FIELDS[field].example
+    if kind in ("choice", "text") and compare not in ":=":
+        _refuse(f"{field}: or {field}=", field + compare, f"write as in {example}")
+    if not _unquoted(value):
+        _refuse(f"a value after {field}{compare}", "none", f"write as in {example}")
+    if kind == "number":
+        return _number_test(field, compare, _unquoted(value), example)
+    if kind == "date":
+        return _date_test(compare, _unquoted(value), example)
+    return _choice_test(field, value) if kind == "choice" else _text_test(field, compare, _unquoted(value).lower())
+
+
+def _number_test(field: str, compare: str, value: str, example: str) -> Test:
+    if not _NUMBER.fullmatch(value):
+        _refuse(f"a number after {field}{compare}", value, f"write as in {example}")
+    limit, holds = float(value), _COMPARE[compare]
+    return lambda row: (number := number_of(row, field)) is not None and holds(number, limit)
+
+
+def _date_test(compare: str, value: str, example: str) -> Test:
+    if not _DATE.fullmatch(value):
+        _refuse(f"a date after date{compare}", value, f"write as in {example}")
+    holds = _COMPARE[compare]
+    return lambda row: bool(row.get("date")) and holds(row["date"][:len(value)], value)
+
+
+def _choice_test(field: str, value: str) -> Test:
+    words = {value for part in ([value] if '"' in value else value.split(",")) if (value := _unquoted(part).lower())}
+    if field == "state" and (unknown := sorted(words - set(STATES))):
+        _refuse("done, failed, running or pending", unknown[0], "write as in state:failed")
+    if field == "tag":
+        return lambda row: any(tag.lower() in words for tag in row.get("tags") or ())
+    return lambda row: _text(row, field) in words
+
+
+def _text_test(field: str, compare: str, value: str) -> Test:
+    if compare == "=":
+        return lambda row: _text(row, field) == value
+    return lambda row: value in _text(row, field)
+
+
+def _unquoted(text: str) -> str:
+    return _QUOTED.sub(lambda found: found[1].replace('""', '"'), text)
+
+
+def _text(row: Mapping, field: str) -> str:
+    return (row.get(field) or "").lower()
+
+
+def _searched(row: Mapping) -> str:
+    return "\n".join([*(row.get(name) or "" for name in SEARCHED), *(row.get("tags") or ())]).lower()
+
+
+def _refuse(expected: str, got: str, fix: str) -> NoReturn:
+    raise ConfigError(expected, got, fix)
