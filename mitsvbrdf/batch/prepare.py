@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
@@ -13,6 +14,7 @@ from ..capture.photo import SUFFIXES
 from ..errors import MitsvbrdfError, OutputError
 from ..fit.config import FitConfig, HierarchicalConfig
 from ..fit.options import FitOptions, config_record
+from ..system.files import write_bytes, write_json
 from .entries import Entry, name_of_source
 from .identity import capture_files, identity
 from .manifest import Manifest
@@ -22,7 +24,7 @@ from .schedule import Work
 TYPICAL_SECONDS = 35.0  # of the default fit: nine photos, 256 px, one thread
 PHOTOS = 9  # of a capture whose files are not at hand
 ENDLESS = 3600.0  # seconds, of a fit that ends after iterations
-LOCK = ".lock"
+LOCK, TOKEN = ".lock", ".token"  # what nodes are to see of a library, to be sure that it is the same
 
 Report = Callable[[str, float], None]
 
@@ -71,7 +73,7 @@ def library_lock(home: Path) -> Callable[[], None]:
     from .manifest import FILE
 
     try:
-        foreign = home.is_dir() and not (home / FILE).exists() and any(path.name != LOCK for path in home.iterdir())
+        foreign = home.is_dir() and not (home / FILE).exists() and any(path.name not in (LOCK, TOKEN) for path in home.iterdir())
         if foreign or home.exists() and not home.is_dir():
             raise OutputError("a new folder or a library", f"{home}, which is neither", "choose another place")
         home.mkdir(parents=True, exist_ok=True)
@@ -85,6 +87,8 @@ def library_lock(home: Path) -> Callable[[], None]:
         lock.close()
         raise OutputError("one batch at a time in a library", f"{home}, in use by another one",
                           "wait for it, or choose another library") from None
+    if not (token := home / TOKEN).exists():
+        write_bytes(token, secrets.token_hex(16).encode())
     return lock.close
 
 
@@ -164,8 +168,6 @@ def take_stock(manifest: Manifest, place: Place, home: Path, retry_failed: bool)
 
 def quarantine(home: Path, folder: str, reason: dict, log: str) -> None:
     """Keep why a capture failed, and what its fit printed."""
-    from ..system.files import write_bytes, write_json
-
     write_json(home / QUARANTINE / folder / "reason.json", reason)
     write_bytes(home / QUARANTINE / folder / "log.txt", log.encode(errors="replace"))
 

@@ -157,7 +157,7 @@ def fit_command(arguments: Sequence[str], function: Callable[..., Any] = fit,
     chosen = [p.replace(default=default) if p.name == "config" else p for p in signature.parameters.values()]
     command.__doc__ = function.__doc__
     command.__signature__ = signature.replace(parameters=chosen)  # type: ignore[attr-defined]
-    command.__annotations__ = function.__annotations__ | {"config": UseAppendAction[OmitArgPrefixes[kind]]}  # type: ignore[misc, valid-type]
+    command.__annotations__ = get_type_hints(function, include_extras=True) | {"config": UseAppendAction[OmitArgPrefixes[kind]]}  # type: ignore[misc, valid-type]
     return command
 
 
