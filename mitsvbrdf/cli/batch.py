@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
@@ -73,6 +74,8 @@ def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help
                 work = Batch(home, library, place, manifest, Scheduler(stock.work, settings.retries), tell)
                 interrupted = work.run(pool)
             manifest.interrupted()
+            if not interrupted:
+                shutil.rmtree(home / WORK, ignore_errors=True)
             if work.trouble:
                 say(f"stopped: {work.trouble}; free space, and the same command goes on")
         return _ended(manifest, home, interrupted, len(unreadable))
