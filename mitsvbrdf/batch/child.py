@@ -62,7 +62,7 @@ def fit_into_library(task: dict) -> dict:
     Returns:
         The row of the material: error, left_out_error, burn_in, warnings and so on.
     """
-    from .place import local_capture, place_of
+    from .address import local_capture, place_of
 
     place = place_of(task["library"])
     folder = f"{task['name']}-{task['identity'][:8]}"
@@ -117,8 +117,7 @@ def _renderer(name: str, variant: str) -> Renderer:
 
 def _write_record(staging: Path, task: dict, row: dict) -> None:
     """Say in the result itself what it is, for whoever finds it."""
-    from ..system.files import write_json
-    from .identity import file_hash
+    from ..system.files import file_hash, write_json
     from .place import RECORD
 
     files = {str(path.relative_to(staging)): {"bytes": path.stat().st_size, "sha256": file_hash(path)}

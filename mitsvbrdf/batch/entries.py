@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from ..capture.photo import SUFFIXES
 from ..errors import CaptureError, ConfigError
+from .address import is_url
 
 CALIBRATIONS = ("capture.json", "camera_pos.txt")
 PATTERN = frozenset("*?[")
@@ -57,8 +58,8 @@ def name_of_source(source: str) -> str:
 
 def _expanded(name: str, own: tuple[str, ...] = (), where: str = "") -> Iterator[Entry]:
     """The captures of one name."""
-    if "://" in name:
-        from .place import remote_captures
+    if is_url(name):
+        from .remote import remote_captures
         yield from (Entry(url, own, where) for url in remote_captures(name))
         return
     path = Path(os.path.expanduser(name))
@@ -112,7 +113,7 @@ def _listed(lines: Iterable[str], name: str, base: Path) -> Iterator[Entry]:
         except ValueError as reason:
             raise ConfigError("a capture and its options", f"{where}: {reason}", "close the quotes") from None
         if words:
-            source = words[0] if "://" in words[0] else str(base / os.path.expanduser(words[0]))
+            source = words[0] if is_url(words[0]) else str(base / os.path.expanduser(words[0]))
             yield from _expanded(source, tuple(words[1:]), where)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..capture.photo import SUFFIXES
+from .address import is_url
 
 CALIBRATION_FILES = ("capture.json", "camera_pos.txt", "image_size.txt", "light_power.txt", "light_pos.txt")
 
@@ -22,10 +23,10 @@ def identity(source: str, asked: dict, hash_of: Hash) -> str:
     Args:
         source: a capture's path, or its URL.
         asked: method, settings and options as JSON.
-        hash_of: of a file's content; :func:`file_hash`, or one that remembers.
+        hash_of: of a file's content; ``files.file_hash``, or one that remembers.
     """
-    if "://" in source:
-        from .place import remote_contents
+    if is_url(source):
+        from .remote import remote_contents
         contents: list[list] = remote_contents(source)
     else:
         contents = [[os.path.relpath(path, source), hash_of(path)] for path in capture_files(Path(source))]
@@ -44,15 +45,9 @@ def capture_files(source: Path) -> list[Path]:
         folders.add(folder / target)
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         pass  # no such file, or a wrong one, which the fit will say
-    found = {path for each in folders if each.is_dir() for path in each.iterdir() if path.is_file() and path.name[0] != "." and (
-        path.name in CALIBRATION_FILES or path == source or path.suffix.lower() in SUFFIXES)}
-    return sorted(found)
-
-
-def file_hash(path: Path) -> str:
-    """SHA-256 of a file's content, in hex."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    inside = [path for each in folders if each.is_dir() for path in each.iterdir() if path.is_file() and path.name[0] != "."]
+    return sorted({path for path in inside if path == source or path.name in CALIBRATION_FILES
+                   or path.suffix.lower() in SUFFIXES})
 
 
 def _files_named(asked: object) -> list[str]:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import sqlite3
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from .. import __version__
 from ..errors import MapsError
@@ -68,7 +67,7 @@ def _row(each: sqlite3.Row) -> dict:
     def inside(name: str | None) -> str | None:
         return f"{folder}/{name}" if name else None
 
-    empty = {"error": None, "left_out_error": None, "burn_in": None, "warnings": [], "photos": None}
+    empty: dict = {"error": None, "left_out_error": None, "burn_in": None, "warnings": [], "photos": None}
     return empty | known | {
         "name": each["name"], "id": each["identity"][:8], "folder": folder, "state": each["state"], "reason": each["reason"],
         "seconds": each["seconds"] or known.get("seconds"), "peak_bytes": each["peak_bytes"], "attempts": each["attempts"],
@@ -77,11 +76,6 @@ def _row(each: sqlite3.Row) -> dict:
         "source": each["source"], "options": each["own"],
         "preview": inside(known.get("preview")) if each["state"] == "done" else None,
         "report": inside(known.get("report")) if each["state"] == "done" else None}
-
-
-def title_of(library: str) -> str:
-    """The name of a library: of its folder, or the last part of its URL."""
-    return os.path.basename(library.rstrip("/") if "://" in library else os.path.realpath(library))
 
 
 def library_of(manifest: Manifest, title: str, progress: dict | None = None) -> dict:
@@ -105,7 +99,7 @@ def write_library(home: Path, manifest: Manifest, title: str, progress: dict | N
     write_library_page(home, _finite(library))
 
 
-def _finite(value: object) -> object:
+def _finite(value: Any) -> Any:
     """JSON without NaN and infinity, which it cannot hold: None in their place."""
     if isinstance(value, dict):
         return {name: _finite(part) for name, part in value.items()}
@@ -121,5 +115,5 @@ def open_library(folder: Path) -> Manifest:
         MapsError: the folder is none.
     """
     if not (folder / FILE).is_file():
-        raise MapsError("a library that `mitsvbrdf batch` made", f"{folder}, which has no {FILE}", "give the LIBRARY of a batch")
+        raise MapsError("the LIBRARY of a batch", f"{folder}, which has no {FILE}", "`mitsvbrdf batch` makes one")
     return Manifest(folder / FILE, readonly=True)

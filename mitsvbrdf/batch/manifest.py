@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from ..errors import OutputError
-from .identity import file_hash
+from ..system.files import file_hash
 
 FILE = "manifest.sqlite"
 VERSION = 1
@@ -126,8 +126,8 @@ class Manifest:
     def begin(self, identity: str, worker: str, host: str) -> str:
         """An attempt begins; returns its name."""
         with self._change():
-            self.db.execute("update materials set state = 'running', attempts = attempts + 1, worker = ?, host = ?, reason = '' "
-                            "where identity = ?", (worker, host, identity))
+            self.db.execute("update materials set state = 'running', attempts = attempts + 1, worker = ?, host = ?, "
+                            "reason = '' where identity = ?", (worker, host, identity))
             count = self.db.execute("select attempts from materials where identity = ?", (identity,)).fetchone()[0]
             attempt = f"{identity[:SHORT]}-{count}"
             self.db.execute("insert into attempts (attempt, identity, worker, host, started) values (?, ?, ?, ?, ?)",

@@ -11,10 +11,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from ..capture.photo import SUFFIXES
-from ..errors import MitsvbrdfError, OutputError
+from ..errors import OutputError
 from ..fit.config import FitConfig, HierarchicalConfig
 from ..fit.options import FitOptions, config_record
 from ..system.files import write_bytes, write_json
+from .address import is_url
 from .entries import Entry, name_of_source
 from .identity import capture_files, identity
 from .manifest import Manifest
@@ -59,7 +60,7 @@ class Asked:
         if not isinstance(self.config, HierarchicalConfig):
             return limit.budget or ENDLESS
         photos = PHOTOS
-        if "://" not in self.entry.source:
+        if not is_url(self.entry.source):
             photos = sum(path.suffix.lower() in SUFFIXES for path in capture_files(Path(self.entry.source)))
         return min(limit.budget or ENDLESS, TYPICAL_SECONDS * photos / PHOTOS * (self.options.resolution / 256) ** 2)
 
@@ -73,8 +74,8 @@ def library_lock(home: Path) -> Callable[[], None]:
     from .manifest import FILE
 
     try:
-        foreign = home.is_dir() and not (home / FILE).exists() and any(path.name not in (LOCK, TOKEN) for path in home.iterdir())
-        if foreign or home.exists() and not home.is_dir():
+        known = not home.is_dir() or (home / FILE).exists() or {path.name for path in home.iterdir()} <= {LOCK, TOKEN}
+        if not known or home.exists() and not home.is_dir():
             raise OutputError("a new folder or a library", f"{home}, which is neither", "choose another place")
         home.mkdir(parents=True, exist_ok=True)
         lock = (home / LOCK).open("w")
@@ -92,7 +93,7 @@ def library_lock(home: Path) -> Callable[[], None]:
     return lock.close
 
 
-def register(asked: Iterable[Asked], manifest: Manifest, report: Report) -> dict[str, MitsvbrdfError]:
+def register(asked: Iterable[Asked], manifest: Manifest, report: Report) -> dict[str, OutputError]:
     """Enter what is asked for into the manifest.
 
     Args:

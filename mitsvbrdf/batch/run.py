@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..system.interrupts import stop_signals
-from .library import title_of, write_library
+from .address import title_of
+from .library import write_library
 from .manifest import Manifest
 from .place import Place
 from .pool import Pool
@@ -190,5 +191,6 @@ class Batch:
     def write_page(self) -> None:
         """Write ``library.json`` and ``index.html``."""
         stands = self.progress()
-        left = {"per_hour": stands.per_hour, "left_seconds": stands.left_seconds}
-        write_library(self.home, self.manifest, title_of(self.library), left if stands.counts["running"] or stands.counts["pending"] else None)
+        going = stands.counts["running"] or stands.counts["pending"]
+        rate = {"per_hour": stands.per_hour, "left_seconds": stands.left_seconds} if going else None
+        write_library(self.home, self.manifest, title_of(self.library), rate)

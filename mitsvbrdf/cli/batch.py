@@ -11,9 +11,10 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
+from ..batch.address import home_of, is_url, place_of, upload
 from ..batch.entries import Entry, entries
 from ..batch.manifest import FILE, Manifest
-from ..batch.place import WORK, home_of, place_of, upload
+from ..batch.place import WORK
 from ..batch.pool import RayPool, require_ray
 from ..batch.prepare import Asked, Standing, library_lock, register, take_stock
 from ..batch.progress import telling
@@ -31,21 +32,22 @@ INTERRUPTED = 130
 
 
 def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help=(
-              "Captures, folders of captures, patterns, URLs, or lists: text files with a capture and its own options a line; - "
-              "is a list on standard input."))],
+              "Captures, folders of captures, patterns, URLs, or lists: text files with a capture and its own options a line; "
+              "- is a list on standard input."))],
           out: Annotated[str, arg(aliases=["-o"], metavar="LIBRARY", help="The library: a folder that all workers see, or a "
                                                                           "URL like s3://bucket/library.")],
-          config: FitConfig, options: OmitArgPrefixes[FitOptions] = USUAL, settings: OmitArgPrefixes[BatchSettings] = USUAL_BATCH,
+          config: FitConfig, options: OmitArgPrefixes[FitOptions] = USUAL,
+          settings: OmitArgPrefixes[BatchSettings] = USUAL_BATCH,
           method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"],
-                            arg(help="How to fit; `batch --method gan --help` shows that method's own options.")] = "hierarchical",
+                            arg(help="How to fit; `batch --method gan --help` shows its own options.")] = "hierarchical",
           pages: Annotated[Literal["all", "none"], arg(help="none: maps, uncertainty, fit.json and preview alone, in a tenth "
                                                             "of the space.")] = "all",
-          tag: UseAppendAction[Annotated[tuple[str, ...], arg(help="A word to find these materials by; repeat it for several.")]]
-              = ()) -> int:
+          tag: UseAppendAction[Annotated[tuple[str, ...], arg(help="A word to find these materials by; repeatable.")]] = ()
+          ) -> int:
     """Fit many captures into one library, whatever dies on the way.
 
-    `mitsvbrdf batch shots/ -o library` fits each capture in shots/; the options are those of `mitsvbrdf fit`. Run the same again
-    and it goes on: what is done is checked and skipped, what has changed is done anew, what failed is tried again with
+    `mitsvbrdf batch shots/ -o library` fits each capture in shots/; the options are those of `mitsvbrdf fit`. Run the same
+    again and it goes on: what is done is checked and skipped, what has changed is done anew, what failed is tried again with
     --retry-failed. Raw photos become captures first. Ctrl-C waits for what runs; a second one does not.
 
     LIBRARY then holds a folder a material, index.html to look at (`mitsvbrdf view LIBRARY` while the batch runs), library.json
@@ -60,7 +62,7 @@ def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help
     for each in asked:
         each.options.check(each.config)
     with _opened(out) as (home, manifest):
-        library = out if "://" in out else os.path.realpath(out)
+        library = out if is_url(out) else os.path.realpath(out)
         place = place_of(library)
         with progress_bar("captures") as report:
             unreadable = register(asked, manifest, report)

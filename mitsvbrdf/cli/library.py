@@ -10,9 +10,9 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from ..batch.library import open_library, rows, title_of, write_library
+from ..batch.address import home_of, local_capture, place_of, title_of
+from ..batch.library import open_library, rows, write_library
 from ..batch.manifest import FILE, Manifest
-from ..batch.place import home_of, place_of
 from ..batch.prepare import library_lock
 from ..batch.where import matcher
 from ..errors import ConfigError, MitsvbrdfError
@@ -21,9 +21,9 @@ from ..system.progress import console, progress_bar, say
 COLUMNS = {"error": "{:.4f}", "left_out_error": "{:.4f}", "burn_in": "{:.2f}", "seconds": "{:.1f}", "attempts": "{}"}
 
 
-def library(folder: Annotated[Positional[str], arg(metavar="LIBRARY", help="The library that a batch made, a folder or a URL.")],
-            where: Annotated[str, arg(metavar="EXPRESSION", help="Only materials like these: \"error<0.05 tag:wood state:done\"; "
-                                                                 "docs/batch.md has all words.")] = "",
+def library(folder: Annotated[Positional[str], arg(metavar="LIBRARY", help="What a batch made: a folder or a URL.")],
+            where: Annotated[str, arg(metavar="EXPRESSION", help="Only materials like these: \"error<0.05 tag:wood\"; all "
+                                                                 "words are in docs/batch.md.")] = "",
             verify: Annotated[bool, arg(help="Count the hashes of all files anew, and say which have changed.")] = False,
             export: Annotated[str, arg(metavar="FORMAT,...", help="Export each of them into OUT/NAME; formats as of `mitsvbrdf "
                                                                   "export --to`.")] = "",
@@ -86,7 +86,6 @@ def _verify(library: str, manifest: Manifest, folders: set[str]) -> int:
 
 def _export(library: str, chosen: Sequence[dict], formats: str, out: Path, overwrite: bool) -> int:
     """Export each material that is done into a folder of its own; one that cannot be is said, and the rest goes on."""
-    from ..batch.place import local_capture
     from .export import export as export_one
 
     wrong = 0

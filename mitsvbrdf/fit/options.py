@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from tyro.conf import arg
 
@@ -75,5 +75,6 @@ def config_record(config: FitConfig) -> dict:
 
 def config_of(record: dict) -> FitConfig:
     """The settings that a record of :func:`config_record` holds."""
-    settings = {name: tuple(value) if isinstance(value, list) else value for name, value in record.items() if name != "method"}
+    settings: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value
+                                for name, value in record.items() if name != "method"}
     return METHODS[record["method"]].config(**settings)

@@ -24,11 +24,11 @@ import numpy as np
 import torch
 
 from mitsvbrdf import color, make_material
-from mitsvbrdf.batch.identity import file_hash
 from mitsvbrdf.capture import Capture, write_capture
 from mitsvbrdf.material.made import MATERIALS
 from mitsvbrdf.material.maps import SVBRDF
 from mitsvbrdf.render import make_renderer
+from mitsvbrdf.system.files import file_hash
 from mitsvbrdf.views import nine_view_grid
 
 NOISE = 0.004  # of the made photos, in display values
@@ -96,8 +96,8 @@ def disturbed(start: list[str], library: Path, log: Path, *, worker_every: float
     """Run a batch to its end while its processes are killed; what was killed, and the memory of the command over time."""
     rng, killed, memory, runs = random.Random(seed), Counter[str](), [], 0
     # Deaths of the head and of the command, by how much is done.
-    plan = [("head", share) for share in np.linspace(0.2, 0.7, heads)] + [("command", s) for s in np.linspace(0.1, 0.8, commands)]
-    plan.sort(key=lambda each: each[1])
+    plan = [("head", share) for share in np.linspace(0.2, 0.7, heads)]
+    plan = sorted(plan + [("command", share) for share in np.linspace(0.1, 0.8, commands)], key=lambda each: each[1])
     began = time.monotonic()
     with log.open("ab") as words:
         while True:
@@ -188,7 +188,8 @@ def main() -> None:
     start = command(captures, library, asked.side, asked.workers)
     quiet = {"worker_every": 1e9, "heads": 0, "commands": 0}
     noisy = {"worker_every": asked.worker_every, "heads": asked.heads, "commands": asked.commands}
-    found = disturbed(start, library, asked.folder / f"{library.name}.log", total=asked.captures, **(quiet if asked.quiet else noisy))
+    found = disturbed(start, library, asked.folder / f"{library.name}.log", total=asked.captures,
+                      **(quiet if asked.quiet else noisy))
     found |= counted(library)
     if asked.quiet:
         found["different maps"] = different_maps(library, asked.folder / "library")
