@@ -5,6 +5,7 @@ A :class:`~mitsvbrdf.batch.guard.Guard` talks to it over two pipes and watches i
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import os
@@ -56,14 +57,16 @@ def fit_into_library(task: dict) -> dict:
     """Fit one capture, and let its result appear in the library.
 
     Args:
-        task: ``attempt``, ``name``, ``identity``, ``capture``, ``library``, and ``options``: what was asked for, as
-            :func:`asked_for` has it.
+        task: ``attempt``, ``name``, ``identity``, ``capture``, ``library``, ``folder`` where paths start, and ``options``: what
+            was asked for, as ``Asked.record`` has it.
 
     Returns:
         The row of the material: error, left_out_error, burn_in, warnings and so on.
     """
     from .address import local_capture, place_of
 
+    with contextlib.suppress(OSError):  # paths in the options start there
+        os.chdir(task["folder"])
     place = place_of(task["library"])
     folder = f"{task['name']}-{task['identity'][:8]}"
     started = time.perf_counter()

@@ -182,4 +182,4 @@ def task_of(manifest: Manifest, work: Work, attempt: str, library: str) -> dict:
     """What a worker is told of a piece of work."""
     row = manifest.material(work.identity)
     return {"attempt": attempt, "name": row["name"], "identity": work.identity, "capture": row["source"], "library": library,
-            "options": json.loads(row["asked"])}
+            "folder": os.getcwd(), "options": json.loads(row["asked"])}
