@@ -25,12 +25,13 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
+from .last_rites import outlive
 from .own_ray import OwnRay
 from .worker import WorkerActor
 
 TICK_SECONDS = 2.0  # between two looks at the cluster's nodes and at idle workers
 HANG_SECONDS = 30.0  # a call of Ray that takes longer: the cluster is gone
-STOP_SECONDS = 5.0  # for an orderly end
+STOP_SECONDS = 1.0  # for an orderly end
 FAILED_STARTS = 5  # in a row, while no worker ever came up
 
 
@@ -57,13 +58,14 @@ class Gateway:
 
     Args:
         events: file descriptor to write to.
+        folder: takes what a Ray of its own writes.
     """
 
-    def __init__(self, events: int) -> None:
+    def __init__(self, events: int, folder: Path) -> None:
         self.inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self.own: OwnRay | None = None
         self.beat = math.inf  # when the main thread was last seen, while it must not hang
-        self._events, self._workers = events, list[Worker]()
+        self._events, self._folder, self._workers = events, folder, list[Worker]()
         self._names, self._failed_starts, self._ending = 0, 0, threading.Lock()
         self._options: dict = {}
         self._token: str | None = None
@@ -79,7 +81,7 @@ class Gateway:
                 raise CannotStart(f"{library} is no library: {error.strerror} at .token", "name the library's folder") from None
         threading.Thread(target=self._watch, daemon=True).start()
         if options["address"] is None:
-            self.own = OwnRay()
+            self.own = OwnRay(self._folder)
         try:
             if self.own:
                 self.own.start((options["workers"] or 1) * options["threads"], options.get("dashboard", False))
@@ -136,12 +138,10 @@ class Gateway:
         """End everything of one's own, and this process; from any thread."""
         if not self._ending.acquire(blocking=False):
             time.sleep(STOP_SECONDS)  # another thread does it
-        threading.Timer(STOP_SECONDS, os._exit, (code,)).start()
-        if self.own:
-            self.own.end()
-        elif "ray" in sys.modules:
+        if not self.own and "ray" in sys.modules:
             import ray
 
+            threading.Timer(STOP_SECONDS, os._exit, (code,)).start()
             for worker in self._workers:
                 ray.kill(worker.actor)
             ray.shutdown()
@@ -252,15 +252,13 @@ def _listen(gateway: Gateway, orders: int) -> None:
     gateway.end(0)
 
 
-def main() -> None:
-    """See the module."""
+def _live(folder: Path) -> None:
     events, orders = int(sys.argv[1]), os.dup(0)
-    os.set_inheritable(events, False)  # the end of a pipe is seen only when nobody else holds it
     nothing = os.open(os.devnull, os.O_RDWR)
     log = os.open(sys.argv[2], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666) if len(sys.argv) > 2 else nothing
     for number, target in ((0, nothing), (1, log), (2, log)):
         os.dup2(target, number)
-    gateway = Gateway(events)
+    gateway = Gateway(events, folder)
     threading.Thread(target=_listen, args=(gateway, orders), daemon=True).start()
     try:
         gateway.loop()
@@ -272,5 +270,11 @@ def main() -> None:
         gateway.end(3)
 
 
+def main() -> int:
+    """See the module. The pipe of events ends when all is cleaned up."""
+    os.set_inheritable(int(sys.argv[1]), False)  # nobody else may hold it
+    return outlive(_live)
+
+
 if __name__ == "__main__":
-    main()
+    sys.exit(main())
