@@ -32,7 +32,7 @@ from .worker import WorkerActor
 TICK_SECONDS = 2.0  # between two looks at the cluster's nodes and at idle workers
 HANG_SECONDS = 30.0  # a call of Ray that takes longer: the cluster is gone
 STOP_SECONDS = 1.0  # for an orderly end
-FAILED_STARTS = 5  # in a row, while no worker ever came up
+FAILED_STARTS = 5  # of workers, in a row
 
 
 class CannotStart(Exception):
@@ -69,6 +69,8 @@ class Gateway:
         self._names, self._failed_starts, self._ending = 0, 0, threading.Lock()
         self._options: dict = {}
         self._token: str | None = None
+        self._home: str | None = None  # the node by which a cluster is joined
+        self._wanted = 0
 
     def start(self, options: dict) -> None:
         """Start a Ray or join one, and begin to bring workers up."""
@@ -86,12 +88,13 @@ class Gateway:
             if self.own:
                 self.own.start((options["workers"] or 1) * options["threads"], options.get("dashboard", False))
             else:
-                _join(options["address"])
+                self._home = _join(options["address"])
         except Exception as error:  # Ray raises what it likes
             raise CannotStart(f"Ray did not start: {type(error).__name__}: {str(error)[:500]}",
                               "see the log, and `pip install 'mitsvbrdf[batch]'`") from error
         signal.signal(signal.SIGTERM, lambda number, frame: self.end(0))
         self.beat = time.monotonic()
+        self._look()
         self._fill()
 
     def loop(self) -> None:
@@ -105,6 +108,7 @@ class Gateway:
                 pass
             if self.beat < math.inf and time.monotonic() > look:
                 look = time.monotonic() + TICK_SECONDS
+                self._look()
                 self._fill()
                 for worker in self._workers:
                     if worker.name and not worker.attempt and not worker.asked:
@@ -169,23 +173,26 @@ class Gateway:
         """Start actors that are missing; take back those that wait for a place which is gone."""
         import ray
 
-        wanted = self._options["workers"] or (1 if self.own else self._places())
-        while len(self._workers) < wanted:
+        while len(self._workers) < self._wanted:
             make = ray.remote(WorkerActor).options(num_cpus=self._options["threads"], max_restarts=0, max_task_retries=0,
                                              scheduling_strategy="SPREAD")
             child = [self._options["child"]] if self._options.get("child") else []  # else the default of its own node
             worker = Worker(make.remote(self._options["threads"], self._options["memory"], self._options["timeout"], *child))
             self._workers.append(worker)
             self._call(worker, worker.actor.about.remote(), self._greeted)
-        for worker in [one for one in self._workers if one.name is None][:max(0, len(self._workers) - wanted)]:
+        for worker in [one for one in self._workers if one.name is None][:max(0, len(self._workers) - self._wanted)]:
             self._workers.remove(worker)
             ray.kill(worker.actor)
 
-    def _places(self) -> int:
-        """How many workers the cluster's nodes hold."""
+    def _look(self) -> None:
+        """See how many workers there should be; without the node by which it was joined, a cluster is out of reach."""
         import ray
 
-        return sum(int(node["Resources"].get("CPU", 0) // self._options["threads"]) for node in ray.nodes() if node["Alive"])
+        nodes = {} if self.own else {node["NodeID"]: node["Resources"] for node in ray.nodes() if node["Alive"]}
+        if self._home and self._home not in nodes:
+            self.end(3)
+        places = sum(int(resources.get("CPU", 0) // self._options["threads"]) for resources in nodes.values())
+        self._wanted = self._options["workers"] or (1 if self.own else places)
 
     def _greeted(self, worker: Worker, about: dict) -> None:
         if about["version"] != __version__:
@@ -225,7 +232,7 @@ class Gateway:
             self.say({"is": "lost", "worker": worker.name, "attempt": worker.attempt, "reason": f"the worker died: {reason}"})
         else:
             self._failed_starts += 1
-            if self._failed_starts == FAILED_STARTS and not self._names:
+            if self._failed_starts == FAILED_STARTS:
                 raise CannotStart(f"no worker comes up: {reason}", "install mitsvbrdf on all nodes, and see the log")
         self._fill()
 
@@ -236,11 +243,13 @@ class Gateway:
         self.end(3)
 
 
-def _join(address: str) -> None:
+def _join(address: str) -> str | None:
+    """Join a cluster; return the node by which that was done, None for a client's connection."""
     import ray
 
     os.environ["RAY_ENABLE_UV_RUN_RUNTIME_ENV"] = "0"  # the nodes have mitsvbrdf already
     ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
+    return None if "://" in address else ray.get_runtime_context().get_node_id()
 
 
 def _listen(gateway: Gateway, orders: int) -> None:
