@@ -8,6 +8,7 @@ class Cards {
     Object.assign(this, { list, makeCard, rows: [], cards: new Map(), frame: 0, timer: 0, drawnAt: 0, width: 0 });
     addEventListener("scroll", () => this.later(), { passive: true });
     addEventListener("resize", () => this.later());
+    list.addEventListener("focusin", () => this.draw());
     new ResizeObserver(() => this.resized()).observe(list);
     this.measure();
   }
@@ -46,8 +47,13 @@ class Cards {
     this.frame = 0;
     const top = this.list.getBoundingClientRect().top, { columns, step, rows, cards } = this;
     const line = (y) => Math.max(0, Math.floor((y - top) / step));
-    const first = line(-0.5 * innerHeight) * columns;
-    const last = Math.min(rows.length, (line(1.5 * innerHeight) + 1) * columns);
+    let first = line(-0.5 * innerHeight) * columns, last = (line(1.5 * innerHeight) + 1) * columns;
+    const focused = document.activeElement.closest("#cards > li")?.place ?? -1;
+    if (focused >= first - columns && focused < last + columns) {  // its neighbours are there for the Tab key
+      first = Math.min(first, Math.max(0, focused - columns));
+      last = Math.max(last, focused + columns + 1);
+    }
+    last = Math.min(rows.length, last);
     if (!anew && first === this.first && last === this.last) return;
     [this.first, this.last] = [first, last];
     const near = new Map();
