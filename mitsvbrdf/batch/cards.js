@@ -3,9 +3,9 @@
 const REST = 60;  // ms until the pictures of new cards are asked for; cards that fly past ask for none
 
 class Cards {
-  // `list`: the element; `makeCard(row)`: an <li>; a card stays as it is while its row's `stamp` is the same.
-  constructor(list, makeCard) {
-    Object.assign(this, { list, makeCard, rows: [], cards: new Map(), frame: 0, timer: 0, drawnAt: 0, width: 0 });
+  // `list`: the element; `makeCard(row)`: an <li>; a card stays as it is while its row's `stampOf(row)` is the same.
+  constructor(list, makeCard, stampOf) {
+    Object.assign(this, { list, makeCard, stampOf, rows: [], cards: new Map(), frame: 0, timer: 0, drawnAt: 0, width: 0 });
     addEventListener("scroll", () => this.later(), { passive: true });
     addEventListener("resize", () => this.later());
     list.addEventListener("focusin", () => this.draw());
@@ -57,7 +57,7 @@ class Cards {
     if (!anew && first === this.first && last === this.last) return;
     [this.first, this.last] = [first, last];
     const near = new Map();
-    for (let i = first; i < last; i++) near.set(rows[i].stamp, i);
+    for (let i = first; i < last; i++) near.set(this.stampOf(rows[i]), i);
     for (const [stamp, card] of cards) {
       if (near.has(stamp) || !anew && card.contains(document.activeElement)) continue;
       card.querySelector("img")?.removeAttribute("src");  // ends a request that is under way
