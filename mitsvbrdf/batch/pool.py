@@ -45,6 +45,12 @@ class Pool(Protocol):
         """End all workers, whatever they do."""
 
 
+def require_ray() -> None:
+    """Raise BackendError where there is no Ray."""
+    if importlib.util.find_spec("ray") is None:
+        raise BackendError("Ray", "no module ray", "pip install 'mitsvbrdf[batch]'")
+
+
 class RayPool:
     """Workers that are actors of Ray, behind a gateway: a process of its own that is started anew when it dies.
 
@@ -67,8 +73,7 @@ class RayPool:
     def __init__(self, library: str, *, address: str | None = None, workers: int | None = None, threads: int = 1,
                  memory: float | None = None, timeout: float | None = None, dashboard: bool = False,
                  log: Path | None = None, child: Sequence[str] | None = None, gateway: Sequence[str] = GATEWAY) -> None:
-        if importlib.util.find_spec("ray") is None:
-            raise BackendError("Ray", "no module ray", "pip install 'mitsvbrdf[batch]'")
+        require_ray()
         self._start = {"do": "start", "address": address, "workers": workers, "threads": threads, "memory": memory,
                        "timeout": timeout, "library": library, "dashboard": dashboard, "child": child and list(child)}
         self._command, self._log = gateway, [str(log)] if log else []
