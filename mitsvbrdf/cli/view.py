@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import webbrowser
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from ..batch.site import LibrarySite, is_library
+from ..report.live import Answer, FitSite, make_server
 from ..system.progress import say
-
-if TYPE_CHECKING:
-    from ..report.live import Answer
 
 
 def view(out: Positional[Annotated[Path, arg(help="The folder that `mitsvbrdf fit -o OUT` or `mitsvbrdf batch -o OUT` writes "
@@ -24,8 +23,6 @@ def view(out: Positional[Annotated[Path, arg(help="The folder that `mitsvbrdf fi
     neither wait for it nor change with it. A fit that starts anew in OUT is followed again. Only this machine can reach the
     address; from another one, `ssh -L 8350:localhost:8350 HOST` brings it along.
     """
-    from ..report.live import make_server
-
     site = _Followed(out)
     with make_server(site, port) as server:
         try:
@@ -44,10 +41,6 @@ class _Followed:
     """The site of a library once there is one in the folder, until then that of a fit."""
 
     def __init__(self, out: Path) -> None:
-        from ..batch.site import LibrarySite, is_library
-        from ..report.live import FitSite
-
-        self._is_library = is_library
         self.library = LibrarySite(out)
         self.fit = None if is_library(out) else FitSite(out)
 
@@ -58,6 +51,8 @@ class _Followed:
 
     def answer(self, path: str) -> Answer | None:
         """That of what is there now."""
-        if self.fit is None or self._is_library(self.library.root):
-            return self.library.answer(path)
-        return self.fit.answer(path)
+        if self.fit is not None and not is_library(self.library.root):
+            return self.fit.answer(path)
+        if path == "/state.json":  # the page of a fit asks, and loads that of the library
+            return Answer(b"null", "application/json")
+        return self.library.answer(path)

@@ -5,20 +5,13 @@ import os
 import re
 
 import pytest
-from helpers.libraries import library_of, random_rows, write_library
+from helpers.libraries import library_of, random_rows, write_whole_library
 from helpers.live_fits import served
 
 from mitsvbrdf.batch.site import LibrarySite
 from mitsvbrdf.cli.view import _Followed
 
 NAMES = ("preview.jpg", "report.html", "look.html")
-
-
-def write(folder, rows, **more):
-    """A library as a batch leaves it: page, data, and pictures of the materials that are done."""
-    write_library(folder, rows, **more)
-    (folder / "library.json").write_text(json.dumps(library_of(rows, **more)))
-    (folder / "manifest.sqlite").write_text("secret")
 
 
 @pytest.fixture
@@ -29,7 +22,7 @@ def library(tmp_path):
         row["folder"] = f"m{k}-1" if k else "a?b#c é-1"
         row |= {name: f"{row['folder']}/{file}" for name, file in (("preview", "preview.jpg"), ("report", "report.html"))
                 if row[name]}
-    write(root, rows)
+    write_whole_library(root, rows)
     return root, rows
 
 
@@ -124,7 +117,7 @@ def test_what_changes_is_seen_and_what_does_not_is_not_sent_again(library):
         new |= {"state": "done", "preview": f"{new['folder']}/preview.jpg", "report": f"{new['folder']}/report.html"}
         assert ask(f"/{gone}/report.html")[0] == 200 and ask(f"/{new['report']}")[0] == 404
         del rows[1]
-        write(root, rows)
+        write_whole_library(root, rows)
         assert ask("/library.js", If_None_Match=tag)[0] == 200
         assert ask(f"/{gone}/report.html")[0] == 404 and ask(f"/{new['report']}")[0] == 200
         for broken in ("", "[]", '{"materials": [7]}', '{"materials": 7}', "{"):
@@ -146,6 +139,6 @@ def test_a_folder_that_becomes_a_library_is_shown_as_one(tmp_path, library):
         assert ask("/state.json")[0] == 200 and b"No fit in" in ask("/state.json")[2]
         root.mkdir()
         (root / ".token").write_text("")  # a batch has begun, and not written its list yet
-        assert ask("/state.json")[0] == 404 and shown(ask)["name"] == []
-        write(root, library[1])
+        assert ask("/state.json")[2] == b"null" and shown(ask)["name"] == []
+        write_whole_library(root, library[1])
         assert len(shown(ask)["name"]) == len(library[1])

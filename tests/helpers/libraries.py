@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import json
 from pathlib import Path
 
 import cv2
@@ -92,3 +93,10 @@ def write_library(folder: Path, rows: list[dict], pictures: int | None = None, *
         (folder / row["report"]).write_text(f"<!doctype html><link rel=icon href=data:,><title>{row['name']}</title>a report")
     write_library_page(folder, library_of(rows, **more))
     return folder / "index.html"
+
+
+def write_whole_library(folder: Path, rows: list[dict]) -> None:
+    """A library as a batch leaves it: page, data, pictures of the materials that are done, ``library.json`` and a manifest."""
+    write_library(folder, rows)
+    (folder / "library.json").write_text(json.dumps(library_of(rows)))
+    (folder / "manifest.sqlite").write_text("secret")

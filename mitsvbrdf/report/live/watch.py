@@ -104,7 +104,7 @@ class Watch:
             return ("The fit ended without a result. " if shown else "A fit was left unfinished here. ") + (
                 "The same command with --resume goes on from its checkpoint." if resumes
                 else "Its terminal may say why; the same command starts it anew.")
-        return {"waiting": f"No fit in {self.out} yet. This page shows one as soon as it starts.",
+        return {"waiting": f"No fit in {self.out} yet, and no batch. This page shows one as soon as it starts.",
                 "starting": "A command is at work here; a fit shows once its first step is set up.",
                 "running": "Fitting",
                 "writing": f"The fit ended ({why}). Its result is being written.",

@@ -13,7 +13,6 @@ from helpers.live_fits import served
 
 from mitsvbrdf import cli
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.report import live
 from mitsvbrdf.report.live import ADDRESS, PORT, FitSite, Watch, make_server
 from mitsvbrdf.system import result_folder
 
@@ -119,7 +118,7 @@ def test_a_browser_that_goes_away_is_no_error(error, told, tmp_path, capfd):
 # ---- mistakes, and the command ----
 
 def test_what_is_no_fits_folder_is_refused(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(live, "make_server", lambda *_: pytest.fail("serves it"))
+    monkeypatch.setattr("mitsvbrdf.cli.view.make_server", lambda *_: pytest.fail("serves it"))
     (tmp_path / "file").write_text("")
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "00.png").write_text("")
