@@ -9,6 +9,7 @@ import contextlib
 import errno
 import json
 import os
+import shutil
 import sys
 import time
 import traceback
@@ -71,11 +72,14 @@ def fit_into_library(task: dict) -> dict:
     folder = f"{task['name']}-{task['identity'][:8]}"
     started = time.perf_counter()
     staging = place.staging(task["attempt"])
-    with local_capture(task["capture"]) as capture:
-        row = fit_capture(capture, staging, task["options"])
-    row |= {"seconds": round(time.perf_counter() - started, 3)}
-    _write_record(staging, task, row)
-    place.publish(staging, folder)
+    try:
+        with local_capture(task["capture"]) as capture:
+            row = fit_capture(capture, staging, task["options"])
+        row |= {"seconds": round(time.perf_counter() - started, 3)}
+        _write_record(staging, task, row)
+        place.publish(staging, folder)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)  # of a fit that failed, or of a result that was there before
     return row
 
 

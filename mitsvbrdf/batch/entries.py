@@ -10,11 +10,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ..capture.photo import SUFFIXES
 from ..errors import CaptureError, ConfigError
 from .address import is_url
+from .remote import is_capture, remote_captures
 
-CALIBRATIONS = ("capture.json", "camera_pos.txt")
 PATTERN = frozenset("*?[")
 
 
@@ -59,7 +58,6 @@ def name_of_source(source: str) -> str:
 def _expanded(name: str, own: tuple[str, ...] = (), where: str = "") -> Iterator[Entry]:
     """The captures of one name."""
     if is_url(name):
-        from .remote import remote_captures
         yield from (Entry(url, own, where) for url in remote_captures(name))
         return
     path = Path(os.path.expanduser(name))
@@ -83,18 +81,12 @@ def _expanded(name: str, own: tuple[str, ...] = (), where: str = "") -> Iterator
 
 def _captures_in(folder: Path, where: str) -> list[Path]:
     """The folder itself where it is a capture, else the captures right inside it."""
-    if _is_capture(folder):
+    if is_capture(os.listdir(folder)):
         return [folder]
-    inside = sorted(each for each in folder.iterdir() if each.is_dir() and each.name[0] != "." and _is_capture(each))
+    inside = sorted(each for each in folder.iterdir() if each.is_dir() and each.name[0] != "." and is_capture(os.listdir(each)))
     if not inside:
         raise _wrong("a capture, or a folder of captures", f"{folder}, which has no photos", where)
     return inside
-
-
-def _is_capture(folder: Path) -> bool:
-    names = os.listdir(folder)
-    return any(name in CALIBRATIONS for name in names) or any(
-        os.path.splitext(name)[1].lower() in SUFFIXES and name[0] != "." for name in names) and "fit.json" not in names
 
 
 def _lines(path: Path) -> list[str]:

@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from ..batch.address import home_of, is_url, place_of, upload
+from ..batch.address import check_address, download, home_of, is_url, place_of, upload
 from ..batch.entries import Entry, entries
 from ..batch.manifest import FILE, Manifest
 from ..batch.place import WORK
@@ -106,15 +106,13 @@ def _with_own_options(entry: Entry, base: Asked) -> Asked:
 @contextlib.contextmanager
 def _opened(out: str) -> Iterator[tuple[Path, Manifest]]:
     """The folder of a library's manifest and page, and the manifest, for this process alone."""
+    check_address(out)
     home = home_of(out)
-    unlock = library_lock(home)
-    manifest = Manifest(home / FILE)
-    try:
-        yield home, manifest
-    finally:
-        manifest.close()
-        upload(home, out)
-        unlock()
+    with contextlib.ExitStack() as last:
+        last.callback(library_lock(home))
+        download(home, out)
+        last.callback(upload, home, out)
+        yield home, last.enter_context(contextlib.closing(Manifest(home / FILE)))
 
 
 def _pool(home: Path, library: str, settings: BatchSettings, asked: list[Asked]) -> RayPool:

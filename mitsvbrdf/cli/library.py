@@ -10,12 +10,12 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from ..batch.address import home_of, local_capture, place_of, title_of
+from ..batch.address import download, home_of, is_url, local_capture, place_of, title_of, upload
 from ..batch.library import open_library, rows, write_library
 from ..batch.manifest import FILE, Manifest
 from ..batch.prepare import library_lock
 from ..batch.where import matcher
-from ..errors import ConfigError, MitsvbrdfError
+from ..errors import ConfigError, MitsvbrdfError, OutputError
 from ..system.progress import console, progress_bar, say
 
 COLUMNS = {"error": "{:.4f}", "left_out_error": "{:.4f}", "burn_in": "{:.2f}", "seconds": "{:.1f}", "attempts": "{}"}
@@ -42,6 +42,8 @@ def library(folder: Annotated[Positional[str], arg(metavar="LIBRARY", help="What
     home = home_of(folder)
     if prune:
         return _prune(folder, home)
+    if is_url(folder):
+        _bring(folder, home)
     with contextlib.closing(open_library(home)) as manifest:
         chosen = [row for row in rows(manifest) if fits(row)]
         if verify:
@@ -91,28 +93,42 @@ def _export(library: str, chosen: Sequence[dict], formats: str, out: Path, overw
     wrong = 0
     done = [row for row in chosen if row["state"] == "done"]
     for row in done:
-        with local_capture(f"{library.rstrip('/')}/{row['folder']}") as result:
-            try:
+        try:
+            with local_capture(f"{library.rstrip('/')}/{row['folder']}") as result:
                 export_one(str(result), formats, out=out / row["folder"], overwrite=overwrite)
-            except MitsvbrdfError as error:
-                wrong += 1
-                say(f"not exported: {row['folder']}: {error}")
+        except MitsvbrdfError as error:
+            wrong += 1
+            say(f"not exported: {row['folder']}: {error}")
     say(f"exported {len(done) - wrong} of {len(done)} to {out}")
     return int(bool(wrong))
 
 
-def _prune(library: str, home: Path) -> int:
-    """Delete what is wanted no more."""
-    open_library(home).close()
-    unlock = library_lock(home)
+def _bring(library: str, home: Path) -> None:
+    """The manifest of a library behind a URL, as it is there; a batch of this machine that is at work has a newer one."""
     try:
-        with contextlib.closing(Manifest(home / FILE)) as manifest:
-            old = [row for row in manifest.materials(wanted=False) if not row["wanted"]]
-            for row in old:
-                place_of(library).remove(row["folder"])
-                manifest.forget(row["identity"])
-            write_library(home, manifest, title_of(library))
+        unlock = library_lock(home)
+    except OutputError:
+        return
+    try:
+        download(home, library)
     finally:
         unlock()
+
+
+def _prune(library: str, home: Path) -> int:
+    """Delete what is wanted no more."""
+    with contextlib.ExitStack() as last:
+        if not is_url(library):
+            open_library(home).close()  # before the lock, which would make the folder
+        last.callback(library_lock(home))
+        download(home, library)
+        open_library(home).close()
+        last.callback(upload, home, library)
+        manifest = last.enter_context(contextlib.closing(Manifest(home / FILE)))
+        old = [row for row in manifest.materials(wanted=False) if not row["wanted"]]
+        for row in old:
+            place_of(library).remove(row["folder"])
+            manifest.forget(row["identity"])
+        write_library(home, manifest, title_of(library))
     say(f"deleted {len(old)} results that newer ones took the place of")
     return 0
