@@ -57,6 +57,7 @@ def batch(capsys):
 
 def test_a_library_in_a_store_from_its_first_fit_to_its_export(store, tmp_path, capsys, monkeypatch):
     store.mkdir("library")
+    store.call_s3("put_object", Bucket="shots", Key="shot-0/", Body=b"")  # a folder, as Amazon's console makes it
     assert "2 to fit" in batch(capsys)
     first = listed(capsys)
     assert sorted(first) == ["shot-0", "shot-1"] and all(row["state"] == "done" for row in first.values())
