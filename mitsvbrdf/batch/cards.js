@@ -48,7 +48,7 @@ class Cards {
     const top = this.list.getBoundingClientRect().top, { columns, step, rows, cards } = this;
     const line = (y) => Math.max(0, Math.floor((y - top) / step));
     let first = line(-0.5 * innerHeight) * columns, last = (line(1.5 * innerHeight) + 1) * columns;
-    const focused = document.activeElement.closest("#cards > li")?.place ?? -1;
+    const focused = document.activeElement?.closest("#cards > li")?.place ?? -1;
     if (focused >= first - columns && focused < last + columns) {  // its neighbours are there for the Tab key
       first = Math.min(first, Math.max(0, focused - columns));
       last = Math.max(last, focused + columns + 1);
