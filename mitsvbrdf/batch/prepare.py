@@ -40,6 +40,7 @@ class Asked:
         options: the others.
         pages: whether its page and pictures are written.
         tags: words to find it by.
+        sheet: size in cm of the printed sheet in raw photos; None where there is none.
     """
 
     entry: Entry
@@ -47,11 +48,13 @@ class Asked:
     options: FitOptions
     pages: bool
     tags: tuple[str, ...]
+    sheet: float | None = None
 
     @property
     def record(self) -> dict:
         """What a worker is told, and what the identity is made of."""
-        return {"config": config_record(self.config), "options": asdict(self.options), "pages": self.pages}
+        return {"config": config_record(self.config), "options": asdict(self.options), "pages": self.pages,
+                "sheet": self.sheet}
 
     @property
     def cost(self) -> float:
