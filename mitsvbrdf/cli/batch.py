@@ -44,8 +44,8 @@ def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help
           pages: Annotated[Literal["all", "none"], arg(help="none: maps, uncertainty, fit.json and preview alone, in a tenth "
                                                             "of the space.")] = "all",
           tag: UseAppendAction[Annotated[tuple[str, ...], arg(help="A word to find these materials by; repeatable.")]] = (),
-          sheet: Annotated[float | None, arg(metavar="CM", help="In raw photos a printed sheet of tags lies around the material: "
-                                                                "its measured size.")] = None) -> int:
+          sheet: Annotated[float | None, arg(metavar="CM", help="In raw photos a printed sheet of tags lies around the "
+                                                                "material: its measured size.")] = None) -> int:
     """Fit many captures into one library, whatever dies on the way.
 
     `mitsvbrdf batch shots/ -o library` fits each capture in shots/; the options are those of `mitsvbrdf fit`. Run the same
