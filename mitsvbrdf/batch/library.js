@@ -146,7 +146,7 @@ function showDetails(row) {
   if (row.preview) image.src = row.preview;
   else image.removeAttribute("src");
   image.alt = `${row.name}, lit`;
-  const log = row.state === "failed" && row.address ? row.address + "/log.txt" : null;
+  const log = row.state === "failed" && row.address && !where.served ? row.address + "/log.txt" : null;
   links.replaceChildren(...[["Report", row.report], ["Picture alone", row.preview], ["Log", log]]
     .filter(([, to]) => to).map(([name, to]) => make("a", { href: to }, name)));
   const memory = numberOf(row, "memory");
@@ -199,6 +199,9 @@ function showAbout() {
 function isLive() {
   return location.protocol.startsWith("http") && states.running + states.pending > 0;
 }
+function follows() {
+  return where.served || isLive();
+}
 async function look() {
   const begun = performance.now();
   try {
@@ -218,7 +221,7 @@ async function look() {
     if (!(problem instanceof TypeError || problem instanceof SyntaxError)) throw problem;  // nobody there, or half a file
     $("lost").hidden = false;
   }
-  if (isLive()) setTimeout(look, Math.max(EVERY, 20 * (performance.now() - begun)));  // a large library is looked at less often
+  if (follows()) setTimeout(look, Math.max(EVERY, 20 * (performance.now() - begun)));  // a large library is looked at less often
 }
 
 // ---- Start -------------------------------------------------------------------------------------------------------------
@@ -242,5 +245,5 @@ if (!globalThis.mitsvbrdfLibrary) {
   addEventListener("scroll", keep, { passive: true });
   addEventListener("pagehide", keepNow);
   addEventListener("hashchange", follow);
-  if (isLive()) setTimeout(look, EVERY);
+  if (follows()) setTimeout(look, EVERY);
 }

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from urllib.parse import quote
 
-from ..pages.page import write_page
+from ..pages.page import page_text
 from ..system import files
 from .where import SEARCHED, STATES, described
 
@@ -45,9 +45,19 @@ def write_library_page(folder: Path, library: dict) -> None:
         OutputError: the folder cannot be written.
     """
     files.write_bytes(Path(folder) / DATA_FILE, data_script(library).encode())
-    write_page(Path(folder) / PAGE_FILE, "batch/library.html", title=library["title"], sorts=SORTS, data_file=DATA_FILE,
-               fields=described(), nonce=secrets.token_urlsafe(16),
-               asked=_json({"fields": described(), "states": STATES, "searched": SEARCHED}))
+    files.write_bytes(Path(folder) / PAGE_FILE, library_page(library["title"], secrets.token_urlsafe(16)).encode())
+
+
+def library_page(title: str, nonce: str, served: bool = False) -> str:
+    """The page without its data.
+
+    Args:
+        title: of the library.
+        nonce: of its scripts.
+        served: whether `mitsvbrdf view` shows it: it then looks for news also while no batch is at work.
+    """
+    return page_text("batch/library.html", title=title, sorts=SORTS, data_file=DATA_FILE, fields=described(), nonce=nonce,
+                     asked=_json({"fields": described(), "states": STATES, "searched": SEARCHED, "served": served}))
 
 
 def data_script(library: Mapping) -> str:

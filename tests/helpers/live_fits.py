@@ -10,7 +10,7 @@ import torch
 
 from helpers import ANALYTIC
 from mitsvbrdf.fit import DirectConfig, fit_svbrdf
-from mitsvbrdf.report.live import Watch, make_server
+from mitsvbrdf.report.live import FitSite, make_server
 from mitsvbrdf.system import files, images, result_folder
 
 SIDE = 16
@@ -18,9 +18,9 @@ FAST = DirectConfig(iterations=20)
 
 
 @contextmanager
-def served(out):
+def served(out, site=FitSite):
     """A function that asks the live page of this folder: (path) -> status, headers, content."""
-    with make_server(Watch(out), 0) as server:
+    with make_server(site(out), 0) as server:
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
         thread.start()
 

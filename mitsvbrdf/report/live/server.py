@@ -1,18 +1,15 @@
-"""The HTTP server of the live page: this machine alone, a handful of addresses, nothing to write to."""
+"""The HTTP server of live pages: this machine alone, the addresses of one :class:`Site`, nothing to write to."""
 
 from __future__ import annotations
 
 import hashlib
-import json
 import os
-import secrets
 import sys
+from dataclasses import dataclass
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any
+from typing import Any, Protocol
 
 from ...errors import ConfigError
-from ...pages.page import page_text
-from .watch import REPORT_FILE, SHEET_FILE, Watch
 
 ADDRESS = "127.0.0.1"
 PORT = 8350  # the same each time, so that an open tab or a forwarded port finds the next server too
@@ -25,14 +22,48 @@ REPORT_POLICY = "default-src 'none'; script-src 'unsafe-inline' blob:; style-src
           "form-action 'none'; frame-ancestors 'self'"
 
 
+HTML = "text/html; charset=utf-8"
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What is sent for an address.
+
+    Args:
+        content: of the answer.
+        kind: its media type.
+        policy: a content security policy; pages have one.
+        again: whether it is asked for again and again, and sent only where it has changed.
+    """
+
+    content: bytes
+    kind: str
+    policy: str = ""
+    again: bool = False
+
+    @property
+    def headers(self) -> dict[str, str]:
+        """The headers that it has of its own."""
+        headers = {"Content-Security-Policy": self.policy} if self.policy else {}
+        return headers | ({"ETag": f'"{hashlib.sha256(self.content).hexdigest()[:32]}"'} if self.again else {})
+
+
+class Site(Protocol):
+    """What a server shows."""
+
+    def answer(self, path: str) -> Answer | None:
+        """The answer to an address, without its query; None where there is none. No part of it may be used as a path."""
+        ...
+
+
 class Server(ThreadingHTTPServer):
-    """Serves one :class:`Watch`; made by :func:`make_server`."""
+    """Serves one :class:`Site`; made by :func:`make_server`."""
 
     daemon_threads = True
     allow_reuse_address = os.name != "nt"  # where Windows would let two servers share a port
 
-    def __init__(self, watch: Watch, port: int) -> None:
-        self.watch = watch
+    def __init__(self, site: Site, port: int) -> None:
+        self.site = site
         super().__init__((ADDRESS, port), Handler)
 
     @property
@@ -46,11 +77,11 @@ class Server(ThreadingHTTPServer):
             super().handle_error(request, client_address)
 
 
-def make_server(watch: Watch, port: int | None = None) -> Server:
+def make_server(site: Site, port: int | None = None) -> Server:
     """A server that listens already; ``serve_forever`` answers, ``server_close`` ends it.
 
     Args:
-        watch: what to serve.
+        site: what to serve.
         port: left out, :data:`PORT`, or a free one where that is taken; 0: a free one.
 
     Raises:
@@ -59,16 +90,16 @@ def make_server(watch: Watch, port: int | None = None) -> Server:
     if port is not None and not 0 <= port < 65536:
         raise ConfigError("--port from 0 to 65535", str(port), "leave it out")
     try:
-        return Server(watch, PORT if port is None else port)
+        return Server(site, PORT if port is None else port)
     except OSError as reason:
         if port is None:
-            return Server(watch, 0)
+            return Server(site, 0)
         raise ConfigError(f"port {port} to be free", reason.strerror or str(reason),
                           "leave --port out, or name another one") from None
 
 
 class Handler(BaseHTTPRequestHandler):
-    """Answers GET and HEAD for the addresses of :meth:`answer`; no part of a request is ever used as a path."""
+    """Answers GET and HEAD for the addresses of the server's site."""
 
     server: Server
     server_version, sys_version = "mitsvbrdf", ""
@@ -77,7 +108,12 @@ class Handler(BaseHTTPRequestHandler):
     def do_GET(self) -> None:  # the name that http.server looks for
         """Answer a request that was meant for this machine."""
         if self.named_here():
-            self.answer(self.path.partition("?")[0])
+            found = self.server.site.answer(self.path.partition("?")[0])
+            if found is None:
+                return self.reply(404, b"not here\n", "text/plain", {})
+            headers = found.headers
+            same = "ETag" in headers and self.headers.get("If-None-Match") == headers["ETag"]
+            self.reply(304 if same else 200, b"" if same else found.content, found.kind, headers)
 
     do_HEAD = do_GET
 
@@ -96,37 +132,6 @@ class Handler(BaseHTTPRequestHandler):
             return True
         self.reply(403, b"served as 127.0.0.1 and localhost only\n", "text/plain", {})
         return False
-
-    def answer(self, path: str) -> None:
-        """Send the page, its state, a map, or one of the two files of a finished fit."""
-        watch = self.server.watch
-        if path == "/":
-            nonce = secrets.token_urlsafe(16)
-            page = page_text("report/live/live.html", title=watch.out.name or "mitsvbrdf", nonce=nonce).encode()
-            policy = LIVE_POLICY.format(nonce=nonce)
-            return self.reply(200, page, "text/html; charset=utf-8", {"Content-Security-Policy": policy})
-        if path == "/state.json":
-            state = json.dumps(watch.state(), allow_nan=False).encode()
-            tag = f'"{hashlib.sha256(state).hexdigest()[:32]}"'
-            same = self.headers.get("If-None-Match") == tag
-            return self.reply(304 if same else 200, b"" if same else state, "application/json", {"ETag": tag})
-        if path == f"/{REPORT_FILE}":
-            return self.file(REPORT_FILE, "text/html; charset=utf-8", {"Content-Security-Policy": REPORT_POLICY})
-        if path == f"/{SHEET_FILE}":
-            return self.file(SHEET_FILE, "image/png", {})
-        name = path.removeprefix("/maps/").removesuffix(".png")
-        picture = watch.picture(name) if path == f"/maps/{name}.png" else None
-        if picture is None:
-            return self.reply(404, b"not here\n", "text/plain", {})
-        return self.reply(200, picture, "image/png", {})
-
-    def file(self, name: str, kind: str, headers: dict[str, str]) -> None:
-        """Send a file of the folder watched."""
-        try:
-            content = (self.server.watch.out / name).read_bytes()
-        except OSError:
-            return self.reply(404, b"not here now\n", "text/plain", {})
-        return self.reply(200, content, kind, headers)
 
     def reply(self, status: int, content: bytes, kind: str, headers: dict[str, str]) -> None:
         """Send an answer with the headers that all have."""

@@ -14,7 +14,7 @@ from helpers.live_fits import served
 from mitsvbrdf import cli
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.report import live
-from mitsvbrdf.report.live import ADDRESS, PORT, Watch, make_server
+from mitsvbrdf.report.live import ADDRESS, PORT, FitSite, Watch, make_server
 from mitsvbrdf.system import result_folder
 
 # ---- the server ----
@@ -108,7 +108,7 @@ def test_pages_may_ask_nobody_else(tmp_path):
 
 @pytest.mark.parametrize("error, told", [(ConnectionResetError, False), (TimeoutError, False), (ZeroDivisionError, True)])
 def test_a_browser_that_goes_away_is_no_error(error, told, tmp_path, capfd):
-    with make_server(Watch(tmp_path), 0) as server:
+    with make_server(FitSite(tmp_path), 0) as server:
         try:
             raise error
         except error:
@@ -146,15 +146,15 @@ def test_ports(tmp_path, capsys):
         assert f"port {port} to be free" in (said := capsys.readouterr().err) and "leave --port out" in said
     for port in (-1, 65536):
         with pytest.raises(ConfigError, match="--port"):
-            make_server(Watch(tmp_path), port)
-    first, second = make_server(Watch(tmp_path)), make_server(Watch(tmp_path))  # two at once: the second takes a free one
+            make_server(FitSite(tmp_path), port)
+    first, second = make_server(FitSite(tmp_path)), make_server(FitSite(tmp_path))  # two at once: the second takes a free one
     ports = {server.server_address[1] for server in (first, second)}
     first.server_close(), second.server_close()
     assert len(ports) == 2
     with socket.socket() as probe:
         if probe.connect_ex((ADDRESS, PORT)) == 0:
             pytest.skip(f"port {PORT} is taken on this machine")
-    with make_server(Watch(tmp_path)) as server:
+    with make_server(FitSite(tmp_path)) as server:
         assert server.server_address == (ADDRESS, PORT) and server.url == f"http://127.0.0.1:{PORT}/"
 
 
@@ -172,5 +172,5 @@ def test_ctrl_c_ends_the_command_well(tmp_path):
         rest, errors = process.communicate(timeout=20)
     finally:
         process.kill()
-    assert process.returncode == 0 and rest.strip() == "ended; the fit, if one runs, goes on" and not errors
+    assert process.returncode == 0 and rest.strip() == "ended; what runs goes on" and not errors
     assert not (tmp_path / "out").exists()

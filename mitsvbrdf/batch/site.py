@@ -1,0 +1,83 @@
+"""A library in a browser of this machine, while a batch fills it and afterwards."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import stat
+import threading
+from pathlib import Path
+
+from ..report.live import HTML, LIVE_POLICY, REPORT_POLICY, Answer
+from .library import INDEX
+from .manifest import FILE
+from .page import DATA_FILE, PAGE_FILE, address, data_script, library_page
+from .prepare import TOKEN
+
+# Of a material, what is served: media type and content security policy.
+SERVED = {"preview.jpg": ("image/jpeg", ""), "report.html": (HTML, REPORT_POLICY), "look.html": (HTML, REPORT_POLICY)}
+
+
+def is_library(folder: Path) -> bool:
+    """Whether a batch has made the folder its own."""
+    return any((folder / name).is_file() for name in (FILE, TOKEN))
+
+
+class LibrarySite:
+    """The page of a library, its data, and of each material that is done its picture and reports.
+
+    Page and data are made anew from ``library.json``, so that no script of the folder runs. A request is looked up in a table
+    of addresses that is made from the same rows.
+
+    Args:
+        root: folder of the library; it need not be there yet.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = Path(os.path.abspath(root))
+        self._lock = threading.Lock()
+        self._read: tuple | None = None  # what tells one library.json from the next
+        self._script = data_script({"title": self.root.name, "materials": []}).encode()
+        self._files: dict[str, Path] = {}  # by address
+
+    def answer(self, path: str) -> Answer | None:
+        """The page, its data, or a file of a material."""
+        if path in ("/", f"/{PAGE_FILE}"):
+            nonce = secrets.token_urlsafe(16)
+            page = library_page(self.root.name, nonce, served=True)
+            return Answer(page.encode(), HTML, LIVE_POLICY.format(nonce=nonce))
+        with self._lock:
+            self._look()
+            script, file = self._script, self._files.get(path)
+        if path == f"/{DATA_FILE}":
+            return Answer(script, "text/javascript", again=True)
+        content = self._content(file) if file else None
+        return Answer(content, *SERVED[file.name]) if file and content is not None else None
+
+    def _look(self) -> None:
+        """Read ``library.json`` where it is another one; one that cannot be read changes nothing."""
+        try:
+            found = (self.root / INDEX).stat()
+            read = found.st_ino, found.st_size, found.st_mtime_ns
+            if read == self._read:
+                return
+            library = json.loads(self._content(self.root / INDEX) or b"")
+            script, folders = data_script(library).encode(), [row["folder"] for row in library["materials"]
+                                                              if row["state"] == "done"]
+            self._files = {f"/{link}/{name}": self.root / folder / name for folder in folders
+                           if (link := address(folder)) and "/" not in folder for name in SERVED}
+            self._read, self._script = read, script
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):  # gone by now, or no library's
+            return
+
+    def _content(self, file: Path) -> bytes | None:
+        """A regular file's content; None where there is none, or it lies outside of the library."""
+        try:
+            real = file.resolve(strict=True)
+            if not real.is_relative_to(self.root.resolve()):
+                return None
+            with open(os.open(real, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as opened:  # a pipe would wait
+                return opened.read() if stat.S_ISREG(os.fstat(opened.fileno()).st_mode) else None
+        except (OSError, RuntimeError):
+            return None
