@@ -54,7 +54,7 @@ def name_of_source(source: str) -> str:
     path = source.split("://", 1)[-1].rstrip("/")
     name = os.path.basename(os.path.dirname(path) if path.endswith(".json") else path)
     return "".join(letter if letter.isascii() and (letter.isalnum() or letter in "._-") else "_" for letter in name
-                   ).strip("._")[:80] or "capture"
+                   ).strip("._-")[:80] or "capture"
 
 
 def _expanded(name: str, own: tuple[str, ...] = (), where: str = "") -> Iterator[Entry]:

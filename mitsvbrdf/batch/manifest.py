@@ -119,7 +119,8 @@ class Manifest:
         """These are what the batch is about; others stay, and are wanted no more where they are of the same source.
 
         Args:
-            materials: ``identity``, ``name``, ``source``, ``asked`` (with ``folder``, where paths start), ``own`` (options of its line), ``tags``, ``cost``.
+            materials: ``identity``, ``name``, ``source``, ``asked`` (with ``folder``, where paths start), ``own``
+                (options of its line), ``tags``, ``cost``.
         """
         materials = list(materials)
         self._keep_hashes()

@@ -115,7 +115,8 @@ def register(asked: Iterable[Asked], manifest: Manifest, report: Report) -> dict
             known = identity(each.entry.source, each.record, manifest.hash_of)
             materials[known] = {
                 "identity": known, "name": name_of_source(each.entry.source), "source": each.entry.source,
-                "asked": each.record | {"folder": os.getcwd()}, "own": " ".join(each.entry.own), "tags": list(each.tags), "cost": each.cost}
+                "asked": each.record | {"folder": os.getcwd()}, "own": " ".join(each.entry.own), "tags": list(each.tags),
+                "cost": each.cost}
         except (OSError, UnicodeEncodeError) as reason:  # the second: a name that is not UTF-8, which no manifest can hold
             way_out = "check your rights to it" if isinstance(reason, OSError) else "rename it"
             unreadable[each.entry.source] = OutputError("a capture that can be read", f"{each.entry.source}: {reason}", way_out)
