@@ -9,6 +9,8 @@ import contextlib
 import errno
 import json
 import os
+import shutil
+import signal
 import sys
 import time
 import traceback
@@ -72,11 +74,14 @@ def fit_into_library(task: dict) -> dict:
     folder = f"{task['name']}-{task['identity'][:8]}"
     started = time.perf_counter()
     staging = place.staging(task["attempt"])
-    with local_capture(task["capture"]) as capture:
-        row = fit_capture(capture, staging, task["options"])
-    row |= {"seconds": round(time.perf_counter() - started, 3)}
-    _write_record(staging, task, row)
-    place.publish(staging, folder)
+    try:
+        with local_capture(task["capture"]) as capture:
+            row = fit_capture(capture, staging, task["options"])
+        row |= {"seconds": round(time.perf_counter() - started, 3)}
+        _write_record(staging, task, row)
+        place.publish(staging, folder)
+    finally:  # what failed takes no space
+        shutil.rmtree(staging, ignore_errors=True)
     return row
 
 
@@ -147,6 +152,7 @@ def use_threads() -> None:
 def main(perform: Callable[[dict], dict] = fit_into_library) -> None:
     """Run as a guard's child: the last two arguments are the pipes."""
     die_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # SIGTERM then kills: a fit would end early, and half a fit count
     from ..errors import plain_warnings
     from ..render import make_renderer
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..errors import OutputError
 from ..system.interrupts import stop_signals
 from .address import title_of
 from .library import write_library
@@ -81,17 +83,35 @@ class Batch:
             Whether it was interrupted.
         """
         with stop_signals() as stop:
+            warned = False
             while len(stop) < 2:
-                ending = bool(stop or self.trouble)
-                if not ending:
-                    self._hand_out(pool)
-                if not self.scheduler.running and (ending or not self.scheduler.waiting):
+                if not (stop or self.trouble):
+                    with self._noting():
+                        self._hand_out(pool)
+                if not self.scheduler.running and (stop or self.trouble or not self.scheduler.waiting):
                     break
+                if stop and not warned:
+                    warned = True
+                    self.tell(self.progress(), "Ctrl-C again ends what runs")
                 for event in pool.events(TURN_SECONDS):
-                    self._heard(event)
-                self._show("Ctrl-C again ends what runs" if stop else "")
-        self.write_page()
+                    with self._noting():
+                        self._heard(event)
+                with self._noting():
+                    self._show()
+        with self._noting():
+            self.manifest.interrupted()
+            self.write_page()
         return bool(stop)
+
+    @contextlib.contextmanager
+    def _noting(self) -> Iterator[None]:
+        """Where manifest or page cannot be written, nothing more is handed out, and what runs ends."""
+        try:
+            yield
+        except OutputError as reason:
+            self.trouble = self.trouble or str(reason)
+            for worker in set(self.scheduler.running) - set(self.attempts):  # not begun
+                self.scheduler.put_back(worker)
 
     def _heard(self, event: dict) -> None:
         """Take in what the pool says of a worker."""
@@ -122,6 +142,7 @@ class Batch:
             if record is None or record.get("identity") != work.identity:
                 return work
             self.manifest.adopt(work.identity, record)
+            release(self.home, folder["folder"])
             self.scheduler.found_done(worker)
             self._said(work, "done", {"reason": "", "row": record["row"], "seconds": record["row"].get("seconds")})
         return None
@@ -133,7 +154,7 @@ class Batch:
         self.idle[worker] = self.hosts[worker]
         work = self.scheduler.running[worker]
         if outcome["state"] == "full":
-            self.trouble = f"{NO_SPACE}: {outcome['reason']}"
+            self.trouble = f"{NO_SPACE}: {outcome['reason']}; free space"
             self.scheduler.put_back(worker)
             self.manifest.end(attempt, "pending", outcome)
             return
@@ -146,20 +167,24 @@ class Batch:
             self._noted(found[0], attempt, found[1], {"state": "lost", "reason": reason, "log": ""})
 
     def _noted(self, work: Work, attempt: str, verdict: str, outcome: dict) -> None:
-        """Write down how an attempt ended; a capture that failed for good goes to the quarantine."""
+        """Write down how an attempt ended, by what lies in the library; a capture that failed goes to the quarantine."""
         material = self.manifest.material(work.identity)
+        record = (self.place.record(material["folder"]) or {}) if verdict != "again" else {}
+        there = record.get("identity") == work.identity
+        if verdict == "done" and not there:
+            verdict, outcome = "failed", outcome | {"state": "failed", "reason": "its result did not appear", "row": None}
+        elif verdict == "failed" and there:  # it died after its result had appeared
+            verdict, outcome = "done", outcome | {"row": record["row"]}
         if verdict == "done":
-            record = self.place.record(material["folder"]) or {}
-            if record.get("identity") != work.identity:
-                verdict, outcome = "failed", outcome | {"state": "failed", "reason": "its result did not appear"}
-            self.manifest.end(attempt, "done" if verdict == "done" else "failed", outcome, record.get("attempt", ""))
+            self.manifest.end(attempt, "done", outcome, record["attempt"])
             release(self.home, material["folder"])
-        else:
-            self.manifest.end(attempt, "pending" if verdict == "again" else "failed", outcome)
-        if verdict == "failed":
+        elif verdict == "failed":  # first its reason: who dies here finds it waiting
             quarantine(self.home, material["folder"], {
                 "name": material["name"], "source": material["source"], "state": outcome["state"], "reason": outcome["reason"],
                 "attempts": material["attempts"]}, outcome.get("log", ""))
+            self.manifest.end(attempt, "failed", outcome)
+        else:
+            self.manifest.end(attempt, "pending", outcome)
         self._said(work, verdict, outcome)
 
     def _said(self, work: Work, verdict: str, outcome: dict) -> None:
@@ -180,9 +205,9 @@ class Batch:
         running = [self.manifest.material(work.identity)["name"] for work in self.scheduler.running.values()]
         return Progress(self.manifest.counts(), time.monotonic() - self.started, self.ended, running)
 
-    def _show(self, line: str) -> None:
+    def _show(self) -> None:
         """Tell how it stands, and write the page anew where it is time."""
-        self.tell(self.progress(), line)
+        self.tell(self.progress(), "")
         if time.monotonic() >= self._page_due:
             before = time.monotonic()
             self.write_page()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 from ..batch.address import home_of, is_url, place_of, upload
 from ..batch.entries import Entry, entries
 from ..batch.manifest import FILE, Manifest
-from ..batch.place import WORK
+from ..batch.place import WORK, clear_work
 from ..batch.pool import RayPool, require_ray
 from ..batch.prepare import Asked, Standing, library_lock, register, take_stock
 from ..batch.progress import telling
@@ -77,11 +76,10 @@ def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help
             with telling(home.name) as tell, contextlib.closing(_pool(home, library, settings, asked)) as pool:
                 work = Batch(home, library, place, manifest, Scheduler(stock.work, settings.retries), tell)
                 interrupted = work.run(pool)
-            manifest.interrupted()
             if not interrupted:
-                shutil.rmtree(home / WORK, ignore_errors=True)
+                clear_work(home)
             if work.trouble:
-                say(f"stopped: {work.trouble}; free space, and the same command goes on")
+                say(f"stopped: {work.trouble}; the same command goes on")
         return _ended(manifest, home, interrupted, len(unreadable))
 
 
@@ -109,14 +107,12 @@ def _with_own_options(entry: Entry, base: Asked) -> Asked:
 def _opened(out: str) -> Iterator[tuple[Path, Manifest]]:
     """The folder of a library's manifest and page, and the manifest, for this process alone."""
     home = home_of(out)
-    unlock = library_lock(home)
-    manifest = Manifest(home / FILE)
-    try:
+    with contextlib.ExitStack() as after:
+        after.callback(library_lock(home))
+        manifest = Manifest(home / FILE)
+        after.callback(upload, home, out)
+        after.callback(manifest.close)
         yield home, manifest
-    finally:
-        manifest.close()
-        upload(home, out)
-        unlock()
 
 
 def _pool(home: Path, library: str, settings: BatchSettings, asked: list[Asked]) -> RayPool:
