@@ -3,11 +3,12 @@
 const REST = 60;  // ms until the pictures of new cards are asked for; cards that fly past ask for none
 
 class Cards {
-  // `list`: the element; `makeCard(row)`: an <li>; a card stays as it is while its row's `stamp` is the same.
-  constructor(list, makeCard) {
-    Object.assign(this, { list, makeCard, rows: [], cards: new Map(), frame: 0, timer: 0, drawnAt: 0, width: 0 });
+  // `list`: the element; `makeCard(row)`: an <li>; a card stays as it is while its row's `stampOf(row)` is the same.
+  constructor(list, makeCard, stampOf) {
+    Object.assign(this, { list, makeCard, stampOf, rows: [], cards: new Map(), frame: 0, timer: 0, drawnAt: 0, width: 0 });
     addEventListener("scroll", () => this.later(), { passive: true });
     addEventListener("resize", () => this.later());
+    list.addEventListener("focusin", () => this.draw());
     new ResizeObserver(() => this.resized()).observe(list);
     this.measure();
   }
@@ -46,12 +47,17 @@ class Cards {
     this.frame = 0;
     const top = this.list.getBoundingClientRect().top, { columns, step, rows, cards } = this;
     const line = (y) => Math.max(0, Math.floor((y - top) / step));
-    const first = line(-0.5 * innerHeight) * columns;
-    const last = Math.min(rows.length, (line(1.5 * innerHeight) + 1) * columns);
+    let first = line(-0.5 * innerHeight) * columns, last = (line(1.5 * innerHeight) + 1) * columns;
+    const focused = document.activeElement?.closest("#cards > li")?.place ?? -1;
+    if (focused >= first - columns && focused < last + columns) {  // its neighbours are there for the Tab key
+      first = Math.min(first, Math.max(0, focused - columns));
+      last = Math.max(last, focused + columns + 1);
+    }
+    last = Math.min(rows.length, last);
     if (!anew && first === this.first && last === this.last) return;
     [this.first, this.last] = [first, last];
     const near = new Map();
-    for (let i = first; i < last; i++) near.set(rows[i].stamp, i);
+    for (let i = first; i < last; i++) near.set(this.stampOf(rows[i]), i);
     for (const [stamp, card] of cards) {
       if (near.has(stamp) || !anew && card.contains(document.activeElement)) continue;
       card.querySelector("img")?.removeAttribute("src");  // ends a request that is under way

@@ -5,6 +5,7 @@ A :class:`~mitsvbrdf.batch.guard.Guard` talks to it over two pipes and watches i
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import os
@@ -12,6 +13,7 @@ import sys
 import time
 import traceback
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -56,14 +58,16 @@ def fit_into_library(task: dict) -> dict:
     """Fit one capture, and let its result appear in the library.
 
     Args:
-        task: ``attempt``, ``name``, ``identity``, ``capture``, ``library``, and ``options``: what was asked for, as
-            :func:`asked_for` has it.
+        task: ``attempt``, ``name``, ``identity``, ``capture``, ``library``, ``folder`` where paths start, and ``options``: what
+            was asked for, as ``Asked.record`` has it.
 
     Returns:
         The row of the material: error, left_out_error, burn_in, warnings and so on.
     """
     from .address import local_capture, place_of
 
+    with contextlib.suppress(OSError):  # paths in the options start there
+        os.chdir(task["folder"])
     place = place_of(task["library"])
     folder = f"{task['name']}-{task['identity'][:8]}"
     started = time.perf_counter()
@@ -82,7 +86,7 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> dict:
     Args:
         capture: folder or JSON file.
         out: the folder to write into.
-        asked: ``config``, ``options`` and ``pages``.
+        asked: ``config``, ``options``, ``pages`` and ``sheet``.
 
     Returns:
         Its row without seconds.
@@ -94,10 +98,14 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> dict:
     from ..report.folder import write_fit
     from .library import row_of
     from .preview import write_preview
+    from .raw import rectified
 
     config, options = config_of(asked["config"]), FitOptions(**asked["options"])
-    photos = read_capture(capture, options.resolution, transfer=None if options.transfer == "auto" else options.transfer,
+    transfer = None if options.transfer == "auto" else options.transfer
+    made = rectified(capture, out / "capture", asked["sheet"], transfer)
+    photos = read_capture(made, options.resolution, transfer=transfer if made == capture else None,
                           falloff=options.light(config))
+    photos = replace(photos, source=capture)  # what it is called
     shots, shown = options.chosen(photos)
     engine = _renderer(options.renderer, options.variant)
     result = fit_svbrdf(shots, engine, config)

@@ -15,6 +15,7 @@ import math
 import os
 import queue
 import signal
+import socket
 import sys
 import threading
 import time
@@ -25,13 +26,16 @@ from pathlib import Path
 from typing import Any
 
 from .. import __version__
+from .last_rites import outlive
 from .own_ray import OwnRay
 from .worker import WorkerActor
 
 TICK_SECONDS = 2.0  # between two looks at the cluster's nodes and at idle workers
+START_SECONDS = 120.0  # for Ray to start, or to be joined
 HANG_SECONDS = 30.0  # a call of Ray that takes longer: the cluster is gone
-STOP_SECONDS = 5.0  # for an orderly end
-FAILED_STARTS = 5  # in a row, while no worker ever came up
+STOP_SECONDS = 1.0  # for an orderly end
+CHECK_ADDRESS = "check the address: that of `ray start --head`, seen from this machine"
+FAILED_STARTS = 5  # of workers, in a row
 
 
 class CannotStart(Exception):
@@ -57,16 +61,19 @@ class Gateway:
 
     Args:
         events: file descriptor to write to.
+        folder: takes what a Ray of its own writes.
     """
 
-    def __init__(self, events: int) -> None:
+    def __init__(self, events: int, folder: Path) -> None:
         self.inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self.own: OwnRay | None = None
-        self.beat = math.inf  # when the main thread was last seen, while it must not hang
-        self._events, self._workers = events, list[Worker]()
+        self.deadline = math.inf  # the main thread must be back in its loop by then
+        self._events, self._folder, self._workers = events, folder, list[Worker]()
         self._names, self._failed_starts, self._ending = 0, 0, threading.Lock()
         self._options: dict = {}
         self._token: str | None = None
+        self._home: str | None = None  # the node by which a cluster is joined
+        self._wanted = 0
 
     def start(self, options: dict) -> None:
         """Start a Ray or join one, and begin to bring workers up."""
@@ -77,32 +84,36 @@ class Gateway:
                 self._token = Path(library, ".token").read_text(encoding="utf-8")
             except OSError as error:
                 raise CannotStart(f"{library} is no library: {error.strerror} at .token", "name the library's folder") from None
-        threading.Thread(target=self._watch, daemon=True).start()
         if options["address"] is None:
-            self.own = OwnRay()
+            self.own = OwnRay(self._folder)
+        self.deadline = time.monotonic() + START_SECONDS
+        threading.Thread(target=self._watch, daemon=True).start()
         try:
             if self.own:
                 self.own.start((options["workers"] or 1) * options["threads"], options.get("dashboard", False))
             else:
-                _join(options["address"])
+                self._home = _join(options["address"])
         except Exception as error:  # Ray raises what it likes
-            raise CannotStart(f"Ray did not start: {type(error).__name__}: {str(error)[:500]}",
-                              "see the log, and `pip install 'mitsvbrdf[batch]'`") from error
+            raise CannotStart(f"Ray {'did not start' if self.own else 'is not there'}: {type(error).__name__}: "
+                              f"{str(error)[:500]}", "see the log" if self.own else CHECK_ADDRESS) from error
         signal.signal(signal.SIGTERM, lambda number, frame: self.end(0))
-        self.beat = time.monotonic()
+        self.deadline = time.monotonic() + HANG_SECONDS
+        self._look()
         self._fill()
 
     def loop(self) -> None:
         """Do what comes in, and look around every few seconds, until :meth:`end`."""
         look = time.monotonic() + TICK_SECONDS
         while True:
-            self.beat = time.monotonic() if self.beat < math.inf else math.inf
+            if self._options:
+                self.deadline = time.monotonic() + HANG_SECONDS
             try:
                 self.inbox.get(timeout=TICK_SECONDS)()
             except queue.Empty:
                 pass
-            if self.beat < math.inf and time.monotonic() > look:
+            if self._options and time.monotonic() > look:
                 look = time.monotonic() + TICK_SECONDS
+                self._look()
                 self._fill()
                 for worker in self._workers:
                     if worker.name and not worker.attempt and not worker.asked:
@@ -126,22 +137,20 @@ class Gateway:
 
     def say(self, event: dict) -> None:
         """Tell the supervisor; waits as long as it does not read."""
-        beat, self.beat = self.beat, math.inf
+        self.deadline = math.inf
         line = json.dumps(event).encode() + b"\n"
         while line:
             line = line[os.write(self._events, line):]
-        self.beat = beat if beat == math.inf else time.monotonic()
+        self.deadline = time.monotonic() + HANG_SECONDS
 
     def end(self, code: int) -> None:
         """End everything of one's own, and this process; from any thread."""
         if not self._ending.acquire(blocking=False):
             time.sleep(STOP_SECONDS)  # another thread does it
-        threading.Timer(STOP_SECONDS, os._exit, (code,)).start()
-        if self.own:
-            self.own.end()
-        elif "ray" in sys.modules:
+        if not self.own and "ray" in sys.modules:
             import ray
 
+            threading.Timer(STOP_SECONDS, os._exit, (code,)).start()
             for worker in self._workers:
                 ray.kill(worker.actor)
             ray.shutdown()
@@ -169,23 +178,26 @@ class Gateway:
         """Start actors that are missing; take back those that wait for a place which is gone."""
         import ray
 
-        wanted = self._options["workers"] or (1 if self.own else self._places())
-        while len(self._workers) < wanted:
+        while len(self._workers) < self._wanted:
             make = ray.remote(WorkerActor).options(num_cpus=self._options["threads"], max_restarts=0, max_task_retries=0,
                                              scheduling_strategy="SPREAD")
             child = [self._options["child"]] if self._options.get("child") else []  # else the default of its own node
             worker = Worker(make.remote(self._options["threads"], self._options["memory"], self._options["timeout"], *child))
             self._workers.append(worker)
             self._call(worker, worker.actor.about.remote(), self._greeted)
-        for worker in [one for one in self._workers if one.name is None][:max(0, len(self._workers) - wanted)]:
+        for worker in [one for one in self._workers if one.name is None][:max(0, len(self._workers) - self._wanted)]:
             self._workers.remove(worker)
             ray.kill(worker.actor)
 
-    def _places(self) -> int:
-        """How many workers the cluster's nodes hold."""
+    def _look(self) -> None:
+        """See how many workers there should be; without the node by which it was joined, a cluster is out of reach."""
         import ray
 
-        return sum(int(node["Resources"].get("CPU", 0) // self._options["threads"]) for node in ray.nodes() if node["Alive"])
+        nodes = {} if self.own else {node["NodeID"]: node["Resources"] for node in ray.nodes() if node["Alive"]}
+        if self._home and self._home not in nodes:
+            self.end(3)
+        places = sum(int(resources.get("CPU", 0) // self._options["threads"]) for resources in nodes.values())
+        self._wanted = self._options["workers"] or (1 if self.own else places)
 
     def _greeted(self, worker: Worker, about: dict) -> None:
         if about["version"] != __version__:
@@ -225,22 +237,29 @@ class Gateway:
             self.say({"is": "lost", "worker": worker.name, "attempt": worker.attempt, "reason": f"the worker died: {reason}"})
         else:
             self._failed_starts += 1
-            if self._failed_starts == FAILED_STARTS and not self._names:
+            if self._failed_starts == FAILED_STARTS:
                 raise CannotStart(f"no worker comes up: {reason}", "install mitsvbrdf on all nodes, and see the log")
         self._fill()
 
     def _watch(self) -> None:
         """End when Ray is gone: calls of Ray would hang for a minute."""
-        while time.monotonic() - self.beat < HANG_SECONDS and (self.own is None or self.own.alive()):
+        while time.monotonic() < self.deadline and (self.own is None or self.own.alive()):
             time.sleep(0.1)
+        if time.monotonic() >= self.deadline and not self._wanted:
+            self.say({"is": "failed", "reason": f"Ray gave no answer in {START_SECONDS:g} s", "fix": CHECK_ADDRESS})
         self.end(3)
 
 
-def _join(address: str) -> None:
+def _join(address: str) -> str | None:
+    """Join a cluster; return the node by which that was done, None for a client's connection."""
     import ray
 
     os.environ["RAY_ENABLE_UV_RUN_RUNTIME_ENV"] = "0"  # the nodes have mitsvbrdf already
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if port.isdigit():
+        socket.create_connection((host.strip("[]"), int(port)), timeout=10).close()  # Ray would try for minutes
     ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
+    return None if "://" in address else ray.get_runtime_context().get_node_id()
 
 
 def _listen(gateway: Gateway, orders: int) -> None:
@@ -252,15 +271,13 @@ def _listen(gateway: Gateway, orders: int) -> None:
     gateway.end(0)
 
 
-def main() -> None:
-    """See the module."""
+def _live(folder: Path) -> None:
     events, orders = int(sys.argv[1]), os.dup(0)
-    os.set_inheritable(events, False)  # the end of a pipe is seen only when nobody else holds it
     nothing = os.open(os.devnull, os.O_RDWR)
     log = os.open(sys.argv[2], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666) if len(sys.argv) > 2 else nothing
     for number, target in ((0, nothing), (1, log), (2, log)):
         os.dup2(target, number)
-    gateway = Gateway(events)
+    gateway = Gateway(events, folder)
     threading.Thread(target=_listen, args=(gateway, orders), daemon=True).start()
     try:
         gateway.loop()
@@ -272,5 +289,11 @@ def main() -> None:
         gateway.end(3)
 
 
+def main() -> int:
+    """See the module. The pipe of events ends when all is cleaned up."""
+    os.set_inheritable(int(sys.argv[1]), False)  # nobody else may hold it
+    return outlive(_live)
+
+
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

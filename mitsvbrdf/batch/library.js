@@ -19,7 +19,6 @@ function take(data) {
     for (const name of names) row[name] = data.columns[name][i];
     for (row.key = row.id || row.name; keys.has(row.key);) row.key += "+";
     keys.add(row.key);
-    row.stamp = [row.key, row.state, row.name, row.error, row.preview, row.report, row.reason, row.warnings?.length].join("\n");
     states[row.state]++;
     for (const tag of new Set(row.tags ?? [])) found.set(tag, (found.get(tag) ?? 0) + 1);
     return row;
@@ -31,8 +30,11 @@ function take(data) {
 // All rows in the order asked for; missing values last either way, equal ones by name.
 function ordered() {
   const id = view.sort + view.down;
-  if (!orders.has(id)) orders.set(id, view.sort === "name" ? (view.down ? rows.toReversed() : rows) : byValue(view.sort, view.down));
+  if (!orders.has(id)) orders.set(id, view.sort === "name" ? byName(view.down) : byValue(view.sort, view.down));
   return orders.get(id);
+}
+function byName(down) {
+  return down ? rows.toReversed() : rows;
 }
 function byValue(field, down) {
   const value = field === "date" ? (row) => row.date ? Date.parse(row.date) : null : (row) => numberOf(row, field);
@@ -55,7 +57,7 @@ function refresh() {
   }
   shown = ordered().filter(test);
   $("shown").textContent = problem ? problem[0].toUpperCase() + problem.slice(1) + "." :
-    shown.length === rows.length ? `${count(rows.length)} materials` : `${count(shown.length)} of ${count(rows.length)} materials`;
+    (shown.length < rows.length ? `${count(shown.length)} of ` : "") + `${count(rows.length)} materials`;
   $("shown").className = problem ? "bad" : "";
   $("none").hidden = shown.length > 0;
   $("none").textContent = rows.length ? "No material is like that." : "There are no captures yet.";
@@ -90,7 +92,8 @@ function chip(text, n, pressed, press) {
 function showChips() {
   const focused = document.activeElement, [group, name] = [focused.parentElement, focused.dataset.name];
   const terms = termsOf(view.text), others = terms.filter((term) => !/^state[:=]/i.test(term));
-  const press = (term) => () => ask({ text: (terms.includes(term) ? terms.filter((each) => each !== term) : [...terms, term]).join(" ") });
+  const without = (term) => terms.filter((each) => each !== term);
+  const press = (term) => () => ask({ text: (terms.includes(term) ? without(term) : [...terms, term]).join(" ") });
   $("states").replaceChildren(
     chip("All", rows.length, terms.length === others.length, () => ask({ text: others.join(" ") })),
     ...where.states.filter((state) => states[state]).map((state) => chip(state[0].toUpperCase() + state.slice(1), states[state],
@@ -101,11 +104,22 @@ function showChips() {
   $("tags").replaceChildren(
     ...warned ? [chip("with warnings", warned, terms.includes("warnings>0"), press("warnings>0"))] : [],
     ...listed.map(([tag, n, term]) => chip(tag, n, terms.includes(term), press(term))),
-    ...listed.length < wanted.length ? [chip("more tags", wanted.length - listed.length, false, () => { allTags = true; showChips(); })] : []);
+    ...listed.length < wanted.length ? [chip("more tags", wanted.length - listed.length, false, showAllTags)] : []);
   if (name !== undefined) [...group.children].find((button) => button.dataset.name === name)?.focus({ preventScroll: true });
 }
 
+function showAllTags() {
+  allTags = true;
+  showChips();
+}
+
 // ---- One material ------------------------------------------------------------------------------------------------------
+// All that a card shows: while it stays the same, so does the card.
+function stampOf(row) {
+  return row.stamp ??= JSON.stringify([row.key, row.state, row.name, row.error, row.preview, row.report, row.reason,
+    row.warnings?.length]);
+}
+
 function makeCard(row) {
   const picture = make("span", { class: "picture" });
   const says = row.state === "failed" ? row.reason || "failed" : row.state === "done" ? "no picture" : row.state;
@@ -136,12 +150,14 @@ function showDetails(row) {
   links.replaceChildren(...[["Report", row.report], ["Picture alone", row.preview], ["Log", log]]
     .filter(([, to]) => to).map(([name, to]) => make("a", { href: to }, name)));
   const memory = numberOf(row, "memory");
-  list.replaceChildren(...pairs([["State", row.state], ["Reason", row.reason ?? ""], ["Warnings", (row.warnings ?? []).join("\n")],
+  list.replaceChildren(...pairs([
+    ["State", row.state], ["Reason", row.reason], ["Warnings", row.warnings?.join("\n")],
     ["Error", number(row.error)], ["Left-out error", number(row.left_out_error)], ["Burn-in", number(row.burn_in)],
-    ["Time", time(row.seconds)], ["Memory", memory === null ? "" : `${memory.toFixed(2)} GiB`], ["Attempts", String(row.attempts ?? "")],
-    ["Ended", (row.date ?? "").replace("T", " ")], ["Method", row.method ?? ""], ["Resolution", row.resolution ? `${row.resolution} px` : ""],
-    ["Photos", String(row.photos ?? "")], ["Tags", (row.tags ?? []).join(", ")], ["Source", row.source ?? ""], ["Options", row.options ?? ""],
-    ["Worker", [row.worker, row.host].filter(Boolean).join(" on ")], ["Folder", row.folder ?? ""], ["Identity", row.id ?? ""]]));
+    ["Time", time(row.seconds)], ["Memory", memory && `${memory.toFixed(2)} GiB`], ["Attempts", row.attempts],
+    ["Ended", row.date?.replace("T", " ")], ["Method", row.method], ["Resolution", row.resolution && `${row.resolution} px`],
+    ["Photos", row.photos], ["Tags", row.tags?.join(", ")], ["Source", row.source], ["Options", row.options],
+    ["Worker", [row.worker, row.host].filter(Boolean).join(" on ")], ["Folder", row.folder], ["Identity", row.id],
+  ]));
   dialog.showModal();
   dialog.scrollTop = 0;
 }
@@ -206,7 +222,7 @@ async function look() {
 }
 
 // ---- Start -------------------------------------------------------------------------------------------------------------
-const cards = new Cards($("cards"), makeCard);
+const cards = new Cards($("cards"), makeCard, stampOf);
 if (!globalThis.mitsvbrdfLibrary) {
   $("none").hidden = false;
   $("none").textContent = "The file library.js, which belongs beside this page, is missing or broken.";

@@ -13,6 +13,7 @@ from .. import __version__
 from ..errors import MapsError
 from ..system.files import write_json
 from .manifest import FILE, Manifest, now
+from .place import QUARANTINE
 
 if TYPE_CHECKING:
     from ..capture import Capture
@@ -62,7 +63,7 @@ def rows(manifest: Manifest, wanted: bool = True) -> Iterator[dict]:
 
 def _row(each: sqlite3.Row) -> dict:
     asked, known = json.loads(each["asked"]), json.loads(each["row"] or "null") or {}
-    folder = each["folder"]
+    folder = each["folder"] if each["state"] != "failed" else f"{QUARANTINE}/{each['folder']}"
 
     def inside(name: str | None) -> str | None:
         return f"{folder}/{name}" if name else None

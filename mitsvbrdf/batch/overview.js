@@ -5,6 +5,7 @@ const number = (value) => {
   const size = Math.abs(value);
   return value && (size < 1e-3 || size >= 1e4) ? value.toExponential(1) : String(+value.toPrecision(3));
 };
+const figures = (value) => value < 1000 ? number(value) : count(Math.round(value));
 const count = (value) => value.toLocaleString("en");
 const time = (s) => {
   if (s == null) return "–";
@@ -20,20 +21,23 @@ function make(name, attributes = {}, ...children) {
 }
 
 function pairs(values) {
-  return values.filter(([, value]) => value !== null && value !== "")
-    .flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)]);
+  return values.filter(([, value]) => value != null && value !== "")
+    .flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, String(value))]);
 }
 
 function showNumbers(element, rows, progress) {
   const seconds = rows.reduce((sum, row) => sum + (row.seconds ?? 0), 0), hourly = progress?.per_hour ?? perHour(rows);
-  const values = [["Captures", count(rows.length)], ["Hours of fits", seconds ? number(seconds / 3600) : ""],
-    ["Captures an hour", hourly === null ? "" : number(hourly)]];
+  const values = [["Captures", count(rows.length)], ["Hours of fits", seconds && figures(seconds / 3600)],
+    ["Captures an hour", hourly && figures(hourly)]];
   element.replaceChildren(...values.filter(([, value]) => value).map((pair) => make("div", {}, ...pairs([pair]))));
 }
 
 // Captures ended in an hour in which at least one was at work: between two goes at a library time stands still.
 function perHour(rows) {
-  const spans = rows.filter((row) => row.date && row.seconds).map((row) => [Date.parse(row.date) - 1000 * row.seconds, Date.parse(row.date)]);
+  const spans = rows.filter((row) => row.date && row.seconds).map((row) => {
+    const end = Date.parse(row.date);
+    return [end - 1000 * row.seconds, end];
+  });
   let busy = 0, until = -Infinity;
   for (const [begin, end] of spans.sort((a, b) => a[0] - b[0])) {
     busy += Math.max(0, end - Math.max(begin, until));
@@ -54,7 +58,7 @@ function showProgress(section, states, progress) {
     return part;
   }));
   const words = [`${count(ended)} of ${count(all)} ended, ${Math.floor(100 * ended / all)} %`];
-  if (progress?.per_hour != null) words.push(`${number(progress.per_hour)} captures an hour`);
+  if (progress?.per_hour != null) words.push(`${figures(progress.per_hour)} captures an hour`);
   if (progress?.left_seconds != null) words.push(`about ${time(progress.left_seconds)} left`);
   text.textContent = words.join(" · ");
 }
@@ -80,15 +84,15 @@ function showErrors(figure, all, shown) {
     element.textContent = text;
     return element;
   };
-  const bars = (numbers, kind) => draw("path", { class: kind, d: Array.from(numbers, (n, k) => n &&
-    `M${(LEFT + k * wide).toFixed(1)} ${FLOOR}v${(-Math.max(1, n / most * (FLOOR - TOP))).toFixed(1)}h${(wide - 1).toFixed(1)}V${FLOOR}z`)
-    .filter(Boolean).join("") });
+  const high = (n) => Math.max(1, n / most * (FLOOR - TOP)).toFixed(1);
+  const bar = (n, k) => n && `M${(LEFT + k * wide).toFixed(1)} ${FLOOR}v-${high(n)}h${(wide - 1).toFixed(1)}V${FLOOR}z`;
+  const bars = (numbers, kind) => draw("path", { class: kind, d: Array.from(numbers, bar).filter(Boolean).join("") });
   const marks = [0, 1 / 3, 2 / 3, 1].map((at, k) => draw("text", { x: LEFT + at * (RIGHT - LEFT), y: 104,
     "text-anchor": k === 0 ? "start" : k === 3 ? "end" : "middle" }, number(10 ** (low + at * span))));
   svg.replaceChildren(bars(heights, "all"), bars(bins(some), "shown"), ...marks);
   const at = (part) => number(some[Math.min(some.length - 1, Math.floor(part * some.length))]);
-  const words = some.length ? `Error of ${count(some.length)} materials shown: half are below ${at(0.5)}, 9 of 10 below ${at(0.9)}` :
-    "None of the materials shown has an error";
+  const words = !some.length ? "None of the materials shown has an error" :
+    `Error of ${count(some.length)} materials shown: half are below ${at(0.5)}, 9 of 10 below ${at(0.9)}`;
   figure.lastElementChild.textContent = words + ".";
   svg.setAttribute("aria-label", words + `. All lie from ${number(every[0])} to ${number(every[every.length - 1])}.`);
 }

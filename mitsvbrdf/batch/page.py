@@ -46,7 +46,8 @@ def write_library_page(folder: Path, library: dict) -> None:
     """
     files.write_bytes(Path(folder) / DATA_FILE, data_script(library).encode())
     write_page(Path(folder) / PAGE_FILE, "batch/library.html", title=library["title"], sorts=SORTS, data_file=DATA_FILE,
-               where={"fields": described(), "states": STATES, "searched": SEARCHED}, nonce=secrets.token_urlsafe(16))
+               fields=described(), nonce=secrets.token_urlsafe(16),
+               asked=_json({"fields": described(), "states": STATES, "searched": SEARCHED}))
 
 
 def data_script(library: Mapping) -> str:
@@ -55,8 +56,7 @@ def data_script(library: Mapping) -> str:
     columns = {name: [_finite(row.get(name)) for row in rows] for name in COLUMNS}
     columns |= {name: [address(row.get(path)) for row in rows] for name, path in LINKS.items()}
     data = {name: library.get(name) for name in ("title", "made", "version", "progress")} | {"columns": columns}
-    text = json.dumps(data, separators=(",", ":"), allow_nan=False)  # ASCII: no U+2028 either
-    return f"{GLOBAL} = {text.replace('<', chr(92) + 'u003c')};\n"
+    return f"{GLOBAL} = {_json(data)};\n"
 
 
 def address(path: str | None) -> str | None:
@@ -74,6 +74,11 @@ def address(path: str | None) -> str | None:
         return "/".join(quote(part, safe="", errors="surrogateescape") for part in parts)
     except UnicodeEncodeError:  # half a character: no name of a file
         return None
+
+
+def _json(value: object) -> str:
+    """JSON that may stand in a script: ASCII, so without U+2028, and nothing that looks like a tag."""
+    return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", r"\u003c")
 
 
 def _finite(value: object) -> object:

@@ -29,7 +29,7 @@ from ..errors import BackendError
 GATEWAY = (sys.executable, "-P", "-m", "mitsvbrdf.batch.gateway")
 DEATHS = 5  # of the gateway in a row, without one task done between
 LONGEST_PAUSE = 30.0  # seconds before the gateway is started anew; the first pause is 1 s, each is twice the one before
-STOP_SECONDS = 2.0  # the gateway may take so long to end in order
+STOP_SECONDS = 1.3  # the gateway may take so long to end in order, and once more after SIGTERM
 
 
 class Pool(Protocol):
@@ -122,7 +122,7 @@ class RayPool:
         """End all workers, whatever they do; never hangs."""
         if self._gateway:
             self._gateway.tell({"do": "stop"})
-            self._gateway.end(STOP_SECONDS)
+            self._gateway.end()
             self._gateway = None
         self._running, self._restart = {}, float("inf")
 
@@ -149,7 +149,7 @@ class RayPool:
 
     def _died(self) -> None:
         assert self._gateway
-        code = self._gateway.end(STOP_SECONDS)
+        code = self._gateway.end()
         reason = self._reason or f"the gateway to Ray ended with code {code}"
         self._gateway, self._reason = None, ""
         self._waiting += [_lost(worker, attempt, reason) for worker, attempt in self._running.items()]
@@ -198,11 +198,15 @@ class _Gateway:
         *lines, self._unread = self._unread.split(b"\n")
         return lines
 
-    def end(self, seconds: float) -> int:
-        """Wait at most so long for its end, then kill it with all of its group; its exit code."""
-        deadline = time.monotonic() + seconds
-        while not os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) and time.monotonic() < deadline:
-            time.sleep(0.01)
+    def end(self) -> int:
+        """Wait a little for its end, then ask for it, then kill it with all of its group; its exit code."""
+        for ask in (self._process.terminate, lambda: None):
+            deadline = time.monotonic() + STOP_SECONDS
+            while not os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT):
+                if time.monotonic() > deadline:
+                    ask()
+                    break
+                time.sleep(0.01)
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid, signal.SIGKILL)  # not reaped yet: the number is nobody else's
         with self._process:  # closes the pipe

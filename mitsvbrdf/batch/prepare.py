@@ -40,6 +40,7 @@ class Asked:
         options: the others.
         pages: whether its page and pictures are written.
         tags: words to find it by.
+        sheet: size in cm of the printed sheet in raw photos; None where there is none.
     """
 
     entry: Entry
@@ -47,11 +48,13 @@ class Asked:
     options: FitOptions
     pages: bool
     tags: tuple[str, ...]
+    sheet: float | None = None
 
     @property
     def record(self) -> dict:
         """What a worker is told, and what the identity is made of."""
-        return {"config": config_record(self.config), "options": asdict(self.options), "pages": self.pages}
+        return {"config": config_record(self.config), "options": asdict(self.options), "pages": self.pages,
+                "sheet": self.sheet}
 
     @property
     def cost(self) -> float:
@@ -182,4 +185,4 @@ def task_of(manifest: Manifest, work: Work, attempt: str, library: str) -> dict:
     """What a worker is told of a piece of work."""
     row = manifest.material(work.identity)
     return {"attempt": attempt, "name": row["name"], "identity": work.identity, "capture": row["source"], "library": library,
-            "options": json.loads(row["asked"])}
+            "folder": os.getcwd(), "options": json.loads(row["asked"])}

@@ -185,7 +185,8 @@ class Batch:
             error = f", RMSE {row['error']:.4f}" if row.get("error") is not None else ""
             line = f"{name}: done{error}, {outcome.get('seconds') or 0:.1f} s"
         else:
-            line = f"{name}: {'failed' if verdict == 'failed' else 'again, after'} {outcome['state']}: {outcome['reason']}"
+            how = "" if outcome["state"] == "failed" else f" ({outcome['state']})"
+            line = f"{name}: {'failed' if verdict == 'failed' else 'tried again'}{how}: {outcome['reason']}"
         self.tell(self.progress(), line)
 
     def progress(self) -> Progress:

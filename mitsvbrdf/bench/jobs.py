@@ -8,6 +8,7 @@ with one of its ingredients after the other taken away; ``gan`` with what lies b
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -100,6 +101,11 @@ class FitJob:
 
 
 Job = FitJob | RenderJob | CaptureJob | ReferenceJob | ScheduleJob | StepJob | SheetJob
+
+
+def key_of(job: Job) -> str:
+    """What identifies a job and what shapes its record, as text."""
+    return json.dumps([job.key, job.settings], sort_keys=True, default=str)
 
 
 def fit_jobs(suite: str, methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequence[float],

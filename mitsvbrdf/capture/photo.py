@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import CaptureError
+from ..system.images import check_size
 from ..system.profile import profiled
 
 PLAIN = (".png", ".jpg", ".jpeg")
@@ -79,6 +80,7 @@ class Photo:
                 if path.suffix.lower() in HEIC:  # decoded as it is shown; the sensor's pixels are what the lens knows
                     orientation = image.info.get("original_orientation") or 1
                     size = size[::-1] if orientation in (6, 8) else size
+        check_size(path, size, CaptureError)
         return cls(path, size, orientation if orientation in range(1, 9) else 1, read_exif(path))
 
     def pixels(self, most: int | None = None) -> np.ndarray:

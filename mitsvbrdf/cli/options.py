@@ -8,13 +8,12 @@ from __future__ import annotations
 import functools
 import os
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import arg
 
-from ..errors import CaptureError, ConfigError, OutputError
+from ..errors import ConfigError, OutputError
 from ..system import files
 from ..system.progress import progress_bar, say
 
@@ -99,21 +98,12 @@ def material_of(name: str, resolution: int = 256) -> SVBRDF:
 
 def views_of(source: str, falloff: Falloff, fit: SavedFit | None = None) -> tuple[list[str], Views]:
     """Names and views of a capture (:func:`~mitsvbrdf.evaluate.placed` where it states none), or of ``builtin:grid``."""
-    from ..capture import read_capture
-    from ..evaluate import placed
-    from ..fit.record import SavedFit
-    from ..views import nine_view_grid
+    from ..evaluate.placement import named_views
 
-    if source == "builtin:grid":
-        views = replace(nine_view_grid(), falloff=falloff)
-        return [f"{i:02d}" for i in range(len(views))], views
-    if source.startswith("builtin:"):
-        raise CaptureError("a capture folder or builtin:grid", source, "check --views")
-    read = read_capture(Path(source), falloff=falloff)
-    shots = placed(read, fit or SavedFit())
-    for note in shots.notes[len(read.notes):]:
+    names, views, notes = named_views(source, falloff, fit)
+    for note in notes:
         say(note)
-    return list(shots.names), shots.views
+    return names, views
 
 
 def fit_of_maps(maps: str | None) -> SavedFit:

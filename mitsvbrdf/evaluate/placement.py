@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from ..calibrate.estimate import self_calibrated, why_not
-from ..capture import Capture
+from ..capture import Capture, read_capture
 from ..errors import CaptureError
 from ..fit.record import SavedFit
 from ..material.maps import SVBRDF
 from ..measure.rerender import rerender
 from ..render import Renderer
-from ..views import shift_lights
+from ..views import Falloff, Views, nine_view_grid, shift_lights
 
 
 def placed(capture: Capture, fit: SavedFit) -> Capture:
@@ -50,6 +51,22 @@ def placed(capture: Capture, fit: SavedFit) -> Capture:
     camera = capture.views.camera * torch.stack([torch.ones(()), torch.ones(()), higher]) + shift
     return replace(capture, views=replace(capture.views, camera=camera, light=camera.clone(),
                                           intensity=capture.views.intensity * brighter))
+
+
+def named_views(source: str, falloff: Falloff, fit: SavedFit | None = None) -> tuple[list[str], Views, list[str]]:
+    """Names and views of a capture (:func:`placed` where it states none), or of ``builtin:grid``; and what was noticed.
+
+    Raises:
+        CaptureError: the source is neither.
+    """
+    if source == "builtin:grid":
+        views = replace(nine_view_grid(), falloff=falloff)
+        return [f"{i:02d}" for i in range(len(views))], views, []
+    if source.startswith("builtin:"):
+        raise CaptureError("a capture folder or builtin:grid", source, "check --views")
+    read = read_capture(Path(source), falloff=falloff)
+    shots = placed(read, fit or SavedFit())
+    return list(shots.names), shots.views, list(shots.notes[len(read.notes):])
 
 
 def predict(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,

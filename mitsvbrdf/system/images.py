@@ -16,6 +16,8 @@ from .. import color
 from ..errors import MitsvbrdfError
 from .files import beside, write_bytes
 
+MOST_PIXELS = 250_000_000  # the largest sensors of phones have 200 million
+
 
 def read_image(path: Path, error: type[MitsvbrdfError]) -> Tensor:
     """An image file as float32 H x W x C, row 0 at the top, RGB order.
@@ -33,12 +35,39 @@ def read_image(path: Path, error: type[MitsvbrdfError]) -> Tensor:
         raise error("an image file", f"no file at {path}", "check the name")
     if path.suffix.lower() == ".exr":
         return _read_exr(path, error)
+    check_whole(path, error)
     data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
     image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR) if data.size else None
     if image is None or image.dtype not in (np.uint8, np.uint16):
         raise error("a readable 8- or 16-bit image", f"{path}, which is none", "export it again as PNG or JPEG")
     scale = np.float32(255 if image.dtype == np.uint8 else 65535)
     return torch.from_numpy(np.ascontiguousarray(image[..., ::-1]).astype(np.float32) / scale)
+
+
+def check_whole(path: Path, error: type[MitsvbrdfError]) -> None:
+    """Raise for a PNG or JPEG that ends early or is damaged, which OpenCV only prints, or has more pixels than any photo."""
+    from PIL import Image
+
+    most, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # photos of 200 megapixels are no bombs
+    try:
+        with Image.open(path, formats=("PNG", "JPEG")) as image:
+            check_size(path, image.size, error)
+            if image.format == "PNG":
+                image.verify()  # its checksums
+            else:
+                image.draft("RGB", (image.width // 8, image.height // 8))  # reads all, and makes an eighth of it
+                image.load()
+    except (OSError, SyntaxError, ValueError) as reason:
+        raise error("a whole PNG or JPEG", f"{path}: {reason}", "copy or export it again") from None
+    finally:
+        Image.MAX_IMAGE_PIXELS = most
+
+
+def check_size(path: Path, size: tuple[int, int], error: type[MitsvbrdfError]) -> None:
+    """Raise for a picture of more pixels than any camera has, before it fills the memory."""
+    if size[0] * size[1] > MOST_PIXELS:
+        raise error(f"photos of at most {MOST_PIXELS / 1e6:.0f} megapixels",
+                    f"{path} of {size[0]} x {size[1]} pixels", "shrink it, or leave it out")
 
 
 def _read_exr(path: Path, error: type[MitsvbrdfError]) -> Tensor:

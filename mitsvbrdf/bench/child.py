@@ -1,0 +1,53 @@
+"""The process that does jobs of a benchmark for :mod:`mitsvbrdf.bench.parallel`: its tasks are kept, its kernels warm."""
+
+from __future__ import annotations
+
+import os
+
+from ..batch.child import main
+from ..errors import ConfigError, MitsvbrdfError
+from .jobs import FitJob, Job, key_of
+from .plan import Plan
+
+
+def measure(task: dict) -> dict:
+    """Do one job.
+
+    Args:
+        task: ``folder`` where paths start, ``plan``, and the job's ``key`` as text.
+
+    Returns:
+        The figures of its record, and ``seconds``.
+    """
+    os.chdir(task["folder"])
+    jobs = _jobs(Plan(**task["plan"]))
+    job = jobs.get(task["key"])
+    if job is None:
+        raise ConfigError("a job of this benchmark", task["key"], "use the same version and data on all nodes")
+    _warm_up(job)
+    return job.run()
+
+
+_made: list[tuple[Plan, dict[str, Job]]] = []
+_warm: set[tuple] = set()
+
+
+def _jobs(plan: Plan) -> dict[str, Job]:
+    """The jobs of a plan by key, made once."""
+    if not _made or _made[0][0] != plan:
+        _made[:] = [(plan, {key_of(job): job for job in plan.jobs()[0]})]
+    return _made[0][1]
+
+
+def _warm_up(job: Job) -> None:
+    """Two steps before the first fit of a shape, so that none that counts waits for kernels."""
+    if isinstance(job, FitJob) and job.shape not in _warm:
+        _warm.add(job.shape)
+        try:
+            job.warm_up()
+        except MitsvbrdfError:
+            pass  # the fit itself will say it
+
+
+if __name__ == "__main__":
+    main(measure)
