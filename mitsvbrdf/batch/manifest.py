@@ -23,7 +23,8 @@ from ..system.files import file_hash
 FILE = "manifest.sqlite"
 VERSION = 1
 HASHES_SECONDS = 5.0  # between two writings of hashes: what Ctrl-C may cost
-SHORT = 8  # letters of an identity that a folder's name has
+SHORT = 8  # letters of an identity that a folder's name has, beside the capture's
+UNIQUE = 16  # and that an attempt's name has, alone: of 100,000 captures, two are likely to share eight
 _TABLES = """
 create table if not exists materials (
   identity text primary key, name text not null, folder text not null unique, source text not null, asked text not null,
@@ -156,7 +157,7 @@ class Manifest:
             self.db.execute("update materials set state = 'running', attempts = attempts + 1, worker = ?, host = ?, "
                             "reason = '' where identity = ?", (worker, host, identity))
             count = self.db.execute("select attempts from materials where identity = ?", (identity,)).fetchone()[0]
-            attempt = f"{identity[:SHORT]}-{count}"
+            attempt = f"{identity[:UNIQUE]}-{count}"
             self.db.execute("insert into attempts (attempt, identity, worker, host, started) values (?, ?, ?, ?, ?)",
                             (attempt, identity, worker, host, now()))
         return attempt

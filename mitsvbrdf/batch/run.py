@@ -65,15 +65,19 @@ class Batch:
         manifest: what became of each capture.
         scheduler: what is left to do.
         tell: told how it stands after each end, with a line about it, and now and then with none.
+        clock: seconds since any moment.
     """
 
-    def __init__(self, home: Path, library: str, place: Place, manifest: Manifest, scheduler: Scheduler, tell: Tell) -> None:
+    def __init__(self, home: Path, library: str, place: Place, manifest: Manifest, scheduler: Scheduler, tell: Tell,
+                 clock: Callable[[], float] = time.monotonic) -> None:
         self.home, self.library, self.place, self.manifest = home, library, place, manifest
-        self.scheduler, self.tell = scheduler, tell
+        self.scheduler, self.tell, self.clock = scheduler, tell, clock
         self.idle: dict[str, str] = {}  # hosts of workers without work
         self.attempts: dict[str, str] = {}  # by worker
+        self.names: dict[str, str] = {}  # of what each worker runs
         self.hosts: dict[str, str] = {}
-        self.started, self.ended, self.trouble = time.monotonic(), 0, ""
+        self.counts = manifest.counts()  # kept here too: to count 100,000 rows at each event would take most of the time
+        self.started, self.ended, self.trouble = clock(), 0, ""
         self._page_due = 0.0
 
     def run(self, pool: Pool) -> bool:
@@ -131,8 +135,10 @@ class Batch:
             if work is None:
                 return
             attempt = self.manifest.begin(work.identity, worker, self.idle.pop(worker))
-            self.attempts[worker] = attempt
-            pool.run(worker, task_of(self.manifest, work, attempt, self.library))
+            task = task_of(self.manifest, work, attempt, self.library)
+            self.attempts[worker], self.names[worker] = attempt, task["name"]
+            self._moved("pending", "running")
+            pool.run(worker, task)
 
     def _next(self, worker: str) -> Work | None:
         """The next work that is not done yet: one whose worker was lost may have let its result appear before."""
@@ -144,11 +150,12 @@ class Batch:
             self.manifest.adopt(work.identity, record)
             release(self.home, folder["folder"])
             self.scheduler.found_done(worker)
+            self._moved("pending", "done")
             self._said(work, "done", {"reason": "", "row": record["row"], "seconds": record["row"].get("seconds")})
         return None
 
     def _finished(self, worker: str, outcome: dict) -> None:
-        attempt = self.attempts.pop(worker, None)
+        attempt, _ = self.attempts.pop(worker, None), self.names.pop(worker, "")
         if attempt is None:
             return
         self.idle[worker] = self.hosts[worker]
@@ -157,12 +164,13 @@ class Batch:
             self.trouble = f"{NO_SPACE}: {outcome['reason']}; free space"
             self.scheduler.put_back(worker)
             self.manifest.end(attempt, "pending", outcome)
+            self._moved("running", "pending")
             return
         verdict = self.scheduler.finished(worker, outcome["state"])
         self._noted(work, attempt, verdict, outcome)
 
     def _lost(self, worker: str, reason: str) -> None:
-        attempt, found = self.attempts.pop(worker, None), self.scheduler.lost(worker)
+        attempt, found, _ = self.attempts.pop(worker, None), self.scheduler.lost(worker), self.names.pop(worker, "")
         if attempt and found:
             self._noted(found[0], attempt, found[1], {"state": "lost", "reason": reason, "log": ""})
 
@@ -185,7 +193,13 @@ class Batch:
             self.manifest.end(attempt, "failed", outcome)
         else:
             self.manifest.end(attempt, "pending", outcome)
+        self._moved("running", "pending" if verdict == "again" else verdict)
         self._said(work, verdict, outcome)
+
+    def _moved(self, before: str, after: str) -> None:
+        """A capture is in another state now."""
+        self.counts[before] -= 1
+        self.counts[after] += 1
 
     def _said(self, work: Work, verdict: str, outcome: dict) -> None:
         """One line about a capture."""
@@ -202,16 +216,15 @@ class Batch:
 
     def progress(self) -> Progress:
         """How it stands now."""
-        running = [self.manifest.material(work.identity)["name"] for work in self.scheduler.running.values()]
-        return Progress(self.manifest.counts(), time.monotonic() - self.started, self.ended, running)
+        return Progress(dict(self.counts), self.clock() - self.started, self.ended, list(self.names.values()))
 
     def _show(self) -> None:
         """Tell how it stands, and write the page anew where it is time."""
         self.tell(self.progress(), "")
-        if time.monotonic() >= self._page_due:
-            before = time.monotonic()
+        if self.clock() >= self._page_due:
+            before = self.clock()
             self.write_page()
-            took = time.monotonic() - before
+            took = self.clock() - before
             self._page_due = before + took + max(PAGE_SECONDS, took / PAGE_SHARE)
 
     def write_page(self) -> None:
