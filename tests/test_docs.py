@@ -3,6 +3,7 @@
 import functools
 import re
 import shlex
+import shutil
 import tomllib
 from pathlib import Path
 
@@ -58,6 +59,10 @@ def test_readme_commands(tmp_path, monkeypatch):
     assert len(lines) >= 8
     for line in lines:
         arguments = shlex.split(shortened(line), comments=True)
+        if arguments[0] == "batch":
+            pytest.importorskip("ray")
+            shutil.copytree("photos", "shots/inlay")
+            arguments += ["--resolution", "16", "--iterations", "3"]
         if arguments[0] == "synth":
             arguments += ["--resolution", "32"]
         if arguments[0] == "fit" and "--iterations" not in arguments:

@@ -10,10 +10,12 @@ import errno
 import json
 import os
 import shutil
+import signal
 import sys
 import time
 import traceback
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -78,8 +80,8 @@ def fit_into_library(task: dict) -> dict:
         row |= {"seconds": round(time.perf_counter() - started, 3)}
         _write_record(staging, task, row)
         place.publish(staging, folder)
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)  # of a fit that failed, or of a result that was there before
+    finally:  # what failed takes no space
+        shutil.rmtree(staging, ignore_errors=True)
     return row
 
 
@@ -89,7 +91,7 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> dict:
     Args:
         capture: folder or JSON file.
         out: the folder to write into.
-        asked: ``config``, ``options`` and ``pages``.
+        asked: ``config``, ``options``, ``pages`` and ``sheet``.
 
     Returns:
         Its row without seconds.
@@ -101,10 +103,14 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> dict:
     from ..report.folder import write_fit
     from .library import row_of
     from .preview import write_preview
+    from .raw import rectified
 
     config, options = config_of(asked["config"]), FitOptions(**asked["options"])
-    photos = read_capture(capture, options.resolution, transfer=None if options.transfer == "auto" else options.transfer,
+    transfer = None if options.transfer == "auto" else options.transfer
+    made = rectified(capture, out / "capture", asked["sheet"], transfer)
+    photos = read_capture(made, options.resolution, transfer=transfer if made == capture else None,
                           falloff=options.light(config))
+    photos = replace(photos, source=capture)  # what it is called
     shots, shown = options.chosen(photos)
     engine = _renderer(options.renderer, options.variant)
     result = fit_svbrdf(shots, engine, config)
@@ -146,6 +152,7 @@ def use_threads() -> None:
 def main(perform: Callable[[dict], dict] = fit_into_library) -> None:
     """Run as a guard's child: the last two arguments are the pipes."""
     die_with_parent()
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # SIGTERM then kills: a fit would end early, and half a fit count
     from ..errors import plain_warnings
     from ..render import make_renderer
 

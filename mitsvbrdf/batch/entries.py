@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import glob
+import io
 import os
 import shlex
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -52,7 +53,7 @@ def name_of_source(source: str) -> str:
     path = source.split("://", 1)[-1].rstrip("/")
     name = os.path.basename(os.path.dirname(path) if path.endswith(".json") else path)
     return "".join(letter if letter.isascii() and (letter.isalnum() or letter in "._-") else "_" for letter in name
-                   ).strip("._")[:80] or "capture"
+                   ).strip("._-")[:80] or "capture"
 
 
 def _expanded(name: str, own: tuple[str, ...] = (), where: str = "") -> Iterator[Entry]:
@@ -66,34 +67,42 @@ def _expanded(name: str, own: tuple[str, ...] = (), where: str = "") -> Iterator
         if not matches:
             raise _wrong("captures that match", f"none like {name}", where)
         for match in matches:
-            if os.path.isdir(match) or not where and not match.endswith(".json"):
+            if os.path.isdir(match) or name.endswith(".json") or not where and not match.endswith(".json"):
                 yield from _expanded(match, own, where)
     elif path.is_dir():
         yield from (Entry(os.path.realpath(folder), own, where) for folder in _captures_in(path, where))
     elif path.suffix.lower() == ".json" and path.is_file():
         yield Entry(os.path.realpath(path), own, where)
-    elif not where and (name == "-" or path.is_file()):
-        yield from _listed(sys.stdin if name == "-" else _lines(path), "standard input" if name == "-" else name,
-                           Path() if name == "-" else path.parent)
+    elif not where and name == "-":
+        yield from _listed(_lines("standard input", sys.stdin.buffer.read), "standard input", Path())
+    elif not where and path.is_file():
+        yield from _listed(_lines(name, path.read_bytes), name, path.parent)
     else:
         raise _wrong("a folder of photos or a list file", f"nothing at {name}", where)
 
 
 def _captures_in(folder: Path, where: str) -> list[Path]:
     """The folder itself where it is a capture, else the captures right inside it."""
-    if is_capture(os.listdir(folder)):
+    if _is_capture(folder):
         return [folder]
-    inside = sorted(each for each in folder.iterdir() if each.is_dir() and each.name[0] != "." and is_capture(os.listdir(each)))
+    inside = sorted(each for each in folder.iterdir() if each.is_dir() and each.name[0] != "." and _is_capture(each))
     if not inside:
         raise _wrong("a capture, or a folder of captures", f"{folder}, which has no photos", where)
     return inside
 
 
-def _lines(path: Path) -> list[str]:
+def _is_capture(folder: Path) -> bool:
     try:
-        return path.read_text(encoding="utf-8").splitlines()
+        return is_capture(os.listdir(folder))
+    except PermissionError:
+        return True  # registering says so, and goes on with the others
+
+
+def _lines(name: str, read: Callable[[], bytes]) -> list[str]:
+    try:
+        return read().decode("utf-8-sig").splitlines()  # some editors begin a file with a mark
     except (OSError, ValueError) as reason:
-        raise CaptureError("a list of captures, one a line", f"{path}: {reason}", "write it as UTF-8 text") from None
+        raise CaptureError("a list of captures, one a line", f"{name}: {reason}", "write it as UTF-8 text") from None
 
 
 def _listed(lines: Iterable[str], name: str, base: Path) -> Iterator[Entry]:
@@ -101,12 +110,23 @@ def _listed(lines: Iterable[str], name: str, base: Path) -> Iterator[Entry]:
     for number, line in enumerate(lines, 1):
         where = f"line {number} of {name}"
         try:
-            words = shlex.split(line, comments=True)
+            words = _words(line)
         except ValueError as reason:
             raise ConfigError("a capture and its options", f"{where}: {reason}", "close the quotes") from None
         if words:
             source = words[0] if is_url(words[0]) else str(base / os.path.expanduser(words[0]))
             yield from _expanded(source, tuple(words[1:]), where)
+
+
+def _words(line: str) -> list[str]:
+    """Split as a shell does; ``#`` begins a remark where a word begins, and is a letter inside of one."""
+    stream = io.StringIO(line)
+    lexer = shlex.shlex(stream, posix=True)
+    lexer.whitespace_split, lexer.commenters = True, ""
+    words = []
+    while (rest := line[stream.tell():].lstrip()) and rest[0] != "#":
+        words.append(lexer.get_token() or "")
+    return words
 
 
 def _wrong(expected: str, got: str, where: str) -> CaptureError:

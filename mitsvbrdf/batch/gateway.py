@@ -15,6 +15,7 @@ import math
 import os
 import queue
 import signal
+import socket
 import sys
 import threading
 import time
@@ -30,8 +31,10 @@ from .own_ray import OwnRay
 from .worker import WorkerActor
 
 TICK_SECONDS = 2.0  # between two looks at the cluster's nodes and at idle workers
+START_SECONDS = 120.0  # for Ray to start, or to be joined
 HANG_SECONDS = 30.0  # a call of Ray that takes longer: the cluster is gone
 STOP_SECONDS = 1.0  # for an orderly end
+CHECK_ADDRESS = "check the address: that of `ray start --head`, seen from this machine"
 FAILED_STARTS = 5  # of workers, in a row
 
 
@@ -64,7 +67,7 @@ class Gateway:
     def __init__(self, events: int, folder: Path) -> None:
         self.inbox: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self.own: OwnRay | None = None
-        self.beat = math.inf  # when the main thread was last seen, while it must not hang
+        self.deadline = math.inf  # the main thread must be back in its loop by then
         self._events, self._folder, self._workers = events, folder, list[Worker]()
         self._names, self._failed_starts, self._ending = 0, 0, threading.Lock()
         self._options: dict = {}
@@ -81,19 +84,20 @@ class Gateway:
                 self._token = Path(library, ".token").read_text(encoding="utf-8")
             except OSError as error:
                 raise CannotStart(f"{library} is no library: {error.strerror} at .token", "name the library's folder") from None
-        threading.Thread(target=self._watch, daemon=True).start()
         if options["address"] is None:
             self.own = OwnRay(self._folder)
+        self.deadline = time.monotonic() + START_SECONDS
+        threading.Thread(target=self._watch, daemon=True).start()
         try:
             if self.own:
                 self.own.start((options["workers"] or 1) * options["threads"], options.get("dashboard", False))
             else:
                 self._home = _join(options["address"])
         except Exception as error:  # Ray raises what it likes
-            raise CannotStart(f"Ray did not start: {type(error).__name__}: {str(error)[:500]}",
-                              "see the log, and `pip install 'mitsvbrdf[batch]'`") from error
+            raise CannotStart(f"Ray {'did not start' if self.own else 'is not there'}: {type(error).__name__}: "
+                              f"{str(error)[:500]}", "see the log" if self.own else CHECK_ADDRESS) from error
         signal.signal(signal.SIGTERM, lambda number, frame: self.end(0))
-        self.beat = time.monotonic()
+        self.deadline = time.monotonic() + HANG_SECONDS
         self._look()
         self._fill()
 
@@ -101,12 +105,13 @@ class Gateway:
         """Do what comes in, and look around every few seconds, until :meth:`end`."""
         look = time.monotonic() + TICK_SECONDS
         while True:
-            self.beat = time.monotonic() if self.beat < math.inf else math.inf
+            if self._options:
+                self.deadline = time.monotonic() + HANG_SECONDS
             try:
                 self.inbox.get(timeout=TICK_SECONDS)()
             except queue.Empty:
                 pass
-            if self.beat < math.inf and time.monotonic() > look:
+            if self._options and time.monotonic() > look:
                 look = time.monotonic() + TICK_SECONDS
                 self._look()
                 self._fill()
@@ -132,11 +137,11 @@ class Gateway:
 
     def say(self, event: dict) -> None:
         """Tell the supervisor; waits as long as it does not read."""
-        beat, self.beat = self.beat, math.inf
+        self.deadline = math.inf
         line = json.dumps(event).encode() + b"\n"
         while line:
             line = line[os.write(self._events, line):]
-        self.beat = beat if beat == math.inf else time.monotonic()
+        self.deadline = time.monotonic() + HANG_SECONDS
 
     def end(self, code: int) -> None:
         """End everything of one's own, and this process; from any thread."""
@@ -238,8 +243,10 @@ class Gateway:
 
     def _watch(self) -> None:
         """End when Ray is gone: calls of Ray would hang for a minute."""
-        while time.monotonic() - self.beat < HANG_SECONDS and (self.own is None or self.own.alive()):
+        while time.monotonic() < self.deadline and (self.own is None or self.own.alive()):
             time.sleep(0.1)
+        if time.monotonic() >= self.deadline and not self._wanted:
+            self.say({"is": "failed", "reason": f"Ray gave no answer in {START_SECONDS:g} s", "fix": CHECK_ADDRESS})
         self.end(3)
 
 
@@ -248,6 +255,9 @@ def _join(address: str) -> str | None:
     import ray
 
     os.environ["RAY_ENABLE_UV_RUN_RUNTIME_ENV"] = "0"  # the nodes have mitsvbrdf already
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if port.isdigit():
+        socket.create_connection((host.strip("[]"), int(port)), timeout=10).close()  # Ray would try for minutes
     ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
     return None if "://" in address else ray.get_runtime_context().get_node_id()
 

@@ -72,6 +72,11 @@ class Guard:
         """Where this guard is: ``host``, ``pid`` and ``version``."""
         return {"host": socket.gethostname(), "pid": os.getpid(), "version": __version__}
 
+    @property
+    def child(self) -> int | None:
+        """The number of the child's process; None while there is none."""
+        return self._child.pid if self._child else None
+
     def run(self, task: dict) -> dict:
         """Run one task and wait for it; whatever it does to its child is in the outcome, and raises nothing.
 

@@ -63,7 +63,7 @@ def rows(manifest: Manifest, wanted: bool = True) -> Iterator[dict]:
 
 def _row(each: sqlite3.Row) -> dict:
     asked, known = json.loads(each["asked"]), json.loads(each["row"] or "null") or {}
-    folder = f"{QUARANTINE}/{each['folder']}" if each["state"] == "failed" else each["folder"]
+    folder = each["folder"] if each["state"] != "failed" else f"{QUARANTINE}/{each['folder']}"
 
     def inside(name: str | None) -> str | None:
         return f"{folder}/{name}" if name else None

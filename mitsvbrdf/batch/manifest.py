@@ -7,8 +7,11 @@ counts as done, whatever stands here, and so a manifest that was lost is made an
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import sqlite3
+import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -19,7 +22,9 @@ from ..system.files import file_hash
 
 FILE = "manifest.sqlite"
 VERSION = 1
-SHORT = 8  # letters of an identity that a folder's name has
+HASHES_SECONDS = 5.0  # between two writings of hashes: what Ctrl-C may cost
+SHORT = 8  # letters of an identity that a folder's name has, beside the capture's
+UNIQUE = 16  # and that an attempt's name has, alone: of 100,000 captures, two are likely to share eight
 _TABLES = """
 create table if not exists materials (
   identity text primary key, name text not null, folder text not null unique, source text not null, asked text not null,
@@ -40,6 +45,18 @@ def now() -> str:
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
+def _opened(path: Path, readonly: bool) -> tuple[sqlite3.Connection, int]:
+    """The file, and its version, 0 where it is new."""
+    db = sqlite3.connect(f"{path.resolve().as_uri()}?mode={'ro' if readonly else 'rwc'}", uri=True, timeout=30)
+    try:
+        return db, db.execute("pragma user_version").fetchone()[0]
+    except sqlite3.OperationalError:
+        db.close()
+        if not readonly:
+            raise
+    return _opened(path, readonly=False)  # a batch died in the midst of a change: whoever may write takes it back
+
+
 class Manifest:
     """The materials of a library, their attempts, and the hashes of files that did not change.
 
@@ -53,15 +70,14 @@ class Manifest:
 
     def __init__(self, path: Path, readonly: bool = False) -> None:
         self.path = path
+        self._hashes: list[tuple[str, int, int, str]] = []  # not written yet
+        self._hashes_due = 0.0
         try:
-            if readonly:
-                self.db = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=30)
-            else:
-                self.db = sqlite3.connect(path, timeout=30)
-                self.db.executescript(_TABLES)
-                self.db.execute(f"pragma user_version = {VERSION}")
+            self.db, version = _opened(path, readonly)
+            if not readonly and not version:
+                self.db.executescript(f"begin; {_TABLES} pragma user_version = {VERSION}; commit;")
+                version = VERSION
             self.db.row_factory = sqlite3.Row
-            version = self.db.execute("pragma user_version").fetchone()[0]
         except sqlite3.Error as reason:
             raise OutputError("a library's manifest", f"{path}: {reason}", "move it away; results are found again") from None
         if version != VERSION:
@@ -69,6 +85,9 @@ class Manifest:
 
     def close(self) -> None:
         """Close the file."""
+        if self._hashes:
+            with contextlib.suppress(OutputError):
+                self._keep_hashes()
         self.db.close()
 
     @contextmanager
@@ -77,26 +96,35 @@ class Manifest:
             with self.db:
                 yield
         except sqlite3.Error as reason:
-            raise OutputError(f"to write {self.path}", str(reason), "free space; the same command goes on") from None
+            raise OutputError(f"to write {self.path}", str(reason), "free space") from None
 
     def hash_of(self, path: Path) -> str:
         """A file's SHA-256, remembered for as long as its size and time of change stay."""
-        stat = path.stat()
-        known = self.db.execute("select * from hashes where path = ?", (str(path),)).fetchone()
+        stat, name = path.stat(), os.path.abspath(path)
+        known = self.db.execute("select * from hashes where path = ?", (name,)).fetchone()
         if known and (known["bytes"], known["changed"]) == (stat.st_size, stat.st_mtime_ns):
             return known["sha256"]
         found = file_hash(path)
-        self.db.execute("insert or replace into hashes values (?, ?, ?, ?)",
-                        (str(path), stat.st_size, stat.st_mtime_ns, found))
+        self._hashes.append((name, stat.st_size, stat.st_mtime_ns, found))
+        if time.monotonic() > self._hashes_due:
+            self._keep_hashes()
         return found
+
+    def _keep_hashes(self) -> None:
+        """In few transactions: each takes as long as reading a photo."""
+        with self._change():
+            self.db.executemany("insert or replace into hashes values (?, ?, ?, ?)", self._hashes)
+        self._hashes, self._hashes_due = [], time.monotonic() + HASHES_SECONDS
 
     def want(self, materials: Iterable[dict]) -> None:
         """These are what the batch is about; others stay, and are wanted no more where they are of the same source.
 
         Args:
-            materials: ``identity``, ``name``, ``source``, ``asked`` (JSON), ``own`` (options of its line), ``tags``, ``cost``.
+            materials: ``identity``, ``name``, ``source``, ``asked`` (with ``folder``, where paths start), ``own``
+                (options of its line), ``tags``, ``cost``.
         """
         materials = list(materials)
+        self._keep_hashes()
         with self._change():
             self.db.executemany("update materials set wanted = 0 where source = ?",
                                 {(each["source"],) for each in materials})
@@ -105,7 +133,7 @@ class Manifest:
                 self.db.execute(
                     "insert into materials (identity, name, folder, source, asked, own, tags, cost, wanted) values "
                     "(:identity, :name, :folder, :source, :asked, :own, :tags, :cost, 1) on conflict (identity) do update set "
-                    "source = :source, own = :own, tags = :tags, cost = :cost, wanted = 1",
+                    "source = :source, asked = :asked, own = :own, tags = :tags, cost = :cost, wanted = 1",
                     each | {"folder": folder, "asked": json.dumps(each["asked"]), "tags": json.dumps(each["tags"])})
 
     def materials(self, *states: str, wanted: bool = True) -> list[sqlite3.Row]:
@@ -129,7 +157,7 @@ class Manifest:
             self.db.execute("update materials set state = 'running', attempts = attempts + 1, worker = ?, host = ?, "
                             "reason = '' where identity = ?", (worker, host, identity))
             count = self.db.execute("select attempts from materials where identity = ?", (identity,)).fetchone()[0]
-            attempt = f"{identity[:SHORT]}-{count}"
+            attempt = f"{identity[:UNIQUE]}-{count}"
             self.db.execute("insert into attempts (attempt, identity, worker, host, started) values (?, ?, ?, ?, ?)",
                             (attempt, identity, worker, host, now()))
         return attempt

@@ -7,12 +7,15 @@ by its record, :data:`RECORD`, which is written last and without which the rest 
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import shutil
+import uuid
 from pathlib import Path
 from typing import Protocol
 
+from ..errors import OutputError
 from ..system.files import file_hash
 
 RECORD = "batch.json"  # of a result: which capture and options it is of, and what its files hold
@@ -58,28 +61,43 @@ class LocalPlace:
         folder = self.root / WORK / attempt
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
+        _begun(folder).touch()
         return folder
 
     def publish(self, staging: Path, folder: str) -> bool:
-        """One rename, after all files are on the disk; a folder that is not empty is never replaced."""
+        """One rename, after all files are on the disk; a whole result is never replaced.
+
+        Raises:
+            OutputError: a newer batch took the staging folder away meanwhile; what is there now may lack files.
+        """
         for path in (*staging.rglob("*"), staging):
             _to_disk(path)
         try:
+            _begun(staging).unlink()
+        except FileNotFoundError:
+            raise OutputError("the folder that the result was made in", f"{staging}, taken away meanwhile",
+                              "a newer batch fits this capture") from None
+        try:
             os.rename(staging, self.root / folder)
-        except OSError:
-            if self.record(folder) is None:
+        except OSError as reason:
+            if self.record(folder) is not None:
+                return False
+            if reason.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
                 raise
-            return False
-        _to_disk(self.root)
+            self.set_aside(folder)  # something that is no result has its name
+            os.rename(staging, self.root / folder)
+        with contextlib.suppress(OSError):  # it is there; some file systems cannot do this to a folder
+            _to_disk(self.root)
         return True
 
     def record(self, folder: str) -> dict | None:
         """The record in the folder."""
         try:
             found = json.loads((self.root / folder / RECORD).read_text())
-        except (OSError, ValueError):
+            kinds = {"identity": str, "attempt": str, "row": dict, "files": dict}
+            return found if all(isinstance(found[name], kind) for name, kind in kinds.items()) else None
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return None
-        return found if isinstance(found, dict) else None
 
     def damage(self, folder: str, record: dict, hashes: bool) -> str:
         """The first file that is missing or another one."""
@@ -105,6 +123,19 @@ class LocalPlace:
         """Its record first, so that half a result never passes for one."""
         (self.root / folder / RECORD).unlink(missing_ok=True)
         shutil.rmtree(self.root / folder, ignore_errors=True)
+
+
+def _begun(staging: Path) -> Path:
+    """Stands beside a staging folder for as long as it is the one that was made."""
+    return staging.with_name(f"{staging.name}.begun")
+
+
+def clear_work(home: Path) -> None:
+    """Take away all that was being made; renamed first, so that a worker that outlived its batch has nothing to publish."""
+    with contextlib.suppress(FileNotFoundError):
+        os.rename(home / WORK, home / f"{WORK}-{uuid.uuid4().hex[:8]}")
+    for old in home.glob(f"{WORK}-*"):
+        shutil.rmtree(old, ignore_errors=True)
 
 
 def _to_disk(path: Path) -> None:

@@ -19,7 +19,7 @@ from .address import is_url
 from .entries import Entry, name_of_source
 from .identity import capture_files, identity
 from .manifest import Manifest
-from .place import QUARANTINE, WORK, Place
+from .place import QUARANTINE, Place, clear_work
 from .schedule import Work
 
 TYPICAL_SECONDS = 35.0  # of the default fit: nine photos, 256 px, one thread
@@ -40,6 +40,7 @@ class Asked:
         options: the others.
         pages: whether its page and pictures are written.
         tags: words to find it by.
+        sheet: size in cm of the printed sheet in raw photos; None where there is none.
     """
 
     entry: Entry
@@ -47,11 +48,13 @@ class Asked:
     options: FitOptions
     pages: bool
     tags: tuple[str, ...]
+    sheet: float | None = None
 
     @property
     def record(self) -> dict:
         """What a worker is told, and what the identity is made of."""
-        return {"config": config_record(self.config), "options": asdict(self.options), "pages": self.pages}
+        return {"config": config_record(self.config), "options": asdict(self.options), "pages": self.pages,
+                "sheet": self.sheet}
 
     @property
     def cost(self) -> float:
@@ -74,7 +77,8 @@ def library_lock(home: Path) -> Callable[[], None]:
     from .manifest import FILE
 
     try:
-        known = not home.is_dir() or (home / FILE).exists() or {path.name for path in home.iterdir()} <= {LOCK, TOKEN}
+        known = not home.is_dir() or (home / FILE).exists() or all(
+            path.name == LOCK or path.name.startswith((TOKEN, f".{TOKEN}")) for path in home.iterdir())
         if not known or home.exists() and not home.is_dir():
             raise OutputError("a new folder or a library", f"{home}, which is neither", "choose another place")
         home.mkdir(parents=True, exist_ok=True)
@@ -111,10 +115,11 @@ def register(asked: Iterable[Asked], manifest: Manifest, report: Report) -> dict
             known = identity(each.entry.source, each.record, manifest.hash_of)
             materials[known] = {
                 "identity": known, "name": name_of_source(each.entry.source), "source": each.entry.source,
-                "asked": each.record, "own": " ".join(each.entry.own), "tags": list(each.tags), "cost": each.cost}
-        except OSError as reason:
-            unreadable[each.entry.source] = OutputError("a capture that can be read", f"{each.entry.source}: {reason}",
-                                                        "check your rights to it")
+                "asked": each.record | {"folder": os.getcwd()}, "own": " ".join(each.entry.own), "tags": list(each.tags),
+                "cost": each.cost}
+        except (OSError, UnicodeEncodeError) as reason:  # the second: a name that is not UTF-8, which no manifest can hold
+            way_out = "check your rights to it" if isinstance(reason, OSError) else "rename it"
+            unreadable[each.entry.source] = OutputError("a capture that can be read", f"{each.entry.source}: {reason}", way_out)
     manifest.want(materials.values())
     return unreadable
 
@@ -146,17 +151,18 @@ def take_stock(manifest: Manifest, place: Place, home: Path, retry_failed: bool)
         retry_failed: whether what failed is tried again.
     """
     manifest.interrupted()
-    shutil.rmtree(home / WORK, ignore_errors=True)
+    clear_work(home)
     adopted, damaged = 0, {}
-    for each in manifest.materials("done", "pending"):
+    for each in manifest.materials("done", "pending", "failed"):
         record = place.record(each["folder"])
         whole = record is not None and record.get("identity") == each["identity"]
         wrong = place.damage(each["folder"], record, hashes=False) if record and whole else "its record is missing"
         if not wrong and record:
-            if each["state"] == "pending":
+            if each["state"] != "done":
                 manifest.adopt(each["identity"], record)
+                release(home, each["folder"])
                 adopted += 1
-        elif each["state"] == "done" or record is not None:
+        elif each["state"] == "done" or record is not None and each["state"] == "pending":
             damaged[each["folder"]] = wrong
             place.set_aside(each["folder"])
             manifest.again(each["identity"], wrong)
@@ -181,5 +187,6 @@ def release(home: Path, folder: str) -> None:
 def task_of(manifest: Manifest, work: Work, attempt: str, library: str) -> dict:
     """What a worker is told of a piece of work."""
     row = manifest.material(work.identity)
+    asked = json.loads(row["asked"])
     return {"attempt": attempt, "name": row["name"], "identity": work.identity, "capture": row["source"], "library": library,
-            "folder": os.getcwd(), "options": json.loads(row["asked"])}
+            "folder": asked.pop("folder"), "options": asked}

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..errors import OutputError
 from ..system.interrupts import stop_signals
 from .address import title_of
 from .library import write_library
@@ -63,15 +65,19 @@ class Batch:
         manifest: what became of each capture.
         scheduler: what is left to do.
         tell: told how it stands after each end, with a line about it, and now and then with none.
+        clock: seconds since any moment.
     """
 
-    def __init__(self, home: Path, library: str, place: Place, manifest: Manifest, scheduler: Scheduler, tell: Tell) -> None:
+    def __init__(self, home: Path, library: str, place: Place, manifest: Manifest, scheduler: Scheduler, tell: Tell,
+                 clock: Callable[[], float] = time.monotonic) -> None:
         self.home, self.library, self.place, self.manifest = home, library, place, manifest
-        self.scheduler, self.tell = scheduler, tell
+        self.scheduler, self.tell, self.clock = scheduler, tell, clock
         self.idle: dict[str, str] = {}  # hosts of workers without work
         self.attempts: dict[str, str] = {}  # by worker
+        self.names: dict[str, str] = {}  # of what each worker runs
         self.hosts: dict[str, str] = {}
-        self.started, self.ended, self.trouble = time.monotonic(), 0, ""
+        self.counts = manifest.counts()  # kept here too: to count 100,000 rows at each event would take most of the time
+        self.started, self.ended, self.trouble = clock(), 0, ""
         self._page_due = 0.0
 
     def run(self, pool: Pool) -> bool:
@@ -81,17 +87,35 @@ class Batch:
             Whether it was interrupted.
         """
         with stop_signals() as stop:
+            warned = False
             while len(stop) < 2:
-                ending = bool(stop or self.trouble)
-                if not ending:
-                    self._hand_out(pool)
-                if not self.scheduler.running and (ending or not self.scheduler.waiting):
+                if not (stop or self.trouble):
+                    with self._noting():
+                        self._hand_out(pool)
+                if not self.scheduler.running and (stop or self.trouble or not self.scheduler.waiting):
                     break
+                if stop and not warned:
+                    warned = True
+                    self.tell(self.progress(), "Ctrl-C again ends what runs")
                 for event in pool.events(TURN_SECONDS):
-                    self._heard(event)
-                self._show("Ctrl-C again ends what runs" if stop else "")
-        self.write_page()
+                    with self._noting():
+                        self._heard(event)
+                with self._noting():
+                    self._show()
+        with self._noting():
+            self.manifest.interrupted()
+            self.write_page()
         return bool(stop)
+
+    @contextlib.contextmanager
+    def _noting(self) -> Iterator[None]:
+        """Where manifest or page cannot be written, nothing more is handed out, and what runs ends."""
+        try:
+            yield
+        except OutputError as reason:
+            self.trouble = self.trouble or str(reason)
+            for worker in set(self.scheduler.running) - set(self.attempts):  # not begun
+                self.scheduler.put_back(worker)
 
     def _heard(self, event: dict) -> None:
         """Take in what the pool says of a worker."""
@@ -111,8 +135,10 @@ class Batch:
             if work is None:
                 return
             attempt = self.manifest.begin(work.identity, worker, self.idle.pop(worker))
-            self.attempts[worker] = attempt
-            pool.run(worker, task_of(self.manifest, work, attempt, self.library))
+            task = task_of(self.manifest, work, attempt, self.library)
+            self.attempts[worker], self.names[worker] = attempt, task["name"]
+            self._moved("pending", "running")
+            pool.run(worker, task)
 
     def _next(self, worker: str) -> Work | None:
         """The next work that is not done yet: one whose worker was lost may have let its result appear before."""
@@ -122,45 +148,58 @@ class Batch:
             if record is None or record.get("identity") != work.identity:
                 return work
             self.manifest.adopt(work.identity, record)
+            release(self.home, folder["folder"])
             self.scheduler.found_done(worker)
+            self._moved("pending", "done")
             self._said(work, "done", {"reason": "", "row": record["row"], "seconds": record["row"].get("seconds")})
         return None
 
     def _finished(self, worker: str, outcome: dict) -> None:
-        attempt = self.attempts.pop(worker, None)
+        attempt, _ = self.attempts.pop(worker, None), self.names.pop(worker, "")
         if attempt is None:
             return
         self.idle[worker] = self.hosts[worker]
         work = self.scheduler.running[worker]
         if outcome["state"] == "full":
-            self.trouble = f"{NO_SPACE}: {outcome['reason']}"
+            self.trouble = f"{NO_SPACE}: {outcome['reason']}; free space"
             self.scheduler.put_back(worker)
             self.manifest.end(attempt, "pending", outcome)
+            self._moved("running", "pending")
             return
         verdict = self.scheduler.finished(worker, outcome["state"])
         self._noted(work, attempt, verdict, outcome)
 
     def _lost(self, worker: str, reason: str) -> None:
-        attempt, found = self.attempts.pop(worker, None), self.scheduler.lost(worker)
+        attempt, found, _ = self.attempts.pop(worker, None), self.scheduler.lost(worker), self.names.pop(worker, "")
         if attempt and found:
             self._noted(found[0], attempt, found[1], {"state": "lost", "reason": reason, "log": ""})
 
     def _noted(self, work: Work, attempt: str, verdict: str, outcome: dict) -> None:
-        """Write down how an attempt ended; a capture that failed for good goes to the quarantine."""
+        """Write down how an attempt ended, by what lies in the library; a capture that failed goes to the quarantine."""
         material = self.manifest.material(work.identity)
+        record = (self.place.record(material["folder"]) or {}) if verdict != "again" else {}
+        there = record.get("identity") == work.identity
+        if verdict == "done" and not there:
+            verdict, outcome = "failed", outcome | {"state": "failed", "reason": "its result did not appear", "row": None}
+        elif verdict == "failed" and there:  # it died after its result had appeared
+            verdict, outcome = "done", outcome | {"row": record["row"]}
         if verdict == "done":
-            record = self.place.record(material["folder"]) or {}
-            if record.get("identity") != work.identity:
-                verdict, outcome = "failed", outcome | {"state": "failed", "reason": "its result did not appear"}
-            self.manifest.end(attempt, "done" if verdict == "done" else "failed", outcome, record.get("attempt", ""))
+            self.manifest.end(attempt, "done", outcome, record["attempt"])
             release(self.home, material["folder"])
-        else:
-            self.manifest.end(attempt, "pending" if verdict == "again" else "failed", outcome)
-        if verdict == "failed":
+        elif verdict == "failed":  # first its reason: who dies here finds it waiting
             quarantine(self.home, material["folder"], {
                 "name": material["name"], "source": material["source"], "state": outcome["state"], "reason": outcome["reason"],
                 "attempts": material["attempts"]}, outcome.get("log", ""))
+            self.manifest.end(attempt, "failed", outcome)
+        else:
+            self.manifest.end(attempt, "pending", outcome)
+        self._moved("running", "pending" if verdict == "again" else verdict)
         self._said(work, verdict, outcome)
+
+    def _moved(self, before: str, after: str) -> None:
+        """A capture is in another state now."""
+        self.counts[before] -= 1
+        self.counts[after] += 1
 
     def _said(self, work: Work, verdict: str, outcome: dict) -> None:
         """One line about a capture."""
@@ -171,21 +210,21 @@ class Batch:
             error = f", RMSE {row['error']:.4f}" if row.get("error") is not None else ""
             line = f"{name}: done{error}, {outcome.get('seconds') or 0:.1f} s"
         else:
-            line = f"{name}: {'failed' if verdict == 'failed' else 'again, after'} {outcome['state']}: {outcome['reason']}"
+            how = "" if outcome["state"] == "failed" else f" ({outcome['state']})"
+            line = f"{name}: {'failed' if verdict == 'failed' else 'tried again'}{how}: {outcome['reason']}"
         self.tell(self.progress(), line)
 
     def progress(self) -> Progress:
         """How it stands now."""
-        running = [self.manifest.material(work.identity)["name"] for work in self.scheduler.running.values()]
-        return Progress(self.manifest.counts(), time.monotonic() - self.started, self.ended, running)
+        return Progress(dict(self.counts), self.clock() - self.started, self.ended, list(self.names.values()))
 
-    def _show(self, line: str) -> None:
+    def _show(self) -> None:
         """Tell how it stands, and write the page anew where it is time."""
-        self.tell(self.progress(), line)
-        if time.monotonic() >= self._page_due:
-            before = time.monotonic()
+        self.tell(self.progress(), "")
+        if self.clock() >= self._page_due:
+            before = self.clock()
             self.write_page()
-            took = time.monotonic() - before
+            took = self.clock() - before
             self._page_due = before + took + max(PAGE_SECONDS, took / PAGE_SHARE)
 
     def write_page(self) -> None:

@@ -81,7 +81,7 @@ class Scheduler:
         self._lost[work.identity] = lost = self._lost.get(work.identity, 0) + 1
         verdict: Verdict = "again" if lost <= self.most_lost else "failed"
         if verdict == "again":
-            self._wait(work, self._tried.get(work.identity, 0))
+            self._wait(work, self._tried.get(work.identity, 0), first=True)
         self.ended[verdict] += 1
         return work, verdict
 
@@ -93,8 +93,9 @@ class Scheduler:
     def put_back(self, worker: str) -> None:
         """The work just handed out was not begun: there is no space for its result, or nobody waits for it any more."""
         work = self.running.pop(worker)
-        self._wait(work, self._tried.get(work.identity, 0))
+        self._wait(work, self._tried.get(work.identity, 0), first=True)
 
-    def _wait(self, work: Work, tried: int) -> None:
-        heapq.heappush(self._waiting, (tried, -work.cost, self._count, work))
+    def _wait(self, work: Work, tried: int, first: bool = False) -> None:
+        """Let work wait; ``first`` among those that are as large and were tried as often."""
+        heapq.heappush(self._waiting, (tried, -work.cost, -self._count if first else self._count, work))
         self._count += 1

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -14,7 +14,7 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 from ..batch.address import check_address, download, home_of, is_url, place_of, upload
 from ..batch.entries import Entry, entries
 from ..batch.manifest import FILE, Manifest
-from ..batch.place import WORK
+from ..batch.place import WORK, clear_work
 from ..batch.pool import RayPool, require_ray
 from ..batch.prepare import Asked, Standing, library_lock, register, take_stock
 from ..batch.progress import telling
@@ -42,8 +42,9 @@ def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help
                             arg(help="How to fit; `batch --method gan --help` shows its own options.")] = "hierarchical",
           pages: Annotated[Literal["all", "none"], arg(help="none: maps, uncertainty, fit.json and preview alone, in a tenth "
                                                             "of the space.")] = "all",
-          tag: UseAppendAction[Annotated[tuple[str, ...], arg(help="A word to find these materials by; repeatable.")]] = ()
-          ) -> int:
+          tag: UseAppendAction[Annotated[tuple[str, ...], arg(help="A word to find these materials by; repeatable.")]] = (),
+          sheet: Annotated[float | None, arg(metavar="CM", help="In raw photos a printed sheet of tags lies around the "
+                                                                "material: its measured size.")] = None) -> int:
     """Fit many captures into one library, whatever dies on the way.
 
     `mitsvbrdf batch shots/ -o library` fits each capture in shots/; the options are those of `mitsvbrdf fit`. Run the same
@@ -57,7 +58,7 @@ def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help
     settings.check()
     options.check(config)
     require_ray()
-    base = Asked(Entry(""), config, options, pages == "all", tag)
+    base = Asked(Entry(""), config, options, pages == "all", tag, sheet)
     asked = [_with_own_options(entry, base) for entry in entries(captures)]
     for each in asked:
         each.options.check(each.config)
@@ -75,24 +76,23 @@ def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help
             with telling(home.name) as tell, contextlib.closing(_pool(home, library, settings, asked)) as pool:
                 work = Batch(home, library, place, manifest, Scheduler(stock.work, settings.retries), tell)
                 interrupted = work.run(pool)
-            manifest.interrupted()
             if not interrupted:
-                shutil.rmtree(home / WORK, ignore_errors=True)
+                clear_work(home)
             if work.trouble:
-                say(f"stopped: {work.trouble}; free space, and the same command goes on")
+                say(f"stopped: {work.trouble}; the same command goes on")
         return _ended(manifest, home, interrupted, len(unreadable))
 
 
 def _with_own_options(entry: Entry, base: Asked) -> Asked:
     """A capture with the options of its line beside those of the command line."""
     if not entry.own:
-        return Asked(entry, base.config, base.options, base.pages, base.tags)
+        return replace(base, entry=entry)
     import tyro
 
     def line(config: FitConfig, options: OmitArgPrefixes[FitOptions] = base.options, method: str = "",
              pages: Literal["all", "none"] = "all" if base.pages else "none",
-             tag: UseAppendAction[tuple[str, ...]] = ()) -> Asked:
-        return Asked(entry, config, options, pages == "all", (*base.tags, *tag))
+             tag: UseAppendAction[tuple[str, ...]] = (), sheet: float | None = base.sheet) -> Asked:
+        return Asked(entry, config, options, pages == "all", (*base.tags, *tag), sheet)
 
     words = with_flags(list(entry.own))
     try:

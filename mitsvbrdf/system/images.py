@@ -55,7 +55,7 @@ def check_whole(path: Path, error: type[MitsvbrdfError]) -> None:
             if image.format == "PNG":
                 image.verify()  # its checksums
             else:
-                image.draft("RGB", (image.width // 8, image.height // 8))  # reads all, and makes an eighth of it
+                image.draft("RGB", (image.width // 8 or 1, image.height // 8 or 1))  # reads all, and makes an eighth of it
                 image.load()
     except (OSError, SyntaxError, ValueError) as reason:
         raise error("a whole PNG or JPEG", f"{path}: {reason}", "copy or export it again") from None
@@ -98,7 +98,8 @@ def write_exr(path: Path, image: Tensor) -> None:
     with beside(path) as temporary:
         try:
             OpenEXR.File(header, channels).write(str(temporary))
-        except RuntimeError as reason:  # what OpenEXR makes of a full disk
+        except RuntimeError as reason:  # what OpenEXR makes of a full disk; plain bytes tell its number
+            temporary.write_bytes(pixels.tobytes())
             raise OSError(str(reason)) from None
 
 

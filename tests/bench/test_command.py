@@ -88,7 +88,7 @@ def test_interrupted_runs_go_on_with_the_same_records(out, monkeypatch, capsys):
 
 @pytest.mark.slow
 def test_quick_measures_everything(out, monkeypatch, tmp_path):
-    monkeypatch.setattr("mitsvbrdf.cli.bench.QUICK_CASES", {"sizes": (8,), "views": (1,), "samples": ()})
+    monkeypatch.setattr("mitsvbrdf.bench.plan.QUICK_CASES", {"sizes": (8,), "views": (1,), "samples": ()})
     monkeypatch.setattr("mitsvbrdf.bench.variants.VARIANTS", {"no neighbours": {"neighbours": False}})
     for suite in ("ablation", "all"):
         assert cli.main(["bench", "--quick", "--suite", suite, "--renderer", "analytic", "--resolution", "16", "--budgets",

@@ -110,6 +110,6 @@ def test_iterations_stand_side_by_side():
 @pytest.mark.parametrize("line", commands(WHOLE))
 def test_commands_are_understood(line, monkeypatch):
     asked = []
-    monkeypatch.setattr("mitsvbrdf.cli.bench._jobs", lambda suites, *_: asked.extend(suites) or ([], {}, {}))
+    monkeypatch.setattr("mitsvbrdf.bench.plan.Plan.jobs", lambda plan: asked.extend(plan.suites) or ([], {}, {}))
     monkeypatch.setattr("mitsvbrdf.bench.store.Store.write", lambda store: None)
     assert cli.main(shlex.split(line)[1:]) == 0 and asked == [shlex.split(line)[3]]

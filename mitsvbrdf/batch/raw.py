@@ -1,0 +1,43 @@
+"""Photos as a phone wrote them become a capture before they are fitted."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..capture import write_capture
+from ..capture.make import OnePlace, capture_keys, make_capture, refuse_tags
+from ..capture.page import write_quality
+from ..capture.photo import Photo, photos_in
+from ..capture.rig import LEAST_PHOTOS
+from ..color import Transfer
+from .remote import CALIBRATIONS
+
+SIDE = 1024  # pixels, of the rectified photos
+
+
+def rectified(folder: Path, out: Path, sheet: float | None, transfer: Transfer | None) -> Path:
+    """The capture to fit: of raw photos the one that is made of them, with its page; any other as it is.
+
+    Args:
+        folder: the capture's, or its JSON file.
+        out: where one is made.
+        sheet: size of the printed sheet around the material in cm; None where there is none.
+        transfer: how the photos encode light; None where they say it.
+
+    Raises:
+        CaptureError: raw photos of which none can be made.
+    """
+    if folder.is_file() or any((folder / name).is_file() for name in CALIBRATIONS):
+        return folder
+    photos = [Photo.open(path) for path in photos_in(folder)]
+    if sheet is None:
+        refuse_tags(photos)
+        if len(photos) < LEAST_PHOTOS:
+            return folder
+    try:
+        made = make_capture(photos, sheet, transfer=transfer, resolution=SIDE)
+    except OnePlace:  # rectified already, without views: the fit estimates them
+        return folder
+    write_capture(made.capture, out, capture_keys(made))
+    write_quality(made, out)
+    return out
