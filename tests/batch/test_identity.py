@@ -65,9 +65,11 @@ def test_a_capture_may_move_and_be_called_otherwise(capture, tmp_path):
 def test_it_changes_with_options_settings_and_version(capture, monkeypatch):
     record = asked(capture).record
     found = [identity_of(capture), identity_of(capture, resolution=128), identity_of(capture, views="0,1"),
-             identity_of(capture, HierarchicalConfig(budget=11.0)), identity_of(capture, HierarchicalConfig(budget=10.0, seed=1)),
+             identity_of(capture, HierarchicalConfig(budget=11.0)),
+             identity_of(capture, HierarchicalConfig(budget=10.0, seed=1)),
              identity_of(capture, GanConfig(budget=10.0)),
-             identity(str(capture), record | {"pages": True}, file_hash), identity(str(capture), record | {"sheet": 12.0}, file_hash)]
+             identity(str(capture), record | {"pages": True}, file_hash),
+             identity(str(capture), record | {"sheet": 12.0}, file_hash)]
     monkeypatch.setattr(identity_module, "__version__", "99")
     assert len({*found, identity_of(capture)}) == len(found) + 1
 

@@ -115,5 +115,5 @@ class FakePool:
         state = "done" if deed == "claimed" else deed
         row = ROW if state == "done" else None
         self._events.append({"is": "done", "worker": worker, "attempt": task["attempt"], "outcome": {
-            "state": state, "reason": "" if row else f"it {state}", "log": "the log", "seconds": 2.0, "peak_bytes": 7, "row": row,
-            "host": "here"}})
+            "state": state, "reason": "" if row else f"it {state}", "log": "the log", "seconds": 2.0, "peak_bytes": 7,
+            "row": row, "host": "here"}})
