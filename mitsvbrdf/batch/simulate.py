@@ -117,7 +117,7 @@ def simulate(cluster: Cluster, guesses: Mapping[str, float], order: Order = "lar
 
 
 def _manifest(path: Path, guesses: Mapping[str, float]) -> Manifest:
-    asked = {"config": {"method": "hierarchical"}, "options": {"resolution": 256}}
+    asked = {"config": {"method": "hierarchical"}, "options": {"resolution": 256}, "folder": "."}
     manifest = Manifest(path)
     manifest.want({"identity": known, "name": f"capture-{k:06d}", "source": f"captures/{k:06d}", "asked": asked, "own": "",
                    "tags": [], "cost": cost} for k, (known, cost) in enumerate(guesses.items()))

@@ -1,0 +1,204 @@
+"""`mitsvbrdf batch` as a whole, on Ray."""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("ray")
+
+from batch import chaos
+
+from mitsvbrdf.batch.pool import RayPool
+from mitsvbrdf.cli import batch as batch_module
+from mitsvbrdf.cli import main
+
+pytestmark = pytest.mark.slow
+SIDE = 16
+QUICK = ["--resolution", str(SIDE), *chaos.QUICKEST]
+POISONED = (sys.executable, "-P", str(Path(__file__).with_name("poisoned_child.py")))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("made")
+    chaos.make_captures(folder, 6, SIDE)
+    return folder
+
+
+@pytest.fixture
+def shots(made, tmp_path, monkeypatch):
+    """Six captures in shots/, and the test in the folder above."""
+    shutil.copytree(made, tmp_path / "shots")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path for path in sys.path if path))
+    return tmp_path / "shots"
+
+
+def run(capfd, *words, library="library"):
+    """Exit code and lines of a batch."""
+    capfd.readouterr()
+    code = main(["batch", *map(str, words), "-o", library, "--workers", "2", *QUICK])
+    said = capfd.readouterr()
+    return code, (said.out + said.err).splitlines()
+
+
+def names_in(folder):
+    return sorted(path.name for path in Path(folder).iterdir())
+
+
+def rows():
+    return {row["name"]: row for row in json.loads(Path("library/library.json").read_text())["materials"]}
+
+
+def test_a_whole_round(shots, capfd):
+    """All; nothing; a changed photo; options of its own; one refused, left alone, mended and tried again."""
+    code, said = run(capfd, "shots")
+    assert code == 0 and said[-1] == "6 done; library/index.html shows them", said
+    assert {row["state"] for row in rows().values()} == {"done"} and len(rows()) == 6
+    assert all(Path("library", row["folder"], "maps/diffuse.png").is_file() for row in rows().values())
+    assert set(names_in("library")) >= {"index.html", "library.json", "manifest.sqlite"} and ".work" not in names_in("library")
+    before = {path: path.stat().st_mtime_ns for path in Path("library").glob("*/maps/*")}
+
+    code, said = run(capfd, "shots")
+    assert code == 0 and "0 to fit into library; 6 done already" in said and said[-1].startswith("6 done")
+    assert {path: path.stat().st_mtime_ns for path in Path("library").glob("*/maps/*")} == before
+
+    first = sorted(shots.iterdir())[0].name
+    photo = shots / first / "target/00.png"
+    shutil.copy(shots / first / "target/01.png", photo)
+    code, said = run(capfd, "shots")
+    assert code == 0 and "1 to fit into library; 5 done already" in said
+    assert len(list(Path("library").glob(f"{first}-*/batch.json"))) == 2  # the former result is kept
+
+    Path("shots/list.txt").write_text(f"{first} --seed 3 --tag 'old wood'  # a remark\n")
+    code, said = run(capfd, "shots/list.txt")
+    row = rows()[first]
+    assert code == 0 and row["tags"] == ["old wood"] and row["options"] == "--seed 3 --tag old wood"
+    record = json.loads(Path("library", row["folder"], "fit.json").read_text())
+    assert record["config"]["seed"] == 3
+
+    photo.write_bytes(photo.read_bytes()[:-40])
+    code, said = run(capfd, "shots")
+    assert code == 1 and rows()[first]["state"] == "failed" and "00.png" in rows()[first]["reason"]
+    assert [name.rpartition("-")[0] for name in names_in("library/quarantine")] == [first]
+    code, said = run(capfd, "shots")
+    assert code == 1 and any("0 to fit" in line and "1 failed before (--retry-failed)" in line for line in said)
+    code, said = run(capfd, "shots", "--retry-failed")
+    assert code == 1 and any("1 to fit" in line for line in said)
+    shutil.copy(shots / first / "target/02.png", photo)
+    code, said = run(capfd, "shots")
+    assert code == 0 and rows()[first]["state"] == "done"
+
+
+def test_mistakes_are_told_before_anything_is_made(shots, capfd):
+    Path("list.txt").write_text("shots\nshots --seed minus\n")
+    for words, told in ((["nowhere"], "nothing at nowhere"), (["list.txt"], "line 2 of list.txt"),
+                        (["shots", "--timeout", "0"], "--timeout > 0"), (["shots", "--views", "x"], "photo numbers")):
+        code, said = run(capfd, *words)
+        assert code == 2 and any(told in line for line in said), (words, said)
+    assert not Path("library").exists()
+    code, said = run(capfd, "shots", library="shots")
+    assert code == 2 and "which is neither" in said[-1] and names_in("shots") == sorted(path.name for path in shots.iterdir())
+
+
+def test_a_library_beside_its_captures_behind_a_link_is_none_of_them(shots, capfd):
+    (shots.parent / "real").mkdir()
+    (shots / "library").symlink_to(shots.parent / "real")
+    for _ in range(2):
+        assert run(capfd, "shots", library="shots/library")[0] == 0
+    assert len(list((shots.parent / "real").glob("*/batch.json"))) == 6
+
+
+def test_captures_that_kill_their_worker_are_named_and_the_others_are_done(shots, capfd, monkeypatch):
+    monkeypatch.setattr(batch_module, "RayPool", functools.partial(RayPool, child=POISONED))
+    poisons = {"hang": "killed after 20.0 s, the limit", "eat": "GiB, the limit is 2 GiB", "abort": "SIGABRT",
+               "segfault": "SIGSEGV", "exit": "exit code 7"}
+    names = [path.name for path in sorted(shots.iterdir())]
+    for name, poison in zip(names, poisons):
+        (shots / name / "poison.txt").write_text(poison)
+    code, said = run(capfd, "shots", "--timeout", "20", "--memory", "2", "--retries", "1")
+    found = rows()
+    assert code == 1 and found[names[5]]["state"] == "done", said
+    for name, reason in zip(names, poisons.values()):
+        row = found[name]
+        assert (row["state"], row["attempts"]) == ("failed", 2) and reason in row["reason"], row
+        assert any(line.startswith(f"failed: {name} ") and reason in line for line in said)
+        assert Path("library", row["folder"], "reason.json").is_file()
+
+
+def test_two_batches_at_once_into_one_library(shots):
+    start = [*chaos.command(shots, Path("library"), SIDE, 1)]
+    both = [subprocess.Popen(start, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) for _ in range(2)]
+    said = [each.communicate()[0] for each in both]
+    codes = sorted(each.returncode for each in both)
+    assert codes == [0, 2], said
+    assert sum("in use by another one" in each for each in said) == 1
+    found = chaos.counted(Path("library"))
+    assert (found["folders"], found["twice"], found["torn"], found["states"]) == (6, 0, 0, {"done": 6})
+
+
+def test_ctrl_c_once_ends_in_order_and_the_same_goes_on(shots, capfd):
+    start = chaos.command(shots, Path("library"), SIDE, 1)
+    batch = subprocess.Popen(start, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    deadline = time.monotonic() + 120
+    while chaos.done_in(Path("library")) < 1 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    batch.send_signal(signal.SIGINT)
+    said = batch.communicate()[0]
+    done = chaos.done_in(Path("library"))
+    assert (batch.returncode, 1 <= done < 6) == (130, True) or (batch.returncode, done) == (0, 6), said
+    assert said.count("Ctrl-C again") <= 1 and chaos.counted(Path("library"))["torn"] == 0
+    code, said = run(capfd, "shots")
+    assert code == 0 and chaos.done_in(Path("library")) == 6
+
+
+def test_a_reader_that_has_seen_enough_stops_nothing(shots):
+    start = chaos.command(shots, Path("library"), SIDE, 2)
+    batch = subprocess.Popen(start, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    batch.stdout.close()
+    assert batch.wait(300) == 0 and chaos.done_in(Path("library")) == 6
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root may mount a small disk")
+def test_a_full_disk_loses_nothing_and_what_it_had_begun_is_done_when_there_is_space(shots, capfd):
+    disk = Path("library")
+    disk.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=512k", "none", "library"], capture_output=True).returncode:
+        pytest.skip("may not mount here")
+    try:
+        code, said = run(capfd, "shots")
+        assert code in (1, 2) and any("space" in line or "full" in line for line in said), said
+        assert not (disk / "quarantine").exists() or not names_in("library/quarantine"), said
+        subprocess.run(["mount", "-o", "remount,size=64m", "library"], check=True)
+        code, said = run(capfd, "shots")
+        found = chaos.counted(disk)
+        assert code == 0 and (found["folders"], found["torn"], found["states"]) == (6, 0, {"done": 6}), said
+    finally:
+        subprocess.run(["umount", "-l", "library"], check=True)
+
+
+def test_everything_dies_and_every_capture_is_done_once(tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path for path in sys.path if path))
+    count, captures, library = 40, tmp_path / "captures", tmp_path / "library"
+    chaos.make_captures(captures, count, SIDE)
+    start = chaos.command(captures, library, SIDE, 2)
+    found = chaos.disturbed(start, library, tmp_path / "log", worker_every=8.0, heads=1, commands=2, total=count)
+    said = (tmp_path / "log").read_text()[-3000:]
+    assert found["exit"] == 0 and found["killed"]["command"] == 2 and found["killed"]["head"] == 1, (found, said)
+    counts = chaos.counted(library)
+    assert counts["folders"] == counts["identities"] == counts["same attempt"] == counts["published"] == count, counts
+    assert counts["states"] == {"done": count} and counts["attempts"]["done"] == count and counts["left over"] == []
+    assert [counts[name] for name in ("twice", "torn", "published twice", "done twice")] == [0, 0, 0, 0], counts
+    quiet = chaos.command(captures, tmp_path / "quiet", SIDE, 2)
+    assert subprocess.run(quiet, stdout=subprocess.DEVNULL).returncode == 0
+    assert chaos.different_maps(tmp_path / "quiet", library) == []

@@ -1,0 +1,100 @@
+"""A result belongs to photos, calibration, options and version, and to nothing else."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+from helpers.batches import asked, make_capture
+
+from mitsvbrdf.batch import identity as identity_module
+from mitsvbrdf.batch.identity import capture_files, identity
+from mitsvbrdf.fit import GanConfig, HierarchicalConfig
+from mitsvbrdf.system.files import file_hash
+
+
+@pytest.fixture
+def capture(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return make_capture(tmp_path / "wood")
+
+
+def identity_of(capture, config=None, **options):
+    return identity(str(capture), asked(capture, config, **options).record, file_hash)
+
+
+def test_it_is_a_hash_and_the_same_each_time(capture):
+    assert len(identity_of(capture)) == 64 and int(identity_of(capture), 16)
+    assert identity_of(capture) == identity_of(capture)
+
+
+@pytest.mark.parametrize("change", [
+    lambda folder: (folder / "target/01.png").write_bytes(b"twO"),
+    lambda folder: (folder / "target/01.png").unlink(),
+    lambda folder: (folder / "target/02.JPG").write_bytes(b"more"),
+    lambda folder: (folder / "target/01.png").rename(folder / "target/02.png"),
+    lambda folder: (folder / "capture.json").write_text('{"target_dir": "target", "light_pow": 2}'),
+    lambda folder: (folder / "light_pos.txt").write_text("0 0 1"),
+    lambda folder: (folder / "raw.dng").write_bytes(b"beside")])
+def test_it_changes_with_photos_and_calibration(capture, change):
+    before = identity_of(capture)
+    change(capture)
+    assert identity_of(capture) != before
+
+
+@pytest.mark.parametrize("change", [
+    lambda folder: (folder / "notes.txt").write_text("mine"),
+    lambda folder: (folder / ".00.png").write_bytes(b"hidden"),
+    lambda folder: (folder / "old").mkdir(),
+    lambda folder: os.utime(folder / "target/00.png", (1, 1)),
+    lambda folder: (folder / "target/00.png").chmod(0o600)])
+def test_it_does_not_change_with_anything_else(capture, change):
+    before = identity_of(capture)
+    change(capture)
+    assert identity_of(capture) == before
+
+
+def test_a_capture_may_move_and_be_called_otherwise(capture, tmp_path):
+    before = identity_of(capture)
+    shutil.copytree(capture, tmp_path / "elsewhere/brick")
+    assert identity_of(tmp_path / "elsewhere/brick") == before
+
+
+def test_it_changes_with_options_settings_and_version(capture, monkeypatch):
+    record = asked(capture).record
+    found = [identity_of(capture), identity_of(capture, resolution=128), identity_of(capture, views="0,1"),
+             identity_of(capture, HierarchicalConfig(budget=11.0)),
+             identity_of(capture, HierarchicalConfig(budget=10.0, seed=1)),
+             identity_of(capture, GanConfig(budget=10.0)),
+             identity(str(capture), record | {"pages": True}, file_hash),
+             identity(str(capture), record | {"sheet": 12.0}, file_hash)]
+    monkeypatch.setattr(identity_module, "__version__", "99")
+    assert len({*found, identity_of(capture)}) == len(found) + 1
+
+
+def test_it_changes_with_a_file_that_an_option_names(capture):
+    config = HierarchicalConfig(fix=("normal=flat.png",))
+    missing = identity(str(capture), {"config": {"fix": config.fix}}, file_hash)
+    Path("flat.png").write_bytes(b"flat")
+    there = identity(str(capture), {"config": {"fix": config.fix}}, file_hash)
+    Path("flat.png").write_bytes(b"bumpy")
+    changed = identity(str(capture), {"config": {"fix": config.fix}}, file_hash)
+    assert len({missing, there, changed}) == 3
+
+
+def test_a_json_file_in_the_place_of_a_folder_is_read_with_its_photos(capture):
+    (capture / "other.json").write_text('{"target_dir": "target"}')
+    before = identity_of(capture / "other.json")
+    (capture / "target/00.png").write_bytes(b"new")
+    assert identity_of(capture / "other.json") != before
+    assert capture / "other.json" not in capture_files(capture)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{", '{"target_dir": 3}', '{"target_dir": "nowhere"}', '{"target_dir": "\\u0000"}',
+                                  "[" * 100_000])
+def test_a_broken_calibration_has_an_identity_and_the_fit_says_what_is_wrong(capture, text):
+    (capture / "capture.json").write_text(text)
+    assert [path.name for path in capture_files(capture)] == ["capture.json"]
+    assert len(identity_of(capture)) == 64
