@@ -22,6 +22,7 @@ from ..system.files import file_hash
 
 FILE = "manifest.sqlite"
 VERSION = 1
+IN_MEMORY = ":memory:"  # in place of a file: for simulations
 HASHES_SECONDS = 5.0  # between two writings of hashes: what Ctrl-C may cost
 SHORT = 8  # letters of an identity that a folder's name has, beside the capture's
 UNIQUE = 16  # and that an attempt's name has, alone: of 100,000 captures, two are likely to share eight
@@ -47,7 +48,8 @@ def now() -> str:
 
 def _opened(path: Path, readonly: bool) -> tuple[sqlite3.Connection, int]:
     """The file, and its version, 0 where it is new."""
-    db = sqlite3.connect(f"{path.resolve().as_uri()}?mode={'ro' if readonly else 'rwc'}", uri=True, timeout=30)
+    address = f"{path.resolve().as_uri()}?mode={'ro' if readonly else 'rwc'}" if str(path) != IN_MEMORY else f"file:{path}"
+    db = sqlite3.connect(address, uri=True, timeout=30)
     try:
         return db, db.execute("pragma user_version").fetchone()[0]
     except sqlite3.OperationalError:
