@@ -74,5 +74,5 @@ def figure(record: Mapping) -> Figure:
     panel.grid(color=CHART_GRID, linewidth=0.7)
     panel.tick_params(labelsize=8, labelcolor=CHART_TEXT, color=CHART_QUIET)
     panel.spines[["top", "right"]].set_visible(False)
-    panel.legend(frameon=False, fontsize=8, loc="center left")
+    panel.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(0, 0.66))
     return drawing
