@@ -36,6 +36,8 @@ from .virtual import HOUR, Cluster, VirtualPool
 Order = Literal["largest", "arrival", "smallest"]
 ORDERS: tuple[Order, ...] = ("largest", "arrival", "smallest")
 MEASURED = 1000  # fits that the supervisor's seconds are measured with
+SHORT = 300.0  # seconds, a limit on fits that is near what they take
+SLOW = 0.025  # seconds of the supervisor for a fit where each of its two commits waits 12 ms for the disk
 FITS = 10  # a worker, where only the number of workers is varied
 
 
@@ -99,7 +101,8 @@ def simulate(cluster: Cluster, guesses: Mapping[str, float], order: Order = "lar
                          Scheduler((Work(known, rank * cost) for known, cost in guesses.items()), retries),
                          lambda *_: None, clock=lambda: pool.now)
         batch.pool = pool
-        batch.run(pool)
+        if batch.run(pool):
+            raise KeyboardInterrupt
         counts, attempts = manifest.counts(), manifest.db.execute("select count(*) from attempts").fetchone()[0]
         manifest.close()
     count = pool.count
@@ -148,15 +151,25 @@ def measured_supervisor(workers: int, captures: int) -> dict[str, float]:
     return {"fit_cpu_seconds": cpu / MEASURED, "fit_seconds": wall / MEASURED, "page_cpu_seconds": page_seconds}
 
 
+def cases(cluster: Cluster) -> list[tuple[str, Cluster, Order]]:
+    """What is compared, in words: the cluster as it is assumed to be, parts of its failures, and orders where nothing hangs."""
+    sound = replace(cluster, hangs=0.0)
+    return [("all of it", cluster, "largest"), (f"`--timeout {SHORT:g}`", replace(cluster, timeout=SHORT), "largest"),
+            ("nothing hangs", sound, "largest"), ("nothing hangs; as they come", sound, "arrival"),
+            ("nothing hangs; smallest first", sound, "smallest"),
+            ("nothing hangs; the head dies thrice an hour", replace(sound, head_deaths=3.0), "largest")]
+
+
 def swept(cluster: Cluster, load: Load, workers: Sequence[int], seed: int) -> list[dict]:
-    """The same without failures for other numbers of workers, on as many nodes each, with a few fits for each worker."""
+    """The same without failures for other numbers of workers, with a few fits for each, also where a disk is slow."""
     per_node = cluster.workers / cluster.nodes
     rows = []
-    for number in workers:
+    for taken, number in ((taken, number) for taken in (cluster.supervisor_seconds, SLOW) for number in workers):
         other = replace(cluster, workers=number, nodes=max(1, round(number / per_node)), crashes=0.0, deaths=0.0,
-                        node_deaths=0.0, head_deaths=0.0, hangs=0.0, slow_nodes=0.0, page_seconds=0.0)
-        rows.append(simulate(other, replace(load, captures=FITS * number).guesses(seed), "arrival", seed))
-        say(f"{number} workers: {rows[-1]['share']:.1%} of the ideal, supervisor {rows[-1]['supervisor_share']:.0%} busy")
+                        node_deaths=0.0, head_deaths=0.0, hangs=0.0, slow_nodes=0.0, page_seconds=0.0, supervisor_seconds=taken)
+        found = simulate(other, replace(load, captures=FITS * number).guesses(seed), "largest", seed)
+        rows.append({"supervisor_seconds": taken, "limit": found["spent"] / found["attempts"] / taken} | found)
+        say(f"{rows[-1]}")
     return rows
 
 
@@ -184,9 +197,9 @@ def main(out: Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder to writ
          costs: Annotated[Path | None, tyro.conf.arg(help="batch-costs.json: its seconds, spread and bytes are taken.")] = None,
          pages: Annotated[Literal["all", "none"], tyro.conf.arg(help="Whether these are of fits with their pages.")] = "none",
          measure: Annotated[bool, tyro.conf.arg(help="Measure the supervisor's seconds here, and take them.")] = False,
-         sweep: Annotated[tuple[int, ...], tyro.conf.arg(help="Other numbers of workers.")] = (250, 1000, 4000, 16000),
+         sweep: Annotated[tuple[int, ...], tyro.conf.arg(help="Other numbers of workers.")] = (250, 1000, 2500),
          seed: Annotated[int, tyro.conf.arg(help="Of all that is drawn.")] = 0) -> int:
-    """Simulate a batch in three orders, and other numbers of workers."""
+    """Simulate a batch in several cases, and other numbers of workers."""
     supervisor: dict | None = None
     if costs:
         cluster, load = with_costs(cluster, load, json.loads(costs.read_text()), pages)
@@ -196,9 +209,9 @@ def main(out: Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder to writ
                           page_seconds=supervisor["page_cpu_seconds"])
         say(f"supervisor: {supervisor}")
     guesses, runs = load.guesses(seed), []
-    for order in ORDERS:
-        runs.append(simulate(cluster, guesses, order, seed))
-        say(f"{order}: {runs[-1]}")
+    for words, other, order in cases(cluster):
+        runs.append({"case": words} | simulate(other, guesses, order, seed))
+        say(f"{runs[-1]}")
     record = {"schema_version": 1, "cluster": asdict(cluster), "load": asdict(load), "seed": seed, "supervisor": supervisor,
               "runs": runs, "sweep": swept(cluster, load, sweep, seed), "machine": machine(), "versions": versions()}
     files.write_json(out / "batch-simulation.json", record)

@@ -35,7 +35,7 @@ class Cluster:
     """Deaths of a child an hour of fitting: a crash, or the system's memory killer. Its worker starts a new one."""
     deaths: float = 0.01
     """Deaths of a worker an hour of fitting. A new one starts in its place at once."""
-    node_deaths: float = 0.02
+    node_deaths: float = 0.05
     """Deaths of each node an hour; spot machines die so."""
     notice_seconds: float = 30.0
     """Until Ray knows that a node is dead."""

@@ -40,7 +40,7 @@ def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help
           settings: OmitArgPrefixes[BatchSettings] = USUAL_BATCH,
           method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"],
                             arg(help="How to fit; `batch --method gan --help` shows its own options.")] = "hierarchical",
-          pages: Annotated[Literal["all", "none"], arg(help="none: maps, uncertainty, fit.json and preview alone, in a tenth "
+          pages: Annotated[Literal["all", "none"], arg(help="none: maps, uncertainty, fit.json and preview alone, in a sixth "
                                                             "of the space.")] = "all",
           tag: UseAppendAction[Annotated[tuple[str, ...], arg(help="A word to find these materials by; repeatable.")]] = (),
           sheet: Annotated[float | None, arg(metavar="CM", help="In raw photos a printed sheet of tags lies around the "
