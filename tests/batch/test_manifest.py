@@ -140,20 +140,20 @@ def test_a_relative_path_is_remembered_where_it_was(manifest, tmp_path, monkeypa
 
 
 def test_hashes_outlive_ctrl_c(tmp_path):
-    (tmp_path / "photo.png").write_bytes(b"one")
     first = Manifest(tmp_path / "manifest.sqlite")
-    first.hash_of(tmp_path / "photo.png")
-    first.hash_of(tmp_path / "photo.png")
+    for name in ("one.png", "two.png", "three.png"):
+        (tmp_path / name).write_text(name)
+        first.hash_of(tmp_path / name)
     first.close()
     with sqlite3.connect(tmp_path / "manifest.sqlite") as db:
-        assert db.execute("select count(*) from hashes").fetchone() == (1,)
+        assert db.execute("select count(*) from hashes").fetchone() == (3,)
 
 
 def test_while_files_are_hashed_the_manifest_can_be_read_and_nothing_is_locked(manifest, tmp_path):
-    (tmp_path / "photo.png").write_bytes(b"one")
-    manifest.hash_of(tmp_path / "photo.png")
-    manifest.hash_of(tmp_path / "photo.png")
-    assert not manifest.db.in_transaction
+    for name in ("one.png", "two.png"):
+        (tmp_path / name).write_text(name)
+        manifest.hash_of(tmp_path / name)
+        assert not manifest.db.in_transaction
 
 
 def test_one_of_another_version_is_neither_read_nor_changed(tmp_path):
