@@ -88,7 +88,9 @@ def test_a_json_file_in_the_place_of_a_folder_is_read_with_its_photos(capture):
     (capture / "other.json").write_text('{"target_dir": "target"}')
     before = identity_of(capture / "other.json")
     (capture / "target/00.png").write_bytes(b"new")
-    assert identity_of(capture / "other.json") != before
+    changed = identity_of(capture / "other.json")
+    (capture / "other.json").write_text('{"target_dir": "target", "light_pow": 2}')
+    assert len({before, changed, identity_of(capture / "other.json")}) == 3
     assert capture / "other.json" not in capture_files(capture)
 
 

@@ -9,7 +9,7 @@ import signal
 from pathlib import Path
 
 import pytest
-from helpers.batches import FakePool, asked, make_capture
+from helpers.batches import FakePool, asked, make_capture, publish_result
 
 from mitsvbrdf.batch import library as library_module
 from mitsvbrdf.batch import manifest as manifest_module
@@ -145,6 +145,18 @@ def test_a_result_said_to_be_done_that_is_not_there_failed(batch):
     batch.run({"a": ["claimed"]})
     assert batch.states() == batch.listed() == done() | {"a": "failed"}
     assert "a: failed: its result did not appear" in batch.said
+
+
+def test_the_attempt_that_counts_is_the_one_whose_result_lies_there(batch):
+    """A worker that was thought lost lets its result appear while another one fits the same capture."""
+    def appear():
+        if batch.pool.held and not batch.published():
+            (task,) = batch.pool.held.values()
+            publish_result(batch.place, task | {"attempt": "zombie-7"})
+            batch.pool.release()
+
+    batch.run({"a": ["held"]}, meanwhile=appear)
+    assert batch.states() == done() and batch.manifest.materials()[0]["published"] == "zombie-7"
 
 
 def test_what_is_lost_again_and_again_failed(batch):
