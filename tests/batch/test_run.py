@@ -200,8 +200,8 @@ def test_ctrl_c_waits_for_what_runs_and_says_once_how_to_end_that(batch):
 
 
 def test_ctrl_c_twice_waits_for_nothing_and_the_page_tells_what_is_left(batch):
-    assert batch.run({"a": ["held"]}, meanwhile=lambda: os.kill(os.getpid(), signal.SIGINT)) is True
-    assert batch.states() == batch.listed() == dict.fromkeys("abc", "pending")
+    assert batch.run({"a": ["held"]}, meanwhile=lambda: batch.pool.held and os.kill(os.getpid(), signal.SIGINT)) is True
+    assert batch.pool.names() == ["a"] and batch.states() == batch.listed() == dict.fromkeys("abc", "pending")
     assert "progress" not in json.loads((batch.home / "library.json").read_text())  # nobody works on it any more
     assert signal.getsignal(signal.SIGINT) == signal.default_int_handler
     batch.run()
