@@ -78,7 +78,7 @@ class Batch:
         self.hosts: dict[str, str] = {}
         self.counts = manifest.counts()  # kept here too: to count 100,000 rows at each event would take most of the time
         self.started, self.ended, self.trouble = clock(), 0, ""
-        self._page_due = 0.0
+        self._page_due, self.going = 0.0, True
 
     def run(self, pool: Pool) -> bool:
         """Until all is done, or Ctrl-C: the first one waits for what runs, the second one does not.
@@ -103,6 +103,7 @@ class Batch:
                 with self._noting():
                     self._show()
         with self._noting():
+            self.going = False
             self.manifest.interrupted()
             self.write_page()
         return bool(stop)
@@ -228,8 +229,7 @@ class Batch:
             self._page_due = before + took + max(PAGE_SECONDS, took / PAGE_SHARE)
 
     def write_page(self) -> None:
-        """Write ``library.json`` and ``index.html``."""
+        """Write ``library.json`` and ``index.html``; how fast it goes stands there only while it does."""
         stands = self.progress()
-        going = stands.counts["running"] or stands.counts["pending"]
-        rate = {"per_hour": stands.per_hour, "left_seconds": stands.left_seconds} if going else None
+        rate = {"per_hour": stands.per_hour, "left_seconds": stands.left_seconds} if self.going else None
         write_library(self.home, self.manifest, title_of(self.library), rate)

@@ -147,10 +147,11 @@ def test_damage_is_named(place, result, harm, by_size, by_hash):
         assert place.damage(FOLDER, record, hashes) == (said and f"maps/diffuse.png {said}")
 
 
-def test_a_link_in_the_place_of_a_file_is_damage(place, result, tmp_path):
+def test_a_link_in_the_place_of_a_file_is_damage(place, result):
     path = result / "maps/diffuse.png"
-    path.rename(tmp_path / "elsewhere.png")
-    path.symlink_to(tmp_path / "elsewhere.png")
+    path.rename(result / "maps/another")
+    path.symlink_to("another")  # a link's size is the length of its words, here that of the file
+    assert path.lstat().st_size == path.stat().st_size
     assert place.damage(FOLDER, place.record(FOLDER), hashes=True) == "maps/diffuse.png has changed"
 
 

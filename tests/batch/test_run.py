@@ -200,8 +200,9 @@ def test_ctrl_c_waits_for_what_runs_and_says_once_how_to_end_that(batch):
 
 
 def test_ctrl_c_twice_waits_for_nothing_and_the_page_tells_what_is_left(batch):
-    assert batch.run({"a": ["held"]}, meanwhile=lambda: os.kill(os.getpid(), signal.SIGINT)) is True
-    assert batch.states() == batch.listed() == dict.fromkeys("abc", "pending")
+    assert batch.run({"a": ["held"]}, meanwhile=lambda: batch.pool.held and os.kill(os.getpid(), signal.SIGINT)) is True
+    assert batch.pool.names() == ["a"] and batch.states() == batch.listed() == dict.fromkeys("abc", "pending")
+    assert "progress" not in json.loads((batch.home / "library.json").read_text())  # nobody works on it any more
     assert signal.getsignal(signal.SIGINT) == signal.default_int_handler
     batch.run()
     assert batch.states() == done()
@@ -252,6 +253,19 @@ def test_the_page_is_written_while_it_runs_but_not_all_the_time(batch, monkeypat
     turns = iter(range(50))
     batch.run({"a": ["held"]}, meanwhile=lambda: next(turns, None) is None and batch.pool.release())
     assert len(written) == 2 and written[0]["a"] in ("running", "pending") and written[-1] == done()
+
+
+def test_how_fast_it_goes_stands_on_the_page_while_it_runs(batch):
+    seen = []
+
+    def look():
+        if (batch.home / "library.json").exists():
+            seen.append(json.loads((batch.home / "library.json").read_text()).get("progress"))
+            batch.pool.release()
+
+    batch.run({"a": ["held"]}, meanwhile=look)
+    assert set(seen[0]) == {"per_hour", "left_seconds"}
+    assert "progress" not in json.loads((batch.home / "library.json").read_text())
 
 
 def test_what_is_left_is_told_by_what_ended():
