@@ -1,6 +1,6 @@
 """The process that fits: one capture after the other, with Mitsuba, renderers and kernels kept warm.
 
-A :class:`~mitsvbrdf.batch.guard.Guard` talks to it over two pipes and watches it; what it prints goes to the guard's log.
+A :class:`~mitsvbrdf.batch.workers.guard.Guard` talks to it over two pipes and watches it; what it prints goes to the guard's log.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import MitsvbrdfError
-from .guard import die_with_parent
+from .workers.guard import die_with_parent
 
 if TYPE_CHECKING:
     from ..render import Renderer
@@ -66,7 +66,7 @@ def fit_into_library(task: dict) -> dict:
     Returns:
         The row of the material: error, left_out_error, burn_in, warnings and so on.
     """
-    from .address import local_capture, place_of
+    from .places.address import local_capture, place_of
 
     with contextlib.suppress(OSError):  # paths in the options start there
         os.chdir(task["folder"])
@@ -101,7 +101,7 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> dict:
     from ..fit.generator.finish import finished
     from ..fit.options import FitOptions, config_of
     from ..report.folder import write_fit
-    from .library import row_of
+    from .library.rows import row_of
     from .preview import write_preview
     from .raw import rectified
 
@@ -131,7 +131,7 @@ def _renderer(name: str, variant: str) -> Renderer:
 def _write_record(staging: Path, task: dict, row: dict) -> None:
     """Say in the result itself what it is, for whoever finds it."""
     from ..system.files import file_hash, write_json
-    from .place import RECORD
+    from .places.place import RECORD
 
     files = {str(path.relative_to(staging)): {"bytes": path.stat().st_size, "sha256": file_hash(path)}
              for path in sorted(staging.rglob("*")) if path.is_file()}

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..errors import CaptureError, ConfigError
-from .address import is_url
-from .remote import is_capture, remote_captures
+from .places.address import is_url
+from .places.remote import is_capture, remote_captures
 
 PATTERN = frozenset("*?[")
 

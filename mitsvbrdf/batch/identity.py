@@ -10,7 +10,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..capture.photo import SUFFIXES
-from .address import is_url
+from .places.address import is_url
 
 CALIBRATION_FILES = ("capture.json", "camera_pos.txt", "image_size.txt", "light_power.txt", "light_pos.txt")
 
@@ -26,7 +26,7 @@ def identity(source: str, asked: dict, hash_of: Hash) -> str:
         hash_of: of a file's content; ``files.file_hash``, or one that remembers.
     """
     if is_url(source):
-        from .remote import remote_contents
+        from .places.remote import remote_contents
         contents: list[list] = remote_contents(source)
     else:
         contents = [[os.path.relpath(path, source), hash_of(path)] for path in capture_files(Path(source))]

@@ -15,11 +15,11 @@ from ..errors import OutputError
 from ..fit.config import FitConfig, HierarchicalConfig
 from ..fit.options import FitOptions, config_record
 from ..system.files import write_bytes, write_json
-from .address import is_url
 from .entries import Entry, name_of_source
 from .identity import capture_files, identity
 from .manifest import Manifest
-from .place import QUARANTINE, Place, clear_work
+from .places.address import is_url
+from .places.place import QUARANTINE, Place, clear_work
 from .schedule import Work
 
 TYPICAL_SECONDS = 35.0  # of the default fit: nine photos, 256 px, one thread

@@ -10,7 +10,7 @@ from ..capture.page import write_quality
 from ..capture.photo import Photo, photos_in
 from ..capture.rig import LEAST_PHOTOS
 from ..color import Transfer
-from .remote import CALIBRATIONS
+from .places.remote import CALIBRATIONS
 
 SIDE = 1024  # pixels, of the rectified photos
 

@@ -10,13 +10,13 @@ from pathlib import Path
 
 from ..errors import OutputError
 from ..system.interrupts import stop_signals
-from .address import title_of
-from .library import write_library
+from .library.rows import write_library
 from .manifest import Manifest
-from .place import Place
-from .pool import Pool
+from .places.address import title_of
+from .places.place import Place
 from .prepare import quarantine, release, task_of
 from .schedule import Scheduler, Work
+from .workers.pool import Pool
 
 TURN_SECONDS = 0.5  # at most so long nothing is looked at
 PAGE_SECONDS = 5.0  # between two writings of the page, which takes at most a fiftieth of the time

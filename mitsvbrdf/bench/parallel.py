@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from ..batch.pool import Pool, RayPool
 from ..batch.schedule import Scheduler, Work
 from ..batch.settings import BatchSettings
+from ..batch.workers.pool import Pool, RayPool
 from ..system.interrupts import stop_signals
 from .jobs import Job, Report, duration, key_of
 from .plan import Plan

@@ -11,16 +11,16 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from ..batch.address import check_address, download, home_of, is_url, place_of, upload
 from ..batch.entries import Entry, entries
 from ..batch.manifest import FILE, Manifest
-from ..batch.place import WORK, clear_work
-from ..batch.pool import RayPool, require_ray
+from ..batch.places.address import check_address, download, home_of, is_url, place_of, upload
+from ..batch.places.place import WORK, clear_work
 from ..batch.prepare import Asked, Standing, library_lock, register, take_stock
 from ..batch.progress import telling
 from ..batch.run import Batch
 from ..batch.schedule import Scheduler
 from ..batch.settings import BatchSettings
+from ..batch.workers.pool import RayPool, require_ray
 from ..errors import ConfigError
 from ..fit.config import FitConfig
 from ..fit.options import FitOptions

@@ -10,11 +10,11 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from ..batch.address import download, home_of, is_url, local_capture, place_of, title_of, upload
-from ..batch.library import open_library, rows, write_library
+from ..batch.library.rows import open_library, rows, write_library
+from ..batch.library.where import matcher
 from ..batch.manifest import FILE, Manifest
+from ..batch.places.address import download, home_of, is_url, local_capture, place_of, title_of, upload
 from ..batch.prepare import library_lock
-from ..batch.where import matcher
 from ..errors import ConfigError, MitsvbrdfError, OutputError
 from ..system.progress import console, progress_bar, say
 

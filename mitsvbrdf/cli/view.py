@@ -8,7 +8,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from ..batch.site import LibrarySite, is_library
+from ..batch.library.site import LibrarySite, is_library
 from ..report.live import Answer, FitSite, make_server
 from ..system.progress import say
 

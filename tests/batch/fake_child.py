@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 
-from mitsvbrdf.batch.guard import die_with_parent
+from mitsvbrdf.batch.workers.guard import die_with_parent
 
 held: list[bytearray] = []
 READ, WRITE = int(sys.argv[-2]), int(sys.argv[-1])

@@ -18,7 +18,7 @@ pytest.importorskip("ray")
 
 from batch import chaos
 
-from mitsvbrdf.batch.pool import RayPool
+from mitsvbrdf.batch.workers.pool import RayPool
 from mitsvbrdf.cli import batch as batch_module
 from mitsvbrdf.cli import main
 

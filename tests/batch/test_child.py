@@ -17,7 +17,7 @@ from batch.chaos import make_captures
 from helpers.batches import make_capture
 
 from mitsvbrdf.batch.child import _write_record, fit_into_library, serve
-from mitsvbrdf.batch.place import LocalPlace
+from mitsvbrdf.batch.places.place import LocalPlace
 from mitsvbrdf.errors import CaptureError, OutputError
 from mitsvbrdf.fit.config import HierarchicalConfig
 from mitsvbrdf.fit.options import FitOptions, config_record

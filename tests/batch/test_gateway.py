@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from mitsvbrdf.batch.gateway import CannotStart, Gateway, Worker
-from mitsvbrdf.batch.worker import WorkerActor
+from mitsvbrdf.batch.workers.gateway import CannotStart, Gateway, Worker
+from mitsvbrdf.batch.workers.worker import WorkerActor
 
 
 @pytest.fixture

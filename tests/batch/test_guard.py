@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from mitsvbrdf.batch import guard as guard_module
-from mitsvbrdf.batch.guard import LOG_CHARACTERS, Guard
+from mitsvbrdf.batch.workers import guard as guard_module
+from mitsvbrdf.batch.workers.guard import LOG_CHARACTERS, Guard
 
 FAKE = (sys.executable, "-P", str(Path(__file__).with_name("fake_child.py")))
 MIB = 1 << 20
@@ -141,7 +141,7 @@ def test_a_long_log_is_cut_to_its_tail(make_guard):
 
 
 def test_the_child_dies_when_its_guard_is_killed():
-    program = ("import sys; from mitsvbrdf.batch.guard import Guard\n"
+    program = ("import sys; from mitsvbrdf.batch.workers.guard import Guard\n"
                f"guard = Guard(1, None, None, {FAKE!r}); print(guard.run({task('')!r})['row']['pid'], flush=True)\n"
                f"guard.run({task('sleep:600')!r})")
     holder = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)

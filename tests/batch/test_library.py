@@ -9,9 +9,9 @@ from helpers.captures import SIDE, write_captures
 from mitsvbrdf import cli
 from mitsvbrdf.batch.child import fit_into_library
 from mitsvbrdf.batch.entries import Entry
-from mitsvbrdf.batch.library import write_library
+from mitsvbrdf.batch.library.rows import write_library
 from mitsvbrdf.batch.manifest import FILE, Manifest
-from mitsvbrdf.batch.place import RECORD, LocalPlace
+from mitsvbrdf.batch.places.place import RECORD, LocalPlace
 from mitsvbrdf.batch.prepare import Asked, library_lock, quarantine, register, take_stock, task_of
 from mitsvbrdf.fit.config import HierarchicalConfig
 from mitsvbrdf.fit.options import FitOptions

@@ -9,7 +9,7 @@ import re
 import pytest
 from helpers.libraries import library_of, random_rows
 
-from mitsvbrdf.batch.page import COLUMNS, address, data_script, write_library_page
+from mitsvbrdf.batch.library.page import COLUMNS, address, data_script, write_library_page
 
 
 def data_of(script: str) -> dict:

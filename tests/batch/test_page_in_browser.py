@@ -12,8 +12,8 @@ import pytest
 from browser import opened
 from helpers.libraries import library_of, random_rows, write_library
 
-from mitsvbrdf.batch.page import address, write_library_page
-from mitsvbrdf.batch.where import matcher, number_of
+from mitsvbrdf.batch.library.page import address, write_library_page
+from mitsvbrdf.batch.library.where import matcher, number_of
 
 COUNT = 600
 NAMES = "[...document.querySelectorAll('#cards .name')].map(name => name.textContent)"

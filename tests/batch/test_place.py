@@ -8,8 +8,8 @@ import os
 import pytest
 from helpers.batches import FILES, ROW, publish_result, write_result
 
-from mitsvbrdf.batch import place as place_module
-from mitsvbrdf.batch.place import LocalPlace, clear_work
+from mitsvbrdf.batch.places import place as place_module
+from mitsvbrdf.batch.places.place import LocalPlace, clear_work
 from mitsvbrdf.errors import OutputError
 
 TASK = {"attempt": "aaaaaaaa-1", "identity": "a" * 64, "name": "wood"}

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from mitsvbrdf.batch import pool as pool_module
-from mitsvbrdf.batch.pool import RayPool
+from mitsvbrdf.batch.workers import pool as pool_module
+from mitsvbrdf.batch.workers.pool import RayPool
 from mitsvbrdf.errors import BackendError
 
 FAKE = (sys.executable, "-P", str(Path(__file__).with_name("fake_gateway.py")))

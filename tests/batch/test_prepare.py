@@ -11,7 +11,7 @@ import pytest
 from helpers.batches import asked, make_capture, publish_result
 
 from mitsvbrdf.batch.manifest import FILE, Manifest
-from mitsvbrdf.batch.place import LocalPlace
+from mitsvbrdf.batch.places.place import LocalPlace
 from mitsvbrdf.batch.prepare import library_lock, quarantine, register, take_stock, task_of
 from mitsvbrdf.batch.schedule import Work
 from mitsvbrdf.errors import OutputError

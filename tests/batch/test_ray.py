@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from mitsvbrdf.batch.pool import RayPool
+from mitsvbrdf.batch.workers.pool import RayPool
 from mitsvbrdf.errors import BackendError
 
 pytest.importorskip("ray", reason="needs Ray: pip install 'mitsvbrdf[batch]'", exc_type=ImportError)
@@ -154,7 +154,8 @@ def test_whatever_is_killed_the_work_comes_back_and_nothing_stays(make_pool, vic
 @pytest.mark.slow
 def test_all_ends_when_the_supervisor_is_killed(tmp_path):
     (tmp_path / ".token").write_text("3f2a")
-    program = (f"from mitsvbrdf.batch.pool import RayPool\npool = RayPool({str(tmp_path)!r}, workers=1, child={CHILD!r})\n"
+    program = ("from mitsvbrdf.batch.workers.pool import RayPool\n"
+               f"pool = RayPool({str(tmp_path)!r}, workers=1, child={CHILD!r})\n"
                "while not pool.events(1.0): pass\nprint(pool._gateway._process.pid, flush=True)\npool.events(600.0)")
     supervisor = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
     home = Household(int(supervisor.stdout.readline()))

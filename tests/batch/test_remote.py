@@ -9,11 +9,11 @@ from fsspec.registry import _registry
 from helpers.captures import write_captures
 
 from mitsvbrdf import cli
-from mitsvbrdf.batch.address import check_address, download, home_of, local_capture, place_of, upload
 from mitsvbrdf.batch.entries import entries
 from mitsvbrdf.batch.identity import identity
-from mitsvbrdf.batch.place import RECORD
-from mitsvbrdf.batch.remote import RemotePlace, file_system, remote_captures, remote_contents
+from mitsvbrdf.batch.places.address import check_address, download, home_of, local_capture, place_of, upload
+from mitsvbrdf.batch.places.place import RECORD
+from mitsvbrdf.batch.places.remote import RemotePlace, file_system, remote_captures, remote_contents
 from mitsvbrdf.errors import BackendError, CaptureError, OutputError
 from mitsvbrdf.system.files import file_hash
 

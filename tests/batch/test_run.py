@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 from helpers.batches import FakePool, asked, make_capture, publish_result
 
-from mitsvbrdf.batch import library as library_module
 from mitsvbrdf.batch import manifest as manifest_module
 from mitsvbrdf.batch import run as run_module
+from mitsvbrdf.batch.library import rows as library_module
 from mitsvbrdf.batch.manifest import FILE, Manifest
-from mitsvbrdf.batch.place import LocalPlace
+from mitsvbrdf.batch.places.place import LocalPlace
 from mitsvbrdf.batch.prepare import register, take_stock
 from mitsvbrdf.batch.run import Batch, Progress
 from mitsvbrdf.batch.schedule import Scheduler

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import pytest
 
-from mitsvbrdf.batch import simulate as module
-from mitsvbrdf.batch.costs import law
 from mitsvbrdf.batch.manifest import Manifest
+from mitsvbrdf.batch.planning import simulate as module
+from mitsvbrdf.batch.planning.costs import law
+from mitsvbrdf.batch.planning.simulate import Load, measured_supervisor, simulate
+from mitsvbrdf.batch.planning.simulate_page import figure, page
+from mitsvbrdf.batch.planning.virtual import HOUR, Cluster, VirtualPool
 from mitsvbrdf.batch.run import Batch
 from mitsvbrdf.batch.schedule import Scheduler, Work
-from mitsvbrdf.batch.simulate import Load, measured_supervisor, simulate
-from mitsvbrdf.batch.simulate_page import figure, page
-from mitsvbrdf.batch.virtual import HOUR, Cluster, VirtualPool
 
 CALM = Cluster(workers=7, nodes=2).calm()
 # All that can happen, often: some hundred deaths in 400 fits.

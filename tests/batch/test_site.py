@@ -8,7 +8,7 @@ import pytest
 from helpers.libraries import library_of, random_rows, write_whole_library
 from helpers.live_fits import served
 
-from mitsvbrdf.batch.site import LibrarySite
+from mitsvbrdf.batch.library.site import LibrarySite
 from mitsvbrdf.cli.view import _Followed
 
 NAMES = ("preview.jpg", "report.html", "look.html")

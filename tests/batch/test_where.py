@@ -11,8 +11,8 @@ from importlib.resources import files
 import pytest
 from helpers.libraries import random_rows
 
-from mitsvbrdf.batch.page import COLUMNS
-from mitsvbrdf.batch.where import FIELDS, SEARCHED, STATES, described, matcher, number_of
+from mitsvbrdf.batch.library.page import COLUMNS
+from mitsvbrdf.batch.library.where import FIELDS, SEARCHED, STATES, described, matcher, number_of
 from mitsvbrdf.errors import ConfigError
 
 ROW = {"name": "Old Oak", "id": "1a2b3c4d", "state": "done", "error": 0.03, "left_out_error": None, "burn_in": 0.0,
@@ -83,7 +83,7 @@ function answers({ where, rows, texts }) {
 
 def answers_of_script(asked: dict, folder) -> list[str]:
     """What ``where.js`` says of the rows, in node where that is installed, else in Chromium."""
-    script = files("mitsvbrdf").joinpath("batch/where.js").read_text() + ANSWERS
+    script = files("mitsvbrdf").joinpath("batch/library/where.js").read_text() + ANSWERS
     if node := shutil.which("node"):
         (folder / "where.js").write_text(script + DRIVER)
         (folder / "asked.json").write_text(json.dumps(asked))

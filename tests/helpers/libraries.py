@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from mitsvbrdf.batch.page import write_library_page
+from mitsvbrdf.batch.library.page import write_library_page
 
 KINDS = ("wood", "brick", "leather", "fabric", "metal", "stone", "tile", "paper", "plaster", "rubber", "cork", "sand")
 PLACES = ("bamboo", "hall", "old", "wet", "kitchen", "façade", "red", "worn", "seat", "gate", "木目", "roof")

@@ -15,8 +15,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from urllib.parse import quote
 
-from ..pages.page import page_text
-from ..system import files
+from ...pages.page import page_text
+from ...system import files
 from .where import SEARCHED, STATES, described
 
 PAGE_FILE, DATA_FILE = "index.html", "library.js"
@@ -56,8 +56,8 @@ def library_page(title: str, nonce: str, served: bool = False) -> str:
         nonce: of its scripts.
         served: whether `mitsvbrdf view` shows it: it then looks for news also while no batch is at work.
     """
-    return page_text("batch/library.html", title=title, sorts=SORTS, data_file=DATA_FILE, fields=described(), nonce=nonce,
-                     asked=_json({"fields": described(), "states": STATES, "searched": SEARCHED, "served": served}))
+    return page_text("batch/library/library.html", title=title, sorts=SORTS, data_file=DATA_FILE, fields=described(),
+                     nonce=nonce, asked=_json({"fields": described(), "states": STATES, "searched": SEARCHED, "served": served}))
 
 
 def data_script(library: Mapping) -> str:

@@ -1,8 +1,8 @@
-"""``python -m mitsvbrdf.batch.simulate -o docs/results``: what a batch on 1,000 workers would do, told in minutes.
+"""``python -m mitsvbrdf.batch.planning.simulate -o docs/results``: what a batch on 1,000 workers would do, told in minutes.
 
 The loop, the scheduler and the manifest are those of ``mitsvbrdf batch``; workers and clock are virtual
-(:mod:`mitsvbrdf.batch.virtual`). What the supervisor takes for a fit is measured here, on a disk, with that loop. The same seed
-gives the same figures. ``batch-simulation.json`` has them; ``batch-simulation.md`` and ``.svg`` are made from it.
+(:mod:`.virtual`). What the supervisor takes for a fit is measured here, on a disk, with that loop. The same seed gives the same
+figures. ``batch-simulation.json`` has them; ``batch-simulation.md`` and ``.svg`` are made from it.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from typing import Annotated, Any, Literal, cast
 
 import tyro
 
-from ..errors import exit_code
-from ..system import files
-from ..system.progress import say
-from ..system.provenance import machine, versions
-from .manifest import FILE, Manifest
-from .place import Place
-from .prepare import TYPICAL_SECONDS
-from .run import Batch
-from .schedule import Scheduler, Work
+from ...errors import exit_code
+from ...system import files
+from ...system.progress import say
+from ...system.provenance import machine, versions
+from ..manifest import FILE, Manifest
+from ..places.place import Place
+from ..prepare import TYPICAL_SECONDS
+from ..run import Batch
+from ..schedule import Scheduler, Work
 from .simulate_page import figure, page
 from .virtual import HOUR, Cluster, VirtualPool
 
@@ -179,7 +179,7 @@ def with_costs(cluster: Cluster, load: Load, costs: Mapping, pages: str) -> tupl
     Args:
         cluster: the workers.
         load: what is to be fitted.
-        costs: of :mod:`mitsvbrdf.batch.costs`.
+        costs: of :mod:`mitsvbrdf.batch.planning.costs`.
         pages: all or none.
     """
     law = costs["law"][pages]
@@ -222,4 +222,5 @@ def main(out: Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder to writ
 
 
 if __name__ == "__main__":
-    sys.exit(exit_code(lambda: tyro.cli(main, prog="python -m mitsvbrdf.batch.simulate"), "interrupted; nothing is written"))
+    sys.exit(exit_code(lambda: tyro.cli(main, prog="python -m mitsvbrdf.batch.planning.simulate"),
+                       "interrupted; nothing is written"))

@@ -24,9 +24,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Protocol
 
-from ..errors import BackendError
+from ...errors import BackendError
 
-GATEWAY = (sys.executable, "-P", "-m", "mitsvbrdf.batch.gateway")
+GATEWAY = (sys.executable, "-P", "-m", "mitsvbrdf.batch.workers.gateway")
 DEATHS = 5  # of the gateway in a row, without one task done between
 LONGEST_PAUSE = 30.0  # seconds before the gateway is started anew; the first pause is 1 s, each is twice the one before
 STOP_SECONDS = 1.3  # the gateway may take so long to end in order, and once more after SIGTERM

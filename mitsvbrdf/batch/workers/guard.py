@@ -26,7 +26,7 @@ import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from .. import __version__
+from ... import __version__
 
 CHILD = (sys.executable, "-P", "-m", "mitsvbrdf.batch.child")
 START_SECONDS = 300.0  # until a child must be ready: the imports of a cold disk

@@ -9,15 +9,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .. import __version__
-from ..errors import MapsError
-from ..system.files import write_json
-from .manifest import FILE, Manifest, now
-from .place import QUARANTINE
+from ... import __version__
+from ...errors import MapsError
+from ...system.files import write_json
+from ..manifest import FILE, Manifest, now
+from ..places.place import QUARANTINE
 
 if TYPE_CHECKING:
-    from ..capture import Capture
-    from ..render import Renderer
+    from ...capture import Capture
+    from ...render import Renderer
 
 INDEX = "library.json"
 
@@ -30,9 +30,9 @@ def row_of(folder: Path, shown: Capture | None, engine: Renderer) -> dict:
         shown: its photos and some that it left out; None where it used all.
         engine: predicts those.
     """
-    from ..evaluate import placed
-    from ..evaluate.placement import predict
-    from ..fit.record import read_fit, record_in
+    from ...evaluate import placed
+    from ...evaluate.placement import predict
+    from ...fit.record import read_fit, record_in
 
     record, error = record_in(folder), None
     if (folder / "report.json").is_file():

@@ -1,7 +1,7 @@
-"""``python -m mitsvbrdf.batch.costs -o docs/results``: what one material costs: seconds, memory, and bytes read and written.
+"""``python -m mitsvbrdf.batch.planning.costs -o docs/results``: what one material costs: seconds, memory, and bytes.
 
 Fits as a worker of a batch does them: one thread, in a guard's child that is warm. ``batch-costs.json`` has the figures,
-``batch-costs.md`` is written from it, and :mod:`mitsvbrdf.batch.simulate` takes seconds and spread from it.
+``batch-costs.md`` is written from it, and :mod:`mitsvbrdf.batch.planning.simulate` takes seconds and spread from it.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from typing import Annotated
 import tyro
 from scipy.optimize import nnls
 
-from ..capture import write_capture
-from ..capture.photo import SUFFIXES
-from ..errors import OutputError, exit_code
-from ..fit import HierarchicalConfig
-from ..fit.options import FitOptions
-from ..material.made import MATERIALS, make_material
-from ..render import make_renderer
-from ..synth import photograph
-from ..system import files
-from ..system.progress import say
-from ..system.provenance import machine, versions
-from ..views import nine_view_grid
-from .entries import Entry
-from .guard import Guard
-from .identity import capture_files, identity
-from .place import WORK
-from .prepare import Asked
+from ...capture import write_capture
+from ...capture.photo import SUFFIXES
+from ...errors import OutputError, exit_code
+from ...fit import HierarchicalConfig
+from ...fit.options import FitOptions
+from ...material.made import MATERIALS, make_material
+from ...render import make_renderer
+from ...synth import photograph
+from ...system import files
+from ...system.progress import say
+from ...system.provenance import machine, versions
+from ...views import nine_view_grid
+from ..entries import Entry
+from ..identity import capture_files, identity
+from ..places.place import WORK
+from ..prepare import Asked
+from ..workers.guard import Guard
 
 NOISE = 0.004  # of the made photos, linear
 SPREAD, REAL, FEW = 64, 256, 6  # texels a side at which captures are compared, and of the real one; how many real ones
@@ -136,7 +136,7 @@ def measured(record: dict, captures: Sequence[Path], sides: Sequence[int], folde
 def page(record: Mapping) -> str:
     """The figures as Markdown."""
     lines = [
-        "# What one material costs", "", "Written by `python -m mitsvbrdf.batch.costs` from `batch-costs.json`.", "",
+        "# What one material costs", "", "Written by `python -m mitsvbrdf.batch.planning.costs` from `batch-costs.json`.", "",
         "Fits of the default method as a worker of `mitsvbrdf batch` does them: one thread, in a child that is warm. "
         f"{record['machine']['cores']} hardware threads, with other work beside it: CPU seconds are what the fit used, seconds "
         "are the wall clock's and also hold the wait for a processor. *Capture* and *result* are the files that cross the "
@@ -178,5 +178,5 @@ def main(out: Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder to writ
 
 
 if __name__ == "__main__":
-    sys.exit(exit_code(lambda: tyro.cli(main, prog="python -m mitsvbrdf.batch.costs"),
+    sys.exit(exit_code(lambda: tyro.cli(main, prog="python -m mitsvbrdf.batch.planning.costs"),
                        "interrupted; the files have each fit that was measured"))

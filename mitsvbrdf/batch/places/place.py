@@ -15,8 +15,8 @@ import uuid
 from pathlib import Path
 from typing import Protocol
 
-from ..errors import OutputError
-from ..system.files import file_hash
+from ...errors import OutputError
+from ...system.files import file_hash
 
 RECORD = "batch.json"  # of a result: which capture and options it is of, and what its files hold
 WORK, QUARANTINE = ".work", "quarantine"

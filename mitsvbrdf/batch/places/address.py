@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ..errors import OutputError
-from ..system.files import beside, write_bytes
-from .manifest import FILE
+from ...errors import OutputError
+from ...system.files import beside, write_bytes
+from ..manifest import FILE
 from .place import WORK, LocalPlace, Place
 
 OWN = (WORK, ".lock", ".token")  # of a library's home, what is of no use elsewhere

@@ -1,4 +1,4 @@
-"""What :mod:`mitsvbrdf.batch.simulate` found, as Markdown and as a chart. Both show its figures and compute none but shares."""
+"""What :mod:`.simulate` found, as Markdown and as a chart. Both show its figures and compute none but shares."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
-from ..pages.colours import CHART_GRID, CHART_LINES, CHART_QUIET, CHART_TEXT
+from ...pages.colours import CHART_GRID, CHART_LINES, CHART_QUIET, CHART_TEXT
 
 PERCENT = ("slow_nodes", "hangs", "refused")
 
@@ -18,8 +18,8 @@ def page(record: Mapping) -> str:
     first = runs[0]
     lines = [
         "# A batch on many workers, simulated", "",
-        "Written by `python -m mitsvbrdf.batch.simulate` from `batch-simulation.json`. Nothing here ran on a cluster: the "
-        "loop, the scheduler and the manifest are those of `mitsvbrdf batch`, workers and clock are virtual.", "",
+        "Written by `python -m mitsvbrdf.batch.planning.simulate` from `batch-simulation.json`. Nothing here ran on a "
+        "cluster: the loop, the scheduler and the manifest are those of `mitsvbrdf batch`, workers and clock are virtual.", "",
         f"{load['captures']:,} captures on {cluster['workers']:,} workers, {cluster['nodes']} nodes. A usual fit takes "
         f"{load['seconds']:.1f} s, {load['large']:.0%} of the captures {load['larger']:.1f} times that. *Ideal*: all workers "
         "fit all the time at full speed, and nothing fails. *Tail*: from when nothing waits for the first time until the end. "
@@ -50,7 +50,7 @@ def page(record: Mapping) -> str:
     lines += [f"| {name.replace('_', ' ')} | {f'{value:.2%}' if name in PERCENT else f'{value:,.6g}'} |"
               for name, value in cluster.items()]
     return "\n".join([*lines, "", "Seconds, bytes, bytes a second; crashes, deaths an hour. `python -m "
-                      "mitsvbrdf.batch.simulate --help` says what each is, and takes others.", ""])
+                      "mitsvbrdf.batch.planning.simulate --help` says what each is, and takes others.", ""])
 
 
 def figure(record: Mapping) -> Figure:

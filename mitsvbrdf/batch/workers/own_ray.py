@@ -1,6 +1,6 @@
 """A Ray for one batch alone: on loopback, with a token of its own, in a private folder.
 
-Its end is that of the process that started it, and the work of :mod:`mitsvbrdf.batch.last_rites`.
+Its end is that of the process that started it, and the work of :mod:`mitsvbrdf.batch.workers.last_rites`.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""``python -P -m mitsvbrdf.batch.gateway EVENT_FD [LOGFILE]``: the one process of a batch that is a driver of Ray.
+"""``python -P -m mitsvbrdf.batch.workers.gateway EVENT_FD [LOGFILE]``: the one process of a batch that is a driver of Ray.
 
 The supervisor's lines come on standard input, what happens goes to EVENT_FD, one JSON object a line (see
-:mod:`mitsvbrdf.batch.pool`); what Ray prints goes to LOGFILE. Each worker is an actor that holds a
-:class:`~mitsvbrdf.batch.guard.Guard`. When standard input ends, the supervisor is gone, and everything here ends too.
+:mod:`mitsvbrdf.batch.workers.pool`); what Ray prints goes to LOGFILE. Each worker is an actor that holds a
+:class:`~mitsvbrdf.batch.workers.guard.Guard`. When standard input ends, the supervisor is gone, and everything here ends too.
 
 Exit codes: 0 told to stop, 2 cannot start (the last event says why), 3 Ray is gone.
 """
@@ -25,7 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .. import __version__
+from ... import __version__
 from .last_rites import outlive
 from .own_ray import OwnRay
 from .worker import WorkerActor

@@ -11,8 +11,8 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
-from ..capture.photo import SUFFIXES
-from ..errors import BackendError, CaptureError, MitsvbrdfError, OutputError
+from ...capture.photo import SUFFIXES
+from ...errors import BackendError, CaptureError, MitsvbrdfError, OutputError
 from .place import RECORD
 
 CALIBRATIONS = ("capture.json", "camera_pos.txt")

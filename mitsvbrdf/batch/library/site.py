@@ -9,11 +9,11 @@ import stat
 import threading
 from pathlib import Path
 
-from ..report.live import HTML, LIVE_POLICY, REPORT_POLICY, Answer
-from .library import INDEX
-from .manifest import FILE
+from ...report.live import HTML, LIVE_POLICY, REPORT_POLICY, Answer
+from ..manifest import FILE
+from ..prepare import TOKEN
 from .page import DATA_FILE, PAGE_FILE, address, data_script, library_page
-from .prepare import TOKEN
+from .rows import INDEX
 
 # Of a material, what is served: media type and content security policy.
 SERVED = {"preview.jpg": ("image/jpeg", ""), "report.html": (HTML, REPORT_POLICY), "look.html": (HTML, REPORT_POLICY)}

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Literal, NoReturn
 
-from ..errors import ConfigError
+from ...errors import ConfigError
 
 Test = Callable[[Mapping], bool]
 
