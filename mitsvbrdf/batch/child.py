@@ -1,6 +1,6 @@
 """The process that fits: one capture after the other, with Mitsuba, renderers and kernels kept warm.
 
-A :class:`~mitsvbrdf.batch.workers.guard.Guard` talks to it over two pipes and watches it; what it prints goes to the guard's log.
+A :class:`~.workers.guard.Guard` talks to it over two pipes and watches it; what it prints goes to the guard's log.
 """
 
 from __future__ import annotations

@@ -226,7 +226,7 @@ def test_a_task_says_all_that_a_worker_must_know(library, monkeypatch, tmp_path)
     library.want("wood", resolution=64)
     monkeypatch.chdir("/")  # the next batch is begun elsewhere; paths in options still start where they were written
     task, row = library.begin("wood"), library.row("wood")
-    assert task == {"attempt": f"{row['identity'][:8]}-1", "name": "wood", "identity": row["identity"],
+    assert task == {"attempt": f"{row['identity'][:16]}-1", "name": "wood", "identity": row["identity"],
                     "capture": str(library.shots / "wood"), "library": str(library.home), "folder": str(tmp_path),
                     "options": asked(library.shots / "wood", resolution=64).record | {
                         "config": asked(library.shots / "wood").record["config"] | {"fix": []}}}

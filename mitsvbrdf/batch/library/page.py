@@ -56,8 +56,9 @@ def library_page(title: str, nonce: str, served: bool = False) -> str:
         nonce: of its scripts.
         served: whether `mitsvbrdf view` shows it: it then looks for news also while no batch is at work.
     """
+    asked = _json({"fields": described(), "states": STATES, "searched": SEARCHED, "served": served})
     return page_text("batch/library/library.html", title=title, sorts=SORTS, data_file=DATA_FILE, fields=described(),
-                     nonce=nonce, asked=_json({"fields": described(), "states": STATES, "searched": SEARCHED, "served": served}))
+                     nonce=nonce, asked=asked)
 
 
 def data_script(library: Mapping) -> str:
