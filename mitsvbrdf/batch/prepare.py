@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from ..capture.photo import SUFFIXES
 from ..errors import OutputError
@@ -97,22 +98,34 @@ def library_lock(home: Path) -> Callable[[], None]:
     return lock.close
 
 
-def register(asked: Iterable[Asked], manifest: Manifest, report: Report) -> dict[str, OutputError]:
+class Registered(NamedTuple):
+    """What of the captures that were named is not fitted by itself.
+
+    Args:
+        unreadable: why a capture cannot even be read, by source.
+        same: source of the capture that has the same photos and options, by source.
+    """
+
+    unreadable: dict[str, OutputError]
+    same: dict[str, str]
+
+
+def register(asked: Iterable[Asked], manifest: Manifest, report: Report) -> Registered:
     """Enter what is asked for into the manifest.
 
     Args:
         asked: each capture with its options; the same twice counts once.
         manifest: of the library.
         report: told what is being read and the share done.
-
-    Returns:
-        Captures that cannot even be read, by source.
     """
-    asked, materials, unreadable = list(asked), {}, {}
+    asked, materials, unreadable, same = list(asked), dict[str, dict](), dict[str, OutputError](), dict[str, str]()
     for number, each in enumerate(asked):
         report(os.path.basename(each.entry.source), number / len(asked))
         try:
             known = identity(each.entry.source, each.record, manifest.hash_of)
+            if known in materials and materials[known]["source"] != each.entry.source:
+                same[each.entry.source] = materials[known]["source"]
+                continue
             materials[known] = {
                 "identity": known, "name": name_of_source(each.entry.source), "source": each.entry.source,
                 "asked": each.record | {"folder": os.getcwd()}, "own": " ".join(each.entry.own), "tags": list(each.tags),
@@ -121,7 +134,7 @@ def register(asked: Iterable[Asked], manifest: Manifest, report: Report) -> dict
             way_out = "check your rights to it" if isinstance(reason, OSError) else "rename it"
             unreadable[each.entry.source] = OutputError("a capture that can be read", f"{each.entry.source}: {reason}", way_out)
     manifest.want(materials.values())
-    return unreadable
+    return Registered(unreadable, same)
 
 
 @dataclass(frozen=True)

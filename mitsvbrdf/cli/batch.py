@@ -66,10 +66,12 @@ def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help
         library = out if is_url(out) else os.path.realpath(out)
         place = place_of(library)
         with progress_bar("captures") as report:
-            unreadable = register(asked, manifest, report)
+            unreadable, same = register(asked, manifest, report)
             stock = take_stock(manifest, place, home, settings.retry_failed)
         for error in unreadable.values():
             say(f"left out: {error}")
+        for source, first in same.items():
+            say(f"left out: {source} has the photos and options of {first}")
         _say_stock(stock, manifest, home)
         interrupted = False
         if stock.work:

@@ -87,7 +87,7 @@ def bench(
     failed: dict[str, str] = {}
     try:
         with progress_bar("bench") as report:
-            if workers or address:
+            if missing and (workers or address):
                 failed = run_parallel(plan, jobs, store, BatchSettings(workers=workers, address=address), report)
             else:
                 run(jobs, store, report)

@@ -33,7 +33,8 @@ class Library:
                 make_capture(self.shots / name, [name.encode()])
             if photo:
                 (self.shots / name / "target/00.png").write_bytes(photo)
-        return register([asked(self.shots / name, **options) for name in names], self.manifest, lambda text, share: None)
+        return register([asked(self.shots / name, **options) for name in names], self.manifest,
+                        lambda text, share: None).unreadable
 
     def stock(self, retry_failed: bool = False):
         return take_stock(self.manifest, self.place, self.home, retry_failed)
@@ -289,3 +290,13 @@ def test_a_place_that_is_no_library_is_refused_and_left_as_it_is(tmp_path, what)
     with pytest.raises(OutputError):
         library_lock(home)
     assert what != "photos" or [path.name for path in home.iterdir()] == ["00.png"]
+
+
+def test_the_same_photos_under_two_names_are_fitted_once_and_that_is_said(library):
+    for name in ("first", "second"):
+        (library.shots / name).mkdir(parents=True)
+        (library.shots / name / "00.png").write_bytes(b"the same photo")
+    found = register([asked(library.shots / name) for name in ("first", "second", "first")], library.manifest,
+                     lambda text, share: None)
+    assert found.same == {str(library.shots / "second"): str(library.shots / "first")} and not found.unreadable
+    assert left(library, library.stock()) == ["first"]
