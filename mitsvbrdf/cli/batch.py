@@ -36,8 +36,8 @@ def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help
               "- is a list on standard input."))],
           out: Annotated[str, arg(aliases=["-o"], metavar="LIBRARY", help="The library: a folder that all workers see, or a "
                                                                           "URL like s3://bucket/library.")],
-          config: FitConfig, options: OmitArgPrefixes[FitOptions] = USUAL,
-          settings: OmitArgPrefixes[BatchSettings] = USUAL_BATCH,
+          config: FitConfig, shared: OmitArgPrefixes[FitOptions] = USUAL,
+          running: OmitArgPrefixes[BatchSettings] = USUAL_BATCH,
           method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"],
                             arg(help="How to fit; `batch --method gan --help` shows its own options.")] = "hierarchical",
           pages: Annotated[Literal["all", "none"], arg(help="none: maps, uncertainty, fit.json and preview alone, in a sixth "
@@ -55,10 +55,10 @@ def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help
     for pandas, manifest.sqlite, and quarantine/ with the reason and the log of each capture that failed. The exit code is 1
     where any failed. Needs Ray: pip install 'mitsvbrdf[batch]'.
     """
-    settings.check()
-    options.check(config)
+    running.check()
+    shared.check(config)
     require_ray()
-    base = Asked(Entry(""), config, options, pages == "all", tag, sheet)
+    base = Asked(Entry(""), config, shared, pages == "all", tag, sheet)
     asked = [_with_own_options(entry, base) for entry in entries(captures)]
     for each in asked:
         each.options.check(each.config)
@@ -67,7 +67,7 @@ def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help
         place = place_of(library)
         with progress_bar("captures") as report:
             unreadable, same = register(asked, manifest, report)
-            stock = take_stock(manifest, place, home, settings.retry_failed)
+            stock = take_stock(manifest, place, home, running.retry_failed)
         for error in unreadable.values():
             say(f"left out: {error}")
         for source, first in same.items():
@@ -75,8 +75,8 @@ def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help
         _say_stock(stock, manifest, home)
         interrupted = False
         if stock.work:
-            with telling(home.name) as tell, contextlib.closing(_pool(home, library, settings, asked)) as pool:
-                work = Batch(home, library, place, manifest, Scheduler(stock.work, settings.retries), tell)
+            with telling(home.name) as tell, contextlib.closing(_pool(home, library, running, asked)) as pool:
+                work = Batch(home, library, place, manifest, Scheduler(stock.work, running.retries), tell)
                 interrupted = work.run(pool)
             if not interrupted:
                 clear_work(home)
@@ -91,10 +91,10 @@ def _with_own_options(entry: Entry, base: Asked) -> Asked:
         return replace(base, entry=entry)
     import tyro
 
-    def line(config: FitConfig, options: OmitArgPrefixes[FitOptions] = base.options, method: str = "",
+    def line(config: FitConfig, shared: OmitArgPrefixes[FitOptions] = base.options, method: str = "",
              pages: Literal["all", "none"] = "all" if base.pages else "none",
              tag: UseAppendAction[tuple[str, ...]] = (), sheet: float | None = base.sheet) -> Asked:
-        return Asked(entry, config, options, pages == "all", (*base.tags, *tag), sheet)
+        return Asked(entry, config, shared, pages == "all", (*base.tags, *tag), sheet)
 
     words = with_flags(list(entry.own))
     try:

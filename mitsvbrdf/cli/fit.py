@@ -31,7 +31,7 @@ from .options import Out, Overwrite, Photos, keep_apart, read_photos
 USUAL = FitOptions()
 
 
-def fit(capture: Positional[Photos], out: Out, config: FitConfig, options: OmitArgPrefixes[FitOptions] = USUAL,
+def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitArgPrefixes[FitOptions] = USUAL,
         method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"],
                           arg(help="How to fit; `fit --method gan --help` shows that method's own options.")] = "hierarchical",
         explain: Annotated[bool, arg(help="Print what this fit would leave out, and why, and the networks it "
@@ -51,16 +51,16 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig, options: OmitA
     rerendered/, sheet.png, curve.svg, scene.xml (for plain Mitsuba), fit.json, report.json and the checkpoint that --resume
     goes on from; with --finish gan also look/ and its page, look.html.
     """
-    options.check(config)
-    photos = read_photos(capture, options.resolution, None, options.transfer, options.light(config))
-    shots = options.chosen(photos)[0]
-    engine = make_renderer(options.renderer, options.variant)
+    shared.check(config)
+    photos = read_photos(capture, shared.resolution, None, shared.transfer, shared.light(config))
+    shots = shared.chosen(photos)[0]
+    engine = make_renderer(shared.renderer, shared.variant)
     keep_apart(capture, out)
     if explain:
-        return _explain(FitTask(shots, engine, config), options)
-    result, before = _fit_into(out, photos, engine, config, options, profile, resume, overwrite)
+        return _explain(FitTask(shots, engine, config), shared)
+    result, before = _fit_into(out, photos, engine, config, shared, profile, resume, overwrite)
     _say_result(result, shots, before)
-    if options.finish != "none":
+    if shared.finish != "none":
         _say_finish(result)
     page = "report.html, " if (out / "report.html").is_file() else ""
     say(f"wrote {out}/{page}sheet.png, maps/, {'look/, ' if result.look else ''}rerendered/, scene.xml, fit.json")
