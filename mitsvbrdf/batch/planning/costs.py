@@ -77,7 +77,7 @@ class Meter:
         name = f"m{self._count}"
         before = self._used()
         outcome = self.guard.run({"attempt": name, "name": name, "identity": known, "capture": str(capture),
-                                  "library": str(self.library), "options": asked.record})
+                                  "library": str(self.library), "folder": os.getcwd(), "options": asked.record})
         after = self._used()
         if outcome["state"] != "done":
             raise OutputError(f"a fit of {capture}", f"{outcome['state']}: {outcome['reason']}", "see what it says")
