@@ -8,7 +8,8 @@ import pytest
 from mitsvbrdf.batch.planning import ways
 from mitsvbrdf.errors import OutputError
 
-ROWS = [{"way": way, "captures": 2, "seconds": seconds, "per_hour": 7200 / seconds, "peak_bytes": 1 << 30, "error": 0.01, "group": g}
+ROWS = [{"way": way, "captures": 2, "seconds": seconds, "per_hour": 7200 / seconds, "peak_bytes": 1 << 30, "error": 0.01,
+         "group": g}
         for g in (0, 1) for way, seconds in zip(ways.WAYS, (20.0, 25.0, 40.0 + 20 * g))]
 
 
