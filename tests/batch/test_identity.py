@@ -11,6 +11,8 @@ from helpers.batches import asked, make_capture
 
 from mitsvbrdf.batch import identity as identity_module
 from mitsvbrdf.batch.identity import capture_files, identity
+from mitsvbrdf.batch.manifest import FILE, Manifest
+from mitsvbrdf.batch.prepare import register
 from mitsvbrdf.fit import GanConfig, HierarchicalConfig
 from mitsvbrdf.system.files import file_hash
 
@@ -100,3 +102,11 @@ def test_a_broken_calibration_has_an_identity_and_the_fit_says_what_is_wrong(cap
     (capture / "capture.json").write_text(text)
     assert [path.name for path in capture_files(capture)] == ["capture.json"]
     assert len(identity_of(capture)) == 64
+
+
+def test_the_same_photos_under_two_names_are_fitted_once_and_that_is_said(tmp_path):
+    one, other = (make_capture(tmp_path / name, [b"the same"]) for name in ("first", "second"))
+    manifest = Manifest(tmp_path / FILE)
+    found = register([asked(each) for each in (one, other, one)], manifest, lambda text, share: None)
+    assert found.same == {str(other): str(one)} and not found.unreadable
+    assert [row["name"] for row in manifest.materials("pending")] == ["first"]
