@@ -33,8 +33,8 @@ class Library:
                 make_capture(self.shots / name, [name.encode()])
             if photo:
                 (self.shots / name / "target/00.png").write_bytes(photo)
-        named = [asked(self.shots / name, **options) for name in names]
-        return register(named, self.manifest, lambda text, share: None).unreadable
+        return register([asked(self.shots / name, **options) for name in names], self.manifest,
+                        lambda text, share: None).unreadable
 
     def stock(self, retry_failed: bool = False):
         return take_stock(self.manifest, self.place, self.home, retry_failed)
@@ -178,3 +178,108 @@ def test_what_ran_when_the_batch_died_is_left_to_do_and_its_folder_is_gone(libra
     (staging / "half").touch()
     assert left(library, library.stock()) == ["wood"]
     assert not staging.exists()
+
+
+def test_two_captures_with_one_name_are_two_materials(library):
+    make_capture(library.shots / "monday/wood", [b"1"])
+    make_capture(library.shots / "sunday/wood", [b"2"])
+    library.want("monday/wood", "sunday/wood")
+    assert [row["name"] for row in library.manifest.materials()] == ["wood", "wood"]
+    assert len(library.stock().work) == 2
+
+
+def test_what_cannot_be_read_is_left_out_with_its_reason(library, monkeypatch):
+    make_capture(library.shots / "brick")
+    real = library.manifest.hash_of
+
+    def hash_of(path):
+        if "brick" in str(path):
+            raise PermissionError(13, "Permission denied", str(path))
+        return real(path)
+
+    monkeypatch.setattr(library.manifest, "hash_of", hash_of)
+    unreadable = library.want("wood", "brick")
+    assert list(unreadable) == [str(library.shots / "brick")] and "Permission denied" in str(*unreadable.values())
+    assert left(library, library.stock()) == ["wood"]
+
+
+def test_a_name_that_is_not_utf_8_is_left_out_with_its_reason(library):
+    folder = os.path.join(os.fsencode(library.shots), b"w\xe9")
+    try:
+        os.makedirs(folder)
+    except OSError:
+        pytest.skip("this file system has no such names")
+    Path(os.fsdecode(os.path.join(folder, b"00.png"))).write_bytes(b"x")
+    unreadable = library.want("brick", os.fsdecode(b"w\xe9"))
+    assert len(unreadable) == 1 and "rename it" in str(*unreadable.values())
+    assert left(library, library.stock()) == ["brick"]
+
+
+def test_a_task_says_all_that_a_worker_must_know(library, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    library.want("wood", resolution=64)
+    monkeypatch.chdir("/")  # the next batch is begun elsewhere; paths in options still start where they were written
+    task, row = library.begin("wood"), library.row("wood")
+    assert task == {"attempt": f"{row['identity'][:16]}-1", "name": "wood", "identity": row["identity"],
+                    "capture": str(library.shots / "wood"), "library": str(library.home), "folder": str(tmp_path),
+                    "options": asked(library.shots / "wood", resolution=64).record | {
+                        "config": asked(library.shots / "wood").record["config"] | {"fix": []}}}
+
+
+def test_the_quarantine_keeps_reason_and_log(library):
+    library.want("wood")
+    folder = library.home / "quarantine" / library.finish("wood", "failed").name
+    assert '"boom"' in (folder / "reason.json").read_text() and (folder / "log.txt").read_bytes() == b"log?"
+
+
+def test_costs_grow_with_photos_and_texels_up_to_the_budget(tmp_path):
+    few, many = make_capture(tmp_path / "few", [b"x"] * 3), make_capture(tmp_path / "many", [b"x"] * 9)
+
+    def cost(capture, config=None, **options):
+        return asked(capture, config or HierarchicalConfig(iterations=4), **options).cost
+
+    assert cost(many) == 3 * cost(few) == 35.0 and cost(many, resolution=512) == 4 * cost(many)
+    assert cost(many, HierarchicalConfig(budget=10)) == 10
+    assert cost(many, GanConfig(budget=77)) == 77
+
+
+def test_one_batch_at_a_time(tmp_path):
+    home = tmp_path / "library"
+    library_lock(home)()
+    held = subprocess.Popen([sys.executable, "-c", f"""
+import fcntl
+lock = open({str(home / '.lock')!r}, "w")
+fcntl.flock(lock, fcntl.LOCK_EX)
+print("held", flush=True)
+input()
+"""], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert held.stdout.readline() == "held\n"
+    with pytest.raises(OutputError, match="in use by another one"):
+        library_lock(home)
+    held.kill()  # whatever becomes of it, it holds nothing any more
+    held.communicate()
+    library_lock(home)()
+    library_lock(home)()
+
+
+def test_a_library_keeps_its_token_and_a_killed_first_run_is_gone_on_with(tmp_path):
+    library_lock(tmp_path / "library")()
+    token = (tmp_path / "library/.token").read_text()
+    (tmp_path / "library/..token-12345678").touch()  # died while it was written
+    library_lock(tmp_path / "library")()
+    assert len(token) == 32 and (tmp_path / "library/.token").read_text() == token
+
+
+@pytest.mark.parametrize("what", ["photos", "file", "broken link"])
+def test_a_place_that_is_no_library_is_refused_and_left_as_it_is(tmp_path, what):
+    home = tmp_path / "x"
+    if what == "photos":
+        home.mkdir()
+        (home / "00.png").touch()
+    elif what == "file":
+        home.write_text("mine")
+    else:
+        home.symlink_to(tmp_path / "nowhere")
+    with pytest.raises(OutputError):
+        library_lock(home)
+    assert what != "photos" or [path.name for path in home.iterdir()] == ["00.png"]
