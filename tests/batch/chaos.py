@@ -2,8 +2,9 @@
 
     python tests/batch/chaos.py FOLDER --captures 10000 --side 16 --worker-every 20 --heads 2 --commands 3
 
-makes captures in FOLDER/captures, fits them into FOLDER/library while it kills, counts, and fits them again undisturbed into
-FOLDER/quiet (``--quiet``) to hold every map against it. A slow test runs the same with few captures.
+makes captures in FOLDER/captures, fits them into FOLDER/library while it kills, and counts. With ``--quiet`` it fits them again
+undisturbed into FOLDER/quiet, holds every map against it, and with ``--results docs/results`` writes batch-chaos.json and .md.
+A slow test runs the same with few captures.
 """
 
 from __future__ import annotations
@@ -170,6 +171,38 @@ def different_maps(one: Path, other: Path) -> list[str]:
             if not (twin := other / path.relative_to(one)).is_file() or path.read_bytes() != twin.read_bytes()]
 
 
+def page(noisy: dict, quiet: dict, captures: int, side: int) -> str:
+    """What was killed and what was counted, as Markdown."""
+    killed = noisy["killed"]
+    runs = [[row for row in noisy["memory"] if row[1] == run] for run in range(1, noisy["runs"] + 1)]
+    lines = [
+        "# A batch in which everything dies", "", "Written by `python tests/batch/chaos.py` from `batch-chaos.json`: "
+        f"{captures:,} made captures of {side} px, `{' '.join(QUICKEST)}`, two workers.", "",
+        f"Killed with SIGKILL: {killed.get('worker', 0)} workers (the actor or its child), {killed.get('head', 0)} times Ray's head, "
+        f"{killed.get('command', 0)} times the command itself, which was then typed again. It took {noisy['seconds'] / 60:.0f} "
+        "minutes, other work beside it.", "", "| counted | disturbed | undisturbed |", "|---|---:|---:|"]
+    for name in ("folders", "identities", "twice", "torn", "same attempt", "published", "published twice", "done twice"):
+        lines.append(f"| {name} | {noisy[name]:,} | {quiet[name]:,} |")
+    lines += [f"| attempts | {noisy['attempts']} | {quiet['attempts']} |", "",
+              "*Folders* and *identities* are counted from the files, *torn* by their hashes; *same attempt*: files and manifest name "
+              "the same one; *published* is counted from the manifest, *done twice* from its attempts.", "",
+              f"Maps that differ from those of the undisturbed library by a byte: {len(quiet['different maps'])} of "
+              f"{quiet['maps']:,}.", "", "Memory of the command, MB (after a tenth, a half and nine tenths of each run): " + "; ".join(
+                  ", ".join(f"{run[int(len(run) * share)][3] / 1e6:.0f}" for share in (0.1, 0.5, 0.9)) for run in runs)
+              + ". Of the gateway: " + "; ".join(
+                  ", ".join(f"{run[int(len(run) * share)][4] / 1e6:.0f}" for share in (0.1, 0.5, 0.9)) for run in runs) + ".", ""]
+    return "\n".join(lines)
+
+
+def write_results(folder: Path, out: Path, captures: int, side: int) -> None:
+    """The figures of both runs, memory thinned to some two hundred moments, and their page."""
+    noisy, quiet = (json.loads((folder / f"{name}.json").read_text()) for name in ("library", "quiet"))
+    (out / "batch-chaos.md").write_text(page(noisy, quiet, captures, side))
+    noisy["memory"], quiet["memory"] = noisy["memory"][::max(1, len(noisy["memory"]) // 200)], []
+    (out / "batch-chaos.json").write_text(json.dumps({"schema_version": 1, "captures": captures, "side": side,
+                                                      "disturbed": noisy, "undisturbed": quiet}, indent=1) + "\n")
+
+
 def main() -> None:
     """See the module."""
     words = argparse.ArgumentParser()
@@ -181,6 +214,7 @@ def main() -> None:
     words.add_argument("--heads", type=int, default=2)
     words.add_argument("--commands", type=int, default=3)
     words.add_argument("--quiet", action="store_true")
+    words.add_argument("--results", type=Path)
     asked = words.parse_args()
     torch.set_num_threads(1)
     captures, library = asked.folder / "captures", asked.folder / ("quiet" if asked.quiet else "library")
@@ -193,8 +227,11 @@ def main() -> None:
     found |= counted(library)
     if asked.quiet:
         found["different maps"] = different_maps(library, asked.folder / "library")
+        found["maps"] = len(list(library.glob("*/maps/*")))
     (asked.folder / f"{library.name}.json").write_text(json.dumps(found, indent=1))
     print({name: value for name, value in found.items() if name != "memory"})
+    if asked.results and asked.quiet:
+        write_results(asked.folder, asked.results, asked.captures, asked.side)
 
 
 if __name__ == "__main__":
