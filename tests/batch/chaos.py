@@ -173,25 +173,29 @@ def different_maps(one: Path, other: Path) -> list[str]:
 
 def page(noisy: dict, quiet: dict, captures: int, side: int) -> str:
     """What was killed and what was counted, as Markdown."""
-    killed = noisy["killed"]
-    runs = [[row for row in noisy["memory"] if row[1] == run] for run in range(1, noisy["runs"] + 1)]
+    killed = {what: noisy["killed"].get(what, 0) for what in ("worker", "head", "command")}
     lines = [
         "# A batch in which everything dies", "", "Written by `python tests/batch/chaos.py` from `batch-chaos.json`: "
         f"{captures:,} made captures of {side} px, `{' '.join(QUICKEST)}`, two workers.", "",
-        f"Killed with SIGKILL: {killed.get('worker', 0)} workers (the actor or its child), {killed.get('head', 0)} times Ray's head, "
-        f"{killed.get('command', 0)} times the command itself, which was then typed again. It took {noisy['seconds'] / 60:.0f} "
+        f"Killed with SIGKILL: {killed['worker']} workers (the actor or its child), {killed['head']} times Ray's head, "
+        f"{killed['command']} times the command itself, which was then typed again. It took {noisy['seconds'] / 60:.0f} "
         "minutes, other work beside it.", "", "| counted | disturbed | undisturbed |", "|---|---:|---:|"]
     for name in ("folders", "identities", "twice", "torn", "same attempt", "published", "published twice", "done twice"):
         lines.append(f"| {name} | {noisy[name]:,} | {quiet[name]:,} |")
-    lines += [f"| attempts | {noisy['attempts']} | {quiet['attempts']} |", "",
-              "*Folders* and *identities* are counted from the files, *torn* by their hashes; *same attempt*: files and manifest name "
-              "the same one; *published* is counted from the manifest, *done twice* from its attempts.", "",
-              f"Maps that differ from those of the undisturbed library by a byte: {len(quiet['different maps'])} of "
-              f"{quiet['maps']:,}.", "", "Memory of the command, MB (after a tenth, a half and nine tenths of each run): " + "; ".join(
-                  ", ".join(f"{run[int(len(run) * share)][3] / 1e6:.0f}" for share in (0.1, 0.5, 0.9)) for run in runs)
-              + ". Of the gateway: " + "; ".join(
-                  ", ".join(f"{run[int(len(run) * share)][4] / 1e6:.0f}" for share in (0.1, 0.5, 0.9)) for run in runs) + ".", ""]
-    return "\n".join(lines)
+    attempts = ({state: run["attempts"].get(state, 0) for state in ("done", "crashed", "lost")} for run in (noisy, quiet))
+    rows = [", ".join(f"{count:,} {state}" for state, count in each.items()) for each in attempts]
+    return "\n".join([
+        *lines, f"| attempts | {' | '.join(rows)} |", "",
+        "*Folders* and *identities* are counted from the files, *torn* by their hashes; *same attempt*: files and manifest "
+        "name the same one; *published* is counted from the manifest, *done twice* from its attempts.", "",
+        f"Maps that differ from those of the undisturbed library by a byte: {len(quiet['different maps'])} of {quiet['maps']:,}.",
+        "", f"Memory after a tenth, a half and nine tenths of each run of the command, MB: {_memory(noisy, 3)}; of the gateway: "
+        f"{_memory(noisy, 4)}.", ""])
+
+
+def _memory(found: dict, column: int) -> str:
+    runs = [[row[column] for row in found["memory"] if row[1] == run] for run in range(1, found["runs"] + 1)]
+    return "; ".join(", ".join(f"{run[int(len(run) * share)] / 1e6:.0f}" for share in (0.1, 0.5, 0.9)) for run in runs)
 
 
 def write_results(folder: Path, out: Path, captures: int, side: int) -> None:
