@@ -188,9 +188,9 @@ def page(noisy: dict, quiet: dict, captures: int, side: int) -> str:
         *lines, f"| attempts | {' | '.join(rows)} |", "",
         "*Folders* and *identities* are counted from the files, *torn* by their hashes; *same attempt*: files and manifest "
         "name the same one; *published* is counted from the manifest, *done twice* from its attempts.", "",
-        f"Maps that differ from those of the undisturbed library by a byte: {len(quiet['different maps'])} of {quiet['maps']:,}.",
-        "", f"Memory after a tenth, a half and nine tenths of each run of the command, MB: {_memory(noisy, 3)}; of the gateway: "
-        f"{_memory(noisy, 4)}.", ""])
+        f"Maps that differ from those of the undisturbed library by a byte: {len(quiet['different maps'])} of "
+        f"{quiet['maps']:,}.", "", "Memory after a tenth, a half and nine tenths of each run of the command, MB: "
+        f"{_memory(noisy, 3)}; of the gateway: {_memory(noisy, 4)}.", ""])
 
 
 def _memory(found: dict, column: int) -> str:
