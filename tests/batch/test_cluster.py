@@ -85,7 +85,7 @@ def test_their_command_is_understood(monkeypatch):
 
     def parsed(name, arguments):
         function = of(name, arguments)
-        return functools.wraps(function)(lambda *given, **options: called.append((name, options["settings"])) or 0)
+        return functools.wraps(function)(lambda *given, **options: called.append((name, options["running"])) or 0)
 
     monkeypatch.setattr(cli, "command", parsed)
     assert cli.main(shlex.split(launched)[1:]) == 0
