@@ -119,7 +119,7 @@ class Manifest:
         self._hashes, self._hashes_due = [], time.monotonic() + HASHES_SECONDS
 
     def want(self, materials: Iterable[dict]) -> None:
-        """These are what the batch is about; others stay, and are wanted no more where they are of the same source.
+        """These are what the batch is about; others stay, and are wanted no more where source and options are the same.
 
         Args:
             materials: ``identity``, ``name``, ``source``, ``asked`` (with ``folder``, where paths start), ``own``
@@ -128,8 +128,10 @@ class Manifest:
         materials = list(materials)
         self._keep_hashes()
         with self._change():
-            self.db.executemany("update materials set wanted = 0 where source = ?",
-                                {(each["source"],) for each in materials})
+            self.db.executemany(  # with other options it is another material, and stays
+                "update materials set wanted = 0 where source = ? "
+                "and json_remove(asked, '$.folder') = json_remove(?, '$.folder')",
+                {(each["source"], json.dumps(each["asked"])) for each in materials})
             for each in materials:
                 folder = f"{each['name']}-{each['identity'][:SHORT]}"
                 self.db.execute(

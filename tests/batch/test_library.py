@@ -21,7 +21,7 @@ NAMES = ("shot-0", "shot-1", "shot-2")
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """Two materials done, one of them twice with other settings, and one that failed."""
+    """Two materials done, one of them twice since its calibration has changed, and one that failed."""
     root = tmp_path_factory.mktemp("made")
     captures, home = write_captures(root / "shots", 3), root / "library"
     library_lock(home)()
@@ -40,7 +40,9 @@ def made(tmp_path_factory):
             else:
                 manifest.end(attempt, "done", {"state": "done", "row": fit_into_library(task), "seconds": 1.0})
 
-    fit(captures[:1], 3, ("old",))
+    fit(captures[:1], 4, ("old",))
+    with (captures[0] / "capture.json").open("a") as calibration:
+        calibration.write("\n")
     fit(captures, 4, ("wood",))
     write_library(home, manifest, home.name)
     manifest.close()

@@ -52,6 +52,14 @@ def test_a_capture_may_be_wanted_with_two_sets_of_options(manifest):
     assert set(states(manifest)) == {"wood-aaaaaaaa", "wood-bbbbbbbb"}
 
 
+def test_other_options_in_a_later_command_make_another_material_and_hide_none(manifest):
+    manifest.want([material("a", asked={"seed": 1, "folder": "/one"})])
+    manifest.want([material("b", asked={"seed": 2, "folder": "/one"})])
+    assert set(states(manifest)) == {"wood-aaaaaaaa", "wood-bbbbbbbb"}
+    manifest.want([material("c", asked={"seed": 2, "folder": "/two"})])  # of other photos, typed elsewhere
+    assert set(states(manifest)) == {"wood-aaaaaaaa", "wood-cccccccc"}
+
+
 def test_a_capture_that_moved_keeps_its_result_and_gets_what_is_said_of_it_now(manifest):
     manifest.want([material("a")])
     manifest.want([material("a", "moved", own="--tag x", tags=["x"], cost=9.0, asked={"folder": "/new"})])

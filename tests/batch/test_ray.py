@@ -198,7 +198,7 @@ def test_the_gateway_does_not_grow(make_pool):
 def test_workers_of_a_cluster_come_and_go_with_its_nodes(make_pool, monkeypatch):
     monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
     monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
-    Path("/tmp/ray").mkdir(exist_ok=True)  # cluster_utils writes there
+    Path(tempfile.gettempdir(), "ray").mkdir(exist_ok=True)  # cluster_utils writes there
     from ray.cluster_utils import Cluster
 
     with tempfile.TemporaryDirectory(prefix="ray", dir="/tmp") as folder:
