@@ -86,6 +86,14 @@ def test_a_filter_shows_the_right_rows(library):
             assert said.startswith("Expected one of error, ") and "got eror; error is the nearest; " in said
             assert not first_names(page)
         assert write(page, "") == f"{COUNT} materials"
+        page.evaluate("""() => {
+          const [box, sort] = [document.getElementById("where"), document.getElementById("sort")];
+          [box.value, sort.value] = ["cork", "date"];
+          box.dispatchEvent(new Event("input"));
+          sort.dispatchEvent(new Event("change"));  // before the frame that would have shown what was typed
+        }""")
+        two_frames(page)
+        assert page.locator("#where").input_value() == "cork" and " of " in page.locator("#shown").text_content()
 
 
 @pytest.mark.slow
@@ -217,7 +225,7 @@ def test_the_keyboard_walks_through_all(library):
 def test_strangers_names_are_text(tmp_path):
     rows = []
     for k, text in enumerate(HOSTILE):
-        texts = ("name", "source", "host", "worker", "options", "method", "reason", "id", "report", "folder")
+        texts = ("name", "source", "host", "worker", "options", "method", "reason", "id", "report", "log", "folder")
         rows.append(random_rows(1, seed=k)[0] | dict.fromkeys(texts, text) | {
             "tags": [text], "warnings": [text], "state": "failed" if k % 2 else "done", "preview": None})
     write_library_page(tmp_path, library_of(rows, title="</title><script>hit()</script><img src=x onerror=hit()>"))
@@ -227,6 +235,7 @@ def test_strangers_names_are_text(tmp_path):
         for k in range(len(HOSTILE)):
             page.locator("#cards .more").nth(k).click()
             page.keyboard.press("Escape")
+        page.locator("#tags button", has_text="more tags").click()
         for chip in range(page.locator("#tags button").count()):
             page.locator("#tags button").nth(chip).click()
             shown = f"{len(rows)} materials" if chip == 0 else f"1 of {len(rows)} materials"  # the first: with warnings

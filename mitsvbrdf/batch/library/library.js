@@ -2,7 +2,7 @@
 // q (the expression), sort, down, and at (which material is at the top of the window).
 
 const EVERY = 5000;  // ms between two looks at a library that a batch works at
-const TAGS = 10;  // shown at first
+const TAGS = 8;  // shown at first
 const $ = (id) => document.getElementById(id);
 const where = JSON.parse($("asked").textContent);
 const view = { text: "", sort: "name", down: false };
@@ -62,13 +62,11 @@ function refresh() {
   $("shown").textContent = problem ? problem[0].toUpperCase() + problem.slice(1) + "." :
     (shown.length < rows.length ? `${count(shown.length)} of ` : "") + several(rows.length, "material");
   $("shown").className = problem ? "bad" : "";
-  $("none").hidden = shown.length > 0;
-  $("none").textContent = !rows.length ? "There are no captures yet." :
-    problem ? "Nothing is shown until the words above are understood." : "No material is like that.";
+  $("none").hidden = shown.length > 0 || problem !== "";
+  $("none").textContent = rows.length ? "No material is like that." : "There are no captures yet.";
   $("tools").hidden = !rows.length;
   $("down").textContent = view.down ? "↓" : "↑";
   $("down").setAttribute("aria-pressed", view.down);
-  if ($("where").value !== view.text) $("where").value = view.text;
   $("sort").value = view.sort;
   showChips();
   cards.set(shown);
@@ -77,9 +75,11 @@ function refresh() {
   else drawing = setTimeout(() => showErrors($("errors"), rows, shown), 100);  // not between two letters typed
 }
 
-// Something else is asked for: from its beginning, where the window was further down.
+// Something else is asked for: from its beginning, where the window was further down. What stands in the box holds, also where
+// its frame is still to come.
 function ask(change) {
-  Object.assign(view, change);
+  if (change.text !== undefined) $("where").value = change.text;
+  Object.assign(view, change, { text: $("where").value });
   refresh();
   const start = $("cards").getBoundingClientRect().top + scrollY - $("tools").offsetHeight;
   if (scrollY > start) scrollTo(0, start);
@@ -138,6 +138,7 @@ function follow() {
   const hash = new URLSearchParams(location.hash.slice(1)), sort = hash.get("sort");
   const known = [...$("sort").options].some((option) => option.value === sort);
   Object.assign(view, { text: hash.get("q") ?? "", sort: known ? sort : "name", down: hash.has("down") });
+  $("where").value = view.text;
   refresh();
   const [, above, key] = /^(\d{1,5})\.([^]*)$/.exec(hash.get("at") ?? "") ?? [];
   if (!cards.go(key === undefined ? null : { key, above: Number(above) })) scrollTo(0, 0);
@@ -152,7 +153,8 @@ function showAbout() {
   showStanding();
 }
 function showStanding() {
-  const stands = standing(states, library, Date.now()), percent = Math.floor(100 * (states.done + states.failed) / rows.length);
+  const stands = standing(states, library, Date.now());
+  const percent = Math.floor(100 * (states.done + states.failed) / rows.length);
   document.title = (!stands || !isServed() ? "" : stands.command ? "stopped · " : `${percent} % · `) + library.title;
   showProgress($("progress"), states, stands);
 }
@@ -196,7 +198,7 @@ if (!globalThis.mitsvbrdfLibrary) {
   let typed = 0;
   $("where").addEventListener("input", () => {
     cancelAnimationFrame(typed);
-    typed = requestAnimationFrame(() => ask({ text: $("where").value }));
+    typed = requestAnimationFrame(() => ask({}));
   });
   $("tools").addEventListener("submit", (event) => event.preventDefault());
   $("sort").addEventListener("change", () => ask({ sort: $("sort").value }));

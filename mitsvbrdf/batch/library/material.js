@@ -8,13 +8,13 @@ function stampOf(row) {
 }
 
 // What a card tells beside the name: the number that materials are sorted by, the error where that is none.
-const UNITS = { seconds: duration, date: moment, memory: (gib) => `${gib.toFixed(1)} GiB` };
-const CALLED = { seconds: "", date: "", memory: "", left_out_error: "left-out", burn_in: "burn-in" };
+const UNITS = { seconds: duration, date: moment, memory: (n) => `${n.toFixed(1)} GiB`, attempts: (n) => several(n, "attempt") };
+const CALLED = { error: "error", left_out_error: "left-out error", burn_in: "burn-in" };
 const sortedBy = () => ["name", "warnings"].includes(view.sort) ? "error" : view.sort;
 function told(row) {
   const field = sortedBy(), value = field === "date" ? row.date : numberOf(row, field);
-  const words = UNITS[field] ?? ((n) => String(+n.toPrecision(2)));
-  return value == null ? "" : `${CALLED[field] ?? field} ${words(value)}`.trim();
+  if (value == null) return "";
+  return field in CALLED ? `${number(value, 2)} ${CALLED[field]}` : UNITS[field](value);  // too long, it loses its end
 }
 
 function makeCard(row) {
@@ -43,8 +43,8 @@ function makePicture(row) {
 
 function makeVerdict(row) {
   if (row.log) return make("a", { class: "log", href: row.log, "aria-label": `Log of ${row.name}` }, "Log");
-  const verdict = make("span", {}, told(row)), warnings = row.warnings ?? [];
-  if (warnings.length) verdict.append(make("span", { class: "bad", title: warnings.join("\n") }, ` ⚠ ${warnings.length}`));
+  const verdict = make("span", { class: "told" }, make("span", {}, told(row))), warnings = row.warnings ?? [];
+  if (warnings.length) verdict.append(make("span", { class: "bad", title: warnings.join("\n") }, `⚠ ${warnings.length}`));
   return verdict;
 }
 

@@ -1,9 +1,9 @@
 // Words for numbers, times and materials. Nothing here touches the page, so node can run it too.
 
-const number = (value) => {
+const number = (value, digits = 3) => {
   if (value == null) return "–";
   const size = Math.abs(value);
-  return value && (size < 1e-3 || size >= 1e4) ? value.toExponential(1) : String(+value.toPrecision(3));
+  return value && (size < 1e-3 || size >= 1e4) ? value.toExponential(1) : String(+value.toPrecision(digits));
 };
 const count = (value) => value.toLocaleString("en");
 const several = (n, one) => `${count(n)} ${one}${n === 1 ? "" : "s"}`;
@@ -104,7 +104,7 @@ const FEW = 10;
 function spread(errors) {
   if (!errors.length) return "None of the materials shown has an error.";
   const of = `Error of the ${several(errors.length, "material")} shown`;
-  if (errors.length < FEW) return `${of}: ${Array.from(errors, number).join(", ")}.`;
+  if (errors.length < FEW) return `${of}: ${Array.from(errors, (error) => number(error)).join(", ")}.`;
   const reached = (part) => number(errors[Math.ceil(part * errors.length) - 1]);
   return `${of}: half have ${reached(0.5)} or less, 9 of 10 have ${reached(0.9)} or less.`;
 }
