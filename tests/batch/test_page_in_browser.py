@@ -277,14 +277,15 @@ def test_a_batch_at_work_is_followed(tmp_path):
             followed.evaluate("scrollTo(0, 1200)")
             until(followed, "location.hash.includes('at=')")
             before = followed.evaluate("scrollY"), first_names(followed)
+            # A page that took long to read its data looks again after 20 times as long.
             stopped = {"stopped": True, "command": "mitsvbrdf batch shots -o lib"}
             write_library_page(tmp_path, library_of(rows, title="At work", **stopped))
-            until(followed, "document.title == 'stopped · At work'")
+            until(followed, "document.title == 'stopped · At work'", 120)
             assert followed.locator("#progress code").text_content() == stopped["command"]
             assert "stopped, 120 left; run the same" in followed.locator("#progress p").text_content()
             for row in rows:
                 row["state"] = "failed" if row["state"] == "failed" else "done"
             write_library_page(tmp_path, library_of(rows, title="At work"))
-            until(followed, "document.title == 'At work'")
+            until(followed, "document.title == 'At work'", 120)
             assert followed.locator("#where").input_value() == "resolution:256" and first_names(followed) == before[1]
             assert not followed.locator("#progress").is_visible() and not said

@@ -148,7 +148,8 @@ function follow() {
 // ---- A batch at work ---------------------------------------------------------------------------------------------------
 let version = null;  // headers that ask whether library.js is another one
 function showAbout() {
-  $("made").replaceChildren(...library.made ? ["As of ", moments(library.made), " · "] : [], `mitsvbrdf ${library.version ?? ""}`);
+  const made = library.made ? ["As of ", moments(library.made), " · "] : [];
+  $("made").replaceChildren(...made, `mitsvbrdf ${library.version ?? ""}`);
   showNumbers($("numbers"), rows, library.progress);
   showStanding();
 }
