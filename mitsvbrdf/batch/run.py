@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import OutputError
@@ -33,12 +33,14 @@ class Progress:
         seconds: since it began.
         ended: how many ended since then.
         running: the names of those that run.
+        before: the counts when it began.
     """
 
     counts: dict[str, int]
     seconds: float
     ended: int
     running: Sequence[str]
+    before: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def per_hour(self) -> float:
@@ -47,9 +49,14 @@ class Progress:
 
     @property
     def left_seconds(self) -> float | None:
-        """Until all have ended; None before one has."""
-        left = self.counts["running"] + self.counts["pending"]
-        return 3600 * left / self.per_hour if self.per_hour else None
+        """Until all have ended; None before as many have as run at a time: earlier ends say too little."""
+        known = self.per_hour and self.ended >= self.counts["running"]
+        return 3600 * self.left / self.per_hour if known else None
+
+    @property
+    def left(self) -> int:
+        """How many have not ended."""
+        return self.counts["running"] + self.counts["pending"]
 
 
 Tell = Callable[[Progress, str], None]
@@ -77,6 +84,7 @@ class Batch:
         self.names: dict[str, str] = {}  # of what each worker runs
         self.hosts: dict[str, str] = {}
         self.counts = manifest.counts()  # kept here too: to count 100,000 rows at each event would take most of the time
+        self.before = dict(self.counts)
         self.started, self.ended, self.trouble = clock(), 0, ""
         self._page_due, self.going = 0.0, True
 
@@ -217,7 +225,7 @@ class Batch:
 
     def progress(self) -> Progress:
         """How it stands now."""
-        return Progress(dict(self.counts), self.clock() - self.started, self.ended, list(self.names.values()))
+        return Progress(dict(self.counts), self.clock() - self.started, self.ended, list(self.names.values()), self.before)
 
     def _show(self) -> None:
         """Tell how it stands, and write the page anew where it is time."""

@@ -81,7 +81,9 @@ def test_rows(library, ask):
         assert (row["resolution"], row["photos"], row["tags"]) == (SIDE, len(record["capture"]["photos"]), ["wood"])
         assert (library / row["preview"]).is_file() and row["report"] is None  # no pages were asked for
     assert failed["state"] == "failed" and failed["reason"] == "killed" and failed["error"] is failed["preview"] is None
-    assert (library / failed["folder"] / "log.txt").read_text() == "a log"
+    assert (library / failed["log"]).read_text() == "a log" and first["log"] is None
+    (library / failed["log"]).write_text("")
+    assert json.loads(ask("--json")[1][2])["log"] is None  # nobody is sent to an empty log
 
 
 def test_listing(ask):

@@ -52,6 +52,20 @@ def test_the_page_its_data_and_what_the_rows_name(library):
         assert ask(f"/{rows[2]['folder']}/look.html")[0] == 404
 
 
+def test_the_log_of_what_failed_is_served_and_no_other(tmp_path):
+    rows = random_rows(3)
+    for row, state in zip(rows, ("failed", "done", "pending")):
+        folder = f"quarantine/{state}-1"
+        row |= {"state": state, "folder": folder, "log": f"{folder}/log.txt", "preview": None, "report": None}
+    write_whole_library(tmp_path, rows)
+    with served(tmp_path, LibrarySite) as ask:
+        assert [ask(f"/{row['log']}")[0] for row in rows] == [200, 404, 404]
+        _, headers, content = ask(f"/{rows[0]['log']}")
+        assert content.decode() == f"the log of {rows[0]['name']}"
+        assert headers["Content-Type"] == "text/plain; charset=utf-8" and headers["X-Content-Type-Options"] == "nosniff"
+        assert ask(f"/{rows[0]['folder']}/reason.json")[0] == 404
+
+
 @pytest.mark.parametrize("path", [
     "/manifest.sqlite", "/library.json", "/.token", "/.work/1-1/report.html", "/{0}", "/{0}/", "/{0}/fit.json",
     "/{0}/batch.json",

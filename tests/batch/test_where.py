@@ -57,6 +57,13 @@ def test_examples_are_understood(field):
     matcher(FIELDS[field].example)
 
 
+@pytest.mark.parametrize("word, nearest", [("eror", "error"), ("tags", "tag"), ("eatd", "date"), ("sekonds", "seconds"),
+                                           ("left_error", "left_out_error")])
+def test_an_unknown_key_is_told_the_nearest_one(word, nearest):
+    with pytest.raises(ConfigError, match=f"got {word}; {nearest} is the nearest; "):
+        matcher(f"{word}<.1")
+
+
 def test_a_row_may_lack_anything():
     everything = ["word", "name:x", *(field.example for field in FIELDS.values())]
     for row in ({}, {"name": None, "warnings": None, "tags": None, "error": math.nan, "peak_bytes": math.inf}):
@@ -111,7 +118,7 @@ def answers_of_package(asked: dict) -> list[str]:
 @pytest.mark.slow
 def test_the_page_agrees_with_the_command_line(tmp_path):
     rows = [ROW, *random_rows(300, seed=3, unfinished=True)]
-    assert set(rows[1]) - {"preview", "report"} == set(COLUMNS)
+    assert set(rows[1]) - {"preview", "report", "log"} == set(COLUMNS)
     some = ["error<0.03", "error>=0.02 left_out_error>0.05", "seconds>40 memory<0.85", "burn_in>0.1", "attempts>1",
             "warnings=1", "date>2026-11-01T00:10", "date:2026-11-01T00:05", "tag:wood", 'tag:"OLD WOOD"',
             "tag:wood,brick method:gan",

@@ -58,7 +58,17 @@ def rows(manifest: Manifest, wanted: bool = True) -> Iterator[dict]:
         wanted: whether results that a newer one of the same capture took the place of are left out.
     """
     for each in manifest.materials(wanted=wanted):
-        yield _row(each)
+        row = _row(each)
+        yield row | {"log": _log(manifest.path.parent, row["folder"]) if row["state"] == "failed" else None}
+
+
+def _log(home: Path, folder: str) -> str | None:
+    """The path below the library of what a fit that failed printed; None where it printed nothing."""
+    path = f"{folder}/log.txt"
+    try:
+        return path if (home / path).stat().st_size else None
+    except OSError:
+        return None
 
 
 def _row(each: sqlite3.Row) -> dict:

@@ -42,7 +42,8 @@ function testOf(where, term) {
   }
   const [field, compare, value] = [found[1].toLowerCase(), found[2], found[3]];
   if (!Object.hasOwn(where.fields, field))
-    refuse("one of " + Object.keys(where.fields).join(", "), field, `write "${term}" in quotes to search for it as text`);
+    refuse("one of " + Object.keys(where.fields).join(", "), field,
+      `${nearest(Object.keys(where.fields), field)} is the nearest; write "${term}" in quotes to search for it as text`);
   const { kind, example } = where.fields[field];
   if (["choice", "text"].includes(kind) && !":=".includes(compare))
     refuse(`${field}: or ${field}=`, field + compare, `write as in ${example}`);
@@ -50,6 +51,23 @@ function testOf(where, term) {
   if (kind === "choice") return choiceTest(where, field, value);
   if (kind === "text") return textTest(field, compare, unquoted(value).toLowerCase());
   return (kind === "number" ? numberTest : dateTest)(field, compare, unquoted(value), example);
+}
+
+// The field that the fewest changes of a letter make of a word; of several the first.
+function nearest(fields, word) {
+  const changes = (field) => {
+    const row = Array.from({ length: field.length + 1 }, (_, k) => k);
+    for (let i = 1; i <= word.length; i++) {
+      let diagonal = row[0];
+      row[0] = i;
+      for (let k = 1; k <= field.length; k++) {
+        const best = Math.min(row[k] + 1, row[k - 1] + 1, diagonal + (word[i - 1] !== field[k - 1]));
+        [diagonal, row[k]] = [row[k], best];
+      }
+    }
+    return row[field.length];
+  };
+  return fields.reduce((best, field) => changes(field) < changes(best) ? field : best);
 }
 
 function numberTest(field, compare, value, example) {

@@ -43,7 +43,7 @@ FIELDS = {
     "attempts": Field("number", "how often it was begun", "attempts>1"),
     "resolution": Field("number", "pixels a side", "resolution:256"),
     "photos": Field("number", "count of photos", "photos>=9"),
-    "date": Field("date", "when it ended", "date>2026-11-01"),
+    "date": Field("date", "when it ended, UTC", "date>2026-11-01"),
     "state": Field("choice", "done, failed, running or pending", "state:failed"),
     "tag": Field("choice", "one of its tags", "tag:wood,stone"),
     "method": Field("choice", "how it was fitted", "method:gan"),
@@ -106,7 +106,8 @@ def _test(term: str) -> Test:
         return lambda row: word in _searched(row)
     field, compare, value = found[1].lower(), found[2], found[3]
     if field not in FIELDS:
-        _refuse("one of " + ", ".join(FIELDS), field, f'write "{term}" in quotes to search for it as text')
+        _refuse("one of " + ", ".join(FIELDS), field,
+                f'{_nearest(field)} is the nearest; write "{term}" in quotes to search for it as text')
     kind, example = FIELDS[field].kind, FIELDS[field].example
     if kind in ("choice", "text") and compare not in ":=":
         _refuse(f"{field}: or {field}=", field + compare, f"write as in {example}")
@@ -117,6 +118,19 @@ def _test(term: str) -> Test:
     if kind == "date":
         return _date_test(compare, _unquoted(value), example)
     return _choice_test(field, value) if kind == "choice" else _text_test(field, compare, _unquoted(value).lower())
+
+
+def _nearest(word: str) -> str:
+    """The field that the fewest changes of a letter make of a word; of several the first."""
+    def changes(field: str) -> int:
+        row = list(range(len(field) + 1))  # Levenshtein's distance of what has been read of the word to each beginning
+        for number, letter in enumerate(word, 1):
+            diagonal, row[0] = row[0], number
+            for k, other in enumerate(field, 1):
+                diagonal, row[k] = row[k], min(row[k] + 1, row[k - 1] + 1, diagonal + (letter != other))
+        return row[-1]
+
+    return min(FIELDS, key=changes)
 
 
 def _number_test(field: str, compare: str, value: str, example: str) -> Test:
