@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ..errors import OutputError
 from ..system.interrupts import stop_signals
+from ..system.progress import several
 from .library.rows import write_library
 from .manifest import Manifest
 from .places.address import title_of
@@ -72,13 +73,14 @@ class Batch:
         manifest: what became of each capture.
         scheduler: what is left to do.
         tell: told how it stands after each end, with a line about it, and now and then with none.
+        command: what was typed, for the page of a batch that was stopped.
         clock: seconds since any moment.
     """
 
     def __init__(self, home: Path, library: str, place: Place, manifest: Manifest, scheduler: Scheduler, tell: Tell,
-                 clock: Callable[[], float] = time.monotonic) -> None:
+                 command: str | None = None, clock: Callable[[], float] = time.monotonic) -> None:
         self.home, self.library, self.place, self.manifest = home, library, place, manifest
-        self.scheduler, self.tell, self.clock = scheduler, tell, clock
+        self.scheduler, self.tell, self.command, self.clock = scheduler, tell, command, clock
         self.idle: dict[str, str] = {}  # hosts of workers without work
         self.attempts: dict[str, str] = {}  # by worker
         self.names: dict[str, str] = {}  # of what each worker runs
@@ -104,7 +106,8 @@ class Batch:
                     break
                 if stop and not warned:
                     warned = True
-                    self.tell(self.progress(), "Ctrl-C again ends what runs")
+                    running = several(len(self.scheduler.running), "fit")
+                    self.tell(self.progress(), f"stopping: waiting for {running} (Ctrl-C again ends at once)")
                 for event in pool.events(TURN_SECONDS):
                     with self._noting():
                         self._heard(event)
@@ -196,9 +199,7 @@ class Batch:
             self.manifest.end(attempt, "done", outcome, record["attempt"])
             release(self.home, material["folder"])
         elif verdict == "failed":  # first its reason: who dies here finds it waiting
-            quarantine(self.home, material["folder"], {
-                "name": material["name"], "source": material["source"], "state": outcome["state"], "reason": outcome["reason"],
-                "attempts": material["attempts"]}, outcome.get("log", ""))
+            quarantine(self.home, material, outcome["state"], outcome["reason"], outcome.get("log", ""))
             self.manifest.end(attempt, "failed", outcome)
         else:
             self.manifest.end(attempt, "pending", outcome)
@@ -240,4 +241,4 @@ class Batch:
         """Write ``library.json`` and ``index.html``; how fast it goes stands there only while it does."""
         stands = self.progress()
         rate = {"per_hour": stands.per_hour, "left_seconds": stands.left_seconds} if self.going else None
-        write_library(self.home, self.manifest, title_of(self.library), rate)
+        write_library(self.home, self.manifest, title_of(self.library), rate, self.command)

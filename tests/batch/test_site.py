@@ -10,6 +10,7 @@ from helpers.live_fits import served
 
 from mitsvbrdf.batch.library.site import LibrarySite
 from mitsvbrdf.cli.view import _Followed
+from mitsvbrdf.errors import OutputError
 
 NAMES = ("preview.jpg", "report.html", "look.html")
 
@@ -156,3 +157,12 @@ def test_a_folder_that_becomes_a_library_is_shown_as_one(tmp_path, library):
         assert ask("/state.json")[2] == b"null" and shown(ask)["name"] == []
         write_whole_library(root, library[1])
         assert len(shown(ask)["name"]) == len(library[1])
+
+
+@pytest.mark.parametrize("file, told", [("IMG_1.JPG", "which holds photos"), ("capture.json", "which holds photos"),
+                                         ("notes.txt", "which has other files")])
+def test_what_is_neither_a_fit_nor_a_library_is_told_with_what_can_be_opened(tmp_path, file, told):
+    (tmp_path / file).touch()
+    with pytest.raises(OutputError, match=told) as error:
+        _Followed(tmp_path)
+    assert "mitsvbrdf fit -o OUT" in str(error.value) and "mitsvbrdf batch -o LIBRARY" in str(error.value)
