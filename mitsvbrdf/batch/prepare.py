@@ -15,12 +15,12 @@ from ..capture.photo import SUFFIXES
 from ..errors import OutputError
 from ..fit.config import FitConfig, HierarchicalConfig
 from ..fit.options import FitOptions, config_record
-from ..system.files import write_bytes, write_json
+from ..system.files import open_regular, write_bytes, write_json
 from .entries import Entry, name_of_source
 from .identity import capture_files, identity
 from .manifest import Manifest
 from .places.address import is_url
-from .places.place import QUARANTINE, Place, clear_work
+from .places.place import QUARANTINE, WORK, Place, clear_work
 from .schedule import Work
 
 TYPICAL_SECONDS = 35.0  # of the default fit: nine photos, 256 px, one thread
@@ -83,7 +83,8 @@ def library_lock(home: Path) -> Callable[[], None]:
         if not known or home.exists() and not home.is_dir():
             raise OutputError("a new folder or a library", f"{home}, which is neither", "choose another place")
         home.mkdir(parents=True, exist_ok=True)
-        lock = (home / LOCK).open("w")
+        _refuse_links(home)
+        lock = open_regular(home / LOCK, os.O_RDWR | os.O_CREAT)
     except OSError as reason:
         raise OutputError(f"a place to write at {home}", reason.strerror or str(reason), "choose another place") from None
     import fcntl
@@ -96,6 +97,13 @@ def library_lock(home: Path) -> Callable[[], None]:
     if not (token := home / TOKEN).exists():
         write_bytes(token, secrets.token_hex(16).encode())
     return lock.close
+
+
+def _refuse_links(home: Path) -> None:
+    """Raise OutputError where something would be written through a link; results may be links, which are only read."""
+    for path in (*home.iterdir(), *home.glob(f"{QUARANTINE}/*")):
+        if path.is_symlink() and not (path.is_dir() and path.parent == home and path.name not in (WORK, QUARANTINE)):
+            raise OutputError("a library without links in it", f"{path}, a link", "move it away")
 
 
 class Registered(NamedTuple):

@@ -17,6 +17,7 @@ from ..batch.places.address import download, home_of, is_url, local_capture, pla
 from ..batch.prepare import library_lock
 from ..errors import ConfigError, MitsvbrdfError, OutputError
 from ..system.progress import console, progress_bar, say
+from .options import folder_inside
 
 COLUMNS = {"error": "{:.4f}", "left_out_error": "{:.4f}", "burn_in": "{:.2f}", "seconds": "{:.1f}", "attempts": "{}"}
 
@@ -95,7 +96,7 @@ def _export(library: str, chosen: Sequence[dict], formats: str, out: Path, overw
     for row in done:
         try:
             with local_capture(f"{library.rstrip('/')}/{row['folder']}") as result:
-                export_one(str(result), formats, out=out / row["folder"], overwrite=overwrite)
+                export_one(str(result), formats, out=folder_inside(out, row["folder"]), overwrite=overwrite)
         except MitsvbrdfError as error:
             wrong += 1
             say(f"not exported: {row['folder']}: {error}")
