@@ -61,6 +61,7 @@ def read_capture(
     Raises:
         CaptureError: photos or calibration that cannot be used, naming the file or row.
         ConfigError: options out of range.
+        OutputError: a command that was killed left the folder with files of two results, and it cannot be written.
     """
     path = Path(folder)
     if resolution is not None and resolution < LEAST_SIDE:

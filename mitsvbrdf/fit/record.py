@@ -140,6 +140,7 @@ def read_fit(maps: str | Path) -> SavedFit:
 
     Raises:
         MapsError: the ``fit.json`` cannot be understood.
+        OutputError: a command that was killed left the folder with files of two results, and it cannot be written.
     """
     folder = Path(os.path.abspath(maps))
     folder = folder.parent if folder.name in MAP_FOLDERS else folder
@@ -152,6 +153,7 @@ def read_whole_fit(folder: str | Path) -> SavedFit:
 
     Raises:
         MapsError: it is none, or not a whole one.
+        OutputError: a command that was killed left it with files of two results, and it cannot be written.
     """
     folder = Path(folder)
     settle(folder)

@@ -52,6 +52,7 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
 
     Raises:
         MapsError: naming what is missing or wrong.
+        OutputError: a command that was killed left the folder with files of two results, and it cannot be written.
     """
     folder = Path(folder)
     settle(folder.parent if folder.name in MAP_FOLDERS else folder)

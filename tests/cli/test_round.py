@@ -12,6 +12,9 @@ import torch
 from helpers.commands import FAST, fails
 
 from mitsvbrdf import cli
+from mitsvbrdf.cli.fit import _from_first_of
+from mitsvbrdf.errors import ConfigError
+from mitsvbrdf.fit.checkpoint import save_tensors
 from mitsvbrdf.fit.record import read_whole_fit
 from mitsvbrdf.material.map_files import load_maps
 from mitsvbrdf.system import images, result_folder
@@ -121,6 +124,25 @@ def test_an_unfinished_fit_is_not_thrown_away(shots, tmp_path, capsys):
     assert not partial.exists() and (out / "fit.json").is_file()
 
 
+def test_the_first_checkpoint_that_is_of_this_fit_is_gone_on_from(tmp_path, capsys):
+    torn, other, finished = (tmp_path / name for name in ("torn", "other", "finished"))
+    torn.write_bytes(b"half")
+    for iteration, path in enumerate((other, finished)):
+        save_tensors(path, {}, {"iteration": iteration})
+
+    def fitted(path):
+        if path == other:
+            raise ConfigError("the same photos", "others", "give them")
+        return path.name
+
+    assert _from_first_of([finished, other], fitted) == ("finished", 1) and not capsys.readouterr().out
+    assert _from_first_of([torn, other, finished], fitted) == ("finished", 1)
+    assert f"went on from {finished}; what was left unfinished was another fit: {torn}" in capsys.readouterr().out
+    with pytest.raises(ConfigError, match="got others"):
+        _from_first_of([other, torn], fitted)
+
+
+@pytest.mark.slow
 def test_an_unfinished_fit_does_not_hide_the_finished_one(shots, tmp_path, capsys):
     out, other = tmp_path / "out", tmp_path / "other"
     few = ["fit", str(shots), *FAST, "--views", "0,3"]
@@ -138,8 +160,8 @@ def test_an_unfinished_fit_does_not_hide_the_finished_one(shots, tmp_path, capsy
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("point", [3, 40, 70, 100])  # of some hundred renames, the first ones while it fits
-def test_a_fit_killed_at_any_moment_leaves_one_whole_result(shots, tmp_path, capsys, point):
+@pytest.mark.parametrize("moves, point", [(False, 3), (True, 1), (True, 40), (True, 70)])  # of some hundred moves
+def test_a_fit_killed_at_any_moment_leaves_one_whole_result(shots, tmp_path, capsys, moves, point):
     out = tmp_path / "out"
     refit = ["fit", str(shots), "-o", str(out), *FAST, "--views", "0,3", "--overwrite"]
     assert cli.main(["fit", str(shots), "-o", str(out), *FAST]) == 0
@@ -148,19 +170,18 @@ import itertools, os, signal
 from mitsvbrdf import cli
 replace, calls = os.replace, itertools.count(1)
 def killing(*words):
-    if next(calls) == {point}:
+    if os.path.exists({str(result_folder.partial_folder(out) / JOURNAL)!r}) == {moves} and next(calls) == {point}:
         os.kill(os.getpid(), signal.SIGKILL)
     replace(*words)
 os.replace = killing
 cli.main({refit!r})
 """
     assert subprocess.run([sys.executable, "-c", code]).returncode == -signal.SIGKILL
-    unfinished = not (result_folder.partial_folder(out) / JOURNAL).exists()
     capsys.readouterr()
     assert cli.main(["evaluate", str(out), "--reference", "builtin:inlay"]) == 0
-    assert ("was killed while" in capsys.readouterr().out) != unfinished
+    assert ("was killed while" in capsys.readouterr().out) == moves
     photos = len(read_whole_fit(out).record["per_photo"])
-    assert photos == (9 if unfinished else 2) == len(list((out / "rerendered").glob("*.exr")))
+    assert photos == (2 if moves else 9) == len(list((out / "rerendered").glob("*.exr")))
     assert cli.main(refit) == 0 and len(read_whole_fit(out).record["per_photo"]) == 2
 
 
