@@ -21,6 +21,7 @@ from mitsvbrdf.system import files, result_folder
 
 os.fsync = lambda descriptor: None  # a point to be killed at like the others; none of this has to outlive a power cut
 CALLS = ("replace", "rename", "unlink", "rmdir", "mkdir", "fsync")
+AMID = 45  # of the points of ``fit``
 FOREIGN = {"thesis.txt": "mine", "maps/mine.psd": "mine", "sheet.png": "mine"}
 FIT = dict.fromkeys(("maps/a.exr", "maps/b.exr", "look/deep/x.exr", "fit.json", "checkpoint.safetensors"), "1")
 FAILED = {".partial/checkpoint.safetensors": "half"}  # of a fit that was to take the place of the other
@@ -65,14 +66,17 @@ def publish(root: Path) -> None:
 def after_publishing(root: Path) -> dict:
     """What a batch that starts anew finds."""
     there = LocalPlace(root).record("wood") is not None
-    return {"reader": tree(root / "wood") if there else {}, "said": "", "left": {}}
+    found = tree(root / "wood") if there else {}
+    return {"reader": found, "command": found, "said": ""}
 
 
 class Shape:
-    """A command of :data:`SHAPES`, or ``batch``."""
+    """A command of :data:`SHAPES`, ``batch``, or ``reader``: of what ``fit`` leaves that was killed amid its moves."""
 
     def __init__(self, name: str) -> None:
-        self.batch = name == "batch"
+        self.batch, self.reader = name == "batch", name == "reader"
+        if self.reader:
+            name = "fit"
         self.options, self.foreign, self.earlier, self.new = ({}, {}, {}, {}) if self.batch else SHAPES[name]
 
     def prepare(self, out: Path) -> None:
@@ -81,29 +85,30 @@ class Shape:
                 write(folder, {name: text for name, text in self.earlier.items() if not name.startswith(".")})
             write(out, {name: text for name, text in self.earlier.items() if name.startswith(".")})
         write(out, self.foreign)
+        if self.reader:
+            assert killed(Shape("fit"), out, AMID)
 
     def run(self, out: Path) -> None:
         if self.batch:
             return publish(out)
+        if self.reader:
+            return result_folder.settle(out)
         with result_folder.output_folder(out, **self.options) as folder:
             write(folder, self.new)
 
     def found(self, out: Path) -> dict:
-        """What a reader finds, what it is told, and what a command leaves that replaces or goes on but comes to nothing."""
+        """What a reader finds, what it is told, and what a command leaves that replaces it or goes on but comes to nothing."""
         if self.batch:
             return after_publishing(out)
-        found = {}
-        for name, options in (("--overwrite", {"overwrite": True}), ("--resume", {"overwrite": True, "resume": True})):
-            copy = out.with_name(f"{out.name}{name}")
-            if out.exists():
-                shutil.copytree(out, copy)
-            with contextlib.suppress(Fails), contextlib.redirect_stdout(io.StringIO()), \
-                    result_folder.output_folder(copy, **options):
-                raise Fails
-            found[name] = tree(copy)
+        copy = out.with_name(f"{out.name} copy")
+        if out.exists():
+            shutil.copytree(out, copy)
+        with contextlib.suppress(Fails), contextlib.redirect_stdout(io.StringIO()), \
+                result_folder.output_folder(copy, overwrite=True, resume=int(out.name) % 2 == 0):
+            raise Fails
         with contextlib.redirect_stdout(io.StringIO()) as said:
             result_folder.settle(out)
-        return found | {"reader": tree(out), "said": said.getvalue()}
+        return {"reader": tree(out), "command": tree(copy), "said": said.getvalue()}
 
 
 def killed(shape: Shape, out: Path, point: int) -> bool:
@@ -119,7 +124,8 @@ def killed(shape: Shape, out: Path, point: int) -> bool:
 
         for name in CALLS:
             setattr(os, name, functools.partial(counted, getattr(os, name)))
-        shape.run(out)
+        with contextlib.redirect_stdout(io.StringIO()):
+            shape.run(out)
         os._exit(0)
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
 
