@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+os.fsync = lambda descriptor: None  # nothing that a test writes has to outlive a power cut, and waiting for the disk is slow
 pytest.register_assert_rewrite("helpers")
 
 # The plugin under test also comes through its entry point where the package is installed; pytest then loads it once.

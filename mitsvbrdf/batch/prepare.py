@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..errors import OutputError
-from ..system.files import write_bytes, write_json
+from ..system.files import open_regular, write_bytes, write_json
 from .asked import Asked
 from .entries import name_of_source
 from .identity import identity, identity_of_unreadable, is_calibrated
 from .manifest import FILE, Manifest
-from .places.place import QUARANTINE, Place, clear_work
+from .places.place import QUARANTINE, WORK, Place, clear_work
 from .places.remote import is_capture
 from .schedule import Work
 
@@ -42,7 +42,8 @@ def library_lock(home: Path) -> Callable[[], None]:
             raise OutputError("a new folder or a library", f"{home}, which {'holds photos' if photos else 'is neither'}",
                               "choose another place")
         home.mkdir(parents=True, exist_ok=True)
-        lock = (home / LOCK).open("w")
+        _refuse_links(home)
+        lock = open_regular(home / LOCK, os.O_RDWR | os.O_CREAT)
     except OSError as reason:
         raise OutputError(f"a place to write at {home}", reason.strerror or str(reason),
                           "check your rights, or choose another place") from None
@@ -56,6 +57,13 @@ def library_lock(home: Path) -> Callable[[], None]:
     if not (token := home / TOKEN).exists():
         write_bytes(token, secrets.token_hex(16).encode())
     return lock.close
+
+
+def _refuse_links(home: Path) -> None:
+    """Raise OutputError where something would be written through a link; results may be links, which are only read."""
+    for path in (*home.iterdir(), *home.glob(f"{QUARANTINE}/*")):
+        if path.is_symlink() and not (path.is_dir() and path.parent == home and path.name not in (WORK, QUARANTINE)):
+            raise OutputError("a library without links in it", f"{path}, a link", "move it away")
 
 
 class Registered(NamedTuple):

@@ -14,6 +14,7 @@ import torch
 from .. import color
 from ..errors import CaptureError, ConfigError
 from ..system import files, images
+from ..system.result_folder import settle
 from ..views import FIELD_OF_VIEW, Falloff, default_views, field_of_view
 from .calibrated import from_json, from_text
 from .capture import LEAST_SIDE, Capture
@@ -60,12 +61,14 @@ def read_capture(
     Raises:
         CaptureError: photos or calibration that cannot be used, naming the file or row.
         ConfigError: options out of range.
+        OutputError: a command that was killed left the folder with files of two results, and it cannot be written.
     """
     path = Path(folder)
     if resolution is not None and resolution < LEAST_SIDE:
         raise ConfigError(f"a resolution of {LEAST_SIDE} or more", str(resolution), "choose a larger one")
     if transfer is not None and transfer not in get_args(color.Transfer):
         raise ConfigError(f"a transfer function of {get_args(color.Transfer)}", repr(transfer), "choose one of these")
+    settle(path.parent if path.suffix.lower() == ".json" else path)
     if path.is_file() and path.suffix.lower() == ".json":
         capture = from_json(path, falloff)
     elif not path.is_dir():

@@ -14,7 +14,7 @@ from ..export import FORMATS, check_options, export_material
 from ..export.textures import Bits, Export, ExportSettings, Naming, NormalConvention
 from ..system import images, result_folder
 from ..system.progress import say
-from .options import Material, Overwrite, fit_of_maps, keep_apart_from_maps, material_of, name_of
+from .options import Material, Overwrite, fit_of_maps, folder_inside, keep_apart_from_maps, material_of, name_of
 
 if TYPE_CHECKING:
     from ..material.maps import SVBRDF
@@ -50,7 +50,7 @@ def export(maps: Positional[Material],
     builtin = maps.startswith("builtin:")
     if builtin and out is None:
         raise ConfigError("an output folder, beside a builtin material", "none", "add -o FOLDER")
-    out = out or Path(maps) / "export"
+    out = out or folder_inside(Path(maps), "export")
     svbrdf, fit = material_of(maps), fit_of_maps(maps)
     side = side_cm / 100 if side_cm is not None else fit.side_metres
     if not builtin:

@@ -23,6 +23,7 @@ from ..fit.options import FitOptions
 from ..fit.result import FitResult
 from ..render import Renderer, make_renderer
 from ..system import result_folder
+from ..system.files import is_regular
 from ..system.interrupts import undisturbed
 from ..system.profile import profiling
 from ..system.progress import Progress, print_numbers, print_profile, progress_bar, say
@@ -83,23 +84,42 @@ def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, o
     """Fit, finish where asked to, and write the result; also tells the iteration of the checkpoint gone on from."""
     from ..report.folder import write_fit
 
-    folders = result_folder.partial_folder(out), out
-    earlier = next((path for path in (each / result_folder.CHECKPOINT for each in folders) if path.is_file()), None)
-    if resume and earlier is None:
+    result_folder.settle(out)
+    places = [folder / result_folder.CHECKPOINT for folder in (result_folder.partial_folder(out), out)] if resume else []
+    earlier = [path for path in places if is_regular(path)]
+    if resume and not earlier:
         raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
-    before = load_tensors(earlier)[1].get("iteration") if resume and earlier else None
     shots, shown = options.chosen(photos)
     title = f"fit {shots.source.name if shots.source else ''} · {method_name(config)} · {engine.name}"
     with result_folder.output_folder(out, overwrite or resume, resume) as folder:
-        with Progress(title) as progress, profiling() if profile else contextlib.nullcontext():
-            result = fit_svbrdf(shots, engine, config, checkpoint=folder / result_folder.CHECKPOINT,
-                                resume=earlier if resume else None, report=progress, live=folder / result_folder.LIVE)
+        def fitted(checkpoint: Path | None) -> FitResult:
+            with Progress(title) as progress, profiling() if profile else contextlib.nullcontext():
+                return fit_svbrdf(shots, engine, config, checkpoint=folder / result_folder.CHECKPOINT, resume=checkpoint,
+                                  report=progress, live=folder / result_folder.LIVE)
+
+        result, before = _from_first_of(earlier, fitted) if resume else (fitted(None), None)
         if finishing := options.finishing(config):
             with progress_bar("adversarial finish") as finish_report:
                 result = finished(result, shots, engine, finishing, finish_report)
         with undisturbed():
             write_fit(result, shots, folder, command=options.record(shots), left_out=shown)
     return result, before
+
+
+def _from_first_of(checkpoints: Sequence[Path], fitted: Callable[[Path], FitResult]) -> tuple[FitResult, int | None]:
+    """Go on from the first checkpoint that is of this fit: what is left of another one does not hide a finished fit."""
+    wrong: list[ConfigError] = []
+    for path in checkpoints:
+        try:
+            before = load_tensors(path)[1].get("iteration")
+            result = fitted(path)
+        except ConfigError as reason:
+            wrong.append(reason)
+            continue
+        if wrong:
+            say(f"went on from {path}; what was left unfinished was another fit: {wrong[0].got}")
+        return result, before
+    raise wrong[0]
 
 
 def _say_finish(result: FitResult) -> None:

@@ -19,6 +19,7 @@ from ..batch.prepare import library_lock, release
 from ..errors import ConfigError, MitsvbrdfError, OutputError
 from ..export import check_options
 from ..system.progress import console, progress_bar, say, several
+from .options import folder_inside
 
 COLUMNS = {"error": "{:.4f}", "left_out_error": "{:.4f}", "burn_in": "{:.2f}", "seconds": "{:.1f}", "attempts": "{}"}
 
@@ -122,7 +123,7 @@ def _export(library: str, chosen: Sequence[dict], formats: str, out: Path, overw
     for row in done:
         try:
             with local_capture(f"{library.rstrip('/')}/{row['folder']}") as result:
-                export_one(str(result), formats, out=out / row["folder"], overwrite=overwrite)
+                export_one(str(result), formats, out=folder_inside(out, row["folder"]), overwrite=overwrite)
         except MitsvbrdfError as error:
             wrong += 1
             say(f"not exported: {row['folder']}: {error}")

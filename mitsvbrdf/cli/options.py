@@ -52,6 +52,15 @@ def keep_apart_from_maps(maps: Path, out: Path) -> None:
         raise ConfigError("an output folder of its own", f"{out}, which holds the maps", "choose another folder")
 
 
+def folder_inside(parent: Path, name: str) -> Path:
+    """A folder for results that no user named: a link in its place is not followed, and no name leads out of ``parent``."""
+    found = files.inside(parent, name)
+    if found is None:
+        raise OutputError(f"a folder {name} inside {parent}", "a link, or a name that leads elsewhere",
+                          "move the link away, or name a folder with -o")
+    return found
+
+
 def name_of(maps: str) -> str:
     """What a material is called: ``builtin:NAME`` by its name, others like the folder of their fit; its look NAME-look."""
     if maps.startswith("builtin:"):

@@ -15,7 +15,7 @@ from ..errors import ConfigError
 from ..system import result_folder
 from ..system.interrupts import stop_signals
 from ..system.progress import progress_bar, say
-from .options import Material, Overwrite, Variant, fit_of_maps, keep_apart_from_maps, material_of, name_of
+from .options import Material, Overwrite, Variant, fit_of_maps, folder_inside, keep_apart_from_maps, material_of, name_of
 
 if TYPE_CHECKING:
     from ..material.maps import SVBRDF
@@ -74,7 +74,7 @@ def relight(maps: Positional[Material],
     builtin = maps.startswith("builtin:")
     if builtin and out is None and not (explain or check):
         raise ConfigError("an output folder, beside a builtin material", "none", "add -o FOLDER")
-    out = out or Path(maps) / "relight"
+    out = out or folder_inside(Path(maps), "relight")
     svbrdf, fit = material_of(maps), fit_of_maps(maps)
     mi = mitsuba_module(variant)
     if check:

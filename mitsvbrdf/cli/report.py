@@ -27,7 +27,7 @@ def report(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder t
     from ..report.fit_page import check_photos, keep_photos, write_report
 
     found = read_whole_fit(out)
-    left_out, written = None, ["report.html", "report.json"]
+    left_out = None
     if capture is not None:
         keep_apart(capture, out)
         about = found.record["capture"]
@@ -36,12 +36,11 @@ def report(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder t
         check_photos(found, used)
         others = [number for number in shots.index if number not in found.seen]
         left_out = shots if others else None
-        written += [f"photos/{name}.png" for name in shots.names] + [f"predicted/{number:02d}.png" for number in others]
-    result_folder.make_room(out, written)
-    if capture is not None:
-        keep_photos(out, used)
-    with progress_bar(f"report {out.name}") as tell:
-        record = write_report(out, quick, left_out, tell)
+    with result_folder.output_folder(out, overwrite=False, add=True) as folder:
+        if capture is not None:
+            keep_photos(folder, used)
+        with progress_bar(f"report {out.name}") as tell:
+            record = write_report(out, quick, left_out, tell, folder)
     if record["left_out_rmse"] is not None:
         missed = {photo["name"]: photo["rmse"] for photo in record["photos"] if photo["left_out"]}
         print_numbers("Re-rendering RMSE, left out of the fit", missed | {"all": record["left_out_rmse"]})

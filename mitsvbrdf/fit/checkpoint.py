@@ -11,7 +11,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from ..errors import ConfigError
-from ..system.files import beside
+from ..system.files import beside, to_disk
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], note: dict) -> None:
@@ -22,6 +22,7 @@ def save_tensors(path: Path, tensors: dict[str, Tensor], note: dict) -> None:
                       metadata={"mitsvbrdf": json.dumps(note)})
         except SafetensorError as reason:
             raise OSError(str(reason)) from None
+        to_disk(temporary)  # it takes the place of one that can be resumed from
 
 
 def load_tensors(path: Path | str) -> tuple[dict[str, Tensor], dict]:

@@ -18,6 +18,7 @@ from ..measure.burn_in import burn_in, local_burn_in
 from ..render import Renderer, RendererName, make_renderer
 from ..system import files
 from ..system.provenance import machine, versions
+from ..system.result_folder import settle
 from ..views import Falloff, Views
 from .confidence import confidence
 from .fixed_maps import described
@@ -139,9 +140,11 @@ def read_fit(maps: str | Path) -> SavedFit:
 
     Raises:
         MapsError: the ``fit.json`` cannot be understood.
+        OutputError: a command that was killed left the folder with files of two results, and it cannot be written.
     """
     folder = Path(os.path.abspath(maps))
     folder = folder.parent if folder.name in MAP_FOLDERS else folder
+    settle(folder)
     return _read(folder) if (folder / FILE).is_file() else SavedFit(path=folder)
 
 
@@ -150,8 +153,10 @@ def read_whole_fit(folder: str | Path) -> SavedFit:
 
     Raises:
         MapsError: it is none, or not a whole one.
+        OutputError: a command that was killed left it with files of two results, and it cannot be written.
     """
     folder = Path(folder)
+    settle(folder)
     if not (folder / FILE).is_file():
         raise MapsError("a folder that `mitsvbrdf fit` wrote", f"{folder}, which has no {FILE}", "give the OUT of a fit")
     fit = _read(folder)

@@ -16,6 +16,7 @@ from torch import Tensor
 from .. import color
 from ..errors import ConfigError, MapsError, MapsWarning
 from ..system import files, images
+from ..system.result_folder import settle
 from .maps import CHANNELS, COLOURS, LOWEST_Z, SVBRDF, Bsdf
 
 # How the fields' files are encoded, by the names that material.json and --encoding use.
@@ -51,8 +52,10 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
 
     Raises:
         MapsError: naming what is missing or wrong.
+        OutputError: a command that was killed left the folder with files of two results, and it cannot be written.
     """
     folder = Path(folder)
+    settle(folder.parent if folder.name in MAP_FOLDERS else folder)
     if (folder / "maps").is_dir():
         folder = folder / "maps"
     if not folder.is_dir():

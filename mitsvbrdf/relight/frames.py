@@ -12,7 +12,7 @@ from types import ModuleType
 from torch import Tensor
 
 from ..errors import ConfigError, MapsError, MitsvbrdfError
-from ..system import files, images
+from ..system import files, images, result_folder
 from ..system.provenance import machine, versions
 from .passes import Rendered, Stop, render_frame, shown
 from .stage import Stage
@@ -68,35 +68,52 @@ def go_on(settings: Mapping, out: Path, folder: Path) -> Record:
     Args:
         settings: of this run.
         out: the folder of results, finished or interrupted.
-        folder: where results are made; of a run that was killed it still holds the frames.
+        folder: where results are made; of a run that was killed it still holds the frames. One with other settings is
+            given up for a finished run in ``out`` that has these.
 
     Raises:
-        ConfigError: there is no earlier run, or it had other settings.
+        ConfigError: there is no earlier run, it had other settings, or it names files outside of its folder.
     """
-    place = next((each for each in (folder, out) if (each / RECORD).is_file()), None)
-    if place is None:
-        raise ConfigError(f"a {RECORD} to go on from in {out}", "none", "run without --resume first")
+    wrong: ConfigError | None = None
+    for place in (folder, out):
+        if not files.is_regular(place / RECORD):
+            continue
+        try:
+            record, names = _found(place, settings)
+        except ConfigError as reason:
+            wrong = wrong or reason
+            continue
+        if place != folder:
+            for entry in folder.iterdir():  # of a run with other settings, which is given up
+                if entry.name != result_folder.LOCK:
+                    files.remove(entry)
+            for name in names:
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy2(place / name, folder / name)
+        return record
+    raise wrong or ConfigError(f"a {RECORD} to go on from in {out}", "none", "run without --resume first")
+
+
+def _found(place: Path, settings: Mapping) -> tuple[Record, list[str]]:
+    """The record in a folder and the names of its files, all of them inside; ConfigError unless it has these settings."""
     try:
-        found = json.loads((place / RECORD).read_text())
+        with files.open_regular(place / RECORD) as file:
+            found = json.load(file)
         record, new = Record(found["settings"], found["presets"]), begin(settings).settings
         other = [name for name in new if record.settings.get(name) != new[name]]
         for name, preset in record.presets.items():
             preset["frames"] = list(record.of(name).values())
         frames = [frame["file"] for preset in record.presets.values() for frame in preset["frames"]]
-        lost = [file for file in frames if not (place / file).is_file()]
-    except (ValueError, KeyError, TypeError, AttributeError) as reason:
+        lost = [str(name) for name in frames if not files.is_regular(files.inside(place, name))]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as reason:
         raise ConfigError(f"a {RECORD} of this command", f"{place}: {reason!r}", "--overwrite starts anew") from None
     if other:
         raise ConfigError("the settings of the run to go on with", f"another {', '.join(other)}",
                           "give the same, or --overwrite to start anew")
     if lost:
         raise ConfigError(f"the frames that {RECORD} names", f"{place} without {', '.join(lost)}", "--overwrite starts anew")
-    if place != folder:
-        beside = [f"{name}.{kind}" for name in record.presets for kind in BESIDE]
-        for file in (*frames, *(each for each in beside if (place / each).is_file())):
-            (folder / file).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(place / file, folder / file)
-    return record
+    beside = [f"{name}.{kind}" for name in record.presets for kind in BESIDE]
+    return record, [*frames, *(name for name in beside if files.is_regular(files.inside(place, name)))]
 
 
 def render_stages(mi: ModuleType, stages: Sequence[Stage], stop: Stop, record: Record, folder: Path, *, seed: int = 0,

@@ -55,7 +55,7 @@ def keep_photos(folder: Path, capture: Capture) -> None:
 
 
 def write_report(folder: str | Path, quick: bool = False, left_out: Capture | None = None,
-                 report: Report = lambda text, share: None) -> dict:
+                 report: Report = lambda text, share: None, into: Path | None = None) -> dict:
     """Measure what a page shows beside ``fit.json``, and write ``report.json`` and ``report.html`` into a fit's folder.
 
     Args:
@@ -64,6 +64,7 @@ def write_report(folder: str | Path, quick: bool = False, left_out: Capture | No
         left_out: photos that the fit did not use, to predict and keep; None: those that an earlier page had. Where the capture
             states no views, also those that it used: all help to place the others.
         report: told what is going on and the share done.
+        into: the folder to write to, whose photos come before those of the fit's; left out: the fit's.
 
     Returns:
         What ``report.json`` holds.
@@ -74,9 +75,9 @@ def write_report(folder: str | Path, quick: bool = False, left_out: Capture | No
         BackendError: the fit's renderer does not work here.
     """
     found = read_whole_fit(folder)
-    engine = found.renderer()
-    predicted, error = _earlier(found) if left_out is None or engine is None else _predicted(found, left_out, engine)
-    photos = [{"name": name, "left_out": False, "rmse": rmse, "photo": _there(found.path, f"photos/{name}.png"),
+    engine, into = found.renderer(), into or found.path
+    predicted, error = _earlier(found) if left_out is None or engine is None else _predicted(found, left_out, engine, into)
+    photos = [{"name": name, "left_out": False, "rmse": rmse, "photo": _there(f"photos/{name}.png", into, found.path),
                "rerendered": f"rerendered/{name}.png"} for name, rmse in found.record["per_photo"].items()]
     transfer = found.record["capture"]["transfer"]
     assert found.views is not None  # a whole fit has them
@@ -85,8 +86,8 @@ def write_report(folder: str | Path, quick: bool = False, left_out: Capture | No
     if not found.unchanged():
         raise OutputError("the same fit as a moment ago", f"another one in {found.path}", "run it again")
     record = measured | {"photos": photos + predicted, "left_out_rmse": error}
-    files.write_json(found.path / "report.json", record)
-    _write_page(found, record)
+    files.write_json(into / "report.json", record)
+    _write_page(found, record, into)
     return record
 
 
@@ -107,17 +108,17 @@ def check_photos(found: SavedFit, capture: Capture) -> None:
                                f"instead of {found.record['per_photo'][name]:.4f})", "give the capture that was fitted")
 
 
-def _there(folder: Path, name: str) -> str | None:
-    return name if (folder / name).is_file() else None
+def _there(name: str, *folders: Path) -> str | None:
+    return name if any((folder / name).is_file() for folder in folders) else None
 
 
-def _predicted(found: SavedFit, capture: Capture, engine: Renderer) -> tuple[list[dict], float]:
+def _predicted(found: SavedFit, capture: Capture, engine: Renderer, into: Path) -> tuple[list[dict], float]:
     capture = placed(capture, found)
     capture = capture.pick([number for number in capture.index if number not in found.seen])
     predicted, error, each = predict(found.svbrdf, capture, engine, found.flash_offset)
-    keep_photos(found.path, capture)
+    keep_photos(into, capture)
     for name, image in zip(capture.names, predicted):
-        images.write_png(found.path / "predicted" / f"{name}.png", color.to_display(image, capture.transfer))
+        images.write_png(into / "predicted" / f"{name}.png", color.to_display(image, capture.transfer))
     return [{"name": name, "left_out": True, "rmse": rmse, "photo": f"photos/{name}.png", "rerendered": f"predicted/{name}.png"}
             for name, rmse in zip(capture.names, each)], error
 
@@ -133,21 +134,21 @@ def _earlier(found: SavedFit) -> tuple[list[dict], float | None]:
     shape = {"name": str, "rmse": NUMBER, "photo": str, "rerendered": str}
     if (not photos or misfit(photos, [shape], "photos") or not isinstance(error, NUMBER)
             or not all(photo["photo"] == f"photos/{n:02d}.png" and photo["rerendered"] == f"predicted/{n:02d}.png"
-                       and _there(found.path, photo["photo"]) and _there(found.path, photo["rerendered"])
+                       and _there(photo["photo"], found.path) and _there(photo["rerendered"], found.path)
                        for photo, n in zip(photos, numbers))):
         return [], None
     return photos, error
 
 
-def _write_page(found: SavedFit, record: dict) -> None:
+def _write_page(found: SavedFit, record: dict, into: Path) -> None:
     fit = found.record
     side = int(max(SMALLEST_PHOTO, min(LARGEST_PHOTO, PHOTOS_WIDE / len(record["photos"])**0.5)))
     title = f"{fit['capture'].get('name') or 'Capture'}: recovered material"
-    write_page(found.path / "report.html", "report/report.html", title=title, fit=fit, record=record, maps=_maps(found),
+    write_page(into / "report.html", "report/report.html", title=title, fit=fit, record=record, maps=_maps(found),
                front=front(found, record["quick"]),
-               photos=[_photo(found.path, photo, side) for photo in record["photos"]], viewer=viewer_html(found.svbrdf),
+               photos=[_photo(photo, side, into, found.path) for photo in record["photos"]], viewer=viewer_html(found.svbrdf),
                curves=_curves(fit["trace"]), measured=_thinned(fit["trace"]), unknown=UNKNOWN, ramp=_ramp(), titles=TITLES,
-               look=write_look_page(found), scalar=_scalar, from_where=about_views(fit.get("calibration") or {}))
+               look=write_look_page(found, into), scalar=_scalar, from_where=about_views(fit.get("calibration") or {}))
 
 
 def _maps(found: SavedFit) -> list[dict]:
@@ -174,15 +175,19 @@ def _ramp() -> str:
     return picture_uri(magma(torch.linspace(0, 1, 256).expand(8, 256)))
 
 
-def _photo(folder: Path, photo: dict, side: int) -> dict:
+def _photo(photo: dict, side: int, *folders: Path) -> dict:
     """Pictures of a photo, its re-rendering, and four times their difference; without the photo, the re-rendering alone."""
-    rendered = images.read_image(folder / photo["rerendered"], MapsError)
+    def read(name: str) -> Tensor:
+        folder = next((each for each in folders if (each / name).is_file()), folders[-1])
+        return images.read_image(folder / name, MapsError)
+
+    rendered = read(photo["rerendered"])
     pictures = {"rerendered": picture_uri(at_most(rendered, side)), "photo": None, "difference": None}
     if photo["photo"]:
-        seen = images.read_image(folder / photo["photo"], MapsError)
+        seen = read(photo["photo"])
         if seen.shape != rendered.shape:
             raise MapsError(f"{photo['photo']} as large as {photo['rerendered']}",
-                            f"{tuple(seen.shape[:2])} beside {tuple(rendered.shape[:2])} in {folder}",
+                            f"{tuple(seen.shape[:2])} beside {tuple(rendered.shape[:2])} in {folders[-1]}",
                             "add --capture with the photos of the fit")
         pictures |= {"photo": picture_uri(at_most(seen, side)),
                      "difference": picture_uri(at_most(4 * (seen - rendered).abs(), side))}

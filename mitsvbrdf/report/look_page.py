@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 
 import torch
 
@@ -19,11 +20,12 @@ PAGE = "look.html"
 LARGEST = 512  # pixels a side on the page
 
 
-def write_look_page(found: SavedFit) -> str | None:
-    """Write ``look.html`` into a fit's folder: maps, a light that no photo had, and the live viewer, all of its look.
+def write_look_page(found: SavedFit, into: Path) -> str | None:
+    """Write ``look.html`` of a fit: maps, a light that no photo had, and the live viewer, all of its look.
 
     Args:
         found: the fit.
+        into: the folder to write to.
 
     Returns:
         The page's name; None where the fit has no look.
@@ -43,7 +45,7 @@ def write_look_page(found: SavedFit) -> str | None:
     maps = [(TITLES[name], picture_uri(at_most(shown_map(name, found.look[name]), LARGEST)))
             for name in CHANNELS[found.look.bsdf]]
     name = found.record["capture"].get("name") or "Capture"
-    write_page(found.path / PAGE, "report/look.html", title=f"{name}: look", finish=finish, maps=maps, relit=relit,
+    write_page(into / PAGE, "report/look.html", title=f"{name}: look", finish=finish, maps=maps, relit=relit,
                solved_rmse=found.record["rerender_rmse"], viewer=viewer_html(found.look))
     return PAGE
 

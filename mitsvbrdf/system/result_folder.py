@@ -1,7 +1,10 @@
 """Result folders that appear whole or not at all, and in which nobody else's file is lost.
 
-A result is made in a hidden folder inside its place and then renamed; a manifest lists the files that are ours, so that
-``--overwrite`` takes away those alone; a lock keeps two runs apart. An unfinished run leaves what it can be resumed from.
+A result is made in a hidden folder inside its place and then moved; a manifest lists the files that are ours, so that
+``--overwrite`` takes away those alone; a lock keeps two runs apart. An unfinished run leaves what it can be resumed from, and
+moves that a kill ended are made by the next command that opens the folder (:mod:`.journal`).
+
+The folder that a user names may be a link. Inside, a link, a pipe or a device is never gone through.
 """
 
 from __future__ import annotations
@@ -10,34 +13,38 @@ import contextlib
 import itertools
 import json
 import os
-import shutil
+import stat
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
 from ..errors import OutputError
-from .files import write_bytes
+from .files import inside, is_regular, open_regular, remove
 from .interrupts import undisturbed
+from .journal import ADDED, JOURNAL, PARTIAL, Journal, is_own
+from .progress import say
 
 MANIFEST = ".mitsvbrdf"  # in each folder we make: the files we put there
 CHECKPOINT = "checkpoint.safetensors"
 LIVE = "live.safetensors"  # what a running fit is watched through; no part of the result
 LOCK = ".lock"
+PATIENCE = 5.0  # seconds that another command may take to put its result in place
+GLANCE = 0.05  # seconds that somebody who asks :func:`in_use` may take
 
 
 def partial_folder(out: Path) -> Path:
     """Where a result lies while it is being made: inside ``out``, so that putting it in place is a rename."""
-    return Path(out) / ".partial"
+    return Path(out) / PARTIAL
 
 
 @contextlib.contextmanager
-def output_folder(out: Path, overwrite: bool, resume: bool = False,
-                  keep: tuple[str, ...] = (CHECKPOINT,)) -> Iterator[Path]:
+def output_folder(out: Path, overwrite: bool, resume: bool = False, keep: tuple[str, ...] = (CHECKPOINT,),
+                  add: bool = False) -> Iterator[Path]:
     """Make the files of a result folder all or not at all.
 
-    Yields the folder to write into (:func:`partial_folder`). When the block ends well its files move to ``out``, those that
-    an earlier run put there (the manifest lists them) go, and files of anybody else stay: one that is in the way gets
+    Yields the folder to write into, inside :func:`partial_folder`. When the block ends well its files move to ``out``, those
+    that an earlier run put there (the manifest lists them) go, and files of anybody else stay: one that is in the way gets
     ``.old`` behind its name. When the block fails only what a later run resumes from is kept.
 
     Args:
@@ -45,94 +52,79 @@ def output_folder(out: Path, overwrite: bool, resume: bool = False,
         overwrite: whether earlier results, or an unfinished run, may be replaced.
         resume: go on in the partial folder that an interrupted run left.
         keep: files and folders to resume from.
+        add: the files join earlier ones and replace those of the same name alone; an unfinished run stays as it is.
 
     Raises:
-        OutputError: ``out`` has results, is no folder, is in use by another run, or cannot be written.
+        OutputError: ``out`` has results, is no folder, is in use by another run, or cannot be written; or a link, or a file of
+            another user, is where an unfinished run's files are.
     """
     out = Path(os.path.realpath(out))
     partial = partial_folder(out)
+    staged = partial / ADDED if add else partial
+    keep = (CHECKPOINT, LIVE) if add else keep
     try:
-        if out.exists() and not out.is_dir():
-            raise OutputError("a folder for the output", f"the file {out}", "choose another name")
-        if out.is_dir() and not overwrite and any(entry != partial for entry in out.iterdir()):
-            raise OutputError("an empty or new output folder", f"{out}, which has results",
-                              "add --overwrite to replace them, or choose another folder")
-        if any((partial / name).exists() for name in keep) and not (overwrite or resume):
-            raise OutputError("no unfinished run", f"the one in {out}", "--resume goes on, --overwrite starts anew")
+        settle(out)
+        if not add:
+            _check_free(out, overwrite, resume, keep)
         made = not out.exists()
         partial.mkdir(parents=True, exist_ok=True)
-        lock = _locked(partial)
-        _empty(partial, keep=(LOCK, *keep) if resume else (LOCK,))
+        lock = _locked(out)
+        _empty(partial, (LOCK, *keep) if resume or add else (LOCK,))
+        staged.mkdir(exist_ok=True)
     except OSError as reason:
         raise OutputError(f"a place to write at {out}", reason.strerror or str(reason),
                           "free space, or choose a folder you may write to") from None
     done = False
     try:
-        yield partial
+        yield staged
         with undisturbed():
-            _put_in_place(partial, out)
+            _put_in_place(out, staged, add)
         done = True
     except OSError as reason:
         raise OutputError(f"to write {out}", reason.strerror or str(reason), "free space or choose another place") from None
     finally:
         if os.name == "nt":
             lock.close()  # Windows removes no open file
-        if done or not any((partial / name).exists() for name in keep):
-            shutil.rmtree(partial, ignore_errors=True)
+        if not os.path.lexists(partial / JOURNAL):  # else the next command needs all
+            _clean(partial, () if done and not add else keep)
             if made and not done:
                 with contextlib.suppress(OSError):
                     out.rmdir()
-        else:
-            _empty(partial, keep)
         lock.close()  # now that nothing of a next run can be taken away
 
 
-def make_room(out: Path, names: Sequence[str]) -> None:
-    """Let files of these names (relative to ``out``) belong to our results, so that ``--overwrite`` takes them away again.
+def settle(out: Path) -> None:
+    """Finish what a command that was killed had begun to put in place, and say so; mostly there is nothing to do.
 
-    A file of anybody else that has such a name gets ``.old`` behind it.
+    Whoever reads a result calls it first, and so meets the old one whole or the new one whole.
 
     Raises:
-        OutputError: ``out`` cannot be written.
+        OutputError: it cannot be finished: ``out`` holds files of two results.
     """
-    out = Path(out)
+    if not os.path.lexists(partial_folder(out) / JOURNAL):
+        return
+    out = Path(os.path.realpath(out))
+    partial = partial_folder(out)
     try:
-        mine = [str(name) for name in json.loads((out / MANIFEST).read_text())]
-    except (OSError, ValueError, TypeError):
-        mine = []
-    try:
-        for name in names:
-            if name not in mine and os.path.lexists(out / name):
-                os.replace(out / name, _spare_name(out / name))
-    except OSError as reason:
-        raise OutputError(f"to write {out}", reason.strerror or str(reason), "choose a folder you may write to") from None
-    write_bytes(out / MANIFEST, json.dumps(sorted({*mine, *names})).encode())
-
-
-def _locked(partial: Path) -> IO:
-    """An open file in the partial folder that no other process has locked."""
-    lock = (partial / LOCK).open("w")
-    with contextlib.suppress(ImportError):  # no fcntl on Windows
-        import fcntl
-        for left in (2, 1, 0):
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                if os.fstat(lock.fileno()).st_nlink:
-                    return lock
-                break  # the run that ends took the file away
-            except BlockingIOError:
-                if left:
-                    time.sleep(0.02)  # in_use may be asking
-        lock.close()
-        raise OutputError("an output folder of its own for each run", f"{partial.parent}, in use by another run",
-                          "wait for it, or choose another folder")
-    return lock
+        with _locked(out, PATIENCE), undisturbed():
+            if journal := Journal.left(out):
+                journal.go_on()
+                _clean(partial, (CHECKPOINT, LIVE) if journal.staged else ())
+                say(f"{out}: a command was killed while it put its result in place; that is done now, and the result whole")
+    except (OutputError, OSError) as reason:
+        if not os.path.lexists(partial / JOURNAL):  # done by another command just now, or undone: the earlier result is whole
+            return
+        if isinstance(reason, OutputError):
+            raise
+        raise OutputError("a whole result", f"{out}, where a command was killed while it put its result in place, and which "
+                          f"cannot be written: {reason.strerror or reason}",
+                          "free space, or let somebody who may write there run the command") from None
 
 
 def in_use(out: Path) -> bool:
     """Whether a command is at work in ``out``; on Windows: whether one has begun and did not end well."""
     try:
-        lock = (partial_folder(out) / LOCK).open()
+        lock = open_regular(partial_folder(out) / LOCK)
     except OSError:
         return False
     with lock, contextlib.suppress(ImportError):
@@ -145,40 +137,88 @@ def in_use(out: Path) -> bool:
     return True
 
 
+def _check_free(out: Path, overwrite: bool, resume: bool, keep: tuple[str, ...]) -> None:
+    partial = partial_folder(out)
+    if out.exists() and not out.is_dir():
+        raise OutputError("a folder for the output", f"the file {out}", "choose another name")
+    if out.is_dir() and not overwrite and any(entry != partial for entry in out.iterdir()):
+        raise OutputError("an empty or new output folder", f"{out}, which has results",
+                          "add --overwrite to replace them, or choose another folder")
+    if any(os.path.lexists(partial / name) for name in keep) and not (overwrite or resume):
+        raise OutputError("no unfinished run", f"the one in {out}", "--resume goes on, --overwrite starts anew")
+
+
+def _locked(out: Path, patience: float = GLANCE) -> IO:
+    """An open file in the partial folder that no other process has locked."""
+    _check_own(out)
+    lock = open_regular(partial_folder(out) / LOCK, os.O_RDWR | os.O_CREAT)
+    with contextlib.suppress(ImportError):  # no fcntl on Windows
+        import fcntl
+        last = time.monotonic() + patience
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if os.fstat(lock.fileno()).st_nlink:
+                    return lock
+                break  # the run that ends took the file away
+            except BlockingIOError:
+                if time.monotonic() > last:
+                    break
+                time.sleep(0.02)
+        lock.close()
+        raise OutputError("an output folder of its own for each run", f"{out}, in use by another run",
+                          "wait for it, or choose another folder")
+    return lock
+
+
+def _check_own(out: Path) -> None:
+    """Raise OutputError for a partial folder with anything but files and folders of ours, or of the owner of ``out``."""
+    partial = partial_folder(out)
+    owners = {os.geteuid(), out.stat().st_uid} if hasattr(os, "geteuid") else {0}
+    inner = (Path(here, name) for here, folders, names in os.walk(partial) for name in (*folders, *names))
+    for path in itertools.chain([partial], inner):
+        try:
+            found = path.lstat()
+        except FileNotFoundError:  # of a run that is at work
+            continue
+        what = ("a link" if stat.S_ISLNK(found.st_mode) else
+                "no regular file" if not (stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode)) else
+                f"of user {found.st_uid}" if found.st_uid not in owners else "")
+        if what:
+            raise OutputError(f"nothing but files of yours in {partial}", f"{path}, {what}",
+                              "move it away, or choose another folder")
+
+
 def _empty(folder: Path, keep: tuple[str, ...]) -> None:
-    for entry in folder.iterdir():
+    for entry in sorted(folder.iterdir(), key=lambda entry: entry.name == LOCK):  # as long as something is there it is locked
         if entry.name not in keep:
-            shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
+            remove(entry)
 
 
-def _put_in_place(partial: Path, out: Path) -> None:
-    """Move the files of the partial folder to ``out`` and take away what the manifest there lists; undone if it fails."""
-    new = sorted(str(p.relative_to(partial)) for p in partial.rglob("*") if p.is_file() and p.name not in (LOCK, LIVE))
+def _clean(partial: Path, keep: tuple[str, ...]) -> None:
+    """Take away the partial folder, but for what a later run needs."""
+    with contextlib.suppress(OSError):
+        _empty(partial, keep)
+        if not any(os.path.lexists(partial / name) for name in keep):
+            partial.rmdir()
+
+
+def _put_in_place(out: Path, staged: Path, add: bool) -> None:
+    """Move the new files to ``out`` and take away earlier ones of the same names, or, unless they are added, all of ours."""
+    new = sorted(str(path.relative_to(staged)) for path in staged.rglob("*") if is_regular(path))
+    new = [name for name in new if name not in (LOCK, LIVE)]
+    mine = _manifest(out)
+    earlier = [name for name in mine if (name in new or not add) and is_regular(inside(out, name))]
+    earlier += [MANIFEST] if is_regular(out / MANIFEST) else []
+    (staged / MANIFEST).write_text(json.dumps(sorted({*mine, *new}) if add else new))
+    Journal(out, ADDED if add else "", earlier, [*new, MANIFEST]).run()
+
+
+def _manifest(out: Path) -> list[str]:
+    """Names of the files that earlier commands put there; none where that is not known."""
     try:
-        earlier = [str(name) for name in json.loads((out / MANIFEST).read_text())]
-    except (OSError, ValueError, TypeError):
-        earlier = []
-    earlier = [name for name in (*earlier, MANIFEST) if (out / name).is_file() and ".." not in Path(name).parts]
-    moves = [(out / name, partial / ".earlier" / name) for name in dict.fromkeys(earlier)]
-    moves += [(out / name, _spare_name(out / name)) for name in new if name not in earlier and os.path.lexists(out / name)]
-    (partial / MANIFEST).write_text(json.dumps(new))
-    moves += [(partial / name, out / name) for name in (*new, MANIFEST)]
-    undo: list[tuple[Path, Path]] = []
-    try:
-        for source, target in moves:
-            target.parent.mkdir(parents=True, exist_ok=True)
-            os.replace(source, target)
-            undo.append((target, source))
-    except BaseException:
-        for target, source in reversed(undo):
-            source.parent.mkdir(parents=True, exist_ok=True)
-            os.replace(target, source)
-        raise
-    for folder in sorted({(out / name).parent for name in earlier} - {out}, reverse=True):
-        with contextlib.suppress(OSError):
-            folder.rmdir()  # only where nothing is left in it
-
-
-def _spare_name(path: Path) -> Path:
-    names = (path.with_name(f"{path.name}.old{count or ''}") for count in itertools.count())
-    return next(name for name in names if not os.path.lexists(name))
+        with open_regular(out / MANIFEST) as file:
+            names = json.load(file)
+    except (OSError, ValueError, RecursionError):
+        return []
+    return list(dict.fromkeys(name for name in names if is_own(name) and name != MANIFEST)) if isinstance(names, list) else []

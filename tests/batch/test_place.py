@@ -78,14 +78,14 @@ def test_another_mistake_of_the_disk_is_told(place, monkeypatch):
 
 
 def test_a_disk_that_cannot_sync_folders_makes_no_result_fail(place, monkeypatch):
-    real = place_module._to_disk
+    real = place_module.to_disk
 
     def picky(path):
         if path == place.root:
             raise OSError(22, "Invalid argument")
         real(path)
 
-    monkeypatch.setattr(place_module, "_to_disk", picky)
+    monkeypatch.setattr(place_module, "to_disk", picky)
     assert publish_result(place, TASK)
 
 

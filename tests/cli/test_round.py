@@ -2,6 +2,8 @@
 
 import json
 import os
+import shutil
+import signal
 import subprocess
 import sys
 
@@ -11,8 +13,13 @@ from helpers.commands import FAST, fails
 from helpers.variants import mostly_slow
 
 from mitsvbrdf import cli
+from mitsvbrdf.cli.fit import _from_first_of
+from mitsvbrdf.errors import ConfigError
+from mitsvbrdf.fit.checkpoint import save_tensors
+from mitsvbrdf.fit.record import read_whole_fit
 from mitsvbrdf.material.map_files import load_maps
 from mitsvbrdf.system import images, result_folder
+from mitsvbrdf.system.journal import JOURNAL
 
 
 @pytest.mark.parametrize("options, losses", [
@@ -116,6 +123,67 @@ def test_an_unfinished_fit_is_not_thrown_away(shots, tmp_path, capsys):
         fails(capsys, tmp_path, command, "--resume")
     assert cli.main(["fit", str(shots), "-o", str(out), *FAST, "--resume"]) == 0
     assert not partial.exists() and (out / "fit.json").is_file()
+
+
+def test_the_first_checkpoint_that_is_of_this_fit_is_gone_on_from(tmp_path, capsys):
+    torn, other, finished = (tmp_path / name for name in ("torn", "other", "finished"))
+    torn.write_bytes(b"half")
+    for iteration, path in enumerate((other, finished)):
+        save_tensors(path, {}, {"iteration": iteration})
+
+    def fitted(path):
+        if path == other:
+            raise ConfigError("the same photos", "others", "give them")
+        return path.name
+
+    assert _from_first_of([finished, other], fitted) == ("finished", 1) and not capsys.readouterr().out
+    assert _from_first_of([torn, other, finished], fitted) == ("finished", 1)
+    assert f"went on from {finished}; what was left unfinished was another fit: {torn}" in capsys.readouterr().out
+    with pytest.raises(ConfigError, match="got others"):
+        _from_first_of([other, torn], fitted)
+
+
+@pytest.mark.slow
+def test_an_unfinished_fit_does_not_hide_the_finished_one(shots, tmp_path, capsys):
+    out, other = tmp_path / "out", tmp_path / "other"
+    few = ["fit", str(shots), *FAST, "--views", "0,3"]
+    assert cli.main(["fit", str(shots), "-o", str(out), *FAST]) == cli.main([*few, "-o", str(other)]) == 0
+    unfinished = result_folder.partial_folder(out) / result_folder.CHECKPOINT
+    unfinished.parent.mkdir()
+    shutil.copy(other / result_folder.CHECKPOINT, unfinished)
+    both = shutil.copytree(out, tmp_path / "both")
+    assert cli.main(["fit", str(shots), "-o", str(out), *FAST[:-1], "5", "--resume"]) == 0
+    assert f"went on from {out / result_folder.CHECKPOINT}; what was left unfinished" in capsys.readouterr().out
+    record = json.loads((out / "fit.json").read_text())
+    assert record["iterations"] == 5 and len(record["per_photo"]) == 9 and not unfinished.exists()
+    assert cli.main([*few, "-o", str(both), "--resume"]) == 0  # and may be gone on with itself
+    assert len(json.loads((both / "fit.json").read_text())["per_photo"]) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("moves, point", [(False, 3), (True, 1), (True, 40), (True, 70)])  # of some hundred moves
+def test_a_fit_killed_at_any_moment_leaves_one_whole_result(shots, tmp_path, capsys, moves, point):
+    out = tmp_path / "out"
+    refit = ["fit", str(shots), "-o", str(out), *FAST, "--views", "0,3", "--overwrite"]
+    assert cli.main(["fit", str(shots), "-o", str(out), *FAST]) == 0
+    code = f"""
+import itertools, os, signal
+from mitsvbrdf import cli
+replace, calls = os.replace, itertools.count(1)
+def killing(*words):
+    if os.path.exists({str(result_folder.partial_folder(out) / JOURNAL)!r}) == {moves} and next(calls) == {point}:
+        os.kill(os.getpid(), signal.SIGKILL)
+    replace(*words)
+os.replace = killing
+cli.main({refit!r})
+"""
+    assert subprocess.run([sys.executable, "-c", code]).returncode == -signal.SIGKILL
+    capsys.readouterr()
+    assert cli.main(["evaluate", str(out), "--reference", "builtin:inlay"]) == 0
+    assert ("was killed while" in capsys.readouterr().out) == moves
+    photos = len(read_whole_fit(out).record["per_photo"])
+    assert photos == (2 if moves else 9) == len(list((out / "rerendered").glob("*.exr")))
+    assert cli.main(refit) == 0 and len(read_whole_fit(out).record["per_photo"]) == 2
 
 
 def test_results_are_only_replaced_when_asked(shots, tmp_path, capsys):

@@ -161,6 +161,42 @@ def test_a_run_goes_on_only_with_what_it_had(tmp_path, monkeypatch):
     refused(ConfigError, "without sphere.exr")
 
 
+@pytest.mark.parametrize("name", ["../secret.exr", "linked/secret.exr", "link.exr", "{root}/secret.exr", "pipe.exr", 5])
+def test_a_record_brings_no_file_from_outside(tmp_path, name):
+    out, folder = tmp_path / "out", tmp_path / "folder"
+    out.mkdir()
+    folder.mkdir()
+    for secret in ("secret.exr", "secret.png"):
+        (tmp_path / secret).write_text("theirs")
+    (out / "linked").symlink_to(tmp_path)
+    (out / "link.exr").symlink_to(tmp_path / "secret.exr")
+    os.mkfifo(out / "pipe.exr")
+    name = name.replace("{root}", str(tmp_path)) if isinstance(name, str) else name
+    frame = {"frame": 0, "file": name, "stopped": "samples"}
+    for presets in ({"sphere": {"frames": [frame]}}, {"../secret": {"frames": []}, "linked/secret": {"frames": []}}):
+        (out / "relight.json").write_text(json.dumps({"settings": {}, "presets": presets}))
+        with contextlib.nullcontext() if "../secret" in presets else pytest.raises(ConfigError, match="relight.json"):
+            frames_module.go_on({}, out, folder)
+        assert not list(folder.iterdir()) and (tmp_path / "secret.exr").read_text() == "theirs"
+
+
+def test_an_unfinished_run_with_other_settings_does_not_hide_the_finished_one(tmp_path):
+    out, folder = tmp_path / "out", tmp_path / "folder"
+    for place, size, names in ((out, 2, ["sphere.exr"]), (folder, 1, ["sweep/0000.exr", "sphere.exr"])):
+        (place / "sweep").mkdir(parents=True)
+        for name in names:
+            (place / name).write_text(str(size))
+        presets = {"sphere": {"frames": [{"frame": 0, "file": name, "stopped": "samples"} for name in names]}}
+        (place / "relight.json").write_text(json.dumps({"settings": {"size": size}, "presets": presets}))
+    (folder / result_folder.LOCK).touch()
+    with pytest.raises(ConfigError, match="another size"):
+        frames_module.go_on({"size": 3}, out, folder)
+    assert (folder / "sweep/0000.exr").exists()
+    assert frames_module.go_on({"size": 2}, out, folder).settings == {"size": 2}
+    assert sorted(path.name for path in folder.iterdir()) == [result_folder.LOCK, "sphere.exr"]
+    assert (folder / "sphere.exr").read_text() == "2"
+
+
 def raises(error):
     def function(*_):
         raise error

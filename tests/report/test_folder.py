@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import shutil
 
 import numpy as np
@@ -9,9 +10,12 @@ import pytest
 import torch
 from helpers import GRID, photos_of
 from helpers.fit_pages import FAST, SIDE, Page
+from helpers.half_put import half_put
 
 from mitsvbrdf import cli
 from mitsvbrdf.capture import write_capture
+from mitsvbrdf.errors import OutputError
+from mitsvbrdf.fit.record import read_fit, read_whole_fit
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import load_maps
 from mitsvbrdf.system import result_folder
@@ -63,6 +67,47 @@ def test_without_photos_the_renderings_are_shown_and_the_capture_brings_them_bac
     assert (copy / "photos/00.png.old").read_text() == "mine"
     written = set(json.loads((copy / result_folder.MANIFEST).read_text()))
     assert {"report.html", "report.json", "photos/00.png", "photos/04.png", "predicted/04.png"} <= written
+
+
+@pytest.mark.parametrize("read", [load_maps, lambda out: load_maps(out / "maps"), read_fit, lambda out: read_fit(out / "maps"),
+                                  read_whole_fit])
+def test_who_reads_a_result_that_a_kill_left_half_in_place_meets_the_whole(copy, capsys, read):
+    before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
+    half_put(copy)
+    read(copy)
+    assert "was killed while it put its result in place" in capsys.readouterr().out
+    assert {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()} == before
+
+
+def test_what_cannot_be_put_in_place_is_not_read(copy, monkeypatch):
+    def full(*_):
+        raise OSError(30, "Read-only file system")
+
+    half_put(copy)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", full)
+        with pytest.raises(OutputError, match="expected a whole result.*Read-only"):
+            load_maps(copy)
+    assert load_maps(copy).resolution == SIDE
+
+
+def test_an_unfinished_fit_is_no_matter_of_the_page(copy):
+    unfinished = result_folder.partial_folder(copy) / result_folder.CHECKPOINT
+    unfinished.parent.mkdir()
+    unfinished.write_bytes(b"state")
+    assert cli.main(["report", str(copy), "--quick"]) == 0
+    assert unfinished.read_bytes() == b"state" and [*unfinished.parent.iterdir()] == [unfinished]
+
+
+def test_a_page_that_fails_leaves_the_earlier_one(copy, photos, monkeypatch):
+    def files():
+        return {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
+
+    before = files()
+    monkeypatch.setattr("mitsvbrdf.report.fit_page._write_page", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        cli.main(["report", str(copy), "--quick", "--capture", str(photos)])
+    assert files() == before
 
 
 def test_the_next_fit_takes_the_pages_files_away(copy, photos):

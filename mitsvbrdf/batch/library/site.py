@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import os
 import secrets
-import stat
 import threading
 from pathlib import Path
 
 from ...report.live import HTML, LIVE_POLICY, REPORT_POLICY, Answer
+from ...system.files import open_regular
 from ..manifest import FILE
 from ..places.place import QUARANTINE
 from ..prepare import TOKEN
@@ -80,7 +80,7 @@ class LibrarySite:
             real = file.resolve(strict=True)
             if not real.is_relative_to(self.root.resolve()):
                 return None
-            with open(os.open(real, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as opened:  # a pipe would wait
-                return opened.read() if stat.S_ISREG(os.fstat(opened.fileno()).st_mode) else None
+            with open_regular(real) as opened:
+                return opened.read()
         except (OSError, RuntimeError):
             return None

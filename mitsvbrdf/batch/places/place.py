@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Protocol
 
 from ...errors import OutputError
-from ...system.files import file_hash
+from ...system.files import file_hash, inside, is_regular, open_regular, stays_inside, to_disk
 
 RECORD = "batch.json"  # of a result: which capture and options it is of, and what its files hold
 WORK, QUARANTINE = ".work", "quarantine"
@@ -64,7 +64,9 @@ class LocalPlace:
 
     def staging(self, attempt: str) -> Path:
         """An empty folder inside the library, so that publishing is a rename."""
-        folder = self.root / WORK / attempt
+        folder = inside(self.root, f"{WORK}/{attempt}")
+        if folder is None:
+            raise OutputError(f"a folder {WORK} in the library", f"a link in {self.root}", "move it away")
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
         _begun(folder).touch()
@@ -76,30 +78,32 @@ class LocalPlace:
         Raises:
             OutputError: a newer batch took the staging folder away meanwhile; what is there now may lack files.
         """
+        target = self._at(folder)
         for path in (*staging.rglob("*"), staging):
-            _to_disk(path)
+            to_disk(path)
         try:
             _begun(staging).unlink()
         except FileNotFoundError:
             raise OutputError("the folder that the result was made in", f"{staging}, taken away meanwhile",
                               "a newer batch fits this capture") from None
         try:
-            os.rename(staging, self.root / folder)
+            os.rename(staging, target)
         except OSError as reason:
             if self.record(folder) is not None:
                 return False
             if reason.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
                 raise
             self.set_aside(folder)  # something that is no result has its name
-            os.rename(staging, self.root / folder)
+            os.rename(staging, target)
         with contextlib.suppress(OSError):  # it is there; some file systems cannot do this to a folder
-            _to_disk(self.root)
+            to_disk(self.root)
         return True
 
     def record(self, folder: str) -> dict | None:
         """The record in the folder."""
         try:
-            found = json.loads((self.root / folder / RECORD).read_text())
+            with open_regular(self._at(folder) / RECORD) as file:
+                found = json.load(file)
             kinds = {"identity": str, "attempt": str, "row": dict, "files": dict}
             return found if all(isinstance(found[name], kind) for name, kind in kinds.items()) else None
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
@@ -108,10 +112,10 @@ class LocalPlace:
     def damage(self, folder: str, record: dict, hashes: bool) -> str:
         """The first file that is missing or another one."""
         for name, stated in record["files"].items():
-            path = self.root / folder / name
+            path = inside(self._at(folder), name)
             try:
-                same = path.lstat().st_size == stated["bytes"] and not path.is_symlink()
-                if not same or hashes and file_hash(path) != stated["sha256"]:
+                same = path is not None and path.lstat().st_size == stated["bytes"] and is_regular(path)
+                if path is None or not same or hashes and file_hash(path) != stated["sha256"]:
                     return f"{name} has changed"
             except OSError:
                 return f"{name} is missing"
@@ -119,7 +123,7 @@ class LocalPlace:
 
     def set_aside(self, folder: str) -> None:
         """A rename to ``NAME.damaged``, numbered where there is one."""
-        path, count = self.root / folder, 0
+        path, count = self._at(folder), 0
         while os.path.lexists(aside := path.with_name(f"{path.name}.damaged{count or ''}")):
             count += 1
         with contextlib.suppress(FileNotFoundError):
@@ -130,13 +134,19 @@ class LocalPlace:
         return sorted(path.name for path in self.root.iterdir() if ASIDE.fullmatch(path.name))
 
     def remove(self, folder: str) -> None:
-        """Its record first, so that half a result never passes for one."""
-        path = self.root / folder
+        """Its record first, so that half a result never passes for one; of a link the link alone."""
+        path = self._at(folder)
         if path.is_dir() and not path.is_symlink():
             (path / RECORD).unlink(missing_ok=True)
             shutil.rmtree(path, ignore_errors=True)
         else:
             path.unlink(missing_ok=True)
+
+    def _at(self, folder: str) -> Path:
+        """Where a result of this name lies; a manifest may state any."""
+        if not stays_inside(folder) or len(Path(folder).parts) > 1:
+            raise OutputError("the name of a result", repr(folder), "leave this library alone, or make its manifest anew")
+        return self.root / folder
 
 
 def _begun(staging: Path) -> Path:
@@ -149,13 +159,6 @@ def clear_work(home: Path) -> None:
     with contextlib.suppress(FileNotFoundError):
         os.rename(home / WORK, home / f"{WORK}-{uuid.uuid4().hex[:8]}")
     for old in home.glob(f"{WORK}-*"):
+        if old.is_symlink():
+            old.unlink()
         shutil.rmtree(old, ignore_errors=True)
-
-
-def _to_disk(path: Path) -> None:
-    """Have a file or folder written, not only promised."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -7,6 +7,7 @@ import secrets
 from pathlib import Path
 
 from ...pages.page import page_text
+from ...system.files import open_regular
 from .server import HTML, LIVE_POLICY, REPORT_POLICY, Answer
 from .watch import REPORT_FILE, SHEET_FILE, Watch
 
@@ -39,6 +40,7 @@ class FitSite:
 
     def _file(self, name: str, kind: str, policy: str = "") -> Answer | None:
         try:
-            return Answer((self.watch.out / name).read_bytes(), kind, policy)
+            with open_regular(self.watch.out / name) as file:
+                return Answer(file.read(), kind, policy)
         except OSError:
             return None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import stat
 import threading
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from ...fit.record import FILE as FIT_FILE
 from ...fit.record import record_in
 from ...material.maps import CHANNELS, TITLES, shown_map
 from ...system import images, result_folder
+from ...system.journal import JOURNAL
 
 OPENED = "the OUT of `mitsvbrdf fit -o OUT` or the LIBRARY of `mitsvbrdf batch -o LIBRARY`"
 REPORT_FILE, SHEET_FILE = "report.html", "sheet.png"
@@ -85,7 +87,8 @@ class Watch:
                     self.record = None  # that of an earlier fit
                 stopped = self.record and self.record.note["stopped"]
                 phase = "starting" if self.record is None else "writing" if stopped else "running"
-            elif self.record and self.record_time > finished or _time(self.partial / result_folder.CHECKPOINT) > finished:
+            elif self.record and self.record_time > finished or max(
+                    _time(self.partial / name) for name in (result_folder.CHECKPOINT, JOURNAL)) > finished:
                 phase = "died"
             else:
                 self.record = None
@@ -99,6 +102,8 @@ class Watch:
     def _says(self, phase: str, shown: Shown | None) -> str:
         stopped = shown.note["stopped"] if shown else None
         why = ENDED.get(stopped, stopped) if stopped else None
+        if phase == "died" and _time(self.partial / JOURNAL):
+            return "A command was killed while it put its result in place; the next one that opens this folder does the rest."
         if phase == "died":
             resumes = (self.partial / result_folder.CHECKPOINT).is_file()
             return ("The fit ended without a result. " if shown else "A fit was left unfinished here. ") + (
@@ -142,12 +147,12 @@ class Watch:
 
 
 def _version(path: Path) -> str | None:
-    """Changes whenever the file does; None where there is no file."""
+    """Changes whenever the file does; None where there is no regular file."""
     try:
-        found = path.stat()
+        found = path.lstat()
     except OSError:
         return None
-    return f"{found.st_mtime_ns:x}-{found.st_size:x}-{found.st_ino:x}"
+    return f"{found.st_mtime_ns:x}-{found.st_size:x}-{found.st_ino:x}" if stat.S_ISREG(found.st_mode) else None
 
 
 def _time(path: Path) -> int:

@@ -9,6 +9,7 @@ import threading
 import pytest
 import torch
 from helpers import ROOT
+from helpers.half_put import half_put
 from helpers.live_fits import FAST, fit_into, served, state_of
 
 from mitsvbrdf.fit.checkpoint import load_tensors, save_tensors
@@ -137,6 +138,16 @@ fit_into(Path({str(out)!r}), capture, FAST, die)
         assert "anew" in died["says"]  # no checkpoint yet
         fit_into(out, capture, FAST)
         assert state_of(ask)["phase"] == "done"
+
+
+def test_a_result_that_a_kill_left_half_in_place_is_told(tmp_path):
+    out = tmp_path / "out"
+    (out / "maps").mkdir(parents=True)
+    for name in ("fit.json", "maps/a.exr", result_folder.MANIFEST):
+        (out / name).write_text("{}")
+    half_put(out)
+    state = Watch(out).state()
+    assert state["phase"] == "died" and "the next one that opens this folder does the rest" in state["says"]
 
 
 def test_a_fit_that_ends_while_somebody_looks_has_not_died(tmp_path, capture, every_step, monkeypatch):

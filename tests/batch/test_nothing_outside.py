@@ -1,0 +1,80 @@
+"""Links, pipes and names that lead elsewhere in a library: nothing outside of it is read, written or deleted."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+from helpers.batches import publish_result
+
+from mitsvbrdf.batch.manifest import FILE
+from mitsvbrdf.batch.places.place import LocalPlace, clear_work
+from mitsvbrdf.batch.prepare import library_lock
+from mitsvbrdf.errors import OutputError
+from mitsvbrdf.system.files import file_hash
+
+FOLDER = "wood-aaaaaaaa"
+
+
+@pytest.fixture
+def place(tmp_path):
+    return LocalPlace(tmp_path)
+
+
+@pytest.fixture
+def result(place):
+    """A result that appeared; its folder."""
+    assert publish_result(place, {"attempt": "aaaaaaaa-1", "identity": "a" * 64, "name": "wood"})
+    return place.root / FOLDER
+
+
+def files_in(folder):
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_nothing_outside_is_read_written_or_deleted(place, result, tmp_path_factory):
+    outside = tmp_path_factory.mktemp("outside")
+    (outside / "wood").mkdir()
+    for name in ("batch.json", "wood/batch.json", "map.exr"):
+        (outside / name).write_text("theirs")
+    before = files_in(outside)
+    with pytest.raises(OutputError, match="the name of a result"):
+        place.remove(os.path.relpath(outside / "wood", place.root))
+    (place.root / "linked").symlink_to(outside)
+    place.remove("linked")
+    assert not os.path.lexists(place.root / "linked")
+    size = {"bytes": len("theirs"), "sha256": file_hash(outside / "map.exr")}
+    for name in (os.path.relpath(outside / "map.exr", result), str(outside / "map.exr")):
+        assert "changed" in place.damage(FOLDER, {"files": {name: size}}, hashes=True)
+    clear_work(place.root)
+    (place.root / ".work").symlink_to(outside)
+    with pytest.raises(OutputError, match="a link"):
+        place.staging("wood")
+    clear_work(place.root)
+    assert files_in(outside) == before and not list(place.root.glob(".work*"))
+
+
+def test_a_pipe_in_place_of_a_file_is_damage_and_not_waited_for(place, result):
+    (result / "batch.json").unlink()
+    os.mkfifo(result / "batch.json")
+    os.mkfifo(result / "pipe")
+    assert place.record(FOLDER) is None
+    assert "changed" in place.damage(FOLDER, {"files": {"pipe": {"bytes": 0, "sha256": ""}}}, hashes=True)
+
+
+@pytest.mark.parametrize("name, target", [
+    *((name, target) for name in (".lock", ".token", "index.html", FILE, "quarantine/wood") for target in ("file", "missing")),
+    (".lock", "folder"), ("quarantine", "folder"), ("quarantine/wood", "folder"), (".work", "folder")])
+def test_nothing_is_written_through_a_link_in_a_library(tmp_path, name, target):
+    home, outside = tmp_path / "library", tmp_path / "outside"
+    library_lock(home)()
+    (home / FILE).touch()
+    outside.mkdir()
+    (outside / "folder").mkdir()
+    (outside / "file").write_text("theirs")
+    (home / name).parent.mkdir(exist_ok=True)
+    (home / name).unlink(missing_ok=True)
+    (home / name).symlink_to(outside / target)
+    with pytest.raises(OutputError):
+        library_lock(home)
+    assert (outside / "file").read_text() == "theirs" and sorted(path.name for path in outside.iterdir()) == ["file", "folder"]
