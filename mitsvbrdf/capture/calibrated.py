@@ -6,7 +6,6 @@ MaterialGAN. Both check what they read, photo by photo and number by number, bef
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any, get_args
 
@@ -16,6 +15,7 @@ from torch import Tensor
 from .. import color
 from ..errors import CaptureError
 from ..system import images
+from ..system.json_files import read_json
 from ..views import Falloff, Views, default_views
 from .capture import LEAST_SIDE, Calibration, Capture
 
@@ -28,12 +28,7 @@ def from_json(path: Path, falloff: Falloff) -> Capture:
     Raises:
         CaptureError: naming what is missing or wrong.
     """
-    try:
-        stated = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as reason:
-        raise CaptureError("a valid JSON file", f"{path}: {reason}", "mend it or export it again") from None
-    if not isinstance(stated, dict):
-        raise CaptureError("a JSON object", f"a {type(stated).__name__} in {path}", "see the format of capture.json")
+    stated = read_json(path, CaptureError)
     uncalibrated = "camera_pos" not in stated
     for key in ("target_dir",) if uncalibrated else ("target_dir", "im_size", "camera_pos", "light_pow"):
         if key not in stated:

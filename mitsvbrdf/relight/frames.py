@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ..errors import ConfigError, MapsError, MitsvbrdfError
 from ..system import files, images
+from ..system.json_files import load
 from ..system.provenance import machine, versions
 from .passes import Rendered, Stop, render_frame, shown
 from .stage import Stage
@@ -77,7 +78,7 @@ def go_on(settings: Mapping, out: Path, folder: Path) -> Record:
     if place is None:
         raise ConfigError(f"a {RECORD} to go on from in {out}", "none", "run without --resume first")
     try:
-        found = json.loads((place / RECORD).read_text())
+        found = load(place / RECORD)
         record, new = Record(found["settings"], found["presets"]), begin(settings).settings
         other = [name for name in new if record.settings.get(name) != new[name]]
         for name, preset in record.presets.items():

@@ -19,6 +19,7 @@ from typing import IO
 from ..errors import OutputError
 from .files import write_bytes
 from .interrupts import undisturbed
+from .json_files import load
 
 MANIFEST = ".mitsvbrdf"  # in each folder we make: the files we put there
 CHECKPOINT = "checkpoint.safetensors"
@@ -97,8 +98,8 @@ def make_room(out: Path, names: Sequence[str]) -> None:
     """
     out = Path(out)
     try:
-        mine = [str(name) for name in json.loads((out / MANIFEST).read_text())]
-    except (OSError, ValueError, TypeError):
+        mine = [str(name) for name in load(out / MANIFEST, list)]
+    except (OSError, ValueError):
         mine = []
     try:
         for name in names:
@@ -155,8 +156,8 @@ def _put_in_place(partial: Path, out: Path) -> None:
     """Move the files of the partial folder to ``out`` and take away what the manifest there lists; undone if it fails."""
     new = sorted(str(p.relative_to(partial)) for p in partial.rglob("*") if p.is_file() and p.name not in (LOCK, LIVE))
     try:
-        earlier = [str(name) for name in json.loads((out / MANIFEST).read_text())]
-    except (OSError, ValueError, TypeError):
+        earlier = [str(name) for name in load(out / MANIFEST, list)]
+    except (OSError, ValueError):
         earlier = []
     earlier = [name for name in (*earlier, MANIFEST) if (out / name).is_file() and ".." not in Path(name).parts]
     moves = [(out / name, partial / ".earlier" / name) for name in dict.fromkeys(earlier)]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import secrets
 import stat
@@ -10,6 +9,7 @@ import threading
 from pathlib import Path
 
 from ...report.live import HTML, LIVE_POLICY, REPORT_POLICY, Answer
+from ...system.json_files import parsed
 from ..manifest import FILE
 from ..prepare import TOKEN
 from .page import DATA_FILE, PAGE_FILE, address, data_script, library_page
@@ -62,7 +62,7 @@ class LibrarySite:
             read = found.st_ino, found.st_size, found.st_mtime_ns
             if read == self._read:
                 return
-            library = json.loads(self._content(self.root / INDEX) or b"")
+            library = parsed(self._content(self.root / INDEX) or b"")
             script, folders = data_script(library).encode(), [row["folder"] for row in library["materials"]
                                                               if row["state"] == "done"]
             self._files = {f"/{link}/{name}": self.root / folder / name for folder in folders

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import json
 import os
 import shutil
 import uuid
@@ -17,6 +16,7 @@ from typing import Protocol
 
 from ...errors import OutputError
 from ...system.files import file_hash
+from ...system.json_files import load
 
 RECORD = "batch.json"  # of a result: which capture and options it is of, and what its files hold
 WORK, QUARANTINE = ".work", "quarantine"
@@ -93,10 +93,10 @@ class LocalPlace:
     def record(self, folder: str) -> dict | None:
         """The record in the folder."""
         try:
-            found = json.loads((self.root / folder / RECORD).read_text())
+            found = load(self.root / folder / RECORD)
             kinds = {"identity": str, "attempt": str, "row": dict, "files": dict}
             return found if all(isinstance(found[name], kind) for name, kind in kinds.items()) else None
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        except (OSError, ValueError, KeyError):
             return None
 
     def damage(self, folder: str, record: dict, hashes: bool) -> str:
