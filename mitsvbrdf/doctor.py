@@ -16,8 +16,8 @@ from pathlib import Path
 from .errors import BackendError
 
 PACKAGES = {"torch": "torch", "numpy": "numpy", "opencv": "cv2", "OpenEXR": "OpenEXR", "safetensors": "safetensors",
-            "scipy": "scipy", "matplotlib": "matplotlib", "jinja2": "jinja2", "pillow": "PIL", "mpmath": "mpmath",
-            "tyro": "tyro", "rich": "rich"}
+            "scipy": "scipy", "matplotlib": "matplotlib", "jinja2": "jinja2", "pillow": "PIL", "simplejpeg": "simplejpeg",
+            "mpmath": "mpmath", "tyro": "tyro", "rich": "rich"}
 EXTRAS = {"flip": "flip_evaluator", "movie": "av", "heic": "pillow_heif", "raw": "rawpy"}  # by the extra that installs it
 DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless", "PIL": "pillow", "flip_evaluator": "flip-evaluator",
                  "pillow_heif": "pillow-heif"}

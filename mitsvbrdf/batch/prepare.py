@@ -42,6 +42,7 @@ class Asked:
         pages: whether its page and pictures are written.
         tags: words to find it by.
         sheet: size in cm of the printed sheet in raw photos; None where there is none.
+        strict: whether photos that are damaged are refused.
     """
 
     entry: Entry
@@ -50,12 +51,13 @@ class Asked:
     pages: bool
     tags: tuple[str, ...]
     sheet: float | None = None
+    strict: bool = False
 
     @property
     def record(self) -> dict:
         """What a worker is told, and what the identity is made of."""
         return {"config": config_record(self.config), "options": asdict(self.options), "pages": self.pages,
-                "sheet": self.sheet}
+                "sheet": self.sheet, **({"strict": True} if self.strict else {})}
 
     @property
     def cost(self) -> float:

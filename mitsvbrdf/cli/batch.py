@@ -26,6 +26,7 @@ from ..fit.config import FitConfig
 from ..fit.options import FitOptions
 from ..system.progress import progress_bar, say
 from .fit import fit_command, with_flags
+from .options import Strict
 
 USUAL, USUAL_BATCH = FitOptions(), BatchSettings()
 INTERRUPTED = 130
@@ -44,7 +45,8 @@ def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help
                                                             "of the space.")] = "all",
           tag: UseAppendAction[Annotated[tuple[str, ...], arg(help="A word to find these materials by; repeatable.")]] = (),
           sheet: Annotated[float | None, arg(metavar="CM", help="In raw photos a printed sheet of tags lies around the "
-                                                                "material: its measured size.")] = None) -> int:
+                                                                "material: its measured size.")] = None,
+          strict: Strict = False) -> int:
     """Fit many captures into one library, whatever dies on the way.
 
     `mitsvbrdf batch shots/ -o library` fits each capture in shots/; the options are those of `mitsvbrdf fit`. Run the same
@@ -58,7 +60,7 @@ def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help
     running.check()
     shared.check(config)
     require_ray()
-    base = Asked(Entry(""), config, shared, pages == "all", tag, sheet)
+    base = Asked(Entry(""), config, shared, pages == "all", tag, sheet, strict)
     asked = [_with_own_options(entry, base) for entry in entries(captures)]
     for each in asked:
         each.options.check(each.config)
@@ -94,7 +96,7 @@ def _with_own_options(entry: Entry, base: Asked) -> Asked:
     def line(config: FitConfig, shared: OmitArgPrefixes[FitOptions] = base.options, method: str = "",
              pages: Literal["all", "none"] = "all" if base.pages else "none",
              tag: UseAppendAction[tuple[str, ...]] = (), sheet: float | None = base.sheet) -> Asked:
-        return Asked(entry, config, shared, pages == "all", (*base.tags, *tag), sheet)
+        return Asked(entry, config, shared, pages == "all", (*base.tags, *tag), sheet, base.strict)
 
     words = with_flags(list(entry.own))
     try:

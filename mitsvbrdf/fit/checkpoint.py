@@ -74,11 +74,20 @@ def optimizer_state(name: str, optimizer: torch.optim.Optimizer) -> dict[str, Te
 
 
 def load_optimizer_state(name: str, optimizer: torch.optim.Optimizer, state: dict[str, Tensor]) -> None:
-    """The inverse of :func:`optimizer_state`; step sizes stay as they are."""
+    """The inverse of :func:`optimizer_state`; step sizes stay as they are.
+
+    Raises:
+        ValueError: averages that are not those of the parameters.
+    """
+    parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
     entries: dict[int, dict[str, Tensor]] = {}
     for key, value in part(state, f"{name}.").items():
         index, field = key.split(".", 1)
+        if value.shape != (() if field == "step" else parameters[int(index)].shape):
+            raise ValueError(f"{name}.{key} of shape {tuple(value.shape)}")
         entries.setdefault(int(index), {})[field] = value.clone()
+    if any({"step", "exp_avg", "exp_avg_sq"} - entry.keys() for entry in entries.values()):
+        raise ValueError(f"averages of {name} are missing")
     optimizer.load_state_dict({"state": entries, "param_groups": optimizer.state_dict()["param_groups"]})
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields, replace
 from typing import ClassVar
 
 from ..capture.guess import GuessMethod
-from ..errors import ConfigError
+from ..errors import LARGEST, ConfigError
 from ..material.maps import Bsdf
 from ..views import Falloff
 from . import losses
@@ -14,6 +14,7 @@ from .fixed_maps import stated_maps
 
 POSITIVE = ("budget", "iterations", "width", "learning_rate", "normal_roughness_steps", "materials", "likeness",
             "spread", "relief", "noise", "pictures", "discriminator_rate")
+MOST = {"width": 4096, "materials": 65536}  # what takes memory
 
 
 def check_seed(seed: int) -> None:
@@ -55,8 +56,8 @@ class FitConfig:
             if isinstance(value, bool) or not isinstance(value, (int, float)) or name == "seed":
                 continue
             least = "> 0" if name in POSITIVE else ">= 0"
-            if not (value > 0 or value == 0 and name not in POSITIVE) or value == float("inf"):
-                raise ConfigError(f"{name} {least}", str(value), "give such a number")
+            if not (value > 0 or value == 0 and name not in POSITIVE) or value > MOST.get(name, LARGEST):
+                raise ConfigError(f"{name} {least} and <= {MOST.get(name, LARGEST):g}", str(value), "give such a number")
 
     def limited(self) -> FitConfig:
         """Itself with the method's default limit filled in where none was given."""

@@ -259,12 +259,13 @@ class Loop:
             if wrong := misfit(note, NOTE):
                 raise ValueError(f"{wrong} in its note is missing or of another kind")
             self.method.load_state(part(tensors, "method."))
-            views = replace(self.method.views, **part(tensors, "best_views."))
+            lit = part(tensors, "best_views.")
+            views = replace(self.method.views, camera=lit["camera"], light=lit["light"], intensity=lit["intensity"])
             best = SVBRDF(self.config.bsdf, part(tensors, "best."))
             if best.resolution != self.capture.resolution or len(views) != len(self.capture):
                 raise ValueError(f"maps of {best.resolution} px for {len(views)} photos")
         except (LookupError, TypeError, ValueError, RuntimeError, AttributeError, MitsvbrdfError) as reason:
-            raise ConfigError("a checkpoint of the same options", f"{path}: {str(reason).splitlines()[0]}",
+            raise ConfigError("a checkpoint of the same options", f"{path}: {(str(reason).splitlines() or ['empty'])[0]}",
                               "resume with the options of the first run") from None
         self.seen = self.best = note["best_rmse"], best, views
         self.iteration, self.seconds, self.trace = note["iteration"], note["seconds"], note["trace"]

@@ -12,7 +12,7 @@ from .. import color
 from ..capture import Capture
 from ..errors import MapsError, MitsvbrdfError
 from ..material.map_files import MAP_FOLDERS, load_maps
-from ..material.maps import SVBRDF
+from ..material.maps import CHANNELS, SVBRDF
 from ..measure.burn_in import burn_in, local_burn_in
 from ..render import Renderer, RendererName, make_renderer
 from ..system import files
@@ -183,6 +183,8 @@ def _read(folder: Path) -> SavedFit:
             light_power_factor=float(known.get("power_told") or 1.0), path=folder, record=record)
         if fit.transfer not in get_args(color.Transfer):
             raise ValueError("unknown transfer")
+        if record.get("bsdf", "roughconductor") not in CHANNELS:
+            raise ValueError("unknown bsdf")
     except (OSError, ValueError, KeyError, TypeError, MitsvbrdfError) as reason:
         raise MapsError(f"a {FILE} of this package", f"{folder / FILE}: {said(reason)}",
                         "move it away to read the maps alone") from None

@@ -40,11 +40,9 @@ def load(path: Path, kind: type = dict) -> Any:
     """
     if path.exists() and not path.is_file():  # a pipe or a device would be waited for
         raise ValueError("no regular file")
-    with path.open("rb") as file:
-        content = file.read(MOST_BYTES + 1)
-    if len(content) > MOST_BYTES:
+    if path.stat().st_size > MOST_BYTES:
         raise ValueError(f"more than {MOST_BYTES >> 20} MiB")
-    return parsed(content, kind)
+    return parsed(path.read_bytes(), kind)
 
 
 def parsed(text: str | bytes, kind: type = dict) -> Any:

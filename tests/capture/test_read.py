@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 
 import cv2
 import numpy as np
@@ -10,8 +11,8 @@ import pytest
 import torch
 
 from mitsvbrdf import color
-from mitsvbrdf.capture import Capture, read_capture, write_capture
-from mitsvbrdf.errors import CaptureError, ConfigError, MitsvbrdfError
+from mitsvbrdf.capture import Capture, calibrated, read_capture, write_capture
+from mitsvbrdf.errors import CaptureError, ConfigError, InputWarning, MitsvbrdfError, strict
 from mitsvbrdf.system import images
 from mitsvbrdf.views import Views
 
@@ -122,6 +123,61 @@ def test_photos_shrink_by_area_average_and_never_grow(tmp_path):
     assert own.resolution == 16 and "not enlarged to 64" in own.notes[0] and heard == list(own.notes)
 
 
+def area_means(pixels, side):
+    """Area averages in float64: each pixel counts by how much of it lies in a pixel of the result."""
+    edges = np.arange(side + 1) * pixels.shape[0] / side
+    at = np.arange(pixels.shape[0])
+    share = (np.minimum(edges[1:, None], at + 1) - np.maximum(edges[:-1, None], at)).clip(0) / np.diff(edges)[:, None]
+    return np.einsum("ai,bj,ijc->abc", share, share, pixels / 255)
+
+
+@pytest.mark.parametrize("make", [json_capture, text_capture])
+@pytest.mark.parametrize("side", [24, 23, 16])
+def test_photos_in_turn_are_what_photos_all_at_once_would_be(make, side, tmp_path):
+    images = photos(3, 48)
+    found = read_capture(make(tmp_path, images), resolution=side).photos.numpy()
+    stacked = [cv2.resize(image.astype(np.float32) / np.float32(255), (side, side), interpolation=cv2.INTER_AREA)
+               for image in images]
+    assert np.array_equal(found, stacked)
+    assert np.abs(found - [area_means(image, side) for image in images]).max() < 1e-6  # float32 sums of nine at most
+
+
+def test_one_photo_at_a_time_is_in_memory(tmp_path):
+    large = np.zeros((6, 800, 800, 3), np.uint8)
+    json_capture(tmp_path, large, idx=list(range(6)), camera_pos=[[0, 0, 17.0]] * 6, light_pos=...)
+    read_capture(tmp_path, resolution=16)
+    tracemalloc.start()
+    try:
+        read_capture(tmp_path, resolution=16)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    one = 800 * 800 * 3
+    assert peak < 1.5 * (one + 4 * one)  # as stored, and as float32; six would be 24 times that of one
+
+
+def test_photos_kept_together_have_a_limit(tmp_path, monkeypatch):
+    monkeypatch.setattr(calibrated, "MOST_HELD", 3 * 8 * 8)
+    json_capture(tmp_path)
+    assert read_capture(tmp_path, resolution=8).resolution == 8
+    fails(tmp_path, "together", "lower resolution", str(tmp_path), resolution=9)
+
+
+def test_a_damaged_photo_is_named_and_refused_when_strict(tmp_path):
+    text_capture(tmp_path, images=photos()[:0])
+    save(tmp_path, photos(side=64), ".jpg")
+    data = (tmp_path / "01.jpg").read_bytes()
+    (tmp_path / "01.jpg").write_bytes(data[: 2 * len(data) // 3] + b"\xff\xd9")  # too little before its end
+    with pytest.warns(InputWarning, match="01.jpg is damaged"):
+        assert len(read_capture(tmp_path)) == 3
+    with pytest.raises(MitsvbrdfError, match="01.jpg is damaged"), strict():
+        read_capture(tmp_path)
+    (tmp_path / "plain").mkdir()
+    (tmp_path / "01.jpg").rename(tmp_path / "plain/a.jpg")
+    with pytest.warns(InputWarning, match="a.jpg is damaged"):
+        read_capture(tmp_path / "plain")
+
+
 def test_index_picks_photos(tmp_path):
     json_capture(tmp_path)
     assert read_capture(tmp_path, index=(2, 1)).index == (2, 1)
@@ -225,7 +281,7 @@ def test_one_number_twice(tmp_path):
 
 def test_nan_and_camera_below_the_plane(tmp_path):
     nan = [0, 0, float("nan")]
-    fails(json_capture(tmp_path / "a", camera_pos=[nan, *CAMERA[1:]]), "camera 0", "nan", "capture.json")
+    fails(json_capture(tmp_path / "a", camera_pos=[nan, *CAMERA[1:]]), "camera_pos[0][2]", "no finite number", "capture.json")
     fails(text_capture(tmp_path / "b", camera_pos="0,0,9\n0,nan,9\n0,0,9"), "camera 1", "nan")
     fails(json_capture(tmp_path / "c", camera_pos=[*CAMERA[:2], [0, 0, -17]]), "camera 2", "-17")
     fails(text_capture(tmp_path / "d", light_pos="0,0,9\n0,0,0\n0,0,9"), "light 1")
