@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -83,7 +83,7 @@ def check_size(path: Path, size: tuple[int, int], error: type[MitsvbrdfError]) -
 
 
 @contextlib.contextmanager
-def opened(path: Path, formats: Sequence[str] | None = None) -> Iterator[Image]:
+def opened(path: Path, formats: tuple[str, ...] | None = None) -> Iterator[Image]:
     """The file in Pillow, however many pixels it has: photos of 108 and 200 megapixels are none of its bombs."""
     from PIL import Image
 

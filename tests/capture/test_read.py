@@ -3,51 +3,18 @@
 from __future__ import annotations
 
 import json
-import tracemalloc
 
 import cv2
 import numpy as np
 import pytest
 import torch
+from helpers.stated_captures import CAMERA, LIGHT, json_capture, photos, save, text_capture
 
 from mitsvbrdf import color
-from mitsvbrdf.capture import Capture, calibrated, read_capture, write_capture
-from mitsvbrdf.errors import CaptureError, ConfigError, InputWarning, MitsvbrdfError, strict
+from mitsvbrdf.capture import Capture, read_capture, write_capture
+from mitsvbrdf.errors import CaptureError, ConfigError, MitsvbrdfError
 from mitsvbrdf.system import images
 from mitsvbrdf.views import Views
-
-CAMERA = [[0.5, 0.25, 17.0], [-1.5, 2.0, 16.5], [0.125, -3.0, 18.0]]
-LIGHT = [[0.5, 0.5, 17.0], [-1.5, 2.25, 16.5], [0.125, -2.75, 18.0]]
-
-
-def photos(count=3, side=16, seed=0):
-    return np.random.default_rng(seed).integers(0, 256, (count, side, side, 3), dtype=np.uint8)
-
-
-def save(folder, images, suffix=".png"):
-    folder.mkdir(parents=True, exist_ok=True)
-    for i, image in enumerate(images):
-        assert cv2.imwrite(str(folder / f"{i:02d}{suffix}"), image[..., ::-1])
-
-
-def json_capture(folder, images=None, **changes):
-    save(folder / "target", photos() if images is None else images)
-    stated = {"target_dir": "target", "im_size": 6.848, "idx": [0, 1, 2], "camera_pos": CAMERA, "light_pos": LIGHT,
-              "light_pow": [1500.0, 1400.0, 1300.0]} | changes
-    stated = {key: value for key, value in stated.items() if value is not ...}
-    (folder / "capture.json").write_text(json.dumps(stated))
-    return folder
-
-
-def text_capture(folder, images=None, separator=",", **files):
-    save(folder, photos() if images is None else images)
-    texts = {"camera_pos": "\n".join(separator.join(map(str, row)) for row in CAMERA),
-             "light_pos": "\n".join(separator.join(map(str, row)) for row in LIGHT),
-             "image_size": "6.848", "light_power": separator.join(["1500", "1400", "1300"])} | files
-    for name, text in texts.items():
-        if text is not None:
-            (folder / f"{name}.txt").write_text(text)
-    return folder
 
 
 def fails(folder, *culprits, **options):
@@ -121,61 +88,6 @@ def test_photos_shrink_by_area_average_and_never_grow(tmp_path):
     heard = []
     own = read_capture(tmp_path, resolution=64, log=heard.append)
     assert own.resolution == 16 and "not enlarged to 64" in own.notes[0] and heard == list(own.notes)
-
-
-def area_means(pixels, side):
-    """Area averages in float64: each pixel counts by how much of it lies in a pixel of the result."""
-    edges = np.arange(side + 1) * pixels.shape[0] / side
-    at = np.arange(pixels.shape[0])
-    share = (np.minimum(edges[1:, None], at + 1) - np.maximum(edges[:-1, None], at)).clip(0) / np.diff(edges)[:, None]
-    return np.einsum("ai,bj,ijc->abc", share, share, pixels / 255)
-
-
-@pytest.mark.parametrize("make", [json_capture, text_capture])
-@pytest.mark.parametrize("side", [24, 23, 16])
-def test_photos_in_turn_are_what_photos_all_at_once_would_be(make, side, tmp_path):
-    images = photos(3, 48)
-    found = read_capture(make(tmp_path, images), resolution=side).photos.numpy()
-    stacked = [cv2.resize(image.astype(np.float32) / np.float32(255), (side, side), interpolation=cv2.INTER_AREA)
-               for image in images]
-    assert np.array_equal(found, stacked)
-    assert np.abs(found - [area_means(image, side) for image in images]).max() < 1e-6  # float32 sums of nine at most
-
-
-def test_one_photo_at_a_time_is_in_memory(tmp_path):
-    large = np.zeros((6, 800, 800, 3), np.uint8)
-    json_capture(tmp_path, large, idx=list(range(6)), camera_pos=[[0, 0, 17.0]] * 6, light_pos=...)
-    read_capture(tmp_path, resolution=16)
-    tracemalloc.start()
-    try:
-        read_capture(tmp_path, resolution=16)
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    one = 800 * 800 * 3
-    assert peak < 1.5 * (one + 4 * one)  # as stored, and as float32; six would be 24 times that of one
-
-
-def test_photos_kept_together_have_a_limit(tmp_path, monkeypatch):
-    monkeypatch.setattr(calibrated, "MOST_HELD", 3 * 8 * 8)
-    json_capture(tmp_path)
-    assert read_capture(tmp_path, resolution=8).resolution == 8
-    fails(tmp_path, "together", "lower resolution", str(tmp_path), resolution=9)
-
-
-def test_a_damaged_photo_is_named_and_refused_when_strict(tmp_path):
-    text_capture(tmp_path, images=photos()[:0])
-    save(tmp_path, photos(side=64), ".jpg")
-    data = (tmp_path / "01.jpg").read_bytes()
-    (tmp_path / "01.jpg").write_bytes(data[: 2 * len(data) // 3] + b"\xff\xd9")  # too little before its end
-    with pytest.warns(InputWarning, match="01.jpg is damaged"):
-        assert len(read_capture(tmp_path)) == 3
-    with pytest.raises(MitsvbrdfError, match="01.jpg is damaged"), strict():
-        read_capture(tmp_path)
-    (tmp_path / "plain").mkdir()
-    (tmp_path / "01.jpg").rename(tmp_path / "plain/a.jpg")
-    with pytest.warns(InputWarning, match="a.jpg is damaged"):
-        read_capture(tmp_path / "plain")
 
 
 def test_index_picks_photos(tmp_path):

@@ -9,6 +9,7 @@ import numpy as np
 import OpenEXR
 import pytest
 import torch
+from helpers.averages import area_means
 from PIL import Image
 
 from mitsvbrdf.errors import CaptureError, MapsError
@@ -44,15 +45,6 @@ def test_a_full_disk_has_its_number_where_openexr_meets_it(tmp_path, monkeypatch
     with pytest.raises(OutputError) as found:
         images.write_exr(tmp_path / "x.exr", torch.zeros(2, 2, 3))
     assert found.value.__context__.errno == errno.ENOSPC and not list(tmp_path.iterdir())
-
-
-def area_means(pixels, side):
-    """Area averages in float64: each pixel counts by how much of it lies in a pixel of the result."""
-    edges = np.arange(side + 1) * len(pixels) / side
-    low, high = edges[:-1, None], edges[1:, None]
-    at = np.arange(len(pixels))[None]
-    share = (np.minimum(high, at + 1) - np.maximum(low, at)).clip(0) / (high - low)
-    return np.einsum("ai,bj,ijc->abc", share, share, pixels / np.iinfo(pixels.dtype).max)
 
 
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
