@@ -104,6 +104,12 @@ def exit_code(command: Callable[[], int], interrupted: str = "interrupted") -> i
         print(f"error: expected to read or write {error.filename or 'a file'}, got {error.strerror or error}; check the name "
               "and your rights to it", file=sys.stderr)
         return 2
+    except (MemoryError, RuntimeError) as error:
+        if isinstance(error, RuntimeError) and "allocate memory" not in str(error):  # torch's words for it
+            raise
+        print(f"error: expected enough memory, got {str(error).splitlines()[0] if str(error) else 'too little'}; "
+              "choose a lower --resolution, or fewer photos", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print(interrupted, file=sys.stderr)
         return 130

@@ -14,7 +14,7 @@ from .fixed_maps import stated_maps
 
 POSITIVE = ("budget", "iterations", "width", "learning_rate", "normal_roughness_steps", "materials", "likeness",
             "spread", "relief", "noise", "pictures", "discriminator_rate")
-MOST = {"width": 4096, "materials": 65536}  # what takes memory
+MOST = {"width": 4096, "materials": 65536, "pictures": 1024}  # what takes memory
 
 
 def check_seed(seed: int) -> None:

@@ -82,6 +82,13 @@ def test_absurd_numbers(options, word, shots, tmp_path, capsys):
     fails(capsys, tmp_path, [*command, *out], word)
 
 
+def test_too_little_memory_is_one_error(tmp_path, monkeypatch, capsys):
+    # What torch says is asked of it; 2^50 bytes are more than any machine has.
+    for full in (lambda *_: torch.empty(2**50, dtype=torch.uint8), lambda *_: np.empty(2**60, np.uint8)):
+        monkeypatch.setattr("mitsvbrdf.material.made.make_material", full)
+        fails(capsys, tmp_path, ["render", "builtin:tiles", "-o", tmp_path / "out", "--renderer", "analytic"], "enough memory")
+
+
 @pytest.mark.parametrize("text", ["[1]", '{"views": []}', "{"])
 def test_bad_fit_json(text, shots, tmp_path, capsys):
     save_maps(flat(8), tmp_path / "maps")
