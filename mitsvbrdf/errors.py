@@ -72,13 +72,16 @@ def strict(wanted: bool = True) -> Iterator[None]:
 
 @contextlib.contextmanager
 def plain_warnings() -> Iterator[None]:
-    """Inside, warnings of this package are single lines on standard error, without the place in the code."""
+    """Inside, warnings of this package are single lines on standard error, each once, without the place in the code."""
+    said = set()
     with warnings.catch_warnings():
         others = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
             if issubclass(category, InputWarning):
-                print(f"warning: {message}", file=sys.stderr)
+                if str(message) not in said:  # Python forgets what it said whenever a filter changes
+                    print(f"warning: {message}", file=sys.stderr)
+                said.add(str(message))
             else:
                 others(message, category, *place, **more)
 

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import cv2
@@ -13,6 +14,7 @@ import torch
 from helpers.commands import FAST, fails
 
 from mitsvbrdf import cli
+from mitsvbrdf.errors import InputWarning, plain_warnings, strict
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.system import images
@@ -80,6 +82,14 @@ def test_absurd_numbers(options, word, shots, tmp_path, capsys):
     command = [shots if each == "PHOTOS" else each for each in options]
     out = [] if options[0] == "crosscheck" else ["-o", tmp_path / "out"]
     fails(capsys, tmp_path, [*command, *out], word)
+
+
+def test_a_warning_is_said_once(capsys):
+    with plain_warnings():
+        for name in ("a.jpg", "b.jpg", "a.jpg"):
+            with strict(False):
+                warnings.warn(f"{name} is damaged", InputWarning, stacklevel=1)
+    assert capsys.readouterr().err.splitlines() == ["warning: a.jpg is damaged", "warning: b.jpg is damaged"]
 
 
 def test_too_little_memory_is_one_error(tmp_path, monkeypatch, capsys):
