@@ -16,8 +16,8 @@ from pathlib import Path
 from .errors import BackendError
 
 PACKAGES = {"torch": "torch", "numpy": "numpy", "opencv": "cv2", "OpenEXR": "OpenEXR", "safetensors": "safetensors",
-            "scipy": "scipy", "matplotlib": "matplotlib", "jinja2": "jinja2", "pillow": "PIL", "mpmath": "mpmath",
-            "tyro": "tyro", "rich": "rich"}
+            "scipy": "scipy", "matplotlib": "matplotlib", "jinja2": "jinja2", "pillow": "PIL", "simplejpeg": "simplejpeg",
+            "mpmath": "mpmath", "tyro": "tyro", "rich": "rich"}
 # By the extra that installs it.
 EXTRAS = {"flip": "flip_evaluator", "movie": "av", "heic": "pillow_heif", "raw": "rawpy", "batch": "ray", "s3": "s3fs"}
 DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless", "PIL": "pillow", "flip_evaluator": "flip-evaluator",

@@ -27,6 +27,9 @@ class MitsvbrdfError(Exception):
         self.expected, self.got, self.fix = expected, got, fix
 
 
+LARGEST = 1e10  # of any number that is asked for: its square, and that one's, still are float32
+
+
 class CaptureError(MitsvbrdfError):
     """Photos or their calibration cannot be used."""
 
@@ -35,7 +38,11 @@ class MapsError(MitsvbrdfError):
     """Material maps cannot be used."""
 
 
-class MapsWarning(UserWarning):
+class InputWarning(UserWarning):
+    """A file is damaged or was mended, and is used all the same; says which, and what is wrong."""
+
+
+class MapsWarning(InputWarning):
     """Something in material maps was mended; says what, where, and how many texels."""
 
 
@@ -52,14 +59,29 @@ class BackendError(MitsvbrdfError):
 
 
 @contextlib.contextmanager
+def strict(wanted: bool = True) -> Iterator[None]:
+    """Inside, what would be an :class:`InputWarning` is an error, where wanted."""
+    with warnings.catch_warnings():
+        if wanted:
+            warnings.simplefilter("error", InputWarning)
+        try:
+            yield
+        except InputWarning as warning:
+            raise MitsvbrdfError("files without a fault", str(warning), "or leave --strict out") from None
+
+
+@contextlib.contextmanager
 def plain_warnings() -> Iterator[None]:
-    """Inside, warnings of this package are single lines on standard error, without the place in the code."""
+    """Inside, warnings of this package are single lines on standard error, each once, without the place in the code."""
+    said = set()
     with warnings.catch_warnings():
         others = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
-            if issubclass(category, MapsWarning):
-                print(f"warning: {message}", file=sys.stderr)
+            if issubclass(category, InputWarning):
+                if str(message) not in said:  # Python forgets what it said whenever a filter changes
+                    print(f"warning: {message}", file=sys.stderr)
+                said.add(str(message))
             else:
                 others(message, category, *place, **more)
 
@@ -84,6 +106,12 @@ def exit_code(command: Callable[[], int], interrupted: str = "interrupted") -> i
     except OSError as error:
         print(f"error: expected to read or write {error.filename or 'a file'}, got {error.strerror or error}; check the name "
               "and your rights to it", file=sys.stderr)
+        return 2
+    except (MemoryError, RuntimeError) as error:
+        if isinstance(error, RuntimeError) and "allocate memory" not in str(error):  # torch's words for it
+            raise
+        print(f"error: expected enough memory, got {str(error).splitlines()[0] if str(error) else 'too little'}; "
+              "choose a lower --resolution, or fewer photos", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print(interrupted, file=sys.stderr)

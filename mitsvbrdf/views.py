@@ -82,10 +82,10 @@ class Views:
             camera = torch.as_tensor(camera, dtype=torch.float64).reshape(-1, 3)
             light = camera.clone() if light is None else torch.as_tensor(light, dtype=torch.float64).reshape(-1, 3)
             power = torch.as_tensor(intensity, dtype=torch.float64)
+            power = power.expand(len(camera), 3) if power.ndim < 2 else power.reshape(-1, 3)
             size = float(size)
         except (TypeError, ValueError, RuntimeError) as error:
             raise CaptureError("rows of three numbers", str(error), "check the calibration") from None
-        power = power.expand(len(camera), 3) if power.ndim < 2 else power.reshape(-1, 3)
         power = power.expand(len(camera), 3) if len(power) == 1 else power
         views = cls(camera, light, power.clone(), size, falloff)
         views.check()

@@ -36,6 +36,7 @@ class Asked:
         pages: whether its page and pictures are written.
         tags: words to find it by.
         sheet: size in cm of the printed sheet in raw photos; None where there is none.
+        strict: whether photos that are damaged are refused.
     """
 
     entry: Entry
@@ -44,12 +45,13 @@ class Asked:
     pages: bool
     tags: tuple[str, ...]
     sheet: float | None = None
+    strict: bool = False
 
     @property
     def record(self) -> dict:
         """What a worker is told, and what the identity is made of."""
         return {"config": config_record(self.config), "options": asdict(self.options), "pages": self.pages,
-                "sheet": self.sheet}
+                "sheet": self.sheet, **({"strict": True} if self.strict else {})}
 
     @property
     def words(self) -> str:
@@ -59,7 +61,8 @@ class Asked:
         usual: Any = kind(preset=preset) if preset else kind()  # type: ignore[call-arg]
         found = ["--method", method] * (method != next(iter(METHODS)))
         found += ["--preset", preset] * (preset != getattr(kind(), "preset", None))
-        found += [*_changed(self.config, usual), *_changed(self.options, FitOptions()), *["--pages", "none"] * (not self.pages)]
+        found += [*_changed(self.config, usual), *_changed(self.options, FitOptions()), *["--pages", "none"] * (not self.pages),
+                  *["--strict"] * self.strict]
         return shlex.join([*found, *([] if self.sheet is None else ["--sheet", _typed(self.sheet)])])
 
     @property

@@ -20,7 +20,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import MitsvbrdfError
+from ..errors import MitsvbrdfError, strict
 from .workers.guard import die_with_parent
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def fit_into_library(task: dict) -> dict:
     started = time.perf_counter()
     staging = place.staging(task["attempt"])
     try:
-        with local_capture(task["capture"]) as capture:
+        with local_capture(task["capture"]) as capture, strict(task["options"].get("strict", False)):
             row = fit_capture(capture, staging, task["options"])
         row |= {"seconds": round(time.perf_counter() - started, 3)}
         _write_record(staging, task, row)

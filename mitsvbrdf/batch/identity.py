@@ -10,6 +10,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..capture.photo import SUFFIXES
+from ..system.json_files import load
 from .places.address import is_url
 from .places.remote import CALIBRATIONS, remote_contents
 
@@ -53,9 +54,9 @@ def capture_files(source: Path) -> list[Path]:
     folders = {folder}
     stated = source if source.is_file() else folder / "capture.json"
     try:
-        target = json.loads(stated.read_text(encoding="utf-8"))["target_dir"]
+        target = load(stated)["target_dir"]
         folders.add(folder / target)
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (OSError, ValueError, KeyError, TypeError):
         pass  # no such file, or a wrong one, which the fit will say
     inside = [path for each in folders if each.is_dir() for path in each.iterdir() if path.is_file() and path.name[0] != "."]
     return sorted({path for path in inside if path == source or path.name in CALIBRATION_FILES

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import ConfigError
+from ..system.json_files import load
 from .tasks import KnownMaterial, Task
 
 PUBLISHED_SIDE = 256  # the published numbers are for photos and maps of this size
@@ -38,7 +38,7 @@ def published(path: Path, tasks: Sequence[Task], resolution: int) -> Published:
     if not path.is_file() or resolution != PUBLISHED_SIDE:
         return found
     try:
-        stated = json.loads(path.read_text())
+        stated = load(path)
         for task in tasks:
             if isinstance(task, KnownMaterial):
                 if task.folder is not None and task.name in stated["materials"]:

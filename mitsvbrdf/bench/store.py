@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,6 +12,7 @@ from .. import __version__
 from ..errors import ConfigError
 from ..system import files
 from ..system.interrupts import undisturbed
+from ..system.json_files import load
 from ..system.provenance import machine, versions
 from .published import Published
 from .schema import SCHEMA_VERSION, Benchmark, check_benchmark, identity
@@ -92,7 +92,7 @@ def read_benchmark(path: Path) -> Benchmark:
         ConfigError: no such file, or another content.
     """
     try:
-        return check_benchmark(json.loads(Path(path).read_text()), str(path))
+        return check_benchmark(load(Path(path)), str(path))
     except OSError as reason:
         raise ConfigError("a benchmark's JSON", f"{path}: {reason.strerror}", "check --json") from None
     except ValueError as reason:

@@ -6,34 +6,30 @@ MaterialGAN. Both check what they read, photo by photo and number by number, bef
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any, get_args
 
 import torch
-from torch import Tensor
 
 from .. import color
 from ..errors import CaptureError
-from ..system import images
+from ..system.decode import decoded, header, upright
+from ..system.images import averaged
+from ..system.json_files import read_json
 from ..views import Falloff, Views, default_views
 from .capture import LEAST_SIDE, Calibration, Capture
 
 PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
+MOST_HELD = 500_000_000  # pixels of all photos of a capture, shrunk: 6 GB
 
 
-def from_json(path: Path, falloff: Falloff) -> Capture:
-    """The capture of a ``capture.json``; without ``camera_pos`` its views are the default geometry.
+def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
+    """The capture of a ``capture.json``, shrunk to ``resolution``; without ``camera_pos`` its views are the default geometry.
 
     Raises:
         CaptureError: naming what is missing or wrong.
     """
-    try:
-        stated = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as reason:
-        raise CaptureError("a valid JSON file", f"{path}: {reason}", "mend it or export it again") from None
-    if not isinstance(stated, dict):
-        raise CaptureError("a JSON object", f"a {type(stated).__name__} in {path}", "see the format of capture.json")
+    stated = read_json(path, CaptureError)
     uncalibrated = "camera_pos" not in stated
     for key in ("target_dir",) if uncalibrated else ("target_dir", "im_size", "camera_pos", "light_pow"):
         if key not in stated:
@@ -67,7 +63,7 @@ def from_json(path: Path, falloff: Falloff) -> Capture:
                            f"{len(camera)} rows in {path}", "give one row a photo, or shorten idx")
     views = _views(camera, light, stated["light_pow"], size, falloff, str(path)).pick(index)
     return _calibrated([photos[i] for i in index], views, transfer, index, path.parent,
-                       _calibration(stated, path))
+                       resolution, _calibration(stated, path))
 
 
 def _calibration(stated: dict, path: Path) -> Calibration:
@@ -90,8 +86,8 @@ def _assumed(stated: dict, path: Path, rows: int) -> dict:
             "light_pow": float(views.intensity[0, 0]) * size**2, "calibration": "none"}
 
 
-def from_text(folder: Path, falloff: Falloff) -> Capture:
-    """The capture of MaterialGAN's text files beside its photos.
+def from_text(folder: Path, falloff: Falloff, resolution: int | None) -> Capture:
+    """The capture of MaterialGAN's text files beside its photos, shrunk to ``resolution``.
 
     Raises:
         CaptureError: naming what is missing or wrong.
@@ -107,35 +103,37 @@ def from_text(folder: Path, falloff: Falloff) -> Capture:
         raise CaptureError("one side length", f"{sizes} in {folder / 'image_size.txt'}", "the patch must be square")
     power = _table(folder / "light_power.txt")
     views = _views(camera, light, power[0][0] if power == [power[0][:1]] else power, sizes[0], falloff, str(folder))
-    return _calibrated(list(photos.values()), views, "gamma2.2", list(photos), folder)
+    return _calibrated(list(photos.values()), views, "gamma2.2", list(photos), folder, resolution)
 
 
 def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index: list[int], source: Path,
-                calibration: Calibration = "given") -> Capture:
-    photos = [_photo(path) for path in paths]
-    for path, photo in zip(paths, photos):
-        if photo.shape != photos[0].shape:
-            raise CaptureError("photos of one size", f"{paths[0].name} of {_size(photos[0])} and {path.name} of "
-                               f"{_size(photo)} in {source}", "rectify them to one size")
-        if photo.shape[0] != photo.shape[1]:
-            raise CaptureError("square photos, rectified to the patch", f"{path} of {_size(photo)}",
+                resolution: int | None, calibration: Calibration = "given") -> Capture:
+    """The capture; one photo at a time is decoded, and shrunk before the next one."""
+    headers = [header(path, CaptureError) for path in paths]
+    side = _common_side(paths, [each.size for each in headers], source)
+    kept = min(side, resolution or side)
+    if (held := len(paths) * kept**2) > MOST_HELD:
+        raise CaptureError(f"photos of at most {MOST_HELD / 1e6:.0f} megapixels together", f"{held / 1e6:.0f} in {source}",
+                           "read them at a lower resolution")
+    photos = torch.empty(len(paths), kept, kept, 3)
+    for photo, path, about in zip(photos, paths, headers):
+        photo.numpy()[:] = averaged(upright(decoded(path, CaptureError), about.orientation), kept)
+    return Capture(photos, views, transfer, tuple(index), calibration, source)
+
+
+def _common_side(paths: list[Path], sizes: list[tuple[int, int]], source: Path) -> int:
+    """Pixels a side of photos that are square and all of one size."""
+    for path, (width, height) in zip(paths, sizes):
+        if min(width, height) < LEAST_SIDE:
+            raise CaptureError(f"photos of {LEAST_SIDE} pixels or more a side", f"{path} of {width} x {height}",
+                               "use the original photo")
+        if (width, height) != sizes[0]:
+            raise CaptureError("photos of one size", f"{paths[0].name} of {sizes[0][0]} x {sizes[0][1]} and {path.name} of "
+                               f"{width} x {height} in {source}", "rectify them to one size")
+        if width != height:
+            raise CaptureError("square photos, rectified to the patch", f"{path} of {width} x {height}",
                                "rectify it, or remove the calibration to read plain photos")
-    return Capture(torch.stack(photos), views, transfer, tuple(index), calibration, source)
-
-
-def _photo(path: Path) -> Tensor:
-    """A photo as H x W x 3 display values, EXIF orientation applied."""
-    import cv2
-
-    try:
-        photo = images.read_image(path, CaptureError)
-    except (OSError, cv2.error) as reason:
-        raise CaptureError("a readable photo", f"{path}: {reason}", "check the file") from None
-    short = min(photo.shape[:2])
-    if short < LEAST_SIDE:
-        raise CaptureError(f"photos of {LEAST_SIDE} pixels or more a side", f"{path} of {_size(photo)}",
-                           "use the original photo")
-    return photo
+    return sizes[0][0]
 
 
 def _photos_in(folder: Path) -> list[Path]:
@@ -217,7 +215,3 @@ def _table(path: Path) -> list[list[float]]:
     if not rows:
         raise CaptureError("rows of numbers", f"{path}, which is empty", "check the calibration")
     return rows
-
-
-def _size(photo: Tensor) -> str:
-    return f"{photo.shape[1]} x {photo.shape[0]}"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -14,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import CaptureError
-from ..system.images import check_size
+from ..errors import CaptureError, InputWarning
+from ..system.decode import check_size, decoded, opened
+from ..system.decode import orientation as orientation_of
 from ..system.profile import profiled
 
 PLAIN = (".png", ".jpg", ".jpeg")
@@ -71,12 +71,14 @@ class Photo:
             CaptureError: no image can be read from it, or the package that reads such files is missing.
         """
         path = Path(path)
+        if not path.is_file():  # a pipe or a device would be waited for
+            raise Unreadable("a photo", f"no file at {path}", "check the name")
         if path.suffix.lower() in RAW:
             with _readable(path), _rawpy(path).imread(str(path)) as raw:
                 size, orientation = (raw.sizes.width, raw.sizes.height), ORIENTATION_OF_FLIP.get(raw.sizes.flip, 1)
         else:
             with _readable(path), _opened(path) as image:
-                size, orientation = image.size, image.getexif().get(0x0112, 1)
+                size, orientation = image.size, orientation_of(image)
                 if path.suffix.lower() in HEIC:  # decoded as it is shown; the sensor's pixels are what the lens knows
                     orientation = image.info.get("original_orientation") or 1
                     size = size[::-1] if orientation in (6, 8) else size
@@ -105,13 +107,10 @@ class Photo:
             with rawpy.imread(str(self.path)) as raw:  # nothing that depends on the picture: values stay comparable
                 return raw.postprocess(use_camera_wb=True, no_auto_bright=True, output_bps=16, gamma=(1, 1), user_flip=0,
                                        adjust_maximum_thr=0.0)
-        if suffix == ".png":  # Pillow gives no 16 bits, OpenCV only prints what is wrong with a file
-            with _opened(self.path) as image:
-                image.verify()
-            return _png(self.path)
+        if suffix in PLAIN:
+            return decoded(self.path, Unreadable)
         with _opened(self.path) as image:
-            pixels = np.asarray(image.convert("RGB"))
-        return np.rot90(pixels, UNTURNED.get(self.orientation, 0)) if suffix in HEIC else pixels
+            return np.rot90(np.asarray(image.convert("RGB")), UNTURNED.get(self.orientation, 0))
 
 
 def reduced(image: np.ndarray, most: int) -> np.ndarray:
@@ -125,21 +124,12 @@ def reduced(image: np.ndarray, most: int) -> np.ndarray:
     return cv2.resize(image[: height * times, : width * times], (width, height), interpolation=cv2.INTER_AREA)
 
 
-def _png(path: Path) -> np.ndarray:
-    import cv2
-
-    image = cv2.imread(str(path), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    if image is None or image.dtype not in (np.uint8, np.uint16):
-        raise ValueError("no 8- or 16-bit image")
-    return image[..., ::-1]
-
-
 @contextlib.contextmanager
 def _readable(path: Path) -> Iterator[None]:
     """Whatever a decoder raises becomes one error that names the file."""
     try:
         yield
-    except CaptureError:
+    except (CaptureError, InputWarning):
         raise
     except Exception as reason:  # Pillow, OpenCV and LibRaw raise all kinds
         said = reason.args[0] if reason.args else type(reason).__name__
@@ -149,17 +139,11 @@ def _readable(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator:
-    """The file in Pillow, however many pixels it has: photos of 108 and 200 megapixels are none of its bombs."""
-    from PIL import Image
-
+    """The file in Pillow."""
     if path.suffix.lower() in HEIC:
         _needed("pillow_heif", "heic", path).register_heif_opener()
-    most, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
-    try:
-        with warnings.catch_warnings(action="ignore"), Image.open(path) as image:  # EXIF that is damaged is none
-            yield image
-    finally:
-        Image.MAX_IMAGE_PIXELS = most
+    with opened(path) as image:
+        yield image
 
 
 def _rawpy(path: Path) -> ModuleType:
@@ -235,8 +219,10 @@ def read_exif(path: Path) -> dict[str, float | str]:
     manual), "flash" (fired or off), "camera" (maker and model), "date" (as the camera wrote it).
     """
     try:
+        from PIL import Image
+
         with _opened(path) as image:
-            block = image.getexif()
+            block = Image.Image.getexif(image)  # that of a PNG would decode it
             tags = dict(block.get_ifd(0x8769))
             camera = " ".join(str(block.get(tag, "")).strip("\0 ") for tag in (271, 272)).strip()
     except Exception:  # no such package, or an EXIF block that cannot be read: the photo itself may still be fine

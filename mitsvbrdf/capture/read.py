@@ -13,12 +13,14 @@ import torch
 
 from .. import color
 from ..errors import CaptureError, ConfigError
-from ..system import files, images
+from ..system import files
+from ..system.decode import upright
+from ..system.images import averaged, write_png
 from ..system.result_folder import settle
 from ..views import FIELD_OF_VIEW, Falloff, default_views, field_of_view
 from .calibrated import from_json, from_text
 from .capture import LEAST_SIDE, Capture
-from .photo import UNTURNED, Photo, Unreadable, differences, photos_in
+from .photo import Photo, Unreadable, differences, photos_in
 
 MOST_SQUARE = 2048  # pixels a side of what is read of a photo without calibration
 
@@ -70,17 +72,17 @@ def read_capture(
         raise ConfigError(f"a transfer function of {get_args(color.Transfer)}", repr(transfer), "choose one of these")
     settle(path.parent if path.suffix.lower() == ".json" else path)
     if path.is_file() and path.suffix.lower() == ".json":
-        capture = from_json(path, falloff)
+        capture = from_json(path, falloff, resolution)
     elif not path.is_dir():
         raise CaptureError("a folder of photos", f"no folder at {path}", "check the name")
     elif (path / "capture.json").is_file():
-        capture = from_json(path / "capture.json", falloff)
+        capture = from_json(path / "capture.json", falloff, resolution)
     elif (path / "camera_pos.txt").is_file():
-        capture = from_text(path, falloff)
+        capture = from_text(path, falloff, resolution)
     elif (path / "fit.json").is_file():
         raise CaptureError("a folder of photos", f"{path}, the result of a fit", "name the folder that was fitted")
     else:
-        capture = _from_plain(path, falloff, transfer, report)
+        capture = _from_plain(path, falloff, resolution, transfer, report)
     capture = capture if index is None else capture.pick(index)
     capture = _shrunk(replace(capture, transfer=transfer or capture.transfer), resolution)
     if log:
@@ -102,7 +104,7 @@ def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None
     """
     folder, views = Path(folder), capture.views
     for i, photo in enumerate(capture.photos):
-        images.write_png(folder / "target" / f"{i:02d}.png", photo, 16 if capture.transfer == "linear" else 8)
+        write_png(folder / "target" / f"{i:02d}.png", photo, 16 if capture.transfer == "linear" else 8)
     power = views.intensity.tolist()
     files.write_json(folder / "capture.json", {
         "target_dir": "target", "im_size": views.size, "idx": list(range(len(capture))),
@@ -111,7 +113,7 @@ def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None
         "transfer": capture.transfer, "calibration": capture.calibration, **(keys or {})})
 
 
-def _from_plain(folder: Path, falloff: Falloff, transfer: color.Transfer | None,
+def _from_plain(folder: Path, falloff: Falloff, resolution: int | None, transfer: color.Transfer | None,
                 report: Callable[[str, float], object]) -> Capture:
     """Raw photos: what `mitsvbrdf capture` would make of them; of fewer than three that can be used, the first alone.
 
@@ -127,7 +129,7 @@ def _from_plain(folder: Path, falloff: Falloff, transfer: color.Transfer | None,
         try:
             made = make_capture(photos, transfer=transfer, reference="first", report=report)
         except OnePlace:
-            return _rectified(photos, falloff, folder)
+            return _rectified(photos, falloff, folder, resolution)
         except Unreadable:
             raise
         except CaptureError as error:
@@ -136,13 +138,13 @@ def _from_plain(folder: Path, falloff: Falloff, transfer: color.Transfer | None,
             left_out = [f"{name} is left out: {why}" for name, why in made.rig.left_out.items()]
             return replace(made.capture, views=replace(made.capture.views, falloff=falloff), source=folder,
                            notes=(*made.warnings, *left_out))
-    return _single(photos, falloff, folder, reason)
+    return _single(photos, falloff, folder, resolution, reason)
 
 
-def _single(photos: Sequence[Photo], falloff: Falloff, folder: Path, reason: str) -> Capture:
+def _single(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution: int | None, reason: str) -> Capture:
     """The middle square of the first photo as it is shown, in the stated default geometry."""
     alone = [f"only {photos[0].name} is used of {len(photos)} photos: {reason}"] if len(photos) > 1 else []
-    shot = _unposed(photos[:1], falloff, folder, [*differences(photos), *alone])
+    shot = _unposed(photos[:1], falloff, folder, resolution, [*differences(photos), *alone])
     z, focal = float(shot.views.camera[0, 2]), photos[0].exif.get("35 mm focal length")
     geometry = (f"no calibration: camera and light are taken to be together, {z:.2f} patch sides above the centre (field of "
                 f"view {_angle(photos[0]):.0f} degrees, {'from EXIF' if focal else 'assumed'}); a white texel there has "
@@ -150,19 +152,20 @@ def _single(photos: Sequence[Photo], falloff: Falloff, folder: Path, reason: str
     return replace(shot, notes=(*shot.notes, geometry))
 
 
-def _rectified(photos: Sequence[Photo], falloff: Falloff, folder: Path) -> Capture:
+def _rectified(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution: int | None) -> Capture:
     """The middle squares of photos that show everything in the same place, of whose views nothing is known."""
     size = Counter(photo.size for photo in photos).most_common(1)[0][0]
     kept = [photo for photo in photos if photo.size == size]
     others = [f"{photo.name} is left out: it has another size" for photo in photos if photo.size != size]
     note = "the photos show everything in the same place, so they are taken for rectified; nothing is known of their views"
-    return _unposed(kept, falloff, folder, [*differences(photos), *others, note], [photos.index(photo) for photo in kept])
+    notes = [*differences(photos), *others, note]
+    return _unposed(kept, falloff, folder, resolution, notes, [photos.index(photo) for photo in kept])
 
 
-def _unposed(photos: Sequence[Photo], falloff: Falloff, folder: Path, notes: Sequence[str],
+def _unposed(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution: int | None, notes: Sequence[str],
              index: Sequence[int] = (0,)) -> Capture:
     """Middle squares of photos as they are shown, in the default geometry."""
-    squares = torch.from_numpy(np.stack([_square(photo) for photo in photos]))
+    squares = torch.from_numpy(np.stack([_square(photo, resolution) for photo in photos]))
     share = min(photos[0].size) / max(photos[0].size)
     views = replace(default_views(len(photos), _angle(photos[0]), share), falloff=falloff)
     return Capture(squares, views, "linear" if photos[0].linear else "srgb", tuple(index), "none", folder, tuple(notes))
@@ -174,28 +177,23 @@ def _angle(photo: Photo) -> float:
     return field_of_view(focal, *photo.size) if focal else FIELD_OF_VIEW
 
 
-def _square(photo: Photo) -> np.ndarray:
-    """The middle square of a photo as it is shown, S x S x 3 display values, S at most :data:`MOST_SQUARE`."""
-    import cv2
-
-    pixels = np.rot90(photo.pixels(), -UNTURNED.get(photo.orientation, 0))
+def _square(photo: Photo, resolution: int | None) -> np.ndarray:
+    """The middle square of a photo as it is shown, S x S x 3 display values, S at most :data:`MOST_SQUARE`; then shrunk."""
+    pixels = upright(photo.pixels(), photo.orientation)
     (height, width), side = pixels.shape[:2], min(pixels.shape[:2])
     if side < LEAST_SIDE:
         raise CaptureError(f"photos of {LEAST_SIDE} pixels or more a side", f"{photo.path} of {width} x {height}",
                            "use the original photo")
     top, left = (height - side) // 2, (width - side) // 2
-    square = pixels[top : top + side, left : left + side].astype(np.float32) / np.iinfo(pixels.dtype).max
-    return square if side <= MOST_SQUARE else cv2.resize(square, (MOST_SQUARE, MOST_SQUARE), interpolation=cv2.INTER_AREA)
+    square = averaged(pixels[top : top + side, left : left + side], min(side, MOST_SQUARE))
+    return averaged(square, min(len(square), resolution or MOST_SQUARE))
 
 
 def _shrunk(capture: Capture, resolution: int | None) -> Capture:
-    import cv2
-
     if resolution is None or resolution == capture.resolution:
         return capture
     if resolution > capture.resolution:
         note = f"the photos have {capture.resolution} pixels a side, so they are not enlarged to {resolution}"
         return replace(capture, notes=(*capture.notes, note))
-    size = (resolution, resolution)
-    photos = [cv2.resize(p.numpy(), size, interpolation=cv2.INTER_AREA) for p in capture.photos]
+    photos = [averaged(photo.numpy(), resolution) for photo in capture.photos]
     return replace(capture, photos=torch.from_numpy(np.stack(photos)))

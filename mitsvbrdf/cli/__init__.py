@@ -7,11 +7,15 @@ without a result. Only the module of the chosen command is imported: words about
 from __future__ import annotations
 
 import importlib
+import inspect
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import fields, is_dataclass
+from typing import Any, get_type_hints
 
 from .. import __version__
-from ..errors import exit_code, plain_warnings
+from ..errors import LARGEST, ConfigError, exit_code, plain_warnings
+from ..errors import strict as refused
 
 # What each command does, the first line of its docstring. ``leave-out`` is the function leave_out of the module leave_out.
 COMMANDS = {
@@ -42,6 +46,8 @@ COMMANDS = {
     "demo": "Photograph a made material, recover it, and compare with the truth; about two minutes.",
 }
 FITTING = ("fit", "batch")  # these have the options of the methods
+READING = ("capture", "fit", "batch", "guess", "render", "evaluate", "compare", "pretrain", "export", "relight", "report")
+MOST = {"resolution": 16384, "size": 16384, "repeats": 10_000, "frames": 100_000}  # what takes memory, or days
 RESUMED = ("fit", "relight")  # what these leave unfinished goes on with --resume
 
 
@@ -67,10 +73,41 @@ def command(name: str, arguments: Sequence[str] = ()) -> Callable[..., int]:
     """The function of a command; ``fit`` and ``batch`` have the options of the method that the arguments name."""
     module = importlib.import_module(f".{name.replace('-', '_')}", __name__)
     function = getattr(module, name.replace("-", "_"))
-    if name not in FITTING:
-        return function
-    from .fit import fit_command
-    return fit_command(arguments, function)
+    if name in FITTING:
+        from .fit import fit_command
+        function = fit_command(arguments, function)
+    return _guarded(function, strict=name in READING)
+
+
+def _guarded(function: Callable[..., int], strict: bool) -> Callable[..., int]:
+    """A command whose numbers are checked before it begins; where wanted, with ``--strict`` beside its options."""
+    from .options import Strict
+
+    signature, hints = inspect.signature(function), get_type_hints(function, include_extras=True)
+    parameters = list(signature.parameters.values())
+    if strict := strict and "strict" not in signature.parameters:  # `batch` tells its workers itself
+        parameters.append(inspect.Parameter("strict", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Strict))
+        hints["strict"] = Strict
+
+    def command(*values: Any, **options: Any) -> int:
+        for name, value in (*zip(signature.parameters, values), *options.items()):
+            _check_numbers(name, value)
+        with refused(options.pop("strict") if strict else False):
+            return function(*values, **options)
+
+    command.__doc__ = function.__doc__
+    command.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    command.__annotations__ = hints
+    return command
+
+
+def _check_numbers(name: str, value: object) -> None:
+    """Raise ConfigError for an option that no command can do anything with."""
+    if is_dataclass(value):
+        for each in fields(value):
+            _check_numbers(each.name, getattr(value, each.name))
+    elif isinstance(value, (int, float)) and not abs(value) <= (most := MOST.get(name, LARGEST)):
+        raise ConfigError(f"--{name.replace('_', '-')} of at most {most:g}", str(value), "give a smaller number")
 
 
 def _run(arguments: list[str]) -> int:

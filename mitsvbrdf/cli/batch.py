@@ -32,6 +32,7 @@ from ..fit.config import FitConfig
 from ..fit.options import FitOptions
 from ..system.progress import progress_bar, say
 from .fit import fit_command, with_flags
+from .options import Strict
 
 USUAL, USUAL_BATCH = FitOptions(), BatchSettings()
 INTERRUPTED = 130
@@ -50,7 +51,8 @@ def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help
                                                             "of the space.")] = "all",
           tag: UseAppendAction[Annotated[tuple[str, ...], arg(help="Words to find these materials by, commas between.")]] = (),
           sheet: Annotated[float | None, arg(metavar="CM", help="In raw photos a printed sheet of tags lies around the "
-                                                                "material: its measured size.")] = None) -> int:
+                                                                "material: its measured size.")] = None,
+          strict: Strict = False) -> int:
     """Fit many captures into one library, whatever dies on the way.
 
     `mitsvbrdf batch shots/ -o library` fits each capture in shots/; the options are those of `mitsvbrdf fit`. Run the same
@@ -64,7 +66,7 @@ def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help
     running.check()
     shared.check(config)
     require_ray()
-    asked = _asked(captures, Asked(Entry(""), config, shared, pages == "all", _split(tag), sheet))
+    asked = _asked(captures, Asked(Entry(""), config, shared, pages == "all", _split(tag), sheet, strict))
     with _opened(out) as (home, manifest):
         library = out if is_url(out) else os.path.realpath(out)
         place = place_of(library)
@@ -108,7 +110,7 @@ def with_own_options(entry: Entry, base: Asked) -> Asked:
     def line(config: FitConfig, shared: OmitArgPrefixes[FitOptions] = base.options, method: str = "",
              pages: Literal["all", "none"] = "all" if base.pages else "none",
              tag: UseAppendAction[tuple[str, ...]] = (), sheet: float | None = base.sheet) -> Asked:
-        return Asked(entry, config, shared, pages == "all", (*base.tags, *_split(tag)), sheet)
+        return Asked(entry, config, shared, pages == "all", (*base.tags, *_split(tag)), sheet, base.strict)
 
     words, said = with_flags(list(entry.own)), io.StringIO()
     try:

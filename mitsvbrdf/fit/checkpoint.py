@@ -1,7 +1,11 @@
-"""Checkpoints: a fit's running state as named tensors in a safetensors file, which runs no code when loaded."""
+"""Checkpoints: a fit's running state as named tensors in a safetensors file, which runs no code when loaded.
+
+A checksum of tensors and note tells a damaged file from a whole one: the format has none of its own.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
 from pathlib import Path
 
@@ -16,10 +20,10 @@ from ..system.files import beside, to_disk
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], note: dict) -> None:
     """A safetensors file: plain tensors, and a note as JSON text. Loading it runs no code."""
+    tensors, text = {k: v.detach().contiguous().clone() for k, v in tensors.items()}, json.dumps(note)
     with beside(path) as temporary:
         try:
-            save_file({k: v.detach().contiguous().clone() for k, v in tensors.items()}, temporary,
-                      metadata={"mitsvbrdf": json.dumps(note)})
+            save_file(tensors, temporary, metadata={"mitsvbrdf": text, "sha256": _checksum(tensors, text)})
         except SafetensorError as reason:
             raise OSError(str(reason)) from None
         to_disk(temporary)  # it takes the place of one that can be resumed from
@@ -29,14 +33,34 @@ def load_tensors(path: Path | str) -> tuple[dict[str, Tensor], dict]:
     """What :func:`save_tensors` wrote.
 
     Raises:
-        ConfigError: no such file, or not a checkpoint of this package.
+        ConfigError: no such file, not a checkpoint of this package, or a damaged one.
     """
     try:
+        if not Path(path).is_file():  # a pipe would be waited for
+            raise ValueError("no such file")
         with safe_open(str(path), "pt") as file:
-            note = json.loads(file.metadata()["mitsvbrdf"])
-            return {key: file.get_tensor(key) for key in file.keys()}, note
+            about = file.metadata()
+            text, stated = about["mitsvbrdf"], about["sha256"]
+            tensors = {key: file.get_tensor(key) for key in file.keys()}
+        if _checksum(tensors, text) != stated:
+            raise ValueError("damaged, its checksum is another one")
+        note = json.loads(text)
+        if not isinstance(note, dict):
+            raise ValueError("its note is no object")
+        return tensors, note
     except (OSError, SafetensorError, KeyError, TypeError, ValueError) as reason:
-        raise ConfigError("a checkpoint of mitsvbrdf (.safetensors)", f"{path}: {reason}", "check the path") from None
+        raise ConfigError("a whole checkpoint of mitsvbrdf (.safetensors)", f"{path}: {reason}",
+                          "check the path; a damaged one cannot be gone on from") from None
+
+
+def _checksum(tensors: dict[str, Tensor], text: str) -> str:
+    """SHA-256, in hex, of names, types, shapes and bytes of tensors, and of the note."""
+    digest = hashlib.sha256(text.encode())
+    for name in sorted(tensors):
+        value = tensors[name]
+        digest.update(f"{name} {value.dtype} {list(value.shape)}".encode())
+        digest.update(value.reshape(-1).view(torch.uint8).numpy().data)
+    return digest.hexdigest()
 
 
 def part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
@@ -51,11 +75,20 @@ def optimizer_state(name: str, optimizer: torch.optim.Optimizer) -> dict[str, Te
 
 
 def load_optimizer_state(name: str, optimizer: torch.optim.Optimizer, state: dict[str, Tensor]) -> None:
-    """The inverse of :func:`optimizer_state`; step sizes stay as they are."""
+    """The inverse of :func:`optimizer_state`; step sizes stay as they are.
+
+    Raises:
+        ValueError: averages that are not those of the parameters.
+    """
+    parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
     entries: dict[int, dict[str, Tensor]] = {}
     for key, value in part(state, f"{name}.").items():
         index, field = key.split(".", 1)
+        if value.shape != (() if field == "step" else parameters[int(index)].shape):
+            raise ValueError(f"{name}.{key} of shape {tuple(value.shape)}")
         entries.setdefault(int(index), {})[field] = value.clone()
+    if any({"step", "exp_avg", "exp_avg_sq"} - entry.keys() for entry in entries.values()):
+        raise ValueError(f"averages of {name} are missing")
     optimizer.load_state_dict({"state": entries, "param_groups": optimizer.state_dict()["param_groups"]})
 
 

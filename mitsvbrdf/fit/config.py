@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 from tyro.conf import arg
 
 from ..capture.guess import GuessMethod
-from ..errors import ConfigError
+from ..errors import LARGEST, ConfigError
 from ..material.maps import Bsdf
 from ..views import Falloff
 from . import losses
@@ -16,6 +16,7 @@ from .fixed_maps import stated_maps
 
 POSITIVE = ("budget", "iterations", "width", "learning_rate", "normal_roughness_steps", "materials", "likeness",
             "spread", "relief", "noise", "pictures", "discriminator_rate")
+MOST = {"width": 4096, "materials": 65536, "pictures": 1024}  # what takes memory
 
 # A setting that is on or off. Help names the option that changes it, which for one that is on begins with --no-.
 Switch = Annotated[bool, arg(help_behavior_hint=lambda usual: f"(default: {'on' if usual == 'True' else 'off'})")]
@@ -60,8 +61,8 @@ class FitConfig:
             if isinstance(value, bool) or not isinstance(value, (int, float)) or name == "seed":
                 continue
             least = "> 0" if name in POSITIVE else ">= 0"
-            if not (value > 0 or value == 0 and name not in POSITIVE) or value == float("inf"):
-                raise ConfigError(f"{name} {least}", str(value), "give such a number")
+            if not (value > 0 or value == 0 and name not in POSITIVE) or value > MOST.get(name, LARGEST):
+                raise ConfigError(f"{name} {least} and <= {MOST.get(name, LARGEST):g}", str(value), "give such a number")
 
     def limited(self) -> FitConfig:
         """Itself with the method's default limit filled in where none was given."""

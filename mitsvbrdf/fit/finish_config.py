@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-from ..errors import ConfigError
+from ..errors import LARGEST, ConfigError
 from .config import check_seed
 
 
@@ -53,7 +53,7 @@ class FinishConfig:
         for field in fields(self):
             value = getattr(self, field.name)
             may_be_zero = field.name in ("seed", "certain", "adversarial", "patches", "photometric", "diffuse")
-            if not 0 <= value < float("inf") or (value == 0 and not may_be_zero):
+            if not 0 <= value <= LARGEST or (value == 0 and not may_be_zero):
                 raise ConfigError(f"{field.name} {'>= 0' if may_be_zero else '> 0'}", str(value), "give such a number")
         if self.crop > 1:
             raise ConfigError("crop of at most 1 patch side", str(self.crop), "0.5 is half a side")

@@ -13,11 +13,12 @@ from typing import Protocol
 from torch import Tensor
 
 from ..capture import Capture
-from ..errors import ConfigError
+from ..errors import ConfigError, MitsvbrdfError
 from ..material.maps import SVBRDF
 from ..measure.rerender import rerender
 from ..render import Renderer
 from ..system.interrupts import stop_signals
+from ..system.json_files import NUMBER, misfit
 from ..system.profile import STEP, profiled
 from ..views import Views
 from .checkpoint import load_tensors, part, save_tensors
@@ -30,6 +31,10 @@ MAX_UNDONE = 20
 # real captures, `hybrid` and `direct`: at no measurement was the loss above its lowest at all.
 DIVERGED, PATIENCE = 1.5, 5
 FALLING = ("photometric", "diffuse", "smooth", "flat")  # losses that a fit lowers; adversarial ones move the goal
+
+BACK = {"iteration": int, "reason": str}
+NOTE = {"iteration": int, "seconds": NUMBER, "undone": [BACK], "restarts": [BACK], "lowest_loss": NUMBER, "rising": int,
+        "best_rmse": NUMBER, "trace": [{str: NUMBER}]}  # what a run goes on from beside tensors
 
 Seen = tuple[float, SVBRDF, Views]  # re-rendering error, material and views of a state
 
@@ -251,13 +256,18 @@ class Loop:
             raise ConfigError("the photos, views, renderer and options of the first run", f"others than {path} was made with",
                               "resume with the same ones; only --iterations and --budget may change")
         try:
+            if wrong := misfit(note, NOTE):
+                raise ValueError(f"{wrong} in its note is missing or of another kind")
             self.method.load_state(part(tensors, "method."))
-        except (KeyError, RuntimeError, ValueError) as reason:
-            raise ConfigError("a checkpoint of the same options", f"{path}: {str(reason).splitlines()[0]}",
+            lit = part(tensors, "best_views.")
+            views = replace(self.method.views, camera=lit["camera"], light=lit["light"], intensity=lit["intensity"])
+            best = SVBRDF(self.config.bsdf, part(tensors, "best."))
+            if best.resolution != self.capture.resolution or len(views) != len(self.capture):
+                raise ValueError(f"maps of {best.resolution} px for {len(views)} photos")
+        except (LookupError, TypeError, ValueError, RuntimeError, AttributeError, MitsvbrdfError) as reason:
+            raise ConfigError("a checkpoint of the same options", f"{path}: {(str(reason).splitlines() or ['empty'])[0]}",
                               "resume with the options of the first run") from None
-        lit = part(tensors, "best_views.")
-        views = replace(self.method.views, camera=lit["camera"], light=lit["light"], intensity=lit["intensity"])
-        self.seen = self.best = note["best_rmse"], SVBRDF(self.config.bsdf, part(tensors, "best.")), views
+        self.seen = self.best = note["best_rmse"], best, views
         self.iteration, self.seconds, self.trace = note["iteration"], note["seconds"], note["trace"]
         self.undone, self.restarts, self.rising = note["undone"], note["restarts"], note["rising"]
         self.lowest = note["lowest_loss"], part(tensors, "lowest.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -13,10 +12,11 @@ from .. import color
 from ..capture import Capture
 from ..errors import MapsError, MitsvbrdfError
 from ..material.map_files import MAP_FOLDERS, load_maps
-from ..material.maps import SVBRDF
+from ..material.maps import CHANNELS, SVBRDF
 from ..measure.burn_in import burn_in, local_burn_in
 from ..render import Renderer, RendererName, make_renderer
 from ..system import files
+from ..system.json_files import NUMBER, load, misfit, said
 from ..system.provenance import machine, versions
 from ..system.result_folder import settle
 from ..views import Falloff, Views
@@ -26,12 +26,12 @@ from .methods import method_name
 from .result import FitResult
 
 FILE = "fit.json"
-NUMBER = (int, float)
 SCHEMA_VERSION = 1
-# What a page needs of fit.json, as types; {str: X} is an object of X, [X] a list of X.
+NONE = type(None)
+# What a page needs of fit.json, as types; see :func:`~mitsvbrdf.system.json_files.misfit`.
 _SHAPE = {
     "method": str, "renderer": str, "bsdf": str, "rerender_rmse": NUMBER, "per_photo": {str: NUMBER},
-    "calibrated_rmse": (*NUMBER, type(None)),
+    "calibrated_rmse": (*NUMBER, NONE),
     "confidence": {str: {"median_sd": NUMBER, "determined_share": NUMBER}}, "burn_in": {str: NUMBER}, "warnings": [str],
     "stopped": str, "undone_steps": int, "undone": [{"iteration": int, "reason": str}],
     "restarts": [{"iteration": int, "reason": str}], "seconds": NUMBER, "iterations": int, "seed": int,
@@ -39,6 +39,11 @@ _SHAPE = {
     "used": [{"what": str, "how": str}],
     "capture": {"photos": [int], "resolution": int, "transfer": str, "calibrated": bool, "notes": [str]},
     "versions": {str: object}, "machine": {str: object}, "trace": [{str: NUMBER}]}
+# What the maps' views and light are read from.
+_KNOWN = {
+    "views": {"size": NUMBER, "falloff": str, "camera": [[NUMBER]], "light": [[NUMBER]], "intensity": [[NUMBER]]},
+    "flash_offset": (dict, NONE), "capture": {"name": (str, NONE), "photos": [int], "transfer": str}}
+_BESIDE = {"calibration": dict, "variant": (str, NONE), "finish": dict, "profile": dict}  # where they are there
 
 
 def capture_name(capture: Capture) -> str:
@@ -129,7 +134,7 @@ def record_in(folder: Path) -> dict:
         OSError: it cannot be read.
         ValueError: it is no JSON.
     """
-    return json.loads((folder / FILE).read_text())
+    return load(folder / FILE)
 
 
 def read_fit(maps: str | Path) -> SavedFit:
@@ -170,6 +175,9 @@ def read_whole_fit(folder: str | Path) -> SavedFit:
 def _read(folder: Path) -> SavedFit:
     try:
         record = record_in(folder)
+        shape = _KNOWN | {name: kind for name, kind in (_SHAPE | _BESIDE).items() if name in record and name not in _KNOWN}
+        if wrong := misfit(record, shape):
+            raise ValueError(f"{wrong} is missing or of another kind")
         offset, views, known = record["flash_offset"], record["views"], record.get("calibration", {})
         fit = SavedFit(
             falloff=views["falloff"], transfer=record["capture"]["transfer"],
@@ -180,8 +188,10 @@ def _read(folder: Path) -> SavedFit:
             light_power_factor=float(known.get("power_told") or 1.0), path=folder, record=record)
         if fit.transfer not in get_args(color.Transfer):
             raise ValueError("unknown transfer")
-    except (ValueError, KeyError, TypeError, MitsvbrdfError) as reason:
-        raise MapsError(f"a {FILE} of this package", f"{folder / FILE}: {reason!r}",
+        if record.get("bsdf", "roughconductor") not in CHANNELS:
+            raise ValueError("unknown bsdf")
+    except (OSError, ValueError, KeyError, TypeError, MitsvbrdfError) as reason:
+        raise MapsError(f"a {FILE} of this package", f"{folder / FILE}: {said(reason)}",
                         "move it away to read the maps alone") from None
     return fit
 
@@ -196,18 +206,6 @@ def _missing(fit: SavedFit) -> str:
              and fit.views is not None and len(fit.views) == len(fit.names) > 0
              and all({"seconds", "rerender_rmse"} <= set(row) for row in fit.record["trace"]))
     return "" if whole else "per_photo, views or trace"
-
-
-def misfit(value: object, shape: object, where: str = "") -> str:
-    """Where a value does not have a shape as in ``_SHAPE``; empty text where it has."""
-    if isinstance(shape, list):
-        parts = [(part, shape[0], where) for part in value] if isinstance(value, list) else None
-    elif isinstance(shape, dict) and isinstance(value, dict):
-        keys = list(value) if list(shape) == [str] else list(shape)
-        parts = [(value.get(key), shape.get(key, shape.get(str)), f"{where}.{key}" if where else key) for key in keys]
-    else:
-        return "" if not isinstance(shape, dict) and isinstance(value, shape) else where  # type: ignore[arg-type]
-    return where if parts is None else next(filter(None, (misfit(*part) for part in parts)), "")
 
 
 def write_record(folder: Path, result: FitResult, capture: Capture, command: dict) -> None:

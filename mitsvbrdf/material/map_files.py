@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import json
 import warnings
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from torch import Tensor
 from .. import color
 from ..errors import ConfigError, MapsError, MapsWarning
 from ..system import files, images
+from ..system.json_files import load, said
 from ..system.result_folder import settle
 from .maps import CHANNELS, COLOURS, LOWEST_Z, SVBRDF, Bsdf
 
@@ -85,14 +85,14 @@ def read_material_json(folder: Path) -> dict:
     if not path.is_file():
         return {}
     try:
-        stated = json.loads(path.read_text())
-        if not isinstance(stated, dict) or stated.get("bsdf", "principled") not in list(CHANNELS):
-            raise ValueError(f"not an object, or its bsdf is none of {list(CHANNELS)}")
+        stated = load(path)
+        if stated.get("bsdf", "principled") not in list(CHANNELS):
+            raise ValueError(f"its bsdf is none of {list(CHANNELS)}")
         codes = stated.get("encoding", {})
         if not isinstance(codes, dict) or not all(isinstance(code, str) for code in codes.values()):
             raise ValueError("its encoding is no object of texts")
-    except ValueError as reason:
-        raise MapsError("a valid material.json", f"{path}: {reason}", "mend it, or delete it for gamma 2.2") from None
+    except (OSError, ValueError) as reason:
+        raise MapsError("a valid material.json", f"{path}: {said(reason)}", "mend it, or delete it for gamma 2.2") from None
     return stated
 
 

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ..errors import ConfigError, MapsError, MitsvbrdfError
 from ..system import files, images, result_folder
+from ..system.json_files import load
 from ..system.provenance import machine, versions
 from .passes import Rendered, Stop, render_frame, shown
 from .stage import Stage
@@ -97,8 +98,7 @@ def go_on(settings: Mapping, out: Path, folder: Path) -> Record:
 def _found(place: Path, settings: Mapping) -> tuple[Record, list[str]]:
     """The record in a folder and the names of its files, all of them inside; ConfigError unless it has these settings."""
     try:
-        with files.open_regular(place / RECORD) as file:
-            found = json.load(file)
+        found = load(place / RECORD, links=False)
         record, new = Record(found["settings"], found["presets"]), begin(settings).settings
         other = [name for name in new if record.settings.get(name) != new[name]]
         for name, preset in record.presets.items():

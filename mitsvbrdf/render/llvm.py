@@ -27,6 +27,7 @@ from pathlib import Path
 from types import ModuleType
 
 from ..errors import BackendError
+from ..system.json_files import load
 
 VARIABLE = "DRJIT_LIBLLVM_PATH"
 OLDEST = 19
@@ -198,10 +199,9 @@ def _cache() -> Path:
 
 def _read_cache() -> dict[str, str]:
     try:
-        known = json.loads(_cache().read_text())
+        return load(_cache())
     except (OSError, ValueError):
         return {}
-    return known if isinstance(known, dict) else {}
 
 
 def _write_cache(known: dict[str, str]) -> None:

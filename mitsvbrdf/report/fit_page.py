@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -17,7 +16,7 @@ from ..errors import CaptureError, MapsError, OutputError
 from ..evaluate import placed
 from ..evaluate.placement import predict
 from ..fit.confidence import UNKNOWN
-from ..fit.record import NUMBER, SavedFit, misfit, read_whole_fit
+from ..fit.record import SavedFit, read_whole_fit
 from ..fit.view_record import about_views
 from ..material.maps import CHANNELS, TITLES, shown_map
 from ..measure.metrics import photo_rmse
@@ -26,6 +25,7 @@ from ..pages.page import write_page
 from ..pages.pictures import at_most, magma, picture_uri
 from ..render import Renderer
 from ..system import files, images
+from ..system.json_files import NUMBER, load, misfit
 from .checks import fit_report
 from .front import front
 from .look_page import write_look_page
@@ -126,7 +126,7 @@ def _predicted(found: SavedFit, capture: Capture, engine: Renderer, into: Path) 
 def _earlier(found: SavedFit) -> tuple[list[dict], float | None]:
     """Photos left out that an earlier page of this folder had."""
     try:
-        record = json.loads((found.path / "report.json").read_text())
+        record = load(found.path / "report.json")
         photos, error = [photo for photo in record["photos"] if photo["left_out"] is True], record["left_out_rmse"]
         numbers = [int(photo["name"]) for photo in photos]
     except (OSError, ValueError, KeyError, TypeError):

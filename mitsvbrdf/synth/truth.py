@@ -6,7 +6,6 @@ the plane (scale, turn, shift) that best takes what its photos show to where tha
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,10 +22,12 @@ from ..capture.rig import Rig, rig_from_json
 from ..errors import CaptureError
 from ..material.map_files import load_maps
 from ..material.maps import SVBRDF
+from ..system.json_files import NUMBER, load, misfit
 from ..views import Views, texel_positions
 
 Array = NDArray[np.float64]
 
+_SHAPE = {"rig": dict, "sample_cm": NUMBER, "intensity": [NUMBER], "spoiled": {str: {"kind": str, "usable": bool}}}
 POINTS = 17  # along a side of the patch, at which rectification is compared
 
 
@@ -83,7 +84,9 @@ class Truth:
         path = Path(path)
         path = path if path.suffix == ".json" else path / "truth" / "truth.json"
         try:
-            value = json.loads(path.read_text())
+            value = load(path)
+            if wrong := misfit(value, _SHAPE):
+                raise ValueError(f"{wrong} is missing or of another kind")
             return cls(value, rig_from_json(value["rig"]), path.parent)
         except (OSError, ValueError, KeyError, TypeError) as reason:
             raise CaptureError("the truth.json of simulated photos", f"{path}: {reason}",
@@ -105,7 +108,7 @@ def rig_of(capture: str | Path | Rig) -> Rig:
         return capture
     path = Path(capture) / "capture.json"
     try:
-        return rig_from_json(json.loads(path.read_text())["rig"])
+        return rig_from_json(load(path)["rig"])
     except (OSError, ValueError, KeyError, TypeError) as reason:
         raise CaptureError("a capture.json with a rig", f"{path}: {type(reason).__name__} {reason}",
                            "make it with `mitsvbrdf capture`") from None

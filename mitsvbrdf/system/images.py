@@ -6,6 +6,7 @@ Photos with EXIF, HEIC or raw data are read by :mod:`mitsvbrdf.capture.photo`, w
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -14,67 +15,72 @@ from torch import Tensor
 
 from .. import color
 from ..errors import MitsvbrdfError
+from .decode import check_size, decoded, header, upright
 from .files import beside, write_bytes
 
-MOST_PIXELS = 250_000_000  # the largest sensors of phones have 200 million
+BAND = 2**22  # pixels that are averaged at a time
 
 
 def read_image(path: Path, error: type[MitsvbrdfError]) -> Tensor:
-    """An image file as float32 H x W x C, row 0 at the top, RGB order.
+    """An image file as float32 H x W x C, row 0 at the top, RGB order, turned as its EXIF says.
 
     8- and 16-bit files give display values in [0, 1]; EXR files give what they hold. Alpha is dropped.
 
     Args:
         path: png, jpg or exr.
         error: the error type to raise when the file is missing or is no image.
+
+    Warns:
+        InputWarning: see :func:`~mitsvbrdf.system.decode.decoded`.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".exr":
+        return _read_exr(path, error)
+    about = header(path, error)
+    return torch.from_numpy(display(upright(decoded(path, error), about.orientation)))
+
+
+def display(pixels: np.ndarray) -> np.ndarray:
+    """Display values in [0, 1], contiguous float32, of pixels of 8 or 16 bits; floats as they are."""
+    if pixels.dtype == np.float32:
+        return np.ascontiguousarray(pixels)
+    return np.divide(pixels, np.float32(np.iinfo(pixels.dtype).max), dtype=np.float32, order="C")
+
+
+def averaged(pixels: np.ndarray, side: int) -> np.ndarray:
+    """Square pixels (S x S x 3, 8 or 16 bits or float32) as display values in ``side`` pixels a side, by area averages.
+
+    A band of rows at a time, so that little more than the pixels is held; bands meet where rows of the result do.
     """
     import cv2
 
-    path = Path(path)
-    if not path.is_file():
-        raise error("an image file", f"no file at {path}", "check the name")
-    if path.suffix.lower() == ".exr":
-        return _read_exr(path, error)
-    check_whole(path, error)
-    data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR) if data.size else None
-    if image is None or image.dtype not in (np.uint8, np.uint16):
-        raise error("a readable 8- or 16-bit image", f"{path}, which is none", "export it again as PNG or JPEG")
-    scale = np.float32(255 if image.dtype == np.uint8 else 65535)
-    return torch.from_numpy(np.ascontiguousarray(image[..., ::-1]).astype(np.float32) / scale)
-
-
-def check_whole(path: Path, error: type[MitsvbrdfError]) -> None:
-    """Raise for a PNG or JPEG that ends early or is damaged, which OpenCV only prints, or has more pixels than any photo."""
-    from PIL import Image
-
-    most, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # photos of 200 megapixels are no bombs
-    try:
-        with Image.open(path, formats=("PNG", "JPEG")) as image:
-            check_size(path, image.size, error)
-            if image.format == "PNG":
-                image.verify()  # its checksums
-            else:
-                image.draft("RGB", (image.width // 8 or 1, image.height // 8 or 1))  # reads all, and makes an eighth of it
-                image.load()
-    except (OSError, SyntaxError, ValueError) as reason:
-        raise error("a whole PNG or JPEG", f"{path}: {reason}", "copy or export it again") from None
-    finally:
-        Image.MAX_IMAGE_PIXELS = most
-
-
-def check_size(path: Path, size: tuple[int, int], error: type[MitsvbrdfError]) -> None:
-    """Raise for a picture of more pixels than any camera has, before it fills the memory."""
-    if size[0] * size[1] > MOST_PIXELS:
-        raise error(f"photos of at most {MOST_PIXELS / 1e6:.0f} megapixels",
-                    f"{path} of {size[0]} x {size[1]} pixels", "shrink it, or leave it out")
+    height, width = pixels.shape[:2]
+    if side == height:
+        return display(pixels)
+    unit = height // math.gcd(height, side)
+    rows = unit * max(1, BAND // (unit * width))
+    out = np.empty((side, side, 3), np.float32)
+    for first in range(0, height, rows):
+        band = display(pixels[first:first + rows])
+        begin, end = first * side // height, (first + len(band)) * side // height
+        out[begin:end] = cv2.resize(band, (side, end - begin), interpolation=cv2.INTER_AREA)
+    return out
 
 
 def _read_exr(path: Path, error: type[MitsvbrdfError]) -> Tensor:
     import OpenEXR
 
+    if not path.is_file():
+        raise error("an image file", f"no file at {path}", "check the name")
     try:
+        parts = OpenEXR.File(str(path), header_only=True).parts
+        kinds = [str(part.header["type"]) for part in parts]
+        if len(parts) > 1 or "deep" in kinds[0].lower():
+            raise error("an EXR of one flat picture", f"{path} of {len(parts)} parts ({', '.join(kinds)})", "export it flat")
+        check_size(path, (parts[0].width(), parts[0].height()), error)
         channels = OpenEXR.File(str(path)).channels()
+    except MitsvbrdfError:
+        raise
     except Exception as reason:  # OpenEXR raises plain RuntimeError and others
         raise error("a readable EXR file", f"{path}: {reason}", "export it again") from None
     for name in ("RGB", "RGBA"):

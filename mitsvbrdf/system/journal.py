@@ -15,7 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import OutputError
-from .files import beside, inside, open_regular, stays_inside, to_disk
+from .files import beside, inside, stays_inside, to_disk
+from .json_files import load
 
 PARTIAL = ".partial"  # in a folder of results: what is being made, this journal, and what waits for the end of the moves
 JOURNAL, EARLIER, ADDED = ".journal", ".earlier", ".added"  # in there
@@ -47,15 +48,14 @@ class Journal:
         """
         path = out / PARTIAL / JOURNAL
         try:
-            with open_regular(path) as file:
-                found = json.load(file)
+            found = load(path, links=False)
             journal = cls(out, found["staged"], found["earlier"], found["new"])
             if journal.staged not in ("", ADDED) or not all(is_own(name) for name in (*journal.earlier, *journal.new)):
                 raise ValueError("names that lead elsewhere")
             return journal
         except FileNotFoundError:
             return None
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as reason:
+        except (OSError, ValueError, KeyError, TypeError) as reason:
             raise OutputError("the list of files that a command of this package was moving", f"{path}: {reason!r}",
                               f"look at the files in {path.parent}, then move it away") from None
 

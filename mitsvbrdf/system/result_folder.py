@@ -23,6 +23,7 @@ from ..errors import OutputError
 from .files import inside, is_regular, open_regular, remove
 from .interrupts import undisturbed
 from .journal import ADDED, JOURNAL, PARTIAL, Journal, is_own
+from .json_files import load
 from .progress import say
 
 MANIFEST = ".mitsvbrdf"  # in each folder we make: the files we put there
@@ -217,8 +218,7 @@ def _put_in_place(out: Path, staged: Path, add: bool) -> None:
 def _manifest(out: Path) -> list[str]:
     """Names of the files that earlier commands put there; none where that is not known."""
     try:
-        with open_regular(out / MANIFEST) as file:
-            names = json.load(file)
-    except (OSError, ValueError, RecursionError):
+        names = load(out / MANIFEST, list, links=False)
+    except (OSError, ValueError):
         return []
-    return list(dict.fromkeys(name for name in names if is_own(name) and name != MANIFEST)) if isinstance(names, list) else []
+    return list(dict.fromkeys(name for name in names if is_own(name) and name != MANIFEST))

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
+import warnings
 from pathlib import Path
 
 import pytest
@@ -17,8 +18,10 @@ from batch.chaos import make_captures
 from helpers.batches import make_capture
 
 from mitsvbrdf.batch.child import _write_record, fit_into_library, serve
+from mitsvbrdf.batch.entries import Entry
 from mitsvbrdf.batch.places.place import LocalPlace
-from mitsvbrdf.errors import CaptureError, OutputError
+from mitsvbrdf.batch.prepare import Asked
+from mitsvbrdf.errors import CaptureError, InputWarning, MitsvbrdfError, OutputError
 from mitsvbrdf.fit.config import HierarchicalConfig
 from mitsvbrdf.fit.options import FitOptions, config_record
 from mitsvbrdf.system.files import write_bytes
@@ -51,6 +54,26 @@ def raising(error):
     def perform(task):
         raise error
     return perform
+
+
+@pytest.mark.parametrize("strict", [False, True])
+def test_strict_is_told_to_the_process_that_fits(strict, tmp_path, monkeypatch, recwarn):
+    asked = Asked(Entry(str(tmp_path)), HierarchicalConfig(), FitOptions(), False, (), strict=strict).record
+    assert asked.get("strict", False) == strict and ("strict" in asked) == strict  # else all would be done anew
+
+    def damaged(*_):
+        warnings.warn("00.jpg is damaged", InputWarning, stacklevel=2)
+        return {}
+
+    monkeypatch.setattr("mitsvbrdf.batch.child.fit_capture", damaged)
+    task = {"attempt": "a", "name": "shot", "identity": "0" * 64, "capture": str(tmp_path),
+            "library": str(tmp_path / "library"), "folder": str(tmp_path), "options": asked}
+    monkeypatch.chdir(tmp_path)
+    if not strict:
+        assert "seconds" in fit_into_library(task)
+        return
+    with pytest.raises(MitsvbrdfError, match="00.jpg is damaged"):
+        fit_into_library(task)
 
 
 def test_a_row_comes_back_for_each_task_until_the_pipe_ends():

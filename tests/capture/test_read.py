@@ -8,45 +8,13 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from helpers.stated_captures import CAMERA, LIGHT, json_capture, photos, save, text_capture
 
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture, read_capture, write_capture
 from mitsvbrdf.errors import CaptureError, ConfigError, MitsvbrdfError
 from mitsvbrdf.system import images
 from mitsvbrdf.views import Views
-
-CAMERA = [[0.5, 0.25, 17.0], [-1.5, 2.0, 16.5], [0.125, -3.0, 18.0]]
-LIGHT = [[0.5, 0.5, 17.0], [-1.5, 2.25, 16.5], [0.125, -2.75, 18.0]]
-
-
-def photos(count=3, side=16, seed=0):
-    return np.random.default_rng(seed).integers(0, 256, (count, side, side, 3), dtype=np.uint8)
-
-
-def save(folder, images, suffix=".png"):
-    folder.mkdir(parents=True, exist_ok=True)
-    for i, image in enumerate(images):
-        assert cv2.imwrite(str(folder / f"{i:02d}{suffix}"), image[..., ::-1])
-
-
-def json_capture(folder, images=None, **changes):
-    save(folder / "target", photos() if images is None else images)
-    stated = {"target_dir": "target", "im_size": 6.848, "idx": [0, 1, 2], "camera_pos": CAMERA, "light_pos": LIGHT,
-              "light_pow": [1500.0, 1400.0, 1300.0]} | changes
-    stated = {key: value for key, value in stated.items() if value is not ...}
-    (folder / "capture.json").write_text(json.dumps(stated))
-    return folder
-
-
-def text_capture(folder, images=None, separator=",", **files):
-    save(folder, photos() if images is None else images)
-    texts = {"camera_pos": "\n".join(separator.join(map(str, row)) for row in CAMERA),
-             "light_pos": "\n".join(separator.join(map(str, row)) for row in LIGHT),
-             "image_size": "6.848", "light_power": separator.join(["1500", "1400", "1300"])} | files
-    for name, text in texts.items():
-        if text is not None:
-            (folder / f"{name}.txt").write_text(text)
-    return folder
 
 
 def fails(folder, *culprits, **options):
@@ -225,7 +193,7 @@ def test_one_number_twice(tmp_path):
 
 def test_nan_and_camera_below_the_plane(tmp_path):
     nan = [0, 0, float("nan")]
-    fails(json_capture(tmp_path / "a", camera_pos=[nan, *CAMERA[1:]]), "camera 0", "nan", "capture.json")
+    fails(json_capture(tmp_path / "a", camera_pos=[nan, *CAMERA[1:]]), "camera_pos[0][2]", "no finite number", "capture.json")
     fails(text_capture(tmp_path / "b", camera_pos="0,0,9\n0,nan,9\n0,0,9"), "camera 1", "nan")
     fails(json_capture(tmp_path / "c", camera_pos=[*CAMERA[:2], [0, 0, -17]]), "camera 2", "-17")
     fails(text_capture(tmp_path / "d", light_pos="0,0,9\n0,0,0\n0,0,9"), "light 1")

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import cv2
@@ -13,6 +14,7 @@ import torch
 from helpers.commands import FAST, fails
 
 from mitsvbrdf import cli
+from mitsvbrdf.errors import InputWarning, plain_warnings, strict
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.system import images
@@ -54,6 +56,47 @@ def test_bad_material_json(text, tmp_path, capsys):
     save_maps(flat(8), tmp_path / "maps")
     (tmp_path / "maps/material.json").write_text(text)
     fails(capsys, tmp_path, ["render", tmp_path / "maps", "-o", tmp_path / "out"], "material.json")
+
+
+def test_damaged_photos_are_named_and_refused_when_strict(copy, tmp_path, capsys):
+    folder, stated, write = copy
+    pixels = cv2.imread(str(folder / "target/02.png"))
+    (folder / "target/02.png").unlink()
+    data = cv2.imencode(".jpg", pixels)[1].tobytes()
+    (folder / "target/02.jpg").write_bytes(data[: 2 * len(data) // 3] + b"\xff\xd9")  # too little before its end
+    command = ["guess", folder, "--resolution", "16", "--method", "min", "-o", tmp_path / "out"]
+    fails(capsys, tmp_path, [*command, "--strict"], "02.jpg is damaged", "--strict")
+    assert cli.main([str(word) for word in command]) == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if "02.jpg" in line]
+    assert len(said) == 1 and said[0].startswith("warning: ") and "02.jpg is damaged" in said[0]
+
+
+@pytest.mark.parametrize("options, word", [
+    (["fit", "PHOTOS", "--likeness", "1e300"], "likeness"), (["fit", "PHOTOS", "--resolution", "1000000"], "resolution"),
+    (["fit", "PHOTOS", "--method", "hybrid", "--width", "999999"], "width"),
+    (["capture", "PHOTOS", "--sheet", "1e300"], "sheet"), (["capture", "PHOTOS", "--sheet", "18", "--depth", "nan"], "depth"),
+    (["synth", "builtin:tiles", "--noise", "1e300"], "noise"), (["guess", "PHOTOS", "--resolution", "9" * 30], "resolution"),
+    (["relight", "builtin:tiles", "--frames", "9999999999"], "frames"), (["crosscheck", "--repeats", "9999999999"], "repeats"),
+    (["demo", "--budget", "nan"], "budget")])
+def test_absurd_numbers(options, word, shots, tmp_path, capsys):
+    command = [shots if each == "PHOTOS" else each for each in options]
+    out = [] if options[0] == "crosscheck" else ["-o", tmp_path / "out"]
+    fails(capsys, tmp_path, [*command, *out], word)
+
+
+def test_a_warning_is_said_once(capsys):
+    with plain_warnings():
+        for name in ("a.jpg", "b.jpg", "a.jpg"):
+            with strict(False):
+                warnings.warn(f"{name} is damaged", InputWarning, stacklevel=1)
+    assert capsys.readouterr().err.splitlines() == ["warning: a.jpg is damaged", "warning: b.jpg is damaged"]
+
+
+def test_too_little_memory_is_one_error(tmp_path, monkeypatch, capsys):
+    # What torch says is asked of it; 2^50 bytes are more than any machine has.
+    for full in (lambda *_: torch.empty(2**50, dtype=torch.uint8), lambda *_: np.empty(2**60, np.uint8)):
+        monkeypatch.setattr("mitsvbrdf.material.made.make_material", full)
+        fails(capsys, tmp_path, ["render", "builtin:tiles", "-o", tmp_path / "out", "--renderer", "analytic"], "enough memory")
 
 
 @pytest.mark.parametrize("text", ["[1]", '{"views": []}', "{"])
@@ -101,7 +144,8 @@ def spoil_pixel(folder, stated):
 
 @pytest.mark.parametrize("spoil, words", [
     (spoil_photos, ["00"]), (spoil_text, ["04.jpg"]), (spoil_sizes, ["03.png"]), (spoil_rows, ["8", "9"]),
-    (spoil_nan, ["camera 5"]), (spoil_below, ["camera 2", "above"]), (spoil_shape, ["square"]), (spoil_pixel, ["1 x 1"]),
+    (spoil_nan, ["camera_pos[5][1]"]), (spoil_below, ["camera 2", "above"]), (spoil_shape, ["square"]),
+    (spoil_pixel, ["1 x 1"]),
 ])
 def test_bad_captures(copy, spoil, words, tmp_path, capsys):
     folder, stated, write = copy

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ... import __version__
 from ...errors import MapsError
 from ...system.files import write_json
+from ...system.json_files import load
 from ..manifest import FILE, Manifest, now
 from ..places.place import QUARANTINE
 
@@ -37,7 +38,7 @@ def row_of(folder: Path, shown: Capture | None, engine: Renderer) -> dict:
 
     record, error = record_in(folder), None
     if (folder / "report.json").is_file():
-        error = json.loads((folder / "report.json").read_text())["left_out_rmse"]
+        error = load(folder / "report.json")["left_out_rmse"]
     elif shown is not None:
         fit = read_fit(folder)
         around = placed(shown, fit)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import secrets
 import threading
@@ -10,6 +9,7 @@ from pathlib import Path
 
 from ...report.live import HTML, LIVE_POLICY, REPORT_POLICY, Answer
 from ...system.files import open_regular
+from ...system.json_files import parsed
 from ..manifest import FILE
 from ..places.place import QUARANTINE
 from ..prepare import TOKEN
@@ -65,7 +65,7 @@ class LibrarySite:
             read = found.st_ino, found.st_size, found.st_mtime_ns
             if read == self._read:
                 return
-            library = json.loads(self._content(self.root / INDEX) or b"")
+            library = parsed(self._content(self.root / INDEX) or b"")
             script = data_script(library).encode()
             self._files = {f"/{link}/{name}": self.root / row["folder"] / name for row in library["materials"]
                            if (link := address(row["folder"])) and "/" not in row["folder"].removeprefix(f"{QUARANTINE}/")

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import json
 import os
 import re
 import shutil
@@ -17,7 +16,8 @@ from pathlib import Path
 from typing import Protocol
 
 from ...errors import OutputError
-from ...system.files import file_hash, inside, is_regular, open_regular, stays_inside, to_disk
+from ...system.files import file_hash, inside, is_regular, stays_inside, to_disk
+from ...system.json_files import load
 
 RECORD = "batch.json"  # of a result: which capture and options it is of, and what its files hold
 WORK, QUARANTINE = ".work", "quarantine"
@@ -102,11 +102,10 @@ class LocalPlace:
     def record(self, folder: str) -> dict | None:
         """The record in the folder."""
         try:
-            with open_regular(self._at(folder) / RECORD) as file:
-                found = json.load(file)
+            found = load(self._at(folder) / RECORD, links=False)
             kinds = {"identity": str, "attempt": str, "row": dict, "files": dict}
             return found if all(isinstance(found[name], kind) for name, kind in kinds.items()) else None
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        except (OSError, ValueError, KeyError):
             return None
 
     def damage(self, folder: str, record: dict, hashes: bool) -> str:

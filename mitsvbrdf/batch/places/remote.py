@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 import os
 import tempfile
 from collections.abc import Collection, Iterator
@@ -13,6 +12,7 @@ from typing import Any
 
 from ...capture.photo import SUFFIXES
 from ...errors import BackendError, CaptureError, MitsvbrdfError, OutputError
+from ...system.json_files import parsed
 from .place import ASIDE, RECORD
 
 CALIBRATIONS = ("capture.json", "camera_pos.txt")
@@ -55,10 +55,10 @@ class RemotePlace:
         """The record in the store."""
         try:
             with reached(self.url):
-                found = json.loads(self.fs.cat_file(f"{self.root}/{folder}/{RECORD}"))
+                found = self.fs.cat_file(f"{self.root}/{folder}/{RECORD}")
+            return parsed(found)
         except (FileNotFoundError, ValueError):
             return None
-        return found if isinstance(found, dict) else None
 
     def damage(self, folder: str, record: dict, hashes: bool) -> str:
         """The first object that is missing or another one."""
@@ -184,7 +184,7 @@ def reached(url: str) -> Iterator[None]:
     """What a store or its client raises becomes an error of ours; that nothing is at an address stays FileNotFoundError."""
     try:
         yield
-    except (MitsvbrdfError, FileNotFoundError, json.JSONDecodeError):
+    except (MitsvbrdfError, FileNotFoundError):
         raise
     except Exception as reason:  # each client has its own
         raise OutputError("a store that answers", f"{url}: {type(reason).__name__}: {reason}",

@@ -8,7 +8,6 @@ figures. ``batch-simulation.json`` has them; ``batch-simulation.md`` and ``.svg`
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import random
 import sys
@@ -21,8 +20,9 @@ from typing import Annotated, Any, Literal, cast
 
 import tyro
 
-from ...errors import exit_code
+from ...errors import ConfigError, exit_code
 from ...system import files
+from ...system.json_files import read_json
 from ...system.progress import say
 from ...system.provenance import machine, versions
 from ..asked import TYPICAL_SECONDS
@@ -202,7 +202,7 @@ def main(out: Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder to writ
     """Simulate a batch in several cases, and other numbers of workers."""
     supervisor: dict | None = None
     if costs:
-        cluster, load = with_costs(cluster, load, json.loads(costs.read_text()), pages)
+        cluster, load = with_costs(cluster, load, read_json(costs, ConfigError), pages)
     if measure:
         supervisor = measured_supervisor(cluster.workers, load.captures)
         cluster = replace(cluster, supervisor_seconds=supervisor["fit_cpu_seconds"],

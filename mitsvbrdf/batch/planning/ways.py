@@ -6,7 +6,6 @@ hour of the machine hits all. ``batch-ways.json`` has the figures after each run
 
 from __future__ import annotations
 
-import json
 import os
 import statistics
 import subprocess
@@ -22,6 +21,7 @@ from tyro.conf import Positional, arg
 
 from ...errors import OutputError, exit_code
 from ...system import files
+from ...system.json_files import load
 from ...system.progress import say
 from ...system.provenance import machine, versions
 from ..entries import entries
@@ -56,7 +56,7 @@ def run_in_a_way(way: str, captures: Sequence[str], folder: Path, resolution: in
                 raise OutputError("fits that end well", f"exit code {process.returncode} of {way}",
                                   (folder / "log.txt").read_text())
     seconds = time.monotonic() - began
-    records = [json.loads(path.read_text()) for path in folder.rglob("fit.json")]
+    records = [load(path) for path in folder.rglob("fit.json")]
     return {"way": way, "captures": len(captures), "seconds": round(seconds, 1), "per_hour": 3600 * len(captures) / seconds,
             "peak_bytes": peak, "error": statistics.mean(record["rerender_rmse"] for record in records)}
 

@@ -1,0 +1,62 @@
+"""Photos of a calibrated capture are read one at a time, to the same bits as all at once; damage is named."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+import cv2
+import numpy as np
+import pytest
+from helpers.averages import area_means
+from helpers.stated_captures import json_capture, photos, save, text_capture
+
+from mitsvbrdf.capture import calibrated, read_capture
+from mitsvbrdf.errors import CaptureError, InputWarning, MitsvbrdfError, strict
+
+
+@pytest.mark.parametrize("make", [json_capture, text_capture])
+@pytest.mark.parametrize("side", [24, 23, 16])
+def test_photos_in_turn_are_what_photos_all_at_once_would_be(make, side, tmp_path):
+    images = photos(3, 48)
+    found = read_capture(make(tmp_path, images), resolution=side).photos.numpy()
+    stacked = [cv2.resize(image.astype(np.float32) / np.float32(255), (side, side), interpolation=cv2.INTER_AREA)
+               for image in images]
+    assert np.array_equal(found, stacked)
+    assert np.abs(found - [area_means(image, side) for image in images]).max() < 1e-6  # float32 sums of nine at most
+
+
+def test_one_photo_at_a_time_is_in_memory(tmp_path):
+    large = np.zeros((6, 800, 800, 3), np.uint8)
+    json_capture(tmp_path, large, idx=list(range(6)), camera_pos=[[0, 0, 17.0]] * 6, light_pos=...)
+    read_capture(tmp_path, resolution=16)
+    tracemalloc.start()
+    try:
+        read_capture(tmp_path, resolution=16)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    one = 800 * 800 * 3
+    assert peak < 1.5 * (one + 4 * one)  # as stored, and as float32; six would be 24 times that of one
+
+
+def test_photos_kept_together_have_a_limit(tmp_path, monkeypatch):
+    monkeypatch.setattr(calibrated, "MOST_HELD", 3 * 8 * 8)
+    json_capture(tmp_path)
+    assert read_capture(tmp_path, resolution=8).resolution == 8
+    with pytest.raises(CaptureError, match=f"megapixels together, .* in {tmp_path}; read them at a lower resolution"):
+        read_capture(tmp_path, resolution=9)
+
+
+def test_a_damaged_photo_is_named_and_refused_when_strict(tmp_path):
+    text_capture(tmp_path, images=photos()[:0])
+    save(tmp_path, photos(side=64), ".jpg")
+    data = (tmp_path / "01.jpg").read_bytes()
+    (tmp_path / "01.jpg").write_bytes(data[: 2 * len(data) // 3] + b"\xff\xd9")  # too little before its end
+    with pytest.warns(InputWarning, match="01.jpg is damaged"):
+        assert len(read_capture(tmp_path)) == 3
+    with pytest.raises(MitsvbrdfError, match="01.jpg is damaged"), strict():
+        read_capture(tmp_path)
+    (tmp_path / "plain").mkdir()
+    (tmp_path / "01.jpg").rename(tmp_path / "plain/a.jpg")
+    with pytest.warns(InputWarning, match="a.jpg is damaged"):
+        read_capture(tmp_path / "plain")
