@@ -2,22 +2,41 @@
 
 from __future__ import annotations
 
-import io
+import contextlib
 import os
+import signal
 import sys
+from collections.abc import Iterator
+
+from .system.streams import guard_streams, output_failure
+
+INTERRUPTED = 130
 
 
 def main() -> int:
     """Run ``mitsvbrdf`` with the arguments of the process; returns the exit code."""
     # Idle threads sleep instead of spinning: torch and Dr.Jit have a pool each and take turns. Read when torch loads.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # a terminal that lacks a letter gets a question mark
+    guard_streams()
     try:
-        from .cli import main as run
-        return run()
+        code = _run()
     except KeyboardInterrupt:
-        return 130
+        code = INTERRUPTED
+    except SystemExit as stop:  # help was shown, or options are wrong
+        code = stop.code if isinstance(stop.code, int) else 0 if stop.code is None else 2
+    code = _told(code)
+    if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # libraries that are being taken down would show a traceback
+    return code
+
+
+def _run() -> int:
+    try:
+        from .cli import load
+        from .cli import main as run
+        with _ending_at_once():
+            load(sys.argv[1:])
+        return run()
     except ImportError as missing:
         if (missing.name or "").partition(".")[0] == __package__:
             raise  # a fault of our own, which no installation mends
@@ -26,9 +45,34 @@ def main() -> int:
             return doctor(json="--json" in sys.argv)
         print(f"error: expected all packages installed, got: {missing}; type ./run setup, or mitsvbrdf doctor", file=sys.stderr)
         return 2
-    except BrokenPipeError:  # the reader, `head` say, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+
+
+@contextlib.contextmanager
+def _ending_at_once() -> Iterator[None]:
+    """Ctrl-C ends the process: raised in the middle of an import, it may come out as another error, or not at all."""
+    before = signal.getsignal(signal.SIGINT)
+    if before != signal.default_int_handler:
+        yield
+        return
+    signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _told(code: int) -> int:
+    """Say where standard output is cut short; the exit code tells it too where that was all the command was to give."""
+    from .cli import only_prints
+
+    reason = output_failure()
+    if reason is None:
+        return code
+    if not only_prints(sys.argv[1:]):
+        print(f"warning: standard output is cut short: {reason}; results are not", file=sys.stderr)
+        return code
+    print(f"error: expected to write standard output, got {reason}; free space or choose another place", file=sys.stderr)
+    return code or 2
 
 
 if __name__ == "__main__":

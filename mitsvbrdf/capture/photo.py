@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import CaptureError
+from ..system.files import check_names
 from ..system.images import check_size
 from ..system.profile import profiled
 
@@ -181,10 +182,12 @@ def photos_in(folder: Path) -> list[Path]:
 
     Raises:
         CaptureError: none, or RAW files beside others, whose values mean something else.
+        ConfigError: a name that is not UTF-8.
     """
     if not folder.is_dir():
         raise CaptureError("a folder of photos", f"no folder at {folder}", "check the name")
     found = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.name[0] != "." and p.is_file())
+    check_names(*found)
     if not found:
         raise CaptureError("photos (jpg, png, heic, dng, ...)", f"none in {folder}", "give the folder that holds them")
     raw = [p for p in found if p.suffix.lower() in RAW]

@@ -1,6 +1,7 @@
 """What every command needs of the machine, and nothing of materials.
 
-``files`` writes whole or not at all, ``result_folder`` does the same for a folder of results, ``images`` reads and writes
-pictures. ``progress`` talks to the user, ``interrupts`` listens for Ctrl-C. ``profile`` says where a fit's time goes,
+``files`` writes whole or not at all, ``result_folder`` does the same for a folder of results, ``shared_file`` lets several
+processes change one file, ``images`` reads and writes pictures. ``progress`` talks to the user, ``streams`` lets no full disk
+end that, ``interrupts`` listens for Ctrl-C. ``profile`` says where a fit's time goes,
 ``timing`` compares jobs, ``provenance`` says on which machine and with which versions.
 """
