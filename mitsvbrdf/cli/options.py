@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import os
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -40,15 +41,14 @@ FalloffOption = Literal["auto", "inverse-square", "none"]
 
 def keep_apart(capture: Path, out: Path) -> None:
     """Results among photos would be read as photos the next time, or take the place of photos of the same name."""
-    capture = capture.parent if capture.is_file() else capture  # of its JSON file
-    photos = {os.path.realpath(path) for path in (capture, capture / "target")}
-    if photos & {os.path.realpath(path) for path in (out, out / "photos")}:
+    if _photo_folders(capture) & {os.path.realpath(path) for path in (out, out / "photos")}:
         raise ConfigError("an output folder of its own", f"{out}, which holds the photos", "choose another folder")
 
 
-def keep_apart_from_maps(maps: Path, out: Path) -> None:
-    """Results among the maps would replace the fit, or be read as maps the next time."""
-    if os.path.realpath(out) in (os.path.realpath(maps), os.path.realpath(maps / "maps"), os.path.realpath(maps / "..")):
+def keep_apart_from_maps(maps: str, out: Path) -> None:
+    """Results among the maps would replace the fit, or be read as maps the next time; ``builtin:NAME`` lies nowhere."""
+    folders = {os.path.realpath(os.path.join(maps, part)) for part in ("", "maps", "..")}
+    if not maps.startswith("builtin:") and os.path.realpath(out) in folders:
         raise ConfigError("an output folder of its own", f"{out}, which holds the maps", "choose another folder")
 
 
@@ -62,11 +62,51 @@ def name_of(maps: str) -> str:
     return folder.parent.name if folder.name == "maps" else folder.name
 
 
-def check_new_file(out: Path, overwrite: bool) -> None:
-    """Raise OutputError where a result file is there already or could not be written, before any work is done."""
-    if out.is_file() and not overwrite:
-        raise OutputError("a new file", f"{out}, which exists", "add --overwrite to replace it, or choose another name")
-    files.check_output(out)
+def check_new_files(*outputs: Path | None, overwrite: bool, photos: Path | None = None,
+                    read: Sequence[str | Path | None] = ()) -> None:
+    """Refuse, before any work is done, files to write that are there already or could not be written once it is.
+
+    One that is there is replaced with --overwrite alone, and never where it is part of what is read.
+
+    Args:
+        outputs: as named on the command line; None was not asked for.
+        overwrite: whether they may replace others.
+        photos: a capture, among whose photos nothing is written.
+        read: files and folders that the command reads, as named; ``builtin:NAME`` and None are none.
+
+    Raises:
+        OutputError: one is there, or cannot be written.
+        ConfigError: two are the same file, or one is part of what is read.
+    """
+    sources = [_whole(os.path.realpath(path)) for path in (*read, photos) if path and not str(path).startswith("builtin:")]
+    earlier: list[str] = []
+    for path in filter(None, outputs):
+        target, folder = os.path.realpath(path), os.path.realpath(path.parent)
+        if any(target == other or _inside(target, other) or _inside(other, target) for other in earlier):
+            raise ConfigError("a file of its own for each output", f"{path} for two", "give another name")
+        if target in sources or os.path.lexists(target) and any(_inside(target, each) for each in sources):
+            raise ConfigError("an output outside of what is read", str(path), "choose another folder")
+        if photos and folder in _photo_folders(photos):
+            raise ConfigError("an output beside the photos", f"{path} among them", "choose another folder")
+        if path.is_file() and not overwrite:
+            raise OutputError("a new file", f"{path}, which exists", "add --overwrite to replace it, or choose another name")
+        earlier.append(target)
+    files.check_output(*outputs)
+
+
+def _whole(source: str) -> str:
+    """The fit that a folder of maps belongs to, where its name says that it does; else the file or folder itself."""
+    return os.path.dirname(source) if os.path.basename(source) in ("maps", "look") else source
+
+
+def _inside(path: str, folder: str) -> bool:
+    return path.startswith(os.path.join(folder, ""))
+
+
+def _photo_folders(capture: Path) -> set[str]:
+    """Where the photos of a capture lie: its folder, or that of its JSON file, and target/ in it."""
+    capture = capture.parent if capture.is_file() else capture
+    return {os.path.realpath(path) for path in (capture, capture / "target")}
 
 
 def read_photos(capture: Path, resolution: int, views: str | None, transfer: TransferChoice,
