@@ -2,40 +2,42 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 import sys
-from collections.abc import Iterator
-
-from .system.streams import guard_streams, output_failure
 
 INTERRUPTED = 130
 
 
 def main() -> int:
     """Run ``mitsvbrdf`` with the arguments of the process; returns the exit code."""
+    # Raised in the middle of an import, Ctrl-C may come out as another error, or not at all: there it ends the process.
+    heard = signal.getsignal(signal.SIGINT) == signal.default_int_handler
+    if heard:
+        signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
     # Idle threads sleep instead of spinning: torch and Dr.Jit have a pool each and take turns. Read when torch loads.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    from .system.streams import guard_streams
     guard_streams()
     try:
-        code = _run()
+        code = _run(heard)
     except KeyboardInterrupt:
         code = INTERRUPTED
     except SystemExit as stop:  # help was shown, or options are wrong
         code = stop.code if isinstance(stop.code, int) else 0 if stop.code is None else 2
     code = _told(code)
-    if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
+    if heard:
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # libraries that are being taken down would show a traceback
     return code
 
 
-def _run() -> int:
+def _run(heard: bool) -> int:
     try:
         from .cli import load
         from .cli import main as run
-        with _ending_at_once():
-            load(sys.argv[1:])
+        load(sys.argv[1:])
+        if heard:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
         return run()
     except ImportError as missing:
         if (missing.name or "").partition(".")[0] == __package__:
@@ -47,23 +49,10 @@ def _run() -> int:
         return 2
 
 
-@contextlib.contextmanager
-def _ending_at_once() -> Iterator[None]:
-    """Ctrl-C ends the process: raised in the middle of an import, it may come out as another error, or not at all."""
-    before = signal.getsignal(signal.SIGINT)
-    if before != signal.default_int_handler:
-        yield
-        return
-    signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 def _told(code: int) -> int:
     """Say where standard output is cut short; the exit code tells it too where that was all the command was to give."""
     from .cli import only_prints
+    from .system.streams import output_failure
 
     reason = output_failure()
     if reason is None:
