@@ -42,7 +42,7 @@ def crosscheck(
     from ..verify import crosscheck as checks
 
     _check_options(repeats, resolution)
-    check_new_files(json_file, html_file, overwrite=overwrite, read=[maps, views])
+    check_new_files(json_file, html_file, overwrite=overwrite, read=[maps], photos=views)
     materials, falloff, offset, transfer = _materials(maps, resolution)
     names, lit = views_of(views, falloff)
     lit = _with_offset(lit, offset)

@@ -6,6 +6,7 @@ Every command imports this module, so it imports what needs torch only where it 
 from __future__ import annotations
 
 import functools
+import json
 import os
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -17,6 +18,7 @@ from tyro.conf import arg
 from ..errors import ConfigError, OutputError
 from ..system import files
 from ..system.progress import progress_bar, say
+from ..system.result_folder import MANIFEST
 
 if TYPE_CHECKING:
     from ..capture import Capture
@@ -62,45 +64,44 @@ def name_of(maps: str) -> str:
     return folder.parent.name if folder.name == "maps" else folder.name
 
 
-def check_new_files(*outputs: Path | None, overwrite: bool, photos: Path | None = None,
-                    read: Sequence[str | Path | None] = ()) -> None:
+def check_new_files(*outputs: Path | None, overwrite: bool, read: Sequence[str | Path | None] = (),
+                    photos: str | Path | None = None) -> None:
     """Refuse, before any work is done, files to write that are there already or could not be written once it is.
 
-    One that is there is replaced with --overwrite alone, and never where it is part of what is read.
+    One that is there is replaced with --overwrite alone, and never where it is read or part of a result folder.
 
     Args:
         outputs: as named on the command line; None was not asked for.
         overwrite: whether they may replace others.
-        photos: a capture, among whose photos nothing is written.
-        read: files and folders that the command reads, as named; ``builtin:NAME`` and None are none.
+        read: files and folders that the command reads, as named.
+        photos: a capture, among whose photos nothing is written; ``builtin:NAME`` and None are none.
 
     Raises:
         OutputError: one is there, or cannot be written.
-        ConfigError: two are the same file, or one is part of what is read.
+        ConfigError: two are the same file, or one is part of what is read, or of a result.
     """
-    sources = [_whole(os.path.realpath(path)) for path in (*read, photos) if path and not str(path).startswith("builtin:")]
-    earlier: list[str] = []
+    sources, earlier = {os.path.realpath(path) for path in (*read, photos) if path}, list[Path]()
     for path in filter(None, outputs):
-        target, folder = os.path.realpath(path), os.path.realpath(path.parent)
-        if any(target == other or _inside(target, other) or _inside(other, target) for other in earlier):
+        target = Path(os.path.realpath(path))
+        if any(target == other or target in other.parents or other in target.parents for other in earlier):
             raise ConfigError("a file of its own for each output", f"{path} for two", "give another name")
-        if target in sources or os.path.lexists(target) and any(_inside(target, each) for each in sources):
-            raise ConfigError("an output outside of what is read", str(path), "choose another folder")
-        if photos and folder in _photo_folders(photos):
-            raise ConfigError("an output beside the photos", f"{path} among them", "choose another folder")
+        if str(target) in sources or photos and os.path.realpath(path.parent) in _photo_folders(Path(photos)):
+            raise ConfigError("an output apart from what is read", str(path), "choose another name, or another folder")
+        if _is_of_result(target):
+            raise ConfigError("an output that is no part of a result", str(path), "choose another name")
         if path.is_file() and not overwrite:
             raise OutputError("a new file", f"{path}, which exists", "add --overwrite to replace it, or choose another name")
         earlier.append(target)
     files.check_output(*outputs)
 
 
-def _whole(source: str) -> str:
-    """The fit that a folder of maps belongs to, where its name says that it does; else the file or folder itself."""
-    return os.path.dirname(source) if os.path.basename(source) in ("maps", "look") else source
-
-
-def _inside(path: str, folder: str) -> bool:
-    return path.startswith(os.path.join(folder, ""))
+def _is_of_result(file: Path) -> bool:
+    """Whether a command put this file there with the others of its result."""
+    home = next((folder for folder in file.parents if (folder / MANIFEST).is_file()), None)
+    try:
+        return home is not None and str(file.relative_to(home)) in json.loads((home / MANIFEST).read_bytes())
+    except (OSError, ValueError, TypeError, RecursionError):
+        return False
 
 
 def _photo_folders(capture: Path) -> set[str]:

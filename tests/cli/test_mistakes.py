@@ -15,7 +15,7 @@ from helpers.commands import FAST, fails
 from mitsvbrdf import cli
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import flat
-from mitsvbrdf.system import images
+from mitsvbrdf.system import files, images, result_folder
 
 
 @pytest.fixture
@@ -232,18 +232,28 @@ def test_two_outputs_are_two_files(command, lazy, capsys):
 
 @pytest.mark.parametrize("command, name", [
     (["evaluate", "fit/maps", "--reference", "builtin:tiles", "--json"], "fit/fit.json"),
-    (["evaluate", "builtin:tiles", "--reference", "fit/look", "--json"], "fit/maps/diffuse.exr"),
+    (["sheet", "-o"], "fit/maps/diffuse.exr"),
+    (["evaluate", "file", "--reference", "builtin:tiles", "--json"], "file"),
     (["evaluate", "builtin:tiles", "--capture", "shots", "--json"], "shots/new.json"),
     (["compare", "a=b", "tiles=fit", "--capture", "shots", "-o"], "fit/fit.json"),
     (["compare", "builtin:tiles", "--capture", "shots/capture.json", "-o"], "shots/target/04.html"),
     (["crosscheck", "fit", "--views", "shots", "--html"], "shots/target/00.png"),
     (["bench", "--json", "b.json", "--page"], "b.json"), (["pretrain", "shots/target/00.png", "-o"], "shots/target/00.png"),
     (["stability", "--md", "a.md", "--html"], "a.md")])
-def test_what_is_read_is_not_written(command, name, lazy, capsys):
-    for file in ("fit/fit.json", "fit/maps/diffuse.exr", "shots/capture.json", "shots/target/00.png"):
-        (lazy / file).parent.mkdir(parents=True, exist_ok=True)
-        (lazy / file).write_text("{}")
+def test_what_is_read_or_part_of_a_result_is_not_written(command, name, lazy, capsys):
+    for file in ("shots/capture.json", "shots/target/00.png"):
+        files.write_json(lazy / file, {})
+    with result_folder.output_folder(lazy / "fit", overwrite=False) as folder:
+        for file in ("fit.json", "maps/diffuse.exr"):
+            files.write_json(folder / file, {})
     fails(capsys, lazy, [*command, name, "--overwrite"], name)
+
+
+def test_a_file_of_ones_own_in_a_result_is_no_part_of_it(lazy, capsys):
+    with result_folder.output_folder(lazy / "fit", overwrite=False) as folder:
+        save_maps(flat(8), folder / "maps")
+    for options in ([], ["--overwrite"]):
+        assert cli.main(["evaluate", "fit", "--reference", "fit/maps", "--json", "fit/e.json", *options]) == 0
 
 
 @pytest.mark.parametrize("command", [["render", "{}", "-o", "{}"], ["synth", "{}", "-o", "{}"]])

@@ -112,8 +112,10 @@ def test_work_in_another_program_goes_on(error, monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("redirected", [">/dev/full", ">&- 2>&-", "2>/dev/full"])
-def test_a_fit_is_kept(redirected, shots, tmp_path):
-    code, said = run(["fit", str(shots), "-o", "out", *FAST], tmp_path, redirected)
+def test_a_fit_is_kept(redirected, tmp_path):
+    photos = str(tmp_path / "photos")
+    assert cli.main(["synth", "builtin:inlay", "-o", photos, "--resolution", "16", "--renderer", "analytic"]) == 0
+    code, said = run(["fit", photos, "-o", "out", *FAST], tmp_path, redirected)
     assert code == 0 and ("No space left" in said) == (redirected == ">/dev/full")
     assert (tmp_path / "out/fit.json").is_file() and (tmp_path / "out/maps/diffuse.exr").is_file()
 
