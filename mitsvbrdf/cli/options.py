@@ -80,6 +80,7 @@ def check_new_files(*outputs: Path | None, overwrite: bool, read: Sequence[str |
         OutputError: one is there, or cannot be written.
         ConfigError: two are the same file, or one is part of what is read, or of a result.
     """
+    files.check_output(*outputs)
     sources, earlier = {os.path.realpath(path) for path in (*read, photos) if path}, list[Path]()
     for path in filter(None, outputs):
         target = Path(os.path.realpath(path))
@@ -92,7 +93,6 @@ def check_new_files(*outputs: Path | None, overwrite: bool, read: Sequence[str |
         if path.is_file() and not overwrite:
             raise OutputError("a new file", f"{path}, which exists", "add --overwrite to replace it, or choose another name")
         earlier.append(target)
-    files.check_output(*outputs)
 
 
 def _is_of_result(file: Path) -> bool:
