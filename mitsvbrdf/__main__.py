@@ -26,6 +26,7 @@ def main() -> int:
     except SystemExit as stop:  # help was shown, or options are wrong
         code = stop.code if isinstance(stop.code, int) else 0 if stop.code is None else 2
     code = _told(code)
+    exec("")  # Python forgets a Ctrl-C that came out of a library's exec; else it ends by the signal, without our exit code
     if heard:
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # libraries that are being taken down would show a traceback
     return code

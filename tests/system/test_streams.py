@@ -167,7 +167,17 @@ sys.exit(main())
 """
 
 
-def test_ctrl_c_among_imports_ends_quietly(tmp_path):
-    done = subprocess.run([sys.executable, "-c", INTERRUPTED], capture_output=True, text=True, cwd=tmp_path,
+INSIDE = """
+import sys
+from mitsvbrdf import __main__, cli
+cli._run = lambda _: exec("raise KeyboardInterrupt")  # as namedtuple and others do
+sys.exit(__main__.main())
+"""
+
+
+@pytest.mark.parametrize("code, said", [(INTERRUPTED, ""), (INSIDE, "interrupted\n")])
+def test_ctrl_c_is_130_wherever_it_comes(code, said, tmp_path):
+    (tmp_path / "started.py").write_text(code)
+    done = subprocess.run([sys.executable, "-m", "started"], capture_output=True, text=True, cwd=tmp_path,
                           env=os.environ | {"PYTHONPATH": str(ROOT)})
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", said)
