@@ -105,8 +105,8 @@ def _run(arguments: list[str]) -> int:
     import tyro
 
     check_names(*arguments)
-    with contextlib.suppress(FileNotFoundError):  # the folder we are in was removed
-        check_names(os.getcwd())
+    with contextlib.suppress(OSError, ValueError):  # the folder we are in was removed, or a word can be no name at all
+        check_names(os.getcwd(), *(os.path.realpath(word.rpartition("=")[2]) for word in arguments))  # where links lead
     completion = any(word.startswith(("--tyro-print-completion", "--tyro-write-completion")) for word in arguments)
     commands = {name: command(name) if completion else _named_only(text) for name, text in COMMANDS.items()}
     chosen = _chosen(arguments)

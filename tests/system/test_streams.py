@@ -136,10 +136,12 @@ def test_so_are_folders_and_photos_of_such_names(tmp_path, monkeypatch, capsys):
     folder.mkdir()
     (tmp_path / f"{NAME}.jpg").write_bytes(b"photo")
     assert cli.main(["guess", str(tmp_path), "-o", str(tmp_path / "out")]) == 2
+    (tmp_path / "link").symlink_to(folder)
+    assert cli.main(["sheet", f"--out={tmp_path}/link/sheet.pdf"]) == 2
     monkeypatch.chdir(folder)
     assert cli.main(["sheet"]) == 2
     said = capsys.readouterr().err
-    assert said.count("error:") == 2 == said.count(r"caf\udce9")
+    assert said.count("error:") == 3 == said.count(r"caf\udce9")
 
 
 def test_a_name_met_later_is_one_error_too(monkeypatch, capsys):
