@@ -2,22 +2,44 @@
 
 from __future__ import annotations
 
-import io
 import os
+import signal
 import sys
+
+INTERRUPTED = 130
 
 
 def main() -> int:
     """Run ``mitsvbrdf`` with the arguments of the process; returns the exit code."""
+    # Raised in the middle of an import, Ctrl-C may come out as another error, or not at all: there it ends the process.
+    heard = signal.getsignal(signal.SIGINT) == signal.default_int_handler
+    if heard:
+        signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
     # Idle threads sleep instead of spinning: torch and Dr.Jit have a pool each and take turns. Read when torch loads.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # a terminal that lacks a letter gets a question mark
+    from .system.streams import guard_streams
+    guard_streams()
     try:
-        from .cli import main as run
-        return run()
+        code = _run(heard)
     except KeyboardInterrupt:
-        return 130
+        code = INTERRUPTED
+    except SystemExit as stop:  # help was shown, or options are wrong
+        code = stop.code if isinstance(stop.code, int) else 0 if stop.code is None else 2
+    code = _told(code)
+    exec("")  # Python forgets a Ctrl-C that came out of a library's exec; else it ends by the signal, without our exit code
+    if heard:
+        signal.signal(signal.SIGINT, signal.SIG_DFL)  # libraries that are being taken down would show a traceback
+    return code
+
+
+def _run(heard: bool) -> int:
+    try:
+        from .cli import load
+        from .cli import main as run
+        load(sys.argv[1:])
+        if heard:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        return run()
     except ImportError as missing:
         if (missing.name or "").partition(".")[0] == __package__:
             raise  # a fault of our own, which no installation mends
@@ -26,9 +48,21 @@ def main() -> int:
             return doctor(json="--json" in sys.argv)
         print(f"error: expected all packages installed, got: {missing}; type ./run setup, or mitsvbrdf doctor", file=sys.stderr)
         return 2
-    except BrokenPipeError:  # the reader, `head` say, has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+
+
+def _told(code: int) -> int:
+    """Say where standard output is cut short; the exit code tells it too where that was all the command was to give."""
+    from .cli import only_prints
+    from .system.streams import output_failure
+
+    reason = output_failure()
+    if reason is None:
+        return code
+    if not only_prints(sys.argv[1:]):
+        print(f"warning: standard output is cut short: {reason}; results are not", file=sys.stderr)
+        return code
+    print(f"error: expected to write standard output, got {reason}; free space or choose another place", file=sys.stderr)
+    return code or 2
 
 
 if __name__ == "__main__":

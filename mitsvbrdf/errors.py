@@ -101,8 +101,12 @@ def exit_code(command: Callable[[], int], interrupted: str = "interrupted") -> i
     except MitsvbrdfError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    except BrokenPipeError:  # nobody reads any more: no mistake
-        raise
+    except UnicodeEncodeError as error:
+        if error.reason != "surrogates not allowed":
+            raise  # a fault of our own, not of a name
+        near = error.object[max(0, error.start - 40):error.end + 20].encode("utf-8", "backslashreplace").decode()
+        print(f"error: expected names of files in UTF-8, got {near}; rename the file or folder", file=sys.stderr)
+        return 2
     except OSError as error:
         print(f"error: expected to read or write {error.filename or 'a file'}, got {error.strerror or error}; check the name "
               "and your rights to it", file=sys.stderr)

@@ -97,6 +97,7 @@ def main(out: Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder to writ
          seeds: Annotated[tuple[int, ...], tyro.conf.arg(help="Of the materials.")] = (0, 1, 2),
          resolution: Annotated[int, tyro.conf.arg(help="Side of the maps in texels.")] = 64) -> int:
     """Fit made materials and count; both files are written after each fit."""
+    files.check_output(out / "coverage.json", out / "coverage.md")
     renderer, camera, rows = make_renderer("mitsuba"), make_renderer("analytic"), list[dict]()
     record = {"schema_version": 1, "resolution": resolution, "noises": list(noises), "seeds": list(seeds), "fits": rows,
               "machine": machine(), "versions": versions()}

@@ -144,6 +144,7 @@ def main(captures: Annotated[Path, tyro.conf.arg(metavar="FOLDER", help="Of cali
          finish_at: Annotated[int, tyro.conf.arg(help="Side at which solved maps and photos, averaged, are finished and "
                                                       "compared.")] = 256) -> int:
     """Fit, finish and measure each capture; both files are written after each."""
+    files.check_output(out / "finish.json", out / "finish.md")
     renderer, config = make_renderer("mitsuba"), FinishConfig()
     rows: dict[str, dict] = {}
     for folder in sorted(path for path in captures.iterdir() if path.is_dir()):

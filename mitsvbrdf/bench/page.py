@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -14,7 +13,7 @@ from rich.table import Table as Shown
 
 from ..pages.page import svg_file
 from ..system import files
-from ..system.progress import console
+from ..system.progress import print_rich
 from . import summary
 from .commands import commands
 from .plots import methods_figure, renderers_figure, small_multiples
@@ -46,16 +45,21 @@ def print_benchmark(record: Mapping) -> None:
 
 def print_tables(tables: Sequence[Table]) -> None:
     """Tables on the terminal, without their spreads."""
-    with contextlib.suppress(BrokenPipeError):
-        for table in tables:
-            shown = Shown(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-            for number, head in enumerate(table.heads):
-                shown.add_column(escape(head.replace("`", "")), justify="right" if number else "left", no_wrap=number == 0)
-            for row in table.rows:
-                plain = [row[0].replace("`", ""), *(re.sub(r" \(.*?\)", "", cell) for cell in row[1:])]
-                shown.add_row(*(f"[bold]{escape(c.strip('*'))}[/]" if c.startswith("**") else escape(c) for c in plain))
-            console.print(escape(table.title))
-            console.print(shown)
+    for table in tables:
+        shown = Shown(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+        for number, head in enumerate(table.heads):
+            shown.add_column(escape(head.replace("`", "")), justify="right" if number else "left", no_wrap=number == 0)
+        for row in table.rows:
+            plain = [row[0].replace("`", ""), *(re.sub(r" \(.*?\)", "", cell) for cell in row[1:])]
+            shown.add_row(*(f"[bold]{escape(c.strip('*'))}[/]" if c.startswith("**") else escape(c) for c in plain))
+        print_rich(escape(table.title))
+        print_rich(shown)
+
+
+def page_files(path: Path | None) -> list[Path]:
+    """The page and every picture that it may have beside it; nothing for None."""
+    names = ["methods", "renderers", *(_picture_of(kind, error) for kind, errors in ERRORS.items() for error in errors)]
+    return [path, *(path.with_name(f"{path.stem}-{name}.svg") for name in names)] if path else []
 
 
 def write_benchmark_page(path: str | Path, record: Mapping) -> list[Path]:
@@ -187,8 +191,12 @@ def _methods(record: Mapping, picture: Picture) -> list[str]:
         lines += markdown(each_map(record)) if kind == "material" else []
         for error, title in ERRORS[kind].items():
             lines += markdown(each_one(record, kind, error, title))
-            lines += picture(f"{kind}-{error.replace('_', '-')}", small_multiples(record, kind, error), f"{title}, one by one")
+            lines += picture(_picture_of(kind, error), small_multiples(record, kind, error), f"{title}, one by one")
     return lines
+
+
+def _picture_of(kind: str, error: str) -> str:
+    return f"{kind}-{error.replace('_', '-')}"
 
 
 def _renderers(record: Mapping, picture: Picture) -> list[str]:

@@ -85,4 +85,6 @@ def _measured(plan: Plan, jobs: dict[str, Job], store: Store, settings: BatchSet
                 left = (time.monotonic() - began) / ended * (len(jobs) - ended) if ended else None
                 words = f", {duration(left)} left" if left is not None else ""
                 report(f"{ended} of {len(jobs)}{words}", ended / len(jobs))
+        if stop:  # while the last record was written
+            raise KeyboardInterrupt
     return failed

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import types
 from typing import Any, Literal, TypedDict, Union, get_args, get_origin, get_type_hints, is_typeddict
@@ -189,7 +190,7 @@ def check_benchmark(value: Any, where: str) -> Benchmark:
     if not isinstance(value, dict) or value.get("schema_version") != SCHEMA_VERSION:
         version = value.get("schema_version") if isinstance(value, dict) else None
         raise ConfigError(f"a benchmark of schema version {SCHEMA_VERSION}", f"version {version} in {where}",
-                          "choose another file, or --overwrite to start anew")
+                          "choose another file, or --anew to forget it")
     problem = _problem(value, Benchmark, where)
     records = [] if problem else [identity(record) for record in value["records"]]
     if len(set(records)) < len(records):
@@ -197,7 +198,7 @@ def check_benchmark(value: Any, where: str) -> Benchmark:
         problem = f"{where}.records", "each fit and case once", f"{twice} twice"
     if problem:
         place, expected, got = problem
-        raise ConfigError(f"{expected} at {place}", got, "choose another file, or --overwrite to start anew")
+        raise ConfigError(f"{expected} at {place}", got, "choose another file, or --anew to forget it")
     return value  # type: ignore[return-value]
 
 
@@ -211,7 +212,7 @@ def _problem(value: Any, kind: Any, place: str) -> tuple[str, str, str] | None:
     if origin in (Union, types.UnionType):
         if all(map(is_typeddict, arguments)):  # the suite tells which
             suite = value.get("suite") if isinstance(value, dict) else None
-            arguments = tuple(a for a in arguments if suite in get_args(get_type_hints(a)["suite"])) or arguments[:1]
+            arguments = tuple(a for a in arguments if suite in get_args(_hints(a)["suite"])) or arguments[:1]
         problems = [_problem(value, a, place) for a in arguments]
         return None if None in problems else problems[0]
     if origin is Literal:
@@ -228,8 +229,11 @@ def _problem(value: Any, kind: Any, place: str) -> tuple[str, str, str] | None:
     return None if right else (place, getattr(kind, "__name__", str(kind)), repr(value)[:60])
 
 
+_hints = functools.cache(get_type_hints)
+
+
 def _of_dict(value: Any, kind: Any, place: str) -> tuple[str, str, str] | None:
-    hints = get_type_hints(kind)
+    hints = _hints(kind)
     if not isinstance(value, dict) or not kind.__required_keys__ <= set(value) <= set(hints):
         got = sorted(value) if isinstance(value, dict) else repr(value)[:60]
         return place, f"the fields {sorted(hints)}", str(got)

@@ -1,8 +1,9 @@
-"""The benchmark's file: written anew after every record, so that a run can stop anywhere and go on later."""
+"""The benchmark's file: brought up to date with every record, so that a run can stop anywhere and go on later."""
 
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,9 +12,10 @@ from typing import Any
 from .. import __version__
 from ..errors import ConfigError
 from ..system import files
-from ..system.interrupts import undisturbed
+from ..system.interrupts import stop_signals
 from ..system.json_files import load
 from ..system.provenance import machine, versions
+from ..system.shared_file import held
 from .published import Published
 from .schema import SCHEMA_VERSION, Benchmark, check_benchmark, identity
 
@@ -26,34 +28,38 @@ SHAPING = ("capture/**/*.py", "calibrate/*.py", "fit/**/*.py", "material/*.py", 
 
 
 class Store:
-    """The records of one file.
+    """The records of one file, which several runs may add to at the same time.
 
     Args:
         path: the JSON file; one that is there is gone on with.
         settings: what all its records share.
-        overwrite: start anew.
+        anew: forget what is in the file, once.
 
     Raises:
         ConfigError: the file is no benchmark, or one of other settings, versions or machine.
     """
 
-    def __init__(self, path: Path, settings: Mapping[str, Any], overwrite: bool = False) -> None:
-        self.path = Path(path)
-        here: Benchmark = {
+    def __init__(self, path: Path, settings: Mapping[str, Any], anew: bool = False) -> None:
+        self.path, self.anew = Path(path), anew
+        self.content: Benchmark = {
             "schema_version": SCHEMA_VERSION, "settings": {**settings, "code": code()}, "machine": this_machine(),
             "versions": versions() | {"mitsvbrdf": __version__}, "seeds": [], "published": {}, "records": []}
-        self.content = here
-        if self.path.is_file() and not overwrite:
-            self.content = read_benchmark(self.path)
-            self._same(here)
+        self.found: Published = {}
+        self.outdated: list[dict] = []  # records of earlier settings, which go when the first new one comes
+        self._read()
 
-    def _same(self, here: Benchmark) -> None:
+    def _read(self) -> None:
+        """Take over what the file has now; it must be of the same settings."""
+        if self.anew or not self.path.is_file() or not self.path.stat().st_size:
+            return
+        there = read_benchmark(self.path)
         for part in ("settings", "machine", "versions"):
-            earlier, now = self.content[part], here[part]  # type: ignore[literal-required]
+            earlier, now = there[part], self.content[part]  # type: ignore[literal-required]
             for name in sorted({*earlier, *now}):
                 if earlier.get(name) != now.get(name):
                     raise ConfigError(f"{name} {earlier.get(name)!r}, as in {self.path}", repr(now.get(name)),
-                                      "--overwrite starts anew, another --json keeps both")
+                                      "--anew forgets it, another --json keeps both")
+        self.content = there
 
     @property
     def records(self) -> list[dict]:
@@ -64,25 +70,50 @@ class Store:
         """The jobs without a record. Records of a method or case whose settings have changed go with it."""
         wanted = {(*_whole(job.key),): job.settings for job in jobs}
         kept = [r for r in self.records if wanted.get((*_whole(r),), r["config"]) == r["config"]]
+        self.outdated += [r for r in self.records if r not in kept]
         self.content["records"] = kept  # type: ignore[typeddict-item]
         done = set(map(identity, kept))
         return [job for job in jobs if identity(job.key) not in done]
 
     def add(self, record: dict) -> None:
-        """Keep one record, and write the file."""
-        self.records.append(record)
-        self.content["seeds"] = sorted({r["seed"] for r in self.records if "seed" in r})
-        self.write()
+        """Keep one record, in the file, beside what other runs have put there.
+
+        Raises:
+            ConfigError: another run measures the same method or case with other settings.
+        """
+        self._update([json.loads(json.dumps(record))])  # as it will be read
 
     def publish(self, found: Published) -> None:
         """Add published numbers to those that are there."""
-        for kind, each in found.items():
-            self.content["published"].setdefault(kind, {}).update(each)
+        self.found = found
 
     def write(self) -> None:
-        """The file as it is now: beside it first, then renamed."""
-        with undisturbed():
-            files.write_json(self.path, self.content)
+        """Bring the file up to date, and what is known of it."""
+        self._update([])
+
+    def _update(self, new: list[dict]) -> None:
+        """Read, add, and replace; Ctrl-C meanwhile is heard afterwards."""
+        with stop_signals() as stop:
+            with held(self.path):
+                self._read()
+                there = [r for r in self.records if r not in self.outdated]
+                for record in new:
+                    self._check_alike(record, there)
+                known = set(map(identity, there))
+                self.content["records"] = there + [r for r in new if identity(r) not in known]  # type: ignore[typeddict-item]
+                self.content["seeds"] = sorted({r["seed"] for r in self.records if "seed" in r})
+                for kind, each in self.found.items():
+                    self.content["published"].setdefault(kind, {}).update(each)
+                files.write_json(self.path, self.content)
+                self.anew = False
+        if stop:
+            raise KeyboardInterrupt
+
+    def _check_alike(self, record: dict, there: list[dict]) -> None:
+        if any(_whole(r) == _whole(record) and r["config"] != record["config"] for r in there):
+            raise ConfigError("one setting of each method and case in a file",
+                              f"{self.path}, to which another run adds {_whole(record)} with other settings",
+                              "give one of the two another --json")
 
 
 def read_benchmark(path: Path) -> Benchmark:
@@ -96,7 +127,7 @@ def read_benchmark(path: Path) -> Benchmark:
     except OSError as reason:
         raise ConfigError("a benchmark's JSON", f"{path}: {reason.strerror}", "check --json") from None
     except ValueError as reason:
-        raise ConfigError("a benchmark's JSON", f"{path}: {reason}", "choose another, or --overwrite to start anew") from None
+        raise ConfigError("a benchmark's JSON", f"{path}: {reason}", "choose another, or --anew to forget it") from None
 
 
 def _whole(key: Mapping[str, Any]) -> tuple:

@@ -16,6 +16,7 @@ import numpy as np
 from ..errors import CaptureError, InputWarning
 from ..system.decode import check_size, decoded, opened
 from ..system.decode import orientation as orientation_of
+from ..system.files import check_names
 from ..system.profile import profiled
 
 PLAIN = (".png", ".jpg", ".jpeg")
@@ -165,10 +166,12 @@ def photos_in(folder: Path) -> list[Path]:
 
     Raises:
         CaptureError: none, or RAW files beside others, whose values mean something else.
+        ConfigError: a name that is not UTF-8.
     """
     if not folder.is_dir():
         raise CaptureError("a folder of photos", f"no folder at {folder}", "check the name")
     found = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.name[0] != "." and p.is_file())
+    check_names(*found)
     if not found:
         raise CaptureError("photos (jpg, png, heic, dng, ...)", f"none in {folder}", "give the folder that holds them")
     raw = [p for p in found if p.suffix.lower() in RAW]

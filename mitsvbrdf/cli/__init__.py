@@ -1,21 +1,26 @@
 """The command line: parse, call, print, exit code.
 
 0 is success, and a fit that Ctrl-C ended early; 1 a check that does not hold; 2 a mistake the caller can mend; 130 Ctrl-C
-without a result. Only the module of the chosen command is imported: words about commands load neither torch nor Mitsuba.
+without a result. Where standard output is full or closed the work goes on, and its exit code stays; 2 where what is printed
+is the result. Only the module of the chosen command is imported: words about commands load neither torch nor Mitsuba.
 """
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import inspect
+import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
+from types import ModuleType
 from typing import Any, get_type_hints
 
 from .. import __version__
 from ..errors import LARGEST, ConfigError, exit_code, plain_warnings
 from ..errors import strict as refused
+from ..system.files import check_names
 
 # What each command does, the first line of its docstring. ``leave-out`` is the function leave_out of the module leave_out.
 COMMANDS = {
@@ -49,6 +54,8 @@ FITTING = ("fit", "batch")  # these have the options of the methods
 READING = ("capture", "fit", "batch", "guess", "render", "evaluate", "compare", "pretrain", "export", "relight", "report")
 MOST = {"resolution": 16384, "size": 16384, "repeats": 10_000, "frames": 100_000}  # what takes memory, or days
 RESUMED = ("fit", "relight")  # what these leave unfinished goes on with --resume
+PRINTING = ("library", "evaluate", "crosscheck", "leave-out", "stability", "doctor")  # what these print is their result
+PRINTS = ("--help", "-h", "--explain", "--check")  # with these so do all others
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -71,8 +78,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def command(name: str, arguments: Sequence[str] = ()) -> Callable[..., int]:
     """The function of a command; ``fit`` and ``batch`` have the options of the method that the arguments name."""
-    module = importlib.import_module(f".{name.replace('-', '_')}", __name__)
-    function = getattr(module, name.replace("-", "_"))
+    function = getattr(_module(name), name.replace("-", "_"))
     if name in FITTING:
         from .fit import fit_command
         function = fit_command(arguments, function)
@@ -110,13 +116,37 @@ def _check_numbers(name: str, value: object) -> None:
         raise ConfigError(f"--{name.replace('_', '-')} of at most {most:g}", str(value), "give a smaller number")
 
 
+def load(arguments: Sequence[str]) -> None:
+    """Import what the command that the arguments name needs in any case."""
+    if _chosen(arguments) in COMMANDS:
+        importlib.import_module("tyro")
+        _module(_chosen(arguments))
+
+
+def only_prints(arguments: Sequence[str]) -> bool:
+    """Whether what these arguments ask for comes on standard output, and not as files alone."""
+    return _chosen(arguments) in PRINTING or _chosen(arguments) not in COMMANDS or bool(set(PRINTS) & set(arguments))
+
+
+def _module(name: str) -> ModuleType:
+    return importlib.import_module(f".{name.replace('-', '_')}", __name__)
+
+
+def _chosen(arguments: Sequence[str]) -> str:
+    """The command named, or an empty text; tyro takes both spellings."""
+    return next((word for word in arguments if not word.startswith("-")), "").replace("_", "-")
+
+
 def _run(arguments: list[str]) -> int:
     """Parse the arguments with the chosen command's options, every other command known by name and help alone."""
     import tyro
 
+    check_names(*arguments)
+    with contextlib.suppress(OSError, ValueError):  # the folder we are in was removed, or a word can be no name at all
+        check_names(os.getcwd(), *(os.path.realpath(word.rpartition("=")[2]) for word in arguments))  # where links lead
     completion = any(word.startswith(("--tyro-print-completion", "--tyro-write-completion")) for word in arguments)
     commands = {name: command(name) if completion else _named_only(text) for name, text in COMMANDS.items()}
-    chosen = next((word for word in arguments if not word.startswith("-")), "").replace("_", "-")  # tyro takes both
+    chosen = _chosen(arguments)
     if chosen in COMMANDS:
         commands[chosen] = command(chosen, arguments)
     if chosen in FITTING:

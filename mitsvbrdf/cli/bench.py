@@ -10,7 +10,7 @@ from tyro.conf import arg
 from ..render import RendererName
 from ..system import files
 from ..system.progress import progress_bar, say, say_written
-from .options import Overwrite, Variant
+from .options import Overwrite, Variant, check_new_files
 
 if TYPE_CHECKING:
     pass
@@ -51,7 +51,8 @@ def bench(
     workers: Annotated[int | None, arg(help="Do so many jobs at a time, on the workers of `mitsvbrdf batch`, which survive "
                                             "crashes; their times are then those of a shared machine. Needs Ray.")] = None,
     address: Annotated[str | None, arg(help="The same on a Ray cluster; see `mitsvbrdf batch --help`.")] = None,
-    overwrite: Annotated[Overwrite, arg(help="Forget the records that are there.")] = False,
+    anew: Annotated[bool, arg(help="Forget the records that are there.")] = False,
+    overwrite: Annotated[Overwrite, arg(help="Replace pages that are there; records stay.")] = False,
 ) -> int:
     """Measure error against run time: renderers against float64, methods against known maps and photos left out.
 
@@ -63,6 +64,8 @@ def bench(
     """
     from ..batch.settings import BatchSettings
     from ..bench.jobs import duration, run
+    from ..bench.page import page_files
+    from ..bench.paper.page import gan_page_files
     from ..bench.parallel import run_parallel
     from ..bench.plan import QUICK, WHOLE, Plan, data_folder
     from ..bench.store import Store, read_benchmark
@@ -70,7 +73,8 @@ def bench(
     asked = {"resolution": resolution, "budgets": budgets, "seeds": seeds, "repeats": repeats, "materials": materials,
              "captures": captures, "megapixels": megapixels, "variants": variants, "left-out": left_out}
     chosen = WHOLE | (QUICK if quick else {}) | {name: value for name, value in asked.items() if value is not None}
-    files.check_output(json_file, page, gan_page)
+    check_new_files(*page_files(page), *gan_page_files(gan_page), overwrite=overwrite, read=[json_file])
+    files.check_output(json_file)
     if suite == "none":
         _show(dict(read_benchmark(json_file)), page, gan_page)
         return 0
@@ -79,7 +83,7 @@ def bench(
     inside = data_folder(data)
     plan = Plan(suites, chosen, methods, views, str(inside) if inside else None, renderer, variant, quick)
     jobs, settings, found = plan.jobs()
-    store = Store(json_file, settings, overwrite)
+    store = Store(json_file, settings, anew)
     store.publish(found)
     missing = store.pending(jobs)
     say(f"{len(jobs) - len(missing)} of {len(jobs)} records are in {json_file}; "
@@ -96,6 +100,7 @@ def bench(
             "the same command goes on")
         return 130
     store.write()
+    failed |= {job.title: "another run began the file anew" for job in store.pending(jobs) if job.title not in failed}
     say_written(json_file)
     for title, reason in failed.items():
         say(f"no record: {title}: {reason}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -12,7 +11,7 @@ from tyro.conf import Positional, arg
 from ..errors import ConfigError
 from ..system import result_folder
 from ..system.interrupts import undisturbed
-from ..system.progress import console, progress_bar, say
+from ..system.progress import print_rich, progress_bar, say
 from .options import Out, Overwrite
 
 if TYPE_CHECKING:
@@ -78,8 +77,7 @@ def _print(result: CaptureResult) -> None:
         quality, error = result.qualities.get(photo.name), result.rig.errors.get(photo.name)
         table.add_row(photo.name, result.rig.left_out.get(photo.name, "used"), "" if error is None else f"{error:.2f} px",
                       f"{quality.sharpness:.2f}" if quality else "", f"{quality.clipped:.0%}" if quality else "")
-    with contextlib.suppress(BrokenPipeError):
-        console.print(table)
+    print_rich(table)
     for warning in result.warnings:
         say(f"note: {warning}")
     say(f"highlights shown of {result.covered:.0%} of the patch"

@@ -22,7 +22,7 @@ from .options import (
     TransferOption,
     Variant,
     ViewList,
-    check_new_file,
+    check_new_files,
     fit_of_maps,
     material_of,
     read_photos,
@@ -62,8 +62,7 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
         raise ConfigError("one or more folders of maps", "none", "name them before --capture")
     if resolution is not None and resolution < 8:
         raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
-    check_new_file(out, overwrite)
-    files.check_output(json_file)
+    check_new_files(out, json_file, overwrite=overwrite, photos=capture, read=[*map(_folder, maps), reference])
     entries = _named_apart([_entry(text, resolution or LARGEST_SIDE) for text in maps])
     size = resolution or min(LARGEST_SIDE, *(entry.svbrdf.resolution for entry in entries))
     photos, chosen = read_photos(capture, size, None, transfer, "inverse-square"), photo_numbers(views)
@@ -95,8 +94,8 @@ def _entry(text: str, resolution: int) -> Entry:
     """Maps, name and fit of ``[NAME=]MAPS``; an existing folder with a = in its name is that folder."""
     from ..evaluate.compare import Entry
 
-    name, equals, maps = text.partition("=")
-    name, maps = (name, maps) if equals and not os.path.exists(text) else ("", text)
+    maps = _folder(text)
+    name = text[:len(text) - len(maps)].removesuffix("=")
     svbrdf = material_of(maps, resolution)
     if maps.startswith("builtin:"):
         return Entry(name or maps.removeprefix("builtin:"), maps, svbrdf)
@@ -104,6 +103,11 @@ def _entry(text: str, resolution: int) -> Entry:
     guess = fit.path / "guess" / "diffuse.exr"
     return Entry(name or fit.method or fit.path.name, maps, svbrdf, fit,
                  images.read_image(guess, MapsError) if guess.is_file() else None)
+
+
+def _folder(text: str) -> str:
+    """MAPS of ``[NAME=]MAPS``."""
+    return text if os.path.exists(text) or "=" not in text else text.partition("=")[2]
 
 
 def _named_apart(entries: list[Entry]) -> list[Entry]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -16,9 +15,9 @@ from ..errors import ConfigError
 from ..material.maps import SVBRDF, Bsdf
 from ..render import RENDERERS, RendererName, make_renderer
 from ..system import files
-from ..system.progress import console, progress_bar, say, say_written
+from ..system.progress import print_rich, progress_bar, say, say_written
 from ..views import Falloff, Views
-from .options import Variant, ViewSource, fit_of_maps, material_of, name_of, views_of
+from .options import Overwrite, Variant, ViewSource, check_new_files, fit_of_maps, material_of, name_of, views_of
 
 
 def crosscheck(
@@ -34,6 +33,7 @@ def crosscheck(
     resolution: Annotated[int | None, arg(help="Side of the maps, which are area-averaged down to it; left out: 256, or 128 "
                                                "for the built-in set.")] = None,
     variant: Variant = "llvm_ad_rgb",
+    overwrite: Overwrite = False,
 ) -> int:
     """Hold every renderer and BSDF against the float64 twin: images, gradients, run time.
 
@@ -42,7 +42,7 @@ def crosscheck(
     from ..verify import crosscheck as checks
 
     _check_options(repeats, resolution)
-    files.check_output(json_file, html_file)
+    check_new_files(json_file, html_file, overwrite=overwrite, read=[maps], photos=views)
     materials, falloff, offset, transfer = _materials(maps, resolution)
     names, lit = views_of(views, falloff)
     lit = _with_offset(lit, offset)
@@ -56,12 +56,12 @@ def crosscheck(
                                    command={"maps": maps and Path(maps).name, "views": Path(views).name,
                                             "bsdf": bsdf, "renderer": renderer, "repeats": repeats,
                                             "resolution": resolution, "variant": variant})
-    _print(record)
     if json_file:
         files.write_json(json_file, record)
     if html_file:
         from ..verify.crosscheck_page import write_crosscheck_page
         write_crosscheck_page(html_file, record, error_maps)
+    _print(record)
     say_written(json_file, html_file)
     return _verdict(record)
 
@@ -101,10 +101,9 @@ def _print(record: dict) -> None:
     for bsdf, how in dict.fromkeys(pair for m in record["materials"].values() for pair in m["converted"].items()):
         say(f"as {bsdf}: {how}")
     groups = dict.fromkeys((row["texels"], row["bsdf"]) for row in record["summary"])
-    with contextlib.suppress(BrokenPipeError):
-        for texels, bsdf in groups:
-            rows = [row for row in record["summary"] if (row["texels"], row["bsdf"]) == (texels, bsdf)]
-            console.print(_table(record, texels, bsdf, rows))
+    for texels, bsdf in groups:
+        rows = [row for row in record["summary"] if (row["texels"], row["bsdf"]) == (texels, bsdf)]
+        print_rich(_table(record, texels, bsdf, rows))
     for each in left_out(record):
         say(f"left out by {each['by']}: {each['what']} ({each['why']})")
 

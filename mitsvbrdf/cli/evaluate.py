@@ -18,9 +18,11 @@ from ..views import photo_numbers
 from .options import (
     FalloffOption,
     Material,
+    Overwrite,
     TransferOption,
     Variant,
     ViewList,
+    check_new_files,
     fit_of_maps,
     material_of,
     read_photos,
@@ -39,7 +41,7 @@ def evaluate(maps: Positional[Material],
              refine_views: Annotated[bool, arg(help="Measure again with camera, flash and exposure of each photo refined; the "
                                                     "maps stay as they are.")] = False,
              json_file: Annotated[Path | None, arg(name="json", help="Write the figures to this file.")] = None,
-             variant: Variant = "llvm_ad_rgb") -> int:
+             variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
     """Measure maps: against known maps (--reference) or against photos (--capture).
 
     Map RMSE is counted as in the field: diffuse and specular gamma-encoded, roughness as stored, normal as (n + 1) / 2.
@@ -61,7 +63,7 @@ def evaluate(maps: Positional[Material],
         raise ConfigError("either --reference or --capture", "both" if reference else "neither", "give one of them")
     if refine_views and capture is None:
         raise ConfigError("--capture beside --refine-views", "--reference", "give the photos whose views to refine")
-    files.check_output(json_file)
+    check_new_files(json_file, overwrite=overwrite, photos=capture, read=[maps, reference])
     svbrdf = material_of(maps)
     found: dict[str, Any]
     if reference is not None:

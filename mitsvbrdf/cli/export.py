@@ -53,8 +53,7 @@ def export(maps: Positional[Material],
     out = out or folder_inside(Path(maps), "export")
     svbrdf, fit = material_of(maps), fit_of_maps(maps)
     side = side_cm / 100 if side_cm is not None else fit.side_metres
-    if not builtin:
-        keep_apart_from_maps(Path(maps), out)
+    keep_apart_from_maps(maps, out)
     if tile:
         svbrdf, side = _tiled(svbrdf, side)
     with result_folder.output_folder(out, overwrite) as folder:

@@ -53,10 +53,10 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitAr
     goes on from; with --finish gan also look/ and its page, look.html.
     """
     shared.check(config)
+    keep_apart(capture, out)
     photos = read_photos(capture, shared.resolution, None, shared.transfer, shared.light(config))
     shots = shared.chosen(photos)[0]
     engine = make_renderer(shared.renderer, shared.variant)
-    keep_apart(capture, out)
     if explain:
         return _explain(FitTask(shots, engine, config), shared)
     result, before = _fit_into(out, photos, engine, config, shared, profile, resume, overwrite)

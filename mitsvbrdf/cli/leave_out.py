@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 from typing import Annotated
 
@@ -10,13 +9,15 @@ from tyro.conf import arg
 
 from ..errors import ConfigError
 from ..system import files
-from ..system.progress import console, say, say_written
+from ..system.progress import print_rich, say, say_written
+from .options import Overwrite, check_new_files
 
 
 def leave_out(resolution: Annotated[int, arg(help="Side of the maps in texels.")] = 256,
               repeats: Annotated[int, arg(help="Measured turns of each pair.")] = 9,
               json_file: Annotated[Path | None, arg(name="json", help="Write the figures to this file.")] = None,
-              md: Annotated[Path | None, arg(help="Write the table to this file, as Markdown.")] = None) -> int:
+              md: Annotated[Path | None, arg(help="Write the table to this file, as Markdown.")] = None,
+              overwrite: Overwrite = False) -> int:
     """Measure what is left out of a scene that does not need it: image difference, and time with and without.
 
     Each item is rendered forward and backward through nine co-located views, with it and without it in turn.
@@ -28,18 +29,17 @@ def leave_out(resolution: Annotated[int, arg(help="Side of the maps in texels.")
 
     if resolution < 8 or repeats < 1:
         raise ConfigError("--resolution of 8 or more and --repeats of 1 or more", f"{resolution} and {repeats}", "try 64 and 3")
-    files.check_output(json_file, md)
+    check_new_files(json_file, md, overwrite=overwrite)
     record = measure_leave_out(resolution, repeats, lambda what: say(f"measuring: {what}"))
     table = Table(title="Left out: largest relative difference, median seconds forward and backward", title_justify="left")
     for heading in ("what", "where", "difference", "full", "lean", "full / lean"):
         table.add_column(heading, justify="left" if heading in ("what", "where") else "right")
     for what, where, _, difference, _, _, *times in leave_out_rows(record):
         table.add_row(what, where, difference, *times)
-    with contextlib.suppress(BrokenPipeError):
-        console.print(table)
     if json_file:
         files.write_json(json_file, record)
     if md:
         write_leave_out_markdown(md, record)
+    print_rich(table)
     say_written(json_file, md)
     return 0

@@ -6,7 +6,9 @@ Every command imports this module, so it imports what needs torch only where it 
 from __future__ import annotations
 
 import functools
+import json
 import os
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -16,6 +18,7 @@ from tyro.conf import arg
 from ..errors import ConfigError, OutputError
 from ..system import files
 from ..system.progress import progress_bar, say
+from ..system.result_folder import MANIFEST
 
 if TYPE_CHECKING:
     from ..capture import Capture
@@ -41,15 +44,14 @@ FalloffOption = Literal["auto", "inverse-square", "none"]
 
 def keep_apart(capture: Path, out: Path) -> None:
     """Results among photos would be read as photos the next time, or take the place of photos of the same name."""
-    capture = capture.parent if capture.is_file() else capture  # of its JSON file
-    photos = {os.path.realpath(path) for path in (capture, capture / "target")}
-    if photos & {os.path.realpath(path) for path in (out, out / "photos")}:
+    if _photo_folders(capture) & {os.path.realpath(path) for path in (out, out / "photos")}:
         raise ConfigError("an output folder of its own", f"{out}, which holds the photos", "choose another folder")
 
 
-def keep_apart_from_maps(maps: Path, out: Path) -> None:
-    """Results among the maps would replace the fit, or be read as maps the next time."""
-    if os.path.realpath(out) in (os.path.realpath(maps), os.path.realpath(maps / "maps"), os.path.realpath(maps / "..")):
+def keep_apart_from_maps(maps: str, out: Path) -> None:
+    """Results among the maps would replace the fit, or be read as maps the next time; ``builtin:NAME`` lies nowhere."""
+    folders = {os.path.realpath(os.path.join(maps, part)) for part in ("", "maps", "..")}
+    if not maps.startswith("builtin:") and os.path.realpath(out) in folders:
         raise ConfigError("an output folder of its own", f"{out}, which holds the maps", "choose another folder")
 
 
@@ -72,11 +74,50 @@ def name_of(maps: str) -> str:
     return folder.parent.name if folder.name == "maps" else folder.name
 
 
-def check_new_file(out: Path, overwrite: bool) -> None:
-    """Raise OutputError where a result file is there already or could not be written, before any work is done."""
-    if out.is_file() and not overwrite:
-        raise OutputError("a new file", f"{out}, which exists", "add --overwrite to replace it, or choose another name")
-    files.check_output(out)
+def check_new_files(*outputs: Path | None, overwrite: bool, read: Sequence[str | Path | None] = (),
+                    photos: str | Path | None = None) -> None:
+    """Refuse, before any work is done, files to write that are there already or could not be written once it is.
+
+    One that is there is replaced with --overwrite alone, and never where it is read or part of a result folder.
+
+    Args:
+        outputs: as named on the command line; None was not asked for.
+        overwrite: whether they may replace others.
+        read: files and folders that the command reads, as named.
+        photos: a capture, among whose photos nothing is written; ``builtin:NAME`` and None are none.
+
+    Raises:
+        OutputError: one is there, or cannot be written.
+        ConfigError: two are the same file, or one is part of what is read, or of a result.
+    """
+    files.check_output(*outputs)
+    sources, earlier = {os.path.realpath(path) for path in (*read, photos) if path}, list[Path]()
+    for path in filter(None, outputs):
+        target = Path(os.path.realpath(path))
+        if any(target == other or target in other.parents or other in target.parents for other in earlier):
+            raise ConfigError("a file of its own for each output", f"{path} for two", "give another name")
+        if str(target) in sources or photos and os.path.realpath(path.parent) in _photo_folders(Path(photos)):
+            raise ConfigError("an output apart from what is read", str(path), "choose another name, or another folder")
+        if _is_of_result(target):
+            raise ConfigError("an output that is no part of a result", str(path), "choose another name")
+        if path.is_file() and not overwrite:
+            raise OutputError("a new file", f"{path}, which exists", "add --overwrite to replace it, or choose another name")
+        earlier.append(target)
+
+
+def _is_of_result(file: Path) -> bool:
+    """Whether a command put this file there with the others of its result."""
+    home = next((folder for folder in file.parents if (folder / MANIFEST).is_file()), None)
+    try:
+        return home is not None and str(file.relative_to(home)) in json.loads((home / MANIFEST).read_bytes())
+    except (OSError, ValueError, TypeError, RecursionError):
+        return False
+
+
+def _photo_folders(capture: Path) -> set[str]:
+    """Where the photos of a capture lie: its folder, or that of its JSON file, and target/ in it."""
+    capture = capture.parent if capture.is_file() else capture
+    return {os.path.realpath(path) for path in (capture, capture / "target")}
 
 
 def read_photos(capture: Path, resolution: int, views: str | None, transfer: TransferChoice,

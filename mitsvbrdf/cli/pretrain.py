@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 
-from ..errors import ConfigError
 from ..fit.gan_config import GanConfig
 from ..render import RendererName, make_renderer
-from ..system import files
 from ..system.progress import Progress, say
 from ..views import Falloff
-from .options import Out, Overwrite, Photos, Variant, read_photos
+from .options import Out, Overwrite, Photos, Variant, check_new_files, read_photos
 
 PAPER = GanConfig(preset="paper-two-stage")
 
@@ -28,17 +24,10 @@ def pretrain(picture: Positional[Photos], out: Out, config: UseAppendAction[Omit
     from ..fit import pretrain as first_stage
 
     config.check()
-    _check_new_checkpoint(out, overwrite)
+    check_new_files(out, overwrite=overwrite, read=[picture])
     shots = read_photos(picture, resolution, None, "auto", falloff)
     engine = make_renderer(renderer, variant)
     with Progress(f"pretrain · {engine.name}") as progress:
         first_stage(shots, engine, config, out, progress)
     say(f"wrote {out}")
     return 0
-
-
-def _check_new_checkpoint(out: Path, overwrite: bool) -> None:
-    """Raise ConfigError where a checkpoint cannot be written, before any work is done."""
-    if out.is_dir() or out.exists() and not overwrite:
-        raise ConfigError("a new checkpoint file", f"{out}, which exists", "add --overwrite, or choose another name")
-    files.check_output(out)

@@ -88,8 +88,7 @@ def relight(maps: Positional[Material],
         return 0
     if "mp4" in kinds and any(stage.frames > 1 for stage in stages):
         av_module()
-    if not builtin:
-        keep_apart_from_maps(Path(maps), out)
+    keep_apart_from_maps(maps, out)
     settings = {"maps": maps if builtin else os.path.realpath(maps), "material": _fingerprint(svbrdf, fit.views),
                 "environment": environment, "environment_file": _file_fingerprint(environment), "size": pixels,
                 "frames": frames, "tiling": tiling, "displacement": displacement, "exposure": exposure,

@@ -23,6 +23,7 @@ from .options import (
     ViewSource,
     fit_of_maps,
     keep_apart,
+    keep_apart_from_maps,
     material_of,
     name_of,
     views_of,
@@ -40,16 +41,17 @@ def render(maps: Positional[Material], out: Out, views: ViewSource = "builtin:gr
     """Render maps for the views of a capture: OUT/NN.png (display values) and NN.exr (linear)."""
     from ..views import shift_lights
 
+    keep_apart(Path(views), out)
+    keep_apart_from_maps(maps, out)
     svbrdf, fit = material_of(maps), fit_of_maps(maps)
     if diffuse == "guessed":
         svbrdf = _with_guessed_diffuse(svbrdf, Path(maps))
     names, lit = views_of(views, fit.falloff if falloff == "auto" else falloff, fit)
     lit = shift_lights(lit, fit.flash_offset if flash_offset == "fitted" else None)
     transfer = (fit.transfer or "gamma2.2") if transfer == "auto" else transfer
-    keep_apart(Path(views), out)
-    rendered = make_renderer(renderer, variant).render(svbrdf, lit)
+    engine = make_renderer(renderer, variant)
     with result_folder.output_folder(out, overwrite) as folder:
-        for name, image in zip(names, rendered):
+        for name, image in zip(names, engine.render(svbrdf, lit)):
             images.write_linear(folder / name, image, transfer)
     say(f"wrote {len(names)} images of {name_of(maps)} to {out}")
     return 0

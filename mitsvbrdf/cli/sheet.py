@@ -9,7 +9,7 @@ from tyro.conf import arg
 
 from ..capture.align.sheet import Paper
 from ..system.progress import say, say_written
-from .options import Overwrite, check_new_file
+from .options import Overwrite, check_new_files
 
 
 def sheet(out: Annotated[Path, arg(aliases=["-o"], help="File to write: .pdf, .svg or .png.")] = Path("sheet.pdf"),
@@ -21,7 +21,7 @@ def sheet(out: Annotated[Path, arg(aliases=["-o"], help="File to write: .pdf, .s
     """
     from ..capture.align.sheet import write_sheet
 
-    check_new_file(out, overwrite)
+    check_new_files(out, overwrite=overwrite)
     write_sheet(out, size, paper)
     say_written(out)
     say("print it at 100 %; what to do next stands on it")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,8 +12,8 @@ from tyro.conf import arg
 from ..errors import ConfigError
 from ..render import RENDERERS, RendererName, make_renderer
 from ..system import files
-from ..system.progress import console, progress_bar, say, say_written
-from .options import Variant
+from ..system.progress import print_rich, progress_bar, say, say_written
+from .options import Overwrite, Variant, check_new_files
 
 Sweep = Literal["roughness", "tilt", "distance", "colour", "intensity", "clipped", "flat", "resolution", "views", "stiff"]
 VERDICT_COLOURS = {"exact": "green", "clamped": "dim", "degraded": "yellow", "limited": "yellow", "refused": "dim",
@@ -28,6 +27,7 @@ def stability(
     html_file: Annotated[Path | None, arg(name="html", help="Write a page with verdicts, figures and plots.")] = None,
     md: Annotated[Path | None, arg(help="Write the tables into this Markdown file, between its marks if it has them.")] = None,
     variant: Variant = "llvm_ad_rgb",
+    overwrite: Overwrite = False,
 ) -> int:
     """Sweep every parameter to its ends: errors, gradients, conditioning, step sizes, and a verdict on each renderer.
 
@@ -37,7 +37,8 @@ def stability(
     from ..verify.stability import SWEEPS
     from ..verify.stability import stability as run
 
-    files.check_output(json_file, html_file, md)
+    check_new_files(json_file, html_file, overwrite=overwrite, read=[md])
+    files.check_output(md)
     if md and (only or renderer != "all"):
         raise ConfigError("--md with every sweep and renderer", "--only or --renderer beside it",
                           "leave them out, or use --html: the page in the docs is replaced as a whole")
@@ -48,11 +49,6 @@ def stability(
     renderers = [make_renderer(name, variant) for name in names]
     with progress_bar("stability") as report:
         record = run(renderers, only or tuple(SWEEPS), report)
-    with contextlib.suppress(BrokenPipeError):
-        for key, title in record["sweeps"].items():
-            console.print(_table(title, [row for row in record["rows"] if row["sweep"] == key], record["renderers"]))
-    say("Verdict, and relative L2 error of image or worst gradient, the larger; rounding: what one float32 rounding of "
-        "the normals makes. exact: image within 1e-6, gradients within 1e-5; docs/stability.md explains the rest.")
     if json_file:
         files.write_json(json_file, record)
     if html_file or md:
@@ -61,6 +57,10 @@ def stability(
             write_stability_page(html_file, record)
         if md:
             write_stability_markdown(md, record)
+    for key, title in record["sweeps"].items():
+        print_rich(_table(title, [row for row in record["rows"] if row["sweep"] == key], record["renderers"]))
+    say("Verdict, and relative L2 error of image or worst gradient, the larger; rounding: what one float32 rounding of "
+        "the normals makes. exact: image within 1e-6, gradients within 1e-5; docs/stability.md explains the rest.")
     say_written(json_file, html_file, md)
     for found in record["violations"]:
         where = ", ".join(filter(None, (found["sweep"], found["label"], found["renderer"])))

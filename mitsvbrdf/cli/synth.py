@@ -19,7 +19,18 @@ from ..synth.phone import HandheldPhone, Spoil
 from ..synth.photos import write_handheld
 from ..system import result_folder
 from ..system.progress import say
-from .options import Material, Out, Overwrite, Variant, ViewSource, keep_apart, material_of, name_of, views_of
+from .options import (
+    Material,
+    Out,
+    Overwrite,
+    Variant,
+    ViewSource,
+    keep_apart,
+    keep_apart_from_maps,
+    material_of,
+    name_of,
+    views_of,
+)
 
 RECTIFIED_SIDE, MADE_SIDE = 256, 1024  # --resolution where it is left out
 PHONE = HandheldPhone()
@@ -43,6 +54,7 @@ def synth(material: Positional[Material], out: Out, phone: OmitArgPrefixes[Handh
     noise, JPEG and EXIF, and know nothing of where they were taken; --sheet lays a sheet of tags around the material.
     """
     check_seed(phone.seed)
+    keep_apart_from_maps(material, out)
     if handheld:
         unused = {"--views": views != "builtin:grid", "--noise": noise != 0, "--renderer": renderer != "mitsuba",
                   "--transfer": transfer != "gamma2.2"}
@@ -67,9 +79,8 @@ def _rectified(material: str, out: Path, views: str, resolution: int, noise: flo
     if svbrdf.resolution < resolution:
         say(f"the maps have {svbrdf.resolution} px, so have the photos")
     svbrdf = svbrdf.resized(min(resolution, svbrdf.resolution))
-    shots = photograph(svbrdf, lit, renderer, noise, seed, transfer)
     with result_folder.output_folder(out, overwrite) as folder:
-        write_capture(shots, folder)
+        write_capture(photograph(svbrdf, lit, renderer, noise, seed, transfer), folder)
     say(f"wrote {len(names)} photos and capture.json to {out}")
     return 0
 

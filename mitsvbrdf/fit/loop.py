@@ -94,6 +94,7 @@ class Loop:
                 if self.checkpoint and time.perf_counter() - saved > CHECKPOINT_SECONDS:
                     self.save()
                     saved = time.perf_counter()
+        why = "interrupted" if stop else why  # Ctrl-C may have come since we looked
         off_beat = self.iteration % self.beat > 0
         if off_beat:
             good, losses, seen = self._checked(good, losses)

@@ -18,7 +18,7 @@ import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
-from ..errors import OutputError
+from ..errors import ConfigError, OutputError
 
 # No link is followed, no pipe waited for. Each is a flag of some systems only.
 _CAREFULLY = sum(getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
@@ -147,6 +147,16 @@ def check_output(*paths: Path | None) -> None:
             probe.unlink()
         except OSError as reason:
             raise OutputError(f"to write {path}", reason.strerror or str(reason), "choose another place") from None
+
+
+def check_names(*names: str | Path) -> None:
+    """Raise ConfigError for names of files that are no text: what is not UTF-8 no page and no record can state."""
+    for name in map(str, names):
+        try:
+            name.encode()
+        except UnicodeEncodeError:
+            raise ConfigError("names of files in UTF-8", name.encode("utf-8", "backslashreplace").decode(),
+                              "rename the file or folder") from None
 
 
 def _places(path: Path) -> tuple[Path, Path]:

@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import rich.progress
 from rich.console import Console
@@ -14,7 +15,16 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-console = Console(stderr=False, highlight=False)
+
+class _Console(Console):
+    """A console that lets the work go on when nobody reads any more; rich would end the process."""
+
+    def on_broken_pipe(self) -> None:
+        """Nothing more is printed."""
+        self.quiet = True
+
+
+console = _Console(stderr=False, highlight=False)
 
 
 class Cell:
@@ -68,7 +78,7 @@ class Progress:
     def __enter__(self) -> Progress:
         if self.cell:
             self.cell.show(0.0, "")
-        elif sys.stdout.isatty():
+        elif on_terminal():
             self.live = Live(Text(self.title), console=console, refresh_per_second=4, transient=False)
             self.live.start()
         else:
@@ -109,7 +119,7 @@ def progress_bar(title: str) -> Iterator[Callable[[str, float], None]]:
         finally:
             cell.close()
         return
-    if sys.stdout.isatty():
+    if on_terminal():
         columns = (rich.progress.TextColumn("{task.description}", markup=False), rich.progress.BarColumn(),
                    rich.progress.TaskProgressColumn())
         with rich.progress.Progress(*columns, console=console, transient=True) as bar:
@@ -128,10 +138,23 @@ def progress_bar(title: str) -> Iterator[Callable[[str, float], None]]:
     yield line
 
 
+def on_terminal() -> bool:
+    """Whether a terminal shows what is printed; none does where standard output was closed."""
+    with contextlib.suppress(ValueError):
+        return sys.stdout is not None and sys.stdout.isatty()
+    return False
+
+
 def say(text: str) -> None:
-    """A plain line; when nobody reads any more the work goes on without."""
-    with contextlib.suppress(BrokenPipeError):
+    """A plain line; where nobody reads it, or there is no room for it, the work goes on without."""
+    with contextlib.suppress(OSError, ValueError):
         print(text, flush=True)
+
+
+def print_rich(*what: Any, **style: Any) -> None:
+    """Tables and what else rich can print; where that cannot be done the work goes on without."""
+    with contextlib.suppress(OSError, ValueError):
+        console.print(*what, **style)
 
 
 def several(count: int, one: str) -> str:
@@ -154,8 +177,7 @@ def print_profile(profile: dict) -> None:
     for name, part in (profile["parts"] | whole).items():
         table.add_row(name, f"{part['median']:.4f}", f"{part['low']:.4f} to {part['high']:.4f}", f"{part['share']:.1%}",
                       str(part["repeats"]))
-    with contextlib.suppress(BrokenPipeError):
-        console.print(table)
+    print_rich(table)
     beside = {"first steps": profile["warm_up"]} | profile["beside"]
     say("beside these: " + ", ".join(f"{name} {seconds:.2f} s" for name, seconds in beside.items()))
 
@@ -165,6 +187,5 @@ def print_numbers(title: str, numbers: dict[str, float]) -> None:
     table = Table(show_header=False)
     for name, value in numbers.items():
         table.add_row(name, f"{value:.4f}")
-    with contextlib.suppress(BrokenPipeError):
-        console.print(title, style="italic", markup=False, soft_wrap=True)
-        console.print(table)
+    print_rich(title, style="italic", markup=False, soft_wrap=True)
+    print_rich(table)

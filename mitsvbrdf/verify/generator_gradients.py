@@ -146,7 +146,7 @@ def main(json: Annotated[Path, tyro.conf.arg(metavar="FILE", help="Where the rec
          material: Annotated[str, tyro.conf.arg(help="The made material that is photographed.")] = "inlay",
          resolution: Annotated[int, tyro.conf.arg(help="Side of the maps in texels.")] = 64) -> int:
     """Compare the gradients of a generator's weights through every renderer with those through the float64 twin."""
-    files.check_output(json)
+    files.check_output(json, markdown)
     capture = photograph(make_material(material, resolution), nine_view_grid(), make_renderer("analytic"))
     record: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "material": material, "resolution": resolution,
                               "rows": measured(capture), "machine": machine(), "versions": versions()}
@@ -154,7 +154,6 @@ def main(json: Annotated[Path, tyro.conf.arg(metavar="FILE", help="Where the rec
     for row in record["rows"]:
         say(f"{row['method']:7} {row['bsdf']:15} {row['through']:24} {row['median']:.1e}  {row['largest']:.1e}")
     if markdown:
-        files.check_output(markdown)
         files.write_bytes(markdown, page(record).encode())
     say(f"wrote {json}")
     return 0

@@ -6,7 +6,6 @@ work, prints a table and keeps the record as JSON. A fit of an hour depends on w
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import itertools
 import os
@@ -27,7 +26,7 @@ from ..material.corner_cases import random_material
 from ..material.maps import SVBRDF, Bsdf
 from ..render import Renderer, RendererName, make_renderer
 from ..system import files
-from ..system.progress import console, say
+from ..system.progress import print_rich, say
 from ..system.timing import timed
 from ..views import Views
 
@@ -173,8 +172,7 @@ def show(records: Sequence[dict]) -> None:
         table.add_row(label(record), f"{memory['slope']:+.3f}", f"{memory['last']:.0f}", str(record["kernels"]["late"]),
                       f"{drjit['pools']:+.2f}" if drjit else "–", f"{step['last']:.1f}", f"{step['drift']:+.0%}",
                       style="red" if record["failures"] else None)
-    with contextlib.suppress(BrokenPipeError):
-        console.print(table)
+    print_rich(table)
     for record in records:
         for text in record["failures"]:
             say(f"{label(record)}: {text}")

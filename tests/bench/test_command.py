@@ -28,7 +28,7 @@ def test_other_settings_are_refused(tmp_path):
     assert Store(tmp_path / "b.json", SETTINGS).records == store.records
     with pytest.raises(ConfigError, match="resolution 16"):
         Store(tmp_path / "b.json", SETTINGS | {"resolution": 32})
-    assert Store(tmp_path / "b.json", SETTINGS | {"resolution": 32}, overwrite=True).records == []
+    assert Store(tmp_path / "b.json", SETTINGS | {"resolution": 32}, anew=True).records == []
     for part, name in (("versions", "mitsuba"), ("machine", "cores"), ("settings", "code")):
         content = json.loads((tmp_path / "b.json").read_text())
         content[part][name] = "another"
@@ -92,7 +92,7 @@ def test_quick_measures_everything(out, monkeypatch, tmp_path):
     monkeypatch.setattr("mitsvbrdf.bench.variants.VARIANTS", {"no neighbours": {"neighbours": False}})
     for suite in ("ablation", "all"):
         assert cli.main(["bench", "--quick", "--suite", suite, "--renderer", "analytic", "--resolution", "16", "--budgets",
-                         "0.1", "--repeats", "1", "--json", str(out), "--page", str(tmp_path / "p.md")]) == 0
+                         "0.1", "--repeats", "1", "--json", str(out), "--page", str(tmp_path / "p.md"), "--overwrite"]) == 0
     found = check_benchmark(json.loads(out.read_text()), "here")
     suites = [r["suite"] for r in found["records"]]
     assert suites.count("renderers") == 2 * (1 + 1) and suites.count("ablation") == 2
@@ -139,4 +139,4 @@ def test_a_file_that_is_no_benchmark_is_refused_and_kept(out, capsys):
     for content in ("{", "[]", '{"schema_version": 1}'):
         out.write_text(content)
         assert cli.main([*TINY, "--suite", "methods", "--methods", "direct", "--json", str(out)]) == 2
-        assert "--overwrite" in capsys.readouterr().err and out.read_text() == content
+        assert "--anew" in capsys.readouterr().err and out.read_text() == content

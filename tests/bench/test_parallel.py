@@ -139,6 +139,20 @@ def test_ctrl_c_keeps_what_is_done(tmp_path, monkeypatch):
     assert 0 < len(Store(tmp_path / "b.json", SETTINGS).records) < 8
 
 
+def test_ctrl_c_while_the_last_record_is_written(tmp_path, monkeypatch):
+    add, count = Store.add, []
+
+    def added(store, record):
+        count.append(add(store, record))
+        if len(count) == 8:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr(Store, "add", added)
+    with pytest.raises(KeyboardInterrupt):
+        measured(tmp_path, monkeypatch, {})
+    assert len(Store(tmp_path / "b.json", SETTINGS).records) == 8
+
+
 def test_a_child_makes_the_jobs_of_a_plan_once_and_warms_each_shape_up_once(tmp_path, monkeypatch):
     plan = json.loads(json.dumps(asdict(make_plan(tmp_path))))
     jobs = make_plan(tmp_path).jobs()[0]

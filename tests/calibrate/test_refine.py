@@ -191,7 +191,7 @@ def test_evaluate_prints_and_writes_both(tmp_path, capsys):
     plain = json.loads(figures.read_text())
     assert "refined" not in plain
     capsys.readouterr()
-    assert cli.main([*arguments, "--refine-views"]) == 0
+    assert cli.main([*arguments, "--refine-views", "--overwrite"]) == 0
     said, found = capsys.readouterr().out, json.loads(figures.read_text())
     assert {k: v for k, v in found.items() if k != "refined"} == plain
     assert set(found["refined"]["per_photo"]) == set(found["refined"]["views"]) == {"04", "07"}

@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 import warnings
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -199,14 +198,6 @@ def test_unknown_builtin_and_neither_reference_nor_capture(tmp_path, capsys):
     fails(capsys, tmp_path, ["evaluate", "builtin:tiles"], "--reference")
 
 
-def test_output_that_cannot_be_written(shots, tmp_path, capsys):
-    (tmp_path / "file").write_text("x")
-    fails(capsys, tmp_path, ["fit", shots, "-o", tmp_path / "file", *FAST], "file")
-    fails(capsys, tmp_path, ["fit", shots, "-o", tmp_path / "file/out", *FAST], "file")
-    if Path("/dev/full").exists() and Path("/proc/1").exists():
-        fails(capsys, tmp_path, ["fit", shots, "-o", "/proc/out", *FAST], "/proc/out")
-
-
 @pytest.mark.slow
 def test_without_libllvm_the_analytic_renderer_still_works(shots, tmp_path):
     # A process of its own: Dr.Jit's library is chosen once per process.
@@ -222,17 +213,3 @@ def test_without_libllvm_the_analytic_renderer_still_works(shots, tmp_path):
     assert refused.returncode == 2 and "libLLVM" in refused.stderr and "Traceback" not in refused.stderr
     assert not (tmp_path / "a").exists() and not (tmp_path / "a.partial").exists()
     assert run("fit", shots, "-o", tmp_path / "b", *FAST).returncode == 0
-
-
-@pytest.mark.parametrize("command", [
-    ["crosscheck", "--json"], ["crosscheck", "--html"], ["leave-out", "--json"], ["leave-out", "--md"], ["stability", "--json"],
-    ["stability", "--html"], ["stability", "--md"], ["evaluate", "builtin:tiles", "--reference", "builtin:tiles", "--json"]])
-def test_bad_outputs_are_found_before_the_work(command, tmp_path, monkeypatch, capsys):
-    for name in ("crosscheck.crosscheck", "leave_out.measure_leave_out", "stability.stability"):
-        monkeypatch.setattr(f"mitsvbrdf.verify.{name}", lambda *_, **__: pytest.fail("worked first"))
-    monkeypatch.setattr("mitsvbrdf.material.made.make_material", lambda *_: pytest.fail("worked first"))
-    (tmp_path / "file").write_text("mine")
-    fails(capsys, tmp_path, [*command, tmp_path], "a file to write")
-    fails(capsys, tmp_path, [*command, tmp_path / "file/record"], "file/record")
-    if command[:2] == ["stability", "--md"]:
-        fails(capsys, tmp_path, [*command, tmp_path / "file"], "without them")

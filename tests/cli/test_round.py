@@ -48,7 +48,7 @@ def test_a_whole_round(options, losses, shots, tmp_path, capsys):
     assert found["rerender_rmse"] == pytest.approx(record["rerender_rmse"], rel=1e-4)
     assert set(found["per_photo"]) == set(record["per_photo"])
 
-    assert cli.main(["evaluate", str(out), "--reference", "builtin:inlay", "--json", str(figures)]) == 0
+    assert cli.main(["evaluate", str(out), "--reference", "builtin:inlay", "--json", str(figures), "--overwrite"]) == 0
     assert set(json.loads(figures.read_text())) == {"diffuse", "specular", "roughness", "normal", "mean"}
 
     for extra in ([], ["--diffuse", "guessed"]):

@@ -145,7 +145,7 @@ def test_evaluate_finds_the_same_figures(compared, shots):
     folder, record, _, _ = compared
     for path, method in ((folder / "fit", record["methods"][0]), (folder / "a&b <i>", record["methods"][1])):
         found = folder / "evaluate.json"
-        common = ["evaluate", str(path), "--json", str(found)]
+        common = ["evaluate", str(path), "--json", str(found), "--overwrite"]
         assert cli.main([*common, "--capture", str(shots[0].source), "--renderer", "analytic", "--resolution", str(SIDE)]) == 0
         alone = json.loads(found.read_text())
         for name in ("rerender_rmse", "per_photo"):

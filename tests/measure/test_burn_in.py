@@ -145,7 +145,7 @@ def test_evaluate_looks_at_the_photos_of_the_fit(tmp_path):
     # From the files: EXR keeps the maps' float32.
     assert json.loads((tmp_path / "e.json").read_text())["burn_in"] == pytest.approx(record, rel=1e-4)
     (tmp_path / "out/fit.json").unlink()
-    assert cli.main(["evaluate", out, *arguments]) == 0
+    assert cli.main(["evaluate", out, *arguments, "--overwrite"]) == 0
     found = json.loads((tmp_path / "e.json").read_text())["burn_in"]
     assert found == burn_in(load_maps(out), read_capture(tmp_path / "shots").views.pick([4, 7]))
     assert found["roughness"] != pytest.approx(record["roughness"], rel=1e-2)

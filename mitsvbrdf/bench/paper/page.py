@@ -46,6 +46,11 @@ SCHEDULE = (
     "stage, and 2 hours for the second of two.")
 
 
+def gan_page_files(path: Path | None) -> list[Path]:
+    """The page and the picture that it may have beside it; nothing for None."""
+    return [path, path.with_name(f"{path.stem}-schedule.svg")] if path else []
+
+
 def write_gan_page(path: str | Path, record: Mapping) -> list[Path]:
     """Write the page, and its pictures beside it under the page's own name.
 
@@ -59,8 +64,7 @@ def write_gan_page(path: str | Path, record: Mapping) -> list[Path]:
     Raises:
         OutputError: a file cannot be written.
     """
-    path = Path(path)
-    curve = path.with_name(f"{path.stem}-schedule.svg")
+    path, curve = gan_page_files(Path(path))
     drawing = schedule_figure(record)
     files.write_bytes(path, gan_page(record, curve.name).encode())
     if drawing is None:

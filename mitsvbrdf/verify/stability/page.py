@@ -14,6 +14,7 @@ from ...errors import OutputError
 from ...pages.colours import CHART_FAINT
 from ...pages.page import figure, svg, write_page
 from ...system import files
+from ...system.shared_file import held
 from ..charts import BSDF_MARKS, bounded_panel
 from .clamps import CLAMPS
 from .verdict import VERDICTS
@@ -79,9 +80,10 @@ def write_stability_markdown(path: str | Path, record: dict) -> None:
     Raises:
         OutputError: the file is there but has no marks, or cannot be written.
     """
-    before, after = around_tables(path)
     text = "\n".join([BEGIN, *_markdown(record), END])
-    files.write_bytes(Path(path), (before + text + after).encode(errors="surrogateescape"))
+    with held(Path(path)):
+        before, after = around_tables(path)
+        files.write_bytes(Path(path), (before + text + after).encode(errors="surrogateescape"))
 
 
 def around_tables(path: str | Path) -> tuple[str, str]:
@@ -91,7 +93,7 @@ def around_tables(path: str | Path) -> tuple[str, str]:
         OutputError: the file is there but has no marks.
     """
     path = Path(path)
-    if not path.is_file():
+    if not path.is_file() or not path.stat().st_size:
         return "# Numerical stability\n\n", "\n"
     before, begin, rest = path.read_text(encoding="utf-8", errors="surrogateescape").partition(BEGIN)
     _, end, after = rest.partition(END)

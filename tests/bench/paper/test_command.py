@@ -18,7 +18,7 @@ def test_all_suites_end_in_one_page(tmp_path, monkeypatch):
     for suite, *more in (("gan", "--variants", "no adversarial loss,bce"), ("methods", "--methods", "gan,gan-two-stage"),
                          ("schedule", "--schedule-size", "16", "--schedule-width", "4", "--iterations", "4"),
                          ("sheets", "--methods", "direct")):
-        assert cli.main([*TINY, "--suite", suite, "--json", str(out), "--gan-page", str(page), *more]) == 0
+        assert cli.main([*TINY, "--suite", suite, "--json", str(out), "--gan-page", str(page), *more, "--overwrite"]) == 0
     found = check_benchmark(json.loads(out.read_text()), "here")
     assert [(r["suite"], r.get("method")) for r in found["records"]] == [
         ("references", None), ("gan", "full"), ("gan", "no adversarial loss"), ("gan", "bce"), ("methods", "gan"),
@@ -29,7 +29,7 @@ def test_all_suites_end_in_one_page(tmp_path, monkeypatch):
         assert words in text, words
     assert (tmp_path / "gan-inlay.jpg").is_file() and (tmp_path / "gan-schedule.svg").is_file()
     before = page.read_bytes()
-    assert cli.main(["bench", "--suite", "none", "--json", str(out), "--gan-page", str(page)]) == 0
+    assert cli.main(["bench", "--suite", "none", "--json", str(out), "--gan-page", str(page), "--overwrite"]) == 0
     assert page.read_bytes() == before
 
 
