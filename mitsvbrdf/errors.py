@@ -97,7 +97,7 @@ def exit_code(command: Callable[[], int], interrupted: str = "interrupted") -> i
         interrupted: what to say after Ctrl-C.
     """
     try:
-        return command()
+        return _interruptible(command)
     except MitsvbrdfError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -120,3 +120,16 @@ def exit_code(command: Callable[[], int], interrupted: str = "interrupted") -> i
     except KeyboardInterrupt:
         print(interrupted, file=sys.stderr)
         return 130
+
+
+def _interruptible(command: Callable[[], int]) -> int:
+    """Run a command; Ctrl-C is KeyboardInterrupt again where Dr.Jit made a RuntimeError of it, in a render of Mitsuba."""
+    try:
+        return command()
+    except RuntimeError as error:
+        cause = error.__cause__
+        while cause and not isinstance(cause, KeyboardInterrupt):
+            cause = cause.__cause__
+        if cause:
+            raise cause from None
+        raise

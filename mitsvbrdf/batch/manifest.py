@@ -26,6 +26,11 @@ IN_MEMORY = ":memory:"  # in place of a file: for simulations
 HASHES_SECONDS = 5.0  # between two writings of hashes: what Ctrl-C may cost
 SHORT = 8  # letters of an identity that a folder's name has, beside the capture's
 UNIQUE = 16  # and that an attempt's name has, alone: of 100,000 captures, two are likely to share eight
+AWAY = "move it away; results are found again"
+# SQLite holds anything in any column; this is what ours hold.
+_KINDS = dict.fromkeys(("identity", "name", "folder", "source", "asked", "own", "tags", "state", "reason"), (str,)) | {
+    "cost": (int, float), "attempts": (int,), "seconds": (int, float, type(None)), "peak_bytes": (int, float, type(None))
+} | dict.fromkeys(("published", "worker", "host", "date", "row"), (str, type(None)))
 _TABLES = """
 create table if not exists materials (
   identity text primary key, name text not null, folder text not null unique, source text not null, asked text not null,
@@ -90,7 +95,7 @@ class Manifest:
             self.db.row_factory = sqlite3.Row
         except sqlite3.Error as reason:
             raise OutputError("a library's manifest", f"{path}: {reason}",
-                              _way_out(reason, "move it away; results are found again")) from None
+                              _way_out(reason, AWAY)) from None
         if version != VERSION:
             raise OutputError(f"a manifest of version {VERSION}", f"{version} in {path}", "use the version that made it")
 
@@ -109,12 +114,18 @@ class Manifest:
         except sqlite3.Error as reason:
             raise OutputError(f"to write {self.path}", str(reason), _way_out(reason, "free space, or check the disk")) from None
 
+    def _read(self, query: str, *values: object) -> list[sqlite3.Row]:
+        try:
+            return self.db.execute(query, values).fetchall()
+        except sqlite3.Error as reason:
+            raise OutputError("a library's manifest", f"{self.path}: {reason}", _way_out(reason, AWAY)) from None
+
     def hash_of(self, path: Path) -> str:
         """A file's SHA-256, remembered for as long as its size and time of change stay."""
         stat, name = path.stat(), os.path.abspath(path)
-        known = self.db.execute("select * from hashes where path = ?", (name,)).fetchone()
-        if known and (known["bytes"], known["changed"]) == (stat.st_size, stat.st_mtime_ns):
-            return known["sha256"]
+        for known in self._read("select * from hashes where path = ?", name):
+            if (known["bytes"], known["changed"]) == (stat.st_size, stat.st_mtime_ns):
+                return known["sha256"]
         found = file_hash(path)
         self._hashes.append((name, stat.st_size, stat.st_mtime_ns, found))
         if time.monotonic() > self._hashes_due:
@@ -162,17 +173,20 @@ class Manifest:
     def materials(self, *states: str, wanted: bool = True) -> list[sqlite3.Row]:
         """The materials in these states, all where none is named; by name."""
         some = f" and state in ({', '.join('?' * len(states))})" if states else ""
-        return self.db.execute(f"select * from materials where wanted >= ?{some} order by name, identity",
-                               (int(wanted), *states)).fetchall()
+        found = self._read(f"select * from materials where wanted >= ?{some} order by name, identity", int(wanted), *states)
+        for each in found:
+            if wrong := next((name for name, kinds in _KINDS.items() if not isinstance(each[name], kinds)), None):
+                raise OutputError("a library's manifest", f"{self.path}, with {each[wrong]!r:.60} as {wrong}", AWAY)
+        return found
 
     def material(self, identity: str) -> sqlite3.Row:
         """The material of an identity."""
-        return self.db.execute("select * from materials where identity = ?", (identity,)).fetchone()
+        return self._read("select * from materials where identity = ?", identity)[0]
 
     def counts(self) -> dict[str, int]:
         """How many are wanted in each state."""
         return {"done": 0, "failed": 0, "running": 0, "pending": 0} | dict(
-            map(tuple, self.db.execute("select state, count(*) from materials where wanted = 1 group by state")))
+            map(tuple, self._read("select state, count(*) from materials where wanted = 1 group by state")))
 
     def begin(self, identity: str, worker: str, host: str) -> str:
         """An attempt begins; returns its name."""

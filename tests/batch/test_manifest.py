@@ -10,6 +10,7 @@ import sys
 import pytest
 
 from mitsvbrdf.batch import manifest as manifest_module
+from mitsvbrdf.batch.library.rows import rows
 from mitsvbrdf.batch.manifest import Manifest
 from mitsvbrdf.errors import OutputError
 from mitsvbrdf.system.files import file_hash
@@ -221,3 +222,36 @@ def test_a_full_disk_is_told_as_such(manifest):
 def test_a_place_without_rights_is_told_as_such(tmp_path):
     with pytest.raises(OutputError, match="check your rights"):
         Manifest(tmp_path / "nowhere/manifest.sqlite")
+
+
+@pytest.mark.parametrize("column, value", [
+    ("name", b"wood"), ("folder", None), ("attempts", "many"), ("cost", "x"), ("seconds", "x"), ("row", 7), ("host", b"\xff"),
+    ("asked", "{"), ("asked", "[]"), ("asked", '{"config": 1}'), ("tags", "maps"), ("tags", "{}"), ("row", "[" * 100_000),
+    ("row", '{"error": "none"}'), ("row", '{"warnings": 3}'), ("row", "[1]")])
+def test_rows_that_somebody_tampered_with_are_one_error(column, value, tmp_path):
+    manifest = Manifest(tmp_path / "manifest.sqlite")
+    asked = {"folder": "/", "config": {"method": "gan"}, "options": {"resolution": 64}}
+    manifest.want([material("a", asked=asked)])
+    assert [row["method"] for row in rows(manifest)] == ["gan"]
+    manifest.db.executescript("create table other as select * from materials; drop table materials; "  # takes null too
+                              "alter table other rename to materials")
+    with manifest.db:
+        manifest.db.execute(f"update materials set {column} = ?", (value,))
+    with pytest.raises(OutputError, match="move it away"):
+        list(rows(manifest))
+    manifest.close()
+
+
+def test_pages_that_are_damaged_are_one_error(tmp_path):
+    path = tmp_path / "manifest.sqlite"
+    manifest = Manifest(path)
+    manifest.want(material(chr(97 + k), f"wood-{k}" * 99) for k in range(20))
+    manifest.close()
+    with path.open("r+b") as file:
+        file.seek(4096)
+        file.write(b"\xff" * (path.stat().st_size - 4096))
+    manifest = Manifest(path, readonly=True)
+    for read in (manifest.materials, manifest.counts):
+        with pytest.raises(OutputError, match="malformed.*move it away"):
+            read()
+    manifest.close()

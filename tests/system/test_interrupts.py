@@ -4,6 +4,8 @@ import signal
 
 import pytest
 
+from mitsvbrdf.errors import exit_code
+from mitsvbrdf.render.llvm import mitsuba_module
 from mitsvbrdf.system.interrupts import stop_signals
 
 
@@ -42,3 +44,24 @@ def test_somebody_else_listens():
     with stop_signals() as stop:
         signal.raise_signal(signal.SIGINT)
         assert heard and not stop
+
+
+def test_ctrl_c_in_a_render_of_mitsuba_ends_with_130(capsys):
+    # Dr.Jit makes a RuntimeError of whatever is raised while mi.render runs.
+    mi = mitsuba_module("llvm_ad_rgb")
+
+    class Interrupted(mi.SamplingIntegrator):
+        def sample(self, *_: object, **__: object) -> None:
+            signal.raise_signal(signal.SIGINT)
+
+    mi.register_integrator("interrupted", Interrupted)
+    sensor = {"type": "perspective", "film": {"type": "hdrfilm", "width": 8, "height": 8}}
+    scene = mi.load_dict({"type": "scene", "integrator": {"type": "interrupted"}, "sensor": sensor})
+    assert exit_code(lambda: mi.render(scene, spp=1) and 0) == 130
+    assert capsys.readouterr().err.count("interrupted") == 1
+
+    def fault() -> int:
+        raise RuntimeError("a fault") from ValueError("x")
+
+    with pytest.raises(RuntimeError, match="a fault"):
+        exit_code(fault)

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ... import __version__
-from ...errors import MapsError
+from ...errors import MapsError, OutputError
 from ...system.files import write_json
 from ...system.json_files import load
-from ..manifest import FILE, Manifest, now
+from ..manifest import AWAY, FILE, Manifest, now
 from ..places.place import QUARANTINE
 
 if TYPE_CHECKING:
@@ -22,6 +22,11 @@ if TYPE_CHECKING:
 
 INDEX = "library.json"
 UNFINISHED = "running", "pending"
+# Of a row, what its readers count with.
+_KINDS = dict.fromkeys(("error", "left_out_error", "burn_in", "seconds", "peak_bytes", "photos", "resolution"),
+                       (int, float, type(None))) | {
+    "attempts": (int,), "warnings": (list,), "tags": (list,), "method": (str,), "preview": (str, type(None)),
+    "report": (str, type(None))}
 
 
 def row_of(folder: Path, shown: Capture | None, engine: Renderer) -> dict:
@@ -58,9 +63,17 @@ def rows(manifest: Manifest, wanted: bool = True) -> Iterator[dict]:
     Args:
         manifest: of the library.
         wanted: whether results that a newer one of the same capture took the place of are left out.
+
+    Raises:
+        OutputError: a row holds something else.
     """
     for each in manifest.materials(wanted=wanted):
-        row = _row(each)
+        try:
+            row = _row(each)
+            if wrong := next((name for name, kinds in _KINDS.items() if not isinstance(row[name], kinds)), None):
+                raise ValueError(f"its {wrong} is of another kind")
+        except (ValueError, KeyError, TypeError, RecursionError) as reason:
+            raise OutputError("a library's manifest", f"{manifest.path}, {each['name']}: {reason}", AWAY) from None
         yield row | {"log": _log(manifest.path.parent, row["folder"]) if row["state"] == "failed" else None}
 
 
