@@ -14,6 +14,7 @@ import torch
 from .. import color
 from ..errors import CaptureError, ConfigError
 from ..system import files, images
+from ..system.entry import entry
 from ..views import FIELD_OF_VIEW, Falloff, default_views, field_of_view
 from .calibrated import from_json, from_text
 from .capture import LEAST_SIDE, Capture
@@ -22,6 +23,7 @@ from .photo import UNTURNED, Photo, Unreadable, differences, photos_in
 MOST_SQUARE = 2048  # pixels a side of what is read of a photo without calibration
 
 
+@entry()
 def read_capture(
     folder: str | Path,
     resolution: int | None = None,
@@ -86,6 +88,7 @@ def read_capture(
     return capture
 
 
+@entry()
 def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None) -> None:
     """Write ``capture.json`` and ``target/NN.png``, so that :func:`read_capture` gives the same back.
 

@@ -16,6 +16,7 @@ from torch import Tensor
 from .. import color
 from ..errors import ConfigError, MapsError, MapsWarning
 from ..system import files, images
+from ..system.entry import entry
 from .maps import CHANNELS, COLOURS, LOWEST_Z, SVBRDF, Bsdf
 
 # How the fields' files are encoded, by the names that material.json and --encoding use.
@@ -32,6 +33,7 @@ FEW = 0.01  # share of the texels at which that is mended; a map with more is in
 RAISED = 1 / 255  # their z: the lowest above 0 that an 8-bit file holds
 
 
+@entry()
 def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None = None) -> SVBRDF:
     """Read a folder of maps.
 
@@ -154,6 +156,7 @@ def _lifted(normal: Tensor, path: Path) -> Tensor:
     return torch.where(under, F.normalize(raised, dim=-1), normal)
 
 
+@entry()
 def save_maps(svbrdf: SVBRDF, folder: str | Path, **about: object) -> None:
     """Write a material: float32 EXR masters (linear), 16-bit PNGs (colours sRGB, the rest linear), material.json.
 

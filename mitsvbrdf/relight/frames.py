@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ..errors import ConfigError, MapsError, MitsvbrdfError
 from ..system import files, images
+from ..system.entry import entry
 from ..system.provenance import machine, versions
 from .passes import Rendered, Stop, render_frame, shown
 from .stage import Stage
@@ -99,6 +100,7 @@ def go_on(settings: Mapping, out: Path, folder: Path) -> Record:
     return record
 
 
+@entry()
 def render_stages(mi: ModuleType, stages: Sequence[Stage], stop: Stop, record: Record, folder: Path, *, seed: int = 0,
                   exposure: float = 0.0,
                   report: Callable[[str, float], object] = lambda text, share: None, done: Callable[[Stage], object],

@@ -27,6 +27,7 @@ from ..material.corner_cases import random_material
 from ..material.maps import SVBRDF, Bsdf
 from ..render import Renderer, RendererName, make_renderer
 from ..system import files
+from ..system.entry import entry
 from ..system.progress import console, say
 from ..system.timing import timed
 from ..views import Views
@@ -36,6 +37,7 @@ WARM_UP = 0.2  # share of the steps during which pools and caches may still fill
 SAMPLES_KEPT = 100  # memory samples kept in the record of a case
 
 
+@entry(gradients=True)
 def soak(renderers: Sequence[Renderer], bsdf: Bsdf, work: str, steps: int, resolution: int = 64) -> dict:
     """Run many steps and measure what they leave behind.
 

@@ -1,0 +1,96 @@
+"""Mitsuba and Dr.Jit for one thread at a time, and pictures whose gradient belongs to them.
+
+Neither bears two threads: two that trace at once draw wrong pictures or end the process, and ``dr.wrap`` keeps the description
+of its latest result in a global variable. So whoever needs Mitsuba holds :func:`using_mitsuba` meanwhile: to import it, to make
+a scene, to draw, and, in whatever thread autograd works, to go backward. In between other threads may draw.
+
+The replay trap: a Mitsuba scene is one mutable object, and the calls it makes per ray are traced again *as the scene is
+at backward time*. Moving the camera, or drawing a preview, between forward and backward then silently gives gradients of
+the wrong picture. :class:`Drawing` is the guard: a backward pass whose scene was touched since draws its own picture again
+first, from the maps and views it kept.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from types import ModuleType
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from ..system.lock import PROCESS
+from .llvm import mitsuba_module
+
+
+@contextlib.contextmanager
+def using_mitsuba(variant: str = "llvm_ad_rgb") -> Iterator[ModuleType]:
+    """The ``mitsuba`` module with this variant set, for this thread alone; afterwards one set before is set again.
+
+    Threads that call the package need none of this; those that use Mitsuba or Dr.Jit by themselves beside it hold it too. It
+    may be entered again inside itself. Not to be held around a backward pass of tensors on a GPU, which autograd makes in a
+    thread of its own.
+
+    Raises:
+        BackendError: Mitsuba, the variant, a GPU or libLLVM is missing.
+    """
+    with PROCESS:
+        before = "mitsuba" in sys.modules and sys.modules["mitsuba"].variant() or variant
+        mi = mitsuba_module(variant)
+        try:
+            yield mi
+        finally:
+            if mi.variant() != before:
+                mi.set_variant(before)
+
+
+class Drawing:
+    """A function of torch tensors that Mitsuba computes, differentiable once; any thread may call it and go backward.
+
+    Args:
+        variant: of Mitsuba.
+        function: as ``dr.wrap`` makes it: of tensors, to a list of pictures.
+        replayed: whether it is traced again in the backward pass, from what its scene is by then.
+    """
+
+    def __init__(self, variant: str, function: Callable[..., list[Tensor]], replayed: bool) -> None:
+        self.variant, self.function, self.replayed = variant, function, replayed
+        self.drawn = 0  # so often: tells a backward pass whether the scene is still as it left it
+
+    def __call__(self, *inputs: Tensor) -> Tensor:
+        """The pictures stacked: N x R x R x 3."""
+        wanted = [torch.is_grad_enabled() and tensor.requires_grad for tensor in inputs]
+        return _Recorded.apply(self, wanted, *inputs) if any(wanted) else self.draw(inputs, wanted)[1]
+
+    def draw(self, inputs: Sequence[Tensor], wanted: Sequence[bool]) -> tuple[list[Tensor], Tensor]:
+        """Leaves that stand for the inputs, and the pictures with a graph to those whose gradient is wanted."""
+        leaves = [tensor.detach().requires_grad_(want) for tensor, want in zip(inputs, wanted)]
+        with using_mitsuba(self.variant), torch.set_grad_enabled(any(wanted)):
+            self.drawn += 1
+            return leaves, torch.stack(self.function(*leaves))
+
+
+class _Recorded(torch.autograd.Function):
+    """The pictures of a drawing in torch's graph."""
+
+    @staticmethod
+    def forward(ctx: Any, drawing: Drawing, wanted: list[bool], *inputs: Tensor) -> Tensor:
+        ctx.save_for_backward(*inputs)
+        with using_mitsuba(drawing.variant):
+            ctx.drawing, ctx.wanted, ctx.record = drawing, wanted, drawing.draw(inputs, wanted)
+            ctx.drawn = drawing.drawn
+        return ctx.record[1].detach()
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor | None, ...]:
+        drawing, wanted, inputs = ctx.drawing, ctx.wanted, ctx.saved_tensors  # raises where one was changed in place since
+        with using_mitsuba(drawing.variant):
+            if ctx.record is None or drawing.replayed and ctx.drawn != drawing.drawn:
+                ctx.record = drawing.draw(inputs, wanted)
+            (leaves, images), ctx.record = ctx.record, None
+            gradients = iter(torch.autograd.grad(images, [leaf for leaf in leaves if leaf.requires_grad], cotangent))
+        return None, None, *(next(gradients) if want else None for want in wanted)
