@@ -13,8 +13,10 @@ first, from the maps and views it kept.
 from __future__ import annotations
 
 import contextlib
+import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from types import ModuleType
 from typing import Any
 
@@ -22,6 +24,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from ..system.entry import put_back
 from ..system.lock import PROCESS
 from .llvm import mitsuba_module
 
@@ -43,8 +46,32 @@ def using_mitsuba(variant: str = "llvm_ad_rgb") -> Iterator[ModuleType]:
         try:
             yield mi
         finally:
+            if hasattr(signal, "siginterrupt"):  # Mitsuba's render leaves a Ctrl-C that wakes no waiting thread
+                signal.siginterrupt(signal.SIGINT, True)
             if mi.variant() != before:
-                mi.set_variant(before)
+                put_back("the Mitsuba variant", partial(_set_again, mi, before))  # later, since it takes some 80 ms
+
+
+def _set_again(mi: ModuleType, variant: str) -> None:
+    with PROCESS:
+        mi.set_variant(variant)
+
+
+@contextlib.contextmanager
+def _drawing(variant: str) -> Iterator[None]:
+    """Mitsuba with this variant, and gradients that are the same bits in every run.
+
+    Else Dr.Jit's threads add gradients up in copies of their own, of which views they happen to compute.
+    """
+    with using_mitsuba(variant):
+        import drjit as dr
+
+        before = dr.expand_threshold()
+        dr.set_expand_threshold(0)
+        try:
+            yield
+        finally:
+            dr.set_expand_threshold(before)
 
 
 class Drawing:
@@ -68,7 +95,7 @@ class Drawing:
     def draw(self, inputs: Sequence[Tensor], wanted: Sequence[bool]) -> tuple[list[Tensor], Tensor]:
         """Leaves that stand for the inputs, and the pictures with a graph to those whose gradient is wanted."""
         leaves = [tensor.detach().requires_grad_(want) for tensor, want in zip(inputs, wanted)]
-        with using_mitsuba(self.variant), torch.set_grad_enabled(any(wanted)):
+        with _drawing(self.variant), torch.set_grad_enabled(any(wanted)):
             self.drawn += 1
             return leaves, torch.stack(self.function(*leaves))
 
@@ -88,7 +115,7 @@ class _Recorded(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor | None, ...]:
         drawing, wanted, inputs = ctx.drawing, ctx.wanted, ctx.saved_tensors  # raises where one was changed in place since
-        with using_mitsuba(drawing.variant):
+        with _drawing(drawing.variant):
             if ctx.record is None or drawing.replayed and ctx.drawn != drawing.drawn:
                 ctx.record = drawing.draw(inputs, wanted)
             (leaves, images), ctx.record = ctx.record, None

@@ -23,6 +23,7 @@ T = TypeVar("T")
 _counting = threading.Lock()
 _inside: set[object] = set()  # the calls behind the edge, of all threads
 _found = torch.float32  # the default dtype before the first of them
+_later: dict[str, Callable[[], object]] = {}  # by what it is about, what puts it back after the last of them
 
 
 def entry(gradients: bool = False) -> Callable[[Callable[P, T]], Callable[P, T]]:
@@ -62,10 +63,29 @@ def _float32() -> Iterator[None]:
             torch.set_default_dtype(torch.float32)
         yield
     finally:
+        over = list[Callable[[], object]]()
         with _counting:
             _inside.discard(call)
             if not _inside:
                 torch.set_default_dtype(_found)
+                over += _later.values()
+                _later.clear()
+        for undo in over:
+            undo()
+
+
+def put_back(what: str, undo: Callable[[], object]) -> None:
+    """Undo a change of what the process has once: after the last call behind the edge, or now where there is none.
+
+    Args:
+        what: was changed; of several changes the first is undone.
+        undo: puts back what was found.
+    """
+    with _counting:
+        if _inside:
+            _later.setdefault(what, undo)
+            return
+    undo()
 
 
 def _ordinary(value: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
 import signal
@@ -114,45 +115,45 @@ def test_the_variant_of_a_program_is_left_as_it_was(name):
 
 
 def test_ctrl_c_while_another_thread_draws():
-    # Whoever waits for the lock is interrupted, and does not keep it.
+    # Whoever waits for the lock is interrupted, and does not keep it; after a render of Mitsuba, too, which sets handlers.
+    make_renderer("mitsuba-scene").render(random_material("roughconductor", 8), GRID.pick([0]))
     held, done = threading.Event(), threading.Event()
 
     def draw():
         with using_mitsuba():
             held.set()
-            done.wait(10)
+            assert done.wait(10)
 
-    with ThreadPoolExecutor(1) as pool:
+    def press():  # until it is heard: an interrupt that comes just before the wait begins is heard after it
+        while not done.wait(0.1):
+            os.kill(os.getpid(), signal.SIGINT)
+
+    with ThreadPoolExecutor(2) as pool:
         other = pool.submit(draw)
-        held.wait(10)
-        threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGINT)).start()
-        with pytest.raises(KeyboardInterrupt), using_mitsuba():
-            pass
-        assert not other.done()
+        assert held.wait(10)
+        with pytest.raises(KeyboardInterrupt):
+            pool.submit(press)
+            with using_mitsuba():
+                pass
         done.set()
         other.result()
+    with ThreadPoolExecutor(1) as pool:
         assert pool.submit(PROCESS.acquire, timeout=5).result()
         pool.submit(PROCESS.release).result()
 
 
 def test_ctrl_c_at_any_moment_frees_the_lock():
-    renderer, material = make_renderer("mitsuba"), random_material("roughconductor", 8)
-    renderer.render(material, GRID)
-
     def interrupt(*_):
         raise KeyboardInterrupt
 
     before = signal.signal(signal.SIGALRM, interrupt)
     try:
-        for turn in range(100):
-            try:
-                signal.setitimer(signal.ITIMER_REAL, 1e-6 + turn * 5e-5)
+        for turn in range(200):
+            with contextlib.suppress(KeyboardInterrupt):
+                signal.setitimer(signal.ITIMER_REAL, 1e-4 + turn * 1e-6)
                 while True:
                     with using_mitsuba():
                         pass
-                    renderer.render(material, GRID)
-            except KeyboardInterrupt:
-                pass
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)

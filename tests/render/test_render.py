@@ -122,14 +122,15 @@ def test_second_backward_of_a_traced_picture():
     image = make_renderer("mitsuba-scene").render(leaves, GRID.pick([0, 1]))
     first = torch.autograd.grad(image.sum(), list(leaves.maps.values()), retain_graph=True)
     again = torch.autograd.grad(image.sum(), list(leaves.maps.values()))
-    for a, b in zip(first, again):
-        assert gradient_error(a, b)["relative_l2"] < 1e-6  # drawn anew: same numbers but for the order of atomic adds
+    assert all(map(torch.equal, first, again))  # drawn anew
 
 
-def test_texel_gradients_are_the_same_bits_every_time():
-    renderer, material = make_renderer("mitsuba"), random_material("roughconductor")
-    first, second = (render_and_gradients(renderer, material, GRID).gradients for _ in range(2))
-    assert all(torch.equal(first[name], second[name]) for name in first)
+@pytest.mark.parametrize("name", ["mitsuba", "mitsuba-scene"])
+def test_gradients_are_the_same_bits_every_time(name):
+    # Of mitsuba-scene two of three were not, in roughness, by 4e-10: Dr.Jit's threads added views up as they came.
+    renderer, material = make_renderer(name), random_material("roughconductor", 8)
+    first, *others = (render_and_gradients(renderer, material, GRID).gradients for _ in range(8))
+    assert all(torch.equal(first[name], other[name]) for name in first for other in others)
 
 
 def test_more_views_than_one_kernel_holds():
