@@ -6,8 +6,9 @@ a scene, to draw, and, in whatever thread autograd works, to go backward. In bet
 
 The replay trap: a Mitsuba scene is one mutable object, and the calls it makes per ray are traced again *as the scene is
 at backward time*. Moving the camera, or drawing a preview, between forward and backward then silently gives gradients of
-the wrong picture. :class:`Drawing` is the guard: a backward pass whose scene was touched since draws its own picture again
-first, from the maps and views it kept.
+the wrong picture; and since Dr.Jit traces such calls through every scene there is, a backward pass of one scene leaves none
+but zeros to a picture of another that was drawn before. :class:`Drawing` is the guard: a backward pass after any other
+picture of any scene draws its own again first, from the maps and views it kept.
 """
 
 from __future__ import annotations
@@ -83,9 +84,10 @@ class Drawing:
         replayed: whether it is traced again in the backward pass, from what its scene is by then.
     """
 
+    drawn = 0  # pictures of all scenes so far: tells a backward pass whether scenes are still as it left them
+
     def __init__(self, variant: str, function: Callable[..., list[Tensor]], replayed: bool) -> None:
         self.variant, self.function, self.replayed = variant, function, replayed
-        self.drawn = 0  # so often: tells a backward pass whether the scene is still as it left it
 
     def __call__(self, *inputs: Tensor) -> Tensor:
         """The pictures stacked: N x R x R x 3."""
@@ -96,7 +98,7 @@ class Drawing:
         """Leaves that stand for the inputs, and the pictures with a graph to those whose gradient is wanted."""
         leaves = [tensor.detach().requires_grad_(want) for tensor, want in zip(inputs, wanted)]
         with _drawing(self.variant), torch.set_grad_enabled(any(wanted)):
-            self.drawn += 1
+            Drawing.drawn += self.replayed
             return leaves, torch.stack(self.function(*leaves))
 
 
@@ -108,7 +110,7 @@ class _Recorded(torch.autograd.Function):
         ctx.save_for_backward(*inputs)
         with using_mitsuba(drawing.variant):
             ctx.drawing, ctx.wanted, ctx.record = drawing, wanted, drawing.draw(inputs, wanted)
-            ctx.drawn = drawing.drawn
+            ctx.drawn = Drawing.drawn
         return ctx.record[1].detach()
 
     @staticmethod
@@ -116,7 +118,7 @@ class _Recorded(torch.autograd.Function):
     def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor | None, ...]:
         drawing, wanted, inputs = ctx.drawing, ctx.wanted, ctx.saved_tensors  # raises where one was changed in place since
         with _drawing(drawing.variant):
-            if ctx.record is None or drawing.replayed and ctx.drawn != drawing.drawn:
+            if ctx.record is None or drawing.replayed and ctx.drawn != Drawing.drawn:
                 ctx.record = drawing.draw(inputs, wanted)
             (leaves, images), ctx.record = ctx.record, None
             gradients = iter(torch.autograd.grad(images, [leaf for leaf in leaves if leaf.requires_grad], cotangent))

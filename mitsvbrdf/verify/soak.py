@@ -207,10 +207,10 @@ def main(steps: Annotated[int, tyro.conf.arg(help="Steps of each case; below som
     return int(any(record["failures"] for record in records))
 
 
-def entry() -> int:
+def command() -> int:
     """:func:`main` with the arguments of the process; returns the exit code."""
     return exit_code(lambda: tyro.cli(main, prog="./run soak"), "interrupted; the JSON file has each case that was finished")
 
 
 if __name__ == "__main__":
-    sys.exit(entry())
+    sys.exit(command())
