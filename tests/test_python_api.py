@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import pytest
 import torch
@@ -16,6 +17,7 @@ from mitsvbrdf.testing import random_material
 from mitsvbrdf.verify.crosscheck import crosscheck
 
 RESOLUTION = 16
+DIRECT = mv.DirectConfig(iterations=2, guess="min")
 
 
 @contextlib.contextmanager
@@ -34,7 +36,7 @@ def fitted(config, renderer="mitsuba"):
     """All a fit is made of, from maps to figures: tensors and numbers."""
     shots = photos_of(mv.make_material("inlay", RESOLUTION))
     found = mv.fit_svbrdf(shots, mv.make_renderer(renderer), config)
-    return [guess_diffuse(shots), *found.svbrdf.maps.values(), found.views.camera, found.rerendered,
+    return [found.guess, *found.svbrdf.maps.values(), found.views.camera, found.rerendered,
             torch.tensor(mv.evaluate_fit(found, shots)["rerender_rmse"], dtype=torch.float64)]
 
 
@@ -44,13 +46,21 @@ def same(found, expected):
 
 @pytest.fixture(scope="module")
 def plain():
-    return fitted(mv.DirectConfig(iterations=3))
+    return fitted(DIRECT)
 
 
 @pytest.mark.parametrize("mode", MODES)
 def test_fits_are_the_same_bits_under_any_default(mode, plain):
     with MODES[mode]():
-        assert same(fitted(mv.DirectConfig(iterations=3)), plain)
+        assert same(fitted(DIRECT), plain)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_guesses_are_the_same_bits_under_any_default(mode):
+    shots = photos_of(mv.make_material("inlay", 8))
+    expected = guess_diffuse(shots)
+    with MODES[mode]():
+        assert same([guess_diffuse(shots)], [expected])
 
 
 @pytest.mark.slow
@@ -87,7 +97,7 @@ def test_a_crosscheck_finds_the_same_under_any_default(mode):
 
 
 def test_fits_in_threads_are_those_of_one():
-    configs = [mv.DirectConfig(iterations=4, learning_rate=rate) for rate in (0.02, 0.05, 0.1)]
+    configs = [replace(DIRECT, learning_rate=rate) for rate in (0.02, 0.05, 0.1)]
     expected = [fitted(config) for config in configs]
     with ThreadPoolExecutor(3) as pool:
         assert all(map(same, pool.map(fitted, configs), expected))
@@ -113,7 +123,7 @@ def test_the_state_of_torch_and_mitsuba_is_left_as_found():
                     [dr.flag(flag) for flag in dr.JitFlag])
 
         before = state()
-        fitted(mv.DirectConfig(iterations=2))
+        fitted(DIRECT)
         fitted(mv.HybridConfig(width=4, iterations=1))
         assert state() == before
 
