@@ -15,7 +15,7 @@ _HOME = {
     "SVBRDF": "material.maps", "load_maps": "material.map_files", "save_maps": "material.map_files",
     "View": "views", "Views": "views",
     "Capture": "capture", "read_capture": "capture", "write_capture": "capture", "guess_diffuse": "capture",
-    "make_renderer": "render",
+    "make_renderer": "render", "using_mitsuba": "render.exclusive",
     "HierarchicalConfig": "fit", "HybridConfig": "fit", "GanConfig": "fit", "DirectConfig": "fit",
     "FitResult": "fit", "fit_svbrdf": "fit",
     "evaluate_fit": "evaluate", "evaluate_maps": "evaluate", "evaluate_capture": "evaluate",
@@ -30,7 +30,10 @@ __all__ = sorted(_HOME)
 
 def __getattr__(name: str) -> Any:
     if name in _HOME:
-        return getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
+        from .system.lock import PROCESS
+        with PROCESS:  # torch and Mitsuba do not bear a second thread while they load
+            found = globals()[name] = getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
+        return found
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -21,6 +21,7 @@ from .material.map_files import load_maps as load_maps
 from .material.map_files import save_maps as save_maps
 from .material.maps import SVBRDF as SVBRDF
 from .render import make_renderer as make_renderer
+from .render.exclusive import using_mitsuba as using_mitsuba
 from .report.folder import write_fit as write_fit
 from .system.progress import Progress as Progress
 from .views import View as View

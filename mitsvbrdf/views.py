@@ -8,6 +8,7 @@ camera and light are at z > 0, all in one unit of length. Co-located camera and 
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
@@ -44,10 +45,14 @@ class Views:
     Args:
         camera: N x 3, positions with z > 0.
         light: N x 3, positions with z > 0.
-        intensity: N x 3, radiant intensity I of each light (rgb); irradiance is I cos / d^2.
+        intensity: N x 3, radiant intensity I of each light (rgb); irradiance is I cos / d^2. All three are float tensors.
         size: side of the patch, in the unit of the positions.
         falloff: ``inverse-square``, or ``none`` for the paper's light without attenuation: the light then gives
             everywhere the irradiance factor it has at the patch centre, I / |light|^2.
+
+    Raises:
+        CaptureError: other shapes, or no view at all. Values are looked at by :meth:`check`.
+        ConfigError: another falloff.
     """
 
     camera: Tensor
@@ -59,9 +64,14 @@ class Views:
     def __post_init__(self) -> None:
         for name in ("camera", "light", "intensity"):
             value = getattr(self, name)
+            if not isinstance(value, Tensor) or not value.is_floating_point():
+                raise CaptureError(f"{name} as a float tensor", repr(getattr(value, "dtype", type(value).__name__)),
+                                   "use Views.of(camera, light, intensity), which takes lists and arrays")
             if value.ndim != 2 or value.shape[1] != 3 or value.shape[0] != self.camera.shape[0]:
                 raise CaptureError(f"{name} of N x 3 with N = {self.camera.shape[0]}", f"shape {tuple(value.shape)}",
                                    "give one row of three numbers for each photo")
+        if not len(self):
+            raise CaptureError("one view or more", "none", "give one row of three numbers for each photo")
         if self.falloff not in get_args(Falloff):
             raise ConfigError(f"falloff of {get_args(Falloff)}", repr(self.falloff), "choose one of these")
 
@@ -148,9 +158,15 @@ class Views:
         return replace(moved, intensity=self.intensity * nearer[:, None])
 
     def pick(self, index: Sequence[int] | Tensor) -> Views:
-        """The views at these positions, in this order."""
-        index = torch.as_tensor(index, dtype=torch.long)
-        return replace(self, camera=self.camera[index], light=self.light[index], intensity=self.intensity[index])
+        """The views at these positions, in this order.
+
+        Raises:
+            CaptureError: a position that is not there or no whole number, or none at all.
+        """
+        rows = whole_numbers(index)
+        if not rows or min(rows) < 0 or max(rows) >= len(self):
+            raise CaptureError(f"positions from 0 to {len(self) - 1}", str(rows or "none"), "check which views are picked")
+        return replace(self, camera=self.camera[rows], light=self.light[rows], intensity=self.intensity[rows])
 
     def in_patch_sides(self) -> Views:
         """The same views with the patch side as unit of length (size = 1): same radiance, better-scaled numbers."""
@@ -252,6 +268,21 @@ def geometry(views: Views, resolution: int) -> tuple[Tensor, Tensor, Tensor]:
     half = F.normalize(light + F.normalize(camera, dim=-1), dim=-1)
     irradiance = views.intensity[:, None, None] * light[..., 2:] / reach**2
     return light.float(), half.float(), irradiance.float()
+
+
+def whole_numbers(index: Sequence[int] | Tensor) -> list[int]:
+    """An index as a list of whole numbers.
+
+    Raises:
+        CaptureError: something else, such as text, fractions, or truth values.
+    """
+    try:
+        numbers: list = index.tolist() if hasattr(index, "tolist") else list(index)
+        if any(isinstance(number, bool) for number in numbers):
+            raise TypeError
+        return [operator.index(number) for number in numbers]
+    except TypeError:
+        raise CaptureError("whole numbers like [0, 1, 2]", repr(index), "give the photos by number") from None
 
 
 def photo_numbers(text: str | None) -> list[int] | None:

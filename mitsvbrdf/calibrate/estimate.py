@@ -33,6 +33,7 @@ from ..capture import Capture
 from ..capture.rig import LEAST_PHOTOS
 from ..color import CLIPPED
 from ..material.maps import DIELECTRIC_F0, USUAL_ALBEDO, WHITEST
+from ..system.entry import entry
 from ..system.layout import Layout
 from ..views import Views
 
@@ -90,6 +91,7 @@ def why_not(capture: Capture) -> str | None:
     return "the photos are all alike" if (logs - logs.mean(axis=0)).std() < SAME_LOG else None
 
 
+@entry()
 def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
     """The capture with views estimated from its photos, if it has none of its own.
 
@@ -113,6 +115,7 @@ def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
     return replace(capture, views=found.views, notes=(*capture.notes, note)), found
 
 
+@entry()
 def estimate_views(capture: Capture) -> EstimatedViews:
     """The most probable views of photos of an unknown material; a few seconds. See the module.
 

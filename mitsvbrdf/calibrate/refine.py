@@ -31,6 +31,7 @@ from ..material.maps import SVBRDF
 from ..measure.metrics import photo_rmse
 from ..render.analytic import AnalyticRenderer
 from ..render.needs import Needs
+from ..system.entry import entry
 from ..system.layout import Layout
 from ..views import NEAREST, Views
 
@@ -109,6 +110,7 @@ class RefinedViews:
         return self.covariance.diagonal(dim1=1, dim2=2).sqrt()
 
 
+@entry()
 def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors = Priors(),  # noqa: B008
                  iterations: int = ITERATIONS) -> RefinedViews:
     """The most probable views of photos of a known material; about a second for two photos.

@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 from torch import Tensor
 
 from .. import color
-from ..errors import CaptureError
+from ..errors import CaptureError, ConfigError
 from ..material.resample import area_averaged, sampled
 from ..pages.notebook import SHOWN, count_words, html_of, point_words, uri_of
-from ..views import Views
+from ..views import Views, whole_numbers
 
 LEAST_SIDE = 8  # pixels
 
@@ -29,13 +29,17 @@ class Capture:
     """Photos rectified to one frontal view: pixel (i, j) of each is the same point of the material.
 
     Args:
-        photos: N x R x R x 3 float32, display values in [0, 1] as stored, row 0 at the top.
+        photos: N x R x R x 3, display values in [0, 1] as stored, row 0 at the top; kept as float32.
         views: the N views.
         transfer: how display values encode linear radiance.
         index: the number of each photo in the capture it was read from (0-based), e.g. (0, 1, 2, 3, 5, 6, 8).
         calibration: where the views come from; of ``none`` they are the stated default geometry.
         source: the folder it came from.
         notes: what a user should know about how it was read (photos left out, default geometry, ...).
+
+    Raises:
+        CaptureError: photos of another shape or with values that no photo has, or not a view and a number for each.
+        ConfigError: another transfer function.
     """
 
     photos: Tensor
@@ -47,11 +51,16 @@ class Capture:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        if self.transfer not in get_args(color.Transfer):
+            raise ConfigError(f"a transfer function of {get_args(color.Transfer)}", repr(self.transfer), "choose one of these")
+        object.__setattr__(self, "photos", _checked(self.photos))
         if self.photos.shape[0] != len(self.views):
             raise CaptureError(f"a view for each of {self.photos.shape[0]} photos", f"{len(self.views)} views",
                                "give one row of calibration a photo")
-        if not self.index:
-            object.__setattr__(self, "index", tuple(range(len(self.views))))
+        index = whole_numbers(self.index) or list(range(len(self)))
+        if len(index) != len(self) or len(set(index)) < len(index) or min(index) < 0:
+            raise CaptureError(f"a number of its own for each of {len(self)} photos", str(index), "leave the index out")
+        object.__setattr__(self, "index", tuple(index))
 
     def __len__(self) -> int:
         return self.photos.shape[0]
@@ -92,8 +101,9 @@ class Capture:
         """The photos with these numbers (as in :attr:`index`), in this order.
 
         Raises:
-            CaptureError: a number that is not there, or none at all.
+            CaptureError: a number that is not there or not whole, or none at all.
         """
+        index = whole_numbers(index)
         missing = [i for i in index if i not in self.index]
         if missing or not index:
             raise CaptureError(f"photo numbers out of {list(self.index)}", f"{missing or 'none'}", "check --views")
@@ -105,6 +115,20 @@ class Capture:
     def _repr_html_(self) -> str:
         """The photos as small pictures with their positions, for notebooks."""
         return capture_html(self)
+
+
+def _checked(photos: Tensor) -> Tensor:
+    """Photos as float32, when their shape and values are those of photos."""
+    if not isinstance(photos, Tensor) or not photos.is_floating_point():
+        raise CaptureError("photos as a float tensor", repr(getattr(photos, "dtype", type(photos).__name__)),
+                           "give display values in [0, 1]: 8 bits divided by 255")
+    if photos.ndim != 4 or photos.shape[1] != photos.shape[2] or photos.shape[3] != 3 or not photos.numel():
+        raise CaptureError("photos of N x R x R x 3", f"shape {tuple(photos.shape)}", "rectify them to squares of one size")
+    least, most = photos.aminmax()
+    if not (least >= 0 and most < float("inf")):  # nor where they are NaN
+        raise CaptureError("photos of display values >= 0, finite", f"values from {least:g} to {most:g}",
+                           "check how they were read or developed")
+    return photos.float()
 
 
 def capture_html(capture: Capture) -> str:

@@ -15,6 +15,7 @@ from torch import Tensor
 from ..color import NEARLY_CLIPPED
 from ..errors import ConfigError
 from ..material.resample import resized
+from ..system.entry import entry
 from ..system.layout import Layout
 from ..views import Views, geometry
 from .capture import Capture
@@ -35,6 +36,7 @@ FIT_SIZE = 256  # texels a side that are fitted; of larger photos, area averages
 CHUNK = 4096  # texels fitted at once: their Jacobian stays in the cache
 
 
+@entry()
 def guess_diffuse(capture: Capture, method: GuessMethod = "robust") -> Tensor:
     """A diffuse albedo map from the photos alone.
 

@@ -17,6 +17,7 @@ import torch
 
 from .. import color
 from ..errors import CaptureError, ConfigError
+from ..system.entry import entry
 from ..system.profile import STEP, profiled, profiling, switch
 from ..views import Views, coverage_angle
 from .capture import LEAST_SIDE, Capture
@@ -81,6 +82,7 @@ class CaptureResult:
         return float((self.coverage <= HIGHLIGHT_ANGLE).double().mean())
 
 
+@entry()
 def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_cm: float = 0.0,
                  transfer: color.Transfer | None = None, resolution: int = 1024, reference: Reference = "best",
                  report: Callable[[str, float], object] = lambda text, share: None) -> CaptureResult:

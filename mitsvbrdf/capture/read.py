@@ -15,6 +15,7 @@ from .. import color
 from ..errors import CaptureError, ConfigError
 from ..system import files
 from ..system.decode import upright
+from ..system.entry import entry
 from ..system.images import averaged, write_png
 from ..system.result_folder import settle
 from ..views import FIELD_OF_VIEW, Falloff, default_views, field_of_view
@@ -25,6 +26,7 @@ from .photo import Photo, Unreadable, differences, photos_in
 MOST_SQUARE = 2048  # pixels a side of what is read of a photo without calibration
 
 
+@entry()
 def read_capture(
     folder: str | Path,
     resolution: int | None = None,
@@ -91,6 +93,7 @@ def read_capture(
     return capture
 
 
+@entry()
 def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None) -> None:
     """Write ``capture.json`` and ``target/NN.png``, so that :func:`read_capture` gives the same back.
 

@@ -13,10 +13,12 @@ from ..material.maps import SVBRDF
 from ..measure.metrics import map_rmse
 from ..measure.rerender import rerender
 from ..render import Renderer, make_renderer
+from ..system.entry import entry
 from ..views import Views, shift_lights
 from .placement import placed
 
 
+@entry()
 def evaluate_maps(svbrdf: SVBRDF, material: str | Path) -> dict[str, float]:
     """RMSE of each map against a folder of known maps, counted as :func:`mitsvbrdf.measure.metrics.map_rmse` says.
 
@@ -27,6 +29,7 @@ def evaluate_maps(svbrdf: SVBRDF, material: str | Path) -> dict[str, float]:
     return map_rmse(svbrdf, load_maps(material), "gamma 2.2" if encoded else "linear")
 
 
+@entry()
 def evaluate_capture(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
                      flash_offset: tuple[float, float] | None = None, priors: Priors | None = None) -> dict:
     """Error of the re-rendered photos in display values.
@@ -58,6 +61,7 @@ def evaluate_capture(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
     return found
 
 
+@entry()
 def evaluate_fit(result: FitResult, capture: Capture) -> dict:
     """Error of a fit on the photos of its capture; see :func:`evaluate_capture`.
 

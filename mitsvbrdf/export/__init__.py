@@ -9,12 +9,14 @@ from typing import get_args
 
 from ..errors import ConfigError
 from ..material.maps import SVBRDF
+from ..system.entry import entry
 from ..views import Views, nine_view_grid
 from .textures import DEFAULTS, Bits, Export, ExportSettings, Naming, NormalConvention
 
 FORMATS = ("gltf", "materialx", "usd", "mitsuba", "maps")
 
 
+@entry()
 def export_material(svbrdf: SVBRDF, out: str | Path, to: Sequence[str] = FORMATS, *,
                     settings: ExportSettings = DEFAULTS, views: Views | None = None) -> dict[str, Export]:
     """Write ``out/FORMAT/`` for each format, with an ``export.json`` that says what every file holds, and how.

@@ -12,6 +12,7 @@ from ..material.maps import SVBRDF, Bsdf
 from ..render.bsdf import plugin, slot_values
 from ..render.needs import Needs
 from ..system import files, images
+from ..system.entry import entry
 from ..views import Views
 from .textures import DEFAULTS, LINEAR, NORMALS, Export, ExportSettings, Texture
 
@@ -25,6 +26,7 @@ HOLDS = {"diffuse_x2": "diffuse, times 2 for the blend of two lobes", "alpha": "
          "eta": "refractive index with this F0"}
 
 
+@entry()
 def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
     """Write ``out/scene.xml`` and its float textures ``out/scene/*.exr``; plain Mitsuba loads it in any RGB variant.
 

@@ -14,6 +14,7 @@ from ..errors import ConfigError
 from ..material.maps import SVBRDF
 from ..measure.rerender import rerender
 from ..render import Renderer
+from ..system.entry import entry
 from ..system.profile import profile_summary, profiled
 from ..views import Views, shift_lights
 from .confidence import deviations
@@ -30,6 +31,7 @@ from .view_record import views_record
 from .warnings import fit_warnings
 
 
+@entry(gradients=True)
 def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = None, *,
                checkpoint: Path | None = None, resume: Path | None = None,
                report: Callable[[dict, float], None] | None = None, live: Path | None = None) -> FitResult:
@@ -98,6 +100,7 @@ def _calibrated_rmse(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: R
     return rerender(renderer, svbrdf, stated, capture)[1]
 
 
+@entry(gradients=True)
 def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint: Path,
              report: Callable[[dict, float], None] | None = None) -> None:
     """The paper's first stage (III.F): train the generator on one picture and keep its weights in ``checkpoint``.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal, get_args, get_origin, get_type_hints
 
 from tyro.conf import arg
 
@@ -50,7 +50,10 @@ class FitConfig:
     """One grey specular level a texel instead of three channels."""
 
     def check(self) -> None:
-        """Raise ConfigError for numbers out of range."""
+        """Raise ConfigError for numbers out of range, and for words that are no choice."""
+        for name, kind in get_type_hints(type(self)).items():
+            if get_origin(kind) is Literal and getattr(self, name) not in get_args(kind):
+                raise ConfigError(f"{name} of {get_args(kind)}", repr(getattr(self, name)), "choose one of these")
         check_seed(self.seed)
         stated_maps(self.fix, self.bsdf, self.grey_specular)
         if self.weights.get("photometric", 1.0) == 0 and self.weights.get("adversarial", 0.0) == 0:

@@ -138,9 +138,6 @@ class GanConfig(FitConfig):
     def check(self) -> None:
         """Raise ConfigError for numbers out of range, and for settings that do not go together."""
         super().check()
-        for name, known in (("generator", GeneratorKind), ("game", Game), ("precision", Precision)):
-            if getattr(self, name) not in get_args(known):
-                raise ConfigError(f"{name} of {get_args(known)}", repr(getattr(self, name)), "choose one of these")
         if not any(self.weights.values()):
             raise ConfigError("a fit with a loss", "all weights 0", "give --adversarial or --diffuse a weight > 0")
         if self._one_picture_first and (self.generator != "two-stream" or self.grow):

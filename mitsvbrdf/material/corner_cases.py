@@ -6,6 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ..system.entry import entry
 from ..views import texel_positions
 from .conversion import as_principled
 from .made import MATERIALS, make_material
@@ -18,11 +19,13 @@ CONVERSION: dict[str, str] = {
 }
 
 
+@entry()
 def builtin_materials(resolution: int = 128) -> dict[str, SVBRDF]:
     """The made materials (:mod:`mitsvbrdf.material.made`) and :func:`corner_materials`, by name."""
     return {name: make_material(name, resolution) for name in MATERIALS} | corner_materials(resolution)
 
 
+@entry()
 def corner_materials(resolution: int = 128) -> dict[str, SVBRDF]:
     """Materials at the ends of their ranges, ``roughconductor``, R x R x C, float32; the first is the only one without relief.
 
@@ -64,6 +67,7 @@ def as_bsdf(svbrdf: SVBRDF, bsdf: Bsdf) -> SVBRDF:
     return as_principled(svbrdf) if bsdf == "principled" else svbrdf.as_roughconductor()
 
 
+@entry()
 def random_material(bsdf: Bsdf, resolution: int = 48, seed: int = 0) -> SVBRDF:
     """A material harder than any real one, float32: random colours, normals tilted by 0.15 a texel, roughness from 0.15."""
     g = torch.Generator().manual_seed(seed)

@@ -13,6 +13,7 @@ import torch
 from torch import Generator, Tensor
 
 from ..errors import ConfigError
+from ..system.entry import entry
 from ..views import texel_positions
 from .maps import SVBRDF
 from .paint import Colour, Paint, bevel, cell_borders, inside, mix, noise, painted, star
@@ -20,6 +21,7 @@ from .paint import Colour, Paint, bevel, cell_borders, inside, mix, noise, paint
 GOLD, COPPER, STEEL = (0.91, 0.70, 0.34), (0.84, 0.50, 0.36), (0.56, 0.55, 0.53)
 
 
+@entry()
 def make_material(name: str, resolution: int = 256, seed: int = 0) -> SVBRDF:
     """A made material, as ``roughconductor`` maps R x R x C, float32, linear.
 

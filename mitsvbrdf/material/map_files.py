@@ -15,6 +15,7 @@ from torch import Tensor
 from .. import color
 from ..errors import ConfigError, MapsError, MapsWarning
 from ..system import files, images
+from ..system.entry import entry
 from ..system.json_files import load, said
 from ..system.result_folder import settle
 from .maps import CHANNELS, COLOURS, LOWEST_Z, SVBRDF, Bsdf
@@ -33,6 +34,7 @@ FEW = 0.01  # share of the texels at which that is mended; a map with more is in
 RAISED = 1 / 255  # their z: the lowest above 0 that an 8-bit file holds
 
 
+@entry()
 def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None = None) -> SVBRDF:
     """Read a folder of maps.
 
@@ -157,6 +159,7 @@ def _lifted(normal: Tensor, path: Path) -> Tensor:
     return torch.where(under, F.normalize(raised, dim=-1), normal)
 
 
+@entry()
 def save_maps(svbrdf: SVBRDF, folder: str | Path, **about: object) -> None:
     """Write a material: float32 EXR masters (linear), 16-bit PNGs (colours sRGB, the rest linear), material.json.
 

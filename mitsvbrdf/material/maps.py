@@ -25,10 +25,16 @@ TITLES = {"diffuse": "Diffuse", "specular": "Specular", "roughness": "Roughness"
 
 Bsdf = Literal["roughconductor", "principled"]
 
-CHANNELS: dict[Bsdf, dict[str, int]] = {
+
+class _ByBsdf(dict[Bsdf, dict[str, int]]):
+    def __missing__(self, bsdf: object) -> dict[str, int]:
+        raise ConfigError(f"a BSDF of {get_args(Bsdf)}", repr(bsdf), "choose one of these")
+
+
+CHANNELS = _ByBsdf({  # of each map; another name of a BSDF raises ConfigError
     "roughconductor": {"diffuse": 3, "specular": 3, "roughness": 1, "normal": 3},
     "principled": {"base_color": 3, "metallic": 1, "roughness": 1, "normal": 3},
-}
+})
 COLOURS = ("diffuse", "specular", "base_color")
 
 UNIT = 1e-3  # how far a normal's length may be from 1
@@ -55,8 +61,6 @@ class SVBRDF:
     maps: Mapping[str, Tensor]
 
     def __post_init__(self) -> None:
-        if self.bsdf not in CHANNELS:
-            raise ConfigError(f"a BSDF of {get_args(Bsdf)}", repr(self.bsdf), "choose one of these")
         wanted = CHANNELS[self.bsdf]
         if set(self.maps) != set(wanted):
             raise MapsError(f"the maps {sorted(wanted)}", str(sorted(self.maps)), "give exactly these")

@@ -14,6 +14,7 @@ from torch import Tensor
 from ..errors import ConfigError
 from ..material.maps import SVBRDF
 from ..render import Renderer
+from ..system.entry import entry
 from ..system.timing import timed
 from ..views import Views
 
@@ -40,6 +41,7 @@ def fixed_cotangent(shape: torch.Size, seed: int = 1) -> Tensor:
     return torch.randn(shape, generator=torch.Generator().manual_seed(seed))
 
 
+@entry(gradients=True)
 def render_and_gradients(renderer: Renderer, svbrdf: SVBRDF, views: Views, cotangent: Tensor | None = None,
                          ) -> Measured:
     """Render, and differentiate the product of the image with fixed numbers with respect to every map.

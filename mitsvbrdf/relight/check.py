@@ -10,6 +10,7 @@ from torch import Tensor
 from ..material.maps import SVBRDF
 from ..measure.z_test import ZTest, z_test
 from ..render.analytic import AnalyticRenderer
+from ..system.entry import entry
 from ..views import Views
 from .stage import Stage, make_stage
 
@@ -18,6 +19,7 @@ PASSES, PASS_SAMPLES = 16, 64  # independent pictures, and the samples a pixel o
 POINTS_ALONG_TEXEL, POINTS_ALONG_PATCH = 8, 2048
 
 
+@entry()
 def check_novel(mi: ModuleType, svbrdf: SVBRDF, views: Views | None = None, *, frame: int = 0, frames: int = 1, seed: int = 0,
                 reference: AnalyticRenderer | None = None) -> ZTest:
     """Path trace a frame of ``novel``, a pixel for each texel, and test it against the analytic renderer.

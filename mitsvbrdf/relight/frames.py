@@ -13,6 +13,7 @@ from torch import Tensor
 
 from ..errors import ConfigError, MapsError, MitsvbrdfError
 from ..system import files, images, result_folder
+from ..system.entry import entry
 from ..system.json_files import load
 from ..system.provenance import machine, versions
 from .passes import Rendered, Stop, render_frame, shown
@@ -116,6 +117,7 @@ def _found(place: Path, settings: Mapping) -> tuple[Record, list[str]]:
     return record, [*frames, *(name for name in beside if files.is_regular(files.inside(place, name)))]
 
 
+@entry()
 def render_stages(mi: ModuleType, stages: Sequence[Stage], stop: Stop, record: Record, folder: Path, *, seed: int = 0,
                   exposure: float = 0.0,
                   report: Callable[[str, float], object] = lambda text, share: None, done: Callable[[Stage], object],

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 
 from ..material.maps import SVBRDF
-from ..render.llvm import mitsuba_module
+from ..render.exclusive import using_mitsuba
+from ..system.entry import entry
 from .passes import shown
 from .stage import make_stage
 
@@ -24,6 +25,7 @@ def mirrored(svbrdf: SVBRDF) -> SVBRDF:
     return SVBRDF(svbrdf.bsdf, {name: both(name, both(name, value, 1, 0), 0, 1) for name, value in svbrdf.maps.items()})
 
 
+@entry()
 def sphere(svbrdf: SVBRDF, size: int = 512, variant: str = "llvm_ad_rgb") -> Tensor:
     """The sphere as display values, size x size x 3; the maps and their mirror images cover it, without a seam.
 
@@ -35,9 +37,9 @@ def sphere(svbrdf: SVBRDF, size: int = 512, variant: str = "llvm_ad_rgb") -> Ten
     Raises:
         BackendError: Mitsuba, the variant or libLLVM is missing.
     """
-    mi = mitsuba_module(variant)
     half = svbrdf.resolution // 2  # a whole patch faces the camera
     covering = mirrored(svbrdf).map(lambda value: value.roll((half, half), (0, 1)))
-    stage = make_stage(mi, covering, "sphere", size=(size, size), tiling=1)
-    picture = mi.render(stage.at(mi), spp=SAMPLES, seed=0)
-    return shown(torch.tensor(picture.numpy()), 0.0)
+    with using_mitsuba(variant) as mi:
+        stage = make_stage(mi, covering, "sphere", size=(size, size), tiling=1)
+        picture = mi.render(stage.at(mi), spp=SAMPLES, seed=0).numpy()
+    return shown(torch.tensor(picture), 0.0)

@@ -16,6 +16,7 @@ from ..material.maps import SVBRDF
 from ..material.relief import heights
 from ..render.bsdf import needed_maps, plugin, slot_values
 from ..render.needs import Needs, material_needs
+from ..system.entry import entry
 from ..views import Views, nine_view_grid
 from .environment import WHITE_LUMINANCE, Environment, make_environment
 from .scene_file import read_scene
@@ -78,6 +79,7 @@ class Stage:
         return scene
 
 
+@entry()
 def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str | None = None,
                size: tuple[int, int] = (512, 512), frames: int | None = None, tiling: int = 1, displacement: float = 0.0,
                views: Views | None = None) -> Stage:

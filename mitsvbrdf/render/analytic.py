@@ -18,6 +18,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..material.maps import DIELECTRIC_F0, SVBRDF
+from ..system.entry import entry
 from ..views import Views, texel_positions
 from .bsdf import F0_RANGE, MIN_ALPHA_PRINCIPLED, needed_maps
 from .needs import Needs, scene_needs
@@ -39,6 +40,7 @@ class AnalyticRenderer:
         self.dtype, self.needs = dtype, needs
         self.name = "analytic64" if dtype == torch.float64 else "analytic"
 
+    @entry()
     def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
         """Linear radiance N x R x R x 3 of this renderer's dtype; gradients to maps, camera, light and intensity."""
         needs = self.needs or scene_needs(svbrdf, views, self.name)

@@ -28,6 +28,7 @@ from types import ModuleType
 
 from ..errors import BackendError
 from ..system.json_files import load
+from ..system.lock import PROCESS
 
 VARIABLE = "DRJIT_LIBLLVM_PATH"
 OLDEST = 19
@@ -243,30 +244,31 @@ def install_hint() -> str:
 
 
 def mitsuba_module(variant: str = "llvm_ad_rgb") -> ModuleType:
-    """The ``mitsuba`` module with this variant set.
+    """The ``mitsuba`` module with this variant set; :func:`mitsvbrdf.render.exclusive.using_mitsuba` also sets it back.
 
     Raises:
         BackendError: Mitsuba, the variant, a GPU or libLLVM is missing.
     """
-    try:
-        use_llvm()
-    except BackendError:  # a CUDA variant does without, yet an LLVM variant may be wanted later in the same process
-        if not variant.startswith("cuda"):
-            raise
-    try:
-        import mitsuba as mi
-    except ImportError as reason:
-        raise BackendError("Mitsuba 3", f"{reason}", "pip install mitsuba") from None
-    fitting = [name for name in mi.variants() if name.endswith("_ad_rgb")]
-    if variant not in fitting:
-        raise BackendError(f"a Mitsuba variant of {fitting}", repr(variant), "choose one of these")
-    if mi.variant() != variant:
+    with PROCESS:  # the first import does not bear a second thread
         try:
-            mi.set_variant(variant)
-        except (ImportError, RuntimeError) as reason:
-            raise BackendError(f"{variant} to work here", str(reason), "use llvm_ad_rgb, which needs no GPU"
-                               if variant.startswith("cuda") else f"install libLLVM: {install_hint()}") from None
-    return mi
+            use_llvm()
+        except BackendError:  # a CUDA variant does without, yet an LLVM variant may be wanted later in the same process
+            if not variant.startswith("cuda"):
+                raise
+        try:
+            import mitsuba as mi
+        except ImportError as reason:
+            raise BackendError("Mitsuba 3", f"{reason}", "pip install mitsuba") from None
+        fitting = [name for name in mi.variants() if name.endswith("_ad_rgb")]
+        if variant not in fitting:
+            raise BackendError(f"a Mitsuba variant of {fitting}", repr(variant), "choose one of these")
+        if mi.variant() != variant:
+            try:
+                mi.set_variant(variant)
+            except (ImportError, RuntimeError) as reason:
+                raise BackendError(f"{variant} to work here", str(reason), "use llvm_ad_rgb, which needs no GPU"
+                                   if variant.startswith("cuda") else f"install libLLVM: {install_hint()}") from None
+        return mi
 
 
 if __name__ == "__main__":

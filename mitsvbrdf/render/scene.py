@@ -2,11 +2,6 @@
 
 With one unjittered sample a pixel and a box filter every ray hits its texel's centre, so the image has no noise. More
 samples are jittered over the pixel: they estimate its average, as a sensor sees it, with noise.
-
-The replay trap: a Mitsuba scene is one mutable object, and the calls it makes per ray are traced again *as the scene is
-at backward time*. Moving the camera, or drawing a preview, between forward and backward then silently gives gradients of
-the wrong picture. :class:`_Traced` is the guard: a backward pass whose scene was touched since draws its own picture again
-first, from the maps and views it kept.
 """
 
 from __future__ import annotations
@@ -21,9 +16,10 @@ from torch import Tensor
 
 from ..errors import ConfigError
 from ..material.maps import SVBRDF
+from ..system.entry import entry
 from ..views import Views
 from .bsdf import needed_maps, plugin, slot_values
-from .llvm import mitsuba_module
+from .exclusive import Drawing, using_mitsuba
 from .needs import Needs, scene_needs
 from .plugins import CAMERA, INTEGRATOR, NORMAL_MAP, register
 
@@ -51,12 +47,12 @@ class SceneRenderer:
         if samples not in SAMPLES:
             raise ConfigError(f"samples a pixel of {list(SAMPLES)}", str(samples), "choose one of these")
         self.variant, self.needs, self.samples = variant, needs, samples
-        self.mi = mitsuba_module(variant)
-        register(self.mi)
+        with using_mitsuba(variant) as self.mi:
+            register(self.mi)
         self.device = "cuda" if variant.startswith("cuda") else "cpu"
-        self._wrapped: dict[tuple, Callable[..., list[Tensor]]] = {}
-        self.drawn = 0  # pictures drawn so far: tells a backward pass whether its scene is still as it left it
+        self._drawings: dict[tuple, Drawing] = {}
 
+    @entry()
     def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
         """Linear radiance N x R x R x 3, float32; gradients to the maps.
 
@@ -66,15 +62,15 @@ class SceneRenderer:
         if any(t.requires_grad for t in (views.camera, views.light, views.intensity)):
             raise ConfigError("views held fixed", "a gradient asked of camera, light or intensity",
                               "use the renderer 'mitsuba' or 'analytic' to fit these")
-        mitsuba_module(self.variant)  # somebody may have set another variant since
         needs = self.needs or scene_needs(svbrdf, views, self.name)
         maps = needed_maps(svbrdf, needs)
         key = (svbrdf.bsdf, needs, svbrdf.resolution, tuple(maps))
-        if key not in self._wrapped:
-            self._wrapped[key] = self._wrap(*key)
+        with using_mitsuba(self.variant):
+            if key not in self._drawings:
+                self._drawings[key] = Drawing(self.variant, self._wrap(*key), replayed=True)
         views = views.in_patch_sides()
         geometry = [t.to(torch.float64).to(self.device).contiguous() for t in (views.camera, views.light, views.intensity)]
-        images = _Traced.apply(self, key, geometry, *(t.to(self.device, torch.float32).contiguous() for t in maps.values()))
+        images = self._drawings[key](*geometry, *(t.to(self.device, torch.float32).contiguous() for t in maps.values()))
         if views.falloff == "none":
             images = images * _falloff_undone(views, svbrdf.resolution).to(images)
         return images.to(svbrdf["normal"].device)
@@ -145,36 +141,6 @@ def patch_scene(mi: ModuleType, resolution: int, needs: Needs, bsdf: dict, sampl
         "patch": {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(0.5),
                   "bsdf": bsdf},
     } | (environment if needs.environment else {})
-
-
-class _Traced(torch.autograd.Function):
-    """A picture whose gradient belongs to it, whatever the renderer drew since (see the replay trap above)."""
-
-    @staticmethod
-    def forward(ctx: Any, renderer: SceneRenderer, key: tuple, geometry: list[Tensor], *maps: Tensor) -> Tensor:
-        ctx.wanted = ctx.needs_input_grad[3:]
-        ctx.inputs = renderer, key, geometry, maps, ctx.wanted
-        ctx.recorded = _Traced._draw(*ctx.inputs)
-        ctx.drawn = renderer.drawn
-        return ctx.recorded[1].detach()
-
-    @staticmethod
-    def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor | None, ...]:
-        renderer = ctx.inputs[0]
-        mitsuba_module(renderer.variant)  # calls are traced again here, in whatever variant is set
-        if ctx.recorded is None or ctx.drawn != renderer.drawn:
-            ctx.recorded = _Traced._draw(*ctx.inputs)
-        (leaves, images), ctx.recorded = ctx.recorded, None
-        gradients = iter(torch.autograd.grad(images, [m for m in leaves if m.requires_grad], cotangent))
-        return None, None, None, *(next(gradients) if wanted else None for wanted in ctx.wanted)
-
-    @staticmethod
-    def _draw(renderer: SceneRenderer, key: tuple, geometry: list[Tensor], maps: tuple[Tensor, ...],
-              wanted: tuple[bool, ...]) -> tuple[list[Tensor], Tensor]:
-        renderer.drawn += 1
-        leaves = [m.detach().requires_grad_(want) for m, want in zip(maps, wanted)]
-        with torch.set_grad_enabled(any(wanted)):
-            return leaves, torch.stack(renderer._wrapped[key](*geometry, *leaves))
 
 
 def _falloff_undone(views: Views, resolution: int) -> Tensor:

@@ -15,9 +15,10 @@ import torch
 from torch import Tensor
 
 from ..material.maps import SVBRDF
+from ..system.entry import entry
 from ..views import Views
 from .bsdf import needed_maps
-from .llvm import mitsuba_module
+from .exclusive import Drawing, using_mitsuba
 from .needs import Needs, scene_needs
 from .plugins import register, shading_axes
 from .texel_plugin import HeldPlugin, row, texel_position, view_geometry
@@ -40,28 +41,27 @@ class TexelRenderer:
 
     def __init__(self, variant: str = "llvm_ad_rgb", needs: Needs | None = None) -> None:
         self.variant, self.needs = variant, needs
-        self.mi = mitsuba_module(variant)
-        register(self.mi)
+        with using_mitsuba(variant) as self.mi:
+            register(self.mi)
         self.device = "cuda" if variant.startswith("cuda") else "cpu"
-        self._wrapped: dict[tuple, Callable[..., list[Tensor]]] = {}
+        self._drawings: dict[tuple, Drawing] = {}
 
+    @entry()
     def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
         """Linear radiance N x R x R x 3, float32; gradients to maps, camera, light and intensity."""
-        mitsuba_module(self.variant)  # somebody may have set another variant since
         needs = self.needs or scene_needs(svbrdf, views, self.name)
         maps = needed_maps(svbrdf, needs)
         key = (svbrdf.bsdf, needs, svbrdf.resolution, views.falloff, tuple(maps))
-        if key not in self._wrapped:
-            self._wrapped[key] = self._wrap(*key)
+        with using_mitsuba(self.variant):
+            if key not in self._drawings:
+                self._drawings[key] = Drawing(self.variant, self._wrap(*key), replayed=False)
         views = views.in_patch_sides()
         tensors = [t.to(torch.float32).to(self.device).contiguous() for t in maps.values()]
         # Plain tensors, so that they cross dr.wrap, each with its gradient if it wants one.
         geometry = [t.to(torch.float64).to(self.device).split(VIEWS_PER_KERNEL)
                     for t in (views.camera, views.light, views.intensity)]
-        images = []
-        for camera, light, intensity in zip(*geometry):
-            images += self._wrapped[key](camera.contiguous(), light.contiguous(), intensity.contiguous(), *tensors)
-        return torch.stack(images).to(svbrdf["normal"].device)
+        images = [self._drawings[key](*(part.contiguous() for part in parts), *tensors) for parts in zip(*geometry)]
+        return (images[0] if len(images) == 1 else torch.cat(images)).to(svbrdf["normal"].device)
 
     def _wrap(self, bsdf: str, needs: Needs, side: int, falloff: str, names: tuple[str, ...]) -> Callable[..., list[Tensor]]:
         import drjit as dr

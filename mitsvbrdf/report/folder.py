@@ -14,12 +14,14 @@ from ..fit.record import write_record
 from ..fit.result import FitResult
 from ..material.map_files import save_maps
 from ..system import images
+from ..system.entry import entry
 from ..system.images import write_linear
 from ..system.progress import say
 from .fit_page import keep_photos, write_report
 from .sheet import loss_curve, write_sheet
 
 
+@entry()
 def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dict | None = None,
               left_out: Capture | None = None, pages: bool = True) -> None:
     """Write a fit: maps, look, uncertainty, guess, photos and re-renderings, sheet, curve, Mitsuba scene, ``fit.json``, page.

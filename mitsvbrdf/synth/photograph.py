@@ -8,9 +8,11 @@ from .. import color
 from ..capture.capture import Capture
 from ..material.maps import SVBRDF
 from ..render import Renderer
+from ..system.entry import entry
 from ..views import Views
 
 
+@entry()
 def photograph(svbrdf: SVBRDF, views: Views, renderer: Renderer, noise: float = 0.0, seed: int = 0,
                transfer: color.Transfer = "gamma2.2") -> Capture:
     """What a camera would store of a material: 8 bits, clipped, with sensor noise.

@@ -16,7 +16,7 @@ from ..capture.align.sheet import Sheet
 from ..capture.lens import Lens, Pose
 from ..material.maps import SVBRDF
 from ..render.bsdf import needed_maps, plugin, slot_values
-from ..render.llvm import mitsuba_module
+from ..render.exclusive import using_mitsuba
 from ..render.needs import material_needs
 from ..render.plugins import INTEGRATOR, NORMAL_MAP, register
 
@@ -50,11 +50,11 @@ class HandheldRenderer:
     def __init__(self, svbrdf: SVBRDF, side: float, sheet: Sheet | None = None, depth: float = 0.0, samples: int = 4,
                  variant: str = "llvm_ad_rgb") -> None:
         self.variant, self.samples = variant, samples
-        mi = self.mi = mitsuba_module(variant)
-        register(mi)
-        _register(mi.variant())
-        shapes = _sample(mi, svbrdf, side) | _surroundings(mi, side) | (_paper(mi, sheet, depth) if sheet else {})
-        self._shapes = {name: mi.load_dict(shape) for name, shape in shapes.items()}
+        with using_mitsuba(variant) as mi:
+            register(mi)
+            _register(mi.variant())
+            shapes = _sample(mi, svbrdf, side) | _surroundings(mi, side) | (_paper(mi, sheet, depth) if sheet else {})
+            self._shapes = {name: mi.load_dict(shape) for name, shape in shapes.items()}
         self._scenes: dict[tuple, tuple[Any, Any]] = {}
 
     def render(self, lens: Lens, pose: Pose, intensity: float = 0.0, ambient: float = 0.0,
@@ -68,13 +68,17 @@ class HandheldRenderer:
             ambient: radiance of surroundings that are everywhere the same, instead of the flash.
             seed: of the jitter.
         """
+        with using_mitsuba(self.variant) as mi:
+            return self._render(mi, lens, pose, intensity, ambient, seed)
+
+    def _render(self, mi: ModuleType, lens: Lens, pose: Pose, intensity: float, ambient: float,
+                seed: int) -> NDArray[np.float32]:
         import drjit as dr
 
-        mi = mitsuba_module(self.variant)
         samples = max(self.samples, AMBIENT_SAMPLES) if ambient else self.samples
         width, height = lens.size
         rows = min(height, max(1, MOST_RAYS // (width * samples)))
-        scene, held = self._scene(width, rows, bool(ambient), samples)
+        scene, held = self._scene(mi, width, rows, bool(ambient), samples)
         sensor = scene.sensors()[0]
         opaque = lambda value: dr.opaque(mi.Float, float(value))  # noqa: E731 - a number that is not compiled in
         sensor.set(lens, pose, opaque)
@@ -92,7 +96,7 @@ class HandheldRenderer:
             out[first : first + rows] = np.array(image)
         return out
 
-    def _scene(self, width: int, rows: int, ambient: bool, samples: int) -> tuple[Any, Any]:
+    def _scene(self, mi: ModuleType, width: int, rows: int, ambient: bool, samples: int) -> tuple[Any, Any]:
         key = (width, rows, ambient, samples)
         if key not in self._scenes:
             rgb = {"type": "rgb", "value": 1.0}
@@ -101,12 +105,12 @@ class HandheldRenderer:
             # Surroundings that are everywhere the same are found without noise by the rays that a diffuse texel sends out.
             integrator = ({"type": "direct", "emitter_samples": 0, "bsdf_samples": 1} if ambient else
                           {"type": INTEGRATOR, "shadow_rays": True, "bounces": 0, "environment": False})
-            scene = self.mi.load_dict({
+            scene = mi.load_dict({
                 "type": "scene", "integrator": integrator, **light, **self._shapes,
                 "sensor": {"type": CAMERA, "film": {"type": "hdrfilm", "width": width, "height": rows, "pixel_format": "rgb",
                                                     "component_format": "float32", "rfilter": {"type": "box"}},
                            "sampler": {"type": "stratified", "sample_count": samples, "jitter": samples > 1}}})
-            self._scenes[key] = scene, self.mi.traverse(scene)
+            self._scenes[key] = scene, mi.traverse(scene)
         return self._scenes[key]
 
 

@@ -15,10 +15,12 @@ from ..measure.gradients import Measured, render_and_gradients
 from ..measure.metrics import gradient_error, image_error
 from ..measure.tolerances import LIMITS, Limits
 from ..render import Renderer, RendererName, make_renderer
+from ..system.entry import entry
 from ..views import Views
 from .page import Figure, Row, failure, gradient_row, view_rows
 
 
+@entry(gradients=True)
 def assert_renderers_agree(maps: SVBRDF, views: Views, renderers: Sequence[RendererName | Renderer] = ("mitsuba",), *,
                            image_mean: float | None = None, image_p999: float | None = None, gradients: float | None = None,
                            reference: RendererName | Renderer = "analytic64") -> None:

@@ -25,6 +25,7 @@ from ..measure.metrics import error_statistics, flip, gradient_error, relative_e
 from ..measure.tolerances import ROUGH_FROM, TOLERANCES, UNIT_ROUNDOFF
 from ..render import Renderer, make_renderer
 from ..render.needs import scene_needs
+from ..system.entry import entry
 from ..system.provenance import machine, versions
 from ..system.timing import in_turns, spread
 from ..views import Views
@@ -35,6 +36,7 @@ SCHEMA_VERSION = 1
 Report = Callable[[str, float], object]
 
 
+@entry(gradients=True)
 def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequence[Bsdf], renderers: Sequence[Renderer],
                repeats: int = 5, *, names: Sequence[str] | None = None, transfer: color.Transfer = "gamma2.2",
                error_maps: MutableMapping[tuple[str, str, str], Tensor] | None = None,

@@ -22,6 +22,7 @@ from ..measure.gradients import fixed_cotangent
 from ..measure.metrics import image_error
 from ..render import RendererName, make_renderer
 from ..render.needs import Needs, scene_needs
+from ..system.entry import entry
 from ..system.provenance import machine, versions
 from ..system.timing import side_by_side
 from ..views import Views, nine_view_grid
@@ -52,6 +53,7 @@ class Case:
     truth: Tensor | None = None
 
 
+@entry(gradients=True)
 def measure_leave_out(resolution: int = 256, repeats: int = 9, report: Callable[[str], None] | None = None) -> dict:
     """Measure every case.
 

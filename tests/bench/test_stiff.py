@@ -71,12 +71,12 @@ def test_the_default_settles_and_ends_finite(name):
 
 def test_the_table_and_its_record(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(stiff, "CASES", {"a single photo": stiff.one_photo, "none": lambda side: 1 / 0})
-    monkeypatch.setitem(stiff.CASES, "none", lambda side: stiff.Case(Capture(torch.full((1, side, side, 3), math.nan),
-                                                                             GRID.pick([0]))))
+    nowhere = dataclasses.replace(GRID.pick([0]), camera=torch.full((1, 3), math.nan))
+    monkeypatch.setitem(stiff.CASES, "none", lambda side: stiff.Case(Capture(torch.full((1, side, side, 3), 0.5), nowhere)))
     assert stiff.main(tmp_path / "s.json", budget=0.2, resolution=SIDE, methods=("direct",), renderer="analytic") == 1
     single, broken = json.loads((tmp_path / "s.json").read_text())["rows"]
     assert single["case"] == "a single photo" and single["rerender_rmse"] >= 0 and single["map_rmse"]["mean"] > 0
-    assert "finite" in broken["error"]  # photos of NaN: an error that says so, not a table of NaN
+    assert "finite" in broken["error"]  # a camera at NaN: an error that says so, not a table of NaN
     assert "a single photo, direct: one photo" in capsys.readouterr().out
 
 

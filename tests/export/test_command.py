@@ -99,7 +99,7 @@ def test_exports_go_without_mitsuba(tmp_path, monkeypatch, capsys):
     def missing(*_):
         raise BackendError("libLLVM 19 or newer", "none", "install libllvm19")
 
-    monkeypatch.setattr(sphere, "mitsuba_module", missing)
+    monkeypatch.setattr(sphere, "using_mitsuba", missing)
     assert cli.main(["export", "builtin:tiles", "--to", "gltf", "-o", str(tmp_path / "out")]) == 0
     assert "no preview: " in capsys.readouterr().out
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [".mitsvbrdf", "gltf"]

@@ -12,6 +12,7 @@ from mitsvbrdf.material.maps import CHANNELS, SVBRDF, flat
 from mitsvbrdf.measure.gradients import render_and_gradients
 from mitsvbrdf.measure.metrics import gradient_error, image_error
 from mitsvbrdf.render import make_renderer
+from mitsvbrdf.render.exclusive import using_mitsuba
 from mitsvbrdf.render.needs import CONSTANT_FRESNEL_DEGREES, Needs, half_angle_bound, scene_needs
 from mitsvbrdf.testing import LIMITS, assert_matches_golden, assert_renderers_agree, random_material
 from mitsvbrdf.views import Views, texel_positions
@@ -103,14 +104,14 @@ def test_replay_trap_is_real():
     # The guard is needed: Mitsuba's scene, moved between forward and backward, gives another gradient without a word.
     renderer, material = make_renderer("mitsuba-scene"), random_material("roughconductor")
     renderer.render(material, GRID.pick([0]))  # compiles the wrapped function
-    (unguarded,) = renderer._wrapped.values()
+    (drawing,) = renderer._drawings.values()
     geometry = {i: [t[i:i + 1] for t in (GRID.camera, GRID.light, GRID.intensity)] for i in (0, 4)}
 
     def gradient(disturbed):
         leaves = [m.clone().requires_grad_() for m in material.maps.values()]
-        image = torch.stack(unguarded(*geometry[0], *leaves))
+        image = torch.stack(drawing.function(*geometry[0], *leaves))
         if disturbed:
-            unguarded(*geometry[4], *material.maps.values())
+            drawing.function(*geometry[4], *material.maps.values())
         return torch.autograd.grad(image.sum(), leaves)[0]
 
     assert gradient_error(gradient(True), gradient(False))["relative_l2"] > 0.05
@@ -121,14 +122,15 @@ def test_second_backward_of_a_traced_picture():
     image = make_renderer("mitsuba-scene").render(leaves, GRID.pick([0, 1]))
     first = torch.autograd.grad(image.sum(), list(leaves.maps.values()), retain_graph=True)
     again = torch.autograd.grad(image.sum(), list(leaves.maps.values()))
-    for a, b in zip(first, again):
-        assert gradient_error(a, b)["relative_l2"] < 1e-6  # drawn anew: same numbers but for the order of atomic adds
+    assert all(map(torch.equal, first, again))  # drawn anew
 
 
-def test_texel_gradients_are_the_same_bits_every_time():
-    renderer, material = make_renderer("mitsuba"), random_material("roughconductor")
-    first, second = (render_and_gradients(renderer, material, GRID).gradients for _ in range(2))
-    assert all(torch.equal(first[name], second[name]) for name in first)
+@pytest.mark.parametrize("name", ["mitsuba", "mitsuba-scene"])
+def test_gradients_are_the_same_bits_every_time(name):
+    # Of mitsuba-scene two of three were not, in roughness, by 4e-10: Dr.Jit's threads added views up as they came.
+    renderer, material = make_renderer(name), random_material("roughconductor", 8)
+    first, *others = (render_and_gradients(renderer, material, GRID).gradients for _ in range(8))
+    assert all(torch.equal(first[name], other[name]) for name in first for other in others)
 
 
 def test_more_views_than_one_kernel_holds():
@@ -147,12 +149,11 @@ def test_made_material_with_global_structure(name):
 
 @pytest.mark.parametrize("name", ["mitsuba", "mitsuba-scene"])
 def test_another_variant_set_in_between_does_no_harm(name):
-    import mitsuba as mi
-
     renderer, material = make_renderer(name), random_material("roughconductor")
     before = renderer.render(material, GRID.pick([0]))
-    mi.set_variant("scalar_rgb")
-    assert torch.equal(renderer.render(material, GRID.pick([0])), before)
+    with using_mitsuba() as mi:
+        mi.set_variant("scalar_rgb")
+        assert torch.equal(renderer.render(material, GRID.pick([0])), before)
 
 
 def test_renderers_live_side_by_side():
@@ -207,14 +208,13 @@ def test_leaving_out_the_fresnel_curve_costs_less_than_it_says():
 
 @pytest.mark.parametrize("name", ["mitsuba", "mitsuba-scene"])
 def test_another_variant_set_before_the_backward_pass_does_no_harm(name):
-    import mitsuba as mi
-
     renderer, gradients = make_renderer(name), []
     for variant in (renderer.variant, "scalar_rgb"):
         leaves = random_material("roughconductor", 16).map(lambda t: t.clone().requires_grad_())
         image = renderer.render(leaves, GRID.pick([0]))
-        mi.set_variant(variant)
-        gradients.append(torch.autograd.grad(image.sum(), leaves["roughness"])[0])
+        with using_mitsuba() as mi:
+            mi.set_variant(variant)
+            gradients.append(torch.autograd.grad(image.sum(), leaves["roughness"])[0])
     assert gradient_error(*gradients)["relative_l2"] < 1e-6
 
 

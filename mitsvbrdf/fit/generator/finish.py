@@ -24,6 +24,7 @@ from ...material.maps import SVBRDF
 from ...material.resample import resized
 from ...measure.rerender import rerender
 from ...render import Renderer
+from ...system.entry import entry
 from ...system.interrupts import stop_signals
 from ...views import Views, geometry
 from .. import losses
@@ -47,6 +48,7 @@ AVERAGED = 10  # steps at the start and at the end whose losses are told
 Report = Callable[[str, float], object]
 
 
+@entry(gradients=True)
 def finished(result: FitResult, capture: Capture, renderer: Renderer, config: FinishConfig | None = None,
              report: Report = lambda text, share: None) -> FitResult:
     """A fit with a look beside its maps.

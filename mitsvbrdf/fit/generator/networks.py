@@ -9,6 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from ...system.lock import PROCESS
 from .. import losses
 from ..losses import Game
 from ..method import descend
@@ -18,7 +19,7 @@ from ..parameters import STREAMS, Streams
 @contextlib.contextmanager
 def seeded(seed: int) -> Iterator[None]:
     """Weights drawn in this block depend on the seed alone, and torch's own random numbers are left as they were."""
-    with torch.random.fork_rng(devices=[]):
+    with PROCESS, torch.random.fork_rng(devices=[]):  # which all threads share
         torch.manual_seed(seed)
         yield
 

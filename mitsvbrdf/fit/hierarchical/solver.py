@@ -21,7 +21,7 @@ from torch import Tensor
 from ... import color
 from ...material.maps import CHANNELS, COLOURS, SVBRDF, Bsdf
 from ...render.bsdf import needed_maps
-from ...render.llvm import mitsuba_module
+from ...render.exclusive import using_mitsuba
 from ...render.needs import Needs, scene_needs
 from ...render.plugins import register
 from ...render.texel_plugin import from_torch, to_torch
@@ -102,8 +102,8 @@ class TexelSolver:
     def __init__(self, bsdf: Bsdf, fixed: Mapping[str, Tensor] | None = None, grey_specular: bool = False,
                  variant: str = "llvm_ad_rgb") -> None:
         self.bsdf, self.fixed, self.variant, self.grey_specular = bsdf, dict(fixed or {}), variant, grey_specular
-        self.mi = mitsuba_module(variant)
-        register(self.mi)
+        with using_mitsuba(variant) as self.mi:
+            register(self.mi)
         counts = CHANNELS[bsdf] | {"normal": 2} | ({"specular": 1} if grey_specular else {})
         self.unknowns = Unknowns(**{name: (counts[name],) for name in CHANNELS[bsdf] if name not in self.fixed})
         self._kernels: dict[tuple, Kernel] = {}
@@ -149,11 +149,12 @@ class TexelSolver:
             high: the highest.
             iterations: steps to take.
         """
-        mi, side = mitsuba_module(self.variant), x.shape[-1]  # with the variant made the current one
-        found = self._kernel(observations, side).steps(
-            self._problem(observations, side), self._planes(x), *self._planes(damping[None]), self._planes(mean),
-            self._planes(precision), [opaque(mi, v) for v in low], [opaque(mi, v) for v in high], opaque(mi, iterations))
-        moved, (damping, data, prior) = (to_torch(part).reshape(-1, side, side).to(x.device) for part in found)
+        side = x.shape[-1]
+        with using_mitsuba(self.variant) as mi:
+            found = self._kernel(observations, side).steps(
+                self._problem(observations, side), self._planes(x), *self._planes(damping[None]), self._planes(mean),
+                self._planes(precision), [opaque(mi, v) for v in low], [opaque(mi, v) for v in high], opaque(mi, iterations))
+            moved, (damping, data, prior) = (to_torch(part).reshape(-1, side, side).to(x.device) for part in found)
         return Solved(moved, damping, data, prior)
 
     def variances(self, observations: Observations, x: Tensor, precision: Tensor) -> Tensor:
@@ -168,8 +169,9 @@ class TexelSolver:
 
     def posterior(self, observations: Observations, x: Tensor, precision: Tensor) -> tuple[Tensor, Tensor]:
         """:meth:`variances`, and the log determinant of J^T W J + precision, R x R."""
-        found = to_torch(self._kernel(observations, x.shape[-1]).posterior(
-            self._problem(observations, x.shape[-1]), self._planes(x), self._planes(precision)))
+        with using_mitsuba(self.variant):
+            found = to_torch(self._kernel(observations, x.shape[-1]).posterior(
+                self._problem(observations, x.shape[-1]), self._planes(x), self._planes(precision)))
         found = found.reshape(-1, *x.shape[1:]).to(x.device)
         return found[:-1], found[-1]
 
@@ -180,9 +182,10 @@ class TexelSolver:
         1 / sqrt(1 + e^2 / s^2) if robust.
         """
         side, count = x.shape[-1], len(x)
-        kernel = self._kernel(observations, side)
-        found = kernel.equations(self._problem(observations, side), self._planes(x))
-        (cost,), slope, curve = (to_torch(part).reshape(-1, side, side).to(x.device) for part in found)
+        with using_mitsuba(self.variant):
+            kernel = self._kernel(observations, side)
+            found = kernel.equations(self._problem(observations, side), self._planes(x))
+            (cost,), slope, curve = (to_torch(part).reshape(-1, side, side).to(x.device) for part in found)
         dense = curve.new_zeros(count, count, side, side)
         for (i, j), value in zip(kernel.pairs, curve):
             dense[i, j] = dense[j, i] = value
@@ -199,7 +202,7 @@ class TexelSolver:
 
     def _problem(self, observations: Observations, side: int) -> dict:
         """The observations and the fixed maps as Dr.Jit arrays, for :class:`~mitsvbrdf.fit.hierarchical.kernel.Kernel`."""
-        mi, views = mitsuba_module(self.variant), observations.views.in_patch_sides().to(torch.float64)
+        mi, views = self.mi, observations.views.in_patch_sides().to(torch.float64)
         _, fixed = self._known(observations.views, side)
         problem = {"photos": from_torch(mi, observations.photos.float()), "count": opaque(mi, len(views)),
                    "weight": opaque(mi, observations.noise**-2.0),

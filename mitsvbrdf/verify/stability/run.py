@@ -16,6 +16,7 @@ from ...measure.gradients import Measured, fixed_cotangent, render_and_gradients
 from ...measure.metrics import image_error
 from ...measure.tolerances import SWEEP_TOLERANCES, UNIT_ROUNDOFF
 from ...render import Renderer, make_renderer
+from ...system.entry import entry
 from ...system.provenance import machine, versions
 from ..float32_limits import float32_limit
 from .clamps import CLAMPS
@@ -31,6 +32,7 @@ ABOVE_ROUNDING = 1e-5  # a gradient entry of this share of its texel's is above 
 Report = Callable[[str, float], object]
 
 
+@entry(gradients=True)
 def stability(renderers: Sequence[Renderer], sweeps: Sequence[str] = tuple(SWEEPS), report: Report = lambda text, share: None,
               ) -> dict:
     """Run sweeps and give a verdict on each configuration and renderer.

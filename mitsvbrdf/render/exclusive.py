@@ -1,0 +1,125 @@
+"""Mitsuba and Dr.Jit for one thread at a time, and pictures whose gradient belongs to them.
+
+Neither bears two threads: two that trace at once draw wrong pictures or end the process, and ``dr.wrap`` keeps the description
+of its latest result in a global variable. So whoever needs Mitsuba holds :func:`using_mitsuba` meanwhile: to import it, to make
+a scene, to draw, and, in whatever thread autograd works, to go backward. In between other threads may draw.
+
+The replay trap: a Mitsuba scene is one mutable object, and the calls it makes per ray are traced again *as the scene is
+at backward time*. Moving the camera, or drawing a preview, between forward and backward then silently gives gradients of
+the wrong picture; and since Dr.Jit traces such calls through every scene there is, a backward pass of one scene leaves none
+but zeros to a picture of another that was drawn before. :class:`Drawing` is the guard: a backward pass after any other
+picture of any scene draws its own again first, from the maps and views it kept.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from types import ModuleType
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from ..system.entry import put_back
+from ..system.lock import PROCESS
+from .llvm import mitsuba_module
+
+
+@contextlib.contextmanager
+def using_mitsuba(variant: str = "llvm_ad_rgb") -> Iterator[ModuleType]:
+    """The ``mitsuba`` module with this variant set, for this thread alone; afterwards one set before is set again.
+
+    Threads that call the package need none of this; those that use Mitsuba or Dr.Jit by themselves beside it hold it too. It
+    may be entered again inside itself. Not to be held around a backward pass of tensors on a GPU, which autograd makes in a
+    thread of its own.
+
+    Raises:
+        BackendError: Mitsuba, the variant, a GPU or libLLVM is missing.
+    """
+    with PROCESS:
+        before = "mitsuba" in sys.modules and sys.modules["mitsuba"].variant() or variant
+        mi = mitsuba_module(variant)
+        try:
+            yield mi
+        finally:
+            if hasattr(signal, "siginterrupt"):  # Mitsuba's render leaves a Ctrl-C that wakes no waiting thread
+                signal.siginterrupt(signal.SIGINT, True)
+            if mi.variant() != before:
+                put_back("the Mitsuba variant", partial(_set_again, mi, before))  # later, since it takes some 80 ms
+
+
+def _set_again(mi: ModuleType, variant: str) -> None:
+    with PROCESS:
+        mi.set_variant(variant)
+
+
+@contextlib.contextmanager
+def _drawing(variant: str) -> Iterator[None]:
+    """Mitsuba with this variant, and gradients that are the same bits in every run.
+
+    Else Dr.Jit's threads add gradients up in copies of their own, of which views they happen to compute.
+    """
+    with using_mitsuba(variant):
+        import drjit as dr
+
+        before = dr.expand_threshold()
+        dr.set_expand_threshold(0)
+        try:
+            yield
+        finally:
+            dr.set_expand_threshold(before)
+
+
+class Drawing:
+    """A function of torch tensors that Mitsuba computes, differentiable once; any thread may call it and go backward.
+
+    Args:
+        variant: of Mitsuba.
+        function: as ``dr.wrap`` makes it: of tensors, to a list of pictures.
+        replayed: whether it is traced again in the backward pass, from what its scene is by then.
+    """
+
+    drawn = 0  # pictures of all scenes so far: tells a backward pass whether scenes are still as it left them
+
+    def __init__(self, variant: str, function: Callable[..., list[Tensor]], replayed: bool) -> None:
+        self.variant, self.function, self.replayed = variant, function, replayed
+
+    def __call__(self, *inputs: Tensor) -> Tensor:
+        """The pictures stacked: N x R x R x 3."""
+        wanted = [torch.is_grad_enabled() and tensor.requires_grad for tensor in inputs]
+        return _Recorded.apply(self, wanted, *inputs) if any(wanted) else self.draw(inputs, wanted)[1]
+
+    def draw(self, inputs: Sequence[Tensor], wanted: Sequence[bool]) -> tuple[list[Tensor], Tensor]:
+        """Leaves that stand for the inputs, and the pictures with a graph to those whose gradient is wanted."""
+        leaves = [tensor.detach().requires_grad_(want) for tensor, want in zip(inputs, wanted)]
+        with _drawing(self.variant), torch.set_grad_enabled(any(wanted)):
+            Drawing.drawn += self.replayed
+            return leaves, torch.stack(self.function(*leaves))
+
+
+class _Recorded(torch.autograd.Function):
+    """The pictures of a drawing in torch's graph."""
+
+    @staticmethod
+    def forward(ctx: Any, drawing: Drawing, wanted: list[bool], *inputs: Tensor) -> Tensor:
+        ctx.save_for_backward(*inputs)
+        with using_mitsuba(drawing.variant):
+            ctx.drawing, ctx.wanted, ctx.record = drawing, wanted, drawing.draw(inputs, wanted)
+            ctx.drawn = Drawing.drawn
+        return ctx.record[1].detach()
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor | None, ...]:
+        drawing, wanted, inputs = ctx.drawing, ctx.wanted, ctx.saved_tensors  # raises where one was changed in place since
+        with _drawing(drawing.variant):
+            if ctx.record is None or drawing.replayed and ctx.drawn != Drawing.drawn:
+                ctx.record = drawing.draw(inputs, wanted)
+            (leaves, images), ctx.record = ctx.record, None
+            gradients = iter(torch.autograd.grad(images, [leaf for leaf in leaves if leaf.requires_grad], cotangent))
+        return None, None, *(next(gradients) if want else None for want in wanted)
