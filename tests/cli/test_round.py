@@ -239,7 +239,7 @@ def test_only_a_fit_goes_on_after_ctrl_c(command, resumes, monkeypatch, capsys):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tyro.extras.subcommand_cli_from_dict", interrupted)
+    monkeypatch.setattr("tyro.cli", interrupted)
     assert cli.main([command]) == 130
     said = capsys.readouterr().err
     assert said.startswith("interrupted") and said.count("\n") == 1 and ("--resume" in said) == resumes
