@@ -6,7 +6,6 @@ Every command imports this module, so it imports what needs torch only where it 
 from __future__ import annotations
 
 import functools
-import json
 import os
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -18,7 +17,7 @@ from tyro.conf import arg
 from ..errors import ConfigError, OutputError
 from ..system import files
 from ..system.progress import progress_bar, say
-from ..system.result_folder import MANIFEST
+from ..system.result_folder import MANIFEST, own_files
 
 if TYPE_CHECKING:
     from ..capture import Capture
@@ -108,10 +107,7 @@ def check_new_files(*outputs: Path | None, overwrite: bool, read: Sequence[str |
 def _is_of_result(file: Path) -> bool:
     """Whether a command put this file there with the others of its result."""
     home = next((folder for folder in file.parents if (folder / MANIFEST).is_file()), None)
-    try:
-        return home is not None and str(file.relative_to(home)) in json.loads((home / MANIFEST).read_bytes())
-    except (OSError, ValueError, TypeError, RecursionError):
-        return False
+    return home is not None and str(file.relative_to(home)) in own_files(home)
 
 
 def _photo_folders(capture: Path) -> set[str]:

@@ -208,14 +208,14 @@ def _put_in_place(out: Path, staged: Path, add: bool) -> None:
     """Move the new files to ``out`` and take away earlier ones of the same names, or, unless they are added, all of ours."""
     new = sorted(str(path.relative_to(staged)) for path in staged.rglob("*") if is_regular(path))
     new = [name for name in new if name not in (LOCK, LIVE)]
-    mine = _manifest(out)
+    mine = own_files(out)
     earlier = [name for name in mine if (name in new or not add) and is_regular(inside(out, name))]
     earlier += [MANIFEST] if is_regular(out / MANIFEST) else []
     (staged / MANIFEST).write_text(json.dumps(sorted({*mine, *new}) if add else new))
     Journal(out, ADDED if add else "", earlier, [*new, MANIFEST]).run()
 
 
-def _manifest(out: Path) -> list[str]:
+def own_files(out: Path) -> list[str]:
     """Names of the files that earlier commands put there; none where that is not known."""
     try:
         names = load(out / MANIFEST, list, links=False)
