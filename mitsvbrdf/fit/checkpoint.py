@@ -47,7 +47,7 @@ def load_tensors(path: Path | str) -> tuple[dict[str, Tensor], dict]:
         if not isinstance(note, dict):
             raise ValueError("its note is no object")
         return tensors, note
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as reason:
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RecursionError) as reason:
         raise ConfigError("a whole checkpoint of mitsvbrdf (.safetensors)", f"{path}: {reason}",
                           "check the path; a damaged one cannot be gone on from") from None
 
