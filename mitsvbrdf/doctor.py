@@ -18,7 +18,8 @@ from .errors import BackendError
 PACKAGES = {"torch": "torch", "numpy": "numpy", "opencv": "cv2", "OpenEXR": "OpenEXR", "safetensors": "safetensors",
             "scipy": "scipy", "matplotlib": "matplotlib", "jinja2": "jinja2", "pillow": "PIL", "simplejpeg": "simplejpeg",
             "mpmath": "mpmath", "tyro": "tyro", "rich": "rich"}
-EXTRAS = {"flip": "flip_evaluator", "movie": "av", "heic": "pillow_heif", "raw": "rawpy"}  # by the extra that installs it
+# By the extra that installs it.
+EXTRAS = {"flip": "flip_evaluator", "movie": "av", "heic": "pillow_heif", "raw": "rawpy", "batch": "ray", "s3": "s3fs"}
 DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless", "PIL": "pillow", "flip_evaluator": "flip-evaluator",
                  "pillow_heif": "pillow-heif"}
 
@@ -84,8 +85,8 @@ def _package(name: str, module: str) -> Row:
 
 def _extra(name: str, module: str) -> Row:
     """A package that only some files or figures need; without it all else works."""
-    found = _package(name, module)
-    return found if found.ok else Row(name, "not installed", None, f'pip install "mitsvbrdf[{name}]"')
+    found = _package(f"{name}: {DISTRIBUTIONS.get(module, module)}", module)
+    return found if found.ok else Row(found.name, "not installed", None, f'pip install "mitsvbrdf[{name}]"')
 
 
 def _mitsuba(variant: str) -> list[Row]:

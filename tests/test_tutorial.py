@@ -15,6 +15,7 @@ from mitsvbrdf.system import images
 
 TUTORIAL = notebooks.ROOT / "docs/tutorial.ipynb"
 SIDE = 32
+pytestmark = pytest.mark.slow
 SMALL = f"resolution, budget, out = {SIDE}, 1.0, 'small'"
 
 

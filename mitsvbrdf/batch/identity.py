@@ -12,6 +12,7 @@ from .. import __version__
 from ..capture.photo import SUFFIXES
 from ..system.json_files import load
 from .places.address import is_url
+from .places.remote import CALIBRATIONS, remote_contents
 
 CALIBRATION_FILES = ("capture.json", "camera_pos.txt", "image_size.txt", "light_power.txt", "light_pos.txt")
 
@@ -27,13 +28,24 @@ def identity(source: str, asked: dict, hash_of: Hash) -> str:
         hash_of: of a file's content; ``files.file_hash``, or one that remembers.
     """
     if is_url(source):
-        from .places.remote import remote_contents
         contents: list[list] = remote_contents(source)
     else:
         contents = [[os.path.relpath(path, source), hash_of(path)] for path in capture_files(Path(source))]
     named = [[name, hash_of(Path(name))] for name in _files_named(asked)]
     text = json.dumps([__version__, asked, contents, named], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()
+
+
+def identity_of_unreadable(source: str, asked: dict) -> str:
+    """In the place of the identity of a capture whose photos cannot be read: a hash of its address and its options."""
+    return hashlib.sha256(json.dumps([__version__, asked, source, "unreadable"], sort_keys=True).encode()).hexdigest()
+
+
+def is_calibrated(source: str) -> bool:
+    """Whether a capture (its folder, its JSON file, or a URL) states its views; others are raw photos."""
+    if is_url(source):
+        return any(name in CALIBRATIONS for name, *_ in remote_contents(source))
+    return os.path.isfile(source) or any(os.path.isfile(os.path.join(source, name)) for name in CALIBRATIONS)
 
 
 def capture_files(source: Path) -> list[Path]:

@@ -12,7 +12,7 @@ import json
 import os
 import sqlite3
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
@@ -59,6 +59,14 @@ def _opened(path: Path, readonly: bool) -> tuple[sqlite3.Connection, int]:
     return _opened(path, readonly=False)  # a batch died in the midst of a change: whoever may write takes it back
 
 
+def _way_out(reason: sqlite3.Error, otherwise: str) -> str:
+    """What to do about a file that cannot be opened or written."""
+    code = getattr(reason, "sqlite_errorcode", 0) & 0xFF  # the rest of it says more than is needed here
+    if code in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_AUTH):
+        return "check your rights to it and to its folder"
+    return "free space" if code == sqlite3.SQLITE_FULL else otherwise
+
+
 class Manifest:
     """The materials of a library, their attempts, and the hashes of files that did not change.
 
@@ -81,7 +89,8 @@ class Manifest:
                 version = VERSION
             self.db.row_factory = sqlite3.Row
         except sqlite3.Error as reason:
-            raise OutputError("a library's manifest", f"{path}: {reason}", "move it away; results are found again") from None
+            raise OutputError("a library's manifest", f"{path}: {reason}",
+                              _way_out(reason, "move it away; results are found again")) from None
         if version != VERSION:
             raise OutputError(f"a manifest of version {VERSION}", f"{version} in {path}", "use the version that made it")
 
@@ -98,7 +107,7 @@ class Manifest:
             with self.db:
                 yield
         except sqlite3.Error as reason:
-            raise OutputError(f"to write {self.path}", str(reason), "free space") from None
+            raise OutputError(f"to write {self.path}", str(reason), _way_out(reason, "free space, or check the disk")) from None
 
     def hash_of(self, path: Path) -> str:
         """A file's SHA-256, remembered for as long as its size and time of change stay."""
@@ -122,15 +131,15 @@ class Manifest:
         """These are what the batch is about; others stay, and are wanted no more where source and options are the same.
 
         Args:
-            materials: ``identity``, ``name``, ``source``, ``asked`` (with ``folder``, where paths start), ``own``
-                (options of its line), ``tags``, ``cost``.
+            materials: ``identity``, ``name``, ``source``, ``asked`` (with ``folder``, where paths start, and ``limit`` in
+                seconds), ``own`` (its options in words), ``tags``, ``cost``.
         """
         materials = list(materials)
         self._keep_hashes()
         with self._change():
             self.db.executemany(  # with other options it is another material, and stays
                 "update materials set wanted = 0 where source = ? "
-                "and json_remove(asked, '$.folder') = json_remove(?, '$.folder')",
+                "and json_remove(asked, '$.folder', '$.limit') = json_remove(?, '$.folder', '$.limit')",
                 {(each["source"], json.dumps(each["asked"])) for each in materials})
             for each in materials:
                 folder = f"{each['name']}-{each['identity'][:SHORT]}"
@@ -139,6 +148,16 @@ class Manifest:
                     "(:identity, :name, :folder, :source, :asked, :own, :tags, :cost, 1) on conflict (identity) do update set "
                     "source = :source, asked = :asked, own = :own, tags = :tags, cost = :cost, wanted = 1",
                     each | {"folder": folder, "asked": json.dumps(each["asked"]), "tags": json.dumps(each["tags"])})
+
+    def refuse(self, reasons: Mapping[str, str]) -> None:
+        """These have failed before anybody could try.
+
+        Args:
+            reasons: why, by identity.
+        """
+        with self._change():
+            self.db.executemany("update materials set state = 'failed', reason = ? where identity = ?",
+                                [(reason, identity) for identity, reason in reasons.items()])
 
     def materials(self, *states: str, wanted: bool = True) -> list[sqlite3.Row]:
         """The materials in these states, all where none is named; by name."""

@@ -6,69 +6,26 @@ import json
 import os
 import secrets
 import shutil
+import sqlite3
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
-from ..capture.photo import SUFFIXES
 from ..errors import OutputError
-from ..fit.config import FitConfig, HierarchicalConfig
-from ..fit.options import FitOptions, config_record
 from ..system.files import write_bytes, write_json
-from .entries import Entry, name_of_source
-from .identity import capture_files, identity
-from .manifest import Manifest
-from .places.address import is_url
+from .asked import Asked
+from .entries import name_of_source
+from .identity import identity, identity_of_unreadable, is_calibrated
+from .manifest import FILE, Manifest
 from .places.place import QUARANTINE, Place, clear_work
+from .places.remote import is_capture
 from .schedule import Work
 
-TYPICAL_SECONDS = 35.0  # of the default fit: nine photos, 256 px, one thread
-PHOTOS = 9  # of a capture whose files are not at hand
-ENDLESS = 3600.0  # seconds, of a fit that ends after iterations
+LOG = "log.txt"  # of a capture that failed
 LOCK, TOKEN = ".lock", ".token"  # what nodes are to see of a library, to be sure that it is the same
 
 Report = Callable[[str, float], None]
-
-
-@dataclass(frozen=True)
-class Asked:
-    """A capture, and how it is to be fitted.
-
-    Args:
-        entry: the capture.
-        config: method and settings.
-        options: the others.
-        pages: whether its page and pictures are written.
-        tags: words to find it by.
-        sheet: size in cm of the printed sheet in raw photos; None where there is none.
-        strict: whether photos that are damaged are refused.
-    """
-
-    entry: Entry
-    config: FitConfig
-    options: FitOptions
-    pages: bool
-    tags: tuple[str, ...]
-    sheet: float | None = None
-    strict: bool = False
-
-    @property
-    def record(self) -> dict:
-        """What a worker is told, and what the identity is made of."""
-        return {"config": config_record(self.config), "options": asdict(self.options), "pages": self.pages,
-                "sheet": self.sheet, **({"strict": True} if self.strict else {})}
-
-    @property
-    def cost(self) -> float:
-        """A guess of its seconds, to begin with the largest."""
-        limit = self.config.limited()
-        if not isinstance(self.config, HierarchicalConfig):
-            return limit.budget or ENDLESS
-        photos = PHOTOS
-        if not is_url(self.entry.source):
-            photos = sum(path.suffix.lower() in SUFFIXES for path in capture_files(Path(self.entry.source)))
-        return min(limit.budget or ENDLESS, TYPICAL_SECONDS * photos / PHOTOS * (self.options.resolution / 256) ** 2)
 
 
 def library_lock(home: Path) -> Callable[[], None]:
@@ -77,17 +34,18 @@ def library_lock(home: Path) -> Callable[[], None]:
     Raises:
         OutputError: another batch has it, or the folder is none of ours or cannot be written.
     """
-    from .manifest import FILE
-
     try:
         known = not home.is_dir() or (home / FILE).exists() or all(
             path.name == LOCK or path.name.startswith((TOKEN, f".{TOKEN}")) for path in home.iterdir())
         if not known or home.exists() and not home.is_dir():
-            raise OutputError("a new folder or a library", f"{home}, which is neither", "choose another place")
+            photos = home.is_dir() and is_capture(os.listdir(home))
+            raise OutputError("a new folder or a library", f"{home}, which {'holds photos' if photos else 'is neither'}",
+                              "choose another place")
         home.mkdir(parents=True, exist_ok=True)
         lock = (home / LOCK).open("w")
     except OSError as reason:
-        raise OutputError(f"a place to write at {home}", reason.strerror or str(reason), "choose another place") from None
+        raise OutputError(f"a place to write at {home}", reason.strerror or str(reason),
+                          "check your rights, or choose another place") from None
     import fcntl
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -104,39 +62,62 @@ class Registered(NamedTuple):
     """What of the captures that were named is not fitted by itself.
 
     Args:
-        unreadable: why a capture cannot even be read, by source.
+        nameless: why a capture cannot even be entered, by source.
         same: source of the capture that has the same photos and options, by source.
     """
 
-    unreadable: dict[str, OutputError]
+    nameless: dict[str, OutputError]
     same: dict[str, str]
 
 
 def register(asked: Iterable[Asked], manifest: Manifest, report: Report) -> Registered:
-    """Enter what is asked for into the manifest.
+    """Enter what is asked for into the manifest; a capture that cannot be read has failed.
 
     Args:
         asked: each capture with its options; the same twice counts once.
         manifest: of the library.
         report: told what is being read and the share done.
     """
-    asked, materials, unreadable, same = list(asked), dict[str, dict](), dict[str, OutputError](), dict[str, str]()
+    asked, materials, nameless, same = list(asked), dict[str, dict](), dict[str, OutputError](), dict[str, str]()
+    unreadable: dict[str, str] = {}
     for number, each in enumerate(asked):
-        report(os.path.basename(each.entry.source), number / len(asked))
+        source = each.entry.source
+        report(os.path.basename(source), number / len(asked))
         try:
-            known = identity(each.entry.source, each.record, manifest.hash_of)
-            if known in materials and materials[known]["source"] != each.entry.source:
-                same[each.entry.source] = materials[known]["source"]
-                continue
-            materials[known] = {
-                "identity": known, "name": name_of_source(each.entry.source), "source": each.entry.source,
-                "asked": each.record | {"folder": os.getcwd()}, "own": " ".join(each.entry.own), "tags": list(each.tags),
-                "cost": each.cost}
-        except (OSError, UnicodeEncodeError) as reason:  # the second: a name that is not UTF-8, which no manifest can hold
-            way_out = "check your rights to it" if isinstance(reason, OSError) else "rename it"
-            unreadable[each.entry.source] = OutputError("a capture that can be read", f"{each.entry.source}: {reason}", way_out)
+            material, reason = _material(each, manifest)
+        except UnicodeEncodeError as error:  # which no manifest can hold
+            nameless[source] = OutputError("a name in UTF-8", f"{source!r}: {error}", "rename it")
+            continue
+        known = material["identity"]
+        if known in materials and materials[known]["source"] != source:
+            same[source] = materials[known]["source"]
+            continue
+        materials[known] = material
+        if reason:
+            unreadable[known] = reason
     manifest.want(materials.values())
-    return Registered(unreadable, same)
+    manifest.refuse(unreadable)
+    return Registered(nameless, same)
+
+
+def _material(each: Asked, manifest: Manifest) -> tuple[dict, str]:
+    """What the manifest keeps of a capture, and why it cannot be read, in words; empty where it can.
+
+    Raises:
+        UnicodeEncodeError: its name is not UTF-8.
+    """
+    source, reason, cost, limit = each.entry.source, "", 0.0, None
+    source.encode()
+    if each.sheet is not None and is_calibrated(source):  # nobody looks for a sheet there
+        each = replace(each, sheet=None)
+    try:
+        known, cost, limit = identity(source, each.record, manifest.hash_of), each.cost, each.limit
+    except OSError as error:
+        known = identity_of_unreadable(source, each.record)
+        reason = str(OutputError("a capture that can be read", f"{source}: {error}", "check your rights to it"))
+    asked = each.record | {"folder": os.getcwd(), "limit": limit}
+    return {"identity": known, "name": name_of_source(source), "source": source, "asked": asked, "own": each.words,
+            "tags": list(each.tags), "cost": cost}, reason
 
 
 @dataclass(frozen=True)
@@ -181,17 +162,31 @@ def take_stock(manifest: Manifest, place: Place, home: Path, retry_failed: bool)
             damaged[each["folder"]] = wrong
             place.set_aside(each["folder"])
             manifest.again(each["identity"], wrong)
-    if retry_failed:
-        for each in manifest.materials("failed"):
+    for each in manifest.materials("failed"):
+        if not each["attempts"]:  # it cannot be read, so nobody tries
+            quarantine(home, each, each["state"], each["reason"])
+        elif retry_failed:
             manifest.again(each["identity"], each["reason"])
     left = [Work(each["identity"], each["cost"]) for each in manifest.materials("pending")]
     return Standing(left, manifest.counts()["done"], adopted, damaged)
 
 
-def quarantine(home: Path, folder: str, reason: dict, log: str) -> None:
-    """Keep why a capture failed, and what its fit printed."""
-    write_json(home / QUARANTINE / folder / "reason.json", reason)
-    write_bytes(home / QUARANTINE / folder / "log.txt", log.encode(errors="replace"))
+def quarantine(home: Path, material: sqlite3.Row, state: str, reason: str, log: str = "") -> None:
+    """Keep why a capture failed, and what its fit printed where it printed anything.
+
+    Args:
+        home: folder of the quarantine.
+        material: its row of the manifest.
+        state: how its last attempt ended.
+        reason: why, in words.
+        log: what the fit printed.
+    """
+    release(home, material["folder"])
+    if log.strip():
+        write_bytes(home / QUARANTINE / material["folder"] / LOG, log.encode(errors="replace"))
+    write_json(home / QUARANTINE / material["folder"] / "reason.json", {
+        "name": material["name"], "source": material["source"], "state": state, "reason": reason,
+        "attempts": material["attempts"]})
 
 
 def release(home: Path, folder: str) -> None:
@@ -204,4 +199,4 @@ def task_of(manifest: Manifest, work: Work, attempt: str, library: str) -> dict:
     row = manifest.material(work.identity)
     asked = json.loads(row["asked"])
     return {"attempt": attempt, "name": row["name"], "identity": work.identity, "capture": row["source"], "library": library,
-            "folder": asked.pop("folder"), "options": asked}
+            "folder": asked.pop("folder"), "limit": asked.pop("limit", None), "options": asked}

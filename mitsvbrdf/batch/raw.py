@@ -10,7 +10,7 @@ from ..capture.page import write_quality
 from ..capture.photo import Photo, photos_in
 from ..capture.rig import LEAST_PHOTOS
 from ..color import Transfer
-from .places.remote import CALIBRATIONS
+from .identity import is_calibrated
 
 SIDE = 1024  # pixels, of the rectified photos
 
@@ -27,11 +27,11 @@ def rectified(folder: Path, out: Path, sheet: float | None, transfer: Transfer |
     Raises:
         CaptureError: raw photos of which none can be made.
     """
-    if folder.is_file() or any((folder / name).is_file() for name in CALIBRATIONS):
+    if is_calibrated(str(folder)):
         return folder
     photos = [Photo.open(path) for path in photos_in(folder)]
     if sheet is None:
-        refuse_tags(photos)
+        refuse_tags(photos, "give that, for example `--sheet 18`, to the command or on the line of a list")
         if len(photos) < LEAST_PHOTOS:
             return folder
     try:

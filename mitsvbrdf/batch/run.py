@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import OutputError
 from ..system.interrupts import stop_signals
+from ..system.progress import several
 from .library.rows import write_library
 from .manifest import Manifest
 from .places.address import title_of
@@ -33,12 +34,14 @@ class Progress:
         seconds: since it began.
         ended: how many ended since then.
         running: the names of those that run.
+        before: the counts when it began.
     """
 
     counts: dict[str, int]
     seconds: float
     ended: int
     running: Sequence[str]
+    before: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def per_hour(self) -> float:
@@ -47,9 +50,14 @@ class Progress:
 
     @property
     def left_seconds(self) -> float | None:
-        """Until all have ended; None before one has."""
-        left = self.counts["running"] + self.counts["pending"]
-        return 3600 * left / self.per_hour if self.per_hour else None
+        """Until all have ended; None before as many have as run at a time: earlier ends say too little."""
+        known = self.per_hour and self.ended >= self.counts["running"]
+        return 3600 * self.left / self.per_hour if known else None
+
+    @property
+    def left(self) -> int:
+        """How many have not ended."""
+        return self.counts["running"] + self.counts["pending"]
 
 
 Tell = Callable[[Progress, str], None]
@@ -65,18 +73,20 @@ class Batch:
         manifest: what became of each capture.
         scheduler: what is left to do.
         tell: told how it stands after each end, with a line about it, and now and then with none.
+        command: what was typed, for the page of a batch that was stopped.
         clock: seconds since any moment.
     """
 
     def __init__(self, home: Path, library: str, place: Place, manifest: Manifest, scheduler: Scheduler, tell: Tell,
-                 clock: Callable[[], float] = time.monotonic) -> None:
+                 command: str | None = None, clock: Callable[[], float] = time.monotonic) -> None:
         self.home, self.library, self.place, self.manifest = home, library, place, manifest
-        self.scheduler, self.tell, self.clock = scheduler, tell, clock
+        self.scheduler, self.tell, self.command, self.clock = scheduler, tell, command, clock
         self.idle: dict[str, str] = {}  # hosts of workers without work
         self.attempts: dict[str, str] = {}  # by worker
         self.names: dict[str, str] = {}  # of what each worker runs
         self.hosts: dict[str, str] = {}
         self.counts = manifest.counts()  # kept here too: to count 100,000 rows at each event would take most of the time
+        self.before = dict(self.counts)
         self.started, self.ended, self.trouble = clock(), 0, ""
         self._page_due, self.going = 0.0, True
 
@@ -96,7 +106,8 @@ class Batch:
                     break
                 if stop and not warned:
                     warned = True
-                    self.tell(self.progress(), "Ctrl-C again ends what runs")
+                    running = several(len(self.scheduler.running), "fit")
+                    self.tell(self.progress(), f"stopping: waiting for {running} (Ctrl-C again ends at once)")
                 for event in pool.events(TURN_SECONDS):
                     with self._noting():
                         self._heard(event)
@@ -188,9 +199,7 @@ class Batch:
             self.manifest.end(attempt, "done", outcome, record["attempt"])
             release(self.home, material["folder"])
         elif verdict == "failed":  # first its reason: who dies here finds it waiting
-            quarantine(self.home, material["folder"], {
-                "name": material["name"], "source": material["source"], "state": outcome["state"], "reason": outcome["reason"],
-                "attempts": material["attempts"]}, outcome.get("log", ""))
+            quarantine(self.home, material, outcome["state"], outcome["reason"], outcome.get("log", ""))
             self.manifest.end(attempt, "failed", outcome)
         else:
             self.manifest.end(attempt, "pending", outcome)
@@ -217,7 +226,7 @@ class Batch:
 
     def progress(self) -> Progress:
         """How it stands now."""
-        return Progress(dict(self.counts), self.clock() - self.started, self.ended, list(self.names.values()))
+        return Progress(dict(self.counts), self.clock() - self.started, self.ended, list(self.names.values()), self.before)
 
     def _show(self) -> None:
         """Tell how it stands, and write the page anew where it is time."""
@@ -232,4 +241,4 @@ class Batch:
         """Write ``library.json`` and ``index.html``; how fast it goes stands there only while it does."""
         stands = self.progress()
         rate = {"per_hour": stands.per_hour, "left_seconds": stands.left_seconds} if self.going else None
-        write_library(self.home, self.manifest, title_of(self.library), rate)
+        write_library(self.home, self.manifest, title_of(self.library), rate, self.command)

@@ -6,11 +6,9 @@ import os
 from dataclasses import dataclass
 
 from ..errors import ConfigError
-from ..fit.config import FitConfig
 
 HEADROOM = 0.9  # of the memory that is free when the batch begins, for its workers together
 LEAST_GIB = 1.5  # a worker holds about 0.7 GiB before it fits, and so much at 256 px
-START_SECONDS, SLOWEST = 600.0, 5.0  # a fit may take so many times its budget, and this besides
 
 
 @dataclass(frozen=True)
@@ -26,7 +24,7 @@ class BatchSettings:
     retries: int = 2
     """How often a fit is tried again that crashed or took more time or memory than it may."""
     timeout: float | None = None
-    """Seconds that a fit may take. Left out: 10 minutes and 5 times its budget; with no budget but iterations, no limit."""
+    """Seconds that a fit may take. Left out: 3 minutes and 3 times its budget, more where much is read or written."""
     memory: float | None = None
     """GiB that a worker may take. Left out: an equal share of what is free here; on a cluster, no limit."""
     retry_failed: bool = False
@@ -53,13 +51,6 @@ class BatchSettings:
     def local_memory(self, workers: int) -> float | None:
         """GiB that each of so many workers may take here; None is no limit."""
         return self.memory or (round(HEADROOM * free_gib() / workers, 2) if free_gib() < float("inf") else None)
-
-    def limit(self, configs: list[FitConfig]) -> float | None:
-        """Seconds that any of these fits may take; None is no limit."""
-        budgets = [config.limited().budget for config in configs]
-        if self.timeout or None in budgets:
-            return self.timeout
-        return START_SECONDS + SLOWEST * max(filter(None, budgets), default=0.0)
 
 
 def free_gib() -> float:

@@ -107,7 +107,18 @@ def made_on(record: Mapping) -> str:
     packages = ", ".join(f"{name} {v[name]}" for name in ("mitsvbrdf", "mitsuba", "drjit", "torch", "python") if v.get(name))
     return (f"Machine: {model}, {m['cores']} cores{memory}, {m['system']}. Versions: {packages}, "
             f"{m.get('libllvm') or 'libLLVM unknown'}; code {s['code']}. Fits: {s['resolution']} px, through `{s['renderer']}`"
-            + (f", seeds {', '.join(map(str, record['seeds']))}" if record["seeds"] else "") + ".")
+            + (f", seeds {', '.join(map(str, record['seeds']))}" if record["seeds"] else "") + "." + _at_a_time(record))
+
+
+def _at_a_time(record: Mapping) -> str:
+    """How many jobs shared the machine, where any did."""
+    shared = [r["workers"] for r in record["records"] if r.get("workers", 1) > 1]
+    if not shared:
+        return ""
+    least, most = min(shared), max(shared)
+    at_a_time = most if least == most else f"{least} to {most}"
+    return (f" {len(shared)} of {len(record['records'])} records were made {at_a_time} at a time (`--workers`): their "
+            "times are those of a shared machine.")
 
 
 def _in_short(record: Mapping) -> list[str]:

@@ -54,7 +54,7 @@ def run_parallel(plan: Plan, jobs: Sequence[Job], store: Store, settings: BatchS
 def _measured(plan: Plan, jobs: dict[str, Job], store: Store, settings: BatchSettings, pool: Pool,
               report: Report) -> dict[str, str]:
     scheduler = Scheduler([Work(key, job.cost) for key, job in jobs.items()], settings.retries)
-    idle, failed, ended, began = set[str](), dict[str, str](), 0, time.monotonic()
+    idle, up, failed, ended, began = set[str](), set[str](), dict[str, str](), 0, time.monotonic()
     with stop_signals() as stop:
         while scheduler.running or scheduler.waiting:
             if stop:
@@ -66,17 +66,19 @@ def _measured(plan: Plan, jobs: dict[str, Job], store: Store, settings: BatchSet
                 worker = event["worker"]
                 if event["is"] == "worker":
                     idle.add(worker)
+                    up.add(worker)
                     continue
                 job = jobs[scheduler.running[worker].identity] if worker in scheduler.running else None
                 if event["is"] == "lost":
                     idle.discard(worker)
+                    up.discard(worker)
                     lost = scheduler.lost(worker)
                     verdict, reason = (lost[1] if lost else "again"), event["reason"]
                 else:
                     idle.add(worker)
                     verdict, reason = scheduler.finished(worker, event["outcome"]["state"]), event["outcome"]["reason"]
                     if verdict == "done" and job:
-                        store.add(job.key | {"config": job.settings} | event["outcome"]["row"])
+                        store.add(job.key | {"config": job.settings, "workers": len(up)} | event["outcome"]["row"])
                 ended += verdict != "again"
                 if verdict == "failed" and job:
                     failed[job.title] = reason

@@ -20,6 +20,12 @@ class Spread(TypedDict):
     repeats: int
 
 
+class Made(TypedDict, total=False):
+    """How a record was made; ``workers``: how many jobs were done at a time, left out where it was one."""
+
+    workers: int
+
+
 class RenderRow(TypedDict):
     """One renderer of a case.
 
@@ -35,7 +41,7 @@ class RenderRow(TypedDict):
     both: Spread
 
 
-class RenderRecord(TypedDict):
+class RenderRecord(Made):
     """One case of the suite ``renderers``; ``truth``: texel centres, or averages over pixels."""
 
     suite: Literal["renderers"]
@@ -48,7 +54,7 @@ class RenderRecord(TypedDict):
     skipped: list[dict[str, str]]
 
 
-class FitRecord(TypedDict):
+class FitRecord(Made):
     """One fit.
 
     ``seconds`` by the loop's clock, ``wall`` with preparation and reckoning. ``errors`` of a known ``material``: each map,
@@ -71,7 +77,7 @@ class FitRecord(TypedDict):
     errors: dict[str, float]
 
 
-class CaptureRecord(TypedDict):
+class CaptureRecord(Made):
     """One capture made without calibration.
 
     Of a known ``material`` by the simulated phone, with or without ``sheet``, or a real ``capture`` whose views were taken
@@ -90,7 +96,7 @@ class CaptureRecord(TypedDict):
     why: str | None
 
 
-class ReferenceRecord(TypedDict):
+class ReferenceRecord(Made):
     """What the fits of one material or capture are compared with; ``errors``: whose -> error -> value, named as in a fit."""
 
     suite: Literal["references"]
@@ -100,7 +106,7 @@ class ReferenceRecord(TypedDict):
     errors: dict[str, dict[str, float]]
 
 
-class ScheduleRecord(TypedDict):
+class ScheduleRecord(Made):
     """One run of the paper's schedule: ``errors`` of its result; ``trace`` has those of the state, iteration and seconds."""
 
     suite: Literal["schedule"]
@@ -126,7 +132,7 @@ class StepRow(TypedDict):
     parts: dict[str, float]
 
 
-class StepRecord(TypedDict):
+class StepRecord(Made):
     """Iterations of one preset of ``gan``; ``ratio`` is how many times as long the earlier version takes."""
 
     suite: Literal["steps"]
@@ -138,7 +144,7 @@ class StepRecord(TypedDict):
     ratio: Spread
 
 
-class SheetRecord(TypedDict):
+class SheetRecord(Made):
     """A picture of one material's maps by several methods; ``errors``: whose -> map -> RMSE, as written on it."""
 
     suite: Literal["sheets"]
@@ -224,7 +230,8 @@ def _problem(value: Any, kind: Any, place: str) -> tuple[str, str, str] | None:
 
 def _of_dict(value: Any, kind: Any, place: str) -> tuple[str, str, str] | None:
     hints = get_type_hints(kind)
-    if not isinstance(value, dict) or set(value) != set(hints):
+    if not isinstance(value, dict) or not kind.__required_keys__ <= set(value) <= set(hints):
         got = sorted(value) if isinstance(value, dict) else repr(value)[:60]
         return place, f"the fields {sorted(hints)}", str(got)
-    return next(filter(None, (_problem(value[name], hint, f"{place}.{name}") for name, hint in hints.items())), None)
+    return next(filter(None, (_problem(value[name], hint, f"{place}.{name}") for name, hint in hints.items()
+                              if name in value)), None)

@@ -270,8 +270,14 @@ def _views(rig: Rig, shading: Shading | None) -> Views:
     return Views.of(camera, light, power, rig.size)
 
 
-def refuse_tags(photos: Sequence[Photo]) -> None:
-    """Raise CaptureError where a sheet of tags is in the first photo: without its size the tags would pass for material."""
+def refuse_tags(photos: Sequence[Photo], how: str = "give that, for example `mitsvbrdf capture PHOTOS -o CAPTURE --sheet 18`"
+                ) -> None:
+    """Raise CaptureError where a sheet of tags is in the first photo: without its size the tags would pass for material.
+
+    Args:
+        photos: those of a capture.
+        how: what to do with the size.
+    """
     from .align.from_sheet import LEAST_TAGS
     from .align.sheet import Sheet
     from .align.tag_edges import find_edges
@@ -279,8 +285,7 @@ def refuse_tags(photos: Sequence[Photo]) -> None:
     count = len(find_edges(photos[0], Sheet()).corners) if photos else 0
     if count >= LEAST_TAGS:
         raise CaptureError("--sheet CM for photos of a sheet of tags", f"{count} tags in {photos[0].name} and no size",
-                           "measure the frame of tags from outer edge to outer edge and give that, for example `mitsvbrdf "
-                           "capture PHOTOS -o CAPTURE --sheet 18`")
+                           f"measure the frame of tags from outer edge to outer edge and {how}")
 
 
 def capture_keys(result: CaptureResult) -> dict:

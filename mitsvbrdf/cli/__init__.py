@@ -122,6 +122,9 @@ def _run(arguments: list[str]) -> int:
     if chosen in FITTING:
         from .fit import with_flags
         arguments = with_flags(arguments)
+    if chosen in COMMANDS and arguments[0].replace("_", "-") == chosen:  # its mistakes then name its own help
+        return tyro.cli(commands[chosen], prog=f"mitsvbrdf {chosen}", args=arguments[1:],
+                        config=(tyro.conf.FlagCreatePairsOff,))
     return tyro.extras.subcommand_cli_from_dict(
         commands, prog="mitsvbrdf", args=arguments, config=(tyro.conf.FlagCreatePairsOff,),
         description="Recover the maps of a material (diffuse, specular, roughness, normal) from a few flash photos, "

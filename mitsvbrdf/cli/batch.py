@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import contextlib
+import io
+import itertools
 import os
-from collections.abc import Iterator
+import re
+import shlex
+import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from ..batch.entries import Entry, entries
+from ..batch.asked import Asked
+from ..batch.entries import Entry, Mistakes, entries
 from ..batch.manifest import FILE, Manifest
 from ..batch.places.address import check_address, download, home_of, is_url, place_of, upload
-from ..batch.places.place import WORK, clear_work
-from ..batch.prepare import Asked, Standing, library_lock, register, take_stock
+from ..batch.places.place import QUARANTINE, WORK, clear_work
+from ..batch.prepare import LOG, Standing, library_lock, register, take_stock
 from ..batch.progress import telling
 from ..batch.run import Batch
 from ..batch.schedule import Scheduler
@@ -34,7 +40,7 @@ INTERRUPTED = 130
 
 def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help=(
               "Captures, folders of captures, patterns, URLs, or lists: text files with a capture and its own options a line; "
-              "- is a list on standard input."))],
+              "- is a list on standard input."), help_behavior_hint="(required)")],
           out: Annotated[str, arg(aliases=["-o"], metavar="LIBRARY", help="The library: a folder that all workers see, or a "
                                                                           "URL like s3://bucket/library.")],
           config: FitConfig, shared: OmitArgPrefixes[FitOptions] = USUAL,
@@ -43,7 +49,7 @@ def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help
                             arg(help="How to fit; `batch --method gan --help` shows its own options.")] = "hierarchical",
           pages: Annotated[Literal["all", "none"], arg(help="none: maps, uncertainty, fit.json and preview alone, in a sixth "
                                                             "of the space.")] = "all",
-          tag: UseAppendAction[Annotated[tuple[str, ...], arg(help="A word to find these materials by; repeatable.")]] = (),
+          tag: UseAppendAction[Annotated[tuple[str, ...], arg(help="Words to find these materials by, commas between.")]] = (),
           sheet: Annotated[float | None, arg(metavar="CM", help="In raw photos a printed sheet of tags lies around the "
                                                                 "material: its measured size.")] = None,
           strict: Strict = False) -> int:
@@ -60,34 +66,42 @@ def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help
     running.check()
     shared.check(config)
     require_ray()
-    base = Asked(Entry(""), config, shared, pages == "all", tag, sheet, strict)
-    asked = [_with_own_options(entry, base) for entry in entries(captures)]
-    for each in asked:
-        each.options.check(each.config)
+    asked = _asked(captures, Asked(Entry(""), config, shared, pages == "all", _split(tag), sheet, strict))
     with _opened(out) as (home, manifest):
         library = out if is_url(out) else os.path.realpath(out)
         place = place_of(library)
-        with progress_bar("captures") as report:
-            unreadable, same = register(asked, manifest, report)
+        with progress_bar("reading captures") as report:
+            nameless, same = register(asked, manifest, report)
             stock = take_stock(manifest, place, home, running.retry_failed)
-        for error in unreadable.values():
+        for error in nameless.values():
             say(f"left out: {error}")
         for source, first in same.items():
             say(f"left out: {source} has the photos and options of {first}")
         _say_stock(stock, manifest, home)
         interrupted = False
         if stock.work:
-            with telling(home.name) as tell, contextlib.closing(_pool(home, library, running, asked)) as pool:
-                work = Batch(home, library, place, manifest, Scheduler(stock.work, running.retries), tell)
+            with telling(home.name) as tell, contextlib.closing(_pool(home, library, running)) as pool:
+                work = Batch(home, library, place, manifest, Scheduler(stock.work, running.retries), tell,
+                             _typed())
                 interrupted = work.run(pool)
             if not interrupted:
                 clear_work(home)
             if work.trouble:
                 say(f"stopped: {work.trouble}; the same command goes on")
-        return _ended(manifest, home, interrupted, len(unreadable))
+        return _ended(manifest, home, interrupted, len(nameless))
 
 
-def _with_own_options(entry: Entry, base: Asked) -> Asked:
+def _asked(captures: list[str], base: Asked) -> list[Asked]:
+    """The captures and what is asked for of each; all mistakes are told at once."""
+    mistakes, asked = Mistakes(), list[Asked]()
+    for entry in entries(captures, mistakes):
+        with mistakes.gathered(entry.where):
+            asked.append(with_own_options(entry, base))
+    mistakes.tell()
+    return asked
+
+
+def with_own_options(entry: Entry, base: Asked) -> Asked:
     """A capture with the options of its line beside those of the command line."""
     if not entry.own:
         return replace(base, entry=entry)
@@ -95,16 +109,35 @@ def _with_own_options(entry: Entry, base: Asked) -> Asked:
 
     def line(config: FitConfig, shared: OmitArgPrefixes[FitOptions] = base.options, method: str = "",
              pages: Literal["all", "none"] = "all" if base.pages else "none",
-             tag: UseAppendAction[tuple[str, ...]] = (), sheet: float | None = base.sheet) -> Asked:
-        return Asked(entry, config, shared, pages == "all", (*base.tags, *tag), sheet, base.strict)
+             tag: UseAppendAction[tuple[str, ...]] = (), sheet: float | None = base.sheet, strict: bool = base.strict) -> Asked:
+        return Asked(entry, config, shared, pages == "all", (*base.tags, *_split(tag)), sheet, strict)
 
-    words = with_flags(list(entry.own))
+    words, said = with_flags(list(entry.own)), io.StringIO()
     try:
-        return tyro.cli(fit_command(words, line, base.config), args=words, prog=f"options in {entry.where}",
-                        config=(tyro.conf.FlagCreatePairsOff,))
+        with contextlib.redirect_stderr(said):
+            asked = tyro.cli(fit_command(words, line, base.config), args=words, add_help=False,
+                             config=(tyro.conf.FlagCreatePairsOff,))
     except SystemExit:
-        raise ConfigError("options of `mitsvbrdf fit`, or --tag", f"{' '.join(entry.own)} ({entry.where})",
-                          "mend the line") from None
+        raise ConfigError("options of `mitsvbrdf fit`, --tag, --pages or --sheet",
+                          f"{shlex.join(entry.own)} ({_plain(said.getvalue())})", "mend the line") from None
+    asked.options.check(asked.config)
+    return asked
+
+
+def _plain(box: str) -> str:
+    """The sentence in tyro's box: what stands between its title and the next rule or empty line."""
+    lines = [line.strip("│╭╮╰╯ ").strip("─-") for line in re.sub(r"\x1b\[[0-9;]*m", "", box).splitlines()]
+    return " ".join(itertools.takewhile(bool, itertools.dropwhile(lambda line: not line, lines[1:])))
+
+
+def _split(tags: Sequence[str]) -> tuple[str, ...]:
+    """Tags with commas between them as tags."""
+    return tuple(dict.fromkeys(word for tag in tags for part in tag.split(",") if (word := part.strip())))
+
+
+def _typed() -> str | None:
+    """The command as it was typed; None where it was called otherwise."""
+    return shlex.join(["mitsvbrdf", *sys.argv[1:]]) if sys.argv[1:2] == ["batch"] else None
 
 
 @contextlib.contextmanager
@@ -119,14 +152,14 @@ def _opened(out: str) -> Iterator[tuple[Path, Manifest]]:
         yield home, last.enter_context(contextlib.closing(Manifest(home / FILE)))
 
 
-def _pool(home: Path, library: str, settings: BatchSettings, asked: list[Asked]) -> RayPool:
+def _pool(home: Path, library: str, settings: BatchSettings) -> RayPool:
     """Workers as the settings ask for them; a cluster has as many as it has room for."""
     here = settings.address is None
     workers = settings.local_workers() if here else settings.workers
     memory = settings.local_memory(workers) if here and workers else settings.memory
     (home / WORK).mkdir(exist_ok=True)
     return RayPool(library, address=settings.address, workers=workers, threads=settings.threads, memory=memory,
-                   timeout=settings.limit([each.config for each in asked]), dashboard=settings.dashboard,
+                   timeout=settings.timeout, dashboard=settings.dashboard,
                    log=home / WORK / "ray.log")
 
 
@@ -134,23 +167,25 @@ def _say_stock(stock: Standing, manifest: Manifest, home: Path) -> None:
     """What the library has already, and what is left."""
     for folder, wrong in stock.damaged.items():
         say(f"done anew: {folder} ({wrong}; what was there is kept as {folder}.damaged)")
-    failed = manifest.counts()["failed"]
-    known = [f"{stock.done} done already"] * bool(stock.done) + [f"{failed} failed before (--retry-failed)"] * bool(failed)
-    if stock.adopted:
-        known.append(f"{stock.adopted} of these were found finished")
+    failed = manifest.materials("failed")
+    tried = sum(row["attempts"] > 0 for row in failed)
+    known = [f"{count} {what}" for count, what in (
+        (stock.done, "done already"), (stock.adopted, "of these found finished"), (tried, "failed before (--retry-failed)"),
+        (len(failed) - tried, "unreadable")) if count]
     say(f"{len(stock.work)} to fit into {home}" + (f"; {', '.join(known)}" if known else ""))
 
 
-def _ended(manifest: Manifest, home: Path, interrupted: bool, unreadable: int) -> int:
+def _ended(manifest: Manifest, home: Path, interrupted: bool, nameless: int) -> int:
     """Say what came of it, and give the exit code."""
     counts = manifest.counts()
     left = counts["pending"] + counts["running"]
     for each in manifest.materials("failed")[:20]:
-        say(f"failed: {each['name']} ({each['source']}): {each['reason']}; log in {home}/quarantine/{each['folder']}")
+        log = home / QUARANTINE / each["folder"] / LOG
+        say(f"failed: {each['name']} ({each['source']}): {each['reason']}" + (f"; its log: {log}" if log.exists() else ""))
     words = [f"{counts['done']} done"] + [f"{n} {what}" for n, what in (
-        (counts["failed"], "failed"), (unreadable, "unreadable"), (left, "left")) if n]
+        (counts["failed"], "failed"), (nameless, "left out"), (left, "left")) if n]
     say(f"{', '.join(words)}; {home}/index.html shows them" + ("; the same command goes on" if left else ""))
-    if counts["failed"] or unreadable:
+    if counts["failed"] or nameless:
         return 1
     return INTERRUPTED if interrupted and left else int(left > 0)
 

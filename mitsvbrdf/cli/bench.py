@@ -86,7 +86,7 @@ def bench(
         + (f"the other {len(missing)} take about {duration(sum(job.cost for job in missing))}" if missing else "nothing to do"))
     failed: dict[str, str] = {}
     try:
-        with progress_bar("bench") as report:
+        with progress_bar("measuring") as report:
             if missing and (workers or address):
                 failed = run_parallel(plan, jobs, store, BatchSettings(workers=workers, address=address), report)
             else:

@@ -94,5 +94,5 @@ def _draw(folder: Path, svbrdf: SVBRDF) -> None:
 def _tell(out: Path, done: dict[str, Export]) -> None:
     for kind, written in done.items():
         for what, errors in (written.conversion or {}).items():
-            say(f"lost in {kind}, {what}: " + ", ".join(f"{name} {error:.4f}" for name, error in errors.items()))
+            say(f"lost in {out / kind}, {what}: " + ", ".join(f"{name} {error:.4f}" for name, error in errors.items()))
         say(f"wrote {', '.join(str(out / kind / file) for file in written.files)}")

@@ -14,11 +14,15 @@ from ..batch.library.rows import open_library, rows, write_library
 from ..batch.library.where import matcher
 from ..batch.manifest import FILE, Manifest
 from ..batch.places.address import download, home_of, is_url, local_capture, place_of, title_of, upload
-from ..batch.prepare import library_lock
+from ..batch.places.place import QUARANTINE
+from ..batch.prepare import library_lock, release
 from ..errors import ConfigError, MitsvbrdfError, OutputError
-from ..system.progress import console, progress_bar, say
+from ..export import check_options
+from ..system.progress import console, progress_bar, say, several
 
 COLUMNS = {"error": "{:.4f}", "left_out_error": "{:.4f}", "burn_in": "{:.2f}", "seconds": "{:.1f}", "attempts": "{}"}
+
+WIDE = 32  # letters of a name that the list has room for beside its numbers, in a terminal of 80
 
 
 def library(folder: Annotated[Positional[str], arg(metavar="LIBRARY", help="What a batch made: a folder or a URL.")],
@@ -28,7 +32,9 @@ def library(folder: Annotated[Positional[str], arg(metavar="LIBRARY", help="What
             export: Annotated[str, arg(metavar="FORMAT,...", help="Export each of them into OUT/NAME; formats as of `mitsvbrdf "
                                                                   "export --to`.")] = "",
             out: Annotated[Path | None, arg(aliases=["-o"], help="Where exports go.")] = None,
-            prune: Annotated[bool, arg(help="Delete results that a newer one of the same capture took the place of.")] = False,
+            prune: Annotated[bool, arg(help="Delete results that a newer one of the same capture took the place of, and what "
+                                            "was damaged and set aside.")] = False,
+            dry_run: Annotated[bool, arg(help="With --prune: only say what it would delete.")] = False,
             as_json: Annotated[bool, arg(name="json", help="Print rows as JSON, one a line.")] = False,
             overwrite: Annotated[bool, arg(help="Replace exports that are there already.")] = False) -> int:
     """Look through a library of materials: list, check, export or tidy up what `mitsvbrdf batch` made.
@@ -38,10 +44,15 @@ def library(folder: Annotated[Positional[str], arg(metavar="LIBRARY", help="What
     """
     if bool(export) != (out is not None):
         raise ConfigError("--export FORMAT with -o FOLDER", "one of them", "give both, or neither")
+    if dry_run and not prune:
+        raise ConfigError("--prune beside --dry-run", "no --prune", "add it")
+    formats = [part.strip() for part in export.split(",")]
+    if export:
+        check_options(formats)
     fits = matcher(where)
     home = home_of(folder)
     if prune:
-        return _prune(folder, home)
+        return _prune(folder, home, dry_run)
     if is_url(folder):
         _bring(folder, home)
     with contextlib.closing(open_library(home)) as manifest:
@@ -49,7 +60,7 @@ def library(folder: Annotated[Positional[str], arg(metavar="LIBRARY", help="What
         if verify:
             return _verify(folder, manifest, {row["folder"] for row in chosen if row["state"] == "done"})
         if out:
-            return _export(folder, chosen, export, out, overwrite)
+            return _export(folder, chosen, ",".join(formats), out, overwrite)
         if as_json:
             for row in chosen:
                 say(json.dumps(row))
@@ -59,22 +70,36 @@ def library(folder: Annotated[Positional[str], arg(metavar="LIBRARY", help="What
 
 
 def _print(chosen: Sequence[dict]) -> None:
+    from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=f"{len(chosen)} materials", title_justify="left")
-    for heading in ("material", "state", *(name.replace("_", " ") for name in COLUMNS), "warnings"):
-        table.add_column(heading, justify="left" if heading in ("material", "state") else "right")
+    if not chosen:
+        say("no material matches")
+        return
+    table = Table(title=several(len(chosen), "material"), title_justify="left", box=None, header_style="bold")
+    table.add_column("material", overflow="fold", min_width=min(WIDE, max(len(_called(row)) for row in chosen)))
+    table.add_column("state", no_wrap=True)
+    for heading in (*(name.replace("_", " ") for name in COLUMNS), "warnings"):
+        table.add_column(heading, justify="right")
     for row in chosen:
         numbers = ["" if row[name] is None else text.format(row[name]) for name, text in COLUMNS.items()]
-        table.add_row(row["folder"], row["state"], *numbers, str(len(row["warnings"]) or ""))
+        table.add_row(_called(row), row["state"], *numbers, str(len(row["warnings"]) or ""))
     with contextlib.suppress(BrokenPipeError):
-        console.print(table)
+        (console if console.is_terminal else Console(width=1000)).print(table)  # a pipe has no width
+    for row in chosen:
+        if row["state"] == "failed":
+            say(f"failed: {_called(row)}: {row['reason']}")
+
+
+def _called(row: dict) -> str:
+    """The name of a material with the beginning of its identity."""
+    return row["folder"].rpartition("/")[2]
 
 
 def _verify(library: str, manifest: Manifest, folders: set[str]) -> int:
     """Count hashes anew; the exit code says whether all are as they were."""
     place, wrong = place_of(library), {}
-    with progress_bar("hashes") as report:
+    with progress_bar("counting hashes") as report:
         for number, folder in enumerate(sorted(folders)):
             report(folder, number / len(folders))
             record = place.record(folder)
@@ -82,7 +107,9 @@ def _verify(library: str, manifest: Manifest, folders: set[str]) -> int:
                 wrong[folder] = damage
     for folder, damage in wrong.items():
         say(f"changed: {folder}: {damage}")
-    say(f"{len(folders) - len(wrong)} of {len(folders)} results are as they were made")
+    if wrong:
+        say("to mend these, delete their folders and run the same batch again: it makes them anew")
+    say(f"unchanged: {len(folders) - len(wrong)} of {several(len(folders), 'result')}")
     return int(bool(wrong))
 
 
@@ -115,7 +142,7 @@ def _bring(library: str, home: Path) -> None:
         unlock()
 
 
-def _prune(library: str, home: Path) -> int:
+def _prune(library: str, home: Path, dry_run: bool) -> int:
     """Delete what is wanted no more."""
     with contextlib.ExitStack() as last:
         if not is_url(library):
@@ -123,12 +150,23 @@ def _prune(library: str, home: Path) -> int:
         last.callback(library_lock(home))
         download(home, library)
         open_library(home).close()
-        last.callback(upload, home, library)
+        if not dry_run:
+            last.callback(upload, home, library)
         manifest = last.enter_context(contextlib.closing(Manifest(home / FILE)))
+        place, deleted = place_of(library), "would delete" if dry_run else "deleted"
         old = [row for row in manifest.materials(wanted=False) if not row["wanted"]]
-        for row in old:
-            place_of(library).remove(row["folder"])
-            manifest.forget(row["identity"])
-        write_library(home, manifest, title_of(library))
-    say(f"deleted {len(old)} results that newer ones took the place of")
+        gone = [(row["folder"], "a newer result took its place") for row in old if row["state"] == "done"]
+        gone += [(folder, "damaged, and made anew") for folder in place.aside()]
+        quarantined = [row["folder"] for row in old if row["state"] == "failed"]
+        for folder, why in (*gone, *((f"{QUARANTINE}/{folder}", "its capture has changed") for folder in quarantined)):
+            say(f"{deleted}: {folder} ({why})")
+        if not dry_run:
+            for folder, _ in gone:
+                place.remove(folder)
+            for folder in quarantined:
+                release(home, folder)
+            for row in old:
+                manifest.forget(row["identity"])
+            write_library(home, manifest, title_of(library))
+    say(f"{deleted} {several(len(gone), 'result')}, and the reasons of {several(len(quarantined), 'failure')}")
     return 0

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import ClassVar
+from typing import Annotated, ClassVar
+
+from tyro.conf import arg
 
 from ..capture.guess import GuessMethod
 from ..errors import LARGEST, ConfigError
@@ -15,6 +17,9 @@ from .fixed_maps import stated_maps
 POSITIVE = ("budget", "iterations", "width", "learning_rate", "normal_roughness_steps", "materials", "likeness",
             "spread", "relief", "noise", "pictures", "discriminator_rate")
 MOST = {"width": 4096, "materials": 65536, "pictures": 1024}  # what takes memory
+
+# A setting that is on or off. Help names the option that changes it, which for one that is on begins with --no-.
+Switch = Annotated[bool, arg(help_behavior_hint=lambda usual: f"(default: {'on' if usual == 'True' else 'off'})")]
 
 
 def check_seed(seed: int) -> None:
@@ -41,7 +46,7 @@ class FitConfig:
     """Seed of every random choice."""
     fix: tuple[str, ...] = ()
     """Hold a map fixed: NAME=VALUE with a number, r,g,b, an image file, or normal=flat. Repeat it for several."""
-    grey_specular: bool = False
+    grey_specular: Switch = False
     """One grey specular level a texel instead of three channels."""
 
     def check(self) -> None:
@@ -111,17 +116,17 @@ class HierarchicalConfig(FitConfig):
     """How far specular or metallic may leave its tied answer at full size, at first, in such photos; 0: only diffuse may."""
     tails: float = 2.0
     """Pixels farther from a highlight than so many lobe widths count less at 64 px, in such photos; 0 counts all alike."""
-    independent: bool = True
+    independent: Switch = True
     """Whether specular and roughness are kept from following where the photos' highlights were, in such photos."""
-    integrated: bool = False
+    integrated: Switch = False
     """Whether look-alikes share what texels say with their own slopes and diffuse colours integrated out, not maximised."""
     noise: float | None = None
     """Of a phone's photos at full size, in display values: the higher, the less detail is believed. None: found by them."""
-    neighbours: bool = True
+    neighbours: Switch = True
     """Whether texels try their neighbours' answers as starts."""
     calibrate: bool | None = None
     """Estimate missing views, refine camera, flash and exposure of each photo. None: refine stated ones of a phone only."""
-    flash_offset: bool = True
+    flash_offset: Switch = True
     """Whether the sideways distance between lens and flash is fitted, one for all photos (calibrations claim 0)."""
 
     @property
@@ -158,7 +163,7 @@ class HybridConfig(FitConfig):
     """Weight of the roughness of the specular and roughness maps (total variation)."""
     flat: float = 0.02
     """Weight of the tilt of the normals."""
-    flash_offset: bool = True
+    flash_offset: Switch = True
     """Whether the sideways distance between lens and flash is fitted, one for all photos (calibrations claim 0)."""
 
     @property

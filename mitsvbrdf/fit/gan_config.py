@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal, NamedTuple, get_args
 from ..capture.guess import GuessMethod
 from ..errors import ConfigError
 from ..views import Falloff
-from .config import FitConfig
+from .config import FitConfig, Switch
 from .losses import Game
 
 Preset = Literal["minutes", "paper-one-stage", "paper-two-stage"]
@@ -63,15 +63,15 @@ class GanConfig(FitConfig):
     """A checkpoint of `mitsvbrdf pretrain`, to start the paper's second stage from."""
     guess: GuessMethod = AS_PRESET
     """How the guessed diffuse map is made: robust (ours), min (the paper's), mean-blur (Zhao 2020)."""
-    grey_specular: bool = AS_PRESET
+    grey_specular: Switch = AS_PRESET
     """One grey specular level a texel (the paper's) instead of three channels."""
     generator: GeneratorKind = AS_PRESET
     """A network that sees all photos; the paper's, which sees the one compared with; or variational, the paper's outlook."""
-    start: bool = AS_PRESET
+    start: Switch = AS_PRESET
     """Whether the generator starts at the guess and a robust constant specular and roughness; else untrained (the paper's)."""
-    guessed_normal: bool = False
+    guessed_normal: Switch = False
     """Whether normals start at those guessed from shading (Glencross 2008; the paper's outlook); else they start flat."""
-    highlight_aware: bool = False
+    highlight_aware: Switch = False
     """Whether the generator's first layers look past saturated pixels (Guo Jie 2021; the paper's outlook)."""
     kl: float = 0.01
     """Weight of the divergence that the codes of the variational generator pay."""
@@ -81,11 +81,11 @@ class GanConfig(FitConfig):
     """Adam's step size of the generator."""
     head_start: float = AS_PRESET
     """Share of each phase in which the generator's step size rises from 0: a new discriminator's first verdicts mean little."""
-    decay: bool = AS_PRESET
+    decay: Switch = AS_PRESET
     """Whether step sizes fall along a cosine to 2 % in each phase."""
     normal_roughness_steps: int = AS_PRESET
     """Gradient steps of the normal/roughness decoder per step of the diffuse/specular decoder (III.F)."""
-    fresh_pictures: bool = AS_PRESET
+    fresh_pictures: Switch = AS_PRESET
     """Whether each of these steps draws another photo or blend."""
     pictures: int = AS_PRESET
     """Photos or blends that a step compares."""
@@ -95,15 +95,15 @@ class GanConfig(FitConfig):
     """Adam's step size of the discriminator."""
     game: Game = AS_PRESET
     """What the networks play: bce (the paper's), hinge, or relativistic (photo against the rendering of the same view)."""
-    level: bool = AS_PRESET
+    level: Switch = AS_PRESET
     """Whether the discriminator sees how bright pictures are: no norm in its first layer."""
-    angles: bool = AS_PRESET
+    angles: Switch = AS_PRESET
     """Whether the discriminator sees where highlights would lie: two channels of the half vector."""
-    paired: bool = AS_PRESET
+    paired: Switch = AS_PRESET
     """Whether the discriminator sees the photo beside what it judges."""
-    clipping: bool = AS_PRESET
+    clipping: Switch = AS_PRESET
     """Whether a rendering is clipped where its photo is, and only there; else everywhere, which stops gradients."""
-    grow: bool = AS_PRESET
+    grow: Switch = AS_PRESET
     """Whether a quarter and half the resolution come first."""
     average: float = AS_PRESET
     """Decay of the running average of the generator's weights that makes the result; 0 takes the weights themselves."""
@@ -117,7 +117,7 @@ class GanConfig(FitConfig):
     """Weight of the diffuse loss beside the adversarial loss (the paper prints none)."""
     smooth: float = AS_PRESET
     """Weight of the roughness of the specular and roughness maps (total variation)."""
-    flash_offset: bool = AS_PRESET
+    flash_offset: Switch = AS_PRESET
     """Whether the sideways distance between lens and flash is fitted, one for all photos; the paper's is 0."""
 
     def __post_init__(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import hashlib
 import json
 import os
@@ -39,7 +40,9 @@ def beside(path: Path) -> Iterator[Path]:
         yield temporary
         os.replace(temporary, path)
     except OSError as reason:
-        raise OutputError(f"to write {path}", reason.strerror or str(reason), "free space or choose another place") from None
+        forbidden = reason.errno in (errno.EACCES, errno.EPERM, errno.EROFS)
+        raise OutputError(f"to write {path}", reason.strerror or str(reason),
+                          f"{'check your rights' if forbidden else 'free space'} or choose another place") from None
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)

@@ -134,6 +134,11 @@ def say(text: str) -> None:
         print(text, flush=True)
 
 
+def several(count: int, one: str) -> str:
+    """A number and what it counts, ``1 fit`` or ``2 fits``."""
+    return f"{count:,} {one}{'' if count == 1 else 's'}"
+
+
 def say_written(*paths: Path | None) -> None:
     """One line that names the files that were asked for; nothing where none was."""
     if names := [str(path) for path in paths if path]:

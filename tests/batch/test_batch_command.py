@@ -83,7 +83,8 @@ def test_a_whole_round(shots, capfd):
     Path("shots/list.txt").write_text(f"{first} --seed 3 --tag 'old wood'  # a remark\n")
     code, said = run(capfd, "shots/list.txt")
     row = rows()[first]
-    assert code == 0 and row["tags"] == ["old wood"] and row["options"] == "--seed 3 --tag old wood"
+    assert code == 0 and row["tags"] == ["old wood"]
+    assert row["options"] == "--guess min --iterations 4 --seed 3 --resolution 16 --pages none"
     record = json.loads(Path("library", row["folder"], "fit.json").read_text())
     assert record["config"]["seed"] == 3
 

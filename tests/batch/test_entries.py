@@ -127,6 +127,28 @@ def test_a_mistake_in_a_list_is_told_with_its_line(shots, line, error, said):
         entries([write_list(f"shots/wood\n{line}\n")])
 
 
+def test_all_mistakes_of_all_lists_are_told_at_once(shots):
+    write_list("nowhere\nshots/wood\n'shots/brick\n", "one.txt")
+    write_list("".join(f"gone-{k}\n" for k in range(30)), "many.txt")
+    with pytest.raises(ConfigError) as error:
+        entries(["one.txt", "lost", "many.txt"])
+    lines = str(error.value).splitlines()
+    assert "got 33" in lines[0] and len(lines) == 22 and lines[-1].strip() == "and 13 more"
+    for line, told in zip(lines[1:], ("nowhere (line 1 of one.txt)", "line 3 of one.txt: No closing", "nothing at lost;",
+                                      "gone-0 (line 1 of many.txt)")):
+        assert told in line
+
+
+def test_a_library_among_the_captures_is_passed_over(shots):
+    (shots / "library/wood-1a2b3c4d").mkdir(parents=True)
+    (shots / "library/manifest.sqlite").touch()
+    (shots / "library/wood-1a2b3c4d/preview.jpg").touch()
+    for names in (["shots"], ["shots/[lwb]*", "shots/text", "shots/a b"], ["shots", "shots/library"]):
+        assert sorted(found(*names)) == [("a b",), ("brick",), ("text",), ("wood",)]
+    with pytest.raises(CaptureError, match="captures to fit, got none"):
+        entries(["shots/library"])
+
+
 @pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"shots/w\xe9\n"])
 def test_a_list_that_is_no_text_is_refused(shots, monkeypatch, content):
     Path("list.txt").write_bytes(content)

@@ -84,6 +84,11 @@ def test_a_death_is_told_and_the_next_task_has_a_new_child(make_guard, capture, 
     assert gone(first["row"]["pid"], 0.1), "the old child must be gone when run returns"
 
 
+@pytest.mark.parametrize("timeout, told", [(None, "killed after 0.2 s"), (0.1, "killed after 0.1 s")])
+def test_a_task_may_state_its_own_limit_which_one_for_all_goes_before(make_guard, timeout, told):
+    assert told in make_guard(timeout=timeout).run(task("sleep:600") | {"limit": 0.2})["reason"]
+
+
 def test_the_log_of_a_death_holds_the_last_words_and_the_stack(make_guard):
     log = make_guard().run(task("print:last-words abort"))["log"]
     assert "last-words" in log and "Fatal Python error: Aborted" in log

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -76,6 +77,21 @@ def test_it_changes_with_options_settings_and_version(capture, monkeypatch):
     assert len({*found, identity_of(capture)}) == len(found) + 1
 
 
+def test_the_size_of_a_sheet_changes_it_only_where_somebody_looks_for_one(capture, tmp_path):
+    raw = tmp_path / "raw"
+    raw.mkdir()
+    (raw / "IMG_1.jpg").write_bytes(b"a photo")
+    manifest = Manifest(tmp_path / FILE)
+
+    def registered(source, sheet):
+        register([replace(asked(source), sheet=sheet)], manifest, lambda text, share: None)
+        return {(row["identity"], row["own"]) for row in manifest.materials() if row["source"] == str(source)}
+
+    assert registered(capture, None) == registered(capture, 18.0)
+    assert len(registered(raw, None)) == 1 and len(registered(raw, 18.0)) == 2
+    manifest.close()
+
+
 def test_it_changes_with_a_file_that_an_option_names(capture):
     config = HierarchicalConfig(fix=("normal=flat.png",))
     missing = identity(str(capture), {"config": {"fix": config.fix}}, file_hash)
@@ -108,5 +124,5 @@ def test_the_same_photos_under_two_names_are_fitted_once_and_that_is_said(tmp_pa
     one, other = (make_capture(tmp_path / name, [b"the same"]) for name in ("first", "second"))
     manifest = Manifest(tmp_path / FILE)
     found = register([asked(each) for each in (one, other, one)], manifest, lambda text, share: None)
-    assert found.same == {str(other): str(one)} and not found.unreadable
+    assert found.same == {str(other): str(one)} and not found.nameless
     assert [row["name"] for row in manifest.materials("pending")] == ["first"]

@@ -1,5 +1,6 @@
 """A library that a batch made: listed, checked, exported, tidied up."""
 
+import contextlib
 import json
 import shutil
 
@@ -7,12 +8,13 @@ import pytest
 from helpers.captures import SIDE, write_captures
 
 from mitsvbrdf import cli
+from mitsvbrdf.batch.asked import Asked
 from mitsvbrdf.batch.child import fit_into_library
 from mitsvbrdf.batch.entries import Entry
 from mitsvbrdf.batch.library.rows import write_library
 from mitsvbrdf.batch.manifest import FILE, Manifest
 from mitsvbrdf.batch.places.place import RECORD, LocalPlace
-from mitsvbrdf.batch.prepare import Asked, library_lock, quarantine, register, take_stock, task_of
+from mitsvbrdf.batch.prepare import library_lock, quarantine, register, take_stock, task_of
 from mitsvbrdf.fit.config import HierarchicalConfig
 from mitsvbrdf.fit.options import FitOptions
 
@@ -36,7 +38,7 @@ def made(tmp_path_factory):
             task = task_of(manifest, work, attempt, str(home))
             if task["name"] == NAMES[2]:
                 manifest.end(attempt, "failed", {"state": "crashed", "reason": "killed"})
-                quarantine(home, manifest.material(work.identity)["folder"], {"reason": "killed"}, "a log")
+                quarantine(home, manifest.material(work.identity), "crashed", "killed", "a log")
             else:
                 manifest.end(attempt, "done", {"state": "done", "row": fit_into_library(task), "seconds": 1.0})
 
@@ -81,12 +83,18 @@ def test_rows(library, ask):
         assert (row["resolution"], row["photos"], row["tags"]) == (SIDE, len(record["capture"]["photos"]), ["wood"])
         assert (library / row["preview"]).is_file() and row["report"] is None  # no pages were asked for
     assert failed["state"] == "failed" and failed["reason"] == "killed" and failed["error"] is failed["preview"] is None
-    assert (library / failed["folder"] / "log.txt").read_text() == "a log"
+    assert (library / failed["log"]).read_text() == "a log" and first["log"] is None
+    (library / failed["log"]).write_text("")
+    assert json.loads(ask("--json")[1][2])["log"] is None  # nobody is sent to an empty log
 
 
 def test_listing(ask):
     code, lines, _ = ask()
     assert code == 0 and lines[0].strip() == "3 materials" and sum("done" in line for line in lines) == 2
+    assert lines[-1].startswith("failed: shot-2-") and lines[-1].endswith(": killed")
+    code, lines, _ = ask("--where", "shot-1")
+    assert code == 0 and lines[0].strip() == "1 material"
+    assert ask("--where", "nothing") == (0, ["no material matches"], "")
 
 
 @pytest.mark.parametrize("where, names", [
@@ -99,7 +107,7 @@ def test_where(where, names, ask):
 
 def test_verify_finds_what_changed(library, ask):
     code, lines, _ = ask("--verify")
-    assert code == 0 and lines[-1].startswith("2 of 2")
+    assert code == 0 and lines[-1] == "unchanged: 2 of 2 results"
     first, second = (json.loads(line)["folder"] for line in ask("--json", "--where", "state:done")[1])
     maps = library / first / "maps" / "diffuse.exr"
     content = bytearray(maps.read_bytes())
@@ -107,12 +115,12 @@ def test_verify_finds_what_changed(library, ask):
     maps.write_bytes(content)
     (library / second / "preview.jpg").unlink()
     code, lines, _ = ask("--verify")
-    assert code == 1 and lines[-1].startswith("0 of 2")
+    assert code == 1 and lines[-1] == "unchanged: 0 of 2 results" and "run the same batch again" in lines[-2]
     assert f"changed: {first}: maps/diffuse.exr has changed" in lines
     assert f"changed: {second}: preview.jpg is missing" in lines
     (library / second / RECORD).unlink()
     code, lines, _ = ask("--verify", "--where", "shot-1")
-    assert code == 1 and lines[-2:] == [f"changed: {second}: its record is missing", "0 of 1 results are as they were made"]
+    assert code == 1 and f"changed: {second}: its record is missing" in lines and lines[-1] == "unchanged: 0 of 1 result"
 
 
 def test_prune_deletes_what_was_superseded_and_nothing_else(library, ask):
@@ -120,16 +128,34 @@ def test_prune_deletes_what_was_superseded_and_nothing_else(library, ask):
     keep = [json.loads(line)["folder"] for line in wanted][:2]
     old, = set(before) - set(keep)
     assert old.startswith(NAMES[0])
+    aside = [f"{keep[0]}.damaged", f"{keep[0]}.damaged1"]
+    for folder in (*aside, "mine.damaged"):
+        (library / folder / "maps").mkdir(parents=True)
+    with contextlib.closing(Manifest(library / FILE)) as manifest:
+        failed, = manifest.materials("failed")
+        manifest.want([dict(failed) | {"identity": "f" * 64, "asked": json.loads(failed["asked"]), "tags": []}])  # new photos
+    wanted = ask("--json")[1]
+    there = sorted(library.rglob("*"))
+    told = [f"{old} (a newer result took its place)", *(f"{folder} (damaged, and made anew)" for folder in aside),
+            f"quarantine/{failed['folder']} (its capture has changed)"]
+    code, lines, _ = ask("--prune", "--dry-run")
+    assert code == 0 and lines[:-1] == [f"would delete: {each}" for each in told] and sorted(library.rglob("*")) == there
     code, lines, _ = ask("--prune")
-    assert code == 0 and lines == ["deleted 1 results that newer ones took the place of"]
+    assert code == 0 and lines[:-1] == [f"deleted: {each}" for each in told]
+    assert lines[-1] == "deleted 3 results, and the reasons of 1 failure"
     assert results(library) == sorted(keep) and not (library / old).exists() and ask("--json")[1] == wanted
-    assert (library / "quarantine").is_dir() and ask("--verify")[0] == 0
-    assert ask("--prune")[1] == ["deleted 0 results that newer ones took the place of"] and results(library) == sorted(keep)
+    assert not list(library.glob(f"{keep[0]}.*")) and (library / "mine.damaged").is_dir()
+    assert not list((library / "quarantine").iterdir()) and ask("--verify")[0] == 0
+    assert ask("--prune")[1] == ["deleted 0 results, and the reasons of 0 failures"] and results(library) == sorted(keep)
+    code, _, error = ask("--dry-run")
+    assert code == 2 and "--prune beside --dry-run" in error
 
 
 def test_export_goes_on_after_one_that_fails(library, ask, tmp_path):
     first, second = (json.loads(line)["folder"] for line in ask("--json", "--where", "state:done")[1])
     (library / first / "fit.json").write_text("{")
+    code, _, error = ask("--export", "maps,glft", "-o", tmp_path / "out")
+    assert code == 2 and "'glft'" in error and not (tmp_path / "out").exists()
     code, lines, _ = ask("--export", "maps", "-o", tmp_path / "out")
     assert code == 1 and lines[-1] == f"exported 1 of 2 to {tmp_path / 'out'}"
     assert any(line.startswith(f"not exported: {first}: ") for line in lines)

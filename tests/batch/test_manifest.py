@@ -54,7 +54,7 @@ def test_a_capture_may_be_wanted_with_two_sets_of_options(manifest):
 
 def test_other_options_in_a_later_command_make_another_material_and_hide_none(manifest):
     manifest.want([material("a", asked={"seed": 1, "folder": "/one"})])
-    manifest.want([material("b", asked={"seed": 2, "folder": "/one"})])
+    manifest.want([material("b", asked={"seed": 2, "folder": "/one", "limit": 9.0})])
     assert set(states(manifest)) == {"wood-aaaaaaaa", "wood-bbbbbbbb"}
     manifest.want([material("c", asked={"seed": 2, "folder": "/two"})])  # of other photos, typed elsewhere
     assert set(states(manifest)) == {"wood-aaaaaaaa", "wood-cccccccc"}
@@ -207,6 +207,17 @@ def test_a_manifest_that_cannot_be_written_says_so(tmp_path):
     path = tmp_path / "manifest.sqlite"
     Manifest(path).close()
     looked = Manifest(path, readonly=True)
-    with pytest.raises(OutputError, match=r"to write .*manifest.sqlite, got .*readonly"):
+    with pytest.raises(OutputError, match=r"to write .*manifest.sqlite, got .*readonly.*; check your rights"):
         looked.want([material("a")])
     looked.close()
+
+
+def test_a_full_disk_is_told_as_such(manifest):
+    manifest.db.execute("pragma max_page_count = 1")  # SQLite raises it to what the file has
+    with pytest.raises(OutputError, match="full; free space$"):
+        manifest.want(material(chr(97 + k), f"wood-{k}" * 400) for k in range(20))
+
+
+def test_a_place_without_rights_is_told_as_such(tmp_path):
+    with pytest.raises(OutputError, match="check your rights"):
+        Manifest(tmp_path / "nowhere/manifest.sqlite")

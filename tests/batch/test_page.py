@@ -32,7 +32,7 @@ def test_the_data_file_is_json_in_an_assignment():
     script = data_script(library_of(rows))
     assert script.isascii() and "<" not in script and script.count("\n") == 1
     columns = data_of(script)["columns"]
-    assert set(columns) == {*COLUMNS, "preview", "report", "address"} and {len(column) for column in columns.values()} == {20}
+    assert set(columns) == {*COLUMNS, "preview", "report", "log"} and {len(column) for column in columns.values()} == {20}
     at = columns["name"].index(rows[0]["name"])
     assert columns["error"][at] is columns["seconds"][at] is None
 

@@ -165,6 +165,17 @@ def test_what_is_set_aside_is_kept_under_a_number(place):
         f"{FOLDER}.damaged": "a", f"{FOLDER}.damaged1": "b", f"{FOLDER}.damaged2": "c"}
 
 
+def test_what_was_set_aside_is_found_and_can_be_removed_whatever_it_is(place):
+    (place.root / "mine.damaged").mkdir()
+    (place.root / FOLDER).write_text("a file that had the name of a result")
+    place.set_aside(FOLDER)
+    (place.root / f"{FOLDER}.damaged7").symlink_to(place.root / "mine.damaged")
+    assert place.aside() == [f"{FOLDER}.damaged", f"{FOLDER}.damaged7"]
+    for folder in place.aside():
+        place.remove(folder)
+    assert [path.name for path in place.root.iterdir()] == ["mine.damaged"]
+
+
 def test_what_is_removed_is_gone_its_record_first(place, result, monkeypatch):
     monkeypatch.setattr(place_module.shutil, "rmtree", lambda *_, **__: None)  # died here
     place.remove(FOLDER)

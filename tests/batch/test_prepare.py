@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -15,7 +16,6 @@ from mitsvbrdf.batch.places.place import LocalPlace
 from mitsvbrdf.batch.prepare import library_lock, quarantine, register, take_stock, task_of
 from mitsvbrdf.batch.schedule import Work
 from mitsvbrdf.errors import OutputError
-from mitsvbrdf.fit import GanConfig, HierarchicalConfig
 
 
 class Library:
@@ -27,14 +27,14 @@ class Library:
         self.manifest, self.place = Manifest(self.home / FILE), LocalPlace(self.home)
 
     def want(self, *names: str, photo: bytes = b"", **options: object) -> dict:
-        """Register captures, each of photos of its own; what is unreadable."""
+        """Register captures, each of photos of its own; those that cannot be entered."""
         for name in names:
             if not (self.shots / name).exists():
                 make_capture(self.shots / name, [name.encode()])
             if photo:
                 (self.shots / name / "target/00.png").write_bytes(photo)
         return register([asked(self.shots / name, **options) for name in names], self.manifest,
-                        lambda text, share: None).unreadable
+                        lambda text, share: None).nameless
 
     def stock(self, retry_failed: bool = False):
         return take_stock(self.manifest, self.place, self.home, retry_failed)
@@ -55,7 +55,7 @@ class Library:
             publish_result(self.place, task)
         self.manifest.end(task["attempt"], state, {"state": state, "reason": "boom"})
         if state == "failed":
-            quarantine(self.home, self.row(name)["folder"], {"reason": "boom"}, "log\udcff")
+            quarantine(self.home, self.row(name), "crashed", "boom", "log\udcff")
         return self.home / self.row(name)["folder"]
 
 
@@ -188,7 +188,7 @@ def test_two_captures_with_one_name_are_two_materials(library):
     assert len(library.stock().work) == 2
 
 
-def test_what_cannot_be_read_is_left_out_with_its_reason(library, monkeypatch):
+def test_what_cannot_be_read_is_in_quarantine_until_it_can(library, monkeypatch):
     make_capture(library.shots / "brick")
     real = library.manifest.hash_of
 
@@ -198,8 +198,24 @@ def test_what_cannot_be_read_is_left_out_with_its_reason(library, monkeypatch):
         return real(path)
 
     monkeypatch.setattr(library.manifest, "hash_of", hash_of)
-    unreadable = library.want("wood", "brick")
-    assert list(unreadable) == [str(library.shots / "brick")] and "Permission denied" in str(*unreadable.values())
+    for retry_failed in (False, True):
+        assert not library.want("wood", "brick")
+        assert left(library, library.stock(retry_failed)) == ["wood"]
+        row = library.row("brick")
+        reason = json.loads((library.home / "quarantine" / row["folder"] / "reason.json").read_text())
+        assert reason == {"name": "brick", "source": str(library.shots / "brick"), "state": "failed",
+                          "reason": row["reason"], "attempts": 0}
+        assert "Permission denied" in row["reason"] and "check your rights" in row["reason"]
+        assert not (library.home / "quarantine" / row["folder"] / "log.txt").exists()
+    monkeypatch.undo()
+    library.want("wood", "brick")
+    assert left(library, library.stock()) == ["brick", "wood"] and library.row("brick")["state"] == "pending"
+
+
+def test_a_capture_that_failed_is_tried_again_once_its_photos_are_others(library):
+    library.want("wood")
+    library.finish("wood", "failed")
+    library.want("wood", photo=b"mended")
     assert left(library, library.stock()) == ["wood"]
 
 
@@ -210,8 +226,8 @@ def test_a_name_that_is_not_utf_8_is_left_out_with_its_reason(library):
     except OSError:
         pytest.skip("this file system has no such names")
     Path(os.fsdecode(os.path.join(folder, b"00.png"))).write_bytes(b"x")
-    unreadable = library.want("brick", os.fsdecode(b"w\xe9"))
-    assert len(unreadable) == 1 and "rename it" in str(*unreadable.values())
+    nameless = library.want("brick", os.fsdecode(b"w\xe9"))
+    assert len(nameless) == 1 and "rename it" in str(*nameless.values())
     assert left(library, library.stock()) == ["brick"]
 
 
@@ -222,7 +238,7 @@ def test_a_task_says_all_that_a_worker_must_know(library, monkeypatch, tmp_path)
     task, row = library.begin("wood"), library.row("wood")
     assert task == {"attempt": f"{row['identity'][:16]}-1", "name": "wood", "identity": row["identity"],
                     "capture": str(library.shots / "wood"), "library": str(library.home), "folder": str(tmp_path),
-                    "options": asked(library.shots / "wood", resolution=64).record | {
+                    "limit": 210.0, "options": asked(library.shots / "wood", resolution=64).record | {
                         "config": asked(library.shots / "wood").record["config"] | {"fix": []}}}
 
 
@@ -230,17 +246,8 @@ def test_the_quarantine_keeps_reason_and_log(library):
     library.want("wood")
     folder = library.home / "quarantine" / library.finish("wood", "failed").name
     assert '"boom"' in (folder / "reason.json").read_text() and (folder / "log.txt").read_bytes() == b"log?"
-
-
-def test_costs_grow_with_photos_and_texels_up_to_the_budget(tmp_path):
-    few, many = make_capture(tmp_path / "few", [b"x"] * 3), make_capture(tmp_path / "many", [b"x"] * 9)
-
-    def cost(capture, config=None, **options):
-        return asked(capture, config or HierarchicalConfig(iterations=4), **options).cost
-
-    assert cost(many) == 3 * cost(few) == 35.0 and cost(many, resolution=512) == 4 * cost(many)
-    assert cost(many, HierarchicalConfig(budget=10)) == 10
-    assert cost(many, GanConfig(budget=77)) == 77
+    quarantine(library.home, library.row("wood"), "failed", "refused", " \n")
+    assert [path.name for path in folder.iterdir()] == ["reason.json"]  # no log, as nothing was printed
 
 
 def test_one_batch_at_a_time(tmp_path):
@@ -280,6 +287,6 @@ def test_a_place_that_is_no_library_is_refused_and_left_as_it_is(tmp_path, what)
         home.write_text("mine")
     else:
         home.symlink_to(tmp_path / "nowhere")
-    with pytest.raises(OutputError):
+    with pytest.raises(OutputError, match="which holds photos" if what == "photos" else None):
         library_lock(home)
     assert what != "photos" or [path.name for path in home.iterdir()] == ["00.png"]

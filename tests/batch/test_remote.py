@@ -95,26 +95,28 @@ def test_a_result_is_there_with_its_record_and_not_before(url, tmp_path, monkeyp
 
 def test_damage_is_named_and_set_aside(url, tmp_path):
     place = RemotePlace(url)
-    for folder in ("m-1", "m-2", "m-3", "m-4"):
+    for folder in ("m-00000001", "m-00000002", "m-00000003", "m-00000004"):
         place.publish(made(tmp_path / "made", a="one", b="two"), folder)
-    record = place.record("m-1")
-    assert place.damage("m-1", record, hashes=True) == ""
-    put(f"{url}/m-1/a", b"eno")
-    assert place.damage("m-1", record, hashes=False) == "" and "a has changed" in place.damage("m-1", record, hashes=True)
-    put(f"{url}/m-1/a", b"longer")
-    assert "a has changed" in place.damage("m-1", record, hashes=False)
-    place.fs.rm_file(f"{place.root}/m-2/b")
-    assert "b is missing" in place.damage("m-2", record, hashes=False)
-    place.fs.rm_file(f"{place.root}/m-3/{RECORD}")
-    place.set_aside("m-1")
-    place.set_aside("m-3")  # without its record
+    record = place.record("m-00000001")
+    assert place.damage("m-00000001", record, hashes=True) == ""
+    put(f"{url}/m-00000001/a", b"eno")
+    assert place.damage("m-00000001", record, hashes=False) == ""
+    assert "a has changed" in place.damage("m-00000001", record, hashes=True)
+    put(f"{url}/m-00000001/a", b"longer")
+    assert "a has changed" in place.damage("m-00000001", record, hashes=False)
+    place.fs.rm_file(f"{place.root}/m-00000002/b")
+    assert "b is missing" in place.damage("m-00000002", record, hashes=False)
+    place.fs.rm_file(f"{place.root}/m-00000003/{RECORD}")
+    place.set_aside("m-00000001")
+    place.set_aside("m-00000003")  # without its record
     place.set_aside("nothing")
-    assert place.fs.cat_file(f"{place.root}/m-1.damaged/a") == b"longer"
-    assert place.fs.exists(f"{place.root}/m-3.damaged/a")
-    place.remove("m-2")
+    assert place.fs.cat_file(f"{place.root}/m-00000001.damaged/a") == b"longer"
+    assert place.fs.exists(f"{place.root}/m-00000003.damaged/a")
+    place.remove("m-00000002")
     place.remove("nothing")
+    assert place.aside() == ["m-00000001.damaged", "m-00000003.damaged"]
     assert sorted({path.split("/place/")[1].split("/")[0] for path in place.fs.find(place.root)}) == [
-        "m-1.damaged", "m-3.damaged", "m-4"]
+        "m-00000001.damaged", "m-00000003.damaged", "m-00000004"]
 
 
 def test_what_others_wrote_is_seen(tmp_path):

@@ -10,6 +10,7 @@ from helpers.live_fits import served
 
 from mitsvbrdf.batch.library.site import LibrarySite
 from mitsvbrdf.cli.view import _Followed
+from mitsvbrdf.errors import OutputError
 
 NAMES = ("preview.jpg", "report.html", "look.html")
 
@@ -50,6 +51,20 @@ def test_the_page_its_data_and_what_the_rows_name(library):
                     "Content-Security-Policy"]
         assert ask(f"/{rows[1]['folder']}/look.html")[2] == b"a look"
         assert ask(f"/{rows[2]['folder']}/look.html")[0] == 404
+
+
+def test_the_log_of_what_failed_is_served_and_no_other(tmp_path):
+    rows = random_rows(3)
+    for row, state in zip(rows, ("failed", "done", "pending")):
+        folder = f"quarantine/{state}-1"
+        row |= {"state": state, "folder": folder, "log": f"{folder}/log.txt", "preview": None, "report": None}
+    write_whole_library(tmp_path, rows)
+    with served(tmp_path, LibrarySite) as ask:
+        assert [ask(f"/{row['log']}")[0] for row in rows] == [200, 404, 404]
+        _, headers, content = ask(f"/{rows[0]['log']}")
+        assert content.decode() == f"the log of {rows[0]['name']}"
+        assert headers["Content-Type"] == "text/plain; charset=utf-8" and headers["X-Content-Type-Options"] == "nosniff"
+        assert ask(f"/{rows[0]['folder']}/reason.json")[0] == 404
 
 
 @pytest.mark.parametrize("path", [
@@ -142,3 +157,12 @@ def test_a_folder_that_becomes_a_library_is_shown_as_one(tmp_path, library):
         assert ask("/state.json")[2] == b"null" and shown(ask)["name"] == []
         write_whole_library(root, library[1])
         assert len(shown(ask)["name"]) == len(library[1])
+
+
+@pytest.mark.parametrize("file, told", [("IMG_1.JPG", "which holds photos"), ("capture.json", "which holds photos"),
+                                         ("notes.txt", "which has other files")])
+def test_what_is_neither_a_fit_nor_a_library_is_told_with_what_can_be_opened(tmp_path, file, told):
+    (tmp_path / file).touch()
+    with pytest.raises(OutputError, match=told) as error:
+        _Followed(tmp_path)
+    assert "mitsvbrdf fit -o OUT" in str(error.value) and "mitsvbrdf batch -o LIBRARY" in str(error.value)

@@ -25,10 +25,11 @@ TRUE = ["", "  ", "oak", "OAK phone", "error<0.05 tag:wood", "error<=.03 error>=
         "burn_in<0.1", "date>2026-11-01 date<2026-11-03 date:2026-11 date>=2026-11-02T10", "method:hierarchical",
         "method:gan,hierarchical",
         "resolution:256 photos>=9", "state:done,failed STATE=DONE", "source:phone/oak", "host=NODE-1", "id:1a2b", 'd" o"ak',
-        "old\u00a0wood", "worker=w1 options:budget", 'name="old oak"']
+        "old\u00a0wood", "worker=w1 options:budget", 'name="old oak"',
+        "name:old_oak tag:old_wood", "name:pine,oak", 'name:pine,"old oak",ash', "host=node-2,node-1", "old_oak"]
 FALSE = ["pine", "oak pine", "error<0.03", "error>0.03", "left_out_error<1", "left_out_error>0", "tag:woo", 'tag:"wood,stone"',
          "state:failed,running,pending", "host=node", "date>2026-11-02", "date<2026-11-02", "reason:x", '"oak old"',
-         "method:hier"]
+         "method:hier", 'name:"pine,oak"', "host=node,1", 'name:"",pine']
 WRONG = {'tag:"old wood': 'a " at the end', "eror<1": "one of error, left_out_error", "error<": "a value after error<",
          "error<five": "a number after error<", "error<1e": "a number", "error<0x1": "a number", "error<∞": "a number",
          "tag<wood": "tag: or tag=", "date>yesterday": "a date after date>",
@@ -55,6 +56,19 @@ def test_what_is_not_understood(text):
 @pytest.mark.parametrize("field", FIELDS)
 def test_examples_are_understood(field):
     matcher(FIELDS[field].example)
+
+
+@pytest.mark.parametrize("word, nearest", [("eror", "error"), ("tags", "tag"), ("eatd", "date"), ("sekonds", "seconds"),
+                                           ("left_error", "left_out_error")])
+def test_an_unknown_key_is_told_the_nearest_one(word, nearest):
+    with pytest.raises(ConfigError, match=f"got {word}; {nearest} is the nearest; "):
+        matcher(f"{word}<.1")
+
+
+def test_a_name_is_found_as_its_folder_was_called():
+    """Names have _ in the place of a space; who looks for one types what the folder is called."""
+    for text in ('name:"old oak"', 'name="old oak"', '"old oak"', "name=old_oak"):
+        assert matcher(text)(ROW | {"name": "old_oak", "source": "/shots/1"})
 
 
 def test_a_row_may_lack_anything():
@@ -111,7 +125,7 @@ def answers_of_package(asked: dict) -> list[str]:
 @pytest.mark.slow
 def test_the_page_agrees_with_the_command_line(tmp_path):
     rows = [ROW, *random_rows(300, seed=3, unfinished=True)]
-    assert set(rows[1]) - {"preview", "report"} == set(COLUMNS)
+    assert set(rows[1]) - {"preview", "report", "log"} == set(COLUMNS)
     some = ["error<0.03", "error>=0.02 left_out_error>0.05", "seconds>40 memory<0.85", "burn_in>0.1", "attempts>1",
             "warnings=1", "date>2026-11-01T00:10", "date:2026-11-01T00:05", "tag:wood", 'tag:"OLD WOOD"',
             "tag:wood,brick method:gan",

@@ -15,8 +15,9 @@ from mitsvbrdf.batch.settings import BatchSettings
 from mitsvbrdf.bench import child, parallel
 from mitsvbrdf.bench.jobs import key_of
 from mitsvbrdf.bench.methods import method_table
+from mitsvbrdf.bench.page import made_on
 from mitsvbrdf.bench.plan import QUICK, WHOLE, Plan
-from mitsvbrdf.bench.store import Store
+from mitsvbrdf.bench.store import Store, read_benchmark
 from mitsvbrdf.errors import ConfigError, MitsvbrdfError
 
 FIGURES = {"seconds": 0.1, "wall": 0.2, "iterations": 3, "stopped": "budget", "why": None, "errors": {"mean": 0.1}}
@@ -114,7 +115,10 @@ def test_every_job_has_its_record_and_a_second_time_nothing_is_left(tmp_path, mo
     failed, pool, store = measured(tmp_path, monkeypatch, {})
     assert failed == {} and len(pool.tasks) == 8 == len(store.records)
     assert store.pending(make_plan(tmp_path).jobs()[0]) == []
-    assert all(record["errors"] == FIGURES["errors"] for record in store.records)
+    assert all(record["errors"] == FIGURES["errors"] and record["workers"] == 2 for record in store.records)
+    assert "8 of 8 records were made 2 at a time (`--workers`)" in made_on(read_benchmark(store.path))
+    one = dict(store.content, records=[record | {"workers": 1} for record in store.records])
+    assert "at a time" not in made_on(one)
     costs = [json.loads(task["key"])[0]["budget"] for task in pool.tasks]
     assert costs == sorted(costs, reverse=True)  # the longest first
 

@@ -180,6 +180,7 @@ def test_a_fit_estimates_views_and_says_so(glossy):
     assert said["flash_offset"] == pytest.approx(result.flash_offset) and min(said["flash_offset_sd"]) > 0
 
 
+@pytest.mark.slow
 def test_photos_left_out_are_predicted_from_views_estimated_from_all(glossy, tmp_path, capsys):
     # All through the commands, from a capture.json that says nothing of views.
     write_capture(photos(make_material("inlay", 24), glossy[1]), tmp_path / "photos")
@@ -245,6 +246,7 @@ def test_a_small_flash_offset_of_exact_photos_is_found():
         assert (torch.tensor(result.flash_offset) - offset[:2]).norm() < 0.03 and wrong < 0.7 * held
 
 
+@pytest.mark.slow
 def test_resuming_is_bit_equal(glossy, tmp_path):
     shots, config, path = glossy[0].averaged(16), HierarchicalConfig(iterations=100), tmp_path / "c.safetensors"
     whole = fit_svbrdf(shots, MITSUBA, config)

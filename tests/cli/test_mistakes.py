@@ -207,6 +207,7 @@ def test_output_that_cannot_be_written(shots, tmp_path, capsys):
         fails(capsys, tmp_path, ["fit", shots, "-o", "/proc/out", *FAST], "/proc/out")
 
 
+@pytest.mark.slow
 def test_without_libllvm_the_analytic_renderer_still_works(shots, tmp_path):
     # A process of its own: Dr.Jit's library is chosen once per process.
     broken = tmp_path / "libLLVM-19.so"

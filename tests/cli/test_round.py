@@ -8,6 +8,7 @@ import sys
 import pytest
 import torch
 from helpers.commands import FAST, fails
+from helpers.variants import mostly_slow
 
 from mitsvbrdf import cli
 from mitsvbrdf.material.map_files import load_maps
@@ -63,7 +64,7 @@ def test_principled_writes_its_own_maps_too(shots, tmp_path):
     assert sorted(p.stem for p in (out / "rerendered").glob("*.png")) == ["00", "03", "05"]
 
 
-@pytest.mark.parametrize("bsdf", ["roughconductor", "principled"])
+@pytest.mark.parametrize("bsdf", mostly_slow(["roughconductor", "principled"], "roughconductor"))
 @pytest.mark.parametrize("variant", ["llvm_ad_rgb", "scalar_rgb"])
 def test_plain_mitsuba_renders_the_exported_scene(bsdf, variant, shots, tmp_path):
     # Nothing of this package in that process; a photo from off centre, or a shift of wrong sign would not show. Measured:
@@ -93,7 +94,7 @@ def test_resume_goes_on_and_needs_a_checkpoint(shots, tmp_path, capsys):
     assert all(torch.equal(a[name], b[name]) for name in a.maps)
 
 
-@pytest.mark.parametrize("generator", ["all-photos", "two-stream", "variational"])
+@pytest.mark.parametrize("generator", mostly_slow(["all-photos", "two-stream", "variational"], "variational"))
 def test_crops_of_one_photo_are_enough(shots, tmp_path, generator):
     # Stationary materials: patches of the one photo stand for the many; the maps are as large as the photo.
     out = tmp_path / "out"

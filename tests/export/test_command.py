@@ -8,14 +8,23 @@ import pytest
 from helpers.exported import stated
 
 from mitsvbrdf import cli
+from mitsvbrdf.cli import export as export_command
 from mitsvbrdf.errors import BackendError, ConfigError
 from mitsvbrdf.export import ExportSettings, export_material
+from mitsvbrdf.export.textures import Export
 from mitsvbrdf.material.conversion import as_principled
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.relight import sphere
 from mitsvbrdf.system import images
+
+
+def test_what_is_lost_is_told_with_the_folder(tmp_path, capsys):
+    """Of many materials one after the other the folder tells which one it is."""
+    done = {"usd": Export(("oak.usda",), (), conversion={"metallic": {"diffuse": 0.5}})}
+    export_command._tell(tmp_path / "oak-1a2b3c4d", done)
+    assert capsys.readouterr().out.splitlines()[0] == f"lost in {tmp_path}/oak-1a2b3c4d/usd, metallic: diffuse 0.5000"
 
 
 def test_a_principled_material_loses_nothing(tmp_path):

@@ -8,6 +8,7 @@ import signal
 import pytest
 import torch
 from helpers import ANALYTIC, GRID, MITSUBA, photos_of
+from helpers.variants import mostly_slow
 
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.errors import ConfigError
@@ -76,10 +77,7 @@ def test_hybrid_finds_the_flash_beside_the_lens():
     assert result.flash_offset[0] < -0.05 and abs(result.flash_offset[1]) < 0.03
 
 
-LONG = ("gan, before it grows", "gan, crops", "gan, five fresh steps")
-
-
-@pytest.mark.parametrize("method", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in RESUMED])
+@pytest.mark.parametrize("method", mostly_slow(RESUMED, "hybrid", "direct", "gan"))
 def test_resume_is_bit_equal(method, tmp_path, monkeypatch):
     monkeypatch.setattr(gan_config, "SMALLEST", 32)
     config, side, saved_at = RESUMED[method]

@@ -5,6 +5,7 @@ import json
 import pytest
 import torch
 from helpers import ANALYTIC, GRID, photos_of
+from helpers.variants import mostly_slow
 
 from mitsvbrdf import cli, color
 from mitsvbrdf.capture import Capture
@@ -219,7 +220,7 @@ def test_resume_asks_for_the_same_fixed_maps_not_the_same_names(capture, tmp_pat
         fit("a", 4, resume=path)
 
 
-@pytest.mark.parametrize("bsdf", CHANNELS)
+@pytest.mark.parametrize("bsdf", mostly_slow(CHANNELS, "roughconductor"))
 def test_fix_and_explain_on_the_command_line(bsdf, tmp_path, capsys):
     shots, out = tmp_path / "shots", tmp_path / "out"
     assert cli.main(["synth", "builtin:leather", "-o", str(shots), "--resolution", "16", "--renderer", "analytic"]) == 0

@@ -8,9 +8,9 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from mitsvbrdf.batch.asked import Asked
 from mitsvbrdf.batch.entries import Entry
 from mitsvbrdf.batch.places.place import LocalPlace
-from mitsvbrdf.batch.prepare import Asked
 from mitsvbrdf.fit.config import FitConfig, HierarchicalConfig
 from mitsvbrdf.fit.options import FitOptions
 

@@ -27,7 +27,7 @@ def random_rows(count: int, seed: int = 0, unfinished: bool = False) -> list[dic
         if unfinished and k >= 0.8 * count:
             state = "running" if k < 0.8 * count + 8 else "pending"
         begun += datetime.timedelta(seconds=5)
-        rows.append(random_row(k, random, state, begun.isoformat(timespec="seconds")))
+        rows.append(random_row(k, random, state, begun.isoformat(timespec="seconds") + "Z"))
     return rows
 
 
@@ -54,11 +54,12 @@ def random_row(k: int, random: np.random.Generator, state: str, date: str) -> di
         "worker": f"w{random.integers(8)}" if ended else None, "host": f"node-{random.integers(3)}" if ended else None,
         "source": f"captures/{kind}/{name}", "options": "--budget 60",
         "reason": str(random.choice(REASONS)) if state == "failed" else "",
-        "preview": f"{folder}/preview.jpg" if fitted else None, "report": f"{folder}/report.html" if fitted else None}
+        "preview": f"{folder}/preview.jpg" if fitted else None, "report": f"{folder}/report.html" if fitted else None,
+        "log": f"{folder}/log.txt" if state == "failed" else None}
 
 
 def library_of(rows: list[dict], title: str = "A library", **more: object) -> dict:
-    return {"title": title, "made": "2026-11-23T10:00:00", "version": "0.1.0", "materials": rows, **more}
+    return {"title": title, "made": "2026-11-23T10:00:00Z", "version": "0.1.0", "materials": rows, **more}
 
 
 def picture(seed: int, side: int = 128) -> bytes:
@@ -82,6 +83,9 @@ def write_library(folder: Path, rows: list[dict], pictures: int | None = None, *
     """
     drawn: list[str] = []
     for k, row in enumerate(rows):
+        if row["log"]:
+            (folder / row["folder"]).mkdir(parents=True, exist_ok=True)
+            (folder / row["log"]).write_text(f"the log of {row['name']}")
         if not row["preview"]:
             continue
         if pictures is not None and len(drawn) >= pictures:

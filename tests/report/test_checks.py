@@ -81,6 +81,7 @@ def test_the_traced_scene_with_everything_stands_beside_a_mitsuba_fit(photos, tm
     assert "held fixed" in page.text and "gradient of normal" in page.text
 
 
+@pytest.mark.slow
 def test_a_renderer_of_ones_own_is_not_checked(copy):
     record = json.loads((copy / "fit.json").read_text()) | {"renderer": "mine"}
     (copy / "fit.json").write_text(json.dumps(record))

@@ -1,5 +1,6 @@
 """Files are replaced whole or not at all, and nothing that is not ours is touched."""
 
+import errno
 import os
 import shutil
 import signal
@@ -210,3 +211,14 @@ def test_exr_holds_every_bit_of_float32(tmp_path, channels):
     image = torch.randn(5, 7, channels) * 1e4
     images.write_exr(tmp_path / "a.exr", image)
     assert torch.equal(images.read_image(tmp_path / "a.exr", ValueError), image)
+
+
+@pytest.mark.parametrize("number, way_out", [(errno.EACCES, "check your rights"), (errno.EROFS, "check your rights"),
+                                             (errno.ENOSPC, "free space")])
+def test_what_cannot_be_written_is_told_with_the_way_out_that_helps(tmp_path, monkeypatch, number, way_out):
+    def refused(*_):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(files.os, "replace", refused)
+    with pytest.raises(OutputError, match=f"{os.strerror(number)}; {way_out}"):
+        files.write_bytes(tmp_path / "library.json", b"{}")

@@ -68,6 +68,7 @@ def test_mitsuba_compiles_nothing_after_the_second_turn(work):
     assert [step for step, _ in record["memory"]["samples"]] == list(range(20))
 
 
+@pytest.mark.slow
 def test_a_scene_of_before_makes_no_kernel_late_by_being_freed(monkeypatch):
     steps = itertools.count()
 

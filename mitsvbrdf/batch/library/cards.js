@@ -21,11 +21,12 @@ class Cards {
 
   measure() {
     const rem = parseFloat(getComputedStyle(document.documentElement).fontSize), list = this.list;
+    const text = parseFloat(getComputedStyle(list).getPropertyValue("--text"));  // rem below a card's picture
     this.gap = Math.round(0.75 * rem);
     this.width = list.clientWidth;
     this.columns = Math.max(2, Math.floor((this.width + this.gap) / (10 * rem + this.gap)));
     this.side = Math.floor((this.width - this.gap * (this.columns - 1)) / this.columns);
-    this.step = this.side + Math.round(4.6 * rem) + this.gap;  // from one line of cards to the next
+    this.step = this.side + Math.round(text * rem) + this.gap;  // from one line of cards to the next
     list.style.setProperty("--side", this.side + "px");
     list.style.height = Math.ceil(this.rows.length / this.columns) * this.step + "px";
   }

@@ -2,11 +2,11 @@
 // q (the expression), sort, down, and at (which material is at the top of the window).
 
 const EVERY = 5000;  // ms between two looks at a library that a batch works at
-const TAGS = 16;  // shown at first
+const TAGS = 8;  // shown at first
 const $ = (id) => document.getElementById(id);
 const where = JSON.parse($("asked").textContent);
 const view = { text: "", sort: "name", down: false };
-let library = null, rows = [], shown = [], states = {}, tags = [], orders = new Map(), allTags = false, test = () => true;
+let library = null, rows = [], shown = [], states = {}, tags = [], orders = new Map(), allTags = false;
 history.scrollRestoration = "manual";
 
 // ---- Data --------------------------------------------------------------------------------------------------------------
@@ -25,6 +25,9 @@ function take(data) {
   });
   tags = [...found].sort((a, b) => b[1] - a[1]);
   orders = new Map();
+  const twins = [...Map.groupBy(rows, (row) => row.name).values()].filter((alike) => alike.length > 1);
+  for (const alike of twins) apart(alike).forEach((words, i) => alike[i].apart = words);
+  $("cards").classList.toggle("twins", twins.length > 0);
 }
 
 // All rows in the order asked for; missing values last either way, equal ones by name.
@@ -50,20 +53,20 @@ let drawing = 0;
 function refresh() {
   let problem = "";
   try {
-    test = matcher(where, view.text);
+    shown = ordered().filter(matcher(where, view.text));
   } catch (error) {
     if (!(error instanceof RangeError)) throw error;
-    problem = error.message;  // the last expression that was understood holds on
+    problem = error.message;
+    shown = [];
   }
-  shown = ordered().filter(test);
   $("shown").textContent = problem ? problem[0].toUpperCase() + problem.slice(1) + "." :
-    (shown.length < rows.length ? `${count(shown.length)} of ` : "") + `${count(rows.length)} materials`;
+    (shown.length < rows.length ? `${count(shown.length)} of ` : "") + several(rows.length, "material");
   $("shown").className = problem ? "bad" : "";
-  $("none").hidden = shown.length > 0;
+  $("none").hidden = shown.length > 0 || problem !== "";
   $("none").textContent = rows.length ? "No material is like that." : "There are no captures yet.";
+  $("tools").hidden = !rows.length;
   $("down").textContent = view.down ? "↓" : "↑";
   $("down").setAttribute("aria-pressed", view.down);
-  if ($("where").value !== view.text) $("where").value = view.text;
   $("sort").value = view.sort;
   showChips();
   cards.set(shown);
@@ -72,9 +75,11 @@ function refresh() {
   else drawing = setTimeout(() => showErrors($("errors"), rows, shown), 100);  // not between two letters typed
 }
 
-// Something else is asked for: from its beginning, where the window was further down.
+// Something else is asked for: from its beginning, where the window was further down. What stands in the box holds, also where
+// its frame is still to come.
 function ask(change) {
-  Object.assign(view, change);
+  if (change.text !== undefined) $("where").value = change.text;
+  Object.assign(view, change, { text: $("where").value });
   refresh();
   const start = $("cards").getBoundingClientRect().top + scrollY - $("tools").offsetHeight;
   if (scrollY > start) scrollTo(0, start);
@@ -94,6 +99,7 @@ function showChips() {
   const terms = termsOf(view.text), others = terms.filter((term) => !/^state[:=]/i.test(term));
   const without = (term) => terms.filter((each) => each !== term);
   const press = (term) => () => ask({ text: (terms.includes(term) ? without(term) : [...terms, term]).join(" ") });
+  $("states").hidden = Object.values(states).filter(Boolean).length < 2;
   $("states").replaceChildren(
     chip("All", rows.length, terms.length === others.length, () => ask({ text: others.join(" ") })),
     ...where.states.filter((state) => states[state]).map((state) => chip(state[0].toUpperCase() + state.slice(1), states[state],
@@ -111,55 +117,6 @@ function showChips() {
 function showAllTags() {
   allTags = true;
   showChips();
-}
-
-// ---- One material ------------------------------------------------------------------------------------------------------
-// All that a card shows: while it stays the same, so does the card.
-function stampOf(row) {
-  return row.stamp ??= JSON.stringify([row.key, row.state, row.name, row.error, row.preview, row.report, row.reason,
-    row.warnings?.length]);
-}
-
-function makeCard(row) {
-  const picture = make("span", { class: "picture" });
-  const says = row.state === "failed" ? row.reason || "failed" : row.state === "done" ? "no picture" : row.state;
-  if (row.preview) {
-    const image = make("img", { alt: "", decoding: "async", "data-src": row.preview });
-    image.addEventListener("error", () => image.getAttribute("src") && image.replaceWith(make("span", {}, "no picture")));
-    picture.append(image);
-  } else picture.append(make("span", { dir: "auto" }, says));
-  const main = row.report ? make("a", { class: "card", href: row.report }) : make("button", { class: "card", type: "button" });
-  main.append(picture, make("span", { class: "name", dir: "auto", title: row.name }, row.name));
-  if (row.report) main.addEventListener("click", keepNow);
-  else main.addEventListener("click", () => showDetails(row));
-  const more = make("button", { class: "more", type: "button", "aria-label": `Details of ${row.name}` }, "⋯");
-  more.addEventListener("click", () => showDetails(row));
-  const error = make("span", { title: "error on the photos seen" }, row.error === null ? row.state : number(row.error));
-  if (row.warnings?.length) error.append(" ", make("span", { class: "bad" }, `⚠ ${row.warnings.length}`));
-  return make("li", { class: row.state }, main, make("div", { class: "under" }, error, more));
-}
-
-function showDetails(row) {
-  const dialog = $("details"), [form, image, links, list] = dialog.children;
-  form.firstElementChild.textContent = row.name;
-  image.hidden = !row.preview;
-  if (row.preview) image.src = row.preview;
-  else image.removeAttribute("src");
-  image.alt = `${row.name}, lit`;
-  const log = row.state === "failed" && row.address && !where.served ? row.address + "/log.txt" : null;
-  links.replaceChildren(...[["Report", row.report], ["Picture alone", row.preview], ["Log", log]]
-    .filter(([, to]) => to).map(([name, to]) => make("a", { href: to }, name)));
-  const memory = numberOf(row, "memory");
-  list.replaceChildren(...pairs([
-    ["State", row.state], ["Reason", row.reason], ["Warnings", row.warnings?.join("\n")],
-    ["Error", number(row.error)], ["Left-out error", number(row.left_out_error)], ["Burn-in", number(row.burn_in)],
-    ["Time", time(row.seconds)], ["Memory", memory && `${memory.toFixed(2)} GiB`], ["Attempts", row.attempts],
-    ["Ended", row.date?.replace("T", " ")], ["Method", row.method], ["Resolution", row.resolution && `${row.resolution} px`],
-    ["Photos", row.photos], ["Tags", row.tags?.join(", ")], ["Source", row.source], ["Options", row.options],
-    ["Worker", [row.worker, row.host].filter(Boolean).join(" on ")], ["Folder", row.folder], ["Identity", row.id],
-  ]));
-  dialog.showModal();
-  dialog.scrollTop = 0;
 }
 
 // ---- The address's hash ------------------------------------------------------------------------------------------------
@@ -181,6 +138,7 @@ function follow() {
   const hash = new URLSearchParams(location.hash.slice(1)), sort = hash.get("sort");
   const known = [...$("sort").options].some((option) => option.value === sort);
   Object.assign(view, { text: hash.get("q") ?? "", sort: known ? sort : "name", down: hash.has("down") });
+  $("where").value = view.text;
   refresh();
   const [, above, key] = /^(\d{1,5})\.([^]*)$/.exec(hash.get("at") ?? "") ?? [];
   if (!cards.go(key === undefined ? null : { key, above: Number(above) })) scrollTo(0, 0);
@@ -190,17 +148,22 @@ function follow() {
 // ---- A batch at work ---------------------------------------------------------------------------------------------------
 let version = null;  // headers that ask whether library.js is another one
 function showAbout() {
-  const percent = rows.length ? Math.floor(100 * (states.done + states.failed) / rows.length) : 0;
-  document.title = (isLive() ? `${percent} % · ` : "") + library.title;
-  $("made").textContent = `${(library.made ?? "").replace("T", " ")} · mitsvbrdf ${library.version ?? ""}`;
+  const made = library.made ? ["As of ", moments(library.made), " · "] : [];
+  $("made").replaceChildren(...made, `mitsvbrdf ${library.version ?? ""}`);
   showNumbers($("numbers"), rows, library.progress);
-  showProgress($("progress"), states, library.progress);
+  showStanding();
 }
-function isLive() {
-  return location.protocol.startsWith("http") && states.running + states.pending > 0;
+function showStanding() {
+  const stands = standing(states, library, Date.now());
+  const percent = Math.floor(100 * (states.done + states.failed) / rows.length);
+  document.title = (!stands || !isServed() ? "" : stands.command ? "stopped · " : `${percent} % · `) + library.title;
+  showProgress($("progress"), states, stands);
+}
+function isServed() {
+  return location.protocol.startsWith("http");
 }
 function follows() {
-  return where.served || isLive();
+  return where.served || isServed() && states.running + states.pending > 0;
 }
 async function look() {
   const begun = performance.now();
@@ -216,12 +179,12 @@ async function look() {
       refresh();
       cards.go(place);
       cards.draw(true);
-    }
+    } else showStanding();  // no news may be news, too
   } catch (problem) {
     if (!(problem instanceof TypeError || problem instanceof SyntaxError)) throw problem;  // nobody there, or half a file
     $("lost").hidden = false;
   }
-  if (follows()) setTimeout(look, Math.max(EVERY, 20 * (performance.now() - begun)));  // a large library is looked at less often
+  if (follows()) setTimeout(look, Math.max(EVERY, 20 * (performance.now() - begun)));  // at a large library less often
 }
 
 // ---- Start -------------------------------------------------------------------------------------------------------------
@@ -236,12 +199,14 @@ if (!globalThis.mitsvbrdfLibrary) {
   let typed = 0;
   $("where").addEventListener("input", () => {
     cancelAnimationFrame(typed);
-    typed = requestAnimationFrame(() => ask({ text: $("where").value }));
+    typed = requestAnimationFrame(() => ask({}));
   });
   $("tools").addEventListener("submit", (event) => event.preventDefault());
   $("sort").addEventListener("change", () => ask({ sort: $("sort").value }));
   $("down").addEventListener("click", () => ask({ down: !view.down }));
-  $("details").addEventListener("click", (event) => { if (event.target === $("details")) $("details").close(); });
+  $("help").addEventListener("click", () => $("askable").showModal());
+  for (const dialog of document.querySelectorAll("dialog"))
+    dialog.addEventListener("click", (event) => { if (event.target === dialog) dialog.close(); });
   addEventListener("scroll", keep, { passive: true });
   addEventListener("pagehide", keepNow);
   addEventListener("hashchange", follow);

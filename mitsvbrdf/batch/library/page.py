@@ -22,10 +22,11 @@ from .where import SEARCHED, STATES, described
 PAGE_FILE, DATA_FILE = "index.html", "library.js"
 GLOBAL = "mitsvbrdfLibrary"  # what the data file sets
 
+ABOUT = ("title", "made", "version", "progress", "stopped", "command")  # of the library as a whole
 # Of a row, in the data file one list each: their names stand there once and not ten thousand times.
 COLUMNS = ("name", "id", "folder", "state", "error", "left_out_error", "burn_in", "warnings", "seconds", "peak_bytes",
            "attempts", "date", "tags", "method", "resolution", "photos", "worker", "host", "source", "options", "reason")
-LINKS = {"preview": "preview", "report": "report", "address": "folder"}  # column of an address: the row's path
+LINKS = {"preview": "preview", "report": "report", "log": "log"}  # column of an address: the row's path
 SORTS = {"name": "Name", "error": "Error", "left_out_error": "Left-out error", "burn_in": "Burn-in", "warnings": "Warnings",
          "seconds": "Seconds", "memory": "Memory", "attempts": "Attempts", "date": "Date"}
 
@@ -38,8 +39,9 @@ def write_library_page(folder: Path, library: dict) -> None:
 
     Args:
         folder: of the library.
-        library: as in ``library.json``: ``title``, ``made``, ``version``, ``materials`` (a row each), and of a batch at work
-            ``progress`` with ``per_hour`` and ``left_seconds``, either of which may be None.
+        library: as in ``library.json``: ``title``, ``made``, ``version``, ``materials`` (a row each); of a batch at work
+            ``progress`` with ``per_hour`` and ``left_seconds``, either of which may be None; of one that ended with work left
+            ``stopped``, and where known ``command``, which goes on.
 
     Raises:
         OutputError: the folder cannot be written.
@@ -66,7 +68,7 @@ def data_script(library: Mapping) -> str:
     rows = sorted(library["materials"], key=lambda row: _natural(row["name"]))
     columns = {name: [_finite(row.get(name)) for row in rows] for name in COLUMNS}
     columns |= {name: [address(row.get(path)) for row in rows] for name, path in LINKS.items()}
-    data = {name: library.get(name) for name in ("title", "made", "version", "progress")} | {"columns": columns}
+    data = {name: library.get(name) for name in ABOUT} | {"columns": columns}
     return f"{GLOBAL} = {_json(data)};\n"
 
 

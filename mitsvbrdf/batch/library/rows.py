@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ...render import Renderer
 
 INDEX = "library.json"
+UNFINISHED = "running", "pending"
 
 
 def row_of(folder: Path, shown: Capture | None, engine: Renderer) -> dict:
@@ -59,7 +60,17 @@ def rows(manifest: Manifest, wanted: bool = True) -> Iterator[dict]:
         wanted: whether results that a newer one of the same capture took the place of are left out.
     """
     for each in manifest.materials(wanted=wanted):
-        yield _row(each)
+        row = _row(each)
+        yield row | {"log": _log(manifest.path.parent, row["folder"]) if row["state"] == "failed" else None}
+
+
+def _log(home: Path, folder: str) -> str | None:
+    """The path below the library of what a fit that failed printed; None where it printed nothing."""
+    path = f"{folder}/log.txt"
+    try:
+        return path if (home / path).stat().st_size else None
+    except OSError:
+        return None
 
 
 def _row(each: sqlite3.Row) -> dict:
@@ -80,23 +91,27 @@ def _row(each: sqlite3.Row) -> dict:
         "report": inside(known.get("report")) if each["state"] == "done" else None}
 
 
-def library_of(manifest: Manifest, title: str, progress: dict | None = None) -> dict:
+def library_of(manifest: Manifest, title: str, progress: dict | None = None, command: str | None = None) -> dict:
     """All that the page of a library shows.
 
     Args:
         manifest: of the library.
         title: its name.
         progress: ``per_hour`` and ``left_seconds`` while a batch runs.
+        command: that of the batch.
     """
-    found = {"title": title, "made": now(), "version": __version__, "materials": list(rows(manifest))}
+    materials = list(rows(manifest))
+    stopped = not progress and any(row["state"] in UNFINISHED for row in materials)
+    found = {"title": title, "made": now(), "version": __version__, "stopped": stopped, "command": command,
+             "materials": materials}
     return found | ({"progress": progress} if progress else {})
 
 
-def write_library(home: Path, manifest: Manifest, title: str, progress: dict | None = None) -> None:
+def write_library(home: Path, manifest: Manifest, title: str, progress: dict | None = None, command: str | None = None) -> None:
     """Write ``library.json``, for pandas and others, and the page ``index.html``."""
     from .page import write_library_page
 
-    library = library_of(manifest, title, progress)
+    library = library_of(manifest, title, progress, command)
     write_json(home / INDEX, _finite(library))
     write_library_page(home, _finite(library))
 

@@ -11,12 +11,15 @@ from pathlib import Path
 from ...report.live import HTML, LIVE_POLICY, REPORT_POLICY, Answer
 from ...system.json_files import parsed
 from ..manifest import FILE
+from ..places.place import QUARANTINE
 from ..prepare import TOKEN
 from .page import DATA_FILE, PAGE_FILE, address, data_script, library_page
 from .rows import INDEX
 
 # Of a material, what is served: media type and content security policy.
-SERVED = {"preview.jpg": ("image/jpeg", ""), "report.html": (HTML, REPORT_POLICY), "look.html": (HTML, REPORT_POLICY)}
+KINDS = {"preview.jpg": ("image/jpeg", ""), "report.html": (HTML, REPORT_POLICY), "look.html": (HTML, REPORT_POLICY),
+         "log.txt": ("text/plain; charset=utf-8", "")}
+SERVED = {"done": ("preview.jpg", "report.html", "look.html"), "failed": ("log.txt",)}
 
 
 def is_library(folder: Path) -> bool:
@@ -25,7 +28,7 @@ def is_library(folder: Path) -> bool:
 
 
 class LibrarySite:
-    """The page of a library, its data, and of each material that is done its picture and reports.
+    """The page of a library, its data, of each material that is done its picture and reports, and the log of one that failed.
 
     Page and data are made anew from ``library.json``, so that no script of the folder runs. A request is looked up in a table
     of addresses that is made from the same rows.
@@ -53,7 +56,7 @@ class LibrarySite:
         if path == f"/{DATA_FILE}":
             return Answer(script, "text/javascript", again=True)
         content = self._content(file) if file else None
-        return Answer(content, *SERVED[file.name]) if file and content is not None else None
+        return Answer(content, *KINDS[file.name]) if file and content is not None else None
 
     def _look(self) -> None:
         """Read ``library.json`` where it is another one; one that cannot be read changes nothing."""
@@ -63,10 +66,10 @@ class LibrarySite:
             if read == self._read:
                 return
             library = parsed(self._content(self.root / INDEX) or b"")
-            script, folders = data_script(library).encode(), [row["folder"] for row in library["materials"]
-                                                              if row["state"] == "done"]
-            self._files = {f"/{link}/{name}": self.root / folder / name for folder in folders
-                           if (link := address(folder)) and "/" not in folder for name in SERVED}
+            script = data_script(library).encode()
+            self._files = {f"/{link}/{name}": self.root / row["folder"] / name for row in library["materials"]
+                           if (link := address(row["folder"])) and "/" not in row["folder"].removeprefix(f"{QUARANTINE}/")
+                           for name in SERVED.get(row["state"], ())}
             self._read, self._script = read, script
         except (OSError, ValueError, KeyError, TypeError, AttributeError):  # gone by now, or no library's
             return

@@ -3,6 +3,7 @@
 
 const SPACE = " \\t\\n\\r\\f\\v\\u00a0";
 const TERM = new RegExp(`(?:"(?:[^"]|"")*"|[^${SPACE}"])+`, "g");
+const PART = /(?:"(?:[^"]|"")*"|[^,"])+/g;
 const COMPARISON = /^([A-Za-z_]+)(<=|>=|[<>=:])([\s\S]*)$/;
 const NUMBER = /^[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?$/;
 const DATE = /^[0-9]{4}(-[0-9]{2}(-[0-9]{2}(T[0-9]{2}(:[0-9]{2}(:[0-9]{2})?)?)?)?)?$/;
@@ -37,19 +38,37 @@ function numberOf(row, field) {
 function testOf(where, term) {
   const found = COMPARISON.exec(term);
   if (!found) {
-    const word = unquoted(term).toLowerCase();
+    const word = folded(unquoted(term));
     return (row) => searchedIn(where, row).includes(word);
   }
   const [field, compare, value] = [found[1].toLowerCase(), found[2], found[3]];
   if (!Object.hasOwn(where.fields, field))
-    refuse("one of " + Object.keys(where.fields).join(", "), field, `write "${term}" in quotes to search for it as text`);
+    refuse("one of " + Object.keys(where.fields).join(", "), field,
+      `${nearest(Object.keys(where.fields), field)} is the nearest; write "${term}" in quotes to search for it as text`);
   const { kind, example } = where.fields[field];
   if (["choice", "text"].includes(kind) && !":=".includes(compare))
     refuse(`${field}: or ${field}=`, field + compare, `write as in ${example}`);
   if (!unquoted(value)) refuse(`a value after ${field}${compare}`, "none", `write as in ${example}`);
-  if (kind === "choice") return choiceTest(where, field, value);
-  if (kind === "text") return textTest(field, compare, unquoted(value).toLowerCase());
+  if (kind === "choice") return choiceTest(where, field, wordsOf(value));
+  if (kind === "text") return textTest(field, compare, wordsOf(value));
   return (kind === "number" ? numberTest : dateTest)(field, compare, unquoted(value), example);
+}
+
+// The field that the fewest changes of a letter make of a word; of several the first.
+function nearest(fields, word) {
+  const changes = (field) => {
+    const row = Array.from({ length: field.length + 1 }, (_, k) => k);
+    for (let i = 1; i <= word.length; i++) {
+      let diagonal = row[0];
+      row[0] = i;
+      for (let k = 1; k <= field.length; k++) {
+        const best = Math.min(row[k] + 1, row[k - 1] + 1, diagonal + (word[i - 1] !== field[k - 1]));
+        [diagonal, row[k]] = [row[k], best];
+      }
+    }
+    return row[field.length];
+  };
+  return fields.reduce((best, field) => changes(field) < changes(best) ? field : best);
 }
 
 function numberTest(field, compare, value, example) {
@@ -67,17 +86,26 @@ function dateTest(field, compare, value, example) {
   return (row) => Boolean(row.date) && holds(row.date.slice(0, value.length), value);
 }
 
-function choiceTest(where, field, value) {
-  const parts = value.includes('"') ? [value] : value.split(",");
-  const words = new Set(parts.map((part) => unquoted(part).toLowerCase()).filter(Boolean));
-  const unknown = field === "state" && [...words].filter((word) => !where.states.includes(word)).sort()[0];
-  if (unknown) refuse("done, failed, running or pending", unknown, "write as in state:failed");
-  if (field === "tag") return (row) => (row.tags ?? []).some((tag) => words.has(tag.toLowerCase()));
-  return (row) => words.has(textOf(row, field));
+// The words that commas stand between; a comma in quotes is a part of its word.
+function wordsOf(value) {
+  return (value.match(PART) ?? []).map((part) => folded(unquoted(part))).filter(Boolean);
 }
 
-function textTest(field, compare, value) {
-  return compare === "=" ? (row) => textOf(row, field) === value : (row) => textOf(row, field).includes(value);
+function choiceTest(where, field, words) {
+  const unknown = field === "state" && words.filter((word) => !where.states.includes(word)).sort()[0];
+  if (unknown) refuse("done, failed, running or pending", unknown, "write as in state:failed");
+  if (field === "tag") return (row) => (row.tags ?? []).some((tag) => words.includes(folded(tag)));
+  return (row) => words.includes(textOf(row, field));
+}
+
+function textTest(field, compare, words) {
+  if (compare === "=") return (row) => words.includes(textOf(row, field));
+  return (row) => words.some((word) => textOf(row, field).includes(word));
+}
+
+// Upper and lower case are the same, and so are a space and _, which names have in its place.
+function folded(text) {
+  return text.toLowerCase().replaceAll("_", " ");
 }
 
 function unquoted(text) {
@@ -85,13 +113,13 @@ function unquoted(text) {
 }
 
 function textOf(row, field) {
-  return (row[field] ?? "").toLowerCase();
+  return folded(row[field] ?? "");
 }
 
 // What a word is looked for in; kept with the row, for each letter typed asks for it again.
 const SEARCHED = Symbol("searched");
 function searchedIn(where, row) {
-  return row[SEARCHED] ??= [...where.searched.map((name) => row[name] ?? ""), ...(row.tags ?? [])].join("\n").toLowerCase();
+  return row[SEARCHED] ??= folded([...where.searched.map((name) => row[name] ?? ""), ...(row.tags ?? [])].join("\n"));
 }
 
 function refuse(expected, got, fix) {

@@ -25,7 +25,7 @@ class Field:
     """What can be asked of a material.
 
     ``number`` and ``date`` are compared (a date to the day where a day is given), ``choice`` is one of some words, or several
-    (``tag:wood,stone``: either), ``text`` contains what follows ``:`` or is what follows ``=``.
+    (``tag:wood,stone``: either), ``text`` contains what follows ``:`` or is what follows ``=``, of several words one.
     """
 
     kind: Literal["number", "date", "choice", "text"]
@@ -43,7 +43,7 @@ FIELDS = {
     "attempts": Field("number", "how often it was begun", "attempts>1"),
     "resolution": Field("number", "pixels a side", "resolution:256"),
     "photos": Field("number", "count of photos", "photos>=9"),
-    "date": Field("date", "when it ended", "date>2026-11-01"),
+    "date": Field("date", "when it ended, UTC", "date>2026-11-01"),
     "state": Field("choice", "done, failed, running or pending", "state:failed"),
     "tag": Field("choice", "one of its tags", "tag:wood,stone"),
     "method": Field("choice", "how it was fitted", "method:gan"),
@@ -58,6 +58,7 @@ FIELDS = {
 
 _SPACE = r" \t\n\r\f\v\u00a0"
 _TERM = re.compile(rf'(?:"(?:[^"]|"")*"|[^{_SPACE}"])+')
+_PART = re.compile(r'(?:"(?:[^"]|"")*"|[^,"])+')
 _QUOTED = re.compile(r'"((?:[^"]|"")*)"')
 _COMPARISON = re.compile(r"([A-Za-z_]+)(<=|>=|[<>=:])([\s\S]*)")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
@@ -72,8 +73,8 @@ def matcher(text: str) -> Test:
     Args:
         text: terms with spaces between them, all of which must hold; empty: every row. A term compares a field
             (:data:`FIELDS`), or is a word that the name, a tag, the source, the method, the host or the reason contains.
-            Upper and lower case are the same. Double quotes hold a term with spaces together: ``tag:"old wood"``. A missing
-            number or date fulfils no comparison.
+            Upper and lower case are the same, and so are a space and ``_``, which names have in its place. Double quotes hold
+            a value with spaces or commas together: ``tag:"old wood"``. A missing number or date fulfils no comparison.
 
     Raises:
         ConfigError: what cannot be understood.
@@ -102,11 +103,12 @@ def described() -> dict[str, dict]:
 def _test(term: str) -> Test:
     found = _COMPARISON.fullmatch(term)
     if found is None:
-        word = _unquoted(term).lower()
+        word = _folded(_unquoted(term))
         return lambda row: word in _searched(row)
     field, compare, value = found[1].lower(), found[2], found[3]
     if field not in FIELDS:
-        _refuse("one of " + ", ".join(FIELDS), field, f'write "{term}" in quotes to search for it as text')
+        _refuse("one of " + ", ".join(FIELDS), field,
+                f'{_nearest(field)} is the nearest; write "{term}" in quotes to search for it as text')
     kind, example = FIELDS[field].kind, FIELDS[field].example
     if kind in ("choice", "text") and compare not in ":=":
         _refuse(f"{field}: or {field}=", field + compare, f"write as in {example}")
@@ -116,7 +118,21 @@ def _test(term: str) -> Test:
         return _number_test(field, compare, _unquoted(value), example)
     if kind == "date":
         return _date_test(compare, _unquoted(value), example)
-    return _choice_test(field, value) if kind == "choice" else _text_test(field, compare, _unquoted(value).lower())
+    words = {word for part in _PART.findall(value) if (word := _folded(_unquoted(part)))}
+    return _choice_test(field, words) if kind == "choice" else _text_test(field, compare, words)
+
+
+def _nearest(word: str) -> str:
+    """The field that the fewest changes of a letter make of a word; of several the first."""
+    def changes(field: str) -> int:
+        row = list(range(len(field) + 1))  # Levenshtein's distance of what has been read of the word to each beginning
+        for number, letter in enumerate(word, 1):
+            diagonal, row[0] = row[0], number
+            for k, other in enumerate(field, 1):
+                diagonal, row[k] = row[k], min(row[k] + 1, row[k - 1] + 1, diagonal + (letter != other))
+        return row[-1]
+
+    return min(FIELDS, key=changes)
 
 
 def _number_test(field: str, compare: str, value: str, example: str) -> Test:
@@ -133,31 +149,34 @@ def _date_test(compare: str, value: str, example: str) -> Test:
     return lambda row: bool(row.get("date")) and holds(row["date"][:len(value)], value)
 
 
-def _choice_test(field: str, value: str) -> Test:
-    words = {value for part in ([value] if '"' in value else value.split(",")) if (value := _unquoted(part).lower())}
+def _choice_test(field: str, words: set[str]) -> Test:
     if field == "state" and (unknown := sorted(words - set(STATES))):
         _refuse("done, failed, running or pending", unknown[0], "write as in state:failed")
     if field == "tag":
-        return lambda row: any(tag.lower() in words for tag in row.get("tags") or ())
+        return lambda row: any(_folded(tag) in words for tag in row.get("tags") or ())
     return lambda row: _text(row, field) in words
 
 
-def _text_test(field: str, compare: str, value: str) -> Test:
+def _text_test(field: str, compare: str, words: set[str]) -> Test:
     if compare == "=":
-        return lambda row: _text(row, field) == value
-    return lambda row: value in _text(row, field)
+        return lambda row: _text(row, field) in words
+    return lambda row: any(word in _text(row, field) for word in words)
 
 
 def _unquoted(text: str) -> str:
     return _QUOTED.sub(lambda found: found[1].replace('""', '"'), text)
 
 
+def _folded(text: str) -> str:
+    return text.lower().replace("_", " ")
+
+
 def _text(row: Mapping, field: str) -> str:
-    return (row.get(field) or "").lower()
+    return _folded(row.get(field) or "")
 
 
 def _searched(row: Mapping) -> str:
-    return "\n".join([*(row.get(name) or "" for name in SEARCHED), *(row.get("tags") or ())]).lower()
+    return _folded("\n".join([*(row.get(name) or "" for name in SEARCHED), *(row.get("tags") or ())]))
 
 
 def _refuse(expected: str, got: str, fix: str) -> NoReturn:

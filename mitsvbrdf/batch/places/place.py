@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import shutil
 import uuid
 from pathlib import Path
@@ -20,6 +21,7 @@ from ...system.json_files import load
 
 RECORD = "batch.json"  # of a result: which capture and options it is of, and what its files hold
 WORK, QUARANTINE = ".work", "quarantine"
+ASIDE = re.compile(r".+-[0-9a-f]{8}\.damaged[0-9]*")  # names of results that were set aside
 
 
 class Place(Protocol):
@@ -45,8 +47,12 @@ class Place(Protocol):
         """Take a result that is not whole out of the way, without losing it."""
         ...
 
+    def aside(self) -> list[str]:
+        """The folders of what was set aside."""
+        ...
+
     def remove(self, folder: str) -> None:
-        """Delete a result."""
+        """Delete a result, or what was set aside."""
         ...
 
 
@@ -119,10 +125,18 @@ class LocalPlace:
         with contextlib.suppress(FileNotFoundError):
             os.rename(path, aside)
 
+    def aside(self) -> list[str]:
+        """Those with a name that :meth:`set_aside` gives."""
+        return sorted(path.name for path in self.root.iterdir() if ASIDE.fullmatch(path.name))
+
     def remove(self, folder: str) -> None:
         """Its record first, so that half a result never passes for one."""
-        (self.root / folder / RECORD).unlink(missing_ok=True)
-        shutil.rmtree(self.root / folder, ignore_errors=True)
+        path = self.root / folder
+        if path.is_dir() and not path.is_symlink():
+            (path / RECORD).unlink(missing_ok=True)
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            path.unlink(missing_ok=True)
 
 
 def _begun(staging: Path) -> Path:

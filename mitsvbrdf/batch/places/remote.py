@@ -13,7 +13,7 @@ from typing import Any
 from ...capture.photo import SUFFIXES
 from ...errors import BackendError, CaptureError, MitsvbrdfError, OutputError
 from ...system.json_files import parsed
-from .place import RECORD
+from .place import ASIDE, RECORD
 
 CALIBRATIONS = ("capture.json", "camera_pos.txt")
 LOCAL = ("file", "local")  # fsspec's names of this machine's files: the only ones where folders have to be made
@@ -77,6 +77,11 @@ class RemotePlace:
             for name in self._sizes(folder):
                 self.fs.cp_file(f"{self.root}/{folder}/{name}", f"{self.root}/{folder}.damaged/{name}")
         self.remove(folder)
+
+    def aside(self) -> list[str]:
+        """Those with a name that :meth:`set_aside` gives."""
+        with reached(self.url):
+            return sorted(name for name in _listed(self.fs, self.root)[1] if ASIDE.fullmatch(name))
 
     def remove(self, folder: str) -> None:
         """Its record first, so that half a result never passes for one."""

@@ -32,10 +32,10 @@ from ...system import files
 from ...system.progress import say
 from ...system.provenance import machine, versions
 from ...views import nine_view_grid
+from ..asked import Asked
 from ..entries import Entry
 from ..identity import capture_files, identity
 from ..places.place import WORK
-from ..prepare import Asked
 from ..workers.guard import Guard
 
 NOISE = 0.004  # of the made photos, linear

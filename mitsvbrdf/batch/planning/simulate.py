@@ -25,9 +25,9 @@ from ...system import files
 from ...system.json_files import read_json
 from ...system.progress import say
 from ...system.provenance import machine, versions
+from ..asked import TYPICAL_SECONDS
 from ..manifest import FILE, Manifest
 from ..places.place import Place
-from ..prepare import TYPICAL_SECONDS
 from ..run import Batch
 from ..schedule import Scheduler, Work
 from .simulate_page import figure, page

@@ -47,8 +47,8 @@ class Cluster:
     """Until the head and its workers are there again."""
     hangs: float = 0.0005
     """Share of fits that never end."""
-    timeout: float = 1200.0
-    """Seconds that a fit may take: of the default method 10 minutes and 5 times its 120 s."""
+    timeout: float = 540.0
+    """Seconds that a fit may take: of the default method 3 minutes and 3 times its 120 s."""
     refused: float = 0.002
     """Share of captures that cannot be fitted at all."""
     bandwidth: float = 1e9

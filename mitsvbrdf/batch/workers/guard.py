@@ -55,7 +55,8 @@ class Guard:
     Args:
         threads: of the child's numeric libraries.
         memory: GiB that a task may take; None is no limit.
-        timeout: seconds that a task may take, without the start of the child; None is no limit.
+        timeout: seconds that a task may take, without the start of the child; None: those that it states itself under
+            ``limit``, if any.
         command: starts the child; the numbers of its two pipes, to read and to write, follow as the last two arguments.
     """
 
@@ -92,7 +93,7 @@ class Guard:
         try:
             child = self._child = self._child or _Child(self._command, self._environment, self._log.fileno())
             started = time.monotonic()
-            answer = child.ask(task, self._memory, self._timeout)
+            answer = child.ask(task, self._memory, self._timeout or task.get("limit"))
             if answer.get("state") not in ANSWERS:
                 raise _Ended("crashed", f"child gave an answer that nobody knows: {str(answer)[:200]}")
         except (_Ended, OSError) as end:

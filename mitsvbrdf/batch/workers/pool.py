@@ -60,7 +60,7 @@ class RayPool:
         workers: how many; None is one, in a cluster as many as its CPUs allow.
         threads: of each worker.
         memory: GiB that a task may take; None is no limit.
-        timeout: seconds that a task may take; None is no limit.
+        timeout: seconds that a task may take; None: those that it states itself under ``limit``, if any.
         dashboard: whether Ray shows its dashboard.
         log: takes what Ray prints.
         child: the command line of a worker's child; None is the package's own.

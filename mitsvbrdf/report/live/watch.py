@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ...capture.photo import SUFFIXES
 from ...errors import OutputError
 from ...fit.checkpoint import load_tensors
 from ...fit.record import FILE as FIT_FILE
@@ -16,6 +17,7 @@ from ...fit.record import record_in
 from ...material.maps import CHANNELS, TITLES, shown_map
 from ...system import images, result_folder
 
+OPENED = "the OUT of `mitsvbrdf fit -o OUT` or the LIBRARY of `mitsvbrdf batch -o LIBRARY`"
 REPORT_FILE, SHEET_FILE = "report.html", "sheet.png"
 ENDED = {"settled": "settled: going on would change little", "budget": "out of seconds", "iterations": "all iterations done",
          "interrupted": "interrupted by Ctrl-C", "unstable": "too many steps had to be undone"}
@@ -47,17 +49,15 @@ class Watch:
         self.out = Path(os.path.abspath(out))
         self.partial = result_folder.partial_folder(self.out)
         if self.out.exists() and not self.out.is_dir():
-            raise OutputError("the folder that a fit writes to", f"the file {out}", "name the OUT of `mitsvbrdf fit -o OUT`")
+            raise OutputError(OPENED, f"the file {out}", "name such a folder")
         if not self.out.parent.is_dir():
-            raise OutputError("the folder that a fit writes to", f"{out}, and there is no {self.out.parent}",
-                              "check the name, or start the fit first")
-        if self.out.is_dir() and any(self.out.iterdir()) and not any(
-                (self.out / name).exists() for name in (FIT_FILE, REPORT_FILE, result_folder.MANIFEST, self.partial.name)):
-            raise OutputError("the folder that a fit writes to", f"{out}, whose files are no fit's",
-                              "name the OUT of `mitsvbrdf fit -o OUT`")
-        if (self.out / "capture.json").is_file():
-            raise OutputError("the folder that a fit writes to", f"{out}, which holds photos",
-                              "name the OUT of `mitsvbrdf fit -o OUT`")
+            raise OutputError(OPENED, f"{out}, and there is no {self.out.parent}",
+                              "check the name, or start the fit or the batch first")
+        names = {path.name for path in self.out.iterdir()} if self.out.is_dir() else set()
+        ours = {FIT_FILE, REPORT_FILE, result_folder.MANIFEST, self.partial.name}
+        if "capture.json" in names or names and not names & ours:
+            photos = any(name == "capture.json" or os.path.splitext(name)[1].lower() in SUFFIXES for name in names)
+            raise OutputError(OPENED, f"{out}, which {'holds photos' if photos else 'has other files'}", "name such a folder")
         self.record: Shown | None = None
         self.record_time = 0  # when it was written, in ns
         self.result: Shown | None = None

@@ -11,6 +11,7 @@ TINY = ["bench", "--renderer", "analytic", "--materials", "inlay", "--captures",
         "--budgets", "0.1", "--seeds", "0", "--repeats", "1", "--views", "builtin:grid"]
 
 
+@pytest.mark.slow
 def test_all_suites_end_in_one_page(tmp_path, monkeypatch):
     monkeypatch.delenv("MITSVBRDF_DATA", raising=False)
     out, page = tmp_path / "gan.json", tmp_path / "gan.md"

@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 from helpers import ANALYTIC, MITSUBA, TWIN, photos_of
+from helpers.variants import mostly_slow
 
 from mitsvbrdf.fit import FitTask, GanConfig, HybridConfig, fit_svbrdf, make_method
 from mitsvbrdf.material.made import make_material
@@ -36,7 +37,7 @@ def config(method, bsdf):
     return METHODS[method](bsdf=bsdf, width=4, iterations=STEPS, **own)
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", mostly_slow(METHODS, "gan"))
 @pytest.mark.parametrize("bsdf", CHANNELS)
 def test_the_generators_weights_get_the_same_gradients_through_every_renderer(method, bsdf, shots):
     task = FitTask(shots, MITSUBA, config(method, bsdf))
@@ -75,7 +76,7 @@ def test_gradients_reach_every_weight(shots):
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("bsdf", CHANNELS)
+@pytest.mark.parametrize("bsdf", mostly_slow(CHANNELS, "roughconductor"))
 def test_the_same_short_fit_ends_at_the_same_maps(method, bsdf, shots):
     renderers = THROUGH | {"analytic64": TWIN, "wrong": Faulty("roughness squared twice")}
     maps = {name: stepped(FitTask(shots, renderer, config(method, bsdf))) for name, renderer in renderers.items()}

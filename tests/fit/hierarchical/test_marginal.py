@@ -42,6 +42,7 @@ def top(curve):
     return ROUGH[at] + 0.5 * (below - above) / (below - 2 * middle + above) * (ROUGH[1] - ROUGH[0])
 
 
+@pytest.mark.slow
 def test_the_roughness_moves_to_where_the_integral_over_slopes_is_largest(summed):
     photos, costs = summed
     mean, known = top(torch.logsumexp(-costs.flatten(1, 2) / 2, dim=1)), flat(SIDE, diffuse=0.1, specular=0.2)

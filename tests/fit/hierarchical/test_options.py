@@ -7,6 +7,7 @@ import pytest
 import torch
 from helpers import MITSUBA, photos_of
 from helpers.hierarchical_fits import SIDE
+from helpers.variants import mostly_slow
 
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.errors import MitsvbrdfError
@@ -27,7 +28,7 @@ def sane(result, resolution, bsdf="roughconductor"):
 
 
 @pytest.mark.parametrize("kind", ["exact", "phone"])
-@pytest.mark.parametrize("side", [2, 5, 50, 100])
+@pytest.mark.parametrize("side", mostly_slow([2, 5, 50, 100], 2, 5, 50))
 def test_any_size(side, kind, monkeypatch):
     if kind == "phone":
         monkeypatch.setattr(stages, "EXACT", 0.0)
@@ -60,7 +61,7 @@ PHOTOS = {
 }
 
 
-@pytest.mark.parametrize("change", PHOTOS)
+@pytest.mark.parametrize("change", mostly_slow(PHOTOS, "black", "uncalibrated", "nine identical"))
 def test_any_photos(change, capture):
     shots = PHOTOS[change](capture.averaged(16))
     result = fit_svbrdf(shots, MITSUBA)

@@ -7,6 +7,7 @@ import torch
 import torch.nn.functional as F
 from helpers import MITSUBA, photos_of
 from helpers.hierarchical_fits import SIDE, method_of
+from helpers.variants import mostly_slow
 
 from mitsvbrdf import color
 from mitsvbrdf.fit import fit_svbrdf
@@ -31,7 +32,7 @@ def striped():
     return stripe[..., 0] > 0, truth, photos_of(truth, views)
 
 
-@pytest.mark.parametrize("kind", ["exact", "phone"])
+@pytest.mark.parametrize("kind", mostly_slow(["exact", "phone"], "phone"))
 def test_a_highlight_that_no_photo_shows_is_that_of_look_alikes(kind, monkeypatch):
     if kind == "phone":
         monkeypatch.setattr(stages, "EXACT", 0.0)

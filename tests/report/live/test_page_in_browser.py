@@ -72,8 +72,14 @@ def test_a_browser_is_told_of_a_fit_that_dies_and_of_a_server_that_ends(browser,
     with served(out) as ask:
         page = browser.new_page(viewport={"width": 390, "height": 844}, color_scheme="dark")
         page.goto(f"http://{ADDRESS}:{ask.port}/")
+
+        def seen(losses, _):  # the page has drawn the last state before the fit dies
+            state = state_of(ask)
+            if losses is None:
+                page.wait_for_selector(f"#maps img[src*=normal][src$='{state['fit']['version']}']")
+
         with pytest.raises(ZeroDivisionError):
-            fit_into(out, capture, FAST, lambda *_: state_of(ask), fails=ZeroDivisionError())
+            fit_into(out, capture, FAST, seen, fails=ZeroDivisionError())
         page.wait_for_selector("body[data-phase=died]")
         assert "without a result" in page.inner_text("#says") and "last state" in page.inner_text("#maps-note")
         page.wait_for_selector("#maps img[src*=normal]")

@@ -1,0 +1,98 @@
+"""What is asked for of a capture: in words, and how long it may take."""
+
+from __future__ import annotations
+
+import io
+import json
+import shlex
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from helpers.batches import asked, make_capture
+
+from mitsvbrdf.batch.asked import Asked
+from mitsvbrdf.batch.entries import Entry
+from mitsvbrdf.cli.batch import with_own_options
+from mitsvbrdf.errors import ConfigError
+from mitsvbrdf.fit import DirectConfig, GanConfig, HierarchicalConfig
+from mitsvbrdf.fit.options import FitOptions
+
+COSTS = json.loads((Path(__file__).parents[2] / "docs/results/batch-costs.json").read_text())
+USUAL = Asked(Entry("/shots/wood"), HierarchicalConfig(), FitOptions(), True, ())
+
+
+@pytest.mark.parametrize("each, words", [
+    (USUAL, ""),
+    (replace(USUAL, config=HierarchicalConfig(seed=3, budget=7.5), tags=("old", "wood")), "--budget 7.5 --seed 3"),
+    (replace(USUAL, config=HierarchicalConfig(independent=False, grey_specular=True, calibrate=False)),
+     "--grey-specular --no-independent --no-calibrate"),
+    (replace(USUAL, config=HierarchicalConfig(calibrate=True, fix=("normal=flat", "diffuse=a b.png"))),
+     "--fix normal=flat --fix 'diffuse=a b.png' --calibrate"),
+    (replace(USUAL, config=GanConfig(preset="paper-one-stage", iterations=500, start=True)),
+     "--method gan --preset paper-one-stage --iterations 500 --start"),
+    (replace(USUAL, config=GanConfig(grow=False)), "--method gan --no-grow"),
+    (replace(USUAL, config=DirectConfig(learning_rate=0.1), pages=False, sheet=18.5),
+     "--method direct --learning-rate 0.1 --pages none --sheet 18.5"),
+    (replace(USUAL, options=FitOptions(resolution=512, views="0,1,2", finish="gan")),
+     "--resolution 512 --views 0,1,2 --finish gan"),
+    (replace(USUAL, strict=True), "--strict")])
+def test_options_in_words_are_those_that_differ_and_mean_the_same_on_a_line(each, words):
+    assert each.words == words
+    typed = with_own_options(Entry("/shots/wood", tuple(shlex.split(words)), "line 1"), USUAL)
+    assert replace(typed, entry=each.entry, tags=each.tags) == each
+
+
+@pytest.mark.parametrize("line, told", [
+    ("--budget foo", "--budget foo (Error parsing --budget: "), ("--bugdet 3", "--bugdet"), ("--views x", "photo numbers"),
+    ("--resolution 2", "--resolution of 8 or more"), ("--help", "--help")])
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
+def test_a_mistake_on_a_line_is_one_plain_error(line, told, encoding, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding))  # by it tyro chooses how to draw
+    with pytest.raises(ConfigError) as error:
+        with_own_options(Entry("/shots/wood", tuple(line.split()), "line 3 of list.txt"), USUAL)
+    assert told in str(error.value)
+    assert not any(drawn in str(error.value) for drawn in ("│", "╭", "╰", "─", "\n", "----"))
+    assert capsys.readouterr() == ("", "")
+
+
+def test_tags_have_commas_between_them():
+    typed = with_own_options(Entry("/shots/wood", ("--tag", "wood, old oak,,wood", "--tag", "new"), "line 1"),
+                             replace(USUAL, tags=("print",)))
+    assert typed.tags == ("print", "wood", "old oak", "new")
+
+
+def test_no_fit_that_was_measured_would_be_ended_on_a_machine_ten_times_slower(tmp_path):
+    assert len(COSTS["rows"]) >= 10
+    capture = make_capture(tmp_path / "wood", [b"x"] * 9)
+    for row in COSTS["rows"]:
+        limit = asked(capture, HierarchicalConfig(), resolution=row["resolution"]).limit
+        assert limit >= 10 * row["cpu_seconds"], row
+
+
+def test_a_limit_grows_with_what_there_is_to_do(tmp_path):
+    few, many = (make_capture(tmp_path / str(n), [b"x"] * n) for n in (9, 18))
+    raw = tmp_path / "raw"
+    raw.mkdir()
+    for number in range(9):
+        (raw / f"{number}.jpg").touch()
+
+    def limit(capture, budget=100.0, **options):
+        return asked(capture, HierarchicalConfig(budget=budget), **options).limit
+
+    usual = limit(few)
+    assert usual == 180 + 300 and asked(few, HierarchicalConfig(iterations=4)).limit is None
+    assert [limit(few, budget=200.0), limit(many), limit(few, resolution=512), limit(raw), limit(few, finish="gan")] == [
+        usual + 300, usual + 180, usual + 3 * 180, usual + 600, usual + 600]
+
+
+def test_costs_grow_with_photos_and_texels_up_to_the_budget(tmp_path):
+    few, many = make_capture(tmp_path / "few", [b"x"] * 3), make_capture(tmp_path / "many", [b"x"] * 9)
+
+    def cost(capture, config=None, **options):
+        return asked(capture, config or HierarchicalConfig(iterations=4), **options).cost
+
+    assert cost(many) == 3 * cost(few) == 35.0 and cost(many, resolution=512) == 4 * cost(many)
+    assert cost(many, HierarchicalConfig(budget=10)) == 10
+    assert cost(many, GanConfig(budget=77)) == 77
