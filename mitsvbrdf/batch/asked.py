@@ -61,8 +61,8 @@ class Asked:
         usual: Any = kind(preset=preset) if preset else kind()  # type: ignore[call-arg]
         found = ["--method", method] * (method != next(iter(METHODS)))
         found += ["--preset", preset] * (preset != getattr(kind(), "preset", None))
-        found += [*_changed(self.config, usual), *_changed(self.options, FitOptions()), *["--pages", "none"] * (not self.pages),
-                  *["--strict"] * self.strict]
+        found += [*_changed(self.config, usual), *_changed(self.options, FitOptions()), *["--pages", "none"] * (not self.pages)]
+        found += ["--strict"] * self.strict
         return shlex.join([*found, *([] if self.sheet is None else ["--sheet", _typed(self.sheet)])])
 
     @property

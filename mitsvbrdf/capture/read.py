@@ -62,10 +62,15 @@ def read_capture(
     Returns:
         The capture, in the unit of length of its calibration.
 
+    Photos are decoded one at a time and shrunk at once: at most 250 megapixels of each, 500 in all when shrunk.
+
     Raises:
         CaptureError: photos or calibration that cannot be used, naming the file or row.
         ConfigError: options out of range.
         OutputError: a command that was killed left the folder with files of two results, and it cannot be written.
+
+    Warns:
+        InputWarning: the decoder of a photo complained; inside :func:`~mitsvbrdf.errors.strict` an error.
     """
     path = Path(folder)
     if resolution is not None and resolution < LEAST_SIDE:

@@ -109,8 +109,8 @@ def with_own_options(entry: Entry, base: Asked) -> Asked:
 
     def line(config: FitConfig, shared: OmitArgPrefixes[FitOptions] = base.options, method: str = "",
              pages: Literal["all", "none"] = "all" if base.pages else "none",
-             tag: UseAppendAction[tuple[str, ...]] = (), sheet: float | None = base.sheet) -> Asked:
-        return Asked(entry, config, shared, pages == "all", (*base.tags, *_split(tag)), sheet, base.strict)
+             tag: UseAppendAction[tuple[str, ...]] = (), sheet: float | None = base.sheet, strict: bool = base.strict) -> Asked:
+        return Asked(entry, config, shared, pages == "all", (*base.tags, *_split(tag)), sheet, strict)
 
     words, said = with_flags(list(entry.own)), io.StringIO()
     try:

@@ -36,11 +36,12 @@ USUAL = Asked(Entry("/shots/wood"), HierarchicalConfig(), FitOptions(), True, ()
     (replace(USUAL, config=DirectConfig(learning_rate=0.1), pages=False, sheet=18.5),
      "--method direct --learning-rate 0.1 --pages none --sheet 18.5"),
     (replace(USUAL, options=FitOptions(resolution=512, views="0,1,2", finish="gan")),
-     "--resolution 512 --views 0,1,2 --finish gan")])
+     "--resolution 512 --views 0,1,2 --finish gan"),
+    (replace(USUAL, strict=True), "--strict")])
 def test_options_in_words_are_those_that_differ_and_mean_the_same_on_a_line(each, words):
     assert each.words == words
     typed = with_own_options(Entry("/shots/wood", tuple(shlex.split(words)), "line 1"), USUAL)
-    assert (typed.config, typed.options, typed.pages, typed.sheet) == (each.config, each.options, each.pages, each.sheet)
+    assert replace(typed, entry=each.entry, tags=each.tags) == each
 
 
 @pytest.mark.parametrize("line, told", [

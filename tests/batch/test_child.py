@@ -17,10 +17,10 @@ import pytest
 from batch.chaos import make_captures
 from helpers.batches import make_capture
 
+from mitsvbrdf.batch.asked import Asked
 from mitsvbrdf.batch.child import _write_record, fit_into_library, serve
 from mitsvbrdf.batch.entries import Entry
 from mitsvbrdf.batch.places.place import LocalPlace
-from mitsvbrdf.batch.prepare import Asked
 from mitsvbrdf.errors import CaptureError, InputWarning, MitsvbrdfError, OutputError
 from mitsvbrdf.fit.config import HierarchicalConfig
 from mitsvbrdf.fit.options import FitOptions, config_record
