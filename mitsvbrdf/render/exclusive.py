@@ -59,20 +59,19 @@ def _set_again(mi: ModuleType, variant: str) -> None:
 
 
 @contextlib.contextmanager
-def _drawing(variant: str) -> Iterator[None]:
-    """Mitsuba with this variant, and gradients that are the same bits in every run.
+def _in_order() -> Iterator[None]:
+    """Gradients of textures are the same bits in every run.
 
-    Else Dr.Jit's threads add gradients up in copies of their own, of which views they happen to compute.
+    Else Dr.Jit's threads add them up in copies of their own, of which views they happen to compute.
     """
-    with using_mitsuba(variant):
-        import drjit as dr
+    import drjit as dr
 
-        before = dr.expand_threshold()
-        dr.set_expand_threshold(0)
-        try:
-            yield
-        finally:
-            dr.set_expand_threshold(before)
+    before = dr.expand_threshold()
+    dr.set_expand_threshold(0)
+    try:
+        yield
+    finally:
+        dr.set_expand_threshold(before)
 
 
 class Drawing:
@@ -89,6 +88,12 @@ class Drawing:
     def __init__(self, variant: str, function: Callable[..., list[Tensor]], replayed: bool) -> None:
         self.variant, self.function, self.replayed = variant, function, replayed
 
+    @contextlib.contextmanager
+    def in_mitsuba(self) -> Iterator[None]:
+        """Where it may be drawn and gone back through."""
+        with using_mitsuba(self.variant), _in_order() if self.replayed else contextlib.nullcontext():
+            yield
+
     def __call__(self, *inputs: Tensor) -> Tensor:
         """The pictures stacked: N x R x R x 3."""
         wanted = [torch.is_grad_enabled() and tensor.requires_grad for tensor in inputs]
@@ -97,7 +102,7 @@ class Drawing:
     def draw(self, inputs: Sequence[Tensor], wanted: Sequence[bool]) -> tuple[list[Tensor], Tensor]:
         """Leaves that stand for the inputs, and the pictures with a graph to those whose gradient is wanted."""
         leaves = [tensor.detach().requires_grad_(want) for tensor, want in zip(inputs, wanted)]
-        with _drawing(self.variant), torch.set_grad_enabled(any(wanted)):
+        with self.in_mitsuba(), torch.set_grad_enabled(any(wanted)):
             Drawing.drawn += self.replayed
             return leaves, torch.stack(self.function(*leaves))
 
@@ -117,7 +122,7 @@ class _Recorded(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor | None, ...]:
         drawing, wanted, inputs = ctx.drawing, ctx.wanted, ctx.saved_tensors  # raises where one was changed in place since
-        with _drawing(drawing.variant):
+        with drawing.in_mitsuba():
             if ctx.record is None or drawing.replayed and ctx.drawn != Drawing.drawn:
                 ctx.record = drawing.draw(inputs, wanted)
             (leaves, images), ctx.record = ctx.record, None

@@ -25,8 +25,8 @@ from ..errors import ConfigError, exit_code
 from ..material.corner_cases import random_material
 from ..material.maps import SVBRDF, Bsdf
 from ..render import Renderer, RendererName, make_renderer
+from ..system import entry as edge
 from ..system import files
-from ..system.entry import entry
 from ..system.progress import print_rich, say
 from ..system.timing import timed
 from ..views import Views
@@ -36,7 +36,7 @@ WARM_UP = 0.2  # share of the steps during which pools and caches may still fill
 SAMPLES_KEPT = 100  # memory samples kept in the record of a case
 
 
-@entry(gradients=True)
+@edge.entry(gradients=True)
 def soak(renderers: Sequence[Renderer], bsdf: Bsdf, work: str, steps: int, resolution: int = 64) -> dict:
     """Run many steps and measure what they leave behind.
 
@@ -205,10 +205,10 @@ def main(steps: Annotated[int, tyro.conf.arg(help="Steps of each case; below som
     return int(any(record["failures"] for record in records))
 
 
-def command() -> int:
+def entry() -> int:
     """:func:`main` with the arguments of the process; returns the exit code."""
     return exit_code(lambda: tyro.cli(main, prog="./run soak"), "interrupted; the JSON file has each case that was finished")
 
 
 if __name__ == "__main__":
-    sys.exit(command())
+    sys.exit(entry())
