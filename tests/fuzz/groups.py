@@ -38,7 +38,8 @@ def stated(path: str) -> Drawn[dict]:
     other = change("state", path=path, steps=steps, raw=tokens)
     return st.one_of(other, other, change("state", path=path, steps=steps, raw=None), spoiled(path),
                      change("state", path=path, steps=steps, raw="[", again=st.sampled_from((300, 100_000))),
-                     change("put", path=path, text=st.sampled_from(TEXTS)), change("put", path=path, text="{}", code="utf-16"))
+                     change("put", path=path, text=st.sampled_from(TEXTS)), change("put", path=path, text="{}", code="utf-16"),
+                     change("put", path=path, text="[", again=100_000))
 
 
 def replaced(*paths: str) -> Drawn[dict]:
