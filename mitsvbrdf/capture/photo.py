@@ -29,6 +29,7 @@ UNTURNED = {3: 2, 6: 1, 8: -1}  # quarter turns against the clock, from how a ph
 # What can be locked, and shows where it was not: EXIF tags of the Exif block, a number each.
 NUMBERS = {"ISO": 34855, "exposure time": 33434, "focal length": 37386, "35 mm focal length": 41989}
 WORDS = {"white balance": (41987, {0: "automatic", 1: "manual"}), "flash": (37385, {0: "off", 1: "fired"})}
+LONGEST = 50  # times the short side; reduced, a longer photo would have no pixel left along it
 UNKNOWN = 65535  # what some cameras write for a number they do not know, the largest of 16 bits
 SAME = ("ISO", "exposure time", "focal length", "white balance", "flash", "camera")
 
@@ -81,6 +82,9 @@ class Photo:
                     orientation = image.info.get("original_orientation") or 1
                     size = size[::-1] if orientation in (6, 8) else size
         check_size(path, size, CaptureError)
+        if max(size) > LONGEST * min(size):
+            raise CaptureError(f"photos at most {LONGEST} times as long as wide", f"{path} of {size[0]} x {size[1]} pixels",
+                               "crop it, or leave it out")
         return cls(path, size, orientation if orientation in range(1, 9) else 1, read_exif(path))
 
     def pixels(self, most: int | None = None) -> np.ndarray:
@@ -149,14 +153,18 @@ def _readable(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator:
-    """The file in Pillow, however many pixels it has: photos of 108 and 200 megapixels are none of its bombs."""
+    """The file in Pillow, however many pixels it has: photos of 108 and 200 megapixels are none of its bombs.
+
+    Of other formats than these Pillow hands some to programs, PostScript to Ghostscript, whatever the name of the file.
+    """
     from PIL import Image
 
-    if path.suffix.lower() in HEIC:
+    formats = ("HEIF",) if path.suffix.lower() in HEIC else ("PNG", "JPEG")
+    if "HEIF" in formats:
         _needed("pillow_heif", "heic", path).register_heif_opener()
     most, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
     try:
-        with warnings.catch_warnings(action="ignore"), Image.open(path) as image:  # EXIF that is damaged is none
+        with warnings.catch_warnings(action="ignore"), Image.open(path, formats=formats) as image:  # damaged EXIF is none
             yield image
     finally:
         Image.MAX_IMAGE_PIXELS = most
