@@ -249,7 +249,7 @@ def options(known: dict[str, tuple[str, ...]]) -> Drawn[Case]:
 
 GROUPS: dict[str, tuple[int, Callable[..., Drawn[Case]]]] = {
     "capture": (500, captures), "text": (250, texts), "photos": (500, photos), "maps": (350, maps),
-    "checkpoint": (250, checkpoints), "fit": (400, fits), "folder": (400, folders), "relight": (120, relights),
+    "checkpoint": (250, checkpoints), "fit": (400, fits), "folder": (300, folders), "relight": (120, relights),
     "library": (300, libraries), "list": (200, lists), "bench": (150, records), "option": (700, options)}
 
 
