@@ -114,6 +114,10 @@ class Manifest:
         except sqlite3.Error as reason:
             raise OutputError(f"to write {self.path}", str(reason), _way_out(reason, "free space, or check the disk")) from None
 
+    def wrong(self, what: str) -> OutputError:
+        """The error of a file that holds something else than we wrote."""
+        return OutputError("a library's manifest", f"{self.path}: {what}", AWAY)
+
     def _read(self, query: str, *values: object) -> list[sqlite3.Row]:
         try:
             return self.db.execute(query, values).fetchall()
@@ -176,7 +180,7 @@ class Manifest:
         found = self._read(f"select * from materials where wanted >= ?{some} order by name, identity", int(wanted), *states)
         for each in found:
             if wrong := next((name for name, kinds in _KINDS.items() if not isinstance(each[name], kinds)), None):
-                raise OutputError("a library's manifest", f"{self.path}, with {each[wrong]!r:.60} as {wrong}", AWAY)
+                raise self.wrong(f"{each[wrong]!r:.60} as {wrong}")
         return found
 
     def material(self, identity: str) -> sqlite3.Row:

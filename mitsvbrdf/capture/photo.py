@@ -30,6 +30,7 @@ UNTURNED = {3: 2, 6: 1, 8: -1}  # quarter turns against the clock, from how a ph
 # What can be locked, and shows where it was not: EXIF tags of the Exif block, a number each.
 NUMBERS = {"ISO": 34855, "exposure time": 33434, "focal length": 37386, "35 mm focal length": 41989}
 WORDS = {"white balance": (41987, {0: "automatic", 1: "manual"}), "flash": (37385, {0: "off", 1: "fired"})}
+LONGEST = 50  # times the short side; reduced, a longer photo would have no pixel left along it
 UNKNOWN = 65535  # what some cameras write for a number they do not know, the largest of 16 bits
 SAME = ("ISO", "exposure time", "focal length", "white balance", "flash", "camera")
 
@@ -84,6 +85,9 @@ class Photo:
                     orientation = image.info.get("original_orientation") or 1
                     size = size[::-1] if orientation in (6, 8) else size
         check_size(path, size, CaptureError)
+        if max(size) > LONGEST * min(size):
+            raise CaptureError(f"photos at most {LONGEST} times as long as wide", f"{path} of {size[0]} x {size[1]} pixels",
+                               "crop it, or leave it out")
         return cls(path, size, orientation if orientation in range(1, 9) else 1, read_exif(path))
 
     def pixels(self, most: int | None = None) -> np.ndarray:
@@ -140,10 +144,10 @@ def _readable(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator:
-    """The file in Pillow."""
-    if path.suffix.lower() in HEIC:
+    """The file in Pillow, as nothing but what its name says: Pillow hands PostScript to Ghostscript, whatever it is called."""
+    if heic := path.suffix.lower() in HEIC:
         _needed("pillow_heif", "heic", path).register_heif_opener()
-    with opened(path) as image:
+    with opened(path, ("HEIF",) if heic else ("PNG", "JPEG")) as image:
         yield image
 
 

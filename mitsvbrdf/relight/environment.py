@@ -7,6 +7,7 @@ a camera that looks along +y, and +x is right of it.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +27,7 @@ ENVIRONMENTS = {"studio": "three softboxes in a grey room, made by code", "sunsk
                 "none": "a single light"}
 WHITE_LUMINANCE = 0.8  # luminance of a white diffuse surface that faces up, or the single light
 LAMP = (-2.6, -2.0, 3.2)  # left and behind the camera
+HDR_HEADER = 4096  # bytes of an .hdr file among which its size stands
 LUMINANCE = torch.tensor([0.2126, 0.7152, 0.0722], dtype=torch.float64)
 
 
@@ -107,8 +109,11 @@ def _read_hdr(path: Path) -> Tensor:
 
     if not path.is_file():
         raise ConfigError("an image file", f"no file at {path}", "check the name")
-    data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-    image = cv2.imdecode(data, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR) if data.size else None
+    data = path.read_bytes()
+    if size := re.search(rb"^-Y (\d{1,12}) \+X (\d{1,12})$", data[:HDR_HEADER], re.MULTILINE):
+        images.check_size(path, (int(size[2]), int(size[1])), ConfigError)
+    # OpenCV would read other formats as well.
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR) if size else None
     if image is None or image.dtype != np.float32:
         raise ConfigError("a readable .hdr file", f"{path}, which is none", "export it again")
     return torch.from_numpy(np.ascontiguousarray(image[..., ::-1]))

@@ -211,3 +211,23 @@ def test_raw_is_linear_whatever_else_is_in_the_picture(tmp_path):
     with pytest.raises(CaptureError, match="3.dng"):
         Photo.open(tmp_path / "3.dng")
 
+
+@pytest.mark.parametrize("name", ["a.jpg", "b.png", "c.heic"])
+def test_postscript_is_handed_to_no_program(name, tmp_path, monkeypatch):
+    if name.endswith("heic"):
+        pytest.importorskip("pillow_heif", reason='needs pip install "mitsvbrdf[heic]"')
+    monkeypatch.setattr("PIL.EpsImagePlugin.Ghostscript", lambda *_, **__: pytest.fail("ran Ghostscript"))
+    (tmp_path / name).write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 64 64\n%%EndComments\nshowpage\n%%EOF\n")
+    Image.init()  # all formats
+    with pytest.raises(CaptureError, match=name):
+        Photo.open(tmp_path / name).pixels()
+
+
+def test_a_strip_is_no_photo(tmp_path):
+    for height, held in ((8, True), (7, False)):
+        cv2.imwrite(str(tmp_path / "strip.png"), picture(height, 400))
+        if held:
+            assert Photo.open(tmp_path / "strip.png").size == (400, 8)
+        else:
+            with pytest.raises(CaptureError, match="strip.png of 400 x 7"):
+                Photo.open(tmp_path / "strip.png")

@@ -23,12 +23,14 @@ class Tally:
         tried: how many.
         failed: by cause, the cases and the file of the first, as small as it could be made.
         seconds: the wall clock's.
+        cpu: seconds of it, of the commands alone.
         peak: resident bytes beside the imports, of the hungriest.
     """
 
     tried: int = 0
     failed: dict[str, list[Path | None]] = field(default_factory=dict)
     seconds: float = 0.0
+    cpu: float = 0.0
     peak: int = 0
 
     @property
@@ -37,7 +39,8 @@ class Tally:
         return self.tried - sum(map(len, self.failed.values()))
 
     def __str__(self) -> str:
-        lines = [f"{self.tried} tried, {self.held} held, {self.seconds:.0f} s, {self.peak / 2**20:.0f} MiB at most"]
+        lines = [f"{self.tried} tried, {self.held} held, {self.seconds:.0f} s ({self.cpu:.0f} s of CPU), "
+                 f"{self.peak / 2**20:.0f} MiB at most"]
         return "\n".join(lines + [f"    {len(files)} x {cause}: python -m fuzz {next(filter(None, files), '')}"
                                   for cause, files in self.failed.items()])
 
@@ -83,6 +86,7 @@ class Campaign:
         with ThreadPoolExecutor(self._count) as pool:
             for case, result in zip(cases, pool.map(self.run, cases)):
                 tally.peak = max(tally.peak, result.answer["peak"])
+                tally.cpu += result.answer["cpu"]
                 if result.wrong:
                     files = tally.failed.setdefault(f"{case.arguments[0]}: {result.cause}", [])
                     files.append(None if files else self._keep(case))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import shutil
 import sqlite3
 import struct
@@ -179,7 +180,7 @@ def note(folder: Path, path: str, steps: Sequence[int], raw: str | None, inside:
 
 @_change
 def sized(folder: Path, under: str, nth: int, width: int, height: int) -> None:
-    """Let the header of a PNG, JPEG or EXR promise another size."""
+    """Let the header of a PNG, JPEG, HDR or EXR promise another size."""
     path = _file(folder, under, nth)
     data = bytearray(path.read_bytes() if path.exists() else b"")
     if data[:4] == b"\x89PNG":
@@ -188,6 +189,8 @@ def sized(folder: Path, under: str, nth: int, width: int, height: int) -> None:
     elif data[:2] == b"\xff\xd8":
         begin = next((k for k in range(2, len(data) - 9) if data[k] == 0xFF and data[k + 1] in (0xC0, 0xC2)), 0)
         data[begin + 5:begin + 9] = struct.pack(">HH", height & 0xFFFF, width & 0xFFFF)
+    elif data[:2] == b"#?":
+        data = bytearray(re.sub(rb"-Y \d+ \+X \d+", f"-Y {height} +X {width}".encode(), data))
     elif data[:4] == b"v/1\x01":
         for name in (b"dataWindow\0box2i\0", b"displayWindow\0box2i\0"):
             if (begin := data.find(name)) > 0:

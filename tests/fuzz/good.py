@@ -38,6 +38,7 @@ def make(folder: Path) -> None:
     for path in (folder / "maps").glob("*.exr"):
         (folder / "exr" / path.name).parent.mkdir(exist_ok=True)
         path.rename(folder / "exr" / path.name)
+    cv2.imwrite(str(folder / "exr/light.hdr"), np.ones((8, 16, 3), np.float32))
     _library(folder)
 
 

@@ -38,7 +38,8 @@ def stated(path: str) -> Drawn[dict]:
     other = change("state", path=path, steps=steps, raw=tokens)
     return st.one_of(other, other, change("state", path=path, steps=steps, raw=None), spoiled(path),
                      change("state", path=path, steps=steps, raw="[", again=st.sampled_from((300, 100_000))),
-                     change("put", path=path, text=st.sampled_from(TEXTS)), change("put", path=path, text="{}", code="utf-16"))
+                     change("put", path=path, text=st.sampled_from(TEXTS)), change("put", path=path, text="{}", code="utf-16"),
+                     change("put", path=path, text="[", again=100_000))
 
 
 def replaced(*paths: str) -> Drawn[dict]:
@@ -151,12 +152,16 @@ def folders() -> Drawn[Case]:
 
 
 def relights() -> Drawn[Case]:
-    """What `relight` goes on from."""
+    """What `relight` goes on from, and the light of its scenes."""
     path = "in/relit/relight.json"
     ways = st.one_of(stated(path), stated(path),
                      replaced(path, *(f"in/relit/{name}" for name in ("sphere.exr", ".partial", ".mitsvbrdf"))),
                      change("state", path=path, steps=st.just([2, 0, 1, 0, 1]), raw=names.map(json.dumps)))
-    return cases("relight", "fit relit", ways, f"relight ../in/fit -o ../in/relit --resume {RELIT}", out="in/relit", most=2)
+    light = st.sampled_from(("in/exr/diffuse.exr", "in/exr/light.hdr"))
+    return st.one_of(
+        cases("relight", "fit relit", ways, f"relight ../in/fit -o ../in/relit --resume {RELIT}", out="in/relit", most=2),
+        light.flatmap(lambda path: cases("relight", "fit exr maps", pictures(path, path, "in/maps", "in/exr"),
+                                         f"relight ../in/fit -o out --environment ../{path} --explain {RELIT}", most=2)))
 
 
 def libraries() -> Drawn[Case]:
@@ -244,7 +249,7 @@ def options(known: dict[str, tuple[str, ...]]) -> Drawn[Case]:
 
 GROUPS: dict[str, tuple[int, Callable[..., Drawn[Case]]]] = {
     "capture": (500, captures), "text": (250, texts), "photos": (500, photos), "maps": (350, maps),
-    "checkpoint": (250, checkpoints), "fit": (400, fits), "folder": (400, folders), "relight": (60, relights),
+    "checkpoint": (250, checkpoints), "fit": (400, fits), "folder": (300, folders), "relight": (120, relights),
     "library": (300, libraries), "list": (200, lists), "bench": (150, records), "option": (700, options)}
 
 

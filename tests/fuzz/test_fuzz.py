@@ -33,9 +33,9 @@ def test_the_good_files_are_good(campaign):
         for case in calls.values():
             result = campaign.run(Case(case.group, case.parts, (), case.arguments, case.out, case.lasting))
             assert not result.wrong, (case.arguments, result.said)
-            # Without workers a batch ends with our error; a folder that is there already is refused.
-            expected = 2 if case.arguments[0] == "batch" or name == "folder" and "../in/guessed" in case.arguments and (
-                "--overwrite" not in case.arguments) else 0
+            # No workers, two raw photos, a folder that is there already: refused for these reasons alone.
+            there = name == "folder" and "../in/guessed" in case.arguments and "--overwrite" not in case.arguments
+            expected = 2 if there or case.arguments[0] in ("batch", "capture") else 0
             assert result.answer["code"] == expected, (case.arguments, result.said)
 
 

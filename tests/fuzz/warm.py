@@ -57,8 +57,8 @@ class Warm:
             grace: how much later SIGKILL.
 
         Returns:
-            ``code`` (negative: the signal that ended it), ``signals`` that were sent, ``seconds``, and ``peak``, resident
-            bytes beside the imports.
+            ``code`` (negative: the signal that ended it), ``signals`` that were sent, ``seconds``, ``cpu`` (seconds of
+            it), and ``peak``, resident bytes beside the imports.
         """
         assert self._process.stdin
         request = {"arguments": arguments, "folder": str(folder), "said": str(said), "temporary": str(temporary),
@@ -93,8 +93,9 @@ def serve(warm: Callable[[], None], main: Callable[[], int]) -> None:
         child = os.fork()
         if not child:
             _live(request, main)
-        status, signals, peak = _wait(child, request["seconds"], request["grace"])
-        answer({"code": status, "signals": signals, "seconds": time.monotonic() - begun, "peak": peak})
+        status, signals, used = _wait(child, request["seconds"], request["grace"])
+        answer({"code": status, "signals": signals, "seconds": time.monotonic() - begun, "peak": used.ru_maxrss << 10,
+                "cpu": used.ru_utime + used.ru_stime})
 
 
 def _live(request: Mapping, main: Callable[[], int]) -> None:
@@ -126,8 +127,8 @@ def _pages(column: int) -> int:
     return int(Path("/proc/self/statm").read_text().split()[column]) * os.sysconf("SC_PAGE_SIZE")
 
 
-def _wait(child: int, seconds: float, grace: float) -> tuple[int, list[str], int]:
-    """Exit code, signals sent and peak of resident bytes; SIGINT when the time is over, then SIGKILL."""
+def _wait(child: int, seconds: float, grace: float) -> tuple[int, list[str], resource.struct_rusage]:
+    """Exit code, signals sent and what was used; SIGINT when the time is over, then SIGKILL."""
     sent: list[str] = []
 
     def end(*_: object) -> None:
@@ -142,7 +143,7 @@ def _wait(child: int, seconds: float, grace: float) -> tuple[int, list[str], int
     signal.setitimer(signal.ITIMER_REAL, 0)
     with contextlib.suppress(ProcessLookupError, PermissionError):
         os.killpg(child, signal.SIGKILL)  # what it started and left behind
-    return os.waitstatus_to_exitcode(status), sent, usage.ru_maxrss << 10
+    return os.waitstatus_to_exitcode(status), sent, usage
 
 
 if __name__ == "__main__":

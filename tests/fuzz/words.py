@@ -15,7 +15,7 @@ TOKENS = (
     "[[]]", "[null]", "[1]", "[1, 2, 3]", "[[1, 2, 3]]", "[[NaN, 0, 1]]", '{"": {}}', '{"a": 1, "a": 2}', '{"x": "y"}', "[1,",
     '"', "\u00ff")
 # Content that is no JSON, or not that of any of our files.
-TEXTS = ("", "[]", "null", "{", "\udcff", "1", '""', "\ufeff{}", "[" * 100_000)
+TEXTS = ("", "[]", "null", "{", "\udcff", "1", '""', "\ufeff{}")
 # Names in a list of files; most lead outside, from a folder that lies two below that of the case.
 NAMES = (
     "../../outside/secret.txt", "../../outside/folder", "../../outside/folder/keep.txt", "@@/outside/secret.txt",

@@ -2,6 +2,7 @@
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -35,7 +36,6 @@ def write_picture(image, name):
         images.write_exr(tmp := type(SCENES)(name), image)
         assert tmp.is_file()
     else:
-        import cv2
         cv2.imwrite(name, np.ascontiguousarray(image.numpy()[..., ::-1]))
 
 
@@ -110,3 +110,14 @@ def test_the_studio_is_lit_from_three_sides():
     assert int(bright.sum()) < 0.1 * bright.numel()
     columns = bright.any(dim=0).long()
     assert int((columns.diff(append=columns[:1]) == 1).sum()) == 3
+
+
+@pytest.mark.parametrize("size, word", [("-Y 99999 +X 99999", "250 megapixels"), ("-Y 9999999999 +X 9", "250 megapixels"),
+                                         ("-Y 4 +X 0", "none"), ("+Y 4 +X 4", "none"), ("", "none")])
+def test_a_picture_of_an_impossible_size_is_refused_from_its_header(size, word, tmp_path):
+    path = tmp_path / "sky.hdr"
+    cv2.imwrite(str(path), np.ones((4, 4, 3), np.float32))
+    assert read_environment(path).shape == (4, 4, 3)
+    path.write_bytes(path.read_bytes().replace(b"-Y 4 +X 4", size.encode()))
+    with pytest.raises(ConfigError, match=word):
+        read_environment(path)

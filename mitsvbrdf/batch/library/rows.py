@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ... import __version__
-from ...errors import MapsError, OutputError
+from ...errors import MapsError
 from ...system.files import write_json
 from ...system.json_files import load
-from ..manifest import AWAY, FILE, Manifest, now
+from ..manifest import FILE, Manifest, now
 from ..places.place import QUARANTINE
 
 if TYPE_CHECKING:
@@ -73,7 +73,7 @@ def rows(manifest: Manifest, wanted: bool = True) -> Iterator[dict]:
             if wrong := next((name for name, kinds in _KINDS.items() if not isinstance(row[name], kinds)), None):
                 raise ValueError(f"its {wrong} is of another kind")
         except (ValueError, KeyError, TypeError, RecursionError) as reason:
-            raise OutputError("a library's manifest", f"{manifest.path}, {each['name']}: {reason}", AWAY) from None
+            raise manifest.wrong(f"{reason} in the row of {each['name']}") from None
         yield row | {"log": _log(manifest.path.parent, row["folder"]) if row["state"] == "failed" else None}
 
 
