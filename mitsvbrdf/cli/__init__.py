@@ -113,7 +113,7 @@ def _check_numbers(name: str, value: object) -> None:
         for each in fields(value):
             _check_numbers(each.name, getattr(value, each.name))
     elif isinstance(value, (int, float)) and not abs(value) <= (most := MOST.get(name, LARGEST)):
-        raise ConfigError(f"--{name.replace('_', '-')} of at most {most:g}", str(value), "give a smaller number")
+        raise ConfigError(f"--{name.replace('_', '-')} of at most {most:g}", str(value), "give a number up to that")
 
 
 def load(arguments: Sequence[str]) -> None:

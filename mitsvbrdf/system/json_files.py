@@ -46,10 +46,9 @@ def load(path: Path, kind: type = dict, links: bool = True) -> Any:
         ValueError: it is larger than 256 MiB, or :func:`parsed` refuses its content.
     """
     with open_regular(Path(os.path.realpath(path)) if links else path) as file:
-        text = file.read(MOST_BYTES + 1)
-    if len(text) > MOST_BYTES:
-        raise ValueError(f"more than {MOST_BYTES >> 20} MiB")
-    return parsed(text, kind)
+        if os.fstat(file.fileno()).st_size > MOST_BYTES:
+            raise ValueError(f"more than {MOST_BYTES >> 20} MiB")
+        return parsed(file.read(), kind)
 
 
 def parsed(text: str | bytes, kind: type = dict) -> Any:
