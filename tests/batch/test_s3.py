@@ -82,7 +82,7 @@ def test_a_library_in_a_store_from_its_first_fit_to_its_export(store, tmp_path, 
     assert "0 to fit" in batch(capsys) and listed(capsys) == third
     store.rm("library/manifest.sqlite")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "a third machine"))
-    assert "2 of these were found finished" in batch(capsys)
+    assert "2 of these found finished" in batch(capsys)
 
     assert cli.main(["library", "s3://library", "--verify"]) == 0
     folder = listed(capsys)["shot-1"]["folder"]

@@ -126,7 +126,8 @@ def test_what_is_no_fits_folder_is_refused(tmp_path, capsys, monkeypatch):
     for name in ("capture.json", result_folder.MANIFEST):
         (tmp_path / "capture" / name).write_text("[]")
     for name, word, way_out in (("file", "the file", "such a folder"), ("photos", "holds photos", "such a folder"),
-                                ("capture", "holds photos", "such a folder"), ("missing/out", "there is no", "start the fit first")):
+                                ("capture", "holds photos", "such a folder"),
+                                ("missing/out", "there is no", "start the fit or the batch first")):
         assert cli.main(["view", str(tmp_path / name)]) == 2
         message = capsys.readouterr().err
         assert word in message and way_out in message and message.count("error:") == 1
