@@ -5,27 +5,13 @@ from __future__ import annotations
 import os
 
 import pytest
-from helpers.batches import publish_result
+from helpers.batches import FOLDER
 
 from mitsvbrdf.batch.manifest import FILE
-from mitsvbrdf.batch.places.place import LocalPlace, clear_work
+from mitsvbrdf.batch.places.place import clear_work
 from mitsvbrdf.batch.prepare import library_lock
 from mitsvbrdf.errors import OutputError
 from mitsvbrdf.system.files import file_hash
-
-FOLDER = "wood-aaaaaaaa"
-
-
-@pytest.fixture
-def place(tmp_path):
-    return LocalPlace(tmp_path)
-
-
-@pytest.fixture
-def result(place):
-    """A result that appeared; its folder."""
-    assert publish_result(place, {"attempt": "aaaaaaaa-1", "identity": "a" * 64, "name": "wood"})
-    return place.root / FOLDER
 
 
 def files_in(folder):

@@ -6,26 +6,11 @@ import json
 import os
 
 import pytest
-from helpers.batches import FILES, ROW, publish_result, write_result
+from helpers.batches import FILES, FOLDER, ROW, TASK, publish_result, write_result
 
 from mitsvbrdf.batch.places import place as place_module
-from mitsvbrdf.batch.places.place import LocalPlace, clear_work
+from mitsvbrdf.batch.places.place import clear_work
 from mitsvbrdf.errors import OutputError
-
-TASK = {"attempt": "aaaaaaaa-1", "identity": "a" * 64, "name": "wood"}
-FOLDER = "wood-aaaaaaaa"
-
-
-@pytest.fixture
-def place(tmp_path):
-    return LocalPlace(tmp_path)
-
-
-@pytest.fixture
-def result(place):
-    """A result that appeared; its folder."""
-    assert publish_result(place, TASK)
-    return place.root / FOLDER
 
 
 def files_in(folder):

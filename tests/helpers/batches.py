@@ -17,6 +17,9 @@ from mitsvbrdf.fit.options import FitOptions
 FILES = {"maps/diffuse.png": b"diffuse", "fit.json": b"{}"}
 ROW = {"error": 0.25, "seconds": 1.5, "date": "2026-11-23T10:00:00Z", "preview": None, "report": None, "warnings": []}
 
+TASK = {"attempt": "aaaaaaaa-1", "identity": "a" * 64, "name": "wood"}
+FOLDER = "wood-aaaaaaaa"  # where its result lies
+
 
 def make_capture(folder: Path, photos: Sequence[bytes] = (b"one", b"two")) -> Path:
     """A capture whose photos are some bytes."""
