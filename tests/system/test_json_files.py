@@ -79,3 +79,11 @@ def test_every_reader_names_the_file(name, text, tmp_path):
     with pytest.raises(MitsvbrdfError) as found:
         READERS[name](tmp_path)
     assert str(tmp_path) in str(found.value) and len(str(found.value)) < 500
+
+
+def test_a_link_is_followed_only_where_it_may_be(tmp_path):
+    (tmp_path / "real.json").write_text('{"a": 1}')
+    (tmp_path / "link.json").symlink_to(tmp_path / "real.json")
+    assert json_files.load(tmp_path / "link.json") == json_files.load(tmp_path / "real.json", links=False) == {"a": 1}
+    with pytest.raises(OSError):
+        json_files.load(tmp_path / "link.json", links=False)
