@@ -1,15 +1,17 @@
-"""The JSON of a benchmark, version 1: what it holds, and whether a file is one."""
+"""The JSON of a benchmark, version 2: what it holds, and whether a file is one."""
 
 from __future__ import annotations
 
 import functools
 import math
 import types
+from collections.abc import Sequence
 from typing import Any, Literal, TypedDict, Union, get_args, get_origin, get_type_hints, is_typeddict
 
 from ..errors import ConfigError
 
-SCHEMA_VERSION: Literal[1] = 1
+SCHEMA_VERSION: Literal[2] = 2
+LEFT_OUT = (4, 7)  # numbers of the photos that fits of real captures do not see, where nothing else is said
 
 
 class Spread(TypedDict):
@@ -25,6 +27,12 @@ class Made(TypedDict, total=False):
     """How a record was made; ``workers``: how many jobs were done at a time, left out where it was one."""
 
     workers: int
+
+
+class OfTask(Made, total=False):
+    """What is fitted; ``left_out``: numbers of the photos of a real capture that the fit does not see, part of its key."""
+
+    left_out: list[int]
 
 
 class RenderRow(TypedDict):
@@ -55,12 +63,13 @@ class RenderRecord(Made):
     skipped: list[dict[str, str]]
 
 
-class FitRecord(Made):
+class FitRecord(OfTask):
     """One fit.
 
     ``seconds`` by the loop's clock, ``wall`` with preparation and reckoning. ``errors`` of a known ``material``: each map,
-    ``mean``, ``novel_light``, ``photos``; of a real ``capture``: ``seen``, ``left_out``; none of a fit that failed, which
-    ``why`` explains.
+    ``mean``, ``novel_light``, ``photos``; of a real ``capture``: ``seen``, ``left_out``; of pictures also the mean FLIP,
+    ``flip_novel_light`` and so on, where its package was there; none of a fit that failed, which ``why`` explains. A fit has
+    no record where it would repeat one of a shorter budget (:func:`mitsvbrdf.bench.behaviour.ended_for_good`).
     """
 
     suite: Literal["methods", "ablation", "gan"]
@@ -97,7 +106,7 @@ class CaptureRecord(Made):
     why: str | None
 
 
-class ReferenceRecord(Made):
+class ReferenceRecord(OfTask):
     """What the fits of one material or capture are compared with; ``errors``: whose -> error -> value, named as in a fit."""
 
     suite: Literal["references"]
@@ -107,7 +116,7 @@ class ReferenceRecord(Made):
     errors: dict[str, dict[str, float]]
 
 
-class ScheduleRecord(Made):
+class ScheduleRecord(OfTask):
     """One run of the paper's schedule: ``errors`` of its result; ``trace`` has those of the state, iteration and seconds."""
 
     suite: Literal["schedule"]
@@ -156,25 +165,63 @@ class SheetRecord(Made):
     errors: dict[str, dict[str, float]]
 
 
-class Benchmark(TypedDict):
-    """The whole file. ``published``: kind -> name -> whose -> error -> value, of what was fitted here."""
+class StartRow(TypedDict):
+    """Processes with one state of Dr.Jit's kernel cache.
 
-    schema_version: Literal[1]
+    ``wall`` from the start of a process to its end; of it ``imports`` (Python and torch), ``preparation`` up to the loop
+    (Mitsuba, photos, the first guess), the ``loop`` and ``writing`` the result after it; ``iterations`` of the loop.
+    """
+
+    cache: Literal["empty", "full"]
+    wall: Spread
+    imports: Spread
+    preparation: Spread
+    loop: Spread
+    writing: Spread
+    iterations: Spread
+
+
+class StartRecord(Made):
+    """``mitsvbrdf fit`` of one capture by one method, each time in a new process."""
+
+    suite: Literal["start"]
+    method: str
+    kind: Literal["capture"]
+    name: str
+    config: dict[str, Any]
+    rows: list[StartRow]
+
+
+class Benchmark(TypedDict):
+    """The whole file.
+
+    ``published``: kind -> name -> whose -> error -> value, of what was fitted here. The kind of real captures is followed by
+    the numbers of the photos left out, such as "capture 4,7" (:func:`capture_kind`).
+    """
+
+    schema_version: Literal[2]
     settings: dict[str, Any]
     machine: dict[str, Any]
     versions: dict[str, str | None]
     seeds: list[int]
     published: dict[str, dict[str, dict[str, dict[str, float]]]]
-    records: list[RenderRecord | FitRecord | CaptureRecord | ReferenceRecord | ScheduleRecord | StepRecord | SheetRecord]
+    records: list[RenderRecord | FitRecord | CaptureRecord | ReferenceRecord | ScheduleRecord | StepRecord | SheetRecord
+                  | StartRecord]
 
 
 def identity(record: dict) -> tuple:
     """What no two records of a file share."""
     names = {"renderers": ("suite", "bsdf", "resolution", "views", "truth"), "capture": ("suite", "kind", "name", "sheet"),
              "references": ("suite", "kind", "name"), "sheets": ("suite", "kind", "name"),
-             "schedule": ("suite", "method", "kind", "name", "seed"),
+             "schedule": ("suite", "method", "kind", "name", "seed"), "start": ("suite", "method", "kind", "name"),
              "steps": ("suite", "preset", "resolution", "width")}
-    return tuple(record[name] for name in names.get(record["suite"], ("suite", "method", "kind", "name", "budget", "seed")))
+    own = names.get(record["suite"], ("suite", "method", "kind", "name", "budget", "seed"))
+    return (*(record[name] for name in own), tuple(record.get("left_out", ())))
+
+
+def capture_kind(left_out: Sequence[int]) -> str:
+    """The kind under which numbers published for captures stand, where these photos are left out."""
+    return f"capture {','.join(map(str, left_out))}"
 
 
 def check_benchmark(value: Any, where: str) -> Benchmark:

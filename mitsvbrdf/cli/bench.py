@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 Names = Annotated[str | None, arg(metavar="NAME,...")]
-Suite = Literal["all", "renderers", "methods", "ablation", "capture", "gan", "schedule", "steps", "sheets", "none"]
+Suite = Literal["all", "renderers", "methods", "start", "ablation", "capture", "gan", "schedule", "steps", "sheets", "none"]
 USUAL_SUITES = "renderers", "methods"  # the others are asked for by name: they take longer than both
 
 
@@ -37,10 +37,10 @@ def bench(
     resolution: Annotated[int | None, arg(help="Side of maps and photos in the fits; left out: 256.")] = None,
     views: Annotated[str | None, arg(help="Whose views the photos of known materials have: a capture or builtin:grid; left "
                                           "out: cards-blue of the data, else builtin:grid.")] = None,
-    left_out: Annotated[str | None, arg(metavar="NUMBER,...", help="Photos of real captures that no fit sees; left out: "
-                                                                   "4,7.")] = None,
+    left_out: Annotated[str | None, arg(metavar="NUMBER,...", help="Photos of real captures that no fit sees; left out: 4,7. "
+                                                                   "4,7/peers also does what peers.json has.")] = None,
     data: Annotated[Path | None, arg(help="Folder with captures/, materials/, peers.json; left out: MITSVBRDF_DATA.")] = None,
-    repeats: Annotated[int | None, arg(help="Timed turns of the renderers; left out: 5.")] = None,
+    repeats: Annotated[int | None, arg(help="Timed turns of renderers and starts; left out: 5.")] = None,
     megapixels: Annotated[float | None, arg(help="Of the simulated phone's photos; left out: 3.")] = None,
     schedule_size: Annotated[int, arg(help="Side of maps and photos in the suite schedule.")] = 64,
     schedule_width: Annotated[int, arg(help="Channels of the first convolutions there.")] = 16,

@@ -61,7 +61,7 @@ def test_a_phone_with_a_sheet_from_end_to_end(monkeypatch):
     assert errors["ratio"] == pytest.approx(errors["found mean"] / errors["true mean"])
     assert errors["found scaled diffuse"] <= errors["found diffuse"] + 1e-4  # encoded below 0.01 or so, a factor is not exact
     assert {"taking", "fit, found views", "fit, true views"} < set(made["seconds"])
-    check_benchmark({"schema_version": 1, "settings": {}, "machine": {}, "versions": {}, "seeds": [], "published": {},
+    check_benchmark({"schema_version": 2, "settings": {}, "machine": {}, "versions": {}, "seeds": [], "published": {},
                      "records": [job.key | {"config": job.settings} | made]}, "here")
 
 
@@ -96,7 +96,7 @@ def test_what_cannot_be_done_is_a_record_and_a_note(tmp_path):
     table = capture_tables({"records": [made]})[0]
     assert table.rows == [["nowhere", *["–"] * 7]] and "nowhere" in table.note
     with pytest.raises(ConfigError):
-        check_benchmark({"schema_version": 1, "settings": {}, "machine": {}, "versions": {}, "seeds": [], "published": {},
+        check_benchmark({"schema_version": 2, "settings": {}, "machine": {}, "versions": {}, "seeds": [], "published": {},
                          "records": [made | {"sheet": "yes"}]}, "x")
 
 

@@ -30,7 +30,7 @@ def test_one_fit_of_each_kind(config):
     found = fit(shots, ANALYTIC, config)
     assert found.iterations == config.iterations and found.stopped == "iterations" and 0 < found.seconds <= found.wall
     # What it predicts for the photos it saw is the error of the fit, whatever light the method takes for granted.
-    assert found.predict(shots) == pytest.approx(found.rmse, rel=1e-6)
+    assert found.predict(shots)[1] == pytest.approx(found.rmse, rel=1e-6)
     falloff = "none" if isinstance(config, GanConfig) and config.of_paper else "inverse-square"
     assert methods.as_lit(shots, config).views.falloff == falloff
 
@@ -122,16 +122,16 @@ def test_published_numbers_are_those_of_the_same_photos(tmp_path):
     (tmp_path / "peers.json").write_text(json.dumps(stated))
     found = published(tmp_path / "peers.json", tasks, 256)
     assert found["material"] == {"leather": {"MaterialGAN": maps | {"mean": pytest.approx(0.03)}}}  # a made inlay is another
-    assert found["capture"]["cards"]["MaterialGAN"] == {"seen": pytest.approx(math.sqrt(0.13 / 7)),
+    assert found["capture 4,7"]["cards"]["MaterialGAN"] == {"seen": pytest.approx(math.sqrt(0.13 / 7)),
                                                         "left_out": pytest.approx(math.sqrt(0.25 / 2))}
-    assert set(found["capture"]["cards"]) == {"MaterialGAN"}
+    assert set(found["capture 4,7"]["cards"]) == {"MaterialGAN"}
     stated["captures"]["cards"]["left_out_7_8_rmse_256"] = {"gao2019": 0.5}
     (tmp_path / "peers.json").write_text(json.dumps(stated))
-    blind = published(tmp_path / "peers.json", [real_capture(tmp_path / "cards", 16, (7, 8))], 256)["capture"]["cards"]
+    blind = published(tmp_path / "peers.json", [real_capture(tmp_path / "cards", 16, (7, 8))], 256)["capture 7,8"]["cards"]
     assert blind["Gao 2019 without them"] == {"left_out": 0.5}  # fitted to photos 0 to 6, as fits here are then
     assert blind["MaterialGAN"]["left_out"] == pytest.approx(math.sqrt((0.16 + 0.04) / 2))
-    assert published(tmp_path / "peers.json", tasks, 128) == {"material": {}, "capture": {}}  # numbers of another size
-    assert published(tmp_path / "none.json", tasks, 256) == {"material": {}, "capture": {}}
+    assert published(tmp_path / "peers.json", tasks, 128) == {"material": {}}  # numbers of another size
+    assert published(tmp_path / "none.json", tasks, 256) == {"material": {}}
     (tmp_path / "peers.json").write_text('{"materials": []}')
     with pytest.raises(ConfigError, match="peers.json"):
         published(tmp_path / "peers.json", tasks, 256)

@@ -35,7 +35,7 @@ def test_the_jobs_are_every_method_on_every_material_with_every_budget_and_seed(
     assert [(job.method, job.budget, job.seed) for job in jobs] == expected
     assert {(job.suite, job.task.name, job.task.photos.resolution) for job in jobs} == {("methods", "inlay", 16)}
     assert settings == {"resolution": 16, "views": "builtin:grid", "renderer": "analytic", "variant": "llvm_ad_rgb",
-                        "quick": True, "left_out": [4, 7]}
+                        "quick": True}
     assert len(make_plan(tmp_path, methods=None).jobs()[0]) == 4 * len(method_table())
 
 

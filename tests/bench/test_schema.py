@@ -10,7 +10,7 @@ from mitsvbrdf.errors import ConfigError
 
 
 @pytest.mark.parametrize("spoil, words", [
-    (lambda b: b.update(schema_version=2), "version 2"),
+    (lambda b: b.update(schema_version=3), "version 3"),
     (lambda b: b.pop("machine"), "the fields"),
     (lambda b: b["records"][0].update(seed="0"), "records.0.seed"),
     (lambda b: b["records"][0].update(seed=True), "records.0.seed"),

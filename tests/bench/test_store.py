@@ -119,15 +119,15 @@ def test_a_record_that_another_run_took_away_is_missed(tmp_path):
 
 @pytest.mark.parametrize("when", ["writing", "between"])
 def test_ctrl_c_between_jobs_and_while_a_record_is_written(when, tmp_path, monkeypatch):
-    write, run, done = files.write_json, Job.run, []
+    write, run, done = files.write_bytes, Job.run, []
 
-    def interrupted(path, value):
+    def interrupted(path, data):
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(0.01)  # that it comes here
-        write(path, value)
+        write(path, data)
 
     if when == "writing":
-        monkeypatch.setattr(files, "write_json", interrupted)
+        monkeypatch.setattr(files, "write_bytes", interrupted)
     monkeypatch.setattr(Job, "run", lambda job, report: done.append(job.title) or run(job, report))
 
     def told(text, share):
