@@ -16,6 +16,7 @@ from ..measure.tolerances import TOLERANCES
 from ..pages.colours import CHART_AXIS, CHART_GRID, CHART_LINES, CHART_QUIET, CHART_TEXT
 from . import summary
 
+WIDTH = 8.3  # inches, 800 pixels on a screen
 FONT_SIZES = {"title": 10, "label": 8.5, "tick": 8, "small": 7}
 # The twin has no error to show.
 RENDERER_LINES = {"mitsuba": CHART_LINES[0], "mitsuba-scene": CHART_LINES[1], "analytic": CHART_LINES[3]}
@@ -25,21 +26,27 @@ OVER_VIEWS: dict = {"linestyle": ":", "marker": "s", "linewidth": 0.9, "markersi
 
 def methods_figure(record: Mapping) -> Figure | None:
     """Error against seconds for all materials and all captures together, two errors of each; None without fits."""
-    kinds = {kind: fits for kind in summary.ERRORS if (fits := summary.of(record["records"], "methods", kind))}
-    if not kinds:
+    parts = [(kind, fits, view) for view in summary.views(record) for kind in summary.ERRORS
+             if (fits := summary.of(view["records"], "methods", kind))]
+    if not parts:
         return None
-    drawing = Figure(figsize=(10, 3.2 * len(kinds) + 0.3))
+    drawing = Figure(figsize=(WIDTH, 3.1 * len(parts) + 0.3))
     height = drawing.get_figheight()
-    panels = drawing.subplots(len(kinds), 2, squeeze=False)
-    drawing.subplots_adjust(left=0.055, right=0.835, wspace=0.6, hspace=0.38, top=1 - 0.45 / height, bottom=0.45 / height)
-    for row, (kind, fits) in zip(panels, kinds.items()):
+    panels = drawing.subplots(len(parts), 2, squeeze=False)
+    drawing.subplots_adjust(left=0.065, right=0.81, wspace=0.75, hspace=0.42, top=1 - 0.5 / height, bottom=0.45 / height)
+    for row, (kind, fits, view) in zip(panels, parts):
         for panel, (error, title) in zip(row, summary.ERRORS[kind].items()):
             found = summary.curves(fits, error)
-            lines = summary.published_mean(record["published"], kind, summary.names(fits), error)
-            how = "saw them" if error == "left_out" else "published"
-            _curves(panel, found, colours(fits), {f"{who} ({how})": value for who, value in lines.items()}, direct=True)
+            lines = summary.published_mean(view["published"], kind, summary.names(fits), error)
+            _curves(panel, found, colours(fits), {_whose(who, error): value for who, value in lines.items()}, direct=True)
             _headed(panel, title, f"RMSE, {names_of(kind, fits)}")
     return drawing
+
+
+def _whose(who: str, error: str) -> str:
+    """A published line's name, short, and how it came about."""
+    name = who.removesuffix(" without them")
+    return f"{name} (blind)" if name != who else f"{who} (saw them)" if error == "left_out" else f"{who} (published)"
 
 
 def small_multiples(record: Mapping, kind: str, error: str) -> Figure | None:
@@ -49,13 +56,13 @@ def small_multiples(record: Mapping, kind: str, error: str) -> Figure | None:
     if len(each) < 2:
         return None
     across, down = min(4, len(each)), math.ceil(len(each) / 4)
-    drawing = Figure(figsize=(10, 1.95 * down + 0.95))
+    drawing = Figure(figsize=(WIDTH, 1.95 * down + 0.95))
     height = drawing.get_figheight()
     panels = drawing.subplots(down, across, squeeze=False, sharex=True, sharey=True).flatten()
     drawing.subplots_adjust(left=0.055, right=0.985, wspace=0.08, hspace=0.3, top=1 - 0.82 / height, bottom=0.4 / height)
     published = []
     for number, (panel, name) in enumerate(zip(panels, each)):
-        lines = {who: errors[error] for who, errors in record["published"].get(kind, {}).get(name, {}).items()
+        lines = {_whose(who, error): errors[error] for who, errors in record["published"].get(kind, {}).get(name, {}).items()
                  if error in errors}
         _curves(panel, summary.curves(fits, error, [name]), colours(fits), lines, direct=False)
         published.append(lines)
@@ -80,7 +87,7 @@ def renderers_figure(record: Mapping) -> Figure | None:
     if not cases:
         return None
     bsdfs = list(dict.fromkeys(r["bsdf"] for r in cases))
-    drawing = Figure(figsize=(10, 2.6 * len(bsdfs) + 0.6))
+    drawing = Figure(figsize=(WIDTH, 2.6 * len(bsdfs) + 0.6))
     height = drawing.get_figheight()
     panels = drawing.subplots(len(bsdfs), 3, squeeze=False, sharex="col", sharey="col")
     drawing.subplots_adjust(left=0.07, right=0.985, wspace=0.27, hspace=0.42, top=1 - 0.85 / height, bottom=0.45 / height)
@@ -131,10 +138,11 @@ def colours(fits: Sequence[Mapping]) -> dict[str, str]:
 
 
 def names_of(kind: str, fits: Sequence[Mapping]) -> str:
-    """How many materials or captures, and of how many seeds the median is."""
+    """How many materials or captures, and what the band is of."""
     count, seeds = len(summary.names(fits)), len({r["seed"] for r in fits})
-    what = summary.KINDS[kind] + ("s" if count > 1 else "")
-    return f"{count} {what}" + (f", median and quartiles of {seeds} seeds" if seeds > 1 else ", one seed")
+    left_out = f" without {' and '.join(map(str, fits[0]['left_out']))}" if fits[0].get("left_out") else ""
+    band = f"quartiles of {'them' if count > 1 else f'{seeds} seeds'}" if max(count, seeds) > 1 else "one seed"
+    return f"{count} {summary.KINDS[kind]}{'s' * (count > 1)}{left_out}; {'mean, band: ' if count > 1 else ''}{band}"
 
 
 def _curves(panel: Axes, found: Mapping[str, Sequence[summary.Point]], shades: Mapping[str, str], lines: Mapping[str, float],
@@ -146,12 +154,13 @@ def _curves(panel: Axes, found: Mapping[str, Sequence[summary.Point]], shades: M
     ends = []
     for number, (name, points) in enumerate(reversed(list(found.items()))):  # the default method on top
         x, y = [p.seconds for p in points], [p.median for p in points]
-        if any(p.high > p.low for p in points):
-            panel.fill_between(x, [p.low for p in points], [p.high for p in points], color=shades[name], alpha=0.16,
-                               linewidth=0, zorder=2)
+        low, high = ([p.scenes[0] for p in points], [p.scenes[1] for p in points]) if direct and points[0].count > 1 else (
+            [p.low for p in points], [p.high for p in points])
+        if high > low:
+            panel.fill_between(x, low, high, color=shades[name], alpha=0.13, linewidth=0, zorder=2)
         panel.plot(x, y, color=shades[name], linewidth=2.0 if direct else 1.5, marker="o", markersize=4 if direct else 2.6,
                    zorder=3 + number, solid_capstyle="round")
-        if points[-1].seconds < 0.8 * points[-1].budget:  # it ended before its time was up
+        if points[-1].ended:
             panel.plot([x[-1], right], [y[-1]] * 2, color=shades[name], linewidth=0.9, linestyle=(0, (1, 2)), zorder=2)
         ends.append((name, y[-1], shades[name], "normal"))
     for who, value in lines.items():

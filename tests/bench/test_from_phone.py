@@ -11,7 +11,7 @@ from mitsvbrdf import cli
 from mitsvbrdf.bench import from_phone as suite
 from mitsvbrdf.bench.from_phone import CaptureJob, capture_jobs, recovered, scaled_diffuse_rmse
 from mitsvbrdf.bench.schema import check_benchmark
-from mitsvbrdf.bench.tables import capture_tables
+from mitsvbrdf.bench.suite_tables import capture_tables
 from mitsvbrdf.capture import write_capture
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import HierarchicalConfig

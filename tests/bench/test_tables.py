@@ -4,7 +4,8 @@ import pytest
 from helpers.bench_records import GIVEN, METHODS, benchmark, record
 
 from mitsvbrdf.bench import summary
-from mitsvbrdf.bench.tables import equal_error, equal_time
+from mitsvbrdf.bench.tables import equal_time
+from mitsvbrdf.bench.times import equal_error
 
 TWO = [record("hybrid", b, s, n, mean=e) for b, s, n, e in (
     (10.0, 0, "a", 0.30), (10.0, 0, "b", 0.10), (10.0, 1, "a", 0.20), (10.0, 1, "b", 0.10), (10.0, 2, "a", 0.50),

@@ -32,5 +32,5 @@ METHODS = [record(m, b, s, n, k, **{e: base * (30 / b) ** 0.5 * (1 + s / 10) * (
                                                if k == "material" else ("seen", "left_out"))})
            for m, base in (("hybrid", 0.05), ("direct", 0.08), ("peers-baseline", 0.2)) for b in (10.0, 30.0) for s in (0, 1, 2)
            for k in ("material", "capture") for n in ("a", "b")]
-GIVEN = {"material": {"a": {"MaterialGAN": {"mean": 0.06}}}, "capture 4,7": {n: {"MaterialGAN": {"seen": 0.01, "left_out": 0.02}}
-                                                                            for n in ("a", "b")}}
+GIVEN = {"material": {"a": {"MaterialGAN": {"mean": 0.06}}},
+         "capture 4,7": {n: {"MaterialGAN": {"seen": 0.01, "left_out": 0.02}} for n in ("a", "b")}}
