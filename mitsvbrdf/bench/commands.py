@@ -13,8 +13,8 @@ from .variants import FULL, ablations
 def commands(record: Mapping) -> list[str]:
     """Lines to type; the suites in the order in which they stand here."""
     made = []
-    for suite, options in {"renderers": _renderers, "methods": _fits, "start": _start, "ablation": _fits, "gan": _fits, "capture": _capture,
-                           "schedule": _schedule, "steps": _steps, "sheets": _sheets}.items():
+    for suite, options in {"renderers": _renderers, "methods": _fits, "start": _start, "ablation": _fits, "gan": _fits,
+                           "capture": _capture, "schedule": _schedule, "steps": _steps, "sheets": _sheets}.items():
         here = [r for r in record["records"] if r["suite"] == suite]
         quick = " --quick" if record["settings"]["quick"] else ""
         made += [f"mitsvbrdf bench --suite {suite}{quick} {options(record['settings'], alike)}{_left_out(alike)}"

@@ -97,7 +97,7 @@ def start_table(record: Mapping) -> Table | None:
     return Table(f"Seconds of `mitsvbrdf fit`, {names}, {config['resolution']} px, budget {config['budget']:g} s",
                  ["", "whole process", "imports", "preparation", "loop", "writing", "iterations"], rows,
                  f"Medians of {config['repeats']} processes each. Cache: Dr.Jit's compiled kernels, none of them or all that "
-                 "the same command left there. Preparation: Mitsuba, photos and the first guess. The budget begins with the loop: "
+                 "the same command left there. Preparation: Mitsuba, photos, the first guess. The budget begins with the loop: "
                  "kernels that are compiled in it cost iterations.")
 
 
