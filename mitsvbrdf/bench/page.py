@@ -25,7 +25,7 @@ from .tables import Table, ablation_tables, each_map, each_one, equal_time, look
 from .times import equal_error, ladders, passing, wall_time
 
 KNOWN = ("Photos made of known maps, 8 bits, without noise; the error of the maps is the mean of the four RMSEs, the error "
-         "under new light is that of pictures lit from the side, 25 and 50 degrees off the upright, as in no photo with a flash.")
+         "under new light is that of pictures lit from the side, 25 and 50 degrees off the upright, unlike any photo's flash.")
 CAPTURED = ("Photos {} are left out of every fit and predicted afterwards. MaterialGAN, trained on a large data set, saw all "
             "nine, those two as well.")
 BLIND = " Methods *without them* did not see them either: their authors published what fits to photos 0 to 6 predict."
