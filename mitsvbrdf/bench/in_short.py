@@ -27,8 +27,7 @@ def in_short(record: Mapping) -> list[str]:
                      + "; ".join(f"`{name}` at {listed(at)}" for name, at in lowest.items()) + ".")
     for view in apart:
         for kind, error, title, fits in judged(view, "methods"):
-            whose = dict.fromkeys(who for each in view["published"].get(kind, {}).values() for who in each)
-            for who in (who for who in whose if who == "MaterialGAN" or who.endswith("without them")):
+            for who in summary.beside(view["published"], kind):
                 lines += _beside_published(view, kind, error, title, fits, who)
     failed = summary.failures(record["records"])
     if failed:

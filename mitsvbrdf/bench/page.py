@@ -150,7 +150,6 @@ def _methods(view: Mapping, picture: Picture) -> list[str]:
             heading, text = f"Real captures without photos {left_out_by(view)}", CAPTURED.format(left_out_by(view))
             blind = [name for name in names if len(view["published"]["capture"].get(name, {})) > 1]
             text += BLIND if blind else ""
-        lines += [f"## {heading}", "", f"{text} {plural(len(names), KINDS[kind])}: {', '.join(names)}.", ""]
         ends = passing(view) if kind == "capture" else each_map(view)
         for table in (*equal_time(view), looks(view, kind), ends, *equal_error(view), *ladders(view), *wall_time(view)):
             lines += markdown(table)

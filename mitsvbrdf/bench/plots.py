@@ -33,7 +33,7 @@ def methods_figure(record: Mapping) -> Figure | None:
     drawing = Figure(figsize=(WIDTH, 3.1 * len(parts) + 0.3))
     height = drawing.get_figheight()
     panels = drawing.subplots(len(parts), 2, squeeze=False)
-    drawing.subplots_adjust(left=0.065, right=0.81, wspace=0.75, hspace=0.42, top=1 - 0.5 / height, bottom=0.45 / height)
+    drawing.subplots_adjust(left=0.06, right=0.82, wspace=0.88, hspace=0.42, top=1 - 0.5 / height, bottom=0.45 / height)
     for row, (kind, fits, view) in zip(panels, parts):
         for panel, (error, title) in zip(row, summary.ERRORS[kind].items()):
             found = summary.curves(fits, error)
@@ -164,7 +164,7 @@ def _curves(panel: Axes, found: Mapping[str, Sequence[summary.Point]], shades: M
             panel.plot([x[-1], right], [y[-1]] * 2, color=shades[name], linewidth=0.9, linestyle=(0, (1, 2)), zorder=2)
         ends.append((name, y[-1], shades[name], "normal"))
     for who, value in lines.items():
-        until = 1.0 if direct or len(lines) == 1 else 0.45  # several leave room for their names
+        until = 1.0 if direct or len(lines) == 1 else 0.4  # several leave room for their names
         panel.axhline(value, xmax=until, color=CHART_TEXT, linewidth=1.0, linestyle=(0, (5, 3)), zorder=1)
         ends.append((who, value, CHART_TEXT, "italic"))
     panel.set(xscale="log", yscale="log")
@@ -205,7 +205,7 @@ def _inner_labels(panel: Axes, published: Mapping[str, float]) -> None:
     low, high = map(math.log, panel.get_ylim())
     lines = sorted(published.items(), key=lambda line: line[1])
     places = spaced([(math.log(value) - low) / (high - low) for _, value in lines], 0.085)
-    where: dict[str, Any] = {"x": 0.465, "ha": "left", "va": "center"}
+    where: dict[str, Any] = {"x": 0.415, "ha": "left", "va": "center"}
     if len(lines) == 1:
         where = {"x": 0.985, "ha": "right", "va": "bottom"}
     for (who, _), place in zip(lines, places):
@@ -259,7 +259,7 @@ def _plain(panel: Axes) -> None:
     """Quiet axes whose numbers are written out."""
     for axis, limits in ((panel.xaxis, panel.get_xlim()), (panel.yaxis, panel.get_ylim())):
         if not isinstance(axis.get_major_locator(), FixedLocator):
-            axis.set_major_locator(LogLocator(subs=(1, 2, 5) if limits[1] / limits[0] < 60 else (1,)))
+            axis.set_major_locator(LogLocator(subs=(1, 2, 5) if limits[1] / limits[0] < 300 else (1,)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
     panel.grid(True, which="major", color=CHART_GRID, linewidth=0.7)

@@ -170,6 +170,12 @@ def published_mean(published: Published, kind: str, wanted: Sequence[str], error
     return {who: statistics.fmean(each[who][error] for each in entries) for who in whose}
 
 
+def beside(published: Published, kind: str) -> list[str]:
+    """Whose published errors fits are held against: MaterialGAN's, and those of methods that did not see what is left out."""
+    whose = dict.fromkeys(who for each in published.get(kind, {}).values() for who in each)
+    return [who for who in whose if who == "MaterialGAN" or who.endswith("without them")]
+
+
 def with_published(published: Published, kind: str, wanted: Sequence[str], who: str, error: str) -> list[str]:
     """The materials or captures for which somebody published this error."""
     return [name for name in wanted if error in published.get(kind, {}).get(name, {}).get(who, {})]

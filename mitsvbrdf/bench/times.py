@@ -47,11 +47,12 @@ def _targets(record: Mapping, kind: str, fits: Sequence[Mapping]) -> Iterator[tu
         final = summary.curves(fits, error).get(PEERS)
         if final:
             yield f"{short},", f"below `{PEERS}` ({final[-1].median:.4f})", error, None, final[-1].median, PEERS
-        only = summary.with_published(record["published"], kind, summary.names(fits), "MaterialGAN", error)
-        if only:
-            value = summary.published_mean(record["published"], kind, only, error)["MaterialGAN"]
-            where = "" if set(only) == set(summary.names(fits)) else f" on {', '.join(only)}"
-            yield f"{short},", f"below MaterialGAN{where} ({value:.4f})", error, only, value, None
+        for who in summary.beside(record["published"], kind):
+            only = summary.with_published(record["published"], kind, summary.names(fits), who, error)
+            if only:
+                value = summary.published_mean(record["published"], kind, only, error)[who]
+                where = "" if set(only) == set(summary.names(fits)) else f" on {', '.join(only)}"
+                yield f"{short},", f"below {who}{where} ({value:.4f})", error, only, value, None
 
 
 def ladders(record: Mapping) -> list[Table]:
