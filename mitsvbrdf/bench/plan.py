@@ -106,8 +106,7 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
     if "methods" in suites:
         jobs += fit_jobs("methods", picked or table, tasks, budgets, seeds, engine)
     if "start" in suites:
-        jobs += [StartJob(folder, method, chosen["resolution"], min(budgets), chosen["repeats"])
-                 for folder in _sources(chosen, data)[1][:1] for method in _split(methods) or METHODS]
+        jobs += _start_jobs(_sources(chosen, data)[1], picked, chosen["resolution"], min(budgets), chosen["repeats"])
     if "capture" in suites:
         phone = HandheldPhone(megapixels=chosen["megapixels"], seed=seeds[0])
         phone.check()
@@ -120,6 +119,15 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
                 "quick": quick}
     found = published(data / "peers.json", tasks, chosen["resolution"]) if data else {}
     return jobs, settings, found | (printed() if "gan" in suites else {})
+
+
+def _start_jobs(captures: list[str], picked: dict, resolution: int, budget: float, repeats: int) -> list[StartJob]:
+    """The command `fit` on the first capture, by each method that it has."""
+    unknown = [name for name in picked if name not in METHODS]
+    if unknown or not captures:
+        raise ConfigError(f"a capture, and methods of {list(METHODS)}, in the suite start", ", ".join(unknown) or "no capture",
+                          "check --methods and --captures")
+    return [StartJob(captures[0], method, resolution, budget, repeats) for method in picked or METHODS]
 
 
 def _variant_jobs(suite: str, chosen: dict, table: dict, tasks: list, budgets: list[float], seeds: list[int],
@@ -189,7 +197,7 @@ def protocols(text: str, data: Path | None) -> list[tuple[list[int], list[str] |
         if part.strip() == "peers":
             found.append((list(PEERS_LEFT_OUT), predicted_by_peers((data or Path()) / "peers.json")))
         else:
-            found.append((_numbers("--left-out", part, int, lambda x: x >= 0), None))
+            found.append((sorted(_numbers("--left-out", part, int, lambda x: x >= 0)), None))
     twice = len({tuple(numbers) for numbers, _ in found}) < len(found)
     if twice:
         raise ConfigError("each way to leave photos out once in --left-out", repr(text), "take one away")

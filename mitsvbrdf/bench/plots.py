@@ -33,7 +33,7 @@ def methods_figure(record: Mapping) -> Figure | None:
     drawing = Figure(figsize=(WIDTH, 3.1 * len(parts) + 0.3))
     height = drawing.get_figheight()
     panels = drawing.subplots(len(parts), 2, squeeze=False)
-    drawing.subplots_adjust(left=0.06, right=0.82, wspace=0.88, hspace=0.42, top=1 - 0.5 / height, bottom=0.45 / height)
+    drawing.subplots_adjust(left=0.06, right=0.805, wspace=0.88, hspace=0.42, top=1 - 0.5 / height, bottom=0.45 / height)
     for row, (kind, fits, view) in zip(panels, parts):
         for panel, (error, title) in zip(row, summary.ERRORS[kind].items()):
             found = summary.curves(fits, error)
