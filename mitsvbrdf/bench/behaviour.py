@@ -22,7 +22,7 @@ def draws(config: FitConfig) -> bool:
 
 def record_draws(record: Mapping) -> bool:
     """The same of the settings in a record."""
-    return record["config"].get("class") not in {kind.__name__ for kind in NO_RANDOMNESS}
+    return record["config"].get("class") not in [kind.__name__ for kind in NO_RANDOMNESS]
 
 
 def ended_for_good(record: Mapping) -> bool:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from .schema import LEFT_OUT, SCHEMA_VERSION, capture_kind
-
-FITS = "methods", "ablation", "gan", "references", "schedule"  # suites whose records of captures depend on the photos left out
+from .schema import LEFT_OUT, OF_TASKS, SCHEMA_VERSION, capture_kind
 
 
 def upgraded(value: Any) -> Any:
@@ -20,5 +18,5 @@ def upgraded(value: Any) -> Any:
     return value | {
         "schema_version": SCHEMA_VERSION, "settings": {k: v for k, v in settings.items() if k != "left_out"},
         "published": {capture_kind(left_out) if kind == "capture" else kind: each for kind, each in published.items()},
-        "records": [r | {"left_out": left_out} if isinstance(r, dict) and r.get("kind") == "capture" and r.get("suite") in FITS
+        "records": [r | {"left_out": left_out} if isinstance(r, dict) and r.get("kind") == "capture" and r.get("suite") in OF_TASKS
                     else r for r in records]}

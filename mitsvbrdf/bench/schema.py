@@ -11,6 +11,7 @@ from typing import Any, Literal, TypedDict, Union, get_args, get_origin, get_typ
 from ..errors import ConfigError
 
 SCHEMA_VERSION: Literal[2] = 2
+OF_TASKS = "methods", "ablation", "gan", "references", "schedule"  # suites whose records are of an :class:`OfTask`
 LEFT_OUT = (4, 7)  # numbers of the photos that fits of real captures do not see, where nothing else is said
 
 
@@ -243,6 +244,9 @@ def check_benchmark(value: Any, where: str) -> Benchmark:
     if len(set(records)) < len(records):
         twice = next(r for r in records if records.count(r) > 1)
         problem = f"{where}.records", "each fit and case once", f"{twice} twice"
+    for number, record in enumerate([] if problem else value["records"]):
+        if record["suite"] in OF_TASKS and ("left_out" in record) != (record["kind"] == "capture"):
+            problem = f"{where}.records.{number}", "photos left_out of a capture, and of nothing else", str(record.get("left_out"))
     if problem:
         place, expected, got = problem
         raise ConfigError(f"{expected} at {place}", got, "choose another file, or --anew to forget it")

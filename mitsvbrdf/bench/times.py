@@ -13,6 +13,8 @@ from .tables import Table, at_time, count_of, judged, methods_of
 PEERS = "peers-baseline"
 STEP = math.sqrt(2)  # between two errors of a ladder
 LOWEST = 1e-3  # which all ladders pass through
+RUNGS = 12  # of a ladder at most, the lowest
+OVERFLOWS = 1000  # steps above what any error in display values can be
 
 
 def equal_error(record: Mapping) -> list[Table]:
@@ -75,11 +77,11 @@ def ladders(record: Mapping) -> list[Table]:
 
 
 def ladder(errors: list[float]) -> list[float]:
-    """Errors a factor of :data:`STEP` apart, the largest first, from below the largest to just above the lowest."""
+    """Errors a factor of :data:`STEP` apart, the largest first, from below the largest to just above the lowest, :data:`RUNGS` at most."""
     if not errors or min(errors) <= 0:
         return []
-    top, bottom = (math.log(value / LOWEST) / math.log(STEP) for value in (max(errors), min(errors)))
-    return [LOWEST * STEP**k for k in range(math.floor(top), math.floor(bottom), -1)]
+    top, bottom = (math.floor((math.log(value) - math.log(LOWEST)) / math.log(STEP)) for value in (max(errors), min(errors)))
+    return [LOWEST * STEP**k for k in range(min(top, bottom + RUNGS), bottom, -1) if k < OVERFLOWS]
 
 
 def passing(record: Mapping, kind: str = "capture", error: str = "left_out") -> Table | None:

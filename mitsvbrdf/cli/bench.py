@@ -87,7 +87,8 @@ def bench(
     store.publish(found)
     missing = store.pending(jobs)
     say(f"{len(jobs) - len(missing)} of {len(jobs)} records are in {json_file}; "
-        + (f"the other {len(missing)} take about {duration(sum(job.cost for job in missing))}" if missing else "nothing to do"))
+        + (f"the other {len(missing)} take about {duration(sum(job.cost for job in missing) / (workers or 1))}, less where "
+           "fits end by themselves" if missing else "nothing to do"))
     failed: dict[str, str] = {}
     try:
         with progress_bar("measuring") as report:

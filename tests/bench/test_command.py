@@ -15,7 +15,7 @@ from mitsvbrdf.bench.store import Store
 from mitsvbrdf.bench.tasks import known_material
 from mitsvbrdf.capture import write_capture
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.fit import DirectConfig
+from mitsvbrdf.fit import HybridConfig
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 
@@ -40,7 +40,7 @@ def test_other_settings_are_refused(tmp_path):
 
 def test_a_changed_variant_is_measured_anew(tmp_path):
     task = known_material("builtin:inlay", 16, GRID, ANALYTIC)
-    old, new = ({"full": DirectConfig(), "less": DirectConfig(smooth=smooth)} for smooth in (0.0, 0.005))
+    old, new = ({"full": HybridConfig(), "less": HybridConfig(smooth=smooth)} for smooth in (0.0, 0.005))
     store = Store(tmp_path / "b.json", SETTINGS)
     for job in jobs.fit_jobs("ablation", old, [task], [0.1], [0, 1], ANALYTIC):
         store.add(record(job.method, 0.1, job.seed, "inlay", suite="ablation", mean=0.1) | {"config": job.settings})

@@ -35,7 +35,8 @@ def test_a_ladder_covers_all_errors_in_equal_steps():
     rungs = ladder([0.30, 0.02, 0.1])
     assert rungs[0] <= 0.30 and rungs[-1] > 0.02 and rungs[-1] < 0.02 * STEP
     assert all(math.log(one / other) == pytest.approx(math.log(2) / 2) for one, other in zip(rungs, rungs[1:]))
-    assert ladder([]) == [] and ladder([0.0]) == []
+    assert ladder([]) == [] and ladder([0.0]) == [] and ladder([1.7e308]) == []
+    assert len(ladder([1.0, 1e-300])) == 12  # a table that can be read
 
 
 def test_each_method_has_its_seconds_to_each_rung():
