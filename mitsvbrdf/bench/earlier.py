@@ -18,5 +18,6 @@ def upgraded(value: Any) -> Any:
     return value | {
         "schema_version": SCHEMA_VERSION, "settings": {k: v for k, v in settings.items() if k != "left_out"},
         "published": {capture_kind(left_out) if kind == "capture" else kind: each for kind, each in published.items()},
-        "records": [r | {"left_out": left_out} if isinstance(r, dict) and r.get("kind") == "capture" and r.get("suite") in OF_TASKS
-                    else r for r in records]}
+        "records": [r | {"left_out": left_out}
+                    if isinstance(r, dict) and r.get("kind") == "capture" and r.get("suite") in OF_TASKS else r
+                    for r in records]}

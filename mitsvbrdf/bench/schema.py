@@ -246,7 +246,7 @@ def check_benchmark(value: Any, where: str) -> Benchmark:
         problem = f"{where}.records", "each fit and case once", f"{twice} twice"
     for number, record in enumerate([] if problem else value["records"]):
         if record["suite"] in OF_TASKS and ("left_out" in record) != (record["kind"] == "capture"):
-            problem = f"{where}.records.{number}", "photos left_out of a capture, and of nothing else", str(record.get("left_out"))
+            problem = f"{where}.records.{number}", "left_out of a capture, and of nothing else", str(record["kind"])
     if problem:
         place, expected, got = problem
         raise ConfigError(f"{expected} at {place}", got, "choose another file, or --anew to forget it")

@@ -80,7 +80,8 @@ def ladder(errors: list[float]) -> list[float]:
     """Errors a factor of :data:`STEP` apart, the largest first, from below the largest to just above the lowest, :data:`RUNGS` at most."""
     if not errors or min(errors) <= 0:
         return []
-    top, bottom = (math.floor((math.log(value) - math.log(LOWEST)) / math.log(STEP)) for value in (max(errors), min(errors)))
+    top, bottom = (math.floor((math.log(value) - math.log(LOWEST)) / math.log(STEP))
+                   for value in (max(errors), min(errors)))
     return [LOWEST * STEP**k for k in range(min(top, bottom + RUNGS), bottom, -1) if k < OVERFLOWS]
 
 
