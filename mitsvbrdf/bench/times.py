@@ -77,7 +77,7 @@ def ladders(record: Mapping) -> list[Table]:
 
 
 def ladder(errors: list[float]) -> list[float]:
-    """Errors a factor of :data:`STEP` apart, the largest first, from below the largest to just above the lowest, :data:`RUNGS` at most."""
+    """Errors a factor of :data:`STEP` apart, the largest first, down to just above the lowest; :data:`RUNGS` at most."""
     if not errors or min(errors) <= 0:
         return []
     top, bottom = (math.floor((math.log(value) - math.log(LOWEST)) / math.log(STEP))
