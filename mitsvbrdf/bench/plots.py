@@ -87,10 +87,10 @@ def renderers_figure(record: Mapping) -> Figure | None:
     if not cases:
         return None
     bsdfs = list(dict.fromkeys(r["bsdf"] for r in cases))
-    drawing = Figure(figsize=(WIDTH, 2.6 * len(bsdfs) + 0.6))
+    drawing = Figure(figsize=(WIDTH, 2.6 * len(bsdfs) + 0.8))
     height = drawing.get_figheight()
     panels = drawing.subplots(len(bsdfs), 3, squeeze=False, sharex="col", sharey="col")
-    drawing.subplots_adjust(left=0.07, right=0.985, wspace=0.27, hspace=0.42, top=1 - 0.85 / height, bottom=0.45 / height)
+    drawing.subplots_adjust(left=0.07, right=0.985, wspace=0.3, hspace=0.42, top=1 - 1.05 / height, bottom=0.45 / height)
     whose = {row["renderer"] for r in cases for row in r["rows"]}
     shades = {name: colour for name, colour in RENDERER_LINES.items() if name in whose}
     tolerances = {"image": TOLERANCES["image"]["mean"], "gradient": TOLERANCES["gradients"]["relative_l2"]}
@@ -112,7 +112,7 @@ def renderers_figure(record: Mapping) -> Figure | None:
     for panel in panels[-1]:
         panel.set_xlabel("seconds", fontsize=FONT_SIZES["small"])
     handles = _renderer_keys(cases, shades)
-    drawing.legend(handles=handles, loc="upper left", ncols=len(handles), fontsize=FONT_SIZES["tick"], frameon=False,
+    drawing.legend(handles=handles, loc="upper left", ncols=3, fontsize=FONT_SIZES["tick"], frameon=False,
                    bbox_to_anchor=(0.062, 1 - 0.08 / height), handlelength=1.8, columnspacing=1.6, borderaxespad=0)
     return drawing
 
@@ -246,7 +246,7 @@ def _samples(panel: Axes, case: Mapping, shades: Mapping[str, str]) -> None:
             panel.plot(row["forward"]["median"], row["image"], "D", color=shades[row["renderer"]], markersize=5, zorder=4)
     panel.set(xscale="log", yscale="log")
     panel.margins(0.12, 0.15)
-    _headed(panel, "Image of whole pixels, forward", f"{case['bsdf']}, {case['resolution']} px; number: jittered rays")
+    _headed(panel, "Whole pixels, forward", f"{case['bsdf']}, {case['resolution']} px; number: jittered rays")
     _plain(panel)
 
 
@@ -257,9 +257,9 @@ def _headed(panel: Axes, title: str, about: str) -> None:
 
 def _plain(panel: Axes) -> None:
     """Quiet axes whose numbers are written out."""
-    for axis, limits in ((panel.xaxis, panel.get_xlim()), (panel.yaxis, panel.get_ylim())):
+    for axis, limits, most in ((panel.xaxis, panel.get_xlim(), 60), (panel.yaxis, panel.get_ylim(), 300)):
         if not isinstance(axis.get_major_locator(), FixedLocator):
-            axis.set_major_locator(LogLocator(subs=(1, 2, 5) if limits[1] / limits[0] < 300 else (1,)))
+            axis.set_major_locator(LogLocator(subs=(1, 2, 5) if limits[1] / limits[0] < most else (1,)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
     panel.grid(True, which="major", color=CHART_GRID, linewidth=0.7)
