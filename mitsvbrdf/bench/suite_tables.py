@@ -96,9 +96,9 @@ def start_table(record: Mapping) -> Table | None:
     config, names = found[0]["config"], ", ".join(dict.fromkeys(r["name"] for r in found))
     return Table(f"Seconds of `mitsvbrdf fit`, {names}, {config['resolution']} px, budget {config['budget']:g} s",
                  ["", "whole process", "imports", "preparation", "loop", "writing", "iterations"], rows,
-                 f"Medians; processes of each row: {config['repeats']}. Cache: Dr.Jit's compiled kernels, none of them or all that "
-                 "the same command left there. Preparation: Mitsuba, photos, the first guess. The budget begins with the loop: "
-                 "kernels that are compiled in it cost iterations.")
+                 f"Medians; processes of each row: {config['repeats']}. Cache: Dr.Jit's compiled kernels, none of them or all "
+                 "that the same command left there. Preparation: Mitsuba, photos, the first guess. The budget begins with the "
+                 "loop: kernels that are compiled in it cost iterations.")
 
 
 def _counted(value: float | None, how: str, why: str | None = None) -> str:
