@@ -65,14 +65,19 @@ def fits_section(record: dict) -> str:
     scenes = [[scene["name"], scene["kind"], str(scene["photos"]), _quartiles(scene["seconds"], seconds),
                *(f"{scene['spent'].get(part, 0.0):.1f}" for part in SPENT)] for scene in record["scenes"]]
     return FITS.format(**record | {"spent": " | ".join(SPENT), "lines": "---:|" * len(SPENT), "scenes": _table(scenes),
-                                   "rows": _table(map(_fit_row, record["items"]))})
+                                   "rows": _table(fit_rows(record))})
 
 
-def _fit_row(item: dict) -> list[str]:
-    errors = [item["errors"].get(name) for name in ERRORS]
-    return [item["what"], item["method"], item["kind"] + (", by itself" if item["put_in"] else ""), str(len(item["scenes"])),
-            _quartiles(item["ratio"], "{:.2f}".format),
-            *("–" if error is None else f"{error['median']:.3f}, {error['worst']:.3f}" for error in errors), item["verdict"]]
+def fit_rows(record: dict) -> list[list[str]]:
+    """The cells of the table about parts of fits, as text."""
+    rows = []
+    for item in record["items"]:
+        errors = [item["errors"].get(name) for name in ERRORS]
+        rows.append([item["what"], item["method"], item["kind"] + (", by itself" if item["put_in"] else ""),
+                     str(len(item["scenes"])), _quartiles(item["ratio"], "{:.2f}".format),
+                     *("–" if error is None else f"{error['median']:.3f}, {error['worst']:.3f}" for error in errors),
+                     item["verdict"]])
+    return rows
 
 
 def _quartiles(spread: dict, shown: Callable[[float], str]) -> str:

@@ -7,6 +7,7 @@ import torch
 from helpers import ANALYTIC, GRID
 
 from mitsvbrdf.calibrate.refine import PRIORS, moved
+from mitsvbrdf.fit.hierarchical import moved_views
 from mitsvbrdf.fit.hierarchical.moved_views import MovedViews
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.synth.photograph import photograph
@@ -47,6 +48,21 @@ def test_views_that_were_estimated_keep_their_priors():
     before = views.priors
     views.refine(material, capture)
     assert views.priors == before
+
+
+@pytest.mark.parametrize("refined", ["unless exact", "always"])
+def test_stated_views_are_sought_where_they_were_found(refined, monkeypatch):
+    material, capture, _ = shots(0.2, 0.0)
+    starts, seek = [], moved_views.refine_views
+    monkeypatch.setattr(moved_views, "refine_views", lambda *given: starts.append(given[5]) or seek(*given))
+    views = MovedViews(capture, refined, True)
+    for _ in range(2):
+        views.refine(material, capture)
+        before = views.change
+    if refined == "always":
+        assert starts == [None, None]
+    else:
+        assert not starts[0].any() and starts[1].any() and (starts[1] - before).abs().max() < 0.01
 
 
 def test_there_is_an_end_to_how_far():
