@@ -19,6 +19,7 @@ neither compiled nor handed over nor allocated. `fit --explain` lists it for a f
 gradient is never left out.
 
 ## Of a scene
+
 | left out | where | when | largest difference | mean | full, lean against float64 | full | lean | full / lean |
 |---|---|---|---|---|---|---|---|---|
 {rows}
@@ -43,6 +44,8 @@ Each part left out, against the fit that has it, in turn; scenes are those of th
 the median and at worst. *by itself*: the program leaves it out of such photos; it was put in to be measured. A part is
 *needed* where an error that decides (of maps, under new light, of photos left out) grows by more than {costs:.0%} on any scene;
 *not needed* where none does and at least {saves:.0%} of the seconds are saved. Errors below {floor:g} count as {floor:g}.
+*generator* compares `hybrid` with the default. Verdicts are those of the fits named here, no more: a part is left out by itself
+only where a test on the photos decides it.
 
 | left out | method | of | fits | seconds, with / without (quartiles) | maps | new light | left out | seen | verdict |
 |---|---|---|---:|---:|---:|---:|---:|---:|---|
