@@ -42,7 +42,7 @@ def test_how_a_network_is_used(leather):
 def claims(leather):
     """Every name by which a fit says that it leaves something out, of settings, materials and photos that call for each."""
     said = {"adversarial finish"}  # of the command itself
-    fixed = {"roughconductor": {"diffuse": "0.3", "specular": "0", "roughness": "0.5", "normal": "flat"},
+    fixed = {"roughconductor": {"diffuse": "0.3", "specular": "0.04", "roughness": "0.5", "normal": "flat"},
              "principled": {"base_color": "0.3", "metallic": "0"}}
     configs = [kind(bsdf=bsdf, fix=(f"{name}={value}",)) for kind in (HierarchicalConfig, HybridConfig)
                for bsdf, values in fixed.items() for name, value in values.items()]
