@@ -2,6 +2,6 @@
 
 Jobs (``jobs``: ``renderers``, fits of the ``methods`` on ``tasks``, ``from_phone``) run one after the other and become records;
 ``store`` keeps them in one JSON (``schema``); ``summary`` takes medians over seeds; ``tables``, ``plots`` and ``page`` show
-them beside ``published`` numbers, and ``paper`` makes docs/results/gan.md of them. ``stiff`` stands apart: fits that are asked
-too much, and how they end.
+them beside ``published`` numbers, and ``paper`` makes docs/results/gan.md of them. ``stiff`` keeps fits that
+are asked too much in a file of the same kind, and makes docs/stability-fits.md of it.
 """
