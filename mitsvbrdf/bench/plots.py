@@ -39,7 +39,7 @@ def methods_figure(record: Mapping) -> Figure | None:
             found = summary.curves(fits, error)
             lines = summary.published_mean(view["published"], kind, summary.names(fits), error)
             _curves(panel, found, colours(fits), {_whose(who, error): value for who, value in lines.items()}, direct=True)
-            _headed(panel, title, f"RMSE, {names_of(kind, fits)}")
+            headed(panel, title, f"RMSE, {names_of(kind, fits)}")
     return drawing
 
 
@@ -103,8 +103,8 @@ def renderers_figure(record: Mapping) -> Figure | None:
             panel.annotate("stated tolerance", (0.985, tolerances[error]), (0, 2), xycoords=("axes fraction", "data"),
                            textcoords="offset points", ha="right", fontsize=6.5, fontstyle="italic", color=CHART_TEXT)
             panel.set_ylim(2e-8, 1e-5)
-            _plain(panel)
-            _headed(panel, title, f"relative error, {bsdf}")
+            plain(panel)
+            headed(panel, title, f"relative error, {bsdf}")
         jittered = next((r for r in cases if r["bsdf"] == bsdf and r["truth"] == "pixels"), None)
         if jittered:
             _samples(row[2], jittered, shades)
@@ -171,7 +171,7 @@ def _curves(panel: Axes, found: Mapping[str, Sequence[summary.Point]], shades: M
     panel.set_xlim(min([p.seconds for points in found.values() for p in points] or [1.0]) / 1.25, right)
     panel.xaxis.set_major_locator(FixedLocator(budgets))
     panel.xaxis.set_minor_locator(NullLocator())
-    _plain(panel)
+    plain(panel)
     if direct:
         panel.set_xlabel("seconds", fontsize=FONT_SIZES["small"], labelpad=1)
         _labels(panel, ends)
@@ -223,7 +223,7 @@ def _sweeps(panel: Axes, cases: Sequence[Mapping], error: str, time: str, shades
             for row in rows:
                 panel.hlines(row[error], row[time]["low"], row[time]["high"], color=colour, linewidth=4, alpha=0.3)
     panel.set(xscale="log", yscale="log")
-    _plain(panel)
+    plain(panel)
 
 
 def _grown(cases: Sequence[Mapping]) -> tuple[list[Mapping], list[Mapping]]:
@@ -246,17 +246,18 @@ def _samples(panel: Axes, case: Mapping, shades: Mapping[str, str]) -> None:
             panel.plot(row["forward"]["median"], row["image"], "D", color=shades[row["renderer"]], markersize=5, zorder=4)
     panel.set(xscale="log", yscale="log")
     panel.margins(0.12, 0.15)
-    _headed(panel, "Whole pixels, forward", f"{case['bsdf']}, {case['resolution']} px; number: jittered rays")
-    _plain(panel)
+    headed(panel, "Whole pixels, forward", f"{case['bsdf']}, {case['resolution']} px; number: jittered rays")
+    plain(panel)
 
 
-def _headed(panel: Axes, title: str, about: str) -> None:
+def headed(panel: Axes, title: str, about: str) -> None:
+    """Give a panel its title, and a quiet line below it."""
     panel.set_title(title, loc="left", fontsize=FONT_SIZES["title"], fontweight="bold", pad=14)
     panel.text(0, 1.025, about, transform=panel.transAxes, fontsize=FONT_SIZES["small"], color=CHART_QUIET, va="bottom")
 
 
-def _plain(panel: Axes) -> None:
-    """Quiet axes whose numbers are written out."""
+def plain(panel: Axes) -> None:
+    """Give a panel quiet axes whose numbers are written out."""
     for axis, limits, most in ((panel.xaxis, panel.get_xlim(), 60), (panel.yaxis, panel.get_ylim(), 300)):
         if not isinstance(axis.get_major_locator(), FixedLocator):
             axis.set_major_locator(LogLocator(subs=(1, 2, 5) if limits[1] / limits[0] < most else (1,)))

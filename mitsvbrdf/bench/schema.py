@@ -166,6 +166,39 @@ class SheetRecord(Made):
     errors: dict[str, dict[str, float]]
 
 
+class StiffRecord(Made):
+    """One fit of a stiff scene, a ``case`` or a member of a ``series``.
+
+    ``condition``, ``attainable`` and ``start`` belong to the scene (:attr:`mitsvbrdf.bench.stiff.scenes.StiffTask.known`).
+    ``errors``: each map and their ``mean`` where there is a truth, ``photos``, and ``photos_start``; ``stated``: the
+    deviations that the fit gives, as ``attainable``; ``near``: when the photos' error was within a tenth of the final one;
+    ``undone`` and ``restarts``: steps taken back, returns to an earlier state. None of a fit that failed, which ``why``
+    explains.
+    """
+
+    suite: Literal["stiff"]
+    method: str
+    kind: Literal["case", "series"]
+    name: str
+    budget: float
+    seed: int
+    config: dict[str, Any]
+    condition: dict[str, float | None]
+    attainable: dict[str, float]
+    start: dict[str, float]
+    seconds: float
+    wall: float
+    iterations: int
+    stopped: str
+    why: str | None
+    errors: dict[str, float]
+    stated: dict[str, float]
+    near: dict[str, float]
+    undone: int
+    restarts: int
+    warnings: list[str]
+
+
 class StartRow(TypedDict):
     """Processes with one state of Dr.Jit's kernel cache.
 
@@ -207,7 +240,7 @@ class Benchmark(TypedDict):
     seeds: list[int]
     published: dict[str, dict[str, dict[str, dict[str, float]]]]
     records: list[RenderRecord | FitRecord | CaptureRecord | ReferenceRecord | ScheduleRecord | StepRecord | SheetRecord
-                  | StartRecord]
+                  | StartRecord | StiffRecord]
 
 
 def identity(record: dict) -> tuple:
