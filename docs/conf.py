@@ -11,32 +11,39 @@ import io
 import os
 import re
 import sys
+import textwrap
 from pathlib import Path
 from typing import get_type_hints
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
-os.environ["COLUMNS"] = "96"  # how wide help is printed
+os.environ["COLUMNS"] = str(WIDTH := 88)  # of help, in characters
 
 import mitsvbrdf  # noqa: E402
 from mitsvbrdf import cli  # noqa: E402
 
-# What the sidebar shows: by page, by caption, its pages in order. A page that is not there is left out, one that stands
-# nowhere is an error; with * come all others of a folder.
+# What the sidebar shows: by page, by caption, its pages in order, as Sphinx reads them. A page that is not there is left out,
+# one that stands nowhere is an error; with * come all others of a folder.
 CONTENTS = {
     "docs/index": {
-        "Start": ["docs/start-phone", "docs/start-capture", "docs/start-known", "docs/tutorial", "docs/gallery"],
-        "How to": ["docs/install", "docs/capture", "docs/relight", "docs/export", "docs/batch", "docs/batch-planning",
-                   "docs/testing"],
-        "How good it is": ["docs/limits", "docs/faq", "docs/evaluation", "docs/results/README"],
-        "How it works": ["docs/method", "docs/calibration", "ARCHITECTURE"],
-        "Reference": ["docs/commands", "docs/python", "docs/formats", "docs/conventions"],
-        "Project": ["README", "CONTRIBUTING", "CHANGELOG", "SECURITY", "docs/citation"],
+        "Start": ["/docs/start-phone", "/docs/start-capture", "/docs/start-known", "Tutorial </docs/tutorial>",
+                  "/docs/gallery"],
+        "How to": ["/docs/install", "/docs/capture", "/docs/relight", "/docs/export", "/docs/batch", "/docs/batch-planning",
+                   "/docs/testing"],
+        "How good it is": ["/docs/limits", "/docs/faq", "/docs/evaluation", "/docs/results/README"],
+        "How it works": ["/docs/method", "/docs/calibration", "/ARCHITECTURE"],
+        "Reference": ["/docs/commands", "/docs/python", "/docs/formats", "/docs/conventions"],
+        "Project": ["All at a glance </README>", "/CONTRIBUTING", "/CHANGELOG", "/SECURITY", "/docs/citation"],
     },
     "docs/results/README": {
-        "": ["docs/benchmark", "docs/stability", "docs/stability-fits", "docs/leave-out", "docs/results/ablation",
-             "docs/results/coverage", "docs/results/finish", "docs/results/finish-256/finish", "docs/results/gan",
-             "docs/results/gan-*", "docs/results/generator-gradients", "docs/results/clients", "docs/results/*"],
+        "": ["/docs/benchmark", "/docs/stability", "/docs/stability-fits", "/docs/leave-out",
+             "Each ingredient off </docs/results/ablation>",
+             "/docs/results/coverage", "/docs/results/finish", "The same at 256 px </docs/results/finish-256/finish>",
+             "/docs/results/gan", "The same: 300 s, 256 px </docs/results/gan-256>",
+             "The same: captures </docs/results/gan-captures>", "The same: feature matching </docs/results/gan-features>",
+             "The same: ingredients </docs/results/gan-ingredients>", "The same: adversarial loss </docs/results/gan-adversarial>",
+             "The same: full schedule </docs/results/gan-schedule>",
+             "/docs/results/generator-gradients", "/docs/results/clients", "/docs/results/*"],
     },
 }
 
@@ -52,6 +59,7 @@ nitpick_ignore_regex = [("py:.*", r"(?!mitsvbrdf\.\w+$).*")]  # torch, the stand
 html_theme, html_title = "furo", f"mitsvbrdf {version}"
 html_copy_source = html_show_sourcelink = False
 highlight_language = "none"
+smartquotes = False  # --option stays as it is typed
 myst_heading_anchors = 4
 nb_execution_mode = "off"
 nb_ipywidgets_js: dict = {}  # the notebook has none, and pages ask nobody for anything
@@ -60,10 +68,15 @@ autodoc_member_order = "bysource"
 napoleon_google_docstring, napoleon_numpy_docstring = True, False
 
 
+def source_of(entry: str) -> str:
+    """The page, or pattern of pages, of an entry of CONTENTS."""
+    return entry.rpartition("<")[2].strip("/>")
+
+
 def with_contents(text: str, page: str) -> str:
     """A page, and below it what the sidebar shows of its pages."""
-    for caption, names in CONTENTS.get(page, {}).items():
-        there = [f"/{name}" for name in names if "*" in name or list(ROOT.glob(f"{name}.*"))]
+    for caption, entries in CONTENTS.get(page, {}).items():
+        there = [entry for entry in entries if any(ROOT.glob(f"{source_of(entry)}.*"))]
         options = [":hidden:", ":glob:", f":caption: {caption}"][:3 if caption else 2]
         text += "\n".join(["\n\n```{toctree}", *options, *there, "```\n"])
     return text
@@ -75,7 +88,8 @@ def with_commands(text: str) -> str:
     for words in [*((name,) for name in cli.COMMANDS), *methods]:
         with contextlib.redirect_stdout(io.StringIO()) as said, contextlib.suppress(SystemExit):
             cli.main([*words, "--help"])
-        text += f"\n\n## {' '.join(words)}\n```text\n{said.getvalue().rstrip()}\n```"
+        shown = "\n".join(line if line.startswith(" ") else textwrap.fill(line, WIDTH) for line in said.getvalue().splitlines())
+        text += f"\n\n## {' '.join(words)}\n```text\n{shown}\n```"
     return text
 
 
