@@ -1,9 +1,11 @@
 """Commands in README and docs are understood; the slow suite runs them, in their order, on made photos and shortened."""
 
 import functools
+import json
 import re
 import shlex
 import shutil
+import textwrap
 import tomllib
 from pathlib import Path
 
@@ -11,12 +13,15 @@ import pytest
 from helpers import ROOT
 
 from mitsvbrdf import cli
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.map_files import save_maps
+from mitsvbrdf.render.exclusive import using_mitsuba
 
 SHORTER = [(r"--budget \d+", "--iterations 3"), (r"budget=\d+", "iterations=3"), (r"resolution=\d+", "resolution=32"),
            (r"--megapixels \d+", "--megapixels 0.7"), (r"--target-error \S+ ?", ""), (r"\(seed=0\)", "(seed=0, iterations=3)"),
-           (r"(make_material\(\S+,) \d+", r"\1 32")]
-QUICK = {"crosscheck": ["--repeats", "1", "--bsdf", "roughconductor"], "leave-out": ["--resolution", "16", "--repeats", "1"],
-         "capture": ["--resolution", "64"], "stability": ["--only", "clipped", "--renderer", "analytic"],
+           (r"(make_material\(\S+,) \d+", r"\1 32"), (r"error<\S+\b", "error<1")]
+QUICK = {"crosscheck": ["--repeats", "1", "--bsdf", "roughconductor", "--resolution", "32"],
+         "leave-out": ["--resolution", "16", "--repeats", "1"], "capture": ["--resolution", "64"], "stability": ["--only", "clipped", "--renderer", "analytic"],
          "relight": ["--size", "24", "--frames", "1", "--samples", "2"], "report": ["--quick"],
          "bench": ["--suite", "methods", "--methods", "direct", "--budgets", "0.3", "--resolution", "16"]}
 
@@ -66,7 +71,7 @@ def run_shortened(lines):
         if arguments[0] == "batch":
             pytest.importorskip("ray")
             shutil.copytree("photos", "shots/inlay")
-            arguments += ["--resolution", "16", "--iterations", "3"]
+            arguments += ["--resolution", "16", "--iterations", "3", "--tag", "wood"]
         if arguments[0] == "synth":
             arguments += ["--resolution", "32"]
         if arguments[0] == "fit" and "--iterations" not in arguments:
@@ -116,6 +121,32 @@ def test_commands_for_a_fit(name, photos):
         run_shortened([line])
         for made in set(Path("out").iterdir()) - before:
             shutil.rmtree(made)
+
+
+@pytest.mark.slow
+def test_batch_page_commands(photos):
+    run_shortened([line for line in commands(ROOT / "docs/batch.md") if not line.startswith("view ")])  # it waits for Ctrl-C
+    assert list(Path("exported").rglob("material.glb"))
+
+
+@pytest.mark.slow
+def test_evaluation_page_commands(photos):
+    """But for those that reproduce the paper's tables, in hours."""
+    for folder in ("published", "known"):
+        save_maps(make_material("inlay", 32), folder)
+    run_shortened([line for line in commands(ROOT / "docs/evaluation.md") if "gan.json" not in line])
+
+
+def test_python_of_the_formats_page(photos):
+    """What loads the material of an export for Mitsuba."""
+    import mitsuba as mi
+
+    assert cli.main(["export", "builtin:inlay", "--to", "mitsuba", "-o", "out/export", "--no-preview"]) == 0
+    (block,) = re.findall(r"^(    mi\.file_resolver.*\n(?:    .*\n)+)", (ROOT / "docs/formats.md").read_text(), re.M)
+    with using_mitsuba("llvm_ad_rgb"):
+        names = {"mi": mi, "json": json}
+        exec(textwrap.dedent(block), names)  # noqa: S102  (our own text)
+        assert isinstance(mi.load_dict(names["bsdf"]), mi.BSDF)
 
 
 @pytest.mark.slow
@@ -171,8 +202,6 @@ def test_architecture_shows_the_law_and_files_that_are_there():
 
 
 def test_formats_page_names_every_field_of_fit_json(photos):
-    import json
-
     assert cli.main(["fit", "photos", "-o", "out", "--method", "direct", "--iterations", "1", "--renderer", "analytic"]) == 0
     page = (ROOT / "docs/formats.md").read_text()
     for field in json.loads(Path("out/fit.json").read_text()):
