@@ -29,11 +29,11 @@ def chromium() -> str:
 
 @contextmanager
 def opened(path: Path, *, width: int = 1280, height: int = 900, scheme: Literal["light", "dark"] = "light", phone: bool = False,
-           flags: tuple[str, ...] = FLAGS, beside: bool = False, at: str = "") -> Iterator:
+           flags: tuple[str, ...] = FLAGS, beside: bool | Path = False, at: str = "") -> Iterator:
     """A playwright page that shows this file, opened from disk; the browser ends with the block.
 
     At the end of the block: no console message, no uncaught error, and no request but for the file itself, or with ``beside``
-    for files of its folder.
+    for files of its folder, or of the one that it names.
 
     Args:
         path: an HTML file.
@@ -58,7 +58,8 @@ def opened(path: Path, *, width: int = 1280, height: int = 900, scheme: Literal[
             page.on("request", lambda request: asked.append(request.url))
             page.goto(address + at)
             yield page
-            own = (path.resolve().parent.as_uri() + "/",) if beside else ()
+            folder = path.parent if beside is True else beside
+            own = (folder.resolve().as_uri() + "/",) if folder else ()
             outside = [url for url in asked if url.split("#")[0] != address and not url.startswith(("data:", "blob:", *own))]
             assert not said and not outside, f"the page said {said} and asked for {outside}"
         finally:

@@ -1,9 +1,11 @@
 """Commands in README and docs are understood; the slow suite runs them, in their order, on made photos and shortened."""
 
 import functools
+import json
 import re
 import shlex
 import shutil
+import textwrap
 import tomllib
 from pathlib import Path
 
@@ -11,14 +13,17 @@ import pytest
 from helpers import ROOT
 
 from mitsvbrdf import cli
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.map_files import save_maps
+from mitsvbrdf.render.exclusive import using_mitsuba
 
 SHORTER = [(r"--budget \d+", "--iterations 3"), (r"budget=\d+", "iterations=3"), (r"resolution=\d+", "resolution=32"),
-           (r"--megapixels \d+", "--megapixels 0.7")]
-
-
-QUICK = {"crosscheck": ["--repeats", "1", "--bsdf", "roughconductor"], "leave-out": ["--resolution", "16", "--repeats", "1"],
-         "capture": ["--resolution", "64"], "stability": ["--only", "clipped", "--renderer", "analytic"],
-         "relight": ["--size", "24", "--frames", "1", "--samples", "2"], "report": ["--quick"],
+           (r"--megapixels \d+", "--megapixels 0.7"), (r"--target-error \S+ ?", ""), (r"\(seed=0\)", "(seed=0, iterations=3)"),
+           (r"(make_material\(\S+,) \d+", r"\1 32"), (r"error<\S+\b", "error<1")]
+QUICK = {"crosscheck": ["--repeats", "1", "--bsdf", "roughconductor", "--resolution", "32"],
+         "leave-out": ["--resolution", "16", "--repeats", "1"], "capture": ["--resolution", "64"], "report": ["--quick"],
+         "stability": ["--only", "clipped", "--renderer", "analytic"],
+         "relight": ["--size", "24", "--frames", "1", "--samples", "2"],
          "bench": ["--suite", "methods", "--methods", "direct", "--budgets", "0.3", "--resolution", "16"]}
 
 
@@ -34,8 +39,16 @@ def photos(tmp_path, monkeypatch):
     assert cli.main(["synth", "builtin:inlay", "-o", "photos", "--resolution", "32"]) == 0
 
 
-PAGES = [ROOT / "README.md", ROOT / "ARCHITECTURE.md", *sorted((ROOT / "docs").glob("*.md"))]
-TYPED = [line for page in PAGES for line in re.findall(r"^    mitsvbrdf (.*)$", page.read_text(), re.M)]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").rglob("*.md"))]
+
+
+def commands(page):
+    """What is typed on a page, in a list or not."""
+    return re.findall(r"^ {4,}mitsvbrdf (.*)$", page.read_text(), re.M)
+
+
+TYPED = [line for page in PAGES for line in commands(page)]
+TASKS = ["docs/index.md", "docs/start-phone.md", "docs/start-capture.md", "docs/start-known.md"]
 
 
 @pytest.mark.parametrize("line", dict.fromkeys(TYPED))
@@ -52,17 +65,14 @@ def test_commands_are_understood(line, monkeypatch):
     assert cli.main(arguments) == 0 and called == arguments[:1]
 
 
-@pytest.mark.slow
-def test_readme_commands(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    lines = re.findall(r"^    mitsvbrdf (.*)$", (ROOT / "README.md").read_text(), re.M)
-    assert len(lines) >= 8
+def run_shortened(lines):
+    """Run the commands in their order, here, on small photos and for a few steps."""
     for line in lines:
         arguments = shlex.split(shortened(line), comments=True)
         if arguments[0] == "batch":
             pytest.importorskip("ray")
             shutil.copytree("photos", "shots/inlay")
-            arguments += ["--resolution", "16", "--iterations", "3"]
+            arguments += ["--resolution", "16", "--iterations", "3", "--tag", "wood"]
         if arguments[0] == "synth":
             arguments += ["--resolution", "32"]
         if arguments[0] == "fit" and "--iterations" not in arguments:
@@ -71,17 +81,101 @@ def test_readme_commands(tmp_path, monkeypatch):
         assert cli.main(arguments) == 0, line
 
 
-def test_readme_python(photos):
-    (block,) = re.findall(r"^The same in Python:\n\n((?:    .*\n)+)", (ROOT / "README.md").read_text(), re.M)
-    exec(shortened("".join(line[4:] + "\n" for line in block.splitlines())), {})  # noqa: S102  (our own text)
-    assert Path("out/fit.json").is_file()
+@pytest.mark.slow
+def test_readme_commands(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    lines = commands(ROOT / "README.md")
+    assert len(lines) >= 8
+    run_shortened(lines)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TASKS)
+def test_the_first_pages_lead_to_what_they_name(name, tmp_path, monkeypatch):
+    """From an empty folder, every step in its order; the files named in the text are there in the end."""
+    monkeypatch.chdir(tmp_path)
+    lines = commands(ROOT / name)
+    assert lines
+    run_shortened(lines)
+    named = re.findall(r"`((?:out|capture)/[\w./-]+)`", (ROOT / name).read_text())
+    assert all(Path(path).exists() for path in named) and (len(named) > 1 or "index" in name or "known" in name), named
+
+
+def test_links_between_the_first_pages():
+    """A newcomer gets from the first page to each task, and from each task on."""
+    first = (ROOT / "docs/index.md").read_text()
+    for name in TASKS[1:]:
+        assert f"]({Path(name).name})" in first
+        page = (ROOT / name).read_text()
+        assert "## If it does not work" in page and len(page.splitlines()) <= 60
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["docs/export.md", "docs/relight.md"])
+def test_commands_for_a_fit(name, photos):
+    """Pages that begin where a fit is there; each command as if it were the first."""
+    if "mp4" in (ROOT / name).read_text():
+        pytest.importorskip("av")
+    run_shortened(["fit photos -o out --method direct --renderer analytic"])
+    for line in commands(ROOT / name):
+        before = set(Path("out").iterdir())
+        run_shortened([line])
+        for made in set(Path("out").iterdir()) - before:
+            shutil.rmtree(made)
+
+
+@pytest.mark.slow
+def test_batch_page_commands(photos):
+    run_shortened([line for line in commands(ROOT / "docs/batch.md") if not line.startswith("view ")])  # it waits for Ctrl-C
+    assert list(Path("exported").rglob("material.glb"))
+
+
+@pytest.mark.slow
+def test_evaluation_page_commands(photos):
+    """But for those that reproduce the paper's tables, in hours."""
+    for folder in ("published", "known"):
+        save_maps(make_material("inlay", 32), folder)
+    run_shortened([line for line in commands(ROOT / "docs/evaluation.md") if "gan.json" not in line])
+
+
+def test_python_of_the_formats_page(photos):
+    """What loads the material of an export for Mitsuba."""
+    import mitsuba as mi
+
+    assert cli.main(["export", "builtin:inlay", "--to", "mitsuba", "-o", "out/export", "--no-preview"]) == 0
+    (block,) = re.findall(r"^(    mi\.file_resolver.*\n(?:    .*\n)+)", (ROOT / "docs/formats.md").read_text(), re.M)
+    with using_mitsuba("llvm_ad_rgb"):
+        names = {"mi": mi, "json": json}
+        exec(textwrap.dedent(block), names)  # noqa: S102  (our own text)
+        assert isinstance(mi.load_dict(names["bsdf"]), mi.BSDF)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["docs/start-known.md", "docs/python.md"])
+def test_python_of_a_page(name, photos):
+    (block,) = re.findall(r"^```python\n(.+?)^```", (ROOT / name).read_text(), re.M | re.S)
+    exec(shortened(block), {})  # noqa: S102  (our own text)
+
+
+def test_the_page_of_python_names_what_is_public():
+    import mitsvbrdf
+
+    lines = re.findall(r"^(?:`\w+` ?)+$", (ROOT / "docs/python.md").read_text(), re.M)
+    assert sorted(name for line in lines for name in re.findall(r"\w+", line)) == mitsvbrdf.__all__
+
+
+def test_what_to_cite_is_this_version():
+    import mitsvbrdf
+
+    assert f"\nversion: {mitsvbrdf.__version__}\n" in (ROOT / "CITATION.cff").read_text()
+    assert f"{{{mitsvbrdf.__version__}}}" in (ROOT / "docs/citation.md").read_text()
 
 
 @pytest.mark.slow
 def test_capture_page_commands(tmp_path, monkeypatch):
     """In the order in which they can be typed: photos come from the simulated phone."""
     monkeypatch.chdir(tmp_path)
-    lines = re.findall(r"^    mitsvbrdf (.*)$", (ROOT / "docs/capture.md").read_text(), re.M)
+    lines = commands(ROOT / "docs/capture.md")
     assert [line.split()[0] for line in lines] == ["synth", "sheet", "capture", "fit"]
     short = {"synth": ["--megapixels", "0.7", "--photos", "4", "--resolution", "256"], "capture": ["--resolution", "64"],
              "fit": ["--iterations", "3", "--resolution", "32"]}
@@ -109,8 +203,6 @@ def test_architecture_shows_the_law_and_files_that_are_there():
 
 
 def test_formats_page_names_every_field_of_fit_json(photos):
-    import json
-
     assert cli.main(["fit", "photos", "-o", "out", "--method", "direct", "--iterations", "1", "--renderer", "analytic"]) == 0
     page = (ROOT / "docs/formats.md").read_text()
     for field in json.loads(Path("out/fit.json").read_text()):

@@ -25,7 +25,7 @@ def test_every_shell_reads_it(shell):
 
 def test_help_names_the_commands():
     shown = sh(RUN, "help").stdout
-    assert all(f"./run {command}" in shown for command in ("demo", "test", "check", "slow", "soak", "setup"))
+    assert all(f"./run {command}" in shown for command in ("demo", "test", "check", "slow", "docs", "soak", "setup"))
 
 
 @pytest.mark.parametrize("arguments", [[], ["tset"]])
@@ -64,6 +64,9 @@ def test_a_set_up_checkout_runs_at_once_from_anywhere(checkout, tmp_path):
     assert tests.stdout == f"{checkout}|python|-m|pytest|-k|one two|", tests.stderr
     slow = sh(checkout / "run", "slow", cwd=tmp_path, env=environment)
     assert slow.stdout == f"{checkout}|python|-m|pytest|-m|slow|", slow.stderr
+    docs = sh(checkout / "run", "docs", cwd=tmp_path, env=environment)
+    assert docs.stdout.startswith(f"{checkout}|python|-m|sphinx|") and "|-W|" in docs.stdout, docs.stderr
+    assert docs.stdout.endswith("|.|out/site|") and f"{checkout}/out/site/index.html" in docs.stderr
     soak = sh(checkout / "run", "soak", "--steps", "40", cwd=tmp_path, env=environment)
     assert soak.stdout == f"{tmp_path}|python|-P|-m|mitsvbrdf.verify.soak|--steps|40|", soak.stderr
 

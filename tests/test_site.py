@@ -1,0 +1,109 @@
+"""The site builds without a warning; its pages open in a browser, wide and narrow, and hold what the program says of itself."""
+
+from __future__ import annotations
+
+import html
+import io
+import re
+import subprocess
+import sys
+from contextlib import redirect_stdout, suppress
+from fnmatch import fnmatch
+from pathlib import Path
+
+import browser
+import pytest
+from helpers import ROOT
+
+from mitsvbrdf import cli
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory) -> Path:
+    for name in ("sphinx", "furo", "myst_nb"):
+        pytest.importorskip(name, reason="needs the site's packages: pip install 'mitsvbrdf[docs]'")
+    folder = tmp_path_factory.mktemp("site")
+    # As `./run docs` does, with this Python and into another folder.
+    command = ["-m", "sphinx", "-b", "html", "-c", "docs", "-d", folder / "doctrees", "-E", "-W", "--keep-going", "-q", "."]
+    done = subprocess.run([sys.executable, *command, folder / "site"], cwd=ROOT, capture_output=True, encoding="utf-8")
+    assert done.returncode == 0, done.stderr
+    return folder / "site"
+
+
+def pages(site: Path) -> list[Path]:
+    return sorted(path for path in site.rglob("*.html") if path != site / "index.html")
+
+
+@pytest.mark.slow
+def test_every_source_is_a_page_and_the_first_address_leads_to_the_first_page(site):
+    sources = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "docs/tutorial.ipynb"]
+    missing = [path for path in sources if not (site / path.relative_to(ROOT)).with_suffix(".html").is_file()]
+    assert not missing and len(sources) > 30
+    with browser.opened(site / "index.html", beside=site) as page:
+        page.wait_for_url("**/docs/index.html")
+        assert page.title().startswith("mitsvbrdf")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [1280, 390])
+def test_pages_open_and_nothing_sticks_out(site, width):
+    """Nor does any page ask for anything outside of the site, or say anything on the console."""
+    wide = []
+    with browser.opened(site / "docs/index.html", beside=site, width=width, phone=width < 600) as page:
+        for path in pages(site):
+            page.goto(path.as_uri())
+            broken = page.evaluate("[...document.images].filter(it => !it.naturalWidth).map(it => it.src)")
+            assert not broken, f"{path.name}: {broken}"
+            if (found := page.evaluate("document.documentElement.scrollWidth")) > width:
+                wide.append(f"{path.relative_to(site)}: {found}")
+    assert not wide
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", [["relight"], ["doctor"], ["fit", "--method", "gan"]], ids=" ".join)
+def test_the_page_of_commands_has_their_help(site, words):
+    shown = html.unescape(re.sub("<[^>]*>", "", (site / "docs/commands.html").read_text(encoding="utf-8")))
+    with redirect_stdout(io.StringIO()) as said, suppress(SystemExit):
+        cli.main([*words, "--help"])
+    told = re.findall(r"--[a-z][a-z-]+|\w{4,}", said.getvalue())
+    assert f"{' '.join(words)}¶" in shown
+    assert len(told) > 20 and not set(told) - set(re.findall(r"--[a-z][a-z-]+|\w{4,}", shown))
+
+
+@pytest.mark.slow
+def test_the_page_of_python_has_every_public_name_with_its_first_sentence(site):
+    import mitsvbrdf
+
+    page = (site / "docs/python.html").read_text(encoding="utf-8")
+    shown = " ".join(html.unescape(re.sub("<[^>]*>", "", page)).split())
+    for name in mitsvbrdf.__all__:
+        assert f'id="mitsvbrdf.{name}"' in page, name
+        first = re.split(r"[.:`]", " ".join((getattr(mitsvbrdf, name).__doc__ or "").split()))[0]
+        assert len(first) > 10 and first in shown, (name, first)
+
+
+def configured(monkeypatch) -> dict:
+    """What ``docs/conf.py`` says; it is run as Sphinx runs it."""
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    monkeypatch.setenv("COLUMNS", "96")
+    names = {"__file__": str(ROOT / "docs/conf.py"), "__name__": "conf"}
+    exec(compile((ROOT / "docs/conf.py").read_text(), names["__file__"], "exec"), names)  # noqa: S102  (our own text)
+    return names
+
+
+def test_every_page_has_a_place_in_the_sidebar(monkeypatch):
+    names = configured(monkeypatch)
+    entries = [entry for captions in names["CONTENTS"].values() for entries in captions.values() for entry in entries]
+    places = [names["source_of"](entry) for entry in entries]
+    sources = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "docs").glob("*.ipynb")]
+    for path in sources:
+        name = str(path.relative_to(ROOT).with_suffix(""))
+        assert name == "docs/index" or any(fnmatch(name, place) for place in places), f"{name} into CONTENTS of docs/conf.py"
+
+
+def test_a_page_that_is_not_there_yet_is_left_out(monkeypatch):
+    names = configured(monkeypatch)
+    names["CONTENTS"]["docs/faq"] = {"More": ["/docs/not-there-yet", "/docs/limits", "What it asks </docs/faq>"]}
+    added = names["with_contents"]("text", "docs/faq")
+    assert "/docs/limits" in added and "What it asks </docs/faq>" in added and "not-there-yet" not in added
+    assert names["with_contents"]("text", "docs/limits") == "text"
