@@ -68,7 +68,7 @@ def write_benchmark_page(path: str | Path, record: Mapping) -> list[Path]:
 
     Args:
         path: the page, e.g. ``docs/benchmark.md``.
-        record: a :class:`mitsvbrdf.bench.schema.Benchmark`.
+        record: a :class:`mitsvbrdf.bench.records.Benchmark`.
 
     Returns:
         Every file that was written, the page first.

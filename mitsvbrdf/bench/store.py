@@ -23,7 +23,8 @@ from ..system.shared_file import held
 from .behaviour import ended_for_good
 from .earlier import upgraded
 from .published import Published
-from .schema import SCHEMA_VERSION, Benchmark, check_benchmark, identity
+from .records import Benchmark
+from .schema import SCHEMA_VERSION, check_benchmark, identity
 
 PACKAGE = Path(__file__).parents[1]
 # The code that shapes a record: all else may change between two runs that add to one file.

@@ -57,7 +57,7 @@ def write_gan_page(path: str | Path, record: Mapping) -> list[Path]:
 
     Args:
         path: the page, e.g. ``docs/results/gan.md``.
-        record: a :class:`mitsvbrdf.bench.schema.Benchmark`; what it lacks is named in the end.
+        record: a :class:`mitsvbrdf.bench.records.Benchmark`; what it lacks is named in the end.
 
     Returns:
         Every file that was written, the page first.
@@ -78,7 +78,7 @@ def gan_page(record: Mapping, curve: str) -> str:
     """The page as Markdown.
 
     Args:
-        record: a :class:`mitsvbrdf.bench.schema.Benchmark`.
+        record: a :class:`mitsvbrdf.bench.records.Benchmark`.
         curve: the file of the schedule's picture.
     """
     everything, record = record, summary.usual(record)

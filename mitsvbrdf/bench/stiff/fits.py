@@ -53,7 +53,7 @@ def _rounded(value: Any) -> Any:
 
 
 def figures(result: FitResult, task: StiffTask) -> dict[str, Any]:
-    """How a fit ended, as numbers and texts for JSON: see :class:`mitsvbrdf.bench.schema.StiffRecord`.
+    """How a fit ended, as numbers and texts for JSON: see :class:`mitsvbrdf.bench.records.StiffRecord`.
 
     Raises:
         MapsError: maps that are not finite, or out of range.

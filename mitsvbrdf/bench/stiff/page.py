@@ -37,7 +37,7 @@ def write_stiff_page(path: str | Path, record: Mapping) -> list[Path]:
 
     Args:
         path: the page, e.g. ``docs/stability-fits.md``.
-        record: a :class:`mitsvbrdf.bench.schema.Benchmark` of the suite ``stiff``.
+        record: a :class:`mitsvbrdf.bench.records.Benchmark` of the suite ``stiff``.
 
     Returns:
         Every file that was written, the page first.

@@ -138,6 +138,11 @@ class StiffTask:
     scene: Scene
     resolution: int
 
+    @property
+    def key(self) -> dict:
+        """What identifies it in a record."""
+        return {"kind": self.kind, "name": self.name}
+
     @cached_property
     def truth(self) -> SVBRDF:
         """The material photographed."""
