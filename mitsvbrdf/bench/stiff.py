@@ -18,7 +18,7 @@ import tyro
 from torch import Tensor
 
 from ..capture import Capture
-from ..errors import MitsvbrdfError, exit_code
+from ..errors import MitsvbrdfError
 from ..fit import DirectConfig, FitConfig, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf
 from ..fit.confidence import confidence
 from ..material.made import GOLD, make_material
@@ -30,6 +30,7 @@ from ..system import files
 from ..system.progress import Progress, say
 from ..system.provenance import machine, versions
 from ..system.timing import timed
+from ..system.tool import run_tool
 from ..views import Views, nine_view_grid
 
 PHOTO_NOISE = 0.003  # of the made photos, linear
@@ -198,5 +199,5 @@ def main(json: Annotated[Path, tyro.conf.arg(metavar="FILE", help="Where the rec
 
 
 if __name__ == "__main__":
-    sys.exit(exit_code(lambda: tyro.cli(main, prog="python -m mitsvbrdf.bench.stiff"),
-                       "interrupted; the JSON file has each fit that was finished"))
+    sys.exit(run_tool(main, "python -m mitsvbrdf.bench.stiff",
+                      "interrupted; the JSON file has each fit that was finished"))
