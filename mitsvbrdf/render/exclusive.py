@@ -2,7 +2,9 @@
 
 Neither bears two threads: two that trace at once draw wrong pictures or end the process, and ``dr.wrap`` keeps the description
 of its latest result in a global variable. So whoever needs Mitsuba holds :func:`using_mitsuba` meanwhile: to import it, to make
-a scene, to draw, and, in whatever thread autograd works, to go backward. In between other threads may draw.
+a scene, to draw, and, in whatever thread autograd works, to go backward. In between other threads may draw. What was drawn is
+forgotten there too: Dr.Jit frees variables under a lock of its own, and who waits for that one keeps Python's, for which
+Dr.Jit may wait in turn, as it does to print a message.
 
 The replay trap: a Mitsuba scene is one mutable object, and the calls it makes per ray are traced again *as the scene is
 at backward time*. Moving the camera, or drawing a preview, between forward and backward then silently gives gradients of
@@ -16,7 +18,9 @@ from __future__ import annotations
 import contextlib
 import signal
 import sys
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from types import ModuleType
 from typing import Any
@@ -28,6 +32,8 @@ from torch.autograd.function import once_differentiable
 from ..system.entry import put_back
 from ..system.lock import PROCESS
 from .llvm import mitsuba_module
+
+_dropped: deque[object] = deque()  # graphs that nobody needs any more, until somebody holds Mitsuba
 
 
 @contextlib.contextmanager
@@ -47,6 +53,7 @@ def using_mitsuba(variant: str = "llvm_ad_rgb") -> Iterator[ModuleType]:
         try:
             yield mi
         finally:
+            _dropped.clear()
             if hasattr(signal, "siginterrupt"):  # Mitsuba's render leaves a Ctrl-C that wakes no waiting thread
                 signal.siginterrupt(signal.SIGINT, True)
             if mi.variant() != before:
@@ -74,6 +81,23 @@ def _in_order() -> Iterator[None]:
         dr.set_expand_threshold(before)
 
 
+@dataclass
+class _Graph:
+    """Pictures, and leaves that their gradients go to; any thread may drop it, and Mitsuba's holder forgets it."""
+
+    leaves: list[Tensor]
+    images: Tensor
+
+    def __del__(self, dropped: deque[object] = _dropped, lock: Any = PROCESS) -> None:
+        dropped.append(vars(self).copy())
+        vars(self).clear()
+        if lock.acquire(blocking=False):
+            try:
+                dropped.clear()
+            finally:
+                lock.release()
+
+
 class Drawing:
     """A function of torch tensors that Mitsuba computes, differentiable once; any thread may call it and go backward.
 
@@ -97,14 +121,14 @@ class Drawing:
     def __call__(self, *inputs: Tensor) -> Tensor:
         """The pictures stacked: N x R x R x 3."""
         wanted = [torch.is_grad_enabled() and tensor.requires_grad for tensor in inputs]
-        return _Recorded.apply(self, wanted, *inputs) if any(wanted) else self.draw(inputs, wanted)[1]
+        return _Recorded.apply(self, wanted, *inputs) if any(wanted) else self.draw(inputs, wanted).images
 
-    def draw(self, inputs: Sequence[Tensor], wanted: Sequence[bool]) -> tuple[list[Tensor], Tensor]:
+    def draw(self, inputs: Sequence[Tensor], wanted: Sequence[bool]) -> _Graph:
         """Leaves that stand for the inputs, and the pictures with a graph to those whose gradient is wanted."""
         leaves = [tensor.detach().requires_grad_(want) for tensor, want in zip(inputs, wanted)]
         with self.in_mitsuba(), torch.set_grad_enabled(any(wanted)):
             Drawing.drawn += self.replayed
-            return leaves, torch.stack(self.function(*leaves))
+            return _Graph(leaves, torch.stack(self.function(*leaves)))
 
 
 class _Recorded(torch.autograd.Function):
@@ -114,17 +138,19 @@ class _Recorded(torch.autograd.Function):
     def forward(ctx: Any, drawing: Drawing, wanted: list[bool], *inputs: Tensor) -> Tensor:
         ctx.save_for_backward(*inputs)
         with using_mitsuba(drawing.variant):
-            ctx.drawing, ctx.wanted, ctx.record = drawing, wanted, drawing.draw(inputs, wanted)
+            ctx.drawing, ctx.wanted, ctx.graph = drawing, wanted, drawing.draw(inputs, wanted)
             ctx.drawn = Drawing.drawn
-        return ctx.record[1].detach()
+        return ctx.graph.images.detach()
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor | None, ...]:
         drawing, wanted, inputs = ctx.drawing, ctx.wanted, ctx.saved_tensors  # raises where one was changed in place since
         with drawing.in_mitsuba():
-            if ctx.record is None or drawing.replayed and ctx.drawn != Drawing.drawn:
-                ctx.record = drawing.draw(inputs, wanted)
-            (leaves, images), ctx.record = ctx.record, None
-            gradients = iter(torch.autograd.grad(images, [leaf for leaf in leaves if leaf.requires_grad], cotangent))
+            if ctx.graph is None or drawing.replayed and ctx.drawn != Drawing.drawn:
+                ctx.graph = drawing.draw(inputs, wanted)
+            graph, ctx.graph = ctx.graph, None
+            found = torch.autograd.grad(graph.images, [leaf for leaf in graph.leaves if leaf.requires_grad], cotangent)
+            gradients = iter([gradient.clone() for gradient in found])  # they were in Dr.Jit's memory
+            del graph, found
         return None, None, *(next(gradients) if want else None for want in wanted)

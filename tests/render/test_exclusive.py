@@ -16,7 +16,7 @@ import torch
 from helpers import GRID
 
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.render.exclusive import using_mitsuba
+from mitsvbrdf.render.exclusive import Drawing, using_mitsuba
 from mitsvbrdf.system.lock import PROCESS
 from mitsvbrdf.testing import random_material
 
@@ -110,6 +110,56 @@ def test_a_forward_pass_in_one_thread_goes_backward_in_another(name):
     found = torch.autograd.grad(image.sum(), list(leaves.maps.values()))
     expected = torch.autograd.grad(renderer.render(leaves, GRID).sum(), list(leaves.maps.values()))
     assert all(map(torch.equal, found, expected))
+
+
+class Kept:
+    """Stands for a variable of Dr.Jit in a graph; tells whether its thread held Mitsuba when it was freed."""
+
+    freed: list[bool] = []
+
+    def __del__(self):
+        self.freed.append(PROCESS._is_owned())
+
+
+class Doubled(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, value):
+        ctx.kept = Kept()
+        return value * 2
+
+    @staticmethod
+    def backward(ctx, gradient):
+        return gradient * 2
+
+
+def test_what_was_drawn_is_freed_by_who_holds_mitsuba():
+    def drawn():
+        leaf = torch.ones(2, requires_grad=True)
+        return leaf, Drawing("llvm_ad_rgb", lambda value: [Doubled.apply(value)], replayed=False)(leaf)
+
+    Kept.freed = []
+    leaf, image = drawn()
+    image.sum().backward()
+    assert leaf.grad.tolist() == [2, 2] and Kept.freed == [True]
+    leaf, image = drawn()
+    del image
+    assert Kept.freed == [True] * 2
+    leaf, image = drawn()
+    held, done = threading.Event(), threading.Event()
+
+    def hold():
+        with using_mitsuba():
+            held.set()
+            assert done.wait(10)
+
+    with ThreadPoolExecutor(1) as pool:
+        other = pool.submit(hold)
+        assert held.wait(10)
+        del image
+        assert len(Kept.freed) == 2
+        done.set()
+        other.result()
+    assert Kept.freed == [True] * 3
 
 
 @pytest.mark.parametrize("name", NAMES)

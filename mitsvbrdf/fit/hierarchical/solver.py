@@ -155,6 +155,7 @@ class TexelSolver:
                 self._problem(observations, side), self._planes(x), *self._planes(damping[None]), self._planes(mean),
                 self._planes(precision), [opaque(mi, v) for v in low], [opaque(mi, v) for v in high], opaque(mi, iterations))
             moved, (damping, data, prior) = (to_torch(part).reshape(-1, side, side).to(x.device) for part in found)
+            del found  # Dr.Jit's variables, which nobody may free outside
         return Solved(moved, damping, data, prior)
 
     def variances(self, observations: Observations, x: Tensor, precision: Tensor) -> Tensor:
@@ -186,6 +187,7 @@ class TexelSolver:
             kernel = self._kernel(observations, side)
             found = kernel.equations(self._problem(observations, side), self._planes(x))
             (cost,), slope, curve = (to_torch(part).reshape(-1, side, side).to(x.device) for part in found)
+            del found
         dense = curve.new_zeros(count, count, side, side)
         for (i, j), value in zip(kernel.pairs, curve):
             dense[i, j] = dense[j, i] = value
