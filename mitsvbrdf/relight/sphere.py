@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import ModuleType
+
 import torch
 from torch import Tensor
 
@@ -40,6 +42,10 @@ def sphere(svbrdf: SVBRDF, size: int = 512, variant: str = "llvm_ad_rgb") -> Ten
     half = svbrdf.resolution // 2  # a whole patch faces the camera
     covering = mirrored(svbrdf).map(lambda value: value.roll((half, half), (0, 1)))
     with using_mitsuba(variant) as mi:
-        stage = make_stage(mi, covering, "sphere", size=(size, size), tiling=1)
-        picture = mi.render(stage.at(mi), spp=SAMPLES, seed=0).numpy()
-    return shown(torch.tensor(picture), 0.0)
+        return shown(_picture(mi, covering, size), 0.0)
+
+
+def _picture(mi: ModuleType, covering: SVBRDF, size: int) -> Tensor:
+    """Linear radiance, size x size x 3; nothing of Mitsuba's is left behind."""
+    stage = make_stage(mi, covering, "sphere", size=(size, size), tiling=1)
+    return torch.tensor(mi.render(stage.at(mi), spp=SAMPLES, seed=0).numpy())

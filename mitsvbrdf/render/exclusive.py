@@ -2,9 +2,8 @@
 
 Neither bears two threads: two that trace at once draw wrong pictures or end the process, and ``dr.wrap`` keeps the description
 of its latest result in a global variable. So whoever needs Mitsuba holds :func:`using_mitsuba` meanwhile: to import it, to make
-a scene, to draw, and, in whatever thread autograd works, to go backward. In between other threads may draw. What was drawn is
-forgotten there too: Dr.Jit frees variables under a lock of its own, and who waits for that one keeps Python's, for which
-Dr.Jit may wait in turn, as it does to print a message.
+a scene, to draw, and, in whatever thread autograd works, to go backward. In between other threads may draw. What Mitsuba made
+is freed under the lock too, whichever thread forgets it (:class:`Kept`), and tensors that leave are copies.
 
 The replay trap: a Mitsuba scene is one mutable object, and the calls it makes per ray are traced again *as the scene is
 at backward time*. Moving the camera, or drawing a preview, between forward and backward then silently gives gradients of
@@ -20,10 +19,9 @@ import signal
 import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 from types import ModuleType
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import torch
 from torch import Tensor
@@ -33,7 +31,26 @@ from ..system.entry import put_back
 from ..system.lock import PROCESS
 from .llvm import mitsuba_module
 
-_dropped: deque[object] = deque()  # graphs that nobody needs any more, until somebody holds Mitsuba
+T = TypeVar("T")
+
+_forgotten = deque[object]()  # what nobody needs any more, until a thread that holds the lock frees it
+
+
+class Kept(Generic[T]):
+    """What Mitsuba or Dr.Jit made, kept by an object that any thread may forget: freed by a thread that holds the lock.
+
+    An array freed while another thread traces ends the process; and a thread that waits for Dr.Jit to free it does so with
+    Python's own lock, for which the thread that is at work in Dr.Jit may be waiting.
+
+    Args:
+        content: must not refer to the object that keeps it.
+    """
+
+    def __init__(self, content: T) -> None:
+        self.content = content
+
+    def __del__(self) -> None:
+        _forgotten.append(self.__dict__.pop("content", None))
 
 
 @contextlib.contextmanager
@@ -42,7 +59,7 @@ def using_mitsuba(variant: str = "llvm_ad_rgb") -> Iterator[ModuleType]:
 
     Threads that call the package need none of this; those that use Mitsuba or Dr.Jit by themselves beside it hold it too. It
     may be entered again inside itself. Not to be held around a backward pass of tensors on a GPU, which autograd makes in a
-    thread of its own.
+    thread of its own. Arrays and scenes should be gone when it ends: make them in a function that is called inside.
 
     Raises:
         BackendError: Mitsuba, the variant, a GPU or libLLVM is missing.
@@ -50,10 +67,11 @@ def using_mitsuba(variant: str = "llvm_ad_rgb") -> Iterator[ModuleType]:
     with PROCESS:
         before = "mitsuba" in sys.modules and sys.modules["mitsuba"].variant() or variant
         mi = mitsuba_module(variant)
+        _forgotten.clear()
         try:
             yield mi
         finally:
-            _dropped.clear()
+            _forgotten.clear()
             if hasattr(signal, "siginterrupt"):  # Mitsuba's render leaves a Ctrl-C that wakes no waiting thread
                 signal.siginterrupt(signal.SIGINT, True)
             if mi.variant() != before:
@@ -81,23 +99,6 @@ def _in_order() -> Iterator[None]:
         dr.set_expand_threshold(before)
 
 
-@dataclass
-class _Graph:
-    """Pictures, and leaves that their gradients go to; any thread may drop it, and Mitsuba's holder forgets it."""
-
-    leaves: list[Tensor]
-    images: Tensor
-
-    def __del__(self, dropped: deque[object] = _dropped, lock: Any = PROCESS) -> None:
-        dropped.append(vars(self).copy())
-        vars(self).clear()
-        if lock.acquire(blocking=False):
-            try:
-                dropped.clear()
-            finally:
-                lock.release()
-
-
 class Drawing:
     """A function of torch tensors that Mitsuba computes, differentiable once; any thread may call it and go backward.
 
@@ -110,7 +111,7 @@ class Drawing:
     drawn = 0  # pictures of all scenes so far: tells a backward pass whether scenes are still as it left them
 
     def __init__(self, variant: str, function: Callable[..., list[Tensor]], replayed: bool) -> None:
-        self.variant, self.function, self.replayed = variant, function, replayed
+        self.variant, self.function, self.replayed = variant, Kept(function), replayed
 
     @contextlib.contextmanager
     def in_mitsuba(self) -> Iterator[None]:
@@ -121,14 +122,14 @@ class Drawing:
     def __call__(self, *inputs: Tensor) -> Tensor:
         """The pictures stacked: N x R x R x 3."""
         wanted = [torch.is_grad_enabled() and tensor.requires_grad for tensor in inputs]
-        return _Recorded.apply(self, wanted, *inputs) if any(wanted) else self.draw(inputs, wanted).images
+        return _Recorded.apply(self, wanted, *inputs) if any(wanted) else self.draw(inputs, wanted)[1]
 
-    def draw(self, inputs: Sequence[Tensor], wanted: Sequence[bool]) -> _Graph:
+    def draw(self, inputs: Sequence[Tensor], wanted: Sequence[bool]) -> tuple[list[Tensor], Tensor]:
         """Leaves that stand for the inputs, and the pictures with a graph to those whose gradient is wanted."""
         leaves = [tensor.detach().requires_grad_(want) for tensor, want in zip(inputs, wanted)]
         with self.in_mitsuba(), torch.set_grad_enabled(any(wanted)):
             Drawing.drawn += self.replayed
-            return _Graph(leaves, torch.stack(self.function(*leaves)))
+            return leaves, torch.stack(self.function.content(*leaves))
 
 
 class _Recorded(torch.autograd.Function):
@@ -138,19 +139,22 @@ class _Recorded(torch.autograd.Function):
     def forward(ctx: Any, drawing: Drawing, wanted: list[bool], *inputs: Tensor) -> Tensor:
         ctx.save_for_backward(*inputs)
         with using_mitsuba(drawing.variant):
-            ctx.drawing, ctx.wanted, ctx.graph = drawing, wanted, drawing.draw(inputs, wanted)
-            ctx.drawn = Drawing.drawn
-        return ctx.graph.images.detach()
+            record = drawing.draw(inputs, wanted)
+            ctx.drawing, ctx.wanted, ctx.record, ctx.drawn = drawing, wanted, Kept(record), Drawing.drawn
+        return record[1].detach()
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor | None, ...]:
-        drawing, wanted, inputs = ctx.drawing, ctx.wanted, ctx.saved_tensors  # raises where one was changed in place since
-        with drawing.in_mitsuba():
-            if ctx.graph is None or drawing.replayed and ctx.drawn != Drawing.drawn:
-                ctx.graph = drawing.draw(inputs, wanted)
-            graph, ctx.graph = ctx.graph, None
-            found = torch.autograd.grad(graph.images, [leaf for leaf in graph.leaves if leaf.requires_grad], cotangent)
-            gradients = iter([gradient.clone() for gradient in found])  # they were in Dr.Jit's memory
-            del graph, found
-        return None, None, *(next(gradients) if want else None for want in wanted)
+        with ctx.drawing.in_mitsuba():
+            gradients = iter(_gradients(ctx, ctx.saved_tensors, cotangent))  # raises where an input was changed in place since
+        return None, None, *(next(gradients) if want else None for want in ctx.wanted)
+
+
+def _gradients(ctx: Any, inputs: Sequence[Tensor], cotangent: Tensor) -> list[Tensor]:
+    """Copies of the gradients of the inputs that want one; with them, nothing of the drawing is left."""
+    record, ctx.record = ctx.record, None
+    if record is None or ctx.drawing.replayed and ctx.drawn != Drawing.drawn:
+        record = Kept(ctx.drawing.draw(inputs, ctx.wanted))
+    leaves, images = record.content
+    return [each.clone() for each in torch.autograd.grad(images, [leaf for leaf in leaves if leaf.requires_grad], cotangent)]

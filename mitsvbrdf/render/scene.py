@@ -92,7 +92,7 @@ class SceneRenderer:
         scene = mi.load_dict(patch_scene(mi, resolution, needs, material, self.samples))
         held = {slot: mi.traverse(texture) for slot, texture in textures.items()}
         params = mi.traverse(scene)
-        sensor, integrator = scene.sensors()[0], scene.integrator()
+        sensor, integrator, samples = scene.sensors()[0], scene.integrator(), self.samples
 
         Float64, Vector64 = dr.float64_array_t(mi.Float), dr.float64_array_t(mi.Vector3f)
 
@@ -112,7 +112,7 @@ class SceneRenderer:
                 params["light.position"] = mi.Point3f(at(light, k))
                 params["light.intensity.value"] = mi.Color3f(at(intensity, k))
                 params.update()
-                images.append(integrator.render(scene, sensor, seed=0, spp=self.samples))
+                images.append(integrator.render(scene, sensor, seed=0, spp=samples))
             return images
 
         return trace

@@ -8,6 +8,7 @@ normals, gradients against float64: 8e-6 -> 3e-7, for a sixth more time.
 from __future__ import annotations
 
 import gc
+import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from types import ModuleType
@@ -118,7 +119,8 @@ def frozen(function: Callable, shader: HeldPlugin) -> Callable:
     """
     import drjit as dr
 
-    traced = dr.freeze(function, state_fn=lambda *_: shader.plugin)
+    held: Any = weakref.ref(shader)  # Dr.Jit makes a class for each function, which refers to itself
+    traced = dr.freeze(function, state_fn=lambda *_: held().plugin)
 
     def call(*args: Any) -> Any:
         collects = gc.isenabled()

@@ -16,7 +16,7 @@ from ..capture.align.sheet import Sheet
 from ..capture.lens import Lens, Pose
 from ..material.maps import SVBRDF
 from ..render.bsdf import needed_maps, plugin, slot_values
-from ..render.exclusive import using_mitsuba
+from ..render.exclusive import Kept, using_mitsuba
 from ..render.needs import material_needs
 from ..render.plugins import INTEGRATOR, NORMAL_MAP, register
 
@@ -53,9 +53,8 @@ class HandheldRenderer:
         with using_mitsuba(variant) as mi:
             register(mi)
             _register(mi.variant())
-            shapes = _sample(mi, svbrdf, side) | _surroundings(mi, side) | (_paper(mi, sheet, depth) if sheet else {})
-            self._shapes = {name: mi.load_dict(shape) for name, shape in shapes.items()}
-        self._scenes: dict[tuple, tuple[Any, Any]] = {}
+            self._shapes = Kept(_shapes(mi, svbrdf, side, sheet, depth))
+        self._scenes: dict[tuple, Kept[tuple[Any, Any]]] = {}
 
     def render(self, lens: Lens, pose: Pose, intensity: float = 0.0, ambient: float = 0.0,
                seed: int = 0) -> NDArray[np.float32]:
@@ -106,12 +105,18 @@ class HandheldRenderer:
             integrator = ({"type": "direct", "emitter_samples": 0, "bsdf_samples": 1} if ambient else
                           {"type": INTEGRATOR, "shadow_rays": True, "bounces": 0, "environment": False})
             scene = mi.load_dict({
-                "type": "scene", "integrator": integrator, **light, **self._shapes,
+                "type": "scene", "integrator": integrator, **light, **self._shapes.content,
                 "sensor": {"type": CAMERA, "film": {"type": "hdrfilm", "width": width, "height": rows, "pixel_format": "rgb",
                                                     "component_format": "float32", "rfilter": {"type": "box"}},
                            "sampler": {"type": "stratified", "sample_count": samples, "jitter": samples > 1}}})
-            self._scenes[key] = scene, mi.traverse(scene)
-        return self._scenes[key]
+            self._scenes[key] = Kept((scene, mi.traverse(scene)))
+        return self._scenes[key].content
+
+
+def _shapes(mi: ModuleType, svbrdf: SVBRDF, side: float, sheet: Sheet | None, depth: float) -> dict[str, Any]:
+    """All that is seen, by name."""
+    shapes = _sample(mi, svbrdf, side) | _surroundings(mi, side) | (_paper(mi, sheet, depth) if sheet else {})
+    return {name: mi.load_dict(shape) for name, shape in shapes.items()}
 
 
 def _texture(mi: ModuleType, value: NDArray) -> Any:

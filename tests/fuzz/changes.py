@@ -205,7 +205,8 @@ def row(folder: Path, path: str, nth: int, column: str, value: object) -> None:
     """Change a value of a library's manifest."""
     if not (folder / path).is_file():
         return
-    with contextlib.suppress(sqlite3.Error), contextlib.closing(sqlite3.connect(folder / path)) as db:
+    unstorable = UnicodeEncodeError  # half a character
+    with contextlib.suppress(sqlite3.Error, unstorable), contextlib.closing(sqlite3.connect(folder / path)) as db:
         db.execute("pragma journal_mode = delete")
         rows = [each[0] for each in db.execute("select rowid from materials")]
         db.execute(f"update materials set {column} = ? where rowid = ?", (value, rows[nth % len(rows)]))

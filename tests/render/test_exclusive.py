@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import random
 import signal
@@ -10,13 +11,15 @@ import subprocess
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import pytest
 import torch
 from helpers import GRID
 
+from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.render.exclusive import Drawing, using_mitsuba
+from mitsvbrdf.render.exclusive import using_mitsuba
 from mitsvbrdf.system.lock import PROCESS
 from mitsvbrdf.testing import random_material
 
@@ -112,54 +115,58 @@ def test_a_forward_pass_in_one_thread_goes_backward_in_another(name):
     assert all(map(torch.equal, found, expected))
 
 
-class Kept:
-    """Stands for a variable of Dr.Jit in a graph; tells whether its thread held Mitsuba when it was freed."""
+def arrays():
+    """How many arrays Dr.Jit has."""
+    import drjit as dr
 
-    freed: list[bool] = []
-
-    def __del__(self):
-        self.freed.append(PROCESS._is_owned())
+    return len(dr.whos(as_string=True).splitlines())
 
 
-class Doubled(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx, value):
-        ctx.kept = Kept()
-        return value * 2
-
-    @staticmethod
-    def backward(ctx, gradient):
-        return gradient * 2
+def drawn(name):
+    """A renderer, a picture whose gradient is still to come, and another picture with its gradients."""
+    renderer, seed = make_renderer(name), 0
+    leaves = random_material("roughconductor", 8, seed).map(lambda value: value.clone().requires_grad_())
+    return renderer, renderer.render(leaves, GRID.pick([5, 8])), picture(renderer, seed)
 
 
-def test_what_was_drawn_is_freed_by_who_holds_mitsuba():
-    def drawn():
-        leaf = torch.ones(2, requires_grad=True)
-        return leaf, Drawing("llvm_ad_rgb", lambda value: [Doubled.apply(value)], replayed=False)(leaf)
+def solved():
+    """A solver of texels, and what it found."""
+    material = random_material("roughconductor", 8)
+    solver = TexelSolver("roughconductor")
+    x = solver.numbers(material)
+    photos = Observations(torch.full((2, 8, 8, 3), 0.5), GRID.pick([5, 8]), "srgb", 0.1)
+    bounds = torch.full((len(x),), -9.0), torch.full((len(x),), 9.0)
+    found = solver.solve(photos, x, torch.full((8, 8), 0.01), x, torch.ones_like(x), *bounds, iterations=1)
+    return solver, found, solver.normal_equations(photos, x), solver.posterior(photos, x, torch.ones_like(x))
 
-    Kept.freed = []
-    leaf, image = drawn()
-    image.sum().backward()
-    assert leaf.grad.tolist() == [2, 2] and Kept.freed == [True]
-    leaf, image = drawn()
-    del image
-    assert Kept.freed == [True] * 2
-    leaf, image = drawn()
+
+@pytest.mark.parametrize("make", [partial(drawn, "mitsuba"), partial(drawn, "mitsuba-scene"), solved], ids=[*NAMES, "solver"])
+def test_what_a_thread_forgets_is_freed_by_one_that_holds_the_lock(make):
+    # Dr.Jit frees nothing beside another thread: in 3 of 100 processes of eight threads it crashed or waited for ever.
+    with using_mitsuba():
+        gc.collect()
     held, done = threading.Event(), threading.Event()
 
-    def hold():
+    def draw():
         with using_mitsuba():
             held.set()
-            assert done.wait(10)
+            assert done.wait(30)
 
+    at_first, made = arrays(), make()
+    with using_mitsuba():
+        pass
     with ThreadPoolExecutor(1) as pool:
-        other = pool.submit(hold)
+        at_most = arrays()
+        other = pool.submit(draw)
         assert held.wait(10)
-        del image
-        assert len(Kept.freed) == 2
+        del made
+        gc.collect()
+        left = arrays()
         done.set()
         other.result()
-    assert Kept.freed == [True] * 3
+    with using_mitsuba():
+        pass
+    assert left == at_most > at_first >= arrays()
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -109,9 +109,9 @@ def test_replay_trap_is_real():
 
     def gradient(disturbed):
         leaves = [m.clone().requires_grad_() for m in material.maps.values()]
-        image = torch.stack(drawing.function(*geometry[0], *leaves))
+        image = torch.stack(drawing.function.content(*geometry[0], *leaves))
         if disturbed:
-            drawing.function(*geometry[4], *material.maps.values())
+            drawing.function.content(*geometry[4], *material.maps.values())
         return torch.autograd.grad(image.sum(), leaves)[0]
 
     assert gradient_error(gradient(True), gradient(False))["relative_l2"] > 0.05

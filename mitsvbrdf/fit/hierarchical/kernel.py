@@ -5,6 +5,7 @@ Everything here is traced by Dr.Jit: lists hold a value for each unknown, and ea
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Sequence
 from functools import reduce
 from types import ModuleType
@@ -85,8 +86,10 @@ class Kernel:
         self.columns = columns_of(unknowns)
         self.pairs = pairs_of(self.columns)
         self.shader = HeldPlugin(mi, bsdf, needs)
-        self.steps, self.posterior, self.equations = (
-            frozen(function, self.shader) for function in (self._steps, self._posterior, self._equations))
+        me = weakref.proxy(self)  # in no circle: Python's garbage collector would free Dr.Jit's arrays in any thread
+        self.steps = frozen(lambda *args: Kernel._steps(me, *args), self.shader)
+        self.posterior = frozen(lambda *args: Kernel._posterior(me, *args), self.shader)
+        self.equations = frozen(lambda *args: Kernel._equations(me, *args), self.shader)
 
     def zeros(self, count: int, kind: Any = None) -> list:
         """So many zeros for each texel, each an object of its own, since loops write into their state."""

@@ -9,7 +9,7 @@ that wants out is left out of the step of the others).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any, SupportsFloat
@@ -21,7 +21,7 @@ from torch import Tensor
 from ... import color
 from ...material.maps import CHANNELS, COLOURS, SVBRDF, Bsdf
 from ...render.bsdf import needed_maps
-from ...render.exclusive import using_mitsuba
+from ...render.exclusive import Kept, using_mitsuba
 from ...render.needs import Needs, scene_needs
 from ...render.plugins import register
 from ...render.texel_plugin import from_torch, to_torch
@@ -106,7 +106,7 @@ class TexelSolver:
             register(self.mi)
         counts = CHANNELS[bsdf] | {"normal": 2} | ({"specular": 1} if grey_specular else {})
         self.unknowns = Unknowns(**{name: (counts[name],) for name in CHANNELS[bsdf] if name not in self.fixed})
-        self._kernels: dict[tuple, Kernel] = {}
+        self._kernels: dict[tuple, Kept[Kernel]] = {}
 
     def numbers(self, svbrdf: SVBRDF) -> Tensor:
         """The unknowns of a material, U x R x R; where specular is one number, of its mean over the channels."""
@@ -151,11 +151,9 @@ class TexelSolver:
         """
         side = x.shape[-1]
         with using_mitsuba(self.variant) as mi:
-            found = self._kernel(observations, side).steps(
+            moved, (damping, data, prior) = self._found(side, x, self._kernel(observations, side).steps(
                 self._problem(observations, side), self._planes(x), *self._planes(damping[None]), self._planes(mean),
-                self._planes(precision), [opaque(mi, v) for v in low], [opaque(mi, v) for v in high], opaque(mi, iterations))
-            moved, (damping, data, prior) = (to_torch(part).reshape(-1, side, side).to(x.device) for part in found)
-            del found  # Dr.Jit's variables, which nobody may free outside
+                self._planes(precision), [opaque(mi, v) for v in low], [opaque(mi, v) for v in high], opaque(mi, iterations)))
         return Solved(moved, damping, data, prior)
 
     def variances(self, observations: Observations, x: Tensor, precision: Tensor) -> Tensor:
@@ -184,14 +182,18 @@ class TexelSolver:
         """
         side, count = x.shape[-1], len(x)
         with using_mitsuba(self.variant):
-            kernel = self._kernel(observations, side)
-            found = kernel.equations(self._problem(observations, side), self._planes(x))
-            (cost,), slope, curve = (to_torch(part).reshape(-1, side, side).to(x.device) for part in found)
-            del found
+            pairs = self._kernel(observations, side).pairs
+            (cost,), slope, curve = self._found(side, x, self._kernel(observations, side).equations(
+                self._problem(observations, side), self._planes(x)))
         dense = curve.new_zeros(count, count, side, side)
-        for (i, j), value in zip(kernel.pairs, curve):
+        for (i, j), value in zip(pairs, curve):
             dense[i, j] = dense[j, i] = value
         return cost, slope, dense
+
+    @staticmethod
+    def _found(side: int, x: Tensor, parts: Sequence[list]) -> Iterator[Tensor]:
+        """Copies of what a kernel found, each ? x R x R; no Dr.Jit array outlives the call that hands it over."""
+        return iter([to_torch(part).reshape(-1, side, side).to(x.device) for part in parts])
 
     def _planes(self, values: Tensor) -> list:
         return [from_torch(self.mi, plane) for plane in values.detach().float()]
@@ -220,8 +222,8 @@ class TexelSolver:
         needs, _ = self._known(observations.views, side)
         key = needs, side, observations.views.falloff, observations.transfer
         if key not in self._kernels:
-            self._kernels[key] = Kernel(self.mi, self.bsdf, self.unknowns, *key)
-        return self._kernels[key]
+            self._kernels[key] = Kept(Kernel(self.mi, self.bsdf, self.unknowns, *key))
+        return self._kernels[key].content
 
 
 def opaque(mi: ModuleType, value: SupportsFloat) -> Any:
