@@ -12,6 +12,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
+from pathlib import Path
 
 from ..errors import MitsvbrdfError
 from ..fit import FitConfig
@@ -110,6 +111,12 @@ Job = FitJob | RenderJob | CaptureJob | ReferenceJob | ScheduleJob | StepJob | S
 def key_of(job: Job) -> str:
     """What identifies a job and what shapes its record, as text."""
     return json.dumps([job.key, job.settings], sort_keys=True, default=str)
+
+
+def new_pictures(jobs: Sequence[Job], store: Store) -> list[Path]:
+    """The pictures that jobs will write beside the records; without those that earlier records name, which are ours."""
+    known = {record.get("file") for record in (*store.records, *store.outdated)}
+    return [job.path for job in jobs if isinstance(job, SheetJob) and job.path.name not in known]
 
 
 def fit_jobs(suite: str, methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequence[float],

@@ -55,6 +55,8 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitAr
     """
     shared.check(config)
     keep_apart(capture, out)
+    if not explain:
+        result_folder.check_free(out, overwrite or resume, resume)
     photos = read_photos(capture, shared.resolution, None, shared.transfer, shared.light(config))
     shots = shared.chosen(photos)[0]
     engine = make_renderer(shared.renderer, shared.variant)
@@ -85,16 +87,15 @@ def _explain(task: FitTask, options: FitOptions) -> int:
 def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, options: FitOptions, profile: bool, resume: bool,
               overwrite: bool) -> tuple[FitResult, int | None]:
     """Fit, finish where asked to, and write the result; also tells the iteration of the checkpoint gone on from."""
-    from ..report.folder import write_fit
+    from ..report.folder import write_fit_files
 
-    result_folder.settle(out)
     places = [folder / result_folder.CHECKPOINT for folder in (result_folder.partial_folder(out), out)] if resume else []
     earlier = [path for path in places if is_regular(path)]
     if resume and not earlier:
         raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
     shots, shown = options.chosen(photos)
     title = f"fit {shots.source.name if shots.source else ''} · {method_name(config)} · {engine.name}"
-    with result_folder.output_folder(out, overwrite or resume, resume) as folder:
+    with contextlib.ExitStack() as last, result_folder.output_folder(out, overwrite or resume, resume) as folder:
         def fitted(checkpoint: Path | None) -> FitResult:
             with Progress(title) as progress, profiling() if profile else contextlib.nullcontext():
                 return fit_svbrdf(shots, engine, config, checkpoint=folder / result_folder.CHECKPOINT, resume=checkpoint,
@@ -104,8 +105,8 @@ def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, o
         if finishing := options.finishing(config):
             with progress_bar("adversarial finish") as finish_report:
                 result = finished(result, shots, engine, finishing, finish_report)
-        with undisturbed():
-            write_fit(result, shots, folder, command=options.record(shots), left_out=shown)
+        last.enter_context(undisturbed())  # until all is in place
+        write_fit_files(result, shots, folder, command=options.record(shots), left_out=shown)
     return result, before
 
 
