@@ -59,7 +59,7 @@ exclude_patterns = [*(path.name for path in ROOT.iterdir() if path.is_dir() and 
 nitpicky = True
 nitpick_ignore_regex = [("py:.*", r"(?!mitsvbrdf\.\w+$).*")]  # torch, the standard library, and what is not public
 html_theme, html_title = "furo", f"mitsvbrdf {version}"
-html_copy_source = html_show_sourcelink = False
+html_copy_source = html_show_sourcelink = html_use_index = False
 highlight_language = "none"
 smartquotes = False  # --option stays as it is typed
 myst_heading_anchors = 4
