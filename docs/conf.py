@@ -7,6 +7,7 @@ commands and docstrings of the public names are put into ``docs/commands.md`` an
 from __future__ import annotations
 
 import contextlib
+import inspect
 import io
 import os
 import re
@@ -58,7 +59,7 @@ exclude_patterns = [*(path.name for path in ROOT.iterdir() if path.is_dir() and 
 nitpicky = True
 nitpick_ignore_regex = [("py:.*", r"(?!mitsvbrdf\.\w+$).*")]  # torch, the standard library, and what is not public
 html_theme, html_title = "furo", f"mitsvbrdf {version}"
-html_copy_source = html_show_sourcelink = False
+html_copy_source = html_show_sourcelink = html_use_index = False
 highlight_language = "none"
 smartquotes = False  # --option stays as it is typed
 myst_heading_anchors = 4
@@ -96,24 +97,40 @@ def with_commands(text: str) -> str:
 
 def with_docstrings(text: str) -> str:
     """The page of the public names, each line that lists some followed by their docstrings."""
+    def entry(name: str) -> str:
+        if isinstance(getattr(mitsvbrdf, name), type):
+            return f".. autoclass:: mitsvbrdf.{name}\n   :members:\n   :inherited-members: Exception"
+        return f".. autofunction:: mitsvbrdf.{name}"
+
     def entries(line: re.Match) -> str:
-        of = [(name, getattr(mitsvbrdf, name)) for name in re.findall(r"\w+", line[0])]
-        return "\n".join(["```{eval-rst}", *(f".. auto{'class' if isinstance(it, type) else 'function'}:: mitsvbrdf.{name}"
-                                             + "\n   :members:" * isinstance(it, type) for name, it in of), "```"])
+        return "\n".join(["```{eval-rst}", *map(entry, re.findall(r"\w+", line[0])), "```"])
 
     return re.sub(r"^(?:`\w+` ?)+$", entries, text, flags=re.M)
 
 
-def as_prose(_app, what: str, _name: str, _object: object, _options: object, lines: list[str]) -> None:
-    """Docstrings are also help on a terminal: a bar is no mark-up, and a colon in a field's first line ends no type."""
-    lines[:] = [""] * (what == "attribute") + [line if "``" in line else line.replace("|", r"\|") for line in lines]
+def as_prose(app) -> None:
+    """Docstrings are also help on a terminal: a bar is no mark-up, and a colon in what a field means ends no type."""
+    fields: dict[str, list[str]] = {}
+
+    def before(_app, what: str, name: str, _object: object, _options: object, lines: list[str]) -> None:
+        lines[:] = [line if "``" in line else line.replace("|", r"\|") for line in lines]
+        if what in ("attribute", "property"):
+            fields[name] = list(lines)
+
+    def after(_app, _what: str, name: str, _object: object, _options: object, lines: list[str]) -> None:
+        lines[:] = fields.pop(name, lines)  # napoleon would take it for "type: meaning"
+
+    app.connect("autodoc-process-docstring", before, priority=100)
+    app.connect("autodoc-process-docstring", after, priority=900)
 
 
 def without_marks(kind: type) -> None:
     """Take what annotations say to the command line out of the types that are shown."""
     for base in kind.__mro__:
         if base.__module__.startswith("mitsvbrdf"):
-            base.__annotations__ = {name: it for name, it in get_type_hints(base).items() if name in base.__annotations__}
+            types = get_type_hints(base)
+            for it in filter(None, (base, vars(base).get("__init__"))):
+                it.__annotations__ = {name: types.get(name, given) for name, given in inspect.get_annotations(it).items()}
 
 
 def setup(app) -> None:
@@ -130,6 +147,6 @@ def setup(app) -> None:
     for name in mitsvbrdf.__all__:
         if isinstance(it := getattr(mitsvbrdf, name), type):
             without_marks(it)
-    app.connect("autodoc-process-docstring", as_prose, priority=100)
+    as_prose(app)
     app.connect("source-read", read)
     app.connect("build-finished", written)
