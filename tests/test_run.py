@@ -46,7 +46,8 @@ def checkout(tmp_path):
         program.write_text('#!/bin/sh\nprintf "%s|" "$PWD" "${0##*/}" "$@"\n')
         program.chmod(0o755)
     (root / ".venv" / "stamp").write_text(stamp(root))
-    (root / ".venv" / "slow-tools").touch()
+    for tools in ("docs-tools", "slow-tools"):
+        (root / ".venv" / tools).touch()
     return root
 
 
