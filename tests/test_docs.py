@@ -151,7 +151,7 @@ def test_python_of_the_formats_page(photos):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["docs/start-known.md", "docs/python.md"])
+@pytest.mark.parametrize("name", ["README.md", "docs/start-known.md", "docs/python.md"])
 def test_python_of_a_page(name, photos):
     (block,) = re.findall(r"^```python\n(.+?)^```", (ROOT / name).read_text(), re.M | re.S)
     exec(shortened(block), {})  # noqa: S102  (our own text)

@@ -27,6 +27,7 @@ def bench(
         = Path("out/bench.json"),
     page: Annotated[Path | None, arg(help="Write a Markdown page to this file, its pictures beside it.")] = None,
     gan_page: Annotated[Path | None, arg(help="Write the paper's tables, reproduced, to this Markdown file.")] = None,
+    readme: Annotated[Path | None, arg(help="Put short tables between the markers of this README.")] = None,
     materials: Annotated[Names, arg(help="Known materials: builtin:NAME, folders, or names in the data; none: without. Left "
                                          "out: all made ones and all in the data.")] = None,
     captures: Annotated[Names, arg(help="Real captures: folders or names in the data; none: without. Left out: all.")] = None,
@@ -68,6 +69,7 @@ def bench(
     from ..bench.paper.page import gan_page_files
     from ..bench.parallel import run_parallel
     from ..bench.plan import QUICK, WHOLE, Plan, data_folder
+    from ..bench.readme import around_results
     from ..bench.store import Store, read_benchmark
 
     asked = {"resolution": resolution, "budgets": budgets, "seeds": seeds, "repeats": repeats, "materials": materials,
@@ -76,8 +78,10 @@ def bench(
     pages = [*page_files(page), *gan_page_files(gan_page)]
     check_new_files(*pages, overwrite=overwrite, read=[json_file])
     files.check_output(json_file)
+    if readme:
+        around_results(readme)
     if suite == "none":
-        _show(dict(read_benchmark(json_file)), page, gan_page)
+        _show(dict(read_benchmark(json_file)), page, gan_page, readme)
         return 0
     suites = USUAL_SUITES if suite == "all" else (suite,)
     chosen |= {"schedule": (schedule_size, schedule_width, iterations), "folder": str(json_file.parent)}
@@ -107,14 +111,15 @@ def bench(
     say_written(json_file)
     for title, reason in failed.items():
         say(f"no record: {title}: {reason}")
-    _show(dict(store.content), page, gan_page)
+    _show(dict(store.content), page, gan_page, readme)
     return int(bool(failed))
 
 
-def _show(record: dict, page: Path | None, gan_page: Path | None) -> None:
+def _show(record: dict, page: Path | None, gan_page: Path | None, readme: Path | None) -> None:
     """The tables on the terminal and, where they were asked for, the pages."""
     from ..bench.page import print_benchmark, write_benchmark_page
     from ..bench.paper.page import print_gan, write_gan_page
+    from ..bench.readme import write_readme
 
     print_benchmark(record)
     if gan_page or any(r["suite"] in ("gan", "steps") for r in record["records"]):
@@ -123,3 +128,5 @@ def _show(record: dict, page: Path | None, gan_page: Path | None) -> None:
         say_written(*write_benchmark_page(page, record))
     if gan_page:
         say_written(*write_gan_page(gan_page, record))
+    if readme:
+        say_written(write_readme(readme, record))

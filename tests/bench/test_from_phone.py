@@ -94,7 +94,7 @@ def test_what_cannot_be_done_is_a_record_and_a_note(tmp_path):
     made = job.key | {"config": job.settings} | job.run()
     assert made["stopped"] == "failed" and not made["errors"] and "nowhere" in made["why"]
     table = capture_tables({"records": [made]})[0]
-    assert table.rows == [["nowhere", *["–"] * 7]] and "nowhere" in table.note
+    assert table.rows == [["nowhere", *["failed"] * 7]] and "nowhere" in table.note
     with pytest.raises(ConfigError):
         check_benchmark({"schema_version": 2, "settings": {}, "machine": {}, "versions": {}, "seeds": [], "published": {},
                          "records": [made | {"sheet": "yes"}]}, "x")

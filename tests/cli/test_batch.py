@@ -41,6 +41,8 @@ def test_a_ray_that_is_broken_is_told_and_leaves_no_library(tmp_path, capsys, mo
                       "raise ImportError('libray.so: wrong ELF class')\n")
     monkeypatch.delitem(sys.modules, "ray", raising=False)
     monkeypatch.syspath_prepend(tmp_path / "site")
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path for path in sys.path if path))
     shots, earlier = make_capture(tmp_path / "shots/wood"), tmp_path / "earlier"
     words = ["libray.so: wrong ELF class", "its log ends: built for another machine", "install it again"]

@@ -135,4 +135,5 @@ def test_ctrl_c_keeps_the_last(capture, tmp_path):
 def test_a_tiny_budget_still_makes_a_round(capture):
     result = fit_svbrdf(capture, MITSUBA, HierarchicalConfig(budget=1e-6))
     assert result.stopped == "budget" and result.trace[-1]["iteration"] == 1
-    assert result.rerender_rmse < 0.5 * result.trace[0]["rerender_rmse"] and not result.warnings
+    assert result.rerender_rmse < 0.5 * result.trace[0]["rerender_rmse"]
+    assert len(result.warnings) == 1 and "ended before it had settled" in result.warnings[0]
