@@ -17,7 +17,7 @@ def main() -> int:
         signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
     # Idle threads sleep instead of spinning: torch and Dr.Jit have a pool each and take turns. Read when torch loads.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    from .system.streams import guard_streams
+    from .system.streams import guard_streams, told
     guard_streams()
     try:
         code = _run(heard)
@@ -25,7 +25,8 @@ def main() -> int:
         code = INTERRUPTED
     except SystemExit as stop:  # help was shown, or options are wrong
         code = stop.code if isinstance(stop.code, int) else 0 if stop.code is None else 2
-    code = _told(code)
+    from .cli import only_prints
+    code = told(code, only_prints(sys.argv[1:]))
     exec("")  # Python forgets a Ctrl-C that came out of a library's exec; else it ends by the signal, without our exit code
     if heard:
         signal.signal(signal.SIGINT, signal.SIG_DFL)  # libraries that are being taken down would show a traceback
@@ -48,21 +49,6 @@ def _run(heard: bool) -> int:
             return doctor(json="--json" in sys.argv)
         print(f"error: expected all packages installed, got: {missing}; type ./run setup, or mitsvbrdf doctor", file=sys.stderr)
         return 2
-
-
-def _told(code: int) -> int:
-    """Say where standard output is cut short; the exit code tells it too where that was all the command was to give."""
-    from .cli import only_prints
-    from .system.streams import output_failure
-
-    reason = output_failure()
-    if reason is None:
-        return code
-    if not only_prints(sys.argv[1:]):
-        print(f"warning: standard output is cut short: {reason}; results are not", file=sys.stderr)
-        return code
-    print(f"error: expected to write standard output, got {reason}; free space or choose another place", file=sys.stderr)
-    return code or 2
 
 
 if __name__ == "__main__":

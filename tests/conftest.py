@@ -33,3 +33,11 @@ def data_folder() -> Path:
     if not (folder / "captures").is_dir():
         pytest.skip(f"needs the real captures: none at {folder}; name their folder in MITSVBRDF_DATA")
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def coarse_spheres() -> None:
+    """The sphere of each page and each export is drawn with one ray a pixel instead of 64, a second of work less."""
+    from mitsvbrdf.relight import sphere
+
+    sphere.SAMPLES = 1

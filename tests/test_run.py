@@ -46,7 +46,8 @@ def checkout(tmp_path):
         program.write_text('#!/bin/sh\nprintf "%s|" "$PWD" "${0##*/}" "$@"\n')
         program.chmod(0o755)
     (root / ".venv" / "stamp").write_text(stamp(root))
-    (root / ".venv" / "slow-tools").touch()
+    for tools in ("docs-tools", "slow-tools"):
+        (root / ".venv" / tools).touch()
     return root
 
 
@@ -86,12 +87,15 @@ def test_check_says_a_line_for_each_and_goes_on_after_a_red_one(checkout):
         "lint-imports found something", "imports   FAILED", "lengths   ok"]
 
 
-def test_all_tests_run_after_the_checks_and_a_red_check_is_not_forgotten(checkout):
+def test_all_tests_run_beside_the_checks_and_neither_is_forgotten(checkout):
     done = sh(checkout / "run", "test")
-    assert done.returncode == 0 and done.stdout.startswith("style     ok\n") and "|-m|pytest|-n|" in done.stdout, done.stderr
+    assert done.returncode == 0 and "|-m|pytest|-n|" in done.stdout, done.stderr
+    assert done.stdout.endswith("style     ok\ntypes     ok\nimports   ok\nlengths   ok\n")
     breaks(checkout, "mypy")
     red = sh(checkout / "run", "test")
     assert red.returncode == 1 and "types     FAILED\n" in red.stdout and "|-m|pytest|-n|" in red.stdout
+    breaks(checkout, "python")
+    assert sh(checkout / "run", "test").returncode == 1
 
 
 def test_slow_tests_get_their_tools_once(checkout):

@@ -100,7 +100,7 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> dict:
     from ..fit import fit_svbrdf
     from ..fit.generator.finish import finished
     from ..fit.options import FitOptions, config_of
-    from ..report.folder import write_fit
+    from ..report.folder import write_fit_files
     from .library.rows import row_of
     from .preview import write_preview
     from .raw import rectified
@@ -116,7 +116,7 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> dict:
     result = fit_svbrdf(shots, engine, config)
     if finishing := options.finishing(config):
         result = finished(result, shots, engine, finishing)
-    write_fit(result, shots, out, options.record(shots), shown, pages=asked["pages"])
+    write_fit_files(result, shots, out, options.record(shots), shown, pages=asked["pages"])
     write_preview(out / "preview.jpg", result.look or result.svbrdf)
     return row_of(out, shown, engine)
 

@@ -18,7 +18,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from ..errors import OutputError
-from ..system.files import file_hash
+from ..system.files import file_hash, is_entry
 
 FILE = "manifest.sqlite"
 VERSION = 1
@@ -181,6 +181,8 @@ class Manifest:
         for each in found:
             if wrong := next((name for name, kinds in _KINDS.items() if not isinstance(each[name], kinds)), None):
                 raise self.wrong(f"{each[wrong]!r:.60} as {wrong}")
+            if not is_entry(each["folder"]):
+                raise self.wrong(f"{each['folder']!r:.60} as folder")
         return found
 
     def material(self, identity: str) -> sqlite3.Row:

@@ -6,28 +6,37 @@ import shlex
 from collections.abc import Mapping, Sequence
 
 from . import summary
-from .tasks import LEFT_OUT
+from .schema import LEFT_OUT
 from .variants import FULL, ablations
 
 
 def commands(record: Mapping) -> list[str]:
     """Lines to type; the suites in the order in which they stand here."""
     made = []
-    for suite, options in {"renderers": _renderers, "methods": _fits, "ablation": _fits, "gan": _fits, "capture": _capture,
-                           "schedule": _schedule, "steps": _steps, "sheets": _sheets}.items():
+    for suite, options in {"renderers": _renderers, "methods": _fits, "start": _start, "ablation": _fits, "gan": _fits,
+                           "capture": _capture, "schedule": _schedule, "steps": _steps, "sheets": _sheets}.items():
         here = [r for r in record["records"] if r["suite"] == suite]
         quick = " --quick" if record["settings"]["quick"] else ""
-        made += [f"mitsvbrdf bench --suite {suite}{quick} {options(record['settings'], alike)}{_left_out(record['settings'])}"
+        made += [f"mitsvbrdf bench --suite {suite}{quick} {options(record['settings'], alike)}{_left_out(alike)}"
                  for alike in _alike(here)]
     return made
 
 
 def _alike(here: Sequence[Mapping]) -> list[list[Mapping]]:
-    """The records of a suite, those of long runs apart by size, width and iterations: one command each."""
+    """The records of a suite that one command makes.
+
+    Those of long runs are apart by size, width and iterations, fits by the photos left out and by the budgets of their method.
+    """
     groups: dict[tuple, list[Mapping]] = {}
+    usual = next((tuple(r["left_out"]) for r in here if "left_out" in r), ())
+    times: dict[str, set[float]] = {}
+    for r in summary.with_repeats([r for r in here if r["suite"] in summary.FIT_SUITES]):
+        times.setdefault(r["method"], set()).add(r["budget"])
     for r in here:
-        own = (r["config"]["resolution"], r["config"]["width"], r["iterations"]) if r["suite"] == "schedule" else ()
-        groups.setdefault(own, []).append(r)
+        own: tuple = (r["config"]["resolution"], r["config"]["width"], r["iterations"]) if r["suite"] == "schedule" else ()
+        if r["suite"] in summary.FIT_SUITES:
+            own = tuple(sorted(times[r["method"]]))
+        groups.setdefault((*own, tuple(r.get("left_out", usual))), []).append(r)
     return list(groups.values())
 
 
@@ -44,7 +53,8 @@ def _fits(settings: Mapping, here: Sequence[Mapping]) -> str:
     picked = f" --methods {','.join(methods)}" if suite == "methods" else ""
     if suite != "methods" and set(methods) != {FULL, *ablations()[suite].variants}:
         picked = f" --variants {shlex.quote(','.join(name for name in methods if name != FULL))}"
-    return (f"{_named(here)}{picked} --budgets {','.join(f'{b:g}' for b in summary.budgets(here))} {_seeds(here)} "
+    times = summary.budgets(summary.with_repeats(here))
+    return (f"{_named(here)}{picked} --budgets {','.join(f'{b:g}' for b in times)} {_seeds(here)} "
             f"--resolution {settings['resolution']} --views {settings['views']}")
 
 
@@ -68,9 +78,15 @@ def _sheets(settings: Mapping, here: Sequence[Mapping]) -> str:
             f"--resolution {settings['resolution']} --views {settings['views']}")
 
 
-def _left_out(settings: Mapping) -> str:
+def _start(settings: Mapping, here: Sequence[Mapping]) -> str:
+    config = here[0]["config"]
+    return (f"{_named(here)} --methods {','.join(dict.fromkeys(r['method'] for r in here))} --budgets {config['budget']:g} "
+            f"--repeats {config['repeats']} --resolution {config['resolution']}")
+
+
+def _left_out(here: Sequence[Mapping]) -> str:
     """The photos left out, where they are not the usual ones."""
-    numbers = settings.get("left_out", LEFT_OUT)
+    numbers = next((r["left_out"] for r in here if "left_out" in r), LEFT_OUT)
     return "" if tuple(numbers) == LEFT_OUT else f" --left-out {','.join(map(str, numbers))}"
 
 

@@ -15,7 +15,6 @@ from typing import Annotated
 
 import tyro
 
-from ..errors import exit_code
 from ..fit import HierarchicalConfig, fit_svbrdf
 from ..fit.confidence import DETERMINED, numbers_of
 from ..fit.result import FitResult
@@ -27,6 +26,7 @@ from ..synth import photograph
 from ..system import files
 from ..system.progress import say
 from ..system.provenance import machine, versions
+from ..system.tool import run_tool
 from ..views import nine_view_grid
 
 WANTED = 0.60, 0.76  # of the truths within one deviation; a normal distribution has 0.683
@@ -116,5 +116,5 @@ def main(out: Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder to writ
 
 
 if __name__ == "__main__":
-    sys.exit(exit_code(lambda: tyro.cli(main, prog="python -m mitsvbrdf.bench.coverage"),
-                       "interrupted; the files have each fit that was measured"))
+    sys.exit(run_tool(main, "python -m mitsvbrdf.bench.coverage",
+                      "interrupted; the files have each fit that was measured"))

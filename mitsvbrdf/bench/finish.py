@@ -18,7 +18,6 @@ import tyro
 
 from .. import color
 from ..capture import Capture, read_capture
-from ..errors import exit_code
 from ..evaluate.placement import predict
 from ..fit import HierarchicalConfig, fit_svbrdf
 from ..fit.finish_config import FinishConfig
@@ -32,6 +31,7 @@ from ..render import Renderer, make_renderer
 from ..system import files
 from ..system.progress import say
 from ..system.provenance import machine, versions
+from ..system.tool import run_tool
 
 LEFT_OUT = (4, 7)
 NEARER, FARTHER = 0.8, 1.1  # what the patches' distance and the RMSE may be, over those of the maps, for the bar
@@ -165,5 +165,5 @@ def main(captures: Annotated[Path, tyro.conf.arg(metavar="FOLDER", help="Of cali
 
 
 if __name__ == "__main__":
-    sys.exit(exit_code(lambda: tyro.cli(main, prog="python -m mitsvbrdf.bench.finish"),
-                       "interrupted; the files have each capture that was measured"))
+    sys.exit(run_tool(main, "python -m mitsvbrdf.bench.finish",
+                      "interrupted; the files have each capture that was measured"))

@@ -35,7 +35,7 @@ from ..synth.truth import Truth, rig_of, true_capture, truth_maps
 from ..system.timing import timed
 from ..views import Views, default_views
 from .methods import settings_of
-from .tasks import LEFT_OUT
+from .schema import LEFT_OUT
 
 SHEET_CM = 18.0
 SAMPLE_SIDE = 1024  # texels of made materials over the whole sample

@@ -11,11 +11,14 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
 
 from ..errors import MitsvbrdfError
 from ..fit import FitConfig
 from ..render import Renderer
 from ..system.timing import timed
+from .behaviour import draws
 from .from_phone import CaptureJob
 from .methods import fit, settings_of
 from .paper.references import ReferenceJob
@@ -23,6 +26,7 @@ from .paper.schedule import ScheduleJob
 from .paper.sheets import SheetJob
 from .paper.steps import StepJob
 from .renderers import RenderJob
+from .start import StartJob
 from .store import Store
 from .tasks import Task
 
@@ -56,8 +60,7 @@ class FitJob:
     @property
     def key(self) -> dict:
         """What identifies the record."""
-        return {"suite": self.suite, "method": self.method, "kind": self.task.kind, "name": self.task.name,
-                "budget": self.budget, "seed": self.seed}
+        return {"suite": self.suite, "method": self.method, **self.task.key, "budget": self.budget, "seed": self.seed}
 
     @property
     def settings(self) -> dict:
@@ -67,7 +70,9 @@ class FitJob:
     @property
     def title(self) -> str:
         """For the progress line."""
-        return f"{self.method}, {self.task.name}, {self.budget:g} s, seed {self.seed}"
+        left_out = self.task.key.get("left_out")
+        without = f" without {' '.join(map(str, left_out))}" if left_out else ""
+        return f"{self.method}, {self.task.name}{without}, {self.budget:g} s, seed {self.seed}"
 
     @property
     def group(self) -> str:
@@ -93,14 +98,14 @@ class FitJob:
         config = replace(self.config, budget=self.budget, seed=self.seed)
         try:
             found = fit(self.task.photos, self.renderer, config, lambda entry, share: report(share))
-            errors = self.task.errors(found)
+            errors = self.task.errors(found) | (self.task.looks(found) if find_spec("flip_evaluator") else {})
         except MitsvbrdfError as reason:
             return {"seconds": 0.0, "wall": 0.0, "iterations": 0, "stopped": "failed", "why": str(reason), "errors": {}}
         return {"seconds": found.seconds, "wall": round(found.wall, 3), "iterations": found.iterations,
                 "stopped": found.stopped, "why": None, "errors": errors}
 
 
-Job = FitJob | RenderJob | CaptureJob | ReferenceJob | ScheduleJob | StepJob | SheetJob
+Job = FitJob | RenderJob | CaptureJob | ReferenceJob | ScheduleJob | StepJob | SheetJob | StartJob
 
 
 def key_of(job: Job) -> str:
@@ -108,15 +113,26 @@ def key_of(job: Job) -> str:
     return json.dumps([job.key, job.settings], sort_keys=True, default=str)
 
 
+def new_pictures(jobs: Sequence[Job], store: Store) -> list[Path]:
+    """The pictures that jobs will write beside the records; without those that earlier records name, which are ours."""
+    known = {record.get("file") for record in (*store.records, *store.outdated)}
+    return [job.path for job in jobs if isinstance(job, SheetJob) and job.path.name not in known]
+
+
 def fit_jobs(suite: str, methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequence[float],
              seeds: Sequence[int], renderer: Renderer) -> list[FitJob]:
-    """Every method on every task with every budget and seed; methods take turns, so that drift of the machine hits all."""
+    """Every method on every task with every budget and seed; methods take turns, so that drift of the machine hits all.
+
+    The first seed is done before the next one, and short budgets before long ones, which a fit that ends by itself does not
+    need. A method without randomness has the first seed alone.
+    """
     return [FitJob(suite, method, config, task, budget, seed, renderer)
-            for seed in seeds for budget in budgets for task in tasks for method, config in methods.items()]
+            for seed in seeds for budget in sorted(budgets) for task in tasks for method, config in methods.items()
+            if seed == seeds[0] or draws(config)]
 
 
 def run(jobs: Sequence[Job], store: Store, report: Report = lambda text, share: None) -> None:
-    """Do the jobs whose records are missing, and keep each record as soon as it is there.
+    """Do the jobs whose records are missing and needed, and keep each record as soon as it is there.
 
     Args:
         jobs: in the order in which they run.
@@ -126,6 +142,8 @@ def run(jobs: Sequence[Job], store: Store, report: Report = lambda text, share: 
     pending, forecast, warm = store.pending(list(jobs)), _Forecast(), set()
     whole = sum(job.cost for job in pending)
     for number, job in enumerate(pending):
+        if store.repeats(job):
+            continue
         done, later = sum(j.cost for j in pending[:number]), forecast.left(pending[number + 1:])
         text = f"{job.title} ({number + 1} of {len(pending)})"
 

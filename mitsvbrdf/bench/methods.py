@@ -7,9 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import get_args, get_type_hints
 
+from torch import Tensor
+
 from ..capture import Capture
 from ..errors import ConfigError
-from ..evaluate import evaluate_capture, evaluate_fit
+from ..evaluate import as_fitted
+from ..evaluate.placement import predict
 from ..fit import FitConfig, FitTask, fit_svbrdf
 from ..fit.loop import Loop
 from ..fit.methods import METHODS
@@ -19,6 +22,7 @@ from ..system.timing import timed
 from .peers_baseline import PeersBaseline, PeersConfig
 
 Report = Callable[[dict, float], None]  # told an entry of the trace and the share done
+Predict = Callable[[Capture], tuple[Tensor, float]]
 
 
 @dataclass(frozen=True)
@@ -28,7 +32,8 @@ class Fitted:
     Args:
         svbrdf: the material of the lowest re-rendering error.
         rmse: that error, over the photos used.
-        predict: its error over the photos of another capture of the same material, in display values.
+        predict: what it predicts for the photos of a capture of the same material, N x R x R x 3 linear, and the RMSE over
+            them in display values.
         seconds: of the loop, by its own clock.
         wall: seconds with the preparation before and the reckoning after it.
         iterations: steps made.
@@ -37,7 +42,7 @@ class Fitted:
 
     svbrdf: SVBRDF
     rmse: float
-    predict: Callable[[Capture], float]
+    predict: Predict
     seconds: float
     wall: float
     iterations: int
@@ -90,10 +95,10 @@ def fit(capture: Capture, renderer: Renderer, config: FitConfig, report: Report 
 def _fit_of_ours(capture: Capture, renderer: Renderer, config: FitConfig, report: Report | None) -> Fitted:
     result = fit_svbrdf(capture, renderer, config, report=report)
 
-    def predict(shots: Capture) -> float:
-        return evaluate_fit(result, as_lit(shots, config))["rerender_rmse"]
+    def predicted(shots: Capture) -> tuple[Tensor, float]:
+        return predict(result.svbrdf, *as_fitted(result, as_lit(shots, config)))[:2]
 
-    return _ended(result.svbrdf, result.rerender_rmse, predict, result.trace, result.stopped)
+    return _ended(result.svbrdf, result.rerender_rmse, predicted, result.trace, result.stopped)
 
 
 def _fit_of_peers(capture: Capture, renderer: Renderer, config: PeersConfig, report: Report | None) -> Fitted:
@@ -103,13 +108,13 @@ def _fit_of_peers(capture: Capture, renderer: Renderer, config: PeersConfig, rep
     assert loop.best is not None
     rmse, svbrdf, _ = loop.best
 
-    def predict(shots: Capture) -> float:
-        return evaluate_capture(svbrdf, as_lit(shots, config), renderer)["rerender_rmse"]
+    def predicted(shots: Capture) -> tuple[Tensor, float]:
+        return predict(svbrdf, as_lit(shots, config), renderer, None)[:2]
 
-    return _ended(svbrdf, rmse, predict, loop.trace, stopped)
+    return _ended(svbrdf, rmse, predicted, loop.trace, stopped)
 
 
-def _ended(svbrdf: SVBRDF, rmse: float, predict: Callable[[Capture], float], trace: Sequence[Mapping], stopped: str) -> Fitted:
+def _ended(svbrdf: SVBRDF, rmse: float, predicted: Predict, trace: Sequence[Mapping], stopped: str) -> Fitted:
     """A fit by the last line of its trace; its wall-clock time is the caller's to measure."""
     last = trace[-1]
-    return Fitted(svbrdf.detach(), rmse, predict, last["seconds"], math.nan, last["iteration"], stopped)
+    return Fitted(svbrdf.detach(), rmse, predicted, last["seconds"], math.nan, last["iteration"], stopped)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import re
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -16,31 +17,28 @@ from ..system import files
 from ..system.progress import print_rich
 from . import summary
 from .commands import commands
+from .in_short import in_short, listed, plural
 from .plots import methods_figure, renderers_figure, small_multiples
-from .summary import ERRORS
-from .tables import (
-    Table,
-    ablation_tables,
-    at_time,
-    capture_tables,
-    count_of,
-    each_map,
-    each_one,
-    equal_error,
-    equal_time,
-    judged,
-    renderer_tables,
-)
-from .tasks import LEFT_OUT
+from .suite_tables import capture_tables, renderer_tables, start_table
+from .summary import ERRORS, KINDS
+from .tables import Table, ablation_tables, each_map, each_one, equal_time, looks
+from .times import equal_error, ladders, passing, wall_time
 
+KNOWN = ("Photos made of known maps, 8 bits, without noise; the error of the maps is the mean of the four RMSEs, the error "
+         "under new light is that of pictures lit from the side, 25 and 50 degrees off the upright, unlike any photo's flash.")
+CAPTURED = ("Photos {} are left out of every fit and predicted afterwards. MaterialGAN, trained on a large data set, saw all "
+            "nine, those two as well.")
+BLIND = " Methods *without them* did not see them either: their authors published what fits to photos 0 to 6 predict."
 Picture = Callable[[str, Figure | None, str], list[str]]  # name, drawing, what it shows -> lines of Markdown
 
 
 def print_benchmark(record: Mapping) -> None:
     """The tables at equal time, to equal error, of renderers and of the ablation, without spreads, on the terminal."""
-    tables = [*equal_time(record), *equal_error(record), *renderer_tables(record), *ablation_tables(record),
-              *capture_tables(record)]
-    print_tables(tables)
+    apart = summary.views(record)
+    start = start_table(record)
+    print_tables([*(table for view in apart for table in (*equal_time(view), *equal_error(view))), *renderer_tables(record),
+                  *([start] if start else []), *(table for view in apart for table in ablation_tables(view)),
+                  *capture_tables(record)])
 
 
 def print_tables(tables: Sequence[Table]) -> None:
@@ -58,8 +56,11 @@ def print_tables(tables: Sequence[Table]) -> None:
 
 def page_files(path: Path | None) -> list[Path]:
     """The page and every picture that it may have beside it; nothing for None."""
-    names = ["methods", "renderers", *(_picture_of(kind, error) for kind, errors in ERRORS.items() for error in errors)]
-    return [path, *(path.with_name(f"{path.stem}-{name}.svg") for name in names)] if path else []
+    if path is None:
+        return []
+    names = ["methods", "renderers", *(_picture_of(kind, error, ()) for kind, errors in ERRORS.items() for error in errors)]
+    there = path.parent.glob(f"{glob.escape(path.stem)}-capture-*.svg")  # of whatever photos were left out
+    return [path, *(path.with_name(f"{path.stem}-{name}.svg") for name in names), *sorted(there)]
 
 
 def write_benchmark_page(path: str | Path, record: Mapping) -> list[Path]:
@@ -67,7 +68,7 @@ def write_benchmark_page(path: str | Path, record: Mapping) -> list[Path]:
 
     Args:
         path: the page, e.g. ``docs/benchmark.md``.
-        record: a :class:`mitsvbrdf.bench.schema.Benchmark`.
+        record: a :class:`mitsvbrdf.bench.records.Benchmark`.
 
     Returns:
         Every file that was written, the page first.
@@ -86,7 +87,8 @@ def write_benchmark_page(path: str | Path, record: Mapping) -> list[Path]:
     whole = picture("methods", methods_figure(record), "Error against run time of all methods")
     head = ["# Benchmark: error against run time", "",
             f"Written by `mitsvbrdf bench --page`, nothing by hand. {made_on(record)}", ""]
-    lines = [*head, *_in_short(record), *whole, *_methods(record, picture), *_renderers(record, picture),
+    sections = [line for view in summary.views(record) for line in _methods(view, picture)]
+    lines = [*head, *in_short(record), *whole, *sections, *_start(record), *_renderers(record, picture),
              *_ablation(record), *_capture(record), *_how(record)]
     files.write_bytes(path, "\n".join(lines).encode())
     for name, data in pictures.items():
@@ -125,78 +127,47 @@ def _at_a_time(record: Mapping) -> str:
             "times are those of a shared machine.")
 
 
-def _in_short(record: Mapping) -> list[str]:
-    """Where the default method is lowest and where it is not, and against what was published: wins and losses alike."""
-    lines = []
-    for kind, error, title, fits in judged(record, "methods"):
-        found, times = summary.curves(fits, error), summary.budgets(fits)
-        default = next(iter(found), None)
-        if default is None or len(found) < 2:
-            continue
-        lowest: dict[str, list[str]] = {}
-        for budget in times:
-            here = {name: p.median for name, points in found.items() if (p := at_time(points, budget))}
-            if default in here:
-                best = min(here, key=lambda name: here[name])
-                beside = "" if best == default else f" ({here[best]:.4f}, `{default}` {here[default]:.4f})"
-                lowest.setdefault(best, []).append(f"{budget:g} s{beside}")
-        lines.append(f"- {title}, {count_of(kind, fits)}, lowest: "
-                     + "; ".join(f"`{name}` at {_list(at)}" for name, at in lowest.items()) + ".")
-    for kind, error, title, fits in judged(record, "methods"):
-        lines += _beside_published(record, kind, error, title, fits)
-    failed = summary.failures(record["records"])
-    if failed:
-        lines.append(f"- {len(failed)} fits failed: " + "; ".join(
-            f"`{r['method']}` on {r['name']}, {r['budget']:g} s, seed {r['seed']} ({r['why']})" for r in failed) + ".")
-    return ["## In short", "", *lines, ""] if lines else []
+def left_out_by(view: Mapping) -> str:
+    """The numbers of the photos that fits of real captures did not see, in words, of one of :func:`summary.views`."""
+    return listed([str(i) for i in view["left_out"]])
 
 
-def _beside_published(record: Mapping, kind: str, error: str, title: str, fits: Sequence[Mapping]) -> list[str]:
-    default = next(r["method"] for r in fits)
-    only = summary.with_published(record["published"], kind, summary.names(fits), "MaterialGAN", error)
-    longest = max(summary.budgets(fits))
-    won: list[str] = []
-    lost: list[str] = []
-    for name in only:
-        point = at_time(summary.curves(fits, error, [name]).get(default, []), longest)
-        given = record["published"][kind][name]["MaterialGAN"][error]
-        if point:
-            (won if point.median < given else lost).append(name)
-    if not won and not lost:
-        return []
-    text = f"lower on {len(won)} of {len(won) + len(lost)}" + (f" ({', '.join(won)})" if won else "")
-    text += f", not on {', '.join(lost)}" if lost else ""
-    return [f"- {title}, `{default}` after {longest:g} s against MaterialGAN as published: {text}."]
-
-
-def left_out_by(record: Mapping) -> str:
-    """The numbers of the photos that fits of real captures did not see, in words."""
-    return _list([str(i) for i in record["settings"].get("left_out", LEFT_OUT)])
-
-
-def _methods(record: Mapping, picture: Picture) -> list[str]:
-    lines = []
-    for kind, heading, text in (
-            ("material", "## Known materials", "Photos made of known maps, 8 bits, without noise; the error of the maps is the "
-             "mean of the four RMSEs, the error under new light is that of pictures lit from the side, 25 and 50 degrees off "
-             "the upright, as no photo with a flash was."),
-            ("capture", "## Real captures", f"Photos {left_out_by(record)} are left out of every fit and predicted afterwards. "
-             "MaterialGAN, trained on a large data set, saw all nine, those two as well.")):
-        fits = summary.of(record["records"], "methods", kind)
+def _methods(view: Mapping, picture: Picture) -> list[str]:
+    """The section of the known materials, or of the real captures of which the same photos were left out."""
+    lines: list[str] = []
+    for kind in KINDS:
+        fits = summary.of(view["records"], "methods", kind)
         if not fits:
             continue
-        lines += [heading, "", text, ""]
-        for table in equal_time({**record, "records": fits}) + equal_error({**record, "records": fits}):
+        names, left_out = summary.names(fits), view.get("left_out", ())
+        heading, text = "Known materials", KNOWN
+        if kind == "capture":
+            published = view["published"]["capture"]
+            heading, text = f"Real captures without photos {left_out_by(view)}", CAPTURED.format(left_out_by(view))
+            text += BLIND if any(who.endswith("without them") for name in names for who in published.get(name, {})) else ""
+        lines += [f"## {heading}", "", f"{text} {plural(len(names), KINDS[kind])}: {', '.join(names)}.", ""]
+        if kind == "capture":
+            heading, text = f"Real captures without photos {left_out_by(view)}", CAPTURED.format(left_out_by(view))
+            blind = [name for name in names if len(view["published"]["capture"].get(name, {})) > 1]
+            text += BLIND if blind else ""
+        ends = passing(view) if kind == "capture" else each_map(view)
+        for table in (*equal_time(view), looks(view, kind), ends, *equal_error(view), *ladders(view), *wall_time(view)):
             lines += markdown(table)
-        lines += markdown(each_map(record)) if kind == "material" else []
         for error, title in ERRORS[kind].items():
-            lines += markdown(each_one(record, kind, error, title))
-            lines += picture(_picture_of(kind, error), small_multiples(record, kind, error), f"{title}, one by one")
+            lines += markdown(each_one(view, kind, error, title))
+            lines += picture(_picture_of(kind, error, left_out), small_multiples(view, kind, error), f"{title}, one by one")
     return lines
 
 
-def _picture_of(kind: str, error: str) -> str:
-    return f"{kind}-{error.replace('_', '-')}"
+def _picture_of(kind: str, error: str, left_out: Sequence[int]) -> str:
+    return "-".join([kind, *map(str, left_out), error.replace("_", "-")])
+
+
+def _start(record: Mapping) -> list[str]:
+    lines = markdown(start_table(record))
+    text = ("Every process runs one command, `mitsvbrdf fit`; the seconds on the wall are what a user waits. All other seconds "
+            "of this page are of a warm process, after kernels are compiled.")
+    return ["## From the start of a process to its end", "", text, "", *lines] if lines else []
 
 
 def _renderers(record: Mapping, picture: Picture) -> list[str]:
@@ -210,7 +181,7 @@ def _renderers(record: Mapping, picture: Picture) -> list[str]:
 
 
 def _ablation(record: Mapping) -> list[str]:
-    lines = [line for table in ablation_tables(record) for line in markdown(table)]
+    lines = [line for view in summary.views(record) for table in ablation_tables(view) for line in markdown(table)]
     return ["## Each ingredient off", "", *lines] if lines else []
 
 
@@ -227,11 +198,7 @@ def _capture(record: Mapping) -> list[str]:
 
 def _how(record: Mapping) -> list[str]:
     return ["## How to reproduce", "", "Every point is a fit of its own with its own budget, for schedules follow the budget; "
-            "seconds are the loop's own, after kernels are compiled, without what comes before and after it (`wall` in the "
-            "JSON has that too). Methods take turns. Real captures, known materials and published numbers lie in the folder "
-            "that `MITSVBRDF_DATA` names.", "",
+            "seconds are the loop's own, after kernels are compiled, without what comes before and after it. A fit that ended "
+            "by itself so early that a longer budget changes nothing stands for the longer ones too. Methods take turns. Real "
+            "captures, known materials and published numbers lie in the folder that `MITSVBRDF_DATA` names.", "",
             *(f"    {line}" for line in (*commands(record), "mitsvbrdf bench --suite none --page benchmark.md")), ""]
-
-
-def _list(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -13,6 +13,7 @@ from ..errors import ConfigError
 from ..evaluate.placement import named_views
 from ..fit import GanConfig, HierarchicalConfig
 from ..fit.config import check_seed
+from ..fit.methods import METHODS
 from ..material.made import MATERIALS
 from ..render import Renderer, RendererName, make_renderer
 from ..synth.phone import HandheldPhone
@@ -24,8 +25,9 @@ from .paper.references import ReferenceJob
 from .paper.schedule import ScheduleJob
 from .paper.sheets import SheetJob
 from .paper.steps import StepJob
-from .published import published
+from .published import PEERS_LEFT_OUT, predicted_by_peers, published
 from .renderers import render_jobs
+from .start import StartJob
 from .tasks import known_material, real_capture
 from .variants import ablations, variant_table
 
@@ -80,7 +82,6 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
     """All jobs, what their records share, and the numbers published for what they fit."""
     budgets = _numbers("--budgets", chosen["budgets"], float, lambda x: 0 < x < math.inf)
     seeds = _numbers("--seeds", chosen["seeds"], int, lambda x: x >= 0)
-    chosen["left-out"] = _numbers("--left-out", chosen["left-out"], int, lambda x: x >= 0)
     for seed in seeds:
         check_seed(seed)
     if chosen["resolution"] < 8 or chosen["repeats"] < 1:
@@ -95,6 +96,7 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
     engine = make_renderer(renderer, variant)
     shots = {p.name: str(p) for p in _inside(data, "captures")}
     source = shots.get("cards-blue", "builtin:grid") if views is None else shots.get(views, views)
+    protocols(chosen["left-out"], data)  # a mistake is one, whatever is measured
     tasks = []
     if set(suites) & {"methods", "ablation", "gan", "sheets"}:
         tasks = _tasks(chosen, source, data, engine)
@@ -103,8 +105,9 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
         jobs += render_jobs(**(QUICK_CASES if quick else WHOLE_CASES), repeats=chosen["repeats"], variant=variant)
     if "methods" in suites:
         jobs += fit_jobs("methods", picked or table, tasks, budgets, seeds, engine)
+    if "start" in suites:
+        jobs += _start_jobs(_sources(chosen, data)[1], picked, chosen["resolution"], min(budgets), chosen["repeats"])
     if "capture" in suites:
-
         phone = HandheldPhone(megapixels=chosen["megapixels"], seed=seeds[0])
         phone.check()
         jobs += capture_jobs(*_sources(chosen, data), phone, HierarchicalConfig(budget=max(budgets), seed=seeds[0]),
@@ -113,9 +116,18 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
         jobs += _variant_jobs(suite, chosen, table, tasks, budgets, seeds, engine) if suite in ("ablation", "gan") else []
         jobs += _paper_jobs(suite, chosen, picked, source, data, engine, tasks, max(budgets), seeds)
     settings = {"resolution": chosen["resolution"], "views": _name(source), "renderer": renderer, "variant": variant,
-                "quick": quick, "left_out": chosen["left-out"]}
+                "quick": quick}
     found = published(data / "peers.json", tasks, chosen["resolution"]) if data else {}
     return jobs, settings, found | (printed() if "gan" in suites else {})
+
+
+def _start_jobs(captures: list[str], picked: dict, resolution: int, budget: float, repeats: int) -> list[StartJob]:
+    """The command `fit` on the first capture, by each method that it has."""
+    unknown = [name for name in picked if name not in METHODS]
+    if unknown or not captures:
+        raise ConfigError(f"a capture, and methods of {list(METHODS)}, in the suite start", ", ".join(unknown) or "no capture",
+                          "check --methods and --captures")
+    return [StartJob(captures[0], method, resolution, budget, repeats) for method in picked or METHODS]
 
 
 def _variant_jobs(suite: str, chosen: dict, table: dict, tasks: list, budgets: list[float], seeds: list[int],
@@ -160,11 +172,36 @@ def _paper_jobs(suite: str, chosen: dict, picked: dict, source: str, data: Path 
 
 
 def _tasks(chosen: dict, source: str, data: Path | None, engine: Renderer) -> list:
-
     materials, captures = _sources(chosen, data)
     lit = named_views(source, "inverse-square")[1]
     tasks: list = [known_material(name, chosen["resolution"], lit, engine) for name in materials]
-    return tasks + [real_capture(Path(name), chosen["resolution"], chosen["left-out"]) for name in captures]
+    for numbers, only in protocols(chosen["left-out"], data):
+        tasks += [real_capture(Path(name), chosen["resolution"], numbers) for name in captures
+                  if only is None or Path(name).name in only]
+    return tasks
+
+
+def protocols(text: str, data: Path | None) -> list[tuple[list[int], list[str] | None]]:
+    """Numbers of photos to leave out, each with the names of the captures that it is for; None is for all.
+
+    Args:
+        text: numbers separated by commas, one protocol behind the other separated by slashes; ``peers`` is the one of published
+            predictions, of the captures that have them.
+        data: folder of real captures, with ``peers.json``.
+
+    Raises:
+        ConfigError: no such numbers, or nothing published.
+    """
+    found: list[tuple[list[int], list[str] | None]] = []
+    for part in text.split("/"):
+        if part.strip() == "peers":
+            found.append((list(PEERS_LEFT_OUT), predicted_by_peers((data or Path()) / "peers.json")))
+        else:
+            found.append((sorted(_numbers("--left-out", part, int, lambda x: x >= 0)), None))
+    twice = len({tuple(numbers) for numbers, _ in found}) < len(found)
+    if twice:
+        raise ConfigError("each way to leave photos out once in --left-out", repr(text), "take one away")
+    return found
 
 
 def _sources(chosen: dict, data: Path | None) -> tuple[list[str], list[str]]:

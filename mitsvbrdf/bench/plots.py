@@ -16,6 +16,7 @@ from ..measure.tolerances import TOLERANCES
 from ..pages.colours import CHART_AXIS, CHART_GRID, CHART_LINES, CHART_QUIET, CHART_TEXT
 from . import summary
 
+WIDTH = 8.3  # inches, 800 pixels on a screen
 FONT_SIZES = {"title": 10, "label": 8.5, "tick": 8, "small": 7}
 # The twin has no error to show.
 RENDERER_LINES = {"mitsuba": CHART_LINES[0], "mitsuba-scene": CHART_LINES[1], "analytic": CHART_LINES[3]}
@@ -25,21 +26,27 @@ OVER_VIEWS: dict = {"linestyle": ":", "marker": "s", "linewidth": 0.9, "markersi
 
 def methods_figure(record: Mapping) -> Figure | None:
     """Error against seconds for all materials and all captures together, two errors of each; None without fits."""
-    kinds = {kind: fits for kind in summary.ERRORS if (fits := summary.of(record["records"], "methods", kind))}
-    if not kinds:
+    parts = [(kind, fits, view) for view in summary.views(record) for kind in summary.ERRORS
+             if (fits := summary.of(view["records"], "methods", kind))]
+    if not parts:
         return None
-    drawing = Figure(figsize=(10, 3.2 * len(kinds) + 0.3))
+    drawing = Figure(figsize=(WIDTH, 3.1 * len(parts) + 0.3))
     height = drawing.get_figheight()
-    panels = drawing.subplots(len(kinds), 2, squeeze=False)
-    drawing.subplots_adjust(left=0.055, right=0.835, wspace=0.6, hspace=0.38, top=1 - 0.45 / height, bottom=0.45 / height)
-    for row, (kind, fits) in zip(panels, kinds.items()):
+    panels = drawing.subplots(len(parts), 2, squeeze=False)
+    drawing.subplots_adjust(left=0.06, right=0.805, wspace=0.88, hspace=0.42, top=1 - 0.5 / height, bottom=0.45 / height)
+    for row, (kind, fits, view) in zip(panels, parts):
         for panel, (error, title) in zip(row, summary.ERRORS[kind].items()):
             found = summary.curves(fits, error)
-            lines = summary.published_mean(record["published"], kind, summary.names(fits), error)
-            how = "saw them" if error == "left_out" else "published"
-            _curves(panel, found, colours(fits), {f"{who} ({how})": value for who, value in lines.items()}, direct=True)
-            _headed(panel, title, f"RMSE, {names_of(kind, fits)}")
+            lines = summary.published_mean(view["published"], kind, summary.names(fits), error)
+            _curves(panel, found, colours(fits), {_whose(who, error): value for who, value in lines.items()}, direct=True)
+            headed(panel, title, f"RMSE, {names_of(kind, fits)}")
     return drawing
+
+
+def _whose(who: str, error: str) -> str:
+    """A published line's name, short, and how it came about."""
+    name = who.removesuffix(" without them")
+    return f"{name} (blind)" if name != who else f"{who} (saw them)" if error == "left_out" else f"{who} (published)"
 
 
 def small_multiples(record: Mapping, kind: str, error: str) -> Figure | None:
@@ -49,13 +56,13 @@ def small_multiples(record: Mapping, kind: str, error: str) -> Figure | None:
     if len(each) < 2:
         return None
     across, down = min(4, len(each)), math.ceil(len(each) / 4)
-    drawing = Figure(figsize=(10, 1.95 * down + 0.95))
+    drawing = Figure(figsize=(WIDTH, 1.95 * down + 0.95))
     height = drawing.get_figheight()
     panels = drawing.subplots(down, across, squeeze=False, sharex=True, sharey=True).flatten()
     drawing.subplots_adjust(left=0.055, right=0.985, wspace=0.08, hspace=0.3, top=1 - 0.82 / height, bottom=0.4 / height)
     published = []
     for number, (panel, name) in enumerate(zip(panels, each)):
-        lines = {who: errors[error] for who, errors in record["published"].get(kind, {}).get(name, {}).items()
+        lines = {_whose(who, error): errors[error] for who, errors in record["published"].get(kind, {}).get(name, {}).items()
                  if error in errors}
         _curves(panel, summary.curves(fits, error, [name]), colours(fits), lines, direct=False)
         published.append(lines)
@@ -80,10 +87,10 @@ def renderers_figure(record: Mapping) -> Figure | None:
     if not cases:
         return None
     bsdfs = list(dict.fromkeys(r["bsdf"] for r in cases))
-    drawing = Figure(figsize=(10, 2.6 * len(bsdfs) + 0.6))
+    drawing = Figure(figsize=(WIDTH, 2.6 * len(bsdfs) + 0.8))
     height = drawing.get_figheight()
     panels = drawing.subplots(len(bsdfs), 3, squeeze=False, sharex="col", sharey="col")
-    drawing.subplots_adjust(left=0.07, right=0.985, wspace=0.27, hspace=0.42, top=1 - 0.85 / height, bottom=0.45 / height)
+    drawing.subplots_adjust(left=0.07, right=0.985, wspace=0.3, hspace=0.42, top=1 - 1.05 / height, bottom=0.45 / height)
     whose = {row["renderer"] for r in cases for row in r["rows"]}
     shades = {name: colour for name, colour in RENDERER_LINES.items() if name in whose}
     tolerances = {"image": TOLERANCES["image"]["mean"], "gradient": TOLERANCES["gradients"]["relative_l2"]}
@@ -96,8 +103,8 @@ def renderers_figure(record: Mapping) -> Figure | None:
             panel.annotate("stated tolerance", (0.985, tolerances[error]), (0, 2), xycoords=("axes fraction", "data"),
                            textcoords="offset points", ha="right", fontsize=6.5, fontstyle="italic", color=CHART_TEXT)
             panel.set_ylim(2e-8, 1e-5)
-            _plain(panel)
-            _headed(panel, title, f"relative error, {bsdf}")
+            plain(panel)
+            headed(panel, title, f"relative error, {bsdf}")
         jittered = next((r for r in cases if r["bsdf"] == bsdf and r["truth"] == "pixels"), None)
         if jittered:
             _samples(row[2], jittered, shades)
@@ -105,7 +112,7 @@ def renderers_figure(record: Mapping) -> Figure | None:
     for panel in panels[-1]:
         panel.set_xlabel("seconds", fontsize=FONT_SIZES["small"])
     handles = _renderer_keys(cases, shades)
-    drawing.legend(handles=handles, loc="upper left", ncols=len(handles), fontsize=FONT_SIZES["tick"], frameon=False,
+    drawing.legend(handles=handles, loc="upper left", ncols=3, fontsize=FONT_SIZES["tick"], frameon=False,
                    bbox_to_anchor=(0.062, 1 - 0.08 / height), handlelength=1.8, columnspacing=1.6, borderaxespad=0)
     return drawing
 
@@ -131,10 +138,11 @@ def colours(fits: Sequence[Mapping]) -> dict[str, str]:
 
 
 def names_of(kind: str, fits: Sequence[Mapping]) -> str:
-    """How many materials or captures, and of how many seeds the median is."""
+    """How many materials or captures, and what the band is of."""
     count, seeds = len(summary.names(fits)), len({r["seed"] for r in fits})
-    what = summary.KINDS[kind] + ("s" if count > 1 else "")
-    return f"{count} {what}" + (f", median and quartiles of {seeds} seeds" if seeds > 1 else ", one seed")
+    left_out = f" without {' and '.join(map(str, fits[0]['left_out']))}" if fits[0].get("left_out") else ""
+    band = f"quartiles of {'them' if count > 1 else f'{seeds} seeds'}" if max(count, seeds) > 1 else "one seed"
+    return f"{count} {summary.KINDS[kind]}{'s' * (count > 1)}{left_out}; {'mean, band: ' if count > 1 else ''}{band}"
 
 
 def _curves(panel: Axes, found: Mapping[str, Sequence[summary.Point]], shades: Mapping[str, str], lines: Mapping[str, float],
@@ -146,23 +154,24 @@ def _curves(panel: Axes, found: Mapping[str, Sequence[summary.Point]], shades: M
     ends = []
     for number, (name, points) in enumerate(reversed(list(found.items()))):  # the default method on top
         x, y = [p.seconds for p in points], [p.median for p in points]
-        if any(p.high > p.low for p in points):
-            panel.fill_between(x, [p.low for p in points], [p.high for p in points], color=shades[name], alpha=0.16,
-                               linewidth=0, zorder=2)
+        low, high = ([p.scenes[0] for p in points], [p.scenes[1] for p in points]) if direct and points[0].count > 1 else (
+            [p.low for p in points], [p.high for p in points])
+        if high > low:
+            panel.fill_between(x, low, high, color=shades[name], alpha=0.13, linewidth=0, zorder=2)
         panel.plot(x, y, color=shades[name], linewidth=2.0 if direct else 1.5, marker="o", markersize=4 if direct else 2.6,
                    zorder=3 + number, solid_capstyle="round")
-        if points[-1].seconds < 0.8 * points[-1].budget:  # it ended before its time was up
+        if points[-1].ended:
             panel.plot([x[-1], right], [y[-1]] * 2, color=shades[name], linewidth=0.9, linestyle=(0, (1, 2)), zorder=2)
         ends.append((name, y[-1], shades[name], "normal"))
     for who, value in lines.items():
-        until = 1.0 if direct or len(lines) == 1 else 0.45  # several leave room for their names
+        until = 1.0 if direct or len(lines) == 1 else 0.4  # several leave room for their names
         panel.axhline(value, xmax=until, color=CHART_TEXT, linewidth=1.0, linestyle=(0, (5, 3)), zorder=1)
         ends.append((who, value, CHART_TEXT, "italic"))
     panel.set(xscale="log", yscale="log")
     panel.set_xlim(min([p.seconds for points in found.values() for p in points] or [1.0]) / 1.25, right)
     panel.xaxis.set_major_locator(FixedLocator(budgets))
     panel.xaxis.set_minor_locator(NullLocator())
-    _plain(panel)
+    plain(panel)
     if direct:
         panel.set_xlabel("seconds", fontsize=FONT_SIZES["small"], labelpad=1)
         _labels(panel, ends)
@@ -196,7 +205,7 @@ def _inner_labels(panel: Axes, published: Mapping[str, float]) -> None:
     low, high = map(math.log, panel.get_ylim())
     lines = sorted(published.items(), key=lambda line: line[1])
     places = spaced([(math.log(value) - low) / (high - low) for _, value in lines], 0.085)
-    where: dict[str, Any] = {"x": 0.465, "ha": "left", "va": "center"}
+    where: dict[str, Any] = {"x": 0.415, "ha": "left", "va": "center"}
     if len(lines) == 1:
         where = {"x": 0.985, "ha": "right", "va": "bottom"}
     for (who, _), place in zip(lines, places):
@@ -214,7 +223,7 @@ def _sweeps(panel: Axes, cases: Sequence[Mapping], error: str, time: str, shades
             for row in rows:
                 panel.hlines(row[error], row[time]["low"], row[time]["high"], color=colour, linewidth=4, alpha=0.3)
     panel.set(xscale="log", yscale="log")
-    _plain(panel)
+    plain(panel)
 
 
 def _grown(cases: Sequence[Mapping]) -> tuple[list[Mapping], list[Mapping]]:
@@ -237,20 +246,21 @@ def _samples(panel: Axes, case: Mapping, shades: Mapping[str, str]) -> None:
             panel.plot(row["forward"]["median"], row["image"], "D", color=shades[row["renderer"]], markersize=5, zorder=4)
     panel.set(xscale="log", yscale="log")
     panel.margins(0.12, 0.15)
-    _headed(panel, "Image of whole pixels, forward", f"{case['bsdf']}, {case['resolution']} px; number: jittered rays")
-    _plain(panel)
+    headed(panel, "Whole pixels, forward", f"{case['bsdf']}, {case['resolution']} px; number: jittered rays")
+    plain(panel)
 
 
-def _headed(panel: Axes, title: str, about: str) -> None:
+def headed(panel: Axes, title: str, about: str) -> None:
+    """Give a panel its title, and a quiet line below it."""
     panel.set_title(title, loc="left", fontsize=FONT_SIZES["title"], fontweight="bold", pad=14)
     panel.text(0, 1.025, about, transform=panel.transAxes, fontsize=FONT_SIZES["small"], color=CHART_QUIET, va="bottom")
 
 
-def _plain(panel: Axes) -> None:
-    """Quiet axes whose numbers are written out."""
-    for axis, limits in ((panel.xaxis, panel.get_xlim()), (panel.yaxis, panel.get_ylim())):
+def plain(panel: Axes) -> None:
+    """Give a panel quiet axes whose numbers are written out."""
+    for axis, limits, most in ((panel.xaxis, panel.get_xlim(), 60), (panel.yaxis, panel.get_ylim(), 300)):
         if not isinstance(axis.get_major_locator(), FixedLocator):
-            axis.set_major_locator(LogLocator(subs=(1, 2, 5) if limits[1] / limits[0] < 60 else (1,)))
+            axis.set_major_locator(LogLocator(subs=(1, 2, 5) if limits[1] / limits[0] < most else (1,)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
     panel.grid(True, which="major", color=CHART_GRID, linewidth=0.7)

@@ -8,12 +8,14 @@ from pathlib import Path
 
 from ..errors import ConfigError
 from ..system.json_files import load
+from .schema import capture_kind
 from .tasks import KnownMaterial, Task
 
 PUBLISHED_SIDE = 256  # the published numbers are for photos and maps of this size
 METHOD_NAMES = {"materialgan": "MaterialGAN", "gao2019": "Gao 2019", "deschaintre2019": "Deschaintre 2019",
          "deschaintre2019-gao2019": "Deschaintre + Gao 2019"}
 PEERS_LEFT_OUT = (7, 8)  # the photos that the field's protocol leaves out of fits to 0 to 6
+BLIND = "left_out_7_8_rmse_256"  # their errors, in peers.json
 PUBLISHED_MAPS = ("diffuse", "specular", "roughness", "normal")
 
 Published = dict[str, dict[str, dict[str, dict[str, float]]]]
@@ -22,9 +24,10 @@ Published = dict[str, dict[str, dict[str, dict[str, float]]]]
 def published(path: Path, tasks: Sequence[Task], resolution: int) -> Published:
     """Kind -> name -> whose -> error -> value, in the names that records use; empty at another size than the numbers' own.
 
-    Materials have RMSE of each map and their ``mean``, on the publishers' own photos of them. Captures have MaterialGAN's
-    errors of the photos that fits here see and leave out; it saw all of them. Where photos 7 and 8 are left out, they also
-    have the errors of methods that did not see these either.
+    Materials have RMSE of each map and their ``mean``, on the publishers' own photos of them. Captures stand under the kind
+    :func:`mitsvbrdf.bench.schema.capture_kind` of the photos left out and have MaterialGAN's errors of the photos that fits
+    here see and leave out; it saw all of them. Where photos 7 and 8 are left out, they also have the errors of methods that did
+    not see these either.
 
     Args:
         path: ``peers.json``; a missing file has nothing.
@@ -34,7 +37,7 @@ def published(path: Path, tasks: Sequence[Task], resolution: int) -> Published:
     Raises:
         ConfigError: the file cannot be understood.
     """
-    found: Published = {"material": {}, "capture": {}}
+    found: Published = {"material": {}}
     if not path.is_file() or resolution != PUBLISHED_SIDE:
         return found
     try:
@@ -47,15 +50,29 @@ def published(path: Path, tasks: Sequence[Task], resolution: int) -> Published:
             elif task.name in stated["captures"]:
                 each = stated["captures"][task.name]["per_view"]
                 parts = {"seen": task.photos.index} | ({"left_out": task.left_out.index} if task.left_out else {})
-                found["capture"][task.name] = {"MaterialGAN": {
+                here = found.setdefault(capture_kind(task.numbers), {})
+                here[task.name] = {"MaterialGAN": {
                     part: math.sqrt(sum(each[i] ** 2 for i in index) / len(index)) for part, index in parts.items()}}
                 if parts.get("left_out") == PEERS_LEFT_OUT:
-                    blind = stated["captures"][task.name].get("left_out_7_8_rmse_256", {})
-                    found["capture"][task.name] |= {f"{METHOD_NAMES.get(who, who)} without them": {"left_out": float(error)}
-                                                    for who, error in blind.items()}
+                    blind = stated["captures"][task.name].get(BLIND, {})
+                    here[task.name] |= {f"{METHOD_NAMES.get(who, who)} without them": {"left_out": float(error)}
+                                        for who, error in blind.items()}
     except (ValueError, KeyError, TypeError, AttributeError, IndexError) as reason:
         raise ConfigError("peers.json with materials and captures", f"{path}: {reason!r}", "mend it, or take it away") from None
     return found
+
+
+def predicted_by_peers(path: Path) -> list[str]:
+    """The captures of which ``peers.json`` has the errors of methods that did not see photos 7 and 8.
+
+    Raises:
+        ConfigError: there is no such file, or it cannot be understood.
+    """
+    try:
+        return [name for name, stated in load(path)["captures"].items() if BLIND in stated]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as reason:
+        raise ConfigError("peers.json with captures beside the data", f"{path}: {reason!r}",
+                          "give the numbers of the photos to leave out") from None
 
 
 def _with_mean(maps: dict[str, float]) -> dict[str, float]:

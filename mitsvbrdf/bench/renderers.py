@@ -30,6 +30,7 @@ FLASH_BESIDE = 0.1  # patch sides between lens and flash, as fits find them; wit
 # Bytes a texel and view of a forward and backward pass, rounded up from what was measured at 256 and 512 px, nine views:
 # 1060, 290, 30 and 90. A renderer that would need more than there is sits a case out.
 BYTES_A_TEXEL = {"analytic64": 1200, "analytic": 350, "mitsuba": 100, "mitsuba-scene": 150}
+TRUTH_BYTES_A_TEXEL = 40  # a texel and view of the truth, which stays beside them
 SECONDS_A_TEXEL = 2.5e-6  # of all renderers together, a texel and view, forward and backward; only to say how long it will take
 
 POINTS_A_SIDE = 4, 8  # points along a pixel's side for the truth of jittered pixels, extrapolated from both
@@ -110,7 +111,7 @@ class RenderJob:
         engines: dict[tuple[str, int], Renderer] = {}
         skipped, available = [], memory_available()
         for name, size in BYTES_A_TEXEL.items():
-            needed = size * self.resolution**2 * self.views
+            needed = (size + TRUTH_BYTES_A_TEXEL) * self.resolution**2 * self.views
             if available is not None and needed > available:
                 skipped.append({"renderer": name, "why": f"needs about {needed / 2**30:.0f} GiB of memory"})
             else:

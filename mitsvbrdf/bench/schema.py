@@ -1,180 +1,34 @@
-"""The JSON of a benchmark, version 1: what it holds, and whether a file is one."""
+"""The JSON of a benchmark, version 2: which record is which, and whether a file is one (:mod:`mitsvbrdf.bench.records`)."""
 
 from __future__ import annotations
 
 import functools
 import math
 import types
-from typing import Any, Literal, TypedDict, Union, get_args, get_origin, get_type_hints, is_typeddict
+from collections.abc import Sequence
+from typing import Any, Literal, Union, get_args, get_origin, get_type_hints, is_typeddict
 
 from ..errors import ConfigError
+from .records import Benchmark
 
-SCHEMA_VERSION: Literal[1] = 1
-
-
-class Spread(TypedDict):
-    """Repeated timings, in seconds: median and quartiles."""
-
-    median: float
-    low: float
-    high: float
-    repeats: int
-
-
-class Made(TypedDict, total=False):
-    """How a record was made; ``workers``: how many jobs were done at a time, left out where it was one."""
-
-    workers: int
-
-
-class RenderRow(TypedDict):
-    """One renderer of a case.
-
-    ``image`` is the mean relative error over texels of roughness 0.1 and more, ``gradient`` the relative L2 error of the
-    worst map there, ``forward`` a picture without gradients, ``both`` forward and backward.
-    """
-
-    renderer: str
-    samples: int
-    image: float
-    gradient: float
-    forward: Spread
-    both: Spread
-
-
-class RenderRecord(Made):
-    """One case of the suite ``renderers``; ``truth``: texel centres, or averages over pixels."""
-
-    suite: Literal["renderers"]
-    bsdf: Literal["roughconductor", "principled"]
-    resolution: int
-    views: int
-    truth: Literal["texels", "pixels"]
-    config: dict[str, Any]
-    rows: list[RenderRow]
-    skipped: list[dict[str, str]]
-
-
-class FitRecord(Made):
-    """One fit.
-
-    ``seconds`` by the loop's clock, ``wall`` with preparation and reckoning. ``errors`` of a known ``material``: each map,
-    ``mean``, ``novel_light``, ``photos``; of a real ``capture``: ``seen``, ``left_out``; none of a fit that failed, which
-    ``why`` explains.
-    """
-
-    suite: Literal["methods", "ablation", "gan"]
-    method: str
-    kind: Literal["material", "capture"]
-    name: str
-    budget: float
-    seed: int
-    config: dict[str, Any]
-    seconds: float
-    wall: float
-    iterations: int
-    stopped: str
-    why: str | None
-    errors: dict[str, float]
-
-
-class CaptureRecord(Made):
-    """One capture made without calibration.
-
-    Of a known ``material`` by the simulated phone, with or without ``sheet``, or a real ``capture`` whose views were taken
-    away. ``seconds`` by stage; ``errors`` as :mod:`mitsvbrdf.bench.from_phone` counts them, none of what failed, which
-    ``why`` explains.
-    """
-
-    suite: Literal["capture"]
-    kind: Literal["material", "capture"]
-    name: str
-    sheet: bool
-    config: dict[str, Any]
-    seconds: dict[str, float]
-    errors: dict[str, float]
-    stopped: Literal["done", "failed"]
-    why: str | None
-
-
-class ReferenceRecord(Made):
-    """What the fits of one material or capture are compared with; ``errors``: whose -> error -> value, named as in a fit."""
-
-    suite: Literal["references"]
-    kind: Literal["material", "capture"]
-    name: str
-    config: dict[str, Any]
-    errors: dict[str, dict[str, float]]
-
-
-class ScheduleRecord(Made):
-    """One run of the paper's schedule: ``errors`` of its result; ``trace`` has those of the state, iteration and seconds."""
-
-    suite: Literal["schedule"]
-    method: str
-    kind: Literal["material", "capture"]
-    name: str
-    seed: int
-    config: dict[str, Any]
-    seconds: float
-    wall: float
-    iterations: int
-    stopped: str
-    errors: dict[str, float]
-    trace: list[dict[str, float]]
-
-
-class StepRow(TypedDict):
-    """One version of an iteration; ``parts``: the share of each part of it."""
-
-    version: Literal["now", "earlier"]
-    bfloat16: bool
-    seconds: Spread
-    parts: dict[str, float]
-
-
-class StepRecord(Made):
-    """Iterations of one preset of ``gan``; ``ratio`` is how many times as long the earlier version takes."""
-
-    suite: Literal["steps"]
-    preset: str
-    resolution: int
-    width: int
-    config: dict[str, Any]
-    rows: list[StepRow]
-    ratio: Spread
-
-
-class SheetRecord(Made):
-    """A picture of one material's maps by several methods; ``errors``: whose -> map -> RMSE, as written on it."""
-
-    suite: Literal["sheets"]
-    kind: Literal["material"]
-    name: str
-    config: dict[str, Any]
-    file: str
-    errors: dict[str, dict[str, float]]
-
-
-class Benchmark(TypedDict):
-    """The whole file. ``published``: kind -> name -> whose -> error -> value, of what was fitted here."""
-
-    schema_version: Literal[1]
-    settings: dict[str, Any]
-    machine: dict[str, Any]
-    versions: dict[str, str | None]
-    seeds: list[int]
-    published: dict[str, dict[str, dict[str, dict[str, float]]]]
-    records: list[RenderRecord | FitRecord | CaptureRecord | ReferenceRecord | ScheduleRecord | StepRecord | SheetRecord]
+SCHEMA_VERSION: Literal[2] = 2
+OF_TASKS = "methods", "ablation", "gan", "references", "schedule"  # suites whose records are of an :class:`OfTask`
+LEFT_OUT = (4, 7)  # numbers of the photos that fits of real captures do not see, where nothing else is said
 
 
 def identity(record: dict) -> tuple:
     """What no two records of a file share."""
     names = {"renderers": ("suite", "bsdf", "resolution", "views", "truth"), "capture": ("suite", "kind", "name", "sheet"),
              "references": ("suite", "kind", "name"), "sheets": ("suite", "kind", "name"),
-             "schedule": ("suite", "method", "kind", "name", "seed"),
+             "schedule": ("suite", "method", "kind", "name", "seed"), "start": ("suite", "method", "kind", "name"),
              "steps": ("suite", "preset", "resolution", "width")}
-    return tuple(record[name] for name in names.get(record["suite"], ("suite", "method", "kind", "name", "budget", "seed")))
+    own = names.get(record["suite"], ("suite", "method", "kind", "name", "budget", "seed"))
+    return (*(record[name] for name in own), tuple(record.get("left_out", ())))
+
+
+def capture_kind(left_out: Sequence[int]) -> str:
+    """The kind under which numbers published for captures stand, where these photos are left out."""
+    return f"capture {','.join(map(str, left_out))}"
 
 
 def check_benchmark(value: Any, where: str) -> Benchmark:
@@ -196,6 +50,9 @@ def check_benchmark(value: Any, where: str) -> Benchmark:
     if len(set(records)) < len(records):
         twice = next(r for r in records if records.count(r) > 1)
         problem = f"{where}.records", "each fit and case once", f"{twice} twice"
+    for number, record in enumerate([] if problem else value["records"]):
+        if record["suite"] in OF_TASKS and ("left_out" in record) != (record["kind"] == "capture"):
+            problem = f"{where}.records.{number}", "left_out of a capture, and of nothing else", str(record["kind"])
     if problem:
         place, expected, got = problem
         raise ConfigError(f"{expected} at {place}", got, "choose another file, or --anew to forget it")

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import ast
+import functools
 import hashlib
+import importlib.metadata
 import json
+import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,15 +20,21 @@ from ..system.interrupts import stop_signals
 from ..system.json_files import load
 from ..system.provenance import machine, versions
 from ..system.shared_file import held
+from .behaviour import ended_for_good
+from .earlier import upgraded
 from .published import Published
-from .schema import SCHEMA_VERSION, Benchmark, check_benchmark, identity
+from .records import Benchmark
+from .schema import SCHEMA_VERSION, check_benchmark, identity
 
 PACKAGE = Path(__file__).parents[1]
 # The code that shapes a record: all else may change between two runs that add to one file.
+EXACT = "config", "budget"  # of a record, what is compared with what is asked for
+UNSHAPING = "mitsvbrdf"  # of the versions the one that says nothing: the code's own digits do
 SHAPING = ("capture/**/*.py", "calibrate/*.py", "fit/**/*.py", "material/*.py", "measure/*.py", "render/*.py", "synth/*.py",
            "evaluate/*.py", "system/layout.py", "color.py", "views.py",
            "bench/paper/references.py", "bench/paper/schedule.py", "bench/paper/steps.py", "bench/peers_baseline.py",
-           "bench/tasks.py", "bench/renderers.py", "bench/from_phone.py")
+           "bench/methods.py", "bench/tasks.py", "bench/renderers.py", "bench/from_phone.py", "bench/start.py",
+           "bench/start_child.py")
 
 
 class Store:
@@ -41,9 +51,10 @@ class Store:
 
     def __init__(self, path: Path, settings: Mapping[str, Any], anew: bool = False) -> None:
         self.path, self.anew = Path(path), anew
+        used = versions() | {"mitsvbrdf": __version__, "flip-evaluator": _flip_version()}
         self.content: Benchmark = {
             "schema_version": SCHEMA_VERSION, "settings": {**settings, "code": code()}, "machine": this_machine(),
-            "versions": versions() | {"mitsvbrdf": __version__}, "seeds": [], "published": {}, "records": []}
+            "versions": used, "seeds": [], "published": {}, "records": []}
         self.found: Published = {}
         self.outdated: list[dict] = []  # records of earlier settings, which go when the first new one comes
         self._read()
@@ -56,7 +67,7 @@ class Store:
         for part in ("settings", "machine", "versions"):
             earlier, now = there[part], self.content[part]  # type: ignore[literal-required]
             for name in sorted({*earlier, *now}):
-                if earlier.get(name) != now.get(name):
+                if earlier.get(name) != now.get(name) and name != UNSHAPING:
                     raise ConfigError(f"{name} {earlier.get(name)!r}, as in {self.path}", repr(now.get(name)),
                                       "--anew forgets it, another --json keeps both")
         self.content = there
@@ -67,13 +78,26 @@ class Store:
         return self.content["records"]  # type: ignore[return-value]
 
     def pending(self, jobs: list) -> list:
-        """The jobs without a record. Records of a method or case whose settings have changed go with it."""
+        """The jobs without a record that need one. Records of a method or case whose settings have changed go with it."""
         wanted = {(*_whole(job.key),): job.settings for job in jobs}
         kept = [r for r in self.records if wanted.get((*_whole(r),), r["config"]) == r["config"]]
         self.outdated += [r for r in self.records if r not in kept]
         self.content["records"] = kept  # type: ignore[typeddict-item]
         done = set(map(identity, kept))
-        return [job for job in jobs if identity(job.key) not in done]
+        ended = self._ended()
+        return [job for job in jobs if identity(job.key) not in done and not _repeats(job.key, ended)]
+
+    def repeats(self, job: Any) -> bool:
+        """Whether a fit would repeat one of a shorter budget, which ended by itself."""
+        return _repeats(job.key, self._ended())
+
+    def _ended(self) -> dict[tuple, float]:
+        """The shortest budget with which a fit ended for good, by what it is a fit of."""
+        found: dict[tuple, float] = {}
+        for r in self.records:
+            if "budget" in r and ended_for_good(r):
+                found[_but_budget(r)] = min(r["budget"], found.get(_but_budget(r), math.inf))
+        return found
 
     def add(self, record: dict) -> None:
         """Keep one record, in the file, beside what other runs have put there.
@@ -81,7 +105,8 @@ class Store:
         Raises:
             ConfigError: another run measures the same method or case with other settings.
         """
-        self._update([json.loads(json.dumps(record))])  # as it will be read
+        as_read = json.loads(json.dumps(record))
+        self._update([{name: each if name in EXACT else short(each) for name, each in as_read.items()}])
 
     def publish(self, found: Published) -> None:
         """Add published numbers to those that are there."""
@@ -104,7 +129,7 @@ class Store:
                 self.content["seeds"] = sorted({r["seed"] for r in self.records if "seed" in r})
                 for kind, each in self.found.items():
                     self.content["published"].setdefault(kind, {}).update(each)
-                files.write_json(self.path, self.content)
+                files.write_bytes(self.path, text_of(self.content).encode())
                 self.anew = False
         if stop:
             raise KeyboardInterrupt
@@ -123,7 +148,7 @@ def read_benchmark(path: Path) -> Benchmark:
         ConfigError: no such file, or another content.
     """
     try:
-        return check_benchmark(load(Path(path)), str(path))
+        return check_benchmark(upgraded(load(Path(path))), str(path))
     except OSError as reason:
         raise ConfigError("a benchmark's JSON", f"{path}: {reason.strerror}", "check --json") from None
     except ValueError as reason:
@@ -135,12 +160,60 @@ def _whole(key: Mapping[str, Any]) -> tuple:
     return (key["suite"], key["method"]) if "method" in key else identity(dict(key))
 
 
+def _but_budget(key: Mapping[str, Any]) -> tuple:
+    return identity({**key, "budget": None})
+
+
+def _repeats(key: Mapping[str, Any], ended: Mapping[tuple, float]) -> bool:
+    return "budget" in key and ended.get(_but_budget(key), math.inf) < key["budget"]
+
+
+def short(value: Any) -> Any:
+    """Six digits of every float, in a value that JSON has."""
+    if isinstance(value, float):
+        return float(f"{value:.6g}")
+    if isinstance(value, dict):
+        return {name: short(each) for name, each in value.items()}
+    return [short(each) for each in value] if isinstance(value, list) else value
+
+
+def text_of(content: Mapping) -> str:
+    """A benchmark as JSON, a line for each record."""
+    def line(value: Any) -> str:
+        return json.dumps(value, allow_nan=False, separators=(",", ":"))
+
+    head = [f'"{name}":{line(value)}' for name, value in content.items() if name != "records"]
+    return "{" + ",\n".join([*head, '"records":[\n' + ",\n".join(map(line, content["records"])) + "]"]) + "}\n"
+
+
+@functools.cache
 def code() -> str:
-    """Twelve digits that change with the code that makes the records."""
+    """Twelve digits that change with the code that makes the records, but not with the words in it.
+
+    They are of the syntax trees: comments, docstrings and the layout of lines do not count.
+    """
     digest = hashlib.sha256()
     for path in sorted(path for pattern in SHAPING for path in PACKAGE.glob(pattern)):
-        digest.update(path.name.encode() + path.read_bytes())
+        digest.update(path.relative_to(PACKAGE).as_posix().encode() + syntax_of(path.read_text(encoding="utf-8")).encode())
     return digest.hexdigest()[:12]
+
+
+def syntax_of(source: str) -> str:
+    """What a source does, as text: its syntax tree without docstrings, whether of modules, classes, functions or fields."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            node.body = [each for each in body if not (  # type: ignore[attr-defined]
+                isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant) and isinstance(each.value.value, str))]
+    return ast.dump(tree)
+
+
+def _flip_version() -> str | None:
+    try:
+        return importlib.metadata.version("flip-evaluator")
+    except importlib.metadata.PackageNotFoundError:
+        return None
 
 
 def this_machine() -> dict[str, Any]:

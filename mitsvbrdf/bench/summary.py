@@ -10,7 +10,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from ..system.timing import spread
+from .behaviour import ended_for_good
+from .methods import method_table
 from .published import Published
+from .schema import LEFT_OUT, capture_kind, identity
 from .variants import FULL
 
 # The errors that are judged by, of known materials and of real captures, and what to call them.
@@ -28,25 +31,73 @@ class Point:
 
     Args:
         budget: seconds it was given.
-        seconds: the loop's own, median over seeds.
+        seconds: the loop's own, median over seeds; ``wall`` with what comes before and after it.
         median: of the error over seeds; ``low`` and ``high`` are its quartiles.
         seeds: how many.
+        scenes: quartiles over materials or captures, each of its median over seeds; ``count`` is how many these are.
+        ended: whether all these fits ended by themselves.
     """
 
     budget: float
     seconds: float
+    wall: float
     median: float
     low: float
     high: float
     seeds: int
+    scenes: tuple[float, float]
+    count: int
+    ended: bool
 
 
+BY_ITSELF = "iterations", "settled"  # how fits end before their budget does
 FIT_SUITES = ("methods", "ablation", "gan")  # whose records are fits
 
 
 def of(records: Iterable[Mapping], suite: str, kind: str) -> list[Mapping]:
-    """The fits of a suite of materials or of captures."""
-    return [r for r in records if r["suite"] == suite and r["kind"] == kind] if suite in FIT_SUITES else []
+    """The fits of a suite of materials or of captures, with those that a shorter budget stands for.
+
+    Methods stand in their own order, the default first, whichever fit ended first.
+    """
+    fits = with_repeats([r for r in records if r["suite"] == suite and r["kind"] == kind] if suite in FIT_SUITES else [])
+    if suite != "methods":
+        return fits
+    rank = {name: number for number, name in enumerate(method_table())}
+    return sorted(fits, key=lambda r: (rank.get(r["method"], len(rank)), r["name"]))
+
+
+def with_repeats(fits: Sequence[Mapping]) -> list[Mapping]:
+    """Fits and, at each longer budget that was not run, those that ended for good with a shorter one."""
+    found = {identity(dict(r)): r for r in fits}
+    for r in sorted(filter(ended_for_good, fits), key=lambda r: r["budget"]):
+        for budget in budgets(fits):
+            if budget > r["budget"]:
+                found.setdefault(identity({**r, "budget": budget}), {**r, "budget": budget})
+    return list(found.values())
+
+
+def views(record: Mapping) -> list[dict]:
+    """The record apart by what fits are judged by: known materials, and real captures by the photos left out."""
+    materials = {**record, "records": [r for r in record["records"] if r.get("kind") != "capture"]}
+    left_out = dict.fromkeys(tuple(r["left_out"]) for r in record["records"] if "left_out" in r)
+    return [materials, *(view(record, numbers) for numbers in left_out)]
+
+
+def view(record: Mapping, left_out: Sequence[int]) -> dict:
+    """The captures of which these photos were left out, with the numbers published for them under the kind ``capture``."""
+    return {**record, "left_out": tuple(left_out),
+            "records": [r for r in record["records"] if r.get("left_out") == list(left_out)],
+            "published": {"capture": record["published"].get(capture_kind(left_out), {})}}
+
+
+def usual(record: Mapping) -> dict:
+    """Materials, and captures of the first of :func:`views`: what a page shows that tells no ways to leave photos out apart."""
+    materials, *captures = views(record)
+    if not captures:
+        return {**materials, "left_out": LEFT_OUT}
+    return {**captures[0], "records": [r for r in record["records"] if r.get("left_out", [*captures[0]["left_out"]])
+                                       == [*captures[0]["left_out"]]],
+            "published": {**record["published"], **captures[0]["published"]}}
 
 
 def names(fits: Iterable[Mapping]) -> list[str]:
@@ -74,22 +125,41 @@ def curves(fits: Sequence[Mapping], error: str, only: Sequence[str] | None = Non
             groups[r["method"]].setdefault(r["budget"], {}).setdefault(r["seed"], {})[r["name"]] = r
     found = {}
     for method, by_budget in groups.items():
-        points = [_point(budget, error, [list(each.values()) for each in seeds.values() if set(each) == wanted])
+        points = [_point(budget, error, [each for each in seeds.values() if set(each) == wanted])
                   for budget, seeds in sorted(by_budget.items())]
         found[method] = [point for point in points if point]
     return {method: points for method, points in found.items() if points}
 
 
-def _point(budget: float, error: str, seeds: list[list[Mapping]]) -> Point | None:
+def _point(budget: float, error: str, seeds: list[dict[str, Mapping]]) -> Point | None:
     if not seeds:
         return None
-    errors = spread([statistics.fmean(r["errors"][error] for r in each) for each in seeds])
-    seconds = statistics.median(statistics.fmean(r["seconds"] for r in each) for each in seeds)
-    return Point(budget, seconds, errors["median"], errors["low"], errors["high"], len(seeds))
+    errors = spread([statistics.fmean(r["errors"][error] for r in each.values()) for each in seeds])
+    seconds, wall = (statistics.median(statistics.fmean(r[clock] for r in each.values()) for each in seeds)
+                     for clock in ("seconds", "wall"))
+    scenes = spread([statistics.median(each[name]["errors"][error] for each in seeds) for name in seeds[0]])
+    ended = all(r["stopped"] in BY_ITSELF for each in seeds for r in each.values())
+    return Point(budget, seconds, wall, errors["median"], errors["low"], errors["high"], len(seeds),
+                 (scenes["low"], scenes["high"]), len(seeds[0]), ended)
+
+
+def absent(fits: Iterable[Mapping], method: str, budget: float, error: str, only: Sequence[str] | None = None) -> str:
+    """Why :func:`curves` has no point of a method at a budget, in a few words."""
+    fits = list(fits)
+    wanted = set(names(fits) if only is None else only)
+    here = [r for r in fits if r["method"] == method and r["budget"] == budget and r["name"] in wanted]
+    failed = {r["name"]: r["why"] for r in here if r["stopped"] == "failed"}
+    if not here:
+        return "not run"
+    if failed:
+        why = " ".join(str(next(iter(failed.values()))).split()).replace("|", "/")
+        return f"fails: {why}" if len(wanted) == 1 else f"fails on {len(failed)} of {len(wanted)}"
+    done = {r["name"] for r in here if error in r["errors"]}
+    return f"only {len(done)} of {len(wanted)}" if done else "not measured"
 
 
 def first_below(points: Sequence[Point], target: float) -> Point | None:
-    """The shortest budget whose median error is below a target. Between budgets nothing is known: schedules follow them."""
+    """The shortest budget whose median error is below a target; schedules follow budgets, so nothing is known in between."""
     return next((point for point in points if point.median < target), None)
 
 
@@ -98,6 +168,12 @@ def published_mean(published: Published, kind: str, wanted: Sequence[str], error
     entries = [published.get(kind, {}).get(name, {}) for name in wanted]
     whose = [who for who in (entries[0] if entries else {}) if all(error in each.get(who, {}) for each in entries)]
     return {who: statistics.fmean(each[who][error] for each in entries) for who in whose}
+
+
+def beside(published: Published, kind: str) -> list[str]:
+    """Whose published errors fits are held against: MaterialGAN's, and those of methods that did not see what is left out."""
+    whose = dict.fromkeys(who for each in published.get(kind, {}).values() for who in each)
+    return [who for who in whose if who == "MaterialGAN" or who.endswith("without them")]
 
 
 def with_published(published: Published, kind: str, wanted: Sequence[str], who: str, error: str) -> list[str]:

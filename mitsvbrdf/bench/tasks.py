@@ -3,27 +3,28 @@
 from __future__ import annotations
 
 import math
+import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
 import torch
+from torch import Tensor
 
 from ..capture import Capture, read_capture
-from ..color import to_display
+from ..color import Transfer, to_display
 from ..errors import ConfigError
 from ..evaluate import evaluate_maps
 from ..material.made import make_material
 from ..material.map_files import load_maps
 from ..material.maps import SVBRDF
-from ..measure.metrics import map_rmse, photo_rmse
+from ..measure.metrics import flip, map_rmse, photo_rmse
 from ..render import Renderer, make_renderer
 from ..synth import photograph
 from ..views import Views
 from .methods import Fitted
-
-LEFT_OUT = (4, 7)  # numbers of the photos that fits of real captures do not see, where nothing else is said
+from .schema import LEFT_OUT
 
 
 @dataclass(frozen=True)
@@ -43,11 +44,21 @@ class KnownMaterial:
     folder: Path | None
     photos: Capture
 
+    @property
+    def key(self) -> dict:
+        """What identifies it in a record."""
+        return {"kind": self.kind, "name": self.name}
+
     def errors(self, found: Fitted) -> dict[str, float]:
         """RMSE of each map and their ``mean``, of pictures under ``novel_light``, and of the ``photos`` themselves."""
         maps = map_rmse(found.svbrdf, self.truth) if self.folder is None else evaluate_maps(found.svbrdf, self.folder)
         novel = novel_light_rmse(found.svbrdf, self.truth, self.photos.views)
         return maps | {"novel_light": novel, "photos": found.rmse}
+
+    def looks(self, found: Fitted) -> dict[str, float]:
+        """Mean FLIP of pictures under ``flip_novel_light``, and of the ``flip_photos`` themselves."""
+        return {"flip_novel_light": mean_flip(*novel_pictures(found.svbrdf, self.truth, self.photos.views)),
+                "flip_photos": mean_flip(found.predict(self.photos)[0], self.photos.linear, self.photos.transfer)}
 
 
 @dataclass(frozen=True)
@@ -58,17 +69,30 @@ class RealCapture:
         name: of the capture.
         photos: what is fitted.
         left_out: what is predicted; None where the capture has none of these photos, or states no views to predict from.
+        numbers: of the photos that were to be left out.
     """
 
     kind: ClassVar = "capture"
     name: str
     photos: Capture
     left_out: Capture | None
+    numbers: tuple[int, ...] = LEFT_OUT
+
+    @property
+    def key(self) -> dict:
+        """What identifies it in a record."""
+        return {"kind": self.kind, "name": self.name, "left_out": list(self.numbers)}
 
     def errors(self, found: Fitted) -> dict[str, float]:
         """RMSE in display values of the photos ``seen`` and, where there are any, ``left_out``."""
-        predicted = {} if self.left_out is None else {"left_out": found.predict(self.left_out)}
+        predicted = {} if self.left_out is None else {"left_out": found.predict(self.left_out)[1]}
         return {"seen": found.rmse} | predicted
+
+    def looks(self, found: Fitted) -> dict[str, float]:
+        """Mean FLIP of the photos ``flip_seen`` and, where there are any, ``flip_left_out``."""
+        parts = {"flip_seen": self.photos, "flip_left_out": self.left_out}
+        return {name: mean_flip(found.predict(shots)[0], shots.linear, shots.transfer)
+                for name, shots in parts.items() if shots is not None}
 
 
 def known_material(name: str, resolution: int, views: Views, renderer: Renderer) -> KnownMaterial:
@@ -103,7 +127,7 @@ def real_capture(folder: Path, resolution: int, left_out: Sequence[int] = LEFT_O
         raise ConfigError(f"photos besides {tuple(left_out)}", f"{list(shots.index)} in {folder}",
                           "give a capture with more photos")
     held = [i for i in shots.index if i in left_out and shots.calibrated]
-    return RealCapture(folder.name, shots.pick(seen), shots.pick(held) if held else None)
+    return RealCapture(folder.name, shots.pick(seen), shots.pick(held) if held else None, tuple(left_out))
 
 
 def novel_light_rmse(svbrdf: SVBRDF, truth: SVBRDF, views: Views) -> float:
@@ -114,10 +138,21 @@ def novel_light_rmse(svbrdf: SVBRDF, truth: SVBRDF, views: Views) -> float:
         truth: the known material; the larger of both is area-averaged to the smaller.
         views: those of the photos.
     """
+    found, exact = novel_pictures(svbrdf, truth, views)
+    return photo_rmse(found, to_display(exact))[0]
+
+
+def novel_pictures(svbrdf: SVBRDF, truth: SVBRDF, views: Views) -> tuple[Tensor, Tensor]:
+    """The pictures that :func:`novel_light_rmse` compares, of both materials, N x R x R x 3 linear; R of the smaller one."""
     size, renderer, lit = min(svbrdf.resolution, truth.resolution), make_renderer("analytic"), novel_views(views)
     with torch.no_grad():
         found, exact = (renderer.render(m.as_roughconductor().resized(size), lit) for m in (svbrdf, truth))
-    return photo_rmse(found, to_display(exact))[0]
+    return found, exact
+
+
+def mean_flip(images: Tensor, exact: Tensor, transfer: Transfer = "gamma2.2") -> float:
+    """Mean FLIP over all pixels of N pictures, linear, as screens with this transfer curve show them."""
+    return statistics.fmean(float(flip(image, other, transfer).mean()) for image, other in zip(images, exact))
 
 
 def novel_views(views: Views, tilts: Sequence[float] = (25.0, 50.0), around: int = 4) -> Views:

@@ -112,7 +112,7 @@ class RefinedViews:
 
 @entry()
 def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors = Priors(),  # noqa: B008
-                 iterations: int = ITERATIONS) -> RefinedViews:
+                 iterations: int = ITERATIONS, start: Tensor | None = None) -> RefinedViews:
     """The most probable views of photos of a known material; about a second for two photos.
 
     Args:
@@ -121,6 +121,7 @@ def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors 
         capture: the N photos.
         priors: how far the views may be off.
         iterations: steps at most.
+        start: changes N x 7 from which the search begins, such as those found with earlier maps; left out, those expected.
 
     Returns:
         A local optimum: a highlight must overlap its photo's to be drawn there.
@@ -130,7 +131,7 @@ def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors 
         ConfigError: expected changes that are not seven numbers or N x 7.
     """
     problem = Problem(svbrdf, views, capture, priors)
-    here = problem.linear(torch.zeros(problem.whitened.size, dtype=torch.float64))
+    here = problem.linear(problem.u_of(problem.expected if start is None else start))
     damping, tried, size = 1e-3, 0, float("inf")
     while tried < iterations and size > SETTLED:
         tried += 1
@@ -203,6 +204,10 @@ class Problem:
     def change(self, u: Tensor) -> Tensor:
         """Changes N x 7, by :data:`UNKNOWNS`."""
         return self.expected + (self.spread @ u).reshape(-1, len(UNKNOWNS))
+
+    def u_of(self, change: Tensor) -> Tensor:
+        """The most probable u of changes N x 7."""
+        return torch.linalg.pinv(self.spread) @ (change - self.expected).flatten()
 
     def rmse(self, views: Views) -> list[float]:
         """Error of each photo, as :func:`~mitsvbrdf.measure.metrics.photo_rmse` counts it."""

@@ -27,9 +27,10 @@ from ..batch.run import Batch
 from ..batch.schedule import Scheduler
 from ..batch.settings import BatchSettings
 from ..batch.workers.pool import RayPool, require_ray
-from ..errors import ConfigError
+from ..errors import ConfigError, MitsvbrdfError
 from ..fit.config import FitConfig
 from ..fit.options import FitOptions
+from ..system.files import remove
 from ..system.progress import progress_bar, say
 from .fit import fit_command, with_flags
 from .options import Strict
@@ -142,14 +143,38 @@ def _typed() -> str | None:
 
 @contextlib.contextmanager
 def _opened(out: str) -> Iterator[tuple[Path, Manifest]]:
-    """The folder of a library's manifest and page, and the manifest, for this process alone."""
+    """The folder of a library's manifest and page, and the manifest, for this process alone.
+
+    A new library is taken away again where an error ended the command before anything was begun.
+    """
     check_address(out)
     home = home_of(out)
+    made = not home.exists()
     with contextlib.ExitStack() as last:
         last.callback(library_lock(home))
         download(home, out)
-        last.callback(upload, home, out)
-        yield home, last.enter_context(contextlib.closing(Manifest(home / FILE)))
+        new, begun = not (home / FILE).exists(), True
+        try:
+            with contextlib.closing(Manifest(home / FILE)) as manifest:
+                try:
+                    yield home, manifest
+                except MitsvbrdfError:
+                    begun = not new or any(each["attempts"] for each in manifest.materials(wanted=False))
+                    raise
+        finally:
+            if begun:
+                upload(home, out)
+            else:
+                _take_away(home, made)
+
+
+def _take_away(home: Path, folder: bool) -> None:
+    """Remove what is in a library's folder, all of which is ours, and where asked for the folder."""
+    with contextlib.suppress(OSError):
+        for path in home.iterdir():
+            remove(path)
+        if folder:
+            home.rmdir()
 
 
 def _pool(home: Path, library: str, settings: BatchSettings) -> RayPool:

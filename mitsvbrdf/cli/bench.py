@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 Names = Annotated[str | None, arg(metavar="NAME,...")]
-Suite = Literal["all", "renderers", "methods", "ablation", "capture", "gan", "schedule", "steps", "sheets", "none"]
+Suite = Literal["all", "renderers", "methods", "start", "ablation", "capture", "gan", "schedule", "steps", "sheets", "none"]
 USUAL_SUITES = "renderers", "methods"  # the others are asked for by name: they take longer than both
 
 
@@ -37,10 +37,10 @@ def bench(
     resolution: Annotated[int | None, arg(help="Side of maps and photos in the fits; left out: 256.")] = None,
     views: Annotated[str | None, arg(help="Whose views the photos of known materials have: a capture or builtin:grid; left "
                                           "out: cards-blue of the data, else builtin:grid.")] = None,
-    left_out: Annotated[str | None, arg(metavar="NUMBER,...", help="Photos of real captures that no fit sees; left out: "
-                                                                   "4,7.")] = None,
+    left_out: Annotated[str | None, arg(metavar="NUMBER,...", help="Photos of real captures that no fit sees; left out: 4,7. "
+                                                                   "4,7/peers also does what peers.json has.")] = None,
     data: Annotated[Path | None, arg(help="Folder with captures/, materials/, peers.json; left out: MITSVBRDF_DATA.")] = None,
-    repeats: Annotated[int | None, arg(help="Timed turns of the renderers; left out: 5.")] = None,
+    repeats: Annotated[int | None, arg(help="Timed turns of renderers and starts; left out: 5.")] = None,
     megapixels: Annotated[float | None, arg(help="Of the simulated phone's photos; left out: 3.")] = None,
     schedule_size: Annotated[int, arg(help="Side of maps and photos in the suite schedule.")] = 64,
     schedule_width: Annotated[int, arg(help="Channels of the first convolutions there.")] = 16,
@@ -52,7 +52,7 @@ def bench(
                                             "crashes; their times are then those of a shared machine. Needs Ray.")] = None,
     address: Annotated[str | None, arg(help="The same on a Ray cluster; see `mitsvbrdf batch --help`.")] = None,
     anew: Annotated[bool, arg(help="Forget the records that are there.")] = False,
-    overwrite: Annotated[Overwrite, arg(help="Replace pages that are there; records stay.")] = False,
+    overwrite: Annotated[Overwrite, arg(help="Replace pages and pictures that are there; records stay.")] = False,
 ) -> int:
     """Measure error against run time: renderers against float64, methods against known maps and photos left out.
 
@@ -63,7 +63,7 @@ def bench(
     run meanwhile. docs/evaluation.md says what is measured and how.
     """
     from ..batch.settings import BatchSettings
-    from ..bench.jobs import duration, run
+    from ..bench.jobs import duration, new_pictures, run
     from ..bench.page import page_files
     from ..bench.paper.page import gan_page_files
     from ..bench.parallel import run_parallel
@@ -73,7 +73,8 @@ def bench(
     asked = {"resolution": resolution, "budgets": budgets, "seeds": seeds, "repeats": repeats, "materials": materials,
              "captures": captures, "megapixels": megapixels, "variants": variants, "left-out": left_out}
     chosen = WHOLE | (QUICK if quick else {}) | {name: value for name, value in asked.items() if value is not None}
-    check_new_files(*page_files(page), *gan_page_files(gan_page), overwrite=overwrite, read=[json_file])
+    pages = [*page_files(page), *gan_page_files(gan_page)]
+    check_new_files(*pages, overwrite=overwrite, read=[json_file])
     files.check_output(json_file)
     if suite == "none":
         _show(dict(read_benchmark(json_file)), page, gan_page)
@@ -86,8 +87,10 @@ def bench(
     store = Store(json_file, settings, anew)
     store.publish(found)
     missing = store.pending(jobs)
+    check_new_files(*pages, *new_pictures(missing, store), overwrite=overwrite, read=[json_file])
     say(f"{len(jobs) - len(missing)} of {len(jobs)} records are in {json_file}; "
-        + (f"the other {len(missing)} take about {duration(sum(job.cost for job in missing))}" if missing else "nothing to do"))
+        + (f"the other {len(missing)} take about {duration(sum(job.cost for job in missing) / (workers or 1))}, less where "
+           "fits end by themselves" if missing else "nothing to do"))
     failed: dict[str, str] = {}
     try:
         with progress_bar("measuring") as report:

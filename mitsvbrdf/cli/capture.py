@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -56,12 +57,12 @@ def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A fo
     raw = [Photo.open(path) for path in photos_in(photos)]
     if sheet is None:
         refuse_tags(raw)
-    with result_folder.output_folder(out, overwrite) as folder:
+    with contextlib.ExitStack() as last, result_folder.output_folder(out, overwrite) as folder:
         with progress_bar("capture") as report:
             result = make_capture(raw, sheet, depth, None if transfer == "auto" else transfer, resolution, reference, report)
-        with undisturbed():
-            write_capture(result.capture, folder, capture_keys(result))
-            write_quality(result, folder)
+        last.enter_context(undisturbed())  # until all is in place
+        write_capture(result.capture, folder, capture_keys(result))
+        write_quality(result, folder)
     _print(result)
     say(f"wrote {out}/quality.html, contact.jpg, capture.json, target/; next: mitsvbrdf fit {out} -o OUT")
     return 0

@@ -12,12 +12,12 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from ..capture import Capture
 from ..errors import ConfigError
-from ..fit import FitTask, fit_svbrdf, left_out
+from ..fit import FitTask, fit_svbrdf
 from ..fit.checkpoint import load_tensors
 from ..fit.confidence import confidence
 from ..fit.config import FitConfig
 from ..fit.generator.finish import finished, why_not
-from ..fit.left_out import used
+from ..fit.left_out import decided_later, known_before, used
 from ..fit.methods import METHODS, method_name
 from ..fit.options import FitOptions
 from ..fit.result import FitResult
@@ -30,13 +30,14 @@ from ..system.progress import Progress, print_numbers, print_profile, progress_b
 from .options import Out, Overwrite, Photos, keep_apart, read_photos
 
 USUAL = FitOptions()
+THREE_WAYS = "--calibrate", "--exact"  # on, off or left to the fit
 
 
 def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitArgPrefixes[FitOptions] = USUAL,
         method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"],
                           arg(help="How to fit; `fit --method gan --help` shows that method's own options.")] = "hierarchical",
-        explain: Annotated[bool, arg(help="Print what this fit would leave out, and why, and the networks it "
-                                                  "would use, and end without fitting.")] = False,
+        explain: Annotated[bool, arg(help="Print what this fit would leave out, and why, what it decides as it "
+                                                  "runs, and the networks it uses, and end without fitting.")] = False,
         profile: Annotated[bool, arg(help="Print where the time of a step goes: network, renderer, losses, forward and "
                                           "backward.")] = False,
         resume: Annotated[bool, arg(help="Go on from the checkpoint in OUT, same options, more --iterations.")] = False,
@@ -54,6 +55,8 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitAr
     """
     shared.check(config)
     keep_apart(capture, out)
+    if not explain:
+        result_folder.check_free(out, overwrite or resume, resume)
     photos = read_photos(capture, shared.resolution, None, shared.transfer, shared.light(config))
     shots = shared.chosen(photos)[0]
     engine = make_renderer(shared.renderer, shared.variant)
@@ -70,8 +73,10 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitAr
 
 def _explain(task: FitTask, options: FitOptions) -> int:
     """Say what the fit leaves out and uses."""
-    for what, why in left_out(task):
+    for what, why in known_before(task):
         say(f"left out: {what} ({why})")
+    for what, when in decided_later(task):
+        say(f"may be left out: {what} ({when})")
     if options.finish == "none":
         say("left out: adversarial finish (not asked for)")
     if networks := used(task):
@@ -82,16 +87,15 @@ def _explain(task: FitTask, options: FitOptions) -> int:
 def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, options: FitOptions, profile: bool, resume: bool,
               overwrite: bool) -> tuple[FitResult, int | None]:
     """Fit, finish where asked to, and write the result; also tells the iteration of the checkpoint gone on from."""
-    from ..report.folder import write_fit
+    from ..report.folder import write_fit_files
 
-    result_folder.settle(out)
     places = [folder / result_folder.CHECKPOINT for folder in (result_folder.partial_folder(out), out)] if resume else []
     earlier = [path for path in places if is_regular(path)]
     if resume and not earlier:
         raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
     shots, shown = options.chosen(photos)
     title = f"fit {shots.source.name if shots.source else ''} · {method_name(config)} · {engine.name}"
-    with result_folder.output_folder(out, overwrite or resume, resume) as folder:
+    with contextlib.ExitStack() as last, result_folder.output_folder(out, overwrite or resume, resume) as folder:
         def fitted(checkpoint: Path | None) -> FitResult:
             with Progress(title) as progress, profiling() if profile else contextlib.nullcontext():
                 return fit_svbrdf(shots, engine, config, checkpoint=folder / result_folder.CHECKPOINT, resume=checkpoint,
@@ -101,8 +105,8 @@ def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, o
         if finishing := options.finishing(config):
             with progress_bar("adversarial finish") as finish_report:
                 result = finished(result, shots, engine, finishing, finish_report)
-        with undisturbed():
-            write_fit(result, shots, folder, command=options.record(shots), left_out=shown)
+        last.enter_context(undisturbed())  # until all is in place
+        write_fit_files(result, shots, folder, command=options.record(shots), left_out=shown)
     return result, before
 
 
@@ -182,13 +186,14 @@ def fit_command(arguments: Sequence[str], function: Callable[..., Any] = fit,
 
 
 def with_flags(arguments: list[str]) -> list[str]:
-    """Arguments with --calibrate alone and --no-calibrate as True and False: unsaid is a third, which no flag of tyro's has."""
+    """Arguments with --calibrate, --exact and their --no- as True and False: unsaid is a third, which no flag of tyro's has."""
     if _named(arguments, "--method", METHODS) != "hierarchical":
         return arguments
     found = []
     for here, after in zip(arguments, [*arguments[1:], ""]):
-        alone = here == "--calibrate" and after not in ("True", "False", "None")
-        found += ["--calibrate", "True"] if alone else ["--calibrate", "False"] if here == "--no-calibrate" else [here]
+        alone = here in THREE_WAYS and after not in ("True", "False", "None")
+        denied = here.replace("--no-", "--", 1)
+        found += [here, "True"] if alone else [denied, "False"] if denied != here and denied in THREE_WAYS else [here]
     return found
 
 

@@ -1,4 +1,4 @@
-"""``mitsvbrdf stability``: the renderers at the ends of every range, as tables, JSON, a page and Markdown."""
+"""``mitsvbrdf stability``: renderers at the ends of every range, fits that are asked too much; tables, JSON, pages."""
 
 from __future__ import annotations
 
@@ -16,16 +16,26 @@ from ..system.progress import print_rich, progress_bar, say, say_written
 from .options import Overwrite, Variant, check_new_files
 
 Sweep = Literal["roughness", "tilt", "distance", "colour", "intensity", "clipped", "flat", "resolution", "views", "stiff"]
+Method = Literal["hierarchical", "hybrid", "direct", "gan"]
 VERDICT_COLOURS = {"exact": "green", "clamped": "dim", "degraded": "yellow", "limited": "yellow", "refused": "dim",
                    "wrong": "bold red", "not finite": "bold red"}
 
 
 def stability(
-    renderer: Annotated[Literal["all", "analytic", "mitsuba", "mitsuba-scene"], arg(help="What to examine.")] = "all",
+    renderer: Annotated[Literal["all", "analytic", "mitsuba", "mitsuba-scene"],
+                        arg(help="What to examine; what the fits render with, mitsuba where it is left out.")] = "all",
     only: Annotated[tuple[Sweep, ...], arg(help="Some sweeps alone.")] = (),
-    json_file: Annotated[Path | None, arg(name="json", help="Write all figures to this file.")] = None,
+    json_file: Annotated[Path | None, arg(name="json", help="Write all figures to this file; with --fits, go on with the file "
+                                                            "that is there, out/stability-fits.json.")] = None,
     html_file: Annotated[Path | None, arg(name="html", help="Write a page with verdicts, figures and plots.")] = None,
-    md: Annotated[Path | None, arg(help="Write the tables into this Markdown file, between its marks if it has them.")] = None,
+    md: Annotated[Path | None, arg(help="Write the tables into this Markdown file, between its marks if it has them; with "
+                                        "--fits the whole page, its picture beside it.")] = None,
+    fits: Annotated[Literal["all", "quick", "none"] | None,
+                    arg(help="Fit stiff scenes instead; quick: one seed, 5 s a fit; none: only make the page anew.")] = None,
+    methods: Annotated[tuple[Method, ...], arg(help="Of the fits; left out: all.")] = (),
+    budget: Annotated[float | None, arg(help="Seconds of a fit at most; left out: 20.")] = None,
+    resolution: Annotated[int, arg(help="Side of maps and photos in the fits.")] = 64,
+    anew: Annotated[bool, arg(help="Forget the fits that are there.")] = False,
     variant: Variant = "llvm_ad_rgb",
     overwrite: Overwrite = False,
 ) -> int:
@@ -33,7 +43,67 @@ def stability(
 
     About two minutes for everything. Exit code 1 when a value that is not finite came out of a public function, or a verdict
     is worse than expected; docs/stability.md explains the verdicts and every clamp.
+
+    --fits examines the methods instead: extreme materials, wrong calibration, photos that say little, several at once. Exit
+    code 1 when a fit failed. Each fit is kept as soon as it is done: Ctrl-C loses one, and the same command goes on.
     """
+    if fits is None:
+        if methods or budget is not None or anew:
+            raise ConfigError("--fits beside --methods, --budget and --anew", "no --fits", "add --fits all, or quick")
+        return _renderers(renderer, only, json_file, html_file, md, variant, overwrite)
+    if only or html_file:
+        raise ConfigError("--json and --md beside --fits", "--only or --html", "leave them out: sweeps are of renderers")
+    return _fits(fits, Path("out/stability-fits.json") if json_file is None else json_file, md, methods, budget, resolution,
+                 "mitsuba" if renderer == "all" else renderer, variant, anew, overwrite)
+
+
+def _fits(which: Literal["all", "quick", "none"], json_file: Path, md: Path | None, methods: tuple[Method, ...],
+          budget: float | None, resolution: int, renderer: RendererName, variant: str, anew: bool, overwrite: bool) -> int:
+    """The fits of stiff scenes that the file lacks, the verdicts on all, and the page."""
+    from ..bench.jobs import duration, run
+    from ..bench.stiff.fits import stiff_jobs
+    from ..bench.stiff.page import failures, print_verdicts, stiff_page_files, write_stiff_page
+    from ..bench.stiff.scenes import digest
+    from ..bench.store import Store, read_benchmark
+
+    check_new_files(*stiff_page_files(md), overwrite=overwrite, read=[json_file])
+    files.check_output(json_file)
+    if which == "none":
+        record = read_benchmark(json_file)
+        if record["settings"].get("scenes") != digest():
+            raise ConfigError("the fits of these scenes", f"others in {json_file}", "run --fits all or quick, with --anew")
+    else:
+        quick = which == "quick"
+        seconds = (5.0 if quick else 20.0) if budget is None else budget
+        jobs = stiff_jobs(resolution, seconds, (0,) if quick else (0, 1, 2), make_renderer(renderer, variant), methods,
+                          at_length=not quick)
+        store = Store(json_file, {"resolution": resolution, "views": "builtin:grid", "renderer": renderer, "variant": variant,
+                                  "quick": quick, "scenes": digest()}, anew)
+        missing = store.pending(jobs)
+        say(f"{len(jobs) - len(missing)} of {len(jobs)} fits are in {json_file}"
+            + (f"; the others take about {duration(sum(job.cost for job in missing))}" if missing else ""))
+        try:
+            with progress_bar("fitting") as report:
+                run(jobs, store, report)
+        except KeyboardInterrupt:
+            say(f"interrupted: {len(jobs) - len(store.pending(jobs))} of {len(jobs)} fits are kept in {json_file}; "
+                "the same command goes on")
+            return 130
+        store.write()
+        say_written(json_file)
+        record = store.content
+    print_verdicts(record)
+    if md:
+        say_written(*write_stiff_page(md, record))
+    failed = failures(record)
+    for each in failed:
+        say(f"failed: {each}")
+    return int(bool(failed))
+
+
+def _renderers(renderer: Literal["all"] | RendererName, only: tuple[Sweep, ...], json_file: Path | None, html_file: Path | None,
+               md: Path | None, variant: str, overwrite: bool) -> int:
+    """The sweeps of the renderers."""
     from ..verify.stability import SWEEPS
     from ..verify.stability import stability as run
 

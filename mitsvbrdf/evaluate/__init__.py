@@ -67,10 +67,14 @@ def evaluate_fit(result: FitResult, capture: Capture) -> dict:
 
     They are placed by :func:`placed`, with the flash offset that the fit found.
     """
+    return evaluate_capture(result.svbrdf, *as_fitted(result, capture))
+
+
+def as_fitted(result: FitResult, capture: Capture) -> tuple[Capture, Renderer, tuple[float, float] | None]:
+    """The photos placed as a fit found them, its renderer, and the flash offset it found in patch sides."""
     x, y = result.flash_offset or (0.0, 0.0)
     offset = result.flash_offset and (x / result.views.size, y / result.views.size)
     known = result.calibration
     fit = SavedFit(capture=capture_name(capture), seen=tuple(map(int, known.get("camera", ()))), views=result.views,
                    estimated=known.get("estimated", False), light_power_factor=known.get("power_told") or 1.0)
-    renderer = make_renderer(result.renderer, result.variant or "llvm_ad_rgb")
-    return evaluate_capture(result.svbrdf, placed(capture, fit), renderer, offset)
+    return placed(capture, fit), make_renderer(result.renderer, result.variant or "llvm_ad_rgb"), offset

@@ -81,7 +81,7 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
         svbrdf=svbrdf, views=views, guess=task.guess, rerendered=images, rerender_rmse=total, per_photo=each,
         calibrated_rmse=_calibrated_rmse(svbrdf, views, capture, renderer, moved.mean(dim=0), told),
         trace=loop.trace, config=config, renderer=renderer.name, variant=renderer.variant,
-        left_out=tuple(left_out(task, views)), used=tuple(used(task)), stopped=stopped, undone=tuple(loop.undone),
+        left_out=(*left_out(task, views), *method.left_out), used=tuple(used(task)), stopped=stopped, undone=tuple(loop.undone),
         restarts=tuple(loop.restarts), deviations=spreads,
         flash_offset=tuple(offset) if offset else None, profile=profile_summary(),
         calibration=views_record(capture, views, task.estimated, *method.views_deviation, told))

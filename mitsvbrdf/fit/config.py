@@ -127,6 +127,10 @@ class HierarchicalConfig(FitConfig):
     """Of a phone's photos at full size, in display values: the higher, the less detail is believed. None: found by them."""
     neighbours: Switch = True
     """Whether texels try their neighbours' answers as starts."""
+    exact: bool | None = None
+    """Whether the photos follow the model, as a simulation's do. None: told by what a free fit leaves unexplained."""
+    rivals: Switch = True
+    """Whether exact photos are fitted from three starts, whose lobes are of very different width."""
     calibrate: bool | None = None
     """Estimate missing views, refine camera, flash and exposure of each photo. None: refine stated ones of a phone only."""
     flash_offset: Switch = True

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ..render.needs import scene_needs
 from ..views import Views
 from . import losses
-from .config import HybridConfig
+from .config import HierarchicalConfig, HybridConfig
 from .fixed_maps import described, unknown_but
 from .gan_config import GanConfig
 from .task import FitTask
@@ -36,6 +36,24 @@ def left_out(task: FitTask, views: Views | None = None) -> list[tuple[str, str]]
     elif "discriminator" not in dict(used(task)):
         items.append(("discriminator", "no loss asks for its verdict"))
     return items
+
+
+def decided_later(task: FitTask) -> list[tuple[str, str]]:
+    """What the fit may leave out once it has looked at its photos, as (what, when)."""
+    if not isinstance(task.config, HierarchicalConfig):
+        return []
+    from .hierarchical import needs
+
+    return needs.decided_later(task)
+
+
+def known_before(task: FitTask) -> list[tuple[str, str]]:
+    """:func:`left_out`, and what the method leaves out whatever its photos show, as (what, why)."""
+    if not isinstance(task.config, HierarchicalConfig):
+        return left_out(task)
+    from .hierarchical import needs
+
+    return left_out(task) + needs.left_out(task)
 
 
 def used(task: FitTask) -> list[tuple[str, str]]:

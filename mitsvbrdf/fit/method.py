@@ -61,6 +61,11 @@ class Method(ABC, Generic[Config]):
         return None
 
     @property
+    def left_out(self) -> list[tuple[str, str]]:
+        """What the method found not to be needed while it ran, as (what, why)."""
+        return []
+
+    @property
     def views_deviation(self) -> tuple[Tensor | None, Tensor | None]:
         """Standard deviations of the changes of the views, N x 7, and of the common flash offset; None where not refined."""
         return None, None

@@ -13,7 +13,7 @@ from ..capture import Capture
 from ..color import CLIPPED
 from ..measure.burn_in import LOCAL_SIDE, burn_in, local_burn_in
 from .confidence import DETERMINED, confidence
-from .config import HybridConfig
+from .config import HierarchicalConfig, HybridConfig
 from .fixed_maps import described
 from .gan_config import GanConfig
 from .result import FitResult
@@ -48,8 +48,7 @@ def fit_warnings(result: FitResult, capture: Capture) -> Iterator[str]:
     yield from _implausible(result)
     yield from _errors(result, capture)
     yield from _burnt_in(result)
-    if result.trace[-1]["iteration"] == 0:
-        yield "no step was made, so the maps are where the fit starts: give more seconds"
+    yield from _cut_short(result)
     yield from _game(result)
     yield from about_steps(result.undone, result.restarts)
     if result.stopped == "unstable":
@@ -154,6 +153,14 @@ def _burnt_in(result: FitResult) -> Iterator[str]:
         if share > OVALS and name not in fixed and result.svbrdf.resolution >= LOCAL_SIDE:  # fewer texels have it by chance
             yield (f"the {name} map has ovals where single photos had their highlights ({share:.0%} of it): photos from other "
                    "places, with the highlights elsewhere, would tell")
+
+
+def _cut_short(result: FitResult) -> Iterator[str]:
+    """Whether the fit was still on its way when it ended; the schedules of other methods end when their budget does."""
+    if result.trace[-1]["iteration"] == 0:
+        yield "no step was made, so the maps are where the fit starts: give more seconds"
+    elif isinstance(result.config, HierarchicalConfig) and result.stopped in ("budget", "iterations", "interrupted"):
+        yield "the fit ended before it had settled: give more seconds or iterations, or go on with --resume"
 
 
 def _game(result: FitResult) -> Iterator[str]:

@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.image import BboxImage
 from matplotlib.ticker import LogFormatter
+from matplotlib.transforms import Bbox
 from torch import Tensor
 
 from .. import color
@@ -42,10 +44,10 @@ class Canvas:
 
     def image(self, x: int, y: int, side: int, image: Tensor) -> None:
         """Place a picture, H x W x 3 or x 1 display values, into the square of this side whose top left corner is (x, y)."""
-        axes = self.figure.add_axes((x / SHEET_WIDTH, 1 - (y + side) / self.height, side / SHEET_WIDTH, side / self.height))
         pixels = color.clip(image.detach().cpu().float()).numpy()
-        axes.imshow(np.broadcast_to(pixels, (*pixels.shape[:2], 3)), interpolation="antialiased", aspect="auto")
-        axes.set_axis_off()
+        square = Bbox.from_bounds(x, self.height - y - side, side, side)  # without axes, each of which takes 20 ms
+        shown = BboxImage(square, interpolation="antialiased", data=np.broadcast_to(pixels, (*pixels.shape[:2], 3)))
+        self.figure.add_artist(shown)
 
     def write(self, path: Path) -> None:
         """Write the page as a PNG."""

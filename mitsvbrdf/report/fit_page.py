@@ -40,16 +40,21 @@ SAME_PHOTO = 1e-4  # how far the error of a photo may be from what fit.json says
 Report = Callable[[str, float], object]
 
 
+def check_apart(folder: Path, capture: Capture) -> None:
+    """Raise OutputError for a folder where :func:`keep_photos` would replace the capture's own files."""
+    source = capture.source and os.path.realpath(capture.source)
+    if source in (os.path.realpath(folder), os.path.realpath(folder / "photos")):
+        raise OutputError("an output folder of its own", f"{folder}, where the capture's own photos would be replaced",
+                          "choose another folder")
+
+
 def keep_photos(folder: Path, capture: Capture) -> None:
     """The photos as ``photos/NN.png``: display values, 8 bits.
 
     Raises:
         OutputError: they cannot be written, or the capture's own files are there.
     """
-    source, folder = capture.source and os.path.realpath(capture.source), Path(folder)
-    if source in (os.path.realpath(folder), os.path.realpath(folder / "photos")):
-        raise OutputError("an output folder of its own", f"{folder}, where the capture's own photos would be replaced",
-                          "choose another folder")
+    check_apart(folder, capture)
     for name, photo in zip(capture.names, capture.photos):
         images.write_png(folder / "photos" / f"{name}.png", photo)
 

@@ -17,7 +17,8 @@ from ..system import images
 from ..system.entry import entry
 from ..system.images import write_linear
 from ..system.progress import say
-from .fit_page import keep_photos, write_report
+from ..system.result_folder import output_folder
+from .fit_page import check_apart, keep_photos, write_report
 from .sheet import loss_curve, write_sheet
 
 
@@ -25,6 +26,9 @@ from .sheet import loss_curve, write_sheet
 def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dict | None = None,
               left_out: Capture | None = None, pages: bool = True) -> None:
     """Write a fit: maps, look, uncertainty, guess, photos and re-renderings, sheet, curve, Mitsuba scene, ``fit.json``, page.
+
+    It appears whole or not at all. It takes the place of a fit that is there, finished or not; files of anybody else stay, one
+    that is in the way with ``.old`` behind its name.
 
     Args:
         result: what :func:`mitsvbrdf.fit.fit_svbrdf` gave.
@@ -35,10 +39,19 @@ def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dic
         pages: whether all of that is written; else maps, look, uncertainty and ``fit.json`` alone.
 
     Raises:
-        OutputError: ``out`` cannot be written, or its ``photos/`` is where the capture came from.
+        OutputError: ``out`` cannot be written or is in use, or its ``photos/`` is where the capture came from.
     """
-    out = Path(out)
-    if pages:  # first: it refuses a folder where the capture's own photos are
+    for shots in (capture, left_out) if pages else ():
+        if shots is not None:
+            check_apart(Path(out), shots)
+    with output_folder(Path(out), overwrite=True) as folder:
+        write_fit_files(result, capture, folder, command, left_out, pages)
+
+
+def write_fit_files(result: FitResult, capture: Capture, out: Path, command: dict | None = None,
+                    left_out: Capture | None = None, pages: bool = True) -> None:
+    """Write a fit, file by file, into a folder that will take its place later; see :func:`write_fit` for the arguments."""
+    if pages:
         keep_photos(out, capture)
     save_maps(result.svbrdf, out / "maps")
     if result.look:

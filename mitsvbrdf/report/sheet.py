@@ -107,8 +107,9 @@ def loss_curve(path: str | Path, trace: Sequence[dict]) -> None:
     """
     losses = list(dict.fromkeys(name for row in trace for name in row))
     losses = [name for name in losses if name not in ("seconds", "iteration", "rerender_rmse")]
-    figure = Figure(figsize=(6.4, 4.6 if losses else 2.8), layout="constrained")
-    panels = figure.subplots(2 if losses else 1, 1, sharex=True, squeeze=False)[:, 0]
+    figure = Figure(figsize=(6.4, 4.6 if losses else 2.8))  # its margins have room for what is written there
+    panels = figure.subplots(2 if losses else 1, 1, sharex=True, squeeze=False, gridspec_kw={
+        "left": 0.1, "right": 0.8 if losses else 0.97, "top": 0.93, "bottom": 0.09 if losses else 0.15, "hspace": 0.16})[:, 0]
     _curves(panels[0], trace, {"rerender_rmse": "#c2571a"}, 1.8)
     panels[0].set_title("Re-rendering RMSE", loc="left", fontsize=9)
     if losses:

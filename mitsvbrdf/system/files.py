@@ -101,6 +101,11 @@ def stays_inside(name: object) -> bool:
     return bool(path.parts) and not path.anchor and ".." not in path.parts
 
 
+def is_entry(name: object) -> bool:
+    """Whether a name that a file states is that of something right inside a folder, and no pattern of several names."""
+    return stays_inside(name) and Path(str(name)).parts == (name,) and not set("*?[\\") & set(str(name))
+
+
 def inside(folder: Path, name: str) -> Path | None:
     """Where a name that a file states lies in a folder; None where it leads out of it, or over a link."""
     if not stays_inside(name):

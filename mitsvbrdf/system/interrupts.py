@@ -34,13 +34,17 @@ def stop_signals() -> Iterator[list[int]]:
 
 @contextlib.contextmanager
 def undisturbed() -> Iterator[None]:
-    """Ctrl-C and SIGTERM do nothing until the block is done."""
+    """Ctrl-C and SIGTERM are heard once the block is done; of blocks inside each other, the outermost."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
+    heard: dict[int, None] = {}
+    before = {number: signal.signal(number, lambda number, _: heard.setdefault(number))
+              for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+        for each in heard:
+            signal.raise_signal(each)

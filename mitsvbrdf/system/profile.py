@@ -107,6 +107,14 @@ class Profile:
             self._counts[part] = self._counts.get(part, 0.0) + now - self._since
         self._since = now
 
+    def totals(self) -> dict[str, float]:
+        """Seconds by part, of all steps and between them."""
+        found: dict[str, float] = {}
+        for counts in (*self.steps, self.beside):
+            for part, seconds in counts.items():
+                found[part] = found.get(part, 0.0) + seconds
+        return found
+
     def summary(self) -> dict:
         """Statistics over the steps; the first of each kind (set of parts) compiles kernels and is left out if others follow.
 

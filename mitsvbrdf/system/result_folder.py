@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import IO
 
 from ..errors import OutputError
-from .files import inside, is_regular, open_regular, remove
+from .files import check_output, inside, is_regular, open_regular, remove
 from .interrupts import undisturbed
 from .journal import ADDED, JOURNAL, PARTIAL, Journal, is_own
 from .json_files import load
@@ -80,7 +80,7 @@ def output_folder(out: Path, overwrite: bool, resume: bool = False, keep: tuple[
         yield staged
         with undisturbed():
             _put_in_place(out, staged, add)
-        done = True
+            done = True
     except OSError as reason:
         raise OutputError(f"to write {out}", reason.strerror or str(reason), "free space or choose another place") from None
     finally:
@@ -138,6 +138,20 @@ def in_use(out: Path) -> bool:
     return True
 
 
+def check_free(out: Path, overwrite: bool, resume: bool = False, keep: tuple[str, ...] = (CHECKPOINT,)) -> None:
+    """Raise OutputError now for what :func:`output_folder` would refuse; its arguments. Nothing is made or removed."""
+    settle(out)
+    _check_free(out, overwrite, resume, keep)
+    check_output(out / MANIFEST)
+    if in_use(out):
+        raise _others(out)
+
+
+def _others(out: Path) -> OutputError:
+    return OutputError("an output folder of its own for each run", f"{out}, in use by another run",
+                       "wait for it, or choose another folder")
+
+
 def _check_free(out: Path, overwrite: bool, resume: bool, keep: tuple[str, ...]) -> None:
     partial = partial_folder(out)
     if out.exists() and not out.is_dir():
@@ -167,8 +181,7 @@ def _locked(out: Path, patience: float = GLANCE) -> IO:
                     break
                 time.sleep(0.02)
         lock.close()
-        raise OutputError("an output folder of its own for each run", f"{out}, in use by another run",
-                          "wait for it, or choose another folder")
+        raise _others(out)
     return lock
 
 

@@ -71,6 +71,23 @@ def _guarded(stream: Any, number: int, errors: str) -> Any:
                             line_buffering=stream.line_buffering or stream.write_through)
 
 
+def told(code: int, only_prints: bool = False) -> int:
+    """Say where standard output is cut short; returns the exit code.
+
+    Args:
+        code: how the command ended.
+        only_prints: whether standard output was all that it was to give; the exit code then tells it too.
+    """
+    reason = output_failure()
+    if reason is None:
+        return code
+    if not only_prints:
+        print(f"warning: standard output is cut short: {reason}; results are not", file=sys.stderr)
+        return code
+    print(f"error: expected to write standard output, got {reason}; free space or choose another place", file=sys.stderr)
+    return code or 2
+
+
 def output_failure() -> str | None:
     """Why not all of standard output could be written; None where it was, or where its reader had seen enough."""
     sys.stdout.flush()

@@ -19,7 +19,6 @@ import tyro
 from torch import Tensor
 
 from ..capture import Capture
-from ..errors import exit_code
 from ..fit import FitConfig, FitTask, GanConfig, HybridConfig, make_method
 from ..material.made import make_material
 from ..material.maps import CHANNELS, SVBRDF, Bsdf
@@ -29,6 +28,7 @@ from ..synth import photograph
 from ..system import files
 from ..system.progress import say
 from ..system.provenance import machine, versions
+from ..system.tool import run_tool
 from ..views import Views, nine_view_grid
 
 SCHEMA_VERSION = 1
@@ -160,4 +160,4 @@ def main(json: Annotated[Path, tyro.conf.arg(metavar="FILE", help="Where the rec
 
 
 if __name__ == "__main__":
-    sys.exit(exit_code(lambda: tyro.cli(main, prog="python -m mitsvbrdf.verify.generator_gradients")))
+    sys.exit(run_tool(main, "python -m mitsvbrdf.verify.generator_gradients"))

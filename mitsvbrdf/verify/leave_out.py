@@ -8,14 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from ..capture import Capture
+from ..capture import Capture, guess_diffuse
 from ..color import to_display
-from ..fit import FitTask, HybridConfig
+from ..fit import FitConfig, FitTask, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf, losses, make_method
+from ..fit.finish_config import FinishConfig
+from ..fit.generator.finish import finished
+from ..fit.methods import method_name
 from ..material.made import make_material
 from ..material.maps import SVBRDF
 from ..measure.gradients import fixed_cotangent
@@ -43,6 +47,7 @@ class Case:
         full: computes with the item; returns the image, or the maps, to compare.
         lean: computes without.
         truth: the same image by the float64 twin, or None.
+        says: the names by which the program says that it is left out.
     """
 
     what: str
@@ -51,6 +56,7 @@ class Case:
     full: Callable[[], Tensor]
     lean: Callable[[], Tensor]
     truth: Tensor | None = None
+    says: tuple[str, ...] = ()
 
 
 @entry(gradients=True)
@@ -63,7 +69,7 @@ def measure_leave_out(resolution: int = 256, repeats: int = 9, report: Callable[
         report: told the name of each case before it runs.
 
     Returns:
-        ``items``: what, where, why; ``worst`` and ``mean`` relative difference of the two; ``full_error`` and
+        ``items``: what, ``says``, where, why; ``worst`` and ``mean`` relative difference of the two; ``full_error`` and
         ``lean_error``, the worst of each against float64 (two float32 results may differ by their sum); seconds of both
         with their spread, and ``ratio`` of the medians. ``left_out``: what the leanest case did without.
     """
@@ -75,8 +81,9 @@ def measure_leave_out(resolution: int = 256, repeats: int = 9, report: Callable[
         difference = image_error(lean, full)
         errors = [None if case.truth is None else image_error(found, case.truth)["worst"] for found in (full, lean)]
         seconds = side_by_side({"full": case.full, "lean": case.lean}, repeats)
-        items.append({"what": case.what, "where": case.where, "why": case.why, "worst": difference["worst"],
-                      "mean": difference["mean"], "full_error": errors[0], "lean_error": errors[1], "seconds": seconds,
+        items.append({"what": case.what, "says": [case.what, *case.says], "where": case.where, "why": case.why,
+                      "worst": difference["worst"], "mean": difference["mean"], "full_error": errors[0],
+                      "lean_error": errors[1], "seconds": seconds,
                       "ratio": seconds["full"]["median"] / seconds["lean"]["median"]})
     leanest = scene_needs(lean_material(resolution), nine_view_grid(), "mitsuba")
     return {"schema_version": SCHEMA_VERSION, "resolution": resolution, "views": 9, "items": items,
@@ -101,15 +108,21 @@ def cases(resolution: int) -> Iterator[Case]:
                                   "roughness": coloured["roughness"], "normal": coloured["normal"]})
 
     def pair(what: str, why: str, svbrdf: SVBRDF, without: Sequence[str], fixed: Sequence[str] = (),
-             needs: Needs = CO_LOCATED, renderer: RendererName = "mitsuba") -> Case:
+             needs: Needs = CO_LOCATED, renderer: RendererName = "mitsuba", says: tuple[str, ...] = ()) -> Case:
         wanted = tuple(name for name in svbrdf.maps if name not in fixed)
         less: dict[str, Any] = dict.fromkeys(without, False)
         return Case(what, renderer, why, _pass(renderer, svbrdf, views, wanted, needs),
-                    _pass(renderer, svbrdf, views, wanted, replace(needs, **less)), twin.render(svbrdf, views))
+                    _pass(renderer, svbrdf, views, wanted, replace(needs, **less)), twin.render(svbrdf, views), says)
 
-    def across(what: str, why: str, svbrdf: SVBRDF, wanted: tuple[str, ...], needs: Needs, lean_needs: Needs | None) -> Case:
+    def across(what: str, why: str, svbrdf: SVBRDF, wanted: tuple[str, ...], needs: Needs, lean_needs: Needs | None,
+               says: tuple[str, ...] = ()) -> Case:
         return Case(what, "mitsuba-scene, mitsuba", why, _pass("mitsuba-scene", svbrdf, views, tuple(svbrdf.maps), needs),
-                    _pass("mitsuba", svbrdf, views, wanted, lean_needs), twin.render(svbrdf, views))
+                    _pass("mitsuba", svbrdf, views, wanted, lean_needs), twin.render(svbrdf, views), says)
+
+    def gradient(svbrdf: SVBRDF, name: str) -> Case:
+        everything, others = tuple(svbrdf.maps), tuple(other for other in svbrdf.maps if other != name)
+        full, lean = (_pass("mitsuba", svbrdf, views, wanted, bare) for wanted in (everything, others))
+        return Case(f"gradient of {name}", "mitsuba", "it is held fixed", full, lean, twin.render(svbrdf, views))
 
     every, twin = tuple(coloured.maps), make_renderer("analytic64")
     bare = replace(CO_LOCATED, shadow_rays=False, path_depth=False, environment=False)
@@ -119,13 +132,19 @@ def cases(resolution: int) -> Iterator[Case]:
     yield pair("normal map", "it is flat", lean, ("normal_map",), ("normal",))
     yield pair("metallic map", "it is 0", metal, ("metallic",), ("metallic",))
     yield pair("Fresnel curve", "the light is at the camera", coloured, ("fresnel_curve",), needs=EVERYTHING)
+    yield from (gradient(coloured, name) for name in every)
+    yield from (gradient(metal, name) for name in ("base_color", "metallic"))
     yield Case("gradients of three maps", "mitsuba", "they are held fixed", _pass("mitsuba", coloured, views, every, bare),
                _pass("mitsuba", coloured, views, ("diffuse",), bare), twin.render(coloured, views))
+    falling, constant = (_pass("mitsuba", coloured, lit, every, bare) for lit in (views, replace(views, falloff="none")))
+    yield Case("light falloff", "mitsuba", "asked for: the paper's light, so other pictures", falling, constant)
     yield pair("environment", "the flash is the only light", coloured, ("environment",), renderer="mitsuba-scene")
-    yield pair("path depth", "a plane does not see itself", coloured, ("path_depth",), renderer="mitsuba-scene")
+    yield pair("path depth", "a plane does not see itself", coloured, ("path_depth",), renderer="mitsuba-scene",
+               says=("interreflection and path depth",))
     yield pair("shadow rays", "nothing stands in the way", coloured, ("shadow_rays",), renderer="mitsuba-scene")
-    yield across("ray tracing", "the texel behind each pixel is known", coloured, every, bare, bare)
-    yield Case("discriminator", "hybrid", "its weight is 0", _steps(coloured, views, 1e-30), _steps(coloured, views, 0.0))
+    yield across("ray tracing", "the texel behind each pixel is known", coloured, every, bare, bare,
+                 ("texture look-ups",))
+    yield from _of_fits(coloured, views)
     yield across("all of these", "a flat, grey material; normal and specular held fixed", lean, ("diffuse", "roughness"),
                  EVERYTHING, None)
 
@@ -148,18 +167,49 @@ def _pass(renderer: RendererName, svbrdf: SVBRDF, views: Views, wanted: tuple[st
     return forward_and_backward
 
 
-def _steps(svbrdf: SVBRDF, views: Views, adversarial: float) -> Callable[[], Tensor]:
-    """Three steps of a small hybrid fit from its start; the maps they end at, one after the other."""
-    from ..fit.generator.hybrid import Hybrid
-
+def _of_fits(svbrdf: SVBRDF, views: Views) -> Iterator[Case]:
+    """What a fit does not compute: losses whose weight is 0, a guess that nobody asks for, a finish."""
     engine, small = make_renderer("mitsuba"), svbrdf.resized(min(svbrdf.resolution, 128))
     capture = Capture(to_display(engine.render(small, views)), views, "gamma2.2")
 
+    def without(what: str, config: FitConfig, name: str, *says: str) -> Case:
+        full, lean = (_steps(FitTask(capture, engine, replace(config, **{name: weight}), small["diffuse"]))  # type: ignore[arg-type]
+                      for weight in (1e-30, 0.0))
+        return Case(what, method_name(config), "its weight is 0", full, lean, says=says)
+
+    hybrid, gan = HybridConfig(iterations=3), GanConfig(iterations=3, grow=False)
+    yield without("discriminator", hybrid, "adversarial", losses.NAMES["adversarial"])
+    for name in ("diffuse", "smooth", "flat", "photometric"):
+        yield without(losses.NAMES[name], hybrid, name)
+    yield without(losses.NAMES["features"], gan, "features")
+    steps = _steps(FitTask(capture, engine, hybrid, small["diffuse"]))
+
+    def guessing() -> Tensor:
+        guess_diffuse(capture, "robust")
+        return steps()
+
+    yield Case("guessed diffuse map", "hybrid", "the diffuse map is held fixed", guessing, steps)
+    short = HierarchicalConfig(iterations=3)
+
+    def fitted(finish: bool) -> Tensor:
+        found = fit_svbrdf(capture, engine, short)
+        found = finished(found, capture, engine, FinishConfig(steps=3)) if finish else found
+        return flat(found.svbrdf)
+
+    yield Case("adversarial finish", "hierarchical", "not asked for", partial(fitted, True), partial(fitted, False))
+
+
+def flat(svbrdf: SVBRDF) -> Tensor:
+    """All numbers of a material, one after the other."""
+    return torch.cat([t.flatten() for t in svbrdf.maps.values()])
+
+
+def _steps(task: FitTask) -> Callable[[], Tensor]:
+    """Three steps of a fit from its start; the maps they end at, one after the other."""
     def three_steps() -> Tensor:
-        config = HybridConfig(adversarial=adversarial, iterations=3)
-        method = Hybrid(FitTask(capture, engine, config, small["diffuse"]))
+        method = make_method(task)
         for step in range(3):
             method.step(step / 3)
-        return torch.cat([t.flatten() for t in method.estimate()[0].maps.values()])
+        return flat(method.estimate()[0])
 
     return three_steps

@@ -21,7 +21,7 @@ import torch
 import tyro
 from rich.table import Table
 
-from ..errors import ConfigError, exit_code
+from ..errors import ConfigError
 from ..material.corner_cases import random_material
 from ..material.maps import SVBRDF, Bsdf
 from ..render import Renderer, RendererName, make_renderer
@@ -29,6 +29,7 @@ from ..system import entry as edge
 from ..system import files
 from ..system.progress import print_rich, say
 from ..system.timing import timed
+from ..system.tool import run_tool
 from ..views import Views
 
 SLOPE_LIMIT = 0.5  # MiB of resident memory per 100 steps
@@ -207,7 +208,7 @@ def main(steps: Annotated[int, tyro.conf.arg(help="Steps of each case; below som
 
 def entry() -> int:
     """:func:`main` with the arguments of the process; returns the exit code."""
-    return exit_code(lambda: tyro.cli(main, prog="./run soak"), "interrupted; the JSON file has each case that was finished")
+    return run_tool(main, "./run soak", "interrupted; the JSON file has each case that was finished")
 
 
 if __name__ == "__main__":

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 
 import pytest
-from helpers.batches import FOLDER
+from helpers.batches import ELSEWHERE, FOLDER, asked, make_capture
 
-from mitsvbrdf.batch.manifest import FILE
+from mitsvbrdf import cli
+from mitsvbrdf.batch.manifest import FILE, Manifest
 from mitsvbrdf.batch.places.place import clear_work
-from mitsvbrdf.batch.prepare import library_lock
+from mitsvbrdf.batch.prepare import library_lock, register
 from mitsvbrdf.errors import OutputError
 from mitsvbrdf.system.files import file_hash
 
@@ -38,6 +40,22 @@ def test_nothing_outside_is_read_written_or_deleted(place, result, tmp_path_fact
         place.staging("wood")
     clear_work(place.root)
     assert files_in(outside) == before and not list(place.root.glob(".work*"))
+
+
+@pytest.mark.parametrize("name", ELSEWHERE)
+def test_names_in_a_manifest_lead_nowhere(name, tmp_path, capsys):
+    home, mine = tmp_path / "library", tmp_path / "mine"
+    library_lock(home)()
+    (home / "quarantine").mkdir()
+    mine.mkdir()
+    (mine / "thesis.txt").write_text("mine")
+    with contextlib.closing(Manifest(home / FILE)) as manifest:
+        register([asked(make_capture(tmp_path / "shots/wood"))], manifest, lambda *_: None)
+        manifest.db.execute("update materials set folder = ?, state = 'failed', wanted = 0",
+                            (name.replace("../mine", "../../mine"),))
+        manifest.db.commit()
+    assert cli.main(["library", str(home), "--prune"]) == 2
+    assert "a library's manifest" in capsys.readouterr().err and (mine / "thesis.txt").read_text() == "mine"
 
 
 def test_a_pipe_in_place_of_a_file_is_damage_and_not_waited_for(place, result):

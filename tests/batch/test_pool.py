@@ -28,7 +28,7 @@ def make_pool(tmp_path, monkeypatch):
     def make(*ways):
         plan = tmp_path / "plan"
         plan.write_text("\n".join(ways or ["up"]))
-        made.append(RayPool("library", gateway=(*FAKE, str(plan))))
+        made.append(RayPool("library", gateway=(*FAKE, str(plan)), log=tmp_path / "log"))
         return made[-1]
 
     yield make
@@ -107,6 +107,18 @@ def test_deaths_in_a_row_end_it_but_a_task_done_forgives_them(make_pool):
     pool.run(workers[0], task("a", "die"))
     with pytest.raises(BackendError, match=f"{deaths} ends in a row"):
         collect(pool, 1)
+
+
+@pytest.mark.parametrize("ways", [["failed"], ["die"], ["up", "die"]])
+def test_the_last_words_of_the_log_are_told(make_pool, tmp_path, ways):
+    pool = make_pool(*ways)
+    (tmp_path / "log").write_text("much\nlibray.so: wrong ELF class\n\n")
+    if ways[0] == "up":
+        collect(pool, 2)
+        pool.run("w1", task("a", "die"))
+    with pytest.raises(BackendError, match="its log.* ends: libray.so: wrong ELF class") as told:
+        collect(pool, 9)
+    assert (str(tmp_path / "log") in str(told.value)) == (ways[0] == "up")  # else it goes with a new library
 
 
 @pytest.mark.parametrize("way", ["up", "stuck", "die"])

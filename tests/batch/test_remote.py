@@ -6,6 +6,7 @@ import sys
 import fsspec
 import pytest
 from fsspec.registry import _registry
+from helpers.batches import ELSEWHERE, NO_RECORDS
 from helpers.captures import write_captures
 
 from mitsvbrdf import cli
@@ -38,7 +39,7 @@ def made(folder, **content):
     for name, text in content.items():
         (folder / name).write_text(text)
     files = {name: {"bytes": len(text), "sha256": file_hash(folder / name)} for name, text in content.items()}
-    (folder / RECORD).write_text(json.dumps({"identity": "1", "files": files}))
+    (folder / RECORD).write_text(json.dumps({"identity": "1", "attempt": "1-1", "row": {}, "files": files}))
     return folder
 
 
@@ -117,6 +118,27 @@ def test_damage_is_named_and_set_aside(url, tmp_path):
     assert place.aside() == ["m-00000001.damaged", "m-00000003.damaged"]
     assert sorted({path.split("/place/")[1].split("/")[0] for path in place.fs.find(place.root)}) == [
         "m-00000001.damaged", "m-00000003.damaged", "m-00000004"]
+
+
+@pytest.mark.parametrize("name", ELSEWHERE)
+def test_a_name_that_leads_elsewhere_is_none_of_a_result(url, name, tmp_path):
+    place = RemotePlace(url)
+    for folder in ("mine-00000001", "../mine", "mine"):
+        place.fs.pipe_file(f"{place.root}/{folder}/{RECORD}", b"{}")
+    result = made(tmp_path / "made", a="one")
+    before = place.fs.find(place.root.rpartition("/")[0])
+    for work in (place.record, place.remove, place.set_aside, lambda name: place.damage(name, {"files": {}}, False),
+                 lambda name: place.publish(result, name)):
+        with pytest.raises(OutputError, match="the name of a result"):
+            work(name)
+    assert place.fs.find(place.root.rpartition("/")[0]) == before
+
+
+def test_a_record_that_is_none_counts_for_nothing(url):
+    place = RemotePlace(url)
+    for text in NO_RECORDS:
+        put(f"{url}/m-1/{RECORD}", text.encode("latin-1"))
+        assert place.record("m-1") is None, text
 
 
 def test_what_others_wrote_is_seen(tmp_path):

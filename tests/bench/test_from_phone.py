@@ -11,7 +11,7 @@ from mitsvbrdf import cli
 from mitsvbrdf.bench import from_phone as suite
 from mitsvbrdf.bench.from_phone import CaptureJob, capture_jobs, recovered, scaled_diffuse_rmse
 from mitsvbrdf.bench.schema import check_benchmark
-from mitsvbrdf.bench.tables import capture_tables
+from mitsvbrdf.bench.suite_tables import capture_tables
 from mitsvbrdf.capture import write_capture
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import HierarchicalConfig
@@ -61,7 +61,7 @@ def test_a_phone_with_a_sheet_from_end_to_end(monkeypatch):
     assert errors["ratio"] == pytest.approx(errors["found mean"] / errors["true mean"])
     assert errors["found scaled diffuse"] <= errors["found diffuse"] + 1e-4  # encoded below 0.01 or so, a factor is not exact
     assert {"taking", "fit, found views", "fit, true views"} < set(made["seconds"])
-    check_benchmark({"schema_version": 1, "settings": {}, "machine": {}, "versions": {}, "seeds": [], "published": {},
+    check_benchmark({"schema_version": 2, "settings": {}, "machine": {}, "versions": {}, "seeds": [], "published": {},
                      "records": [job.key | {"config": job.settings} | made]}, "here")
 
 
@@ -96,7 +96,7 @@ def test_what_cannot_be_done_is_a_record_and_a_note(tmp_path):
     table = capture_tables({"records": [made]})[0]
     assert table.rows == [["nowhere", *["–"] * 7]] and "nowhere" in table.note
     with pytest.raises(ConfigError):
-        check_benchmark({"schema_version": 1, "settings": {}, "machine": {}, "versions": {}, "seeds": [], "published": {},
+        check_benchmark({"schema_version": 2, "settings": {}, "machine": {}, "versions": {}, "seeds": [], "published": {},
                          "records": [made | {"sheet": "yes"}]}, "x")
 
 

@@ -30,7 +30,7 @@ def test_one_fit_of_each_kind(config):
     found = fit(shots, ANALYTIC, config)
     assert found.iterations == config.iterations and found.stopped == "iterations" and 0 < found.seconds <= found.wall
     # What it predicts for the photos it saw is the error of the fit, whatever light the method takes for granted.
-    assert found.predict(shots) == pytest.approx(found.rmse, rel=1e-6)
+    assert found.predict(shots)[1] == pytest.approx(found.rmse, rel=1e-6)
     falloff = "none" if isinstance(config, GanConfig) and config.of_paper else "inverse-square"
     assert methods.as_lit(shots, config).views.falloff == falloff
 
@@ -89,12 +89,30 @@ def test_photos_4_and_7_are_left_out(tmp_path):
     assert task.photos.index == (0, 1, 2, 3, 5, 6, 8) and task.left_out.index == (4, 7) and task.name == "shots"
     found = task.errors(fit(task.photos, ANALYTIC, DirectConfig(iterations=2)))
     assert set(found) == {"seen", "left_out"} and found["seen"] != found["left_out"]
+    assert task.key == {"kind": "capture", "name": "shots", "left_out": [4, 7]}
     write_capture(shots.pick([0, 1]), tmp_path / "two")
     assert real_capture(tmp_path / "two", 16).left_out is None
     stated = json.loads((tmp_path / "shots/capture.json").read_text())
     (tmp_path / "shots/capture.json").write_text(json.dumps(stated | {"idx": [4, 7]}))
     with pytest.raises(ConfigError, match="besides"):
         real_capture(tmp_path / "shots", 16)
+
+
+def test_flip_of_pictures_is_that_of_each_beside_its_own(tmp_path):
+    flip_evaluator = pytest.importorskip("flip_evaluator")
+    write_capture(photos_of(make_material("inlay", 16)), tmp_path / "shots")
+    task = real_capture(tmp_path / "shots", 16)
+    found = fit(task.photos, ANALYTIC, DirectConfig(iterations=2))
+    looks = task.looks(found)
+    assert set(looks) == {"flip_seen", "flip_left_out"}
+    images, _ = found.predict(task.left_out)
+    shown = images.clamp(0, 1) ** (1 / 2.2)
+    each = [flip_evaluator.evaluate(photo.numpy(), image.contiguous().numpy(), "LDR")[1]
+            for photo, image in zip(task.left_out.photos, shown)]
+    assert looks["flip_left_out"] == pytest.approx(sum(each) / len(each), abs=1e-4)  # photos there and back; measured 3e-7
+    known = known_material("builtin:inlay", 16, GRID, ANALYTIC)
+    exact = known.looks(replace(fit(known.photos, ANALYTIC, DirectConfig(iterations=1)), svbrdf=known.truth))
+    assert exact["flip_novel_light"] == 0 < exact["flip_photos"]
 
 
 def test_known_materials_are_judged_as_evaluate_judges_them(tmp_path):
@@ -122,16 +140,16 @@ def test_published_numbers_are_those_of_the_same_photos(tmp_path):
     (tmp_path / "peers.json").write_text(json.dumps(stated))
     found = published(tmp_path / "peers.json", tasks, 256)
     assert found["material"] == {"leather": {"MaterialGAN": maps | {"mean": pytest.approx(0.03)}}}  # a made inlay is another
-    assert found["capture"]["cards"]["MaterialGAN"] == {"seen": pytest.approx(math.sqrt(0.13 / 7)),
+    assert found["capture 4,7"]["cards"]["MaterialGAN"] == {"seen": pytest.approx(math.sqrt(0.13 / 7)),
                                                         "left_out": pytest.approx(math.sqrt(0.25 / 2))}
-    assert set(found["capture"]["cards"]) == {"MaterialGAN"}
+    assert set(found["capture 4,7"]["cards"]) == {"MaterialGAN"}
     stated["captures"]["cards"]["left_out_7_8_rmse_256"] = {"gao2019": 0.5}
     (tmp_path / "peers.json").write_text(json.dumps(stated))
-    blind = published(tmp_path / "peers.json", [real_capture(tmp_path / "cards", 16, (7, 8))], 256)["capture"]["cards"]
+    blind = published(tmp_path / "peers.json", [real_capture(tmp_path / "cards", 16, (7, 8))], 256)["capture 7,8"]["cards"]
     assert blind["Gao 2019 without them"] == {"left_out": 0.5}  # fitted to photos 0 to 6, as fits here are then
     assert blind["MaterialGAN"]["left_out"] == pytest.approx(math.sqrt((0.16 + 0.04) / 2))
-    assert published(tmp_path / "peers.json", tasks, 128) == {"material": {}, "capture": {}}  # numbers of another size
-    assert published(tmp_path / "none.json", tasks, 256) == {"material": {}, "capture": {}}
+    assert published(tmp_path / "peers.json", tasks, 128) == {"material": {}}  # numbers of another size
+    assert published(tmp_path / "none.json", tasks, 256) == {"material": {}}
     (tmp_path / "peers.json").write_text('{"materials": []}')
     with pytest.raises(ConfigError, match="peers.json"):
         published(tmp_path / "peers.json", tasks, 256)

@@ -24,8 +24,8 @@ def test_the_page_has_every_section_and_its_pictures(tmp_path):
                   "lower on 0 of 2, not on a, b"):
         assert words in text, words
     names = {p.name for p in paths[1:]}
-    assert names == {f"page-{n}.svg" for n in ("methods", "renderers", "material-mean", "material-novel-light", "capture-seen",
-                                               "capture-left-out")}
+    assert names == {f"page-{n}.svg" for n in ("methods", "renderers", "material-mean", "material-novel-light",
+                                               "capture-4-7-seen", "capture-4-7-left-out")}
     for name in names:
         assert f"({name})" in text
         ElementTree.parse(tmp_path / name)  # well-formed

@@ -10,7 +10,7 @@ from mitsvbrdf.errors import ConfigError
 
 
 @pytest.mark.parametrize("spoil, words", [
-    (lambda b: b.update(schema_version=2), "version 2"),
+    (lambda b: b.update(schema_version=3), "version 3"),
     (lambda b: b.pop("machine"), "the fields"),
     (lambda b: b["records"][0].update(seed="0"), "records.0.seed"),
     (lambda b: b["records"][0].update(seed=True), "records.0.seed"),
@@ -21,6 +21,8 @@ from mitsvbrdf.errors import ConfigError
     (lambda b: b["records"][1]["rows"][0]["both"].pop("low"), "records.1.rows.0.both"),
     (lambda b: b["records"].append(b["records"][0]), "twice"),
     (lambda b: b["records"].append({"suite": "other"}), "records.2"),
+    (lambda b: b["records"][0].update(left_out=[4, 7]), "left_out of a capture"),
+    (lambda b: b["records"].append(record(kind="capture")) or b["records"][-1].pop("left_out"), "left_out of a capture"),
     (lambda b: b.update(records={}), "a list"),
     (lambda b: b.update(seeds=[0.5]), "seeds.0"),
 ])

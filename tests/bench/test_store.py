@@ -11,7 +11,7 @@ from helpers.bench_records import SETTINGS, record
 
 from mitsvbrdf.bench import jobs
 from mitsvbrdf.bench.schema import check_benchmark
-from mitsvbrdf.bench.store import Store, read_benchmark
+from mitsvbrdf.bench.store import Store, read_benchmark, syntax_of
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.system import files
 from mitsvbrdf.system.shared_file import held
@@ -119,15 +119,15 @@ def test_a_record_that_another_run_took_away_is_missed(tmp_path):
 
 @pytest.mark.parametrize("when", ["writing", "between"])
 def test_ctrl_c_between_jobs_and_while_a_record_is_written(when, tmp_path, monkeypatch):
-    write, run, done = files.write_json, Job.run, []
+    write, run, done = files.write_bytes, Job.run, []
 
-    def interrupted(path, value):
+    def interrupted(path, data):
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(0.01)  # that it comes here
-        write(path, value)
+        write(path, data)
 
     if when == "writing":
-        monkeypatch.setattr(files, "write_json", interrupted)
+        monkeypatch.setattr(files, "write_bytes", interrupted)
     monkeypatch.setattr(Job, "run", lambda job, report: done.append(job.title) or run(job, report))
 
     def told(text, share):
@@ -138,3 +138,62 @@ def test_ctrl_c_between_jobs_and_while_a_record_is_written(when, tmp_path, monke
         jobs.run([Job(0), Job(1)], Store(tmp_path / "b.json", SETTINGS), told)
     monkeypatch.undo()
     assert done == ["seed 0"] and [r["seed"] for r in read_benchmark(tmp_path / "b.json")["records"]] == [0]
+
+
+def test_the_digits_of_the_code_change_with_what_it_does_and_not_with_its_words():
+    source = '"""Words."""\nclass A:\n    """Words."""\n    width: int = 3\n    """More."""\n\ndef f(x):\n    return x + 1\n'
+    other = '# a comment\nclass A:\n    width: int = (\n        3)\n\n\ndef f(x):\n    """Others."""\n    return x + 1  # so\n'
+    assert syntax_of(source) == syntax_of(other)
+    for one, another in (("= 3", "= 4"), ("x + 1", "x + 2"), ("return x", "return '' or x")):
+        assert syntax_of(source.replace(one, another)) != syntax_of(source)
+
+
+def test_another_version_of_mitsvbrdf_alone_goes_on(tmp_path):
+    Store(tmp_path / "b.json", SETTINGS).add(record(mean=0.1))
+    for name, refused in (("mitsvbrdf", False), ("torch", True)):
+        content = json.loads((tmp_path / "b.json").read_text())
+        content["versions"][name] = "0.0.1"
+        (tmp_path / "c.json").write_text(json.dumps(content))
+        if refused:
+            with pytest.raises(ConfigError, match=name):
+                Store(tmp_path / "c.json", SETTINGS)
+        else:
+            Store(tmp_path / "c.json", SETTINGS).add(record(seed=1, mean=0.1))
+
+
+def test_fifteen_hundred_records_take_less_than_a_megabyte(tmp_path):
+    names = ("diffuse", "specular", "roughness", "normal", "mean", "novel_light", "photos", "flip_novel_light", "flip_photos")
+    many = [record("peers-baseline", 300.0, seed, "brick-uneven-stones", **{name: 0.123456789 for name in names})
+            | {"config": {"class": "HierarchicalConfig", "guess": "robust"}, "seconds": 123.4567891} for seed in range(1500)]
+    store = Store(tmp_path / "b.json", SETTINGS)
+    store.add(many[0])
+    assert store.records[0]["errors"]["mean"] == 0.123457 and store.records[0]["seconds"] == 123.457
+    assert len((tmp_path / "b.json").read_text().splitlines()[-1]) * 1500 < 1_000_000  # a record is one line
+    exact = many[1] | {"method": "another", "budget": 0.123456789, "config": {"width": 0.123456789}}
+    store.add(exact)
+    kept = read_benchmark(tmp_path / "b.json")["records"][1]
+    assert (kept["budget"], kept["config"]) == (exact["budget"], exact["config"])  # what jobs are compared with
+
+
+def ended(budget, seconds, stopped="iterations", kind="PeersConfig", **more):
+    return record("peers-baseline", budget, seconds=seconds, mean=0.1) | {
+        "stopped": stopped, "config": {"class": kind}} | more
+
+
+class Longer:
+    def __init__(self, budget, **more):
+        self.key = {k: v for k, v in ended(budget, 1.0, **more).items() if k in (
+            "suite", "method", "kind", "name", "budget", "seed", "left_out")}
+        self.settings = {"class": "PeersConfig"}
+
+
+def test_a_fit_that_ended_by_itself_is_not_run_for_longer(tmp_path):
+    store = Store(tmp_path / "b.json", SETTINGS)
+    store.add(ended(10.0, 10.0, "budget"))
+    jobs_of = [Longer(budget) for budget in (10.0, 30.0, 100.0, 300.0)]
+    assert [job.key["budget"] for job in store.pending(jobs_of)] == [30.0, 100.0, 300.0]
+    store.add(ended(100.0, 84.0))
+    assert [job.key["budget"] for job in store.pending(jobs_of)] == [30.0]
+    assert store.repeats(jobs_of[3]) and not store.repeats(jobs_of[1])
+    others = [Longer(300.0, seed=1), Longer(300.0, name="b"), Longer(300.0, kind="capture", left_out=[7, 8])]
+    assert store.pending(others) == others  # each by itself

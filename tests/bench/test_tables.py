@@ -4,7 +4,8 @@ import pytest
 from helpers.bench_records import GIVEN, METHODS, benchmark, record
 
 from mitsvbrdf.bench import summary
-from mitsvbrdf.bench.tables import equal_error, equal_time
+from mitsvbrdf.bench.tables import equal_time, looks
+from mitsvbrdf.bench.times import equal_error
 
 TWO = [record("hybrid", b, s, n, mean=e) for b, s, n, e in (
     (10.0, 0, "a", 0.30), (10.0, 0, "b", 0.10), (10.0, 1, "a", 0.20), (10.0, 1, "b", 0.10), (10.0, 2, "a", 0.50),
@@ -52,15 +53,53 @@ def test_tables_show_the_medians_and_mark_the_lowest():
     cells = {row[0]: row[1:] for row in table.rows}
     assert table.heads == ["", "10 s", "30 s"] and cells["`hybrid`"][1] == "**0.0688 (0.0656–0.0719)**"
     assert cells["`direct`"][1].startswith("0.1100") and "MaterialGAN, published" not in cells  # it is known of a alone
-    seen = next(t for t in equal_time(benchmark(METHODS, GIVEN)) if "seen" in t.title)
-    assert ["MaterialGAN, published", "", "0.0100"] in seen.rows
+    seen = next(t for t in equal_time(summary.views(benchmark(METHODS, GIVEN))[1]) if "seen" in t.title)
+    assert ["MaterialGAN, published, at any time", "0.0100", "0.0100"] in seen.rows
 
 
 def test_equal_error_names_the_shortest_budget():
-    material, capture = equal_error(benchmark(METHODS, GIVEN))
+    material, capture = (table for view in summary.views(benchmark(METHODS, GIVEN)) for table in equal_error(view))
     # The baseline ends at 0.2 * 1.1 * 1.25 = 0.275; hybrid has 0.1191 after 10 s, direct 0.1905.
     assert material.heads[1] == "maps, below `peers-baseline` (0.2750)" and material.heads[2].endswith("on a (0.0600)")
     rows = {row[0]: row[1:] for row in material.rows}
     assert rows["`hybrid`"][:2] == ["10 s", "30 s"]  # on a alone: 0.055 after 30 s
-    assert rows["`direct`"][:2] == ["10 s", "not in 30 s (best 0.0880)"] and rows["`peers-baseline`"][0] == "–"
+    assert rows["`direct`"][:2] == ["10 s", "not in 30 s (best 0.0880)"] and rows["`peers-baseline`"][0] == "its own error"
     assert {row[0]: row[2] for row in capture.rows}["`hybrid`"] == "not in 30 s (best 0.0688)"
+
+
+def cells_of(records, given=None):
+    table = equal_time(benchmark(records, given))[0]
+    return {row[0]: dict(zip(table.heads[1:], row[1:])) for row in table.rows}
+
+
+def test_every_cell_has_a_number_or_a_reason():
+    def fits(method, budget, seed, names="ab", **more):
+        return [record(method, budget, seed, name, mean=0.1 * (seed + 1), novel_light=0.2) | more for name in names]
+
+    failed = {"stopped": "failed", "why": "no step stays finite", "errors": {}}
+    cells = cells_of([*fits("hybrid", 10.0, 0), *fits("hybrid", 10.0, 1), *fits("hybrid", 30.0, 0), *fits("gan", 10.0, 0, "a"),
+                      *fits("gan", 30.0, 0, "a"), *fits("gan", 30.0, 0, "b", **failed),
+                      *fits("direct", 10.0, 0, config={"class": "DirectConfig"}),
+                      *fits("peers-baseline", 10.0, 0, config={"class": "PeersConfig"}, stopped="iterations", seconds=4.0)])
+    assert cells["`hybrid`"] == {"10 s": "0.1500 (0.1250–0.1750)", "30 s": "**0.1000 (1 of 2 seeds)**"}
+    assert cells["`gan`"] == {"10 s": "only 1 of 2", "30 s": "fails on 1 of 2"}
+    assert cells["`direct`"] == {"10 s": "**0.1000 (no randomness)**", "30 s": "not run"}
+    # It ended by itself: the longer budget would give the same.
+    assert cells["`peers-baseline`"] == dict.fromkeys(("10 s", "30 s"), "**0.1000 (no randomness), ended after 4 s**")
+
+
+def test_flip_stands_in_a_table_of_its_own_where_it_was_measured():
+    assert looks(benchmark([record("hybrid", mean=0.1)]), "material") is None
+    table = looks(benchmark([record("hybrid", mean=0.1, flip_photos=0.03), record("direct", mean=0.1)]), "material")
+    assert table.rows == [["`hybrid`", "not measured", "**0.0300**"], ["`direct`", "not measured", "not measured"]]
+
+
+def test_two_ways_to_leave_photos_out_are_shown_apart():
+    both = [record("hybrid", 10.0, 0, "a", "capture", seen=e, left_out=e) | {"left_out": numbers}
+            for numbers, e in (([4, 7], 0.1), ([7, 8], 0.3))]
+    given = {"capture 7,8": {"a": {"Gao 2019 without them": {"left_out": 0.2}}}}
+    _, usual, other = summary.views(benchmark([*both, record(mean=0.5)], given))
+    assert [row[1] for row in equal_time(usual)[0].rows] == ["**0.1000**"]
+    table = equal_time(other)[0]
+    assert table.rows == [["`hybrid`", "**0.3000**"], ["Gao 2019 without them, published, at any time", "0.2000"]]
+    assert table.title.endswith("a without photos 7 and 8")

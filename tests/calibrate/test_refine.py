@@ -57,6 +57,10 @@ def test_perturbed_calibration_is_found_within_the_stated_errors(name, seed):
     assert torch.allclose(found.views.camera, moved(views, found.change).camera, atol=1e-14)
     assert torch.allclose(found.views.light, moved(views, found.change).light, atol=1e-14)
     assert torch.allclose(found.views.intensity, moved(views, found.change).intensity, rtol=1e-14)
+    # From there the search is where it ends, and from the truth it ends there too, by the deviations that it states.
+    again, other = (refine_views(material, views, shots, start=start) for start in (found.change, truth))
+    assert again.iterations <= 2 < found.iterations
+    assert all(((there.change - found.change) / found.deviation).abs().max() < 0.05 for there in (again, other))
 
 
 def test_photos_do_not_depend_on_each_other_nor_on_the_unit():

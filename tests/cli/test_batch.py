@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import re
+import sys
 
 import pytest
 from helpers.batches import asked, make_capture
+from helpers.commands import fails
 
 from mitsvbrdf import cli
 from mitsvbrdf.batch.manifest import FILE, Manifest
 from mitsvbrdf.batch.places.place import LocalPlace
-from mitsvbrdf.batch.prepare import quarantine, register, take_stock
+from mitsvbrdf.batch.prepare import library_lock, quarantine, register, take_stock
 from mitsvbrdf.cli import batch as batch_command
 
 
@@ -28,6 +32,26 @@ def test_the_log_of_a_failure_is_named_where_there_is_one(tmp_path, capsys):
     assert open(log).read() == "what it printed"
     assert mute == f"failed: mute ({captures[1]}): blurred" and last.startswith("0 done, 2 failed")
     manifest.close()
+
+
+def test_a_ray_that_is_broken_is_told_and_leaves_no_library(tmp_path, capsys, monkeypatch):
+    broken = tmp_path / "site/ray/__init__.py"
+    broken.parent.mkdir(parents=True)
+    broken.write_text("import sys\nprint('built for another machine', file=sys.stderr, flush=True)\n"
+                      "raise ImportError('libray.so: wrong ELF class')\n")
+    monkeypatch.delitem(sys.modules, "ray", raising=False)
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(path for path in sys.path if path))
+    shots, earlier = make_capture(tmp_path / "shots/wood"), tmp_path / "earlier"
+    words = ["libray.so: wrong ELF class", "its log ends: built for another machine", "install it again"]
+    fails(capsys, tmp_path, ["batch", shots, "-o", tmp_path / "library"], *words)
+    (tmp_path / "empty").mkdir()
+    fails(capsys, tmp_path, ["batch", shots, "-o", tmp_path / "empty"], *words)
+    library_lock(earlier)()
+    with contextlib.closing(Manifest(earlier / FILE)) as manifest:
+        register([asked(shots)], manifest, lambda *_: None)
+    assert cli.main(["batch", str(shots), "-o", str(earlier)]) == 2
+    assert (earlier / FILE).is_file()
 
 
 def test_help_says_what_is_on_and_what_must_be_given(capsys):

@@ -33,7 +33,7 @@ def lazy(tmp_path, monkeypatch):
     """No command may begin its work; one file that is the user's own."""
     for name in ("verify.crosscheck.crosscheck", "verify.leave_out.measure_leave_out", "verify.stability.stability",
                  "material.made.make_material", "capture.read_capture", "bench.plan.Plan.jobs",
-                 "capture.align.sheet.write_sheet"):
+                 "capture.align.sheet.write_sheet", "cli.fit.read_photos"):
         monkeypatch.setattr(f"mitsvbrdf.{name}", lambda *_, **__: pytest.fail("worked first"))
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("mine")
@@ -102,6 +102,19 @@ def test_results_among_maps_would_take_their_place(command, tmp_path, capsys):
     for place in ("fit", "fit/maps"):
         words = [word.format(tmp_path / place) for word in command]
         fails(capsys, tmp_path, [*words, "--overwrite"], "which holds the maps")
+
+
+def test_a_fit_reads_no_photo_for_a_place_that_is_taken(lazy, capsys):
+    with result_folder.output_folder(lazy / "done", overwrite=False) as folder:
+        (folder / "fit.json").touch()
+    with pytest.raises(ZeroDivisionError), result_folder.output_folder(lazy / "begun", overwrite=False) as folder:
+        (folder / result_folder.CHECKPOINT).touch()
+        raise ZeroDivisionError
+    for out, words in (("done", "which has results"), ("begun", "no unfinished run"), ("file", "the file"),
+                       ("file/out", "file/out")):
+        fails(capsys, lazy, ["fit", "shots", "-o", out], words)
+    with result_folder.output_folder(lazy / "done", overwrite=True):
+        fails(capsys, lazy, ["fit", "shots", "-o", "done", "--overwrite"], "in use by another run")
 
 
 @pytest.mark.parametrize("command", [["render", "builtin:tiles"], ["synth", "builtin:tiles"]])

@@ -1,15 +1,19 @@
 """What a fit says that it leaves out, and what it says that it uses."""
 
 import json
+from dataclasses import replace
 
 import pytest
-from helpers import ANALYTIC
+import torch
+from helpers import ANALYTIC, MITSUBA, ROOT
 
 from mitsvbrdf import cli
 from mitsvbrdf.errors import MapsError
-from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HierarchicalConfig, HybridConfig, left_out
-from mitsvbrdf.fit.left_out import used
+from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HierarchicalConfig, HybridConfig, left_out, losses, make_method
+from mitsvbrdf.fit.hierarchical import needs
+from mitsvbrdf.fit.left_out import decided_later, known_before, used
 from mitsvbrdf.fit.record import read_whole_fit
+from mitsvbrdf.material.maps import CHANNELS
 
 NETWORKS = {"generator", "discriminator"}
 
@@ -35,6 +39,51 @@ def test_how_a_network_is_used(leather):
     assert told["discriminator"] == "adversarial loss, weight 1 and feature matching, weight 2; game relativistic"
 
 
+def claims(leather):
+    """Every name by which a fit says that it leaves something out, of settings, materials and photos that call for each."""
+    said = {"adversarial finish"}  # of the command itself
+    fixed = {"roughconductor": {"diffuse": "0.3", "specular": "0.04", "roughness": "0.5", "normal": "flat"},
+             "principled": {"base_color": "0.3", "metallic": "0"}}
+    configs = [kind(bsdf=bsdf, fix=(f"{name}={value}",)) for kind in (HierarchicalConfig, HybridConfig)
+               for bsdf, values in fixed.items() for name, value in values.items()]
+    configs += [HierarchicalConfig(fix=("diffuse=0", "normal=flat")), HierarchicalConfig(fix=("specular=0", "roughness=1")),
+                HierarchicalConfig(grey_specular=True), DirectConfig(),
+                HierarchicalConfig(exact=True), HierarchicalConfig(exact=False, noise=0.1), HierarchicalConfig(rivals=False),
+                HierarchicalConfig(flash_offset=False, calibrate=False), HybridConfig(photometric=0.0),
+                HybridConfig(adversarial=0.0, diffuse=0.0, smooth=0.0, flat=0.0), GanConfig(features=0.0),
+                GanConfig(adversarial=0.0, features=1.0)]
+    unlit = replace(leather, views=replace(leather.views, falloff="none"))
+    for shots, config in [*((leather, config) for config in configs), (unlit, HierarchicalConfig())]:
+        for renderer in (ANALYTIC, MITSUBA):
+            task = FitTask(shots, renderer, config)
+            said |= dict(known_before(task)).keys() | dict(decided_later(task)).keys()
+    return said
+
+
+def test_every_claim_has_a_measured_row(leather):
+    record = json.loads((ROOT / "docs" / "results" / "leave-out.json").read_text())
+    measured = {name for item in (*record["items"], *record["fits"]["items"]) for name in item["says"]}
+    said = claims(leather)
+    assert said <= measured
+    # The claims are all that the sources can make: each of these names, and one for each map and each loss.
+    assert said >= {"Fresnel curve", "interreflection and path depth", "shadow rays", "environment", "ray tracing",
+                    "texture look-ups", "light falloff", "specular lobe", "diffuse lobe", "colour of the specular map",
+                    "metallic map", "normal map", "guessed diffuse map", "flash offset", "generator", "discriminator",
+                    needs.TIED, needs.RIVALS, needs.VIEWS, needs.IN_TURN}
+    assert said >= {f"gradient of {name}" for names in CHANNELS.values() for name in names} | set(losses.NAMES.values())
+
+
+@pytest.mark.parametrize("structure, without", [(0.0005, {needs.TIED, needs.VIEWS, needs.IN_TURN}), (0.02, {needs.RIVALS})])
+def test_what_the_free_stage_decides_is_said_with_its_figure(structure, without, leather):
+    task = FitTask(leather, MITSUBA, HierarchicalConfig())
+    method = make_method(task)
+    assert method.left_out == []  # nobody has looked yet
+    method.stages.judge(torch.tensor([structure, 0.01]))
+    told = dict(method.left_out)
+    assert set(told) == without <= set(dict(decided_later(task))) | {needs.IN_TURN}
+    assert all(f"{structure:g}" in why for what, why in told.items() if what != needs.IN_TURN)
+
+
 def test_explain_and_the_record_say_so(tmp_path, capsys):
     photos, out = str(tmp_path / "photos"), tmp_path / "out"
     assert cli.main(["synth", "builtin:leather", "-o", photos, "--resolution", "16", "--renderer", "analytic"]) == 0
@@ -43,6 +92,13 @@ def test_explain_and_the_record_say_so(tmp_path, capsys):
     assert cli.main([*command, "--explain"]) == 0
     said = capsys.readouterr().out
     assert "left out: generator (each texel is solved by itself" in said and "used:" not in said
+    assert "may be left out: tied stage (if a free fit" in said and "may be left out: rival starts (unless a free fit" in said
+    assert cli.main([*command, "--explain", "--exact", "--no-rivals"]) == 0
+    said = capsys.readouterr().out
+    assert "left out: tied stage (the photos follow the model: stated by --exact)" in said and "may be" not in said
+    assert "left out: rival starts (not asked for)" in said
+    assert cli.main([*command, "--explain", "--no-exact"]) == 0
+    assert "left out: rival starts (the photos do not follow the model: stated by --exact)" in capsys.readouterr().out
     command += ["--method", "gan", "--width", "4", "--iterations", "1"]
     assert cli.main([*command, "--explain"]) == 0
     said = capsys.readouterr().out

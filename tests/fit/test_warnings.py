@@ -7,7 +7,7 @@ import torch
 from helpers import ANALYTIC, GRID
 
 from mitsvbrdf.capture import Capture
-from mitsvbrdf.fit import DirectConfig, GanConfig, HybridConfig, fit_svbrdf
+from mitsvbrdf.fit import DirectConfig, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf
 from mitsvbrdf.fit.warnings import fit_warnings
 from mitsvbrdf.material.maps import SVBRDF
 from mitsvbrdf.views import Views, coverage_angle, half_angles
@@ -44,6 +44,12 @@ def test_each_doubt(change, words, fitted, leather):
         change = {"rerendered": fitted.rerendered / change["rerendered"]}
     (warning,) = fit_warnings(dataclasses.replace(fitted, **change), leather)
     assert words in warning
+
+
+@pytest.mark.parametrize("stopped, said", [("budget", 1), ("interrupted", 1), ("settled", 0)])
+def test_a_fit_that_had_not_settled(stopped, said, fitted, leather):
+    result = dataclasses.replace(fitted, config=HierarchicalConfig(), stopped=stopped)
+    assert sum("before it had settled" in warning for warning in fit_warnings(result, leather)) == said
 
 
 @pytest.mark.parametrize("fix, count", [((), 1), (("roughness=0.5",), 0)])  # a map that was given is the caller's own

@@ -36,6 +36,18 @@ def asked(capture: Path, config: FitConfig | None = None, **options: object) -> 
     return Asked(Entry(str(capture)), config, FitOptions(**options), False, ())  # type: ignore[arg-type]
 
 
+# Records that say no result: of somebody else, or spoiled.
+NO_RECORDS = (
+    "", "{", "[]", "3", "{}", '{"identity": "a", "attempt": "a-1", "row": {}}', "\xff", "[" * 100_000,
+    '{"identity": "a", "attempt": "a-1", "row": [], "files": {}}', '{"identity": 3, "attempt": "a-1", "row": {}, "files": {}}',
+    '{"identity": "a", "attempt": "first", "row": {}, "files": {}}',
+    '{"identity": "a", "attempt": "a-1", "row": {"error": "low"}, "files": {}}',
+    '{"identity": "a", "attempt": "a-1", "row": {"date": [1]}, "files": {}}',
+    '{"identity": "a", "attempt": "a-1", "row": {}, "files": {"fit.json": 3}}',
+    '{"identity": "a", "attempt": "a-1", "row": {}, "files": {"../fit.json": {"bytes": 1, "sha256": ""}}}')
+ELSEWHERE = ("", ".", "..", "../mine", "a/b", "/mine", "*", "mine-[0-9]", "mine-????????", "a\0")  # no names of results
+
+
 def write_result(staging: Path, task: Mapping, files: Mapping[str, bytes] = FILES) -> None:
     """A result as a child leaves it."""
     for name, content in files.items():

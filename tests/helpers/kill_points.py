@@ -59,7 +59,7 @@ def publish(root: Path) -> None:
     place = LocalPlace(root)
     staging = place.staging("one")
     write(staging, {"maps/a.exr": "2", "fit.json": "2"})
-    files.write_json(staging / RECORD, {"identity": "i", "attempt": "one", "row": {}, "files": {}})
+    files.write_json(staging / RECORD, {"identity": "i", "attempt": "one-1", "row": {}, "files": {}})
     place.publish(staging, "wood")
 
 

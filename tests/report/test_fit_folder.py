@@ -133,6 +133,25 @@ def test_a_second_fit_in_the_same_folder_shows_nothing_of_the_first(tmp_path):
     assert json.loads((tmp_path / "report.json").read_text())["left_out_rmse"] is None
 
 
+def test_a_fit_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
+    shots, out = photos_of(make_material("tiles", 8)), tmp_path / "out"
+    found, fixed = (fit_svbrdf(shots, ANALYTIC, DirectConfig(iterations=1, fix=fix)) for fix in ((), ("roughness=0.5",)))
+    (out / "maps").mkdir(parents=True)
+    (out / "maps/mine.psd").write_text("mine")
+    write_fit(found, shots, out, pages=False)
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    with monkeypatch.context() as patch:
+        patch.setattr("mitsvbrdf.report.folder.write_record", lambda *_: 1 / 0)
+        for place in (out, tmp_path / "new"):
+            with pytest.raises(ZeroDivisionError):
+                write_fit(fixed, shots, place, pages=False)
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+    assert not (tmp_path / "new").exists() and (out / "uncertainty/roughness.exr").is_file()
+    write_fit(fixed, shots, out, pages=False)
+    assert not (out / "uncertainty/roughness.exr").exists() and read_fit(out).svbrdf["roughness"].unique().item() == 0.5
+    assert (out / "maps/mine.psd").read_text() == "mine" and not list(out.rglob("*.old"))
+
+
 def test_a_page_is_not_written_beside_another_fit(copy, monkeypatch):
     def slow(*arguments, **options):
         (copy / "fit.json").write_text(json.dumps(json.loads((copy / "fit.json").read_text()) | {"seed": 7}))

@@ -117,8 +117,8 @@ def test_a_cost_that_may_rise_is_explained_where_there_is_one(measured, photos, 
 @pytest.mark.parametrize("options, words", [
     (["--bsdf", "principled"], ["Base colour", "Metallic", "as principled"]),
     (["--fix", "normal=flat", "--fix", "roughness=0.5"], ["held fixed", "gradient of roughness"]),
-    (["--method", "direct", "--budget", "0.001"], ["ended budget"]),
-    (["--method", "hybrid", "--width", "8"], ["adversarial"])])
+    pytest.param(["--method", "direct", "--budget", "0.001"], ["ended budget"], marks=pytest.mark.slow),
+    pytest.param(["--method", "hybrid", "--width", "8"], ["adversarial"], marks=pytest.mark.slow)])
 def test_kinds_of_fits(options, words, photos, tmp_path):
     out = tmp_path / "out"
     limit = [] if "--budget" in options else ["--iterations", "2"]

@@ -4,6 +4,7 @@ import json
 import math
 import os
 import shutil
+import signal
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from helpers.half_put import half_put
 from mitsvbrdf import cli
 from mitsvbrdf.capture import write_capture
 from mitsvbrdf.errors import OutputError
+from mitsvbrdf.export.mitsuba import write_scene
 from mitsvbrdf.fit.record import read_fit, read_whole_fit
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import load_maps
@@ -89,6 +91,19 @@ def test_what_cannot_be_put_in_place_is_not_read(copy, monkeypatch):
         with pytest.raises(OutputError, match="expected a whole result.*Read-only"):
             load_maps(copy)
     assert load_maps(copy).resolution == SIDE
+
+
+def test_ctrl_c_while_a_fit_is_written_is_heard_when_all_is_there(photos, tmp_path, monkeypatch, capsys):
+    real = write_scene
+
+    def pressed(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        real(*arguments)
+
+    monkeypatch.setattr("mitsvbrdf.report.folder.write_scene", pressed)
+    assert cli.main(["fit", str(photos), "-o", str(tmp_path / "out"), *FAST]) == 130
+    assert "interrupted" in capsys.readouterr().err and not result_folder.partial_folder(tmp_path / "out").exists()
+    assert read_whole_fit(tmp_path / "out") and (tmp_path / "out/report.html").is_file()
 
 
 def test_an_unfinished_fit_is_no_matter_of_the_page(copy):

@@ -6,7 +6,7 @@ import pytest
 
 from mitsvbrdf.errors import exit_code
 from mitsvbrdf.render.llvm import mitsuba_module
-from mitsvbrdf.system.interrupts import stop_signals
+from mitsvbrdf.system.interrupts import stop_signals, undisturbed
 
 
 @pytest.fixture(autouse=True)
@@ -44,6 +44,25 @@ def test_somebody_else_listens():
     with stop_signals() as stop:
         signal.raise_signal(signal.SIGINT)
         assert heard and not stop
+
+
+def test_what_comes_while_nobody_may_disturb_is_heard_afterwards(capsys):
+    done = []
+
+    def command():
+        with undisturbed():
+            with undisturbed():
+                signal.raise_signal(signal.SIGINT)
+                done.append("inner")
+            done.append("outer")
+        done.append("never")
+
+    assert exit_code(command) == 130 and done == ["inner", "outer"]
+    assert capsys.readouterr().err == "interrupted\n"
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # as a shell without job control starts a job
+    with undisturbed():
+        signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
 
 
 def test_ctrl_c_in_a_render_of_mitsuba_ends_with_130(capsys):

@@ -7,6 +7,7 @@ from time import perf_counter
 import pytest
 import torch
 from helpers import ANALYTIC, photos_of
+from helpers.variants import mostly_slow
 
 from mitsvbrdf import cli
 from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HybridConfig, fit_svbrdf, make_method
@@ -128,7 +129,7 @@ def test_methods_name_their_parts(method, renders, clock, capture, monkeypatch):
     assert {"losses", "losses, backward", "hand-over", "hand-over, backward", "optimiser", OTHER} <= set(found.steps[0])
 
 
-@pytest.mark.parametrize("method", CONFIGS)
+@pytest.mark.parametrize("method", mostly_slow(CONFIGS, "hybrid"))
 def test_parts_sum_to_the_step_and_change_nothing(method, capture):
     renderer, config = make_renderer("mitsuba"), dataclasses.replace(CONFIGS[method], iterations=6)
     plain = fit_svbrdf(capture, renderer, config)

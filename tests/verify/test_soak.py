@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from helpers import ANALYTIC
+from helpers.variants import mostly_slow
 
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.render import make_renderer
@@ -59,7 +60,7 @@ class Compiling:
         return self.twin.render(svbrdf, views)
 
 
-@pytest.mark.parametrize("work", soak.WORK)
+@pytest.mark.parametrize("work", mostly_slow(soak.WORK, "preview"))  # which does what the others do
 def test_mitsuba_compiles_nothing_after_the_second_turn(work):
     record = soak.soak([make_renderer("mitsuba"), make_renderer("mitsuba-scene")], "roughconductor", work, 20, resolution=8)
     assert record["renderers"] == ["mitsuba", "mitsuba-scene"] and record["work"] == work

@@ -14,7 +14,7 @@ from ...errors import MapsError
 from ...system.files import write_json
 from ...system.json_files import load
 from ..manifest import FILE, Manifest, now
-from ..places.place import QUARANTINE
+from ..places.place import QUARANTINE, ROW
 
 if TYPE_CHECKING:
     from ...capture import Capture
@@ -23,10 +23,7 @@ if TYPE_CHECKING:
 INDEX = "library.json"
 UNFINISHED = "running", "pending"
 # Of a row, what its readers count with.
-_KINDS = dict.fromkeys(("error", "left_out_error", "burn_in", "seconds", "peak_bytes", "photos", "resolution"),
-                       (int, float, type(None))) | {
-    "attempts": (int,), "warnings": (list,), "tags": (list,), "method": (str,), "preview": (str, type(None)),
-    "report": (str, type(None))}
+_KINDS = ROW | {"attempts": (int,), "tags": (list,), "method": (str,)}
 
 
 def row_of(folder: Path, shown: Capture | None, engine: Renderer) -> dict:

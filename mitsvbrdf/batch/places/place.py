@@ -16,12 +16,39 @@ from pathlib import Path
 from typing import Protocol
 
 from ...errors import OutputError
-from ...system.files import file_hash, inside, is_regular, stays_inside, to_disk
-from ...system.json_files import load
+from ...system.files import file_hash, inside, is_entry, is_regular, stays_inside, to_disk
+from ...system.json_files import load, misfit
 
 RECORD = "batch.json"  # of a result: which capture and options it is of, and what its files hold
 WORK, QUARANTINE = ".work", "quarantine"
 ASIDE = re.compile(r".+-[0-9a-f]{8}\.damaged[0-9]*")  # names of results that were set aside
+
+
+NOTHING = type(None)
+# What is counted on in a record's row, where it is stated, and in the record.
+ROW = dict.fromkeys(("error", "left_out_error", "burn_in", "seconds", "peak_bytes", "photos", "resolution"),
+                    (int, float, NOTHING)) | {
+    "warnings": (list,), "preview": (str, NOTHING), "report": (str, NOTHING), "date": (str, NOTHING)}
+SHAPE = {"identity": str, "attempt": str, "row": dict, "files": {str: {"bytes": int, "sha256": str}}}
+ATTEMPT = re.compile(r"(.*-)?[0-9]{1,9}")
+
+
+def checked_name(folder: str) -> str:
+    """The name of a result.
+
+    Raises:
+        OutputError: it leads elsewhere, or stands for several as a pattern.
+    """
+    if not is_entry(folder):
+        raise OutputError("the name of a result", repr(folder), "leave this library alone, or make its manifest anew")
+    return folder
+
+
+def checked_record(found: dict) -> dict | None:
+    """A record; None where it is not one, or names files that are not inside its folder."""
+    if misfit(found, SHAPE) or not ATTEMPT.fullmatch(found["attempt"]) or not all(map(stays_inside, found["files"])):
+        return None
+    return None if misfit(found["row"], {name: ROW[name] for name in found["row"] if name in ROW}) else found
 
 
 class Place(Protocol):
@@ -102,10 +129,8 @@ class LocalPlace:
     def record(self, folder: str) -> dict | None:
         """The record in the folder."""
         try:
-            found = load(self._at(folder) / RECORD, links=False)
-            kinds = {"identity": str, "attempt": str, "row": dict, "files": dict}
-            return found if all(isinstance(found[name], kind) for name, kind in kinds.items()) else None
-        except (OSError, ValueError, KeyError):
+            return checked_record(load(self._at(folder) / RECORD, links=False))
+        except (OSError, ValueError):
             return None
 
     def damage(self, folder: str, record: dict, hashes: bool) -> str:
@@ -142,10 +167,8 @@ class LocalPlace:
             path.unlink(missing_ok=True)
 
     def _at(self, folder: str) -> Path:
-        """Where a result of this name lies; a manifest may state any."""
-        if not stays_inside(folder) or len(Path(folder).parts) > 1:
-            raise OutputError("the name of a result", repr(folder), "leave this library alone, or make its manifest anew")
-        return self.root / folder
+        """Where a result of this name lies."""
+        return self.root / checked_name(folder)
 
 
 def _begun(staging: Path) -> Path:

@@ -12,8 +12,9 @@ from typing import Any
 
 from ...capture.photo import SUFFIXES
 from ...errors import BackendError, CaptureError, MitsvbrdfError, OutputError
+from ...system.files import stays_inside
 from ...system.json_files import parsed
-from .place import ASIDE, RECORD
+from .place import ASIDE, RECORD, checked_name, checked_record
 
 CALIBRATIONS = ("capture.json", "camera_pos.txt")
 LOCAL = ("file", "local")  # fsspec's names of this machine's files: the only ones where folders have to be made
@@ -48,15 +49,15 @@ class RemotePlace:
         names = sorted(str(path.relative_to(staging)) for path in staging.rglob("*") if path.is_file())
         with reached(self.url):
             for name in (*(name for name in names if name != RECORD), RECORD):
-                self.fs.put_file(str(staging / name), f"{self.root}/{folder}/{name}")
+                self.fs.put_file(str(staging / name), self._at(folder, name))
         return True
 
     def record(self, folder: str) -> dict | None:
         """The record in the store."""
         try:
             with reached(self.url):
-                found = self.fs.cat_file(f"{self.root}/{folder}/{RECORD}")
-            return parsed(found)
+                found = self.fs.cat_file(self._at(folder, RECORD))
+            return checked_record(parsed(found))
         except (FileNotFoundError, ValueError):
             return None
 
@@ -75,7 +76,7 @@ class RemotePlace:
         """Copies under ``NAME.damaged``; without its record the rest is no result any more."""
         with reached(self.url):
             for name in self._sizes(folder):
-                self.fs.cp_file(f"{self.root}/{folder}/{name}", f"{self.root}/{folder}.damaged/{name}")
+                self.fs.cp_file(self._at(folder, name), self._at(f"{folder}.damaged", name))
         self.remove(folder)
 
     def aside(self) -> list[str]:
@@ -86,16 +87,20 @@ class RemotePlace:
     def remove(self, folder: str) -> None:
         """Its record first, so that half a result never passes for one."""
         with reached(self.url):
-            for path in (f"{self.root}/{folder}/{RECORD}", f"{self.root}/{folder}"):
+            for path in (self._at(folder, RECORD), self._at(folder)):
                 with contextlib.suppress(FileNotFoundError):
                     self.fs.rm(path, recursive=True)
 
+    def _at(self, folder: str, *name: str) -> str:
+        """Where a result of this name lies, or a file in it."""
+        return "/".join((self.root, checked_name(folder), *name))
+
     def _sizes(self, folder: str) -> dict[str, int]:
         """The objects of a result and their sizes: one question to the store, however many there are."""
-        return {name: info["size"] for name, info in objects(self.fs, f"{self.root}/{folder}").items()}
+        return {name: info["size"] for name, info in objects(self.fs, self._at(folder)).items()}
 
     def _hash(self, folder: str, name: str) -> str:
-        with self.fs.open(f"{self.root}/{folder}/{name}", "rb") as file:
+        with self.fs.open(self._at(folder, name), "rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
 
 
@@ -104,7 +109,7 @@ def fetch(url: str, folder: Path) -> None:
     fs, root = file_system(url)
     with reached(url):
         for name in objects(fs, root):
-            if ".." in Path(name).parts or "\\" in name:
+            if not stays_inside(name) or "\\" in name:
                 raise CaptureError("names inside the capture", f"{name} in {url}", "rename it")
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             fs.get_file(f"{root}/{name}", str(folder / name))

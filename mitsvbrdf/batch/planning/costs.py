@@ -22,7 +22,7 @@ from scipy.optimize import nnls
 
 from ...capture import write_capture
 from ...capture.photo import SUFFIXES
-from ...errors import OutputError, exit_code
+from ...errors import OutputError
 from ...fit import HierarchicalConfig
 from ...fit.options import FitOptions
 from ...material.made import MATERIALS, make_material
@@ -31,6 +31,7 @@ from ...synth import photograph
 from ...system import files
 from ...system.progress import say
 from ...system.provenance import machine, versions
+from ...system.tool import run_tool
 from ...views import nine_view_grid
 from ..asked import Asked
 from ..entries import Entry
@@ -165,6 +166,7 @@ def main(out: Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder to writ
          captures: Annotated[Path | None, tyro.conf.arg(help="Folder of real captures; left out: captures/ in the folder "
                                                              "that MITSVBRDF_DATA names, where it is set.")] = None) -> int:
     """Measure; both files are written after each fit."""
+    files.check_output(out / "batch-costs.json", out / "batch-costs.md")
     data = captures or Path(os.environ.get("MITSVBRDF_DATA") or os.devnull) / "captures"
     real = sorted(path.parent for path in data.glob("*/capture.json"))
     record: dict = {"schema_version": 1, "machine": machine(), "versions": versions(), "law": {}, "rows": [], "spread_rows": []}
@@ -178,5 +180,5 @@ def main(out: Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder to writ
 
 
 if __name__ == "__main__":
-    sys.exit(exit_code(lambda: tyro.cli(main, prog="python -m mitsvbrdf.batch.planning.costs"),
-                       "interrupted; the files have each fit that was measured"))
+    sys.exit(run_tool(main, "python -m mitsvbrdf.batch.planning.costs",
+                      "interrupted; the files have each fit that was measured"))

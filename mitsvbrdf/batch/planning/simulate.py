@@ -20,11 +20,12 @@ from typing import Annotated, Any, Literal, cast
 
 import tyro
 
-from ...errors import ConfigError, exit_code
+from ...errors import ConfigError
 from ...system import files
 from ...system.json_files import read_json
 from ...system.progress import say
 from ...system.provenance import machine, versions
+from ...system.tool import run_tool
 from ..asked import TYPICAL_SECONDS
 from ..manifest import FILE, Manifest
 from ..places.place import Place
@@ -200,6 +201,7 @@ def main(out: Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder to writ
          sweep: Annotated[tuple[int, ...], tyro.conf.arg(help="Other numbers of workers.")] = (250, 1000, 2500),
          seed: Annotated[int, tyro.conf.arg(help="Of all that is drawn.")] = 0) -> int:
     """Simulate a batch in several cases, and other numbers of workers."""
+    files.check_output(*(out / f"batch-simulation.{kind}" for kind in ("json", "md", "svg")))
     supervisor: dict | None = None
     if costs:
         cluster, load = with_costs(cluster, load, read_json(costs, ConfigError), pages)
@@ -222,5 +224,5 @@ def main(out: Annotated[Path, tyro.conf.arg(aliases=["-o"], help="Folder to writ
 
 
 if __name__ == "__main__":
-    sys.exit(exit_code(lambda: tyro.cli(main, prog="python -m mitsvbrdf.batch.planning.simulate"),
-                       "interrupted; nothing is written"))
+    sys.exit(run_tool(main, "python -m mitsvbrdf.batch.planning.simulate",
+                      "interrupted; nothing is written"))

@@ -16,14 +16,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
-import tyro
 from tyro.conf import Positional, arg
 
-from ...errors import OutputError, exit_code
+from ...errors import OutputError
 from ...system import files
 from ...system.json_files import load
 from ...system.progress import say
 from ...system.provenance import machine, versions
+from ...system.tool import run_tool
 from ..entries import entries
 
 OURS = (sys.executable, "-m", "mitsvbrdf")
@@ -114,6 +114,7 @@ def main(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help=
          out: Annotated[Path, arg(aliases=["-o"], help="Folder to write.")],
          groups: Annotated[int, arg(help="How often the ways take turns.")] = 3, resolution: int = 256) -> int:
     """Measure; both files are written after each run."""
+    files.check_output(out / "batch-ways.json", out / "batch-ways.md")
     found = [os.path.realpath(entry.source) for entry in entries(captures)]
     record: dict = {"schema_version": 1, "machine": machine(), "versions": versions(), "resolution": resolution, "rows": []}
     for row in measured(found, groups, resolution):
@@ -125,5 +126,5 @@ def main(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help=
 
 
 if __name__ == "__main__":
-    sys.exit(exit_code(lambda: tyro.cli(main, prog="python -m mitsvbrdf.batch.planning.ways"),
-                       "interrupted; the files have each run that was measured"))
+    sys.exit(run_tool(main, "python -m mitsvbrdf.batch.planning.ways",
+                      "interrupted; the files have each run that was measured"))

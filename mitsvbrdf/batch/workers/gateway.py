@@ -35,6 +35,7 @@ START_SECONDS = 120.0  # for Ray to start, or to be joined
 HANG_SECONDS = 30.0  # a call of Ray that takes longer: the cluster is gone
 STOP_SECONDS = 1.0  # for an orderly end
 CHECK_ADDRESS = "check the address: that of `ray start --head`, seen from this machine"
+MEND_RAY = "install it again: pip install --force-reinstall ray"
 FAILED_STARTS = 5  # of workers, in a row
 
 
@@ -95,7 +96,7 @@ class Gateway:
                 self._home = _join(options["address"])
         except Exception as error:  # Ray raises what it likes
             raise CannotStart(f"Ray {'did not start' if self.own else 'is not there'}: {type(error).__name__}: "
-                              f"{str(error)[:500]}", "see the log" if self.own else CHECK_ADDRESS) from error
+                              f"{str(error)[:500]}", MEND_RAY if self.own else CHECK_ADDRESS) from error
         signal.signal(signal.SIGTERM, lambda number, frame: self.end(0))
         self.deadline = time.monotonic() + HANG_SECONDS
         self._look()
@@ -238,7 +239,7 @@ class Gateway:
         else:
             self._failed_starts += 1
             if self._failed_starts == FAILED_STARTS:
-                raise CannotStart(f"no worker comes up: {reason}", "install mitsvbrdf on all nodes, and see the log")
+                raise CannotStart(f"no worker comes up: {reason}", "install mitsvbrdf on all nodes")
         self._fill()
 
     def _watch(self) -> None:

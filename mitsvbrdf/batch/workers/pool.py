@@ -136,7 +136,7 @@ class RayPool:
             self._reason = event["reason"]
             if not self._named:  # it never worked: to try again would not help
                 self.close()
-                raise BackendError("Ray and its workers to start", event["reason"], event["fix"])
+                raise BackendError("Ray and its workers to start", event["reason"] + self._last_words(), event["fix"])
             return
         if event["is"] == "worker":
             self._named += 1
@@ -155,9 +155,20 @@ class RayPool:
         self._waiting += [_lost(worker, attempt, reason) for worker, attempt in self._running.items()]
         self._running, self._deaths = {}, self._deaths + 1
         if self._deaths == DEATHS:
-            raise BackendError("Ray to stay up", f"{DEATHS} ends in a row, the last: {reason}",
-                               "see the log" + "".join(f" {log}" for log in self._log))
+            raise BackendError("Ray to stay up", f"{DEATHS} ends in a row, the last: {reason}{self._last_words()}",
+                               "install Ray again, or mend its cluster")
         self._restart = time.monotonic() + min(2.0 ** (self._deaths - 1), LONGEST_PAUSE)
+
+
+    def _last_words(self) -> str:
+        """What the log ends with, and its name where it stays: it goes with a library that came to nothing."""
+        try:
+            lines = "".join(Path(log).read_text(errors="replace") for log in self._log).splitlines()
+        except OSError:
+            return ""
+        last = next((line.strip() for line in reversed(lines) if line.strip()), "")
+        name = f", {self._log[0]}," if self._named else ""
+        return f" (its log{name} ends: {last[:300]})" if last else ""
 
 
 def _lost(worker: str, attempt: str | None, reason: str) -> dict:

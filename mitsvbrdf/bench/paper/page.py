@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ...pages.page import svg_file
 from ...system import files
+from .. import summary
 from ..commands import commands
 from ..page import left_out_by, made_on, markdown, print_tables
 from ..tables import Table
@@ -56,7 +57,7 @@ def write_gan_page(path: str | Path, record: Mapping) -> list[Path]:
 
     Args:
         path: the page, e.g. ``docs/results/gan.md``.
-        record: a :class:`mitsvbrdf.bench.schema.Benchmark`; what it lacks is named in the end.
+        record: a :class:`mitsvbrdf.bench.records.Benchmark`; what it lacks is named in the end.
 
     Returns:
         Every file that was written, the page first.
@@ -65,7 +66,7 @@ def write_gan_page(path: str | Path, record: Mapping) -> list[Path]:
         OutputError: a file cannot be written.
     """
     path, curve = gan_page_files(Path(path))
-    drawing = schedule_figure(record)
+    drawing = schedule_figure(summary.usual(record))
     files.write_bytes(path, gan_page(record, curve.name).encode())
     if drawing is None:
         return [path]
@@ -77,9 +78,10 @@ def gan_page(record: Mapping, curve: str) -> str:
     """The page as Markdown.
 
     Args:
-        record: a :class:`mitsvbrdf.bench.schema.Benchmark`.
+        record: a :class:`mitsvbrdf.bench.records.Benchmark`.
         curve: the file of the schedule's picture.
     """
+    everything, record = record, summary.usual(record)
     start, schedule = tables.start_and_end(record), tables.schedule_tables(record)
     sections: dict[str, tuple[str, Sequence[Table | str]]] = {
         "What the paper prints": (NOT_COMPARABLE, tables.printed_tables(record)),
@@ -99,12 +101,13 @@ def gan_page(record: Mapping, curve: str) -> str:
             lines += [line for part in found for line in ([part, ""] if isinstance(part, str) else markdown(part))]
     missing = [heading.lower() for heading, (_, found) in sections.items() if not found]
     lines += [NOT_RUN + "; ".join(missing) + ".", ""] if missing else []
-    lines += ["## How to reproduce", "", *(f"    {line}" for line in _commands(record)), ""]
+    lines += ["## How to reproduce", "", *(f"    {line}" for line in _commands(everything)), ""]
     return "\n".join(lines)
 
 
 def print_gan(record: Mapping) -> None:
     """The tables of materials, of the adversarial loss, of ingredients and of iterations on the terminal, without spreads."""
+    record = summary.usual(record)
     print_tables([*tables.measured_tables(record), *tables.game_tables(record), *tables.ingredient_tables(record),
                   *tables.step_tables(record)])
 

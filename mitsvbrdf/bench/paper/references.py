@@ -40,7 +40,7 @@ class ReferenceJob:
     @property
     def key(self) -> dict:
         """What identifies the record."""
-        return {"suite": "references", "kind": self.task.kind, "name": self.task.name}
+        return {"suite": "references", **self.task.key}
 
     @property
     def settings(self) -> dict:

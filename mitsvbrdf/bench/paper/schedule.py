@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from ...errors import ConfigError
-from ...evaluate import evaluate_capture
+from ...evaluate.placement import predict
 from ...fit import FitTask, GanConfig, make_method
 from ...fit.loop import Loop
 from ...material.maps import SVBRDF
@@ -42,7 +42,7 @@ class ScheduleJob:
     @property
     def key(self) -> dict:
         """What identifies the record."""
-        return {"suite": "schedule", "method": self.method, "kind": self.task.kind, "name": self.task.name, "seed": self.seed}
+        return {"suite": "schedule", "method": self.method, **self.task.key, "seed": self.seed}
 
     @property
     def settings(self) -> dict:
@@ -104,8 +104,8 @@ class ScheduleJob:
         return self._fitted(svbrdf, rmse, loop.trace[-1]["seconds"], loop.iteration, stopped)
 
     def _fitted(self, svbrdf: SVBRDF, rmse: float, seconds: float, iterations: int, stopped: str) -> Fitted:
-        return Fitted(svbrdf.detach(), rmse, lambda shots: evaluate_capture(
-            svbrdf, as_lit(shots, self.config), self.renderer)["rerender_rmse"], seconds, math.nan, iterations, stopped)
+        return Fitted(svbrdf.detach(), rmse, lambda shots: predict(svbrdf, as_lit(shots, self.config), self.renderer, None)[:2],
+                      seconds, math.nan, iterations, stopped)
 
 
 def _short(errors: dict[str, float]) -> dict[str, float]:

@@ -92,6 +92,11 @@ class SheetJob:
         """A guess of its seconds."""
         return (self.budget + 5) * len(self.methods)
 
+    @property
+    def path(self) -> Path:
+        """The picture."""
+        return self.folder / f"gan-{self.task.name}.jpg"
+
     def run(self, report: Callable[[float], object] = lambda share: None) -> dict:
         """The picture's file, and the errors written on it: whose -> map -> RMSE, and ``seconds``."""
         rows, found = [SheetRow("Truth", self.task.truth)], {}
@@ -108,9 +113,8 @@ class SheetJob:
             errors = {e: v for e, v in evaluate_maps(maps, self.task.folder).items() if e in MAPS}
             rows.append(SheetRow(f"{who}, published maps", maps, None, errors))
             found[who] = errors
-        path = self.folder / f"gan-{self.task.name}.jpg"
-        write_comparison(path, self.task.name, self.task.photos, rows, self.renderer)
-        return {"file": path.name, "errors": found}
+        write_comparison(self.path, self.task.name, self.task.photos, rows, self.renderer)
+        return {"file": self.path.name, "errors": found}
 
 
 def write_comparison(path: Path, title: str, photos: Capture, rows: Sequence[SheetRow], renderer: Renderer) -> None:

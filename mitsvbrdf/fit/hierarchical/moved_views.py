@@ -74,8 +74,9 @@ class MovedViews:
         flash += DAMPED * (variance / (variance + TILTED**2) * said - common)
 
     def refine(self, svbrdf: SVBRDF, capture: Capture) -> None:
-        """Find where camera and flash stood from the maps so far."""
-        found = refine_views(svbrdf, capture.views, capture, self.priors, FEW_STEPS if self.refined == "always" else ITERATIONS)
+        """Find where camera and flash stood from the maps so far; where they were stated, from where they seemed to before."""
+        steps, start = (FEW_STEPS, None) if self.refined == "always" else (ITERATIONS, self.change)
+        found = refine_views(svbrdf, capture.views, capture, self.priors, steps, start)
         self.change, self.deviation = found.change, found.deviation
         self.flash_deviation = found.common_covariance.diagonal().sqrt()
         if self.refined == "unless exact":

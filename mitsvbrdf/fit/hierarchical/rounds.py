@@ -39,6 +39,7 @@ from .highlights import independent, trust
 from .left_out import NOISES, in_turn, least_as_good, prediction_errors
 from .marginal import integrated
 from .moved_views import LEVELLED, REFINED, MovedViews
+from .needs import left_out
 from .scales import Scale, Scales
 from .solver import Observations
 from .stages import NOISE, Stage, Stages, unexplained
@@ -67,13 +68,13 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def __init__(self, task: FitTask[HierarchicalConfig]) -> None:
         super().__init__(task)
-        capture, config = task.capture, task.config
+        self.task, capture, config = task, task.capture, task.config
         self.variant = task.renderer.variant or "llvm_ad_rgb"
         self.moved = MovedViews(capture, task.refined, self.fits_offset)
         self.scales = Scales(capture, task.guess, self.fixed, config, self.variant)
         self.scale = self.scales.of(Stage.ALONE)
         self.ties = Ties(self.scale.solver.unknowns, config)
-        self.stages = Stages(rivals="roughness" in self.ties.unknowns.shapes)
+        self.stages = Stages(config.rivals and "roughness" in self.ties.unknowns.shapes, config.exact)
         self.rivals = Rivals()
         self.answer = self.start()
 
@@ -255,6 +256,11 @@ class Hierarchical(Method[HierarchicalConfig]):
     def views_deviation(self) -> tuple[Tensor | None, Tensor | None]:
         """Standard deviations of the changes of the views, N x 7, and of the common flash offset; None where not refined."""
         return self.moved.deviations
+
+    @property
+    def left_out(self) -> list[tuple[str, str]]:
+        """What these photos did not need."""
+        return left_out(self.task, self.stages)
 
     # Its state.
 

@@ -50,19 +50,25 @@ class Stages:
 
     Args:
         rivals: whether exact photos are fitted from other starts too.
+        stated: whether the photos are exact; None where what is left unexplained tells.
     """
 
-    def __init__(self, rivals: bool) -> None:
-        self.rivals = rivals
+    def __init__(self, rivals: bool, stated: bool | None = None) -> None:
+        self.rivals, self.stated = rivals, stated
         self.stage, self.rounds = Stage.ALONE, 0
         self.noise = torch.tensor(NOISE)
         self.unexplained = torch.full((2,), torch.nan)
         self.detail = torch.tensor(NOISE)
 
     @property
+    def known(self) -> bool:
+        """Whether :meth:`judge` has decided which kind of photos these are."""
+        return not bool(self.unexplained[0].isnan())
+
+    @property
     def exact(self) -> bool:
         """Whether the photos follow the model, as a simulation's do; False until that is known."""
-        return bool(self.unexplained[0] < EXACT)
+        return self.known and (bool(self.unexplained[0] < EXACT) if self.stated is None else self.stated)
 
     @property
     def tied(self) -> bool:

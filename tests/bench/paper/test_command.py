@@ -3,8 +3,10 @@
 import json
 
 import pytest
+from helpers.commands import fails
 
 from mitsvbrdf import cli
+from mitsvbrdf.bench.paper.sheets import SheetJob
 from mitsvbrdf.bench.schema import check_benchmark
 
 TINY = ["bench", "--renderer", "analytic", "--materials", "inlay", "--captures", "none", "--resolution", "16",
@@ -41,3 +43,17 @@ def test_mistakes_are_one_error(suite, extra, words, tmp_path, capsys):
     assert cli.main([*TINY, "--suite", suite, "--json", str(tmp_path / "b.json"), *extra]) == 2
     message = capsys.readouterr().err
     assert message.count("error:") == 1 and words in message
+
+
+def test_pictures_are_replaced_only_when_asked(tmp_path, monkeypatch, capsys):
+    monkeypatch.delenv("MITSVBRDF_DATA", raising=False)
+    monkeypatch.setattr(SheetJob, "run", lambda self, report: self.path.write_text("new") and {
+        "file": self.path.name, "errors": {name: {"diffuse": 0.1} for name in self.methods}})
+    picture, bench = tmp_path / "gan-inlay.jpg", [*TINY, "--suite", "sheets", "--json", str(tmp_path / "b.json")]
+    picture.write_text("mine")
+    fails(capsys, tmp_path, bench, "gan-inlay.jpg, which exists", "--overwrite")
+    assert picture.read_text() == "mine"
+    assert cli.main([*bench, "--overwrite"]) == 0 and picture.read_text() == "new"
+    picture.write_text("old")
+    assert cli.main(bench) == 0 and picture.read_text() == "old"  # its record is there
+    assert cli.main([*bench, "--methods", "direct"]) == 0 and picture.read_text() == "new"  # that of an earlier record

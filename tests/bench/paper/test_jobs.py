@@ -8,8 +8,9 @@ import torch
 from helpers import ANALYTIC, GRID, photos_of
 from helpers.bench_records import benchmark
 
+from mitsvbrdf.bench.paper import schedule
 from mitsvbrdf.bench.paper.references import START, ReferenceJob, peers
-from mitsvbrdf.bench.paper.schedule import POINTS, ScheduleJob
+from mitsvbrdf.bench.paper.schedule import ScheduleJob
 from mitsvbrdf.bench.paper.steps import EARLIER, NOW, EarlierGan, StepJob
 from mitsvbrdf.bench.schema import check_benchmark
 from mitsvbrdf.bench.tasks import known_material, real_capture
@@ -61,18 +62,19 @@ def test_references_of_a_capture_are_the_starts_photos(tmp_path):
     assert set(errors) == {START} and set(errors[START]) == {"seen", "left_out"}
 
 
-def test_a_schedule_keeps_how_its_errors_fall():
+def test_a_schedule_keeps_how_its_errors_fall(monkeypatch):
+    monkeypatch.setattr(schedule, "POINTS", 8)
     task = known_material("builtin:inlay", 16, GRID, ANALYTIC)
-    config = GanConfig(preset="paper-two-stage", width=4, iterations=2 * POINTS)
+    config = GanConfig(preset="paper-two-stage", width=4, iterations=16)
     job = ScheduleJob("gan-two-stage", config, task, 3, ANALYTIC)
     found = kept(job)
-    assert [entry["iteration"] for entry in found["trace"]] == [2 * k for k in range(POINTS + 1)]
-    assert found["iterations"] == 2 * POINTS and found["stopped"] == "iterations" and found["seed"] == 3
+    assert [entry["iteration"] for entry in found["trace"]] == [2 * k for k in range(9)]
+    assert found["iterations"] == 16 and found["stopped"] == "iterations" and found["seed"] == 3
     assert {"diffuse", "specular", "roughness", "normal", "mean", "photos"} < set(found["trace"][0])
     # The result is the state that explains its photos best.
     best = min(found["trace"], key=lambda entry: entry["photos"])
     assert found["errors"] == {name: best[name] for name in found["errors"]}
-    assert job.settings["iterations"] == 2 * POINTS and job.settings["resolution"] == 16 and job.settings["width"] == 4
+    assert job.settings["iterations"] == 16 and job.settings["resolution"] == 16 and job.settings["width"] == 4
 
 
 @pytest.mark.parametrize("preset", ["minutes", "paper-two-stage"])

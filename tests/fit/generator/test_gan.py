@@ -110,6 +110,7 @@ def test_phases_share_the_run(tiles, growing):
     assert gan._enter_phase(0.6875) == pytest.approx(0.5)
 
 
+@pytest.mark.slow
 def test_the_game_draws_renderings_to_the_photos():
     # No loss but the adversarial and the diffuse one: measured 0.61 of the first re-rendering error, 0.61 of the roughness's.
     truth = make_material("leather", 32)

@@ -7,6 +7,7 @@ import torch
 from helpers import ANALYTIC, GRID
 
 from mitsvbrdf.calibrate.refine import PRIORS, moved
+from mitsvbrdf.fit.hierarchical import moved_views
 from mitsvbrdf.fit.hierarchical.moved_views import MovedViews
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.synth.photograph import photograph
@@ -47,6 +48,21 @@ def test_views_that_were_estimated_keep_their_priors():
     before = views.priors
     views.refine(material, capture)
     assert views.priors == before
+
+
+@pytest.mark.parametrize("refined", ["unless exact", "always"])
+def test_stated_views_are_sought_where_they_were_found(refined, monkeypatch):
+    material, capture, _ = shots(0.2, 0.0)
+    starts, seek = [], moved_views.refine_views
+    monkeypatch.setattr(moved_views, "refine_views", lambda *given: starts.append(given[5]) or seek(*given))
+    views = MovedViews(capture, refined, True)
+    views.refine(material, capture)
+    first = views.change.clone()
+    views.refine(material, capture)
+    if refined == "always":
+        assert starts == [None, None]
+    else:
+        assert not starts[0].any() and first.any() and torch.equal(starts[1], first)
 
 
 def test_there_is_an_end_to_how_far():

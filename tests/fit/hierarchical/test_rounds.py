@@ -96,6 +96,16 @@ def test_a_step_taken_back_into_the_stage_before(two_stages, phone, capture):
     assert fresh.scale.capture is fresh.scales.captures[Stage.TOGETHER]
 
 
+@pytest.mark.parametrize("stated, stage", [
+    ({}, Stage.RIVALS), ({"exact": False}, Stage.TOGETHER), ({"exact": True}, Stage.RIVALS), ({"rivals": False}, Stage.FINE)])
+def test_stages_that_were_stated(stated, stage, capture):
+    method = method_of(capture.averaged(8), **stated)
+    assert not method.stages.exact and not method.stages.tied  # before anybody looked
+    while method.stages.stage == Stage.ALONE:
+        method.step(0.0)
+    assert method.stages.stage == stage and method.stages.tied == (stage == Stage.TOGETHER)
+
+
 def test_settled_and_nothing_left(capture, tmp_path):
     small, path = capture.averaged(16), tmp_path / "c.safetensors"
     result = fit_svbrdf(small, MITSUBA, checkpoint=path)

@@ -1,0 +1,97 @@
+"""``mitsvbrdf fit`` from the start of its process to its end, with an empty kernel cache and with a full one."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import BackendError
+from ..render.llvm import VARIABLE
+from ..system.timing import spread
+
+CACHE = "DRJIT_CACHE_DIR"  # where Dr.Jit keeps compiled kernels; by default in ~/.drjit
+CHILD = (sys.executable, "-P", "-m", "mitsvbrdf.bench.start_child")
+SECONDS_BESIDE_BUDGET = 15.0  # of a process, before there is anything to go by
+
+
+@dataclass(frozen=True)
+class StartJob:
+    """One capture and one method.
+
+    Args:
+        source: the capture, a folder.
+        method: its name.
+        resolution: of the fit.
+        budget: seconds.
+        repeats: processes with each state of the cache.
+    """
+
+    source: str
+    method: str
+    resolution: int
+    budget: float
+    repeats: int
+
+    @property
+    def key(self) -> dict:
+        """What identifies the record."""
+        return {"suite": "start", "method": self.method, "kind": "capture", "name": Path(self.source).name}
+
+    @property
+    def settings(self) -> dict:
+        """What else shapes the record."""
+        return {"resolution": self.resolution, "budget": self.budget, "repeats": self.repeats}
+
+    @property
+    def title(self) -> str:
+        """For the progress line."""
+        return f"start, {self.method}, {self.key['name']}"
+
+    @property
+    def group(self) -> str:
+        """Jobs whose guesses of run time are off by the same factor."""
+        return "start"
+
+    @property
+    def cost(self) -> float:
+        """A guess of its seconds."""
+        return 2 * self.repeats * (self.budget + SECONDS_BESIDE_BUDGET)
+
+    def run(self, report: Callable[[float], object] = lambda share: None) -> dict:
+        """The figures: ``rows``, one with an empty and one with a full cache.
+
+        Raises:
+            BackendError: the command failed.
+        """
+        found: dict[str, list[dict[str, float]]] = {"empty": [], "full": []}
+        for turn in range(self.repeats):
+            with tempfile.TemporaryDirectory() as folder:  # the user's own cache is neither read nor changed
+                for number, each in enumerate(found.values()):  # the second process finds what the first one compiled
+                    each.append(self._process(Path(folder), f"out{number}"))
+                    report((2 * turn + number + 1) / (2 * self.repeats))
+        return {"rows": [{"cache": cache} | {part: spread([one[part] for one in each]) for part in each[0]}
+                         for cache, each in found.items()]}
+
+    def _process(self, folder: Path, out: str) -> dict[str, float]:
+        """Seconds of one process and of its parts, and the iterations of its loop."""
+        marks = folder / "marks.json"
+        environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
+        command = ["fit", os.path.abspath(self.source), "-o", str(folder / out), "--method", self.method,
+                   "--budget", f"{self.budget:g}", "--resolution", str(self.resolution)]
+        began = time.monotonic()
+        child = subprocess.run([*CHILD, str(marks), *command], env=environment | {CACHE: str(folder / "kernels")},
+                               stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace")
+        ended = time.monotonic()
+        if child.returncode or not marks.is_file():
+            said = child.stderr.strip().splitlines()[-1:] or ["no message"]
+            raise BackendError("mitsvbrdf fit to end well in a process of its own", said[0], "try that command by itself")
+        at = json.loads(marks.read_text())
+        return {"wall": ended - began, "imports": at["imported"] - began, "preparation": at["loop"] - at["imported"],
+                "loop": at["looped"] - at["loop"], "writing": ended - at["looped"], "iterations": at["iterations"]}

@@ -1,0 +1,58 @@
+"""Which parts of the fit these photos do not need: what is known before it, and what the free stage decides."""
+
+from __future__ import annotations
+
+from ..config import HierarchicalConfig
+from ..task import FitTask
+from .left_out import FEWEST
+from .stages import EXACT, Stages
+
+TIED, RIVALS, VIEWS, IN_TURN = "tied stage", "rival starts", "view refinement", "photos left out in turn"
+FOLLOW = "the photos follow the model"
+
+
+def decided_later(task: FitTask[HierarchicalConfig]) -> list[tuple[str, str]]:
+    """What the fit decides while it runs, as (what it may leave out, when).
+
+    Args:
+        task: of the fit.
+    """
+    if task.config.exact is not None:
+        return []
+    below = f"a free fit at 64 px leaves errors whose structure is below {EXACT:g}: {FOLLOW}"
+    rivals = [(RIVALS, f"unless {below}")] if _may_rival(task) else []
+    views = [(VIEWS, f"if {below}, and so do the stated views")] if task.refined == "unless exact" else []
+    return [(TIED, f"if {below}"), *rivals, *views]
+
+
+def left_out(task: FitTask[HierarchicalConfig], stages: Stages | None = None) -> list[tuple[str, str]]:
+    """What the fit leaves out, as (what, why), as far as it is known.
+
+    Args:
+        task: of the fit.
+        stages: as it stands; None before the fit.
+    """
+    config, exact, why = task.config, task.config.exact, "stated by --exact"
+    if exact is None and stages and stages.known:
+        exact, structure = stages.exact, float(stages.unexplained[0])
+        why = f"a free fit leaves errors with a structure of {structure:.2g}, {'' if exact else 'not '}below {EXACT:g}"
+    items = []
+    if exact:
+        items.append((TIED, f"{FOLLOW}: {why}"))
+    if not _may_rival(task):
+        items.append((RIVALS, "not asked for" if not config.rivals else "roughness held fixed"))
+    elif exact is False:
+        items.append((RIVALS, f"the photos do not follow the model: {why}"))
+    if task.refined == "never":
+        items.append((VIEWS, "the views are held" if config.holds_views else "the views are a stated default"))
+    elif exact and task.refined == "unless exact":
+        items.append((VIEWS, f"{FOLLOW} with the stated views: {why}"))
+    if exact:
+        items.append((IN_TURN, f"{FOLLOW}: what a free fit leaves is their noise"))
+    elif config.noise is not None or len(task.capture) < FEWEST:
+        items.append((IN_TURN, "stated by --noise" if config.noise is not None else f"fewer than {FEWEST} photos"))
+    return items
+
+
+def _may_rival(task: FitTask[HierarchicalConfig]) -> bool:
+    return task.config.rivals and "roughness" not in task.fixed
