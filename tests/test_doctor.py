@@ -10,7 +10,7 @@ import pytest
 
 from mitsvbrdf import doctor
 from mitsvbrdf.errors import BackendError
-from mitsvbrdf.render import llvm
+from mitsvbrdf.render import exclusive, llvm
 
 
 @pytest.fixture(autouse=True)
@@ -103,7 +103,7 @@ def test_without_a_library_the_hint_is_the_fix(monkeypatch):
         raise BackendError("a libLLVM", "none", "type this line")
 
     monkeypatch.setattr(llvm, "examine", lambda: iter([]))
-    monkeypatch.setattr(llvm, "mitsuba_module", none)
+    monkeypatch.setattr(exclusive, "mitsuba_module", none)
     (row,) = [row for row in doctor.diagnose() if row.name == "llvm_ad_rgb"]
     assert (row.ok, row.fix) == (False, "type this line")
 
