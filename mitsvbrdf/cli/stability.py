@@ -67,8 +67,8 @@ def _fits(which: Literal["all", "quick", "none"], json_file: Path, md: Path | No
     from ..bench.store import Store, read_benchmark
 
     check_new_files(*stiff_page_files(md), overwrite=overwrite, read=[json_file])
-    lost: dict[str, str] = {}
     files.check_output(json_file)
+    lost: dict[str, str] = {}
     if which == "none":
         record = read_benchmark(json_file)
         if record["settings"].get("scenes") != digest():
