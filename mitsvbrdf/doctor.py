@@ -96,17 +96,18 @@ def _mitsuba(variant: str) -> list[Row]:
             for name, version in versions.items()]
     try:
         from .render import llvm
+        from .render.exclusive import using_mitsuba
     except ImportError as reason:
         return [*rows, Row(variant, f"not tried: {reason}", False)]
     rows += [Row("libLLVM", f"{found.version or '?'} {found.path}: {found.message or 'proved in a child process'}",
                  found.proved or None) for found in llvm.examine()]
     try:
-        mi = llvm.mitsuba_module(variant)
+        with using_mitsuba(variant) as mi:
+            import drjit as dr
+            return [*rows, Row(variant, f"{float(mi.Float(1)[0] + 1):.0f} = 1 + 1, Dr.Jit threads: {dr.thread_count()}", True),
+                    Row("CUDA for cuda_ad_rgb", "yes" if dr.has_backend(dr.JitBackend.CUDA) else "no")]
     except BackendError as reason:
         return [*rows, Row(variant, f"not available: {reason.got}", False, reason.fix)]
-    import drjit as dr
-    return [*rows, Row(variant, f"{float(mi.Float(1)[0] + 1):.0f} = 1 + 1, Dr.Jit threads: {dr.thread_count()}", True),
-            Row("CUDA for cuda_ad_rgb", "yes" if dr.has_backend(dr.JitBackend.CUDA) else "no")]
 
 
 def _threads() -> str:

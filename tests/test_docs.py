@@ -97,7 +97,7 @@ def test_the_first_pages_lead_to_what_they_name(name, tmp_path, monkeypatch):
     lines = commands(ROOT / name)
     assert lines
     run_shortened(lines)
-    named = re.findall(r"`((?:out|capture)/[\w./-]+)`", (ROOT / name).read_text())
+    named = re.findall(r"`((?:out[\w-]*|capture)/[\w./-]+)`", (ROOT / name).read_text())
     assert named or name == "docs/index.md"
     assert not [path for path in named if not Path(path).exists()]
 
@@ -154,6 +154,7 @@ def test_python_of_the_formats_page(photos):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["README.md", "docs/start-known.md", "docs/python.md"])
 def test_python_of_a_page(name, photos):
+    shutil.copytree("photos", "known-photos")
     (block,) = re.findall(r"^```python\n(.+?)^```", (ROOT / name).read_text(), re.M | re.S)
     exec(shortened(block), {})  # noqa: S102  (our own text)
 

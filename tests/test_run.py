@@ -45,9 +45,8 @@ def checkout(tmp_path):
         program = root / ".venv" / "bin" / name
         program.write_text('#!/bin/sh\nprintf "%s|" "$PWD" "${0##*/}" "$@"\n')
         program.chmod(0o755)
-    (root / ".venv" / "stamp").write_text(stamp(root))
-    for tools in ("docs-tools", "slow-tools"):
-        (root / ".venv" / tools).touch()
+    for done in ("stamp", "docs-tools", "slow-tools"):
+        (root / ".venv" / done).write_text(stamp(root))
     return root
 
 

@@ -64,7 +64,7 @@ def relight(maps: Positional[Material],
     from ..relight.movie import av_module
     from ..relight.passes import Stop
     from ..relight.stage import PRESETS, make_stage
-    from ..render.llvm import mitsuba_module
+    from ..render.exclusive import using_mitsuba
 
     stop = Stop(target_error, budget, samples)
     check_seed(seed)
@@ -76,36 +76,36 @@ def relight(maps: Positional[Material],
         raise ConfigError("an output folder, beside a builtin material", "none", "add -o FOLDER")
     out = out or folder_inside(Path(maps), "relight")
     svbrdf, fit = material_of(maps), fit_of_maps(maps)
-    mi = mitsuba_module(variant)
-    if check:
-        return _check(mi, svbrdf, fit.views, seed)
-    stages = [make_stage(mi, svbrdf, each, environment=environment, size=pixels, frames=frames, tiling=tiling,
-                         displacement=displacement, views=fit.views) for each in chosen]
-    if explain:
-        for stage in stages:
-            for what, why in stage.left_out:
-                say(f"{stage.name} leaves out: {what} ({why})")
+    with using_mitsuba(variant) as mi:
+        if check:
+            return _check(mi, svbrdf, fit.views, seed)
+        stages = [make_stage(mi, svbrdf, each, environment=environment, size=pixels, frames=frames, tiling=tiling,
+                             displacement=displacement, views=fit.views) for each in chosen]
+        if explain:
+            for stage in stages:
+                for what, why in stage.left_out:
+                    say(f"{stage.name} leaves out: {what} ({why})")
+            return 0
+        if "mp4" in kinds and any(stage.frames > 1 for stage in stages):
+            av_module()
+        keep_apart_from_maps(maps, out)
+        settings = {"maps": maps if builtin else os.path.realpath(maps), "material": _fingerprint(svbrdf, fit.views),
+                    "environment": environment, "environment_file": _file_fingerprint(environment), "size": pixels,
+                    "frames": frames, "tiling": tiling, "displacement": displacement, "exposure": exposure,
+                    "target_error": stop.target_error, "budget": budget, "samples": samples, "seed": seed, "variant": variant}
+        title = f"relight {name_of(maps)}"
+        with result_folder.output_folder(out, overwrite or resume, resume, kept_names(PRESETS)) as folder:
+            record = go_on(settings, out, folder) if resume else begin(settings)
+            with contextlib.ExitStack() as stack:
+                stopping = stack.enter_context(stop_signals())
+                report = stack.enter_context(progress_bar(title))
+                whole = render_stages(mi, stages, stop, record, folder, seed=seed, exposure=exposure, report=report,
+                                      done=lambda stage: _finish(stage, record, folder, kinds, exposure, stop),
+                                      interrupted=stopping)
+        if not whole:
+            say("interrupted: the frames so far were kept; the same command with --resume goes on")
+        say(f"wrote {out}/relight.json and what it names")
         return 0
-    if "mp4" in kinds and any(stage.frames > 1 for stage in stages):
-        av_module()
-    keep_apart_from_maps(maps, out)
-    settings = {"maps": maps if builtin else os.path.realpath(maps), "material": _fingerprint(svbrdf, fit.views),
-                "environment": environment, "environment_file": _file_fingerprint(environment), "size": pixels,
-                "frames": frames, "tiling": tiling, "displacement": displacement, "exposure": exposure,
-                "target_error": stop.target_error, "budget": budget, "samples": samples, "seed": seed, "variant": variant}
-    title = f"relight {name_of(maps)}"
-    with result_folder.output_folder(out, overwrite or resume, resume, kept_names(PRESETS)) as folder:
-        record = go_on(settings, out, folder) if resume else begin(settings)
-        with contextlib.ExitStack() as stack:
-            stopping = stack.enter_context(stop_signals())
-            report = stack.enter_context(progress_bar(title))
-            whole = render_stages(mi, stages, stop, record, folder, seed=seed, exposure=exposure, report=report,
-                                  done=lambda stage: _finish(stage, record, folder, kinds, exposure, stop),
-                                  interrupted=stopping)
-    if not whole:
-        say("interrupted: the frames so far were kept; the same command with --resume goes on")
-    say(f"wrote {out}/relight.json and what it names")
-    return 0
 
 
 def _fingerprint(svbrdf: SVBRDF, views: Views | None) -> str:

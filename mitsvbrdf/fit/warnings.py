@@ -160,7 +160,7 @@ def _cut_short(result: FitResult) -> Iterator[str]:
     if result.trace[-1]["iteration"] == 0:
         yield "no step was made, so the maps are where the fit starts: give more seconds"
     elif isinstance(result.config, HierarchicalConfig) and result.stopped in ("budget", "iterations", "interrupted"):
-        yield "the fit ended before it had settled: give more seconds or iterations, or go on with --resume"
+        yield "the fit ended before it had settled: give more seconds or iterations"
 
 
 def _game(result: FitResult) -> Iterator[str]:

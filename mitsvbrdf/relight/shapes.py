@@ -124,8 +124,8 @@ def mitsuba_mesh(mi: ModuleType, mesh: Mesh, name: str, material: Any = None) ->
 def write_shaderball() -> None:
     """Write the shader ball's file."""
     from ..export.mitsuba import SCENES
-    from ..render.llvm import mitsuba_module
+    from ..render.exclusive import using_mitsuba
     from ..system import files
 
-    with files.beside(SCENES / "shaderball.ply") as temporary:
-        mitsuba_mesh(mitsuba_module(), shaderball(), "ball").write_ply(str(temporary))
+    with using_mitsuba() as mi, files.beside(SCENES / "shaderball.ply") as temporary:
+        mitsuba_mesh(mi, shaderball(), "ball").write_ply(str(temporary))

@@ -14,14 +14,17 @@ picture of any scene draws its own again first, from the maps and views it kept.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import signal
 import sys
+import traceback
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from types import ModuleType
 from typing import Any, Generic, TypeVar
+from weakref import WeakSet
 
 import torch
 from torch import Tensor
@@ -34,13 +37,15 @@ from .llvm import mitsuba_module
 T = TypeVar("T")
 
 _forgotten = deque[object]()  # what nobody needs any more, until a thread that holds the lock frees it
+_alive: WeakSet[Kept] = WeakSet()
 
 
 class Kept(Generic[T]):
     """What Mitsuba or Dr.Jit made, kept by an object that any thread may forget: freed by a thread that holds the lock.
 
     An array freed while another thread traces ends the process; and a thread that waits for Dr.Jit to free it does so with
-    Python's own lock, for which the thread that is at work in Dr.Jit may be waiting.
+    Python's own lock, for which the thread that is at work in Dr.Jit may be waiting. So what was forgotten waits for the next
+    :func:`using_mitsuba`, or for the end of the process.
 
     Args:
         content: must not refer to the object that keeps it.
@@ -48,9 +53,18 @@ class Kept(Generic[T]):
 
     def __init__(self, content: T) -> None:
         self.content = content
+        _alive.add(self)
 
     def __del__(self) -> None:
         _forgotten.append(self.__dict__.pop("content", None))
+
+
+@atexit.register
+def _free_all() -> None:
+    """Free everything while Dr.Jit is still there: it ends a process that frees a scene's gradient later."""
+    for each in list(_alive):
+        vars(each).clear()
+    _forgotten.clear()
 
 
 @contextlib.contextmanager
@@ -70,6 +84,9 @@ def using_mitsuba(variant: str = "llvm_ad_rgb") -> Iterator[ModuleType]:
         _forgotten.clear()
         try:
             yield mi
+        except BaseException as error:
+            traceback.clear_frames(error.__traceback__)  # whoever keeps the error would keep their arrays
+            raise
         finally:
             _forgotten.clear()
             if hasattr(signal, "siginterrupt"):  # Mitsuba's render leaves a Ctrl-C that wakes no waiting thread

@@ -80,7 +80,7 @@ def test_what_the_free_stage_decides_is_said_with_its_figure(structure, without,
     assert method.left_out == []  # nobody has looked yet
     method.stages.judge(torch.tensor([structure, 0.01]))
     told = dict(method.left_out)
-    assert set(told) == without <= set(dict(decided_later(task))) | {needs.IN_TURN}
+    assert set(told) == without <= set(dict(decided_later(task)))
     assert all(f"{structure:g}" in why for what, why in told.items() if what != needs.IN_TURN)
 
 

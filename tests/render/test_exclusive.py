@@ -17,6 +17,7 @@ import pytest
 import torch
 from helpers import GRID
 
+from mitsvbrdf.fit.hierarchical import solver as solver_module
 from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.render.exclusive import using_mitsuba
@@ -167,6 +168,39 @@ def test_what_a_thread_forgets_is_freed_by_one_that_holds_the_lock(make):
     with using_mitsuba():
         pass
     assert left == at_most > at_first >= arrays()
+
+
+def test_what_an_error_keeps_is_freed_before_the_lock_is(monkeypatch):
+    def fails(values):
+        import drjit as dr
+
+        mine = dr.opaque(dr.llvm.Float, 1.0)
+        raise KeyboardInterrupt(str(mine))
+
+    solver, x = solved()[0], torch.zeros(9, 8, 8)
+    photos = Observations(torch.full((2, 8, 8, 3), 0.5), GRID.pick([5, 8]), "srgb", 0.1)
+    before = arrays()
+    monkeypatch.setattr(solver_module, "to_torch", fails)
+    with pytest.raises(KeyboardInterrupt) as error:
+        solver.normal_equations(photos, x)
+    left = arrays()
+    assert error.traceback and left == before
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("keeps", ["", "global renderer, image; "])
+def test_a_process_ends_well_with_a_picture_whose_gradient_was_never_taken(keeps):
+    code = f"""if True:
+        import mitsvbrdf as mv
+        def draw():
+            {keeps}
+            maps = mv.make_material("inlay", 16).map(lambda value: value.clone().requires_grad_())
+            renderer = mv.make_renderer("mitsuba-scene")
+            image = renderer.render(maps, mv.Views.of([[0, 0, 2.0], [0.3, 0.2, 2.0]]))
+            print(float(image.detach().mean()))
+        draw()"""
+    child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
+    assert child.returncode == 0 and not child.stderr, child.stderr
 
 
 @pytest.mark.parametrize("name", NAMES)

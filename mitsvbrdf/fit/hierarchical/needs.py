@@ -22,7 +22,8 @@ def decided_later(task: FitTask[HierarchicalConfig]) -> list[tuple[str, str]]:
     below = f"a free fit at 64 px leaves errors whose structure is below {EXACT:g}: {FOLLOW}"
     rivals = [(RIVALS, f"unless {below}")] if _may_rival(task) else []
     views = [(VIEWS, f"if {below}, and so do the stated views")] if task.refined == "unless exact" else []
-    return [(TIED, f"if {below}"), *rivals, *views]
+    turns = [(IN_TURN, f"if {below}, or where time is short")] if _may_take_turns(task) else []
+    return [(TIED, f"if {below}"), *rivals, *views, *turns]
 
 
 def left_out(task: FitTask[HierarchicalConfig], stages: Stages | None = None) -> list[tuple[str, str]]:
@@ -49,9 +50,15 @@ def left_out(task: FitTask[HierarchicalConfig], stages: Stages | None = None) ->
         items.append((VIEWS, f"{FOLLOW} with the stated views: {why}"))
     if exact:
         items.append((IN_TURN, f"{FOLLOW}: what a free fit leaves is their noise"))
-    elif config.noise is not None or len(task.capture) < FEWEST:
+    elif not _may_take_turns(task):
         items.append((IN_TURN, "stated by --noise" if config.noise is not None else f"fewer than {FEWEST} photos"))
+    elif stages and stages.hurried:
+        items.append((IN_TURN, "the stage before it had run out of its share of the time"))
     return items
+
+
+def _may_take_turns(task: FitTask[HierarchicalConfig]) -> bool:
+    return task.config.noise is None and len(task.capture) >= FEWEST
 
 
 def _may_rival(task: FitTask[HierarchicalConfig]) -> bool:

@@ -59,6 +59,7 @@ class Stages:
         self.noise = torch.tensor(NOISE)
         self.unexplained = torch.full((2,), torch.nan)
         self.detail = torch.tensor(NOISE)
+        self.hurried = False
 
     @property
     def known(self) -> bool:
@@ -107,6 +108,7 @@ class Stages:
 
     def enter(self, stage: Stage) -> None:
         """Begin a stage."""
+        self.hurried = stage == Stage.FINE and not self.exact and not self.finished
         self.stage, self.rounds = stage, 0
 
     def begin_round(self) -> None:
@@ -132,12 +134,13 @@ class Stages:
 
     def state(self) -> dict[str, Tensor]:
         """Everything :meth:`load_state` needs."""
-        return {"stage": torch.tensor([self.stage, self.rounds]), "noise": self.noise.clone(), "detail": self.detail.clone(),
-                "unexplained": self.unexplained.nan_to_num(-1.0)}
+        return {"stage": torch.tensor([self.stage, self.rounds, self.hurried]), "noise": self.noise.clone(),
+                "detail": self.detail.clone(), "unexplained": self.unexplained.nan_to_num(-1.0)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
-        self.stage, self.rounds = Stage(int(state["stage"][0])), int(state["stage"][1])
+        stage, self.rounds, hurried = state["stage"].tolist()
+        self.stage, self.hurried = Stage(stage), bool(hurried)
         self.noise, self.detail = state["noise"].clone(), state["detail"].clone()
         self.unexplained = torch.where(state["unexplained"] < 0, torch.nan, state["unexplained"])
 
