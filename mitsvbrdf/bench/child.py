@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 
 from ..batch.child import main
-from ..errors import ConfigError, MitsvbrdfError
-from .jobs import FitJob, Job, key_of
+from ..errors import ConfigError
+from .jobs import Job, key_of, warm_up
 from .plan import Plan
 
 
@@ -24,7 +24,7 @@ def measure(task: dict) -> dict:
     job = jobs.get(task["key"])
     if job is None:
         raise ConfigError("a job of this benchmark", task["key"], "use the same version and data on all nodes")
-    _warm_up(job)
+    warm_up(job, _warm)
     return job.run()
 
 
@@ -37,16 +37,6 @@ def _jobs(plan: Plan) -> dict[str, Job]:
     if not _made or _made[0][0] != plan:
         _made[:] = [(plan, {key_of(job): job for job in plan.jobs()[0]})]
     return _made[0][1]
-
-
-def _warm_up(job: Job) -> None:
-    """Two steps before the first fit of a shape, so that none that counts waits for kernels."""
-    if isinstance(job, FitJob) and job.shape not in _warm:
-        _warm.add(job.shape)
-        try:
-            job.warm_up()
-        except MitsvbrdfError:
-            pass  # the fit itself will say it
 
 
 if __name__ == "__main__":

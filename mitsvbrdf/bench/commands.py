@@ -28,7 +28,7 @@ def _alike(here: Sequence[Mapping]) -> list[list[Mapping]]:
     Those of long runs are apart by size, width and iterations, fits by the photos left out and by the budgets of their method.
     """
     groups: dict[tuple, list[Mapping]] = {}
-    usual = next((tuple(r["left_out"]) for r in here if "left_out" in r), ())
+    usual = next(iter(summary.ways_to_leave_out(here)), ())
     times: dict[str, set[float]] = {}
     for r in summary.with_repeats([r for r in here if r["suite"] in summary.FIT_SUITES]):
         times.setdefault(r["method"], set()).add(r["budget"])

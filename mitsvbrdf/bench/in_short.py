@@ -13,15 +13,16 @@ def in_short(record: Mapping) -> list[str]:
     lines, apart = list[str](), summary.views(record)
     for kind, error, title, fits in (each for view in apart for each in judged(view, "methods")):
         found, times = summary.curves(fits, error), summary.budgets(fits)
-        default = next(iter(found), None)
-        if default is None or len(found) < 2:
+        default = fits[0]["method"]
+        if len({default, *found}) < 2 or not found:
             continue
         lowest: dict[str, list[str]] = {}
         for budget in times:
             here = {name: p.median for name, points in found.items() if (p := at_time(points, budget))}
-            if default in here:
+            if here:
                 best = min(here, key=lambda name: here[name])
-                beside = "" if best == default else f" ({here[best]:.4f}, `{default}` {here[default]:.4f})"
+                own = f"{here[default]:.4f}" if default in here else "has none"
+                beside = "" if best == default else f" ({here[best]:.4f}, `{default}` {own})"
                 lowest.setdefault(best, []).append(f"{budget:g} s{beside}")
         lines.append(f"- {title}, {count_of(kind, fits)}, lowest: "
                      + "; ".join(f"`{name}` at {listed(at)}" for name, at in lowest.items()) + ".")
@@ -51,7 +52,8 @@ def _beside_published(record: Mapping, kind: str, error: str, title: str, fits: 
         return []
     text = f"lower on {len(won)} of {len(won) + len(lost)}" + (f" ({', '.join(won)})" if won else "")
     text += f", not on {', '.join(lost)}" if lost else ""
-    return [f"- {title}, `{default}` after {longest:g} s against {who} as published: {text}."]
+    saw = ", which saw them," if (kind, error, who) == ("capture", "left_out", "MaterialGAN") else ""
+    return [f"- {title}, `{default}` after {longest:g} s against {who}{saw} as published: {text}."]
 
 
 def listed(words: Sequence[str]) -> str:

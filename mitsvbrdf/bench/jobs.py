@@ -8,13 +8,15 @@ with one of its ingredients after the other taken away; ``gan`` with what lies b
 
 from __future__ import annotations
 
+import contextlib
 import json
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 
-from ..errors import MitsvbrdfError
+from ..errors import ConfigError, MitsvbrdfError
 from ..fit import FitConfig
 from ..render import Renderer
 from ..system.timing import timed
@@ -99,6 +101,7 @@ class FitJob:
         try:
             found = fit(self.task.photos, self.renderer, config, lambda entry, share: report(share))
             errors = self.task.errors(found) | (self.task.looks(found) if find_spec("flip_evaluator") else {})
+            check_finite(errors)
         except MitsvbrdfError as reason:
             return {"seconds": 0.0, "wall": 0.0, "iterations": 0, "stopped": "failed", "why": str(reason), "errors": {}}
         return {"seconds": found.seconds, "wall": round(found.wall, 3), "iterations": found.iterations,
@@ -106,6 +109,17 @@ class FitJob:
 
 
 Job = FitJob | RenderJob | CaptureJob | ReferenceJob | ScheduleJob | StepJob | SheetJob | StartJob
+
+
+def check_finite(figures: Mapping[str, float]) -> None:
+    """Refuse figures that JSON has no number for.
+
+    Raises:
+        ConfigError: naming them.
+    """
+    wrong = [name for name, value in figures.items() if not math.isfinite(value)]
+    if wrong:
+        raise ConfigError("finite errors and deviations", f"{', '.join(wrong)} not finite", "report it")
 
 
 def key_of(job: Job) -> str:
@@ -131,15 +145,37 @@ def fit_jobs(suite: str, methods: Mapping[str, FitConfig], tasks: Sequence[Task]
             if seed == seeds[0] or draws(config)]
 
 
-def run(jobs: Sequence[Job], store: Store, report: Report = lambda text, share: None) -> None:
+def warm_up(job: Job, warm: set[tuple]) -> None:
+    """Two steps before the first fit of a shape, so that none that counts waits for kernels; what fails, the fit itself tells.
+
+    Args:
+        job: that comes next.
+        warm: the shapes that had their steps; this one is added.
+    """
+    if isinstance(job, FitJob) and job.shape not in warm:
+        warm.add(job.shape)
+        with contextlib.suppress(Exception):
+            job.warm_up()
+
+
+def run(jobs: Sequence[Job], store: Store, report: Report = lambda text, share: None) -> dict[str, str]:
     """Do the jobs whose records are missing and needed, and keep each record as soon as it is there.
+
+    A job that fails ends no other.
 
     Args:
         jobs: in the order in which they run.
         store: the file.
         report: told what is going on, with the time left, and the share done.
+
+    Returns:
+        Why jobs have no record, by title.
+
+    Raises:
+        ConfigError, OutputError: a record cannot be kept.
+        KeyboardInterrupt: after Ctrl-C; what was done is kept.
     """
-    pending, forecast, warm = store.pending(list(jobs)), _Forecast(), set()
+    pending, forecast, warm, failed = store.pending(list(jobs)), _Forecast(), set[tuple](), dict[str, str]()
     whole = sum(job.cost for job in pending)
     for number, job in enumerate(pending):
         if store.repeats(job):
@@ -152,15 +188,15 @@ def run(jobs: Sequence[Job], store: Store, report: Report = lambda text, share: 
             report(f"{text}, {duration(left)} left", (done + share * job.cost) / whole)
 
         tell(0.0)
-        if isinstance(job, FitJob) and job.shape not in warm:
-            warm.add(job.shape)
-            try:
-                job.warm_up()
-            except MitsvbrdfError:
-                pass  # the fit itself will say it
-        figures, seconds = timed(job.run, tell)
+        warm_up(job, warm)
+        try:
+            figures, seconds = timed(job.run, tell)
+        except Exception as reason:  # as the workers of a batch have it
+            failed[job.title] = str(reason) if isinstance(reason, MitsvbrdfError) else f"{type(reason).__name__}: {reason}"
+            continue
         forecast.learn(job, seconds)
         store.add(job.key | {"config": job.settings} | figures)
+    return failed
 
 
 class _Forecast:

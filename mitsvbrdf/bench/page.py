@@ -19,13 +19,15 @@ from . import summary
 from .commands import commands
 from .in_short import in_short, listed, plural
 from .plots import methods_figure, renderers_figure, small_multiples
+from .schema import LEFT_OUT
 from .suite_tables import capture_tables, renderer_tables, start_table
 from .summary import ERRORS, KINDS
 from .tables import Table, ablation_tables, each_map, each_one, equal_time, looks
 from .times import equal_error, ladders, passing, wall_time
 
 KNOWN = ("Photos made of known maps, 8 bits, without noise; the error of the maps is the mean of the four RMSEs, the error "
-         "under new light is that of pictures lit from the side, 25 and 50 degrees off the upright, unlike any photo's flash.")
+         "under new light is that of pictures lit from the side, 25 and 50 degrees off the upright, unlike any photo's flash. "
+         "Published figures are on the publishers' own photos of the same maps.")
 CAPTURED = ("Photos {} are left out of every fit and predicted afterwards. MaterialGAN, trained on a large data set, saw all "
             "nine, those two as well.")
 BLIND = " Methods *without them* did not see them either: their authors published what fits to photos 0 to 6 predict."
@@ -146,10 +148,6 @@ def _methods(view: Mapping, picture: Picture) -> list[str]:
             heading, text = f"Real captures without photos {left_out_by(view)}", CAPTURED.format(left_out_by(view))
             text += BLIND if any(who.endswith("without them") for name in names for who in published.get(name, {})) else ""
         lines += [f"## {heading}", "", f"{text} {plural(len(names), KINDS[kind])}: {', '.join(names)}.", ""]
-        if kind == "capture":
-            heading, text = f"Real captures without photos {left_out_by(view)}", CAPTURED.format(left_out_by(view))
-            blind = [name for name in names if len(view["published"]["capture"].get(name, {})) > 1]
-            text += BLIND if blind else ""
         ends = passing(view) if kind == "capture" else each_map(view)
         for table in (*equal_time(view), looks(view, kind), ends, *equal_error(view), *ladders(view), *wall_time(view)):
             lines += markdown(table)
@@ -191,8 +189,9 @@ def _capture(record: Mapping) -> list[str]:
             "JPEG); what `capture` makes of the photos is held against the truth. Cameras: distance from the truth over that "
             "to the patch, root mean square, without a sheet after the best similarity. Rectification: pixels of 512. Maps: "
             "mean of the four RMSEs, beside that of a fit of the same photos with the true views. Real captures: views taken "
-            "away and found again by the fit; lateral in patch sides, after the best scale and shift. Left out: photos 4 and "
-            "7, predicted by fits of the others with the views given, refined or held.")
+            "away and found again by the fit; lateral in patch sides, after the best scale and shift. Left out, whatever "
+            f"`--left-out` says: photos {listed(list(map(str, LEFT_OUT)))}, predicted by fits of the others with the views "
+            "given, refined or held.")
     return ["## From a phone to maps", "", text, "", *lines] if lines else []
 
 

@@ -29,7 +29,8 @@ def run_parallel(plan: Plan, jobs: Sequence[Job], store: Store, settings: BatchS
                  report: Report = lambda text, share: None) -> dict[str, str]:
     """Do the jobs whose records are missing and needed, several at a time, and keep each record as soon as it is there.
 
-    They begin in their own order: a run that ends early has the same records as one job at a time would have.
+    They begin in their own order. When a run ends early, the jobs that are under way have no record. A longer budget may begin
+    before a shorter one has ended by itself; then both have records, of which one job at a time makes the first alone.
 
     Args:
         plan: what the jobs come from.
@@ -85,7 +86,8 @@ def _measured(plan: Plan, jobs: dict[str, Job], store: Store, settings: BatchSet
                     idle.add(worker)
                     verdict, reason = scheduler.finished(worker, event["outcome"]["state"]), event["outcome"]["reason"]
                     if verdict == "done" and job:
-                        store.add(job.key | {"config": job.settings, "workers": len(up)} | event["outcome"]["row"])
+                        shared = {"workers": len(up)} if len(up) > 1 else {}
+                        store.add(job.key | {"config": job.settings} | shared | event["outcome"]["row"])
                 ended += verdict != "again"
                 if verdict == "failed" and job:
                     failed[job.title] = reason

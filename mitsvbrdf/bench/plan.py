@@ -106,7 +106,8 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
     if "methods" in suites:
         jobs += fit_jobs("methods", picked or table, tasks, budgets, seeds, engine)
     if "start" in suites:
-        jobs += _start_jobs(_sources(chosen, data)[1], picked, chosen["resolution"], min(budgets), chosen["repeats"])
+        jobs += _start_jobs(_sources(chosen, data)[1], picked, chosen["resolution"], min(budgets), chosen["repeats"],
+                            renderer, variant)
     if "capture" in suites:
         phone = HandheldPhone(megapixels=chosen["megapixels"], seed=seeds[0])
         phone.check()
@@ -121,13 +122,14 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
     return jobs, settings, found | (printed() if "gan" in suites else {})
 
 
-def _start_jobs(captures: list[str], picked: dict, resolution: int, budget: float, repeats: int) -> list[StartJob]:
+def _start_jobs(captures: list[str], picked: dict, resolution: int, budget: float, repeats: int,
+                renderer: RendererName, variant: str) -> list[StartJob]:
     """The command `fit` on the first capture, by each method that it has."""
     unknown = [name for name in picked if name not in METHODS]
     if unknown or not captures:
         raise ConfigError(f"a capture, and methods of {list(METHODS)}, in the suite start", ", ".join(unknown) or "no capture",
                           "check --methods and --captures")
-    return [StartJob(captures[0], method, resolution, budget, repeats) for method in picked or METHODS]
+    return [StartJob(captures[0], method, resolution, budget, repeats, renderer, variant) for method in picked or METHODS]
 
 
 def _variant_jobs(suite: str, chosen: dict, table: dict, tasks: list, budgets: list[float], seeds: list[int],

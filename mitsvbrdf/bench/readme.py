@@ -13,7 +13,7 @@ from . import summary
 from .methods import method_table
 from .page import markdown
 from .published import METHOD_NAMES
-from .tables import Table, best_in_row
+from .tables import Table, at_time, best_in_row, methods_of
 
 BEGIN, END = "<!-- results: mitsvbrdf bench --readme -->", "<!-- /results -->"
 BLIND = " without them"  # of a published method that did not see the photos left out either
@@ -59,60 +59,66 @@ def results(record: Mapping) -> str:
     return "\n".join(line for table in (_photos(record), _materials(record), _renderers(record)) for line in markdown(table))
 
 
-def _last(fits: list[Mapping], error: str, name: str, method: str) -> summary.Point | None:
-    """A method's point at its longest budget."""
-    points = summary.curves(fits, error, [name]).get(method)
-    return points[-1] if points else None
-
-
 def _photos(record: Mapping) -> Table | None:
     """Photos left out of captures of which peers published what they made of these without having seen them."""
     default = next(iter(method_table()))
     for view in summary.views(record):
         given = view["published"].get("capture", {})
         whose = list(dict.fromkeys(who for each in given.values() for who in each if who.endswith(BLIND)))
-        fits = summary.of(view["records"], "methods", "capture")
-        found = {name: _last(fits, "left_out", name, default) for name in sorted(given) if any(w in given[name] for w in whose)}
-        points = {name: point for name, point in found.items() if point}
-        if not whose or not points:
+        fits = summary.of([r for r in view["records"] if r.get("method") == default], "methods", "capture")
+        names = [name for name in summary.names(fits) if any(who in given.get(name, {}) for who in whose)]
+        longest = max(summary.budgets(fits), default=0)
+        found = [at_time(summary.curves(fits, "left_out", [name]).get(default, []), longest) for name in names]
+        points = [point for point in found if point]
+        if not points:
             continue
-        values = [[point.median, *(given[name].get(who, {}).get("left_out") for who in whose)]
-                  for name, point in points.items()]
-        rows = [[f"`{name}`", *("not published" if value is None else f"{value:.3f}" for value in row)]
-                for name, row in zip(points, values)]
-        ahead = "; ".join(_ahead(who.removesuffix(BLIND), [(row[0], row[1 + k]) for row in values])
-                          for k, who in enumerate(whose))
-        loop, wall = (statistics.median(getattr(point, clock) for point in points.values()) for clock in ("seconds", "wall"))
+        values = [[point.median if point else None, *(given[name].get(who, {}).get("left_out") for who in whose)]
+                  for name, point in zip(names, found)]
+        lacking = [[summary.absent(fits, default, longest, "left_out", [name]), *["not published"] * len(whose)]
+                   for name in names]
+        rows = [[f"`{name}`", *(why if value is None else f"{value:.3f}" for value, why in zip(row, reasons))]
+                for name, row, reasons in zip(names, values, lacking)]
+        ahead = "; ".join(filter(None, (_ahead(who.removesuffix(BLIND), [(row[0], row[1 + k]) for row in values])
+                                        for k, who in enumerate(whose))))
+        loop, wall = (statistics.median(getattr(point, clock) for point in points) for clock in ("seconds", "wall"))
         numbers = " and ".join(map(str, view["left_out"]))
         return Table(f"Real photos that no fit has seen: photos {numbers} predicted from the others, RMSE in display values",
                      ["", "default", *(who.removesuffix(BLIND) for who in whose)], best_in_row(rows, values),
-                     f"The others learned from large data sets; figures as published. The default is lower than {ahead}. A fit "
-                     f"took {loop:.0f} s in the median, {wall:.0f} s with all that comes before and after it.")
+                     "The others learned from large data sets; figures as published."
+                     + (f" The default is lower than {ahead}." if ahead else "")
+                     + f" Its budget was {longest:g} s; a fit took {loop:.0f} s in the median, {wall:.0f} s with all that "
+                     "comes before and after it.")
     return None
 
 
 def _ahead(who: str, pairs: list[tuple[float | None, float | None]]) -> str:
     ratios = [ours / theirs for ours, theirs in pairs if ours is not None and theirs is not None]
+    if not ratios:
+        return ""
     return f"{who} on {sum(r < 1 for r in ratios)} of {len(ratios)} (median ratio {statistics.median(ratios):.2f})"
 
 
 def _materials(record: Mapping) -> Table | None:
     """The maps of known materials: the default and the paper's method over all, then each beside what was published."""
     default = next(iter(method_table()))
-    fits = summary.of(record["records"], "methods", "material")
-    names, rows = summary.names(fits), list[list[str]]()
-    for method, title in ((default, "default"), ("gan", "`--method gan`")):
-        means = [summary.curves(fits, error).get(method) for error in MAPS]
-        if names and all(means):
-            rows.append([f"mean of {len(names)}, {title}", *(f"{points[-1].median:.3f}" for points in means if points)])
+    shown = {default: "default", "gan": "`--method gan`"}
+    fits = summary.of([r for r in record["records"] if r.get("method") in shown], "methods", "material")
+    names, longest, rows = summary.names(fits), max(summary.budgets(fits), default=0), list[list[str]]()
+
+    def own(method: str, only: list[str]) -> list[str]:
+        points = {error: at_time(summary.curves(fits, error, only).get(method, []), longest) for error in MAPS}
+        return [f"{point.median:.3f}" if point else summary.absent(fits, method, longest, error, only)
+                for error, point in points.items()]
+
+    for method in methods_of(fits):
+        rows.append([f"mean of {len(names)}, {shown[method]}", *own(method, names)])
     for name in names:
         given = record["published"].get("material", {}).get(name, {})
-        own = [_last(fits, error, name, default) for error in MAPS]
-        if given and all(own):
-            rows.append([f"`{name}`, default", *(f"{point.median:.3f}" for point in own if point)])
-            rows += [[f"`{name}`, {who} as published", *(f"{given[who][error]:.3f}" for error in MAPS)]
-                     for who in METHOD_NAMES.values() if who in given]
-    return Table("Known materials: RMSE of each map", ["", *MAPS], rows) if rows else None
+        theirs = [[f"`{name}`, {who} as published", *(f"{given[who][error]:.3f}" for error in MAPS)]
+                  for who in METHOD_NAMES.values() if who in given]
+        rows += [[f"`{name}`, default", *own(default, [name])], *theirs] if theirs else []
+    note = "Published figures are on the publishers' own photos of the same maps." if len(rows) > len(methods_of(fits)) else ""
+    return Table(f"Known materials: RMSE of each map, budget {longest:g} s", ["", *MAPS], rows, note) if rows else None
 
 
 def _renderers(record: Mapping) -> Table | None:

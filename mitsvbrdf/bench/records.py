@@ -15,7 +15,7 @@ class Spread(TypedDict):
 
 
 class Made(TypedDict, total=False):
-    """How a record was made; ``workers``: how many jobs were done at a time, left out where it was one."""
+    """How a record was made; ``workers``: how many there were when its job ended, left out where it was one."""
 
     workers: int
 

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import BackendError
-from ..render.llvm import VARIABLE
+from ..render import RendererName
+from ..render.llvm import STATED, VARIABLE
 from ..system.timing import spread
 
 CACHE = "DRJIT_CACHE_DIR"  # where Dr.Jit keeps compiled kernels; by default in ~/.drjit
@@ -31,6 +32,8 @@ class StartJob:
         resolution: of the fit.
         budget: seconds.
         repeats: processes with each state of the cache.
+        renderer: what the fits render with.
+        variant: Mitsuba's.
     """
 
     source: str
@@ -38,6 +41,8 @@ class StartJob:
     resolution: int
     budget: float
     repeats: int
+    renderer: RendererName = "mitsuba"
+    variant: str = "llvm_ad_rgb"
 
     @property
     def key(self) -> dict:
@@ -47,7 +52,8 @@ class StartJob:
     @property
     def settings(self) -> dict:
         """What else shapes the record."""
-        return {"resolution": self.resolution, "budget": self.budget, "repeats": self.repeats}
+        return {"resolution": self.resolution, "budget": self.budget, "repeats": self.repeats, "renderer": self.renderer,
+                "variant": self.variant}
 
     @property
     def title(self) -> str:
@@ -82,11 +88,14 @@ class StartJob:
     def _process(self, folder: Path, out: str) -> dict[str, float]:
         """Seconds of one process and of its parts, and the iterations of its loop."""
         marks = folder / "marks.json"
-        environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
+        usual = {name: value for name, value in os.environ.items() if name != VARIABLE}  # this process has set its own
+        stated = {} if STATED is None else {VARIABLE: STATED}
+        environment = {"OMP_WAIT_POLICY": "PASSIVE"} | usual | stated | {CACHE: str(folder / "kernels")}
         command = ["fit", os.path.abspath(self.source), "-o", str(folder / out), "--method", self.method,
-                   "--budget", f"{self.budget:g}", "--resolution", str(self.resolution)]
+                   "--budget", f"{self.budget:g}", "--resolution", str(self.resolution), "--renderer", self.renderer,
+                   "--variant", self.variant]
         began = time.monotonic()
-        child = subprocess.run([*CHILD, str(marks), *command], env=environment | {CACHE: str(folder / "kernels")},
+        child = subprocess.run([*CHILD, str(marks), *command], env=environment,
                                stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace")
         ended = time.monotonic()
         if child.returncode or not marks.is_file():

@@ -27,14 +27,16 @@ from .records import Benchmark
 from .schema import SCHEMA_VERSION, check_benchmark, identity
 
 PACKAGE = Path(__file__).parents[1]
-# The code that shapes a record: all else may change between two runs that add to one file.
 EXACT = "config", "budget"  # of a record, what is compared with what is asked for
 UNSHAPING = "mitsvbrdf"  # of the versions the one that says nothing: the code's own digits do
+# The code that shapes what jobs measure; what is only said, drawn or written may change between two runs that add to one file.
 SHAPING = ("capture/**/*.py", "calibrate/*.py", "fit/**/*.py", "material/*.py", "measure/*.py", "render/*.py", "synth/*.py",
-           "evaluate/*.py", "system/layout.py", "color.py", "views.py",
-           "bench/paper/references.py", "bench/paper/schedule.py", "bench/paper/steps.py", "bench/peers_baseline.py",
-           "bench/methods.py", "bench/tasks.py", "bench/renderers.py", "bench/from_phone.py", "bench/start.py",
-           "bench/start_child.py")
+           "evaluate/*.py", "color.py", "views.py", "verify/stability/conditioning.py",
+           *(f"system/{name}.py" for name in ("decode", "entry", "images", "layout", "timing")),
+           *(f"bench/paper/{name}.py" for name in ("references", "schedule", "sheets", "steps")),
+           *(f"bench/{name}.py" for name in ("behaviour", "from_phone", "jobs", "methods", "peers_baseline", "renderers",
+                                             "schema", "start", "start_child", "tasks", "variants")),
+           "bench/stiff/fits.py", "bench/stiff/scenes.py")
 
 
 class Store:
@@ -188,7 +190,7 @@ def text_of(content: Mapping) -> str:
 
 @functools.cache
 def code() -> str:
-    """Twelve digits that change with the code that makes the records, but not with the words in it.
+    """Twelve digits that change with the code that shapes records (:data:`SHAPING`), but not with the words in it.
 
     They are of the syntax trees: comments, docstrings and the layout of lines do not count.
     """

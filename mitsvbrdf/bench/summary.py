@@ -79,8 +79,13 @@ def with_repeats(fits: Sequence[Mapping]) -> list[Mapping]:
 def views(record: Mapping) -> list[dict]:
     """The record apart by what fits are judged by: known materials, and real captures by the photos left out."""
     materials = {**record, "records": [r for r in record["records"] if r.get("kind") != "capture"]}
-    left_out = dict.fromkeys(tuple(r["left_out"]) for r in record["records"] if "left_out" in r)
-    return [materials, *(view(record, numbers) for numbers in left_out)]
+    return [materials, *(view(record, numbers) for numbers in ways_to_leave_out(record["records"]))]
+
+
+def ways_to_leave_out(records: Iterable[Mapping]) -> list[tuple[int, ...]]:
+    """The numbers of the photos left out, each way once: the usual one first, whatever the order of the records."""
+    ways = dict.fromkeys(tuple(r["left_out"]) for r in records if "left_out" in r)
+    return sorted(ways, key=lambda numbers: numbers != LEFT_OUT)
 
 
 def view(record: Mapping, left_out: Sequence[int]) -> dict:
@@ -91,7 +96,7 @@ def view(record: Mapping, left_out: Sequence[int]) -> dict:
 
 
 def usual(record: Mapping) -> dict:
-    """Materials, and captures of the first of :func:`views`: what a page shows that tells no ways to leave photos out apart."""
+    """Materials, and captures without the usual photos, else of the first way to leave some out: for a page that shows one."""
     materials, *captures = views(record)
     if not captures:
         return {**materials, "left_out": LEFT_OUT}
@@ -101,7 +106,7 @@ def usual(record: Mapping) -> dict:
 
 
 def names(fits: Iterable[Mapping]) -> list[str]:
-    """Materials or captures, in the order of the records."""
+    """Materials or captures, each once, in the order of these fits: :func:`of` sorts those of the suite ``methods``."""
     return list(dict.fromkeys(r["name"] for r in fits))
 
 

@@ -138,7 +138,7 @@ def value_at(found: Mapping[str, Sequence[Point]], method: str, budget: float) -
 
 
 def methods_of(fits: Sequence[Mapping]) -> list[str]:
-    """The methods, in the order of the records."""
+    """The methods, each once, in the order of these fits."""
     return list(dict.fromkeys(r["method"] for r in fits))
 
 

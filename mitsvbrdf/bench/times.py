@@ -89,15 +89,17 @@ def passing(record: Mapping, kind: str = "capture", error: str = "left_out") -> 
     """The time of the default method to pass what was published for each capture."""
     fits = summary.of(record["records"], "methods", kind)
     default, published = next((r["method"] for r in fits), ""), record["published"].get(kind, {})
+    longest = max(summary.budgets(fits), default=0)
     names = [name for name in summary.names(fits) if any(error in e for e in published.get(name, {}).values())]
     whose = list(dict.fromkeys(who for name in names for who, e in published[name].items() if error in e))
     rows, taken = [], {who: list[float]() for who in whose}
     for name in names:
         points = summary.curves(fits, error, [name]).get(default, [])
+        last, why = at_time(points, longest), summary.absent(fits, default, longest, error, [name])
         if not points:
-            rows.append([name, *[summary.absent(fits, default, max(summary.budgets(fits)), error, [name])] * (len(whose) + 1)])
+            rows.append([name, *[why] * (len(whose) + 1)])
             continue
-        row = [name, f"{points[-1].median:.4f}"]
+        row = [name, f"{last.median:.4f}" if last else why]
         for who in whose:
             target = published[name].get(who, {}).get(error)
             below = None if target is None else summary.first_below(points, target)
@@ -113,7 +115,7 @@ def passing(record: Mapping, kind: str = "capture", error: str = "left_out") -> 
             (f"{middle[who]:.3g} s" if math.isfinite(middle[who]) else "not passed by half")
             + f" ({sum(map(math.isfinite, taken[who]))} of {len(taken[who])} passed)" for who in whose)])
     return Table(f"Seconds of `{default}` to pass what was published, photos left out",
-                 ["", f"`{default}` in the end", *(f"below {who}" for who in whose)], rows,
+                 ["", f"`{default}` after {longest:g} s", *(f"below {who}" for who in whose)], rows,
                  "Published errors in brackets. The loop's seconds with the shortest budget whose median is lower.")
 
 

@@ -92,7 +92,7 @@ def bench(
     store.publish(found)
     missing = store.pending(jobs)
     check_new_files(*pages, *new_pictures(missing, store), overwrite=overwrite, read=[json_file])
-    say(f"{len(jobs) - len(missing)} of {len(jobs)} records are in {json_file}; "
+    say(f"{len(jobs) - len(missing)} of {len(jobs)} jobs need no more than the records in {json_file}; "
         + (f"the other {len(missing)} take about {duration(sum(job.cost for job in missing) / (workers or 1))}, less where "
            "fits end by themselves" if missing else "nothing to do"))
     failed: dict[str, str] = {}
@@ -101,10 +101,10 @@ def bench(
             if missing and (workers or address):
                 failed = run_parallel(plan, jobs, store, BatchSettings(workers=workers, address=address), report)
             else:
-                run(jobs, store, report)
+                failed = run(jobs, store, report)
     except KeyboardInterrupt:
-        say(f"interrupted: {len(jobs) - len(store.pending(jobs))} of {len(jobs)} records are kept in {json_file}; "
-            "the same command goes on")
+        say(f"interrupted: {len(jobs) - len(store.pending(jobs))} of {len(jobs)} jobs need no more than the records in "
+            f"{json_file}; the same command goes on")
         return 130
     store.write()
     failed |= {job.title: "another run began the file anew" for job in store.pending(jobs) if job.title not in failed}

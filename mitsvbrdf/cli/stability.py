@@ -68,6 +68,7 @@ def _fits(which: Literal["all", "quick", "none"], json_file: Path, md: Path | No
 
     check_new_files(*stiff_page_files(md), overwrite=overwrite, read=[json_file])
     files.check_output(json_file)
+    lost: dict[str, str] = {}
     if which == "none":
         record = read_benchmark(json_file)
         if record["settings"].get("scenes") != digest():
@@ -84,13 +85,15 @@ def _fits(which: Literal["all", "quick", "none"], json_file: Path, md: Path | No
             + (f"; the others take about {duration(sum(job.cost for job in missing))}" if missing else ""))
         try:
             with progress_bar("fitting") as report:
-                run(jobs, store, report)
+                lost = run(jobs, store, report)
         except KeyboardInterrupt:
             say(f"interrupted: {len(jobs) - len(store.pending(jobs))} of {len(jobs)} fits are kept in {json_file}; "
                 "the same command goes on")
             return 130
         store.write()
         say_written(json_file)
+        for title, reason in lost.items():
+            say(f"no record: {title}: {reason}")
         record = store.content
     print_verdicts(record)
     if md:
@@ -98,7 +101,7 @@ def _fits(which: Literal["all", "quick", "none"], json_file: Path, md: Path | No
     failed = failures(record)
     for each in failed:
         say(f"failed: {each}")
-    return int(bool(failed))
+    return int(bool(failed or lost))
 
 
 def _renderers(renderer: Literal["all"] | RendererName, only: tuple[Sweep, ...], json_file: Path | None, html_file: Path | None,

@@ -68,12 +68,12 @@ def test_interrupted_runs_go_on_with_the_same_records(out, monkeypatch, capsys):
 
     monkeypatch.setattr(jobs.FitJob, "run", thrice)
     assert cli.main(arguments) == 130
-    assert "3 of 6 records are kept" in capsys.readouterr().out
+    assert "3 of 6 jobs need no more" in capsys.readouterr().out
     first = json.loads(out.read_text())
     check_benchmark(first, "here")
     monkeypatch.setattr(jobs.FitJob, "run", run)
     assert cli.main([*arguments, "--page", str(out.with_suffix(".md"))]) == 0
-    assert "3 of 6 records are in" in capsys.readouterr().out
+    assert "3 of 6 jobs need no more" in capsys.readouterr().out
     second = check_benchmark(json.loads(out.read_text()), "here")
     assert second["records"][:3] == first["records"] and len(second["records"]) == 6 and second["seeds"] == [0, 1]
     # Methods take turns, seed by seed: what drifts hits all. `direct` is the same from every seed.

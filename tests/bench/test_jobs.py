@@ -7,13 +7,14 @@ from dataclasses import replace
 import pytest
 import torch
 from helpers import ANALYTIC, GRID, photos_of
-from helpers.bench_records import benchmark
+from helpers.bench_records import SETTINGS, benchmark
 
 from mitsvbrdf.bench import jobs, methods, summary
 from mitsvbrdf.bench.methods import fit
 from mitsvbrdf.bench.peers_baseline import PeersConfig
 from mitsvbrdf.bench.published import published
 from mitsvbrdf.bench.schema import check_benchmark
+from mitsvbrdf.bench.store import Store, read_benchmark
 from mitsvbrdf.bench.tasks import known_material, novel_light_rmse, novel_views, real_capture
 from mitsvbrdf.capture import write_capture
 from mitsvbrdf.errors import ConfigError
@@ -54,6 +55,35 @@ def test_a_fit_that_cannot_be_done_is_a_record(monkeypatch):
     assert found["stopped"] == "failed" and "stays finite" in found["why"] and found["errors"] == {}
     check_benchmark(benchmark([found]), "here")
     assert summary.curves([found], "mean") == {} and summary.failures([found]) == [found]
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_errors_that_are_not_finite_make_a_record_of_a_fit_that_failed(value, monkeypatch, tmp_path):
+    task = known_material("builtin:inlay", 16, GRID, ANALYTIC)
+    monkeypatch.setattr(jobs, "fit", lambda *_, **__: None)
+    monkeypatch.setattr(type(task), "errors", lambda *_: {"mean": 0.1, "novel_light": value})
+    monkeypatch.setattr(type(task), "looks", lambda *_: {})
+    store = Store(tmp_path / "b.json", SETTINGS)
+    assert jobs.run([jobs.FitJob("methods", "direct", DirectConfig(), task, 0.1, 0, ANALYTIC)], store) == {}
+    (found,) = read_benchmark(tmp_path / "b.json")["records"]
+    assert found["stopped"] == "failed" and "novel_light not finite" in found["why"] and found["errors"] == {}
+
+
+def test_what_ends_a_warm_up_or_a_job_ends_no_other(monkeypatch, tmp_path):
+    task, other = (known_material(f"builtin:{name}", 16, GRID, ANALYTIC) for name in ("inlay", "leather"))
+    figures = {"seconds": 0.1, "wall": 0.2, "iterations": 3, "stopped": "budget", "why": None, "errors": {"mean": 0.1}}
+
+    def broken(job, *_):
+        if job.task is task:
+            raise RuntimeError("out of memory")
+        return figures
+
+    monkeypatch.setattr(jobs.FitJob, "warm_up", lambda job: broken(replace(job, task=task)))
+    monkeypatch.setattr(jobs.FitJob, "run", broken)
+    todo = [jobs.FitJob("methods", "direct", DirectConfig(), each, 0.1, 0, ANALYTIC) for each in (task, other)]
+    store = Store(tmp_path / "b.json", SETTINGS)
+    assert jobs.run(todo, store) == {todo[0].title: "RuntimeError: out of memory"}
+    assert [r["name"] for r in store.records] == ["leather"]
 
 
 def test_novel_light_stands_where_no_photo_had_it():

@@ -6,6 +6,7 @@ import pytest
 from helpers.bench_records import GIVEN, METHODS, benchmark, case, record
 
 from mitsvbrdf.bench import plots
+from mitsvbrdf.bench.in_short import in_short
 from mitsvbrdf.bench.page import write_benchmark_page
 from mitsvbrdf.bench.schema import check_benchmark
 
@@ -21,7 +22,9 @@ def test_the_page_has_every_section_and_its_pictures(tmp_path):
     for words in ("## In short", "## Known materials", "## Real captures", "## Renderers", "## Each ingredient off",
                   "## How to reproduce", "--budgets 10,30 --seeds 0,1,2", "code 0123456789ab", "1 fits failed",
                   "no step stays finite", "needs about 42 GiB", "| no luck | 0.1200, +0.0200 |", "lower on 1 of 1 (a)",
-                  "lower on 0 of 2, not on a, b"):
+                  "lower on 0 of 2, not on a, b",
+                  "against MaterialGAN, which saw them, as published", "on the publishers' own photos of the same maps",
+                  "Error of photos seen, `hybrid` after 30 s against MaterialGAN as published"):
         assert words in text, words
     names = {p.name for p in paths[1:]}
     assert names == {f"page-{n}.svg" for n in ("methods", "renderers", "material-mean", "material-novel-light",
@@ -49,3 +52,12 @@ def test_labels_are_pushed_apart_as_little_as_needed():
     assert plots.spaced([0.5, 0.5, 0.9], 0.1) == pytest.approx([0.45, 0.55, 0.9])
     assert plots.spaced([0.4, 0.45, 0.5], 0.1) == pytest.approx([0.35, 0.45, 0.55])
     assert plots.spaced([], 0.1) == []
+
+
+def test_a_budget_where_the_default_failed_is_told_with_the_best_method_there():
+    fits = [record(m, b, 0, "a", mean=e) for m, b, e in (("hierarchical", 30.0, 0.1), ("gan", 10.0, 0.3), ("gan", 30.0, 0.2))]
+    failed = record("hierarchical", 10.0, 0, "a") | {"stopped": "failed", "why": "no step"}
+    line = next(line for line in in_short(benchmark([failed, *fits])) if "lowest" in line)
+    assert line.endswith("lowest: `gan` at 10 s (0.3000, `hierarchical` has none); `hierarchical` at 30 s.")
+    line = next(line for line in in_short(benchmark([failed, fits[1]])) if "lowest" in line)  # it has nothing at all
+    assert line.endswith("lowest: `gan` at 10 s (0.3000, `hierarchical` has none).")

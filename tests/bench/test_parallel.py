@@ -66,9 +66,11 @@ def test_a_plan_out_of_range_is_refused(tmp_path, wrong):
 class FakePool:
     """One worker a name; ``deeds`` says by a job's method and attempt how it ends."""
 
+    NAMES = "w1", "w2"
+
     def __init__(self, deeds, meanwhile=lambda: None):
         self.deeds, self.meanwhile, self.tasks, self.closed = deeds, meanwhile, [], False
-        self._events = [{"is": "worker", "worker": name, "host": "here"} for name in ("w1", "w2")]
+        self._events = [{"is": "worker", "worker": name, "host": "here"} for name in self.NAMES]
         self._named = 2
 
     def run(self, worker, task):
@@ -117,9 +119,14 @@ def test_every_job_has_its_record_and_a_second_time_nothing_is_left(tmp_path, mo
     assert store.pending(make_plan(tmp_path).jobs()[0]) == []
     assert all(record["errors"] == FIGURES["errors"] and record["workers"] == 2 for record in store.records)
     assert "8 of 8 records were made 2 at a time (`--workers`)" in made_on(read_benchmark(store.path))
-    one = dict(store.content, records=[record | {"workers": 1} for record in store.records])
-    assert "at a time" not in made_on(one)
     assert [task["key"] for task in pool.tasks] == list(map(key_of, make_plan(tmp_path).jobs()[0]))  # in their own order
+
+
+def test_a_worker_that_is_alone_is_not_written(tmp_path, monkeypatch):
+    monkeypatch.setattr(FakePool, "NAMES", ("w1",))
+    _, _, store = measured(tmp_path, monkeypatch, {})
+    assert len(store.records) == 8 and not any("workers" in record for record in store.records)
+    assert "at a time" not in made_on(read_benchmark(store.path))
 
 
 def test_crashes_are_tried_again_losses_cost_nothing_and_what_fails_is_named(tmp_path, monkeypatch):
@@ -158,7 +165,7 @@ def test_a_child_makes_the_jobs_of_a_plan_once_and_warms_each_shape_up_once(tmp_
     made, warmed = [], []
     real = Plan.jobs
     monkeypatch.setattr(Plan, "jobs", lambda self: made.append(1) or real(self))
-    monkeypatch.setattr(type(jobs[0]), "warm_up", lambda self: warmed.append(self.method))
+    monkeypatch.setattr(type(jobs[0]), "warm_up", lambda self: warmed.append(self.method) or 1 / 0)  # no matter
     monkeypatch.setattr(type(jobs[0]), "run", lambda self: {"ran": self.title})
     monkeypatch.setattr(child, "_made", [])
     monkeypatch.setattr(child, "_warm", set())

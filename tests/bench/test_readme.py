@@ -33,6 +33,7 @@ def test_photos_that_nobody_saw_stand_beside_those_who_did_not_see_them_either()
     assert "| `a` | 0.050 | 0.060 | **0.030** |" in text  # of the longest budget; the lowest is marked, whosever it is
     assert "| `b` | 0.030 | **0.020** | not published |" in text
     assert "lower than MaterialGAN on 1 of 2 (median ratio 1.17); Gao 2019 on 0 of 1 (median ratio 1.67)" in text
+    assert "Its budget was 30 s; a fit took 30 s" in text
     assert "0.010" not in text  # MaterialGAN's, which had seen the photos
 
 
@@ -40,6 +41,24 @@ def test_known_materials_stand_beside_what_was_published():
     text = results(RECORD)
     assert "| mean of 1, default | 0.100 | 0.200 | 0.300 | 0.400 |" in text
     assert "| `a`, MaterialGAN as published | 0.250 | 0.250 | 0.250 | 0.250 |" in text and "--method gan" not in text
+
+    assert "RMSE of each map, budget 10 s" in text and "on the publishers' own photos of the same maps" in text
+
+
+def test_all_rows_are_of_the_longest_budget_and_say_where_they_lack_it():
+    short = [fit("c", "capture", left_out=0.01), fit("b", "material", 20.0, **MAPS), fit("a", "material", 20.0, "gan", **MAPS),
+             fit("b", "material", 20.0, "gan", **MAPS), fit("a", "material", 99.0, "direct", **MAPS)]
+    blind = {"capture 7,8": BLIND["capture 7,8"] | {"c": {"MaterialGAN without them": {"left_out": 0.07}}}}
+    text = results({"records": FITS + short, "published": BLIND | blind})
+    assert "| `c` | not run | **0.070** | not published |" in text and "MaterialGAN on 1 of 2" in text
+    assert "RMSE of each map, budget 20 s" in text and "| mean of 2, `--method gan` | 0.100 | 0.200 | 0.300 | 0.400 |" in text
+    assert "| mean of 2, default | only 1 of 2 |" in text and "| `a`, default | not run | not run | not run | not run |" in text
+
+
+def test_a_fit_that_settled_stands_for_longer_budgets():
+    settled = fit("a", "capture", left_out=0.05) | {
+        "stopped": "settled", "config": {"class": "HierarchicalConfig"}, "seconds": 0.1}
+    assert "| `a` | 0.050 |" in results({"records": [settled, *FITS[2:4]], "published": BLIND})
 
 
 def test_all_else_in_the_file_stays(tmp_path):

@@ -4,6 +4,7 @@ import pytest
 from helpers.bench_records import GIVEN, METHODS, benchmark, record
 
 from mitsvbrdf.bench import summary
+from mitsvbrdf.bench.commands import commands
 from mitsvbrdf.bench.tables import equal_time, looks
 from mitsvbrdf.bench.times import equal_error
 
@@ -103,3 +104,15 @@ def test_two_ways_to_leave_photos_out_are_shown_apart():
     table = equal_time(other)[0]
     assert table.rows == [["`hybrid`", "**0.3000**"], ["Gao 2019 without them, published, at any time", "0.2000"]]
     assert table.title.endswith("a without photos 7 and 8")
+
+
+def test_the_usual_photos_come_first_whatever_the_order_of_the_records():
+    other, usual = ([record("hybrid", 10.0, 0, "a", "capture", seen=0.1, left_out=0.1) | {"left_out": numbers}]
+                    for numbers in ([7, 8], [4, 7]))
+    material = [record("hybrid", 10.0, 0, "m", mean=0.1)]
+    for records in (other + material + usual, usual + other + material):
+        assert [view["left_out"] for view in summary.views(benchmark(records))[1:]] == [(4, 7), (7, 8)]
+        assert summary.usual(benchmark(records))["left_out"] == (4, 7)
+        (beside,) = (line for line in commands(benchmark(records)) if "--materials m" in line)
+        assert "--left-out" not in beside  # materials stand in the command of the usual photos
+    assert summary.usual(benchmark(other))["left_out"] == (7, 8)

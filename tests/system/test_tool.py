@@ -54,6 +54,25 @@ def test_streams_and_mistakes_end_a_tool_as_they_end_a_command(tmp_path):
     assert [path.read_text() for path in sorted(tmp_path.iterdir())] == ["whole", "whole"]
 
 
+@pytest.mark.parametrize("stated, expected", [(None, "PASSIVE"), ("ACTIVE", "ACTIVE")])
+def test_torch_finds_how_threads_wait_though_the_tool_loads_it_first(stated, expected):
+    """A stand-in notes what torch would read when it loads."""
+    tool = """if True:
+        import os, sys
+        sys.modules["torch"] = loaded = type(os)("torch")
+        loaded.device, loaded.found = object(), os.environ.get("OMP_WAIT_POLICY")
+        from mitsvbrdf.system.tool import run_tool
+        def main(word: str) -> int:
+            print(word, loaded.found)
+            return 3
+        sys.exit(run_tool(main, "tool"))
+    """
+    others = {name: value for name, value in os.environ.items() if name != "OMP_WAIT_POLICY"}
+    environment = others | {"PYTHONPATH": str(ROOT)} | ({"OMP_WAIT_POLICY": stated} if stated else {})
+    found = subprocess.run([sys.executable, "-P", "-c", tool, "--word", "so"], env=environment, capture_output=True, text=True)
+    assert (found.stdout, found.returncode) == (f"so {expected}\n", 3), found.stderr
+
+
 def test_there_is_one_way_in():
     folder = Path(mitsvbrdf.__file__).parent
     found = {str(path.relative_to(folder)) for path in folder.rglob("*.py") if re.search(r"tyro\.cli\(", path.read_text())}

@@ -13,7 +13,7 @@ from ...fit.methods import METHODS
 from ...measure.metrics import map_rmse
 from ...render import Renderer
 from ...system.timing import timed
-from ..jobs import FitJob
+from ..jobs import FitJob, check_finite
 from .scenes import CONTROL, StiffTask, stated, stiff_tasks
 
 SUITE = "stiff"
@@ -65,9 +65,8 @@ def figures(result: FitResult, task: StiffTask) -> dict[str, Any]:
     errors |= {} if task.scene.grey else map_rmse(result.svbrdf, task.truth)
     near = next((entry for entry in trace if entry["rerender_rmse"] <= NEAR * result.rerender_rmse), last)
     spread = stated(result.deviations)
-    wrong = [name for name, value in (*errors.items(), *spread.items()) if not math.isfinite(value)]
-    if wrong:
-        raise ConfigError("finite errors and deviations", f"{', '.join(wrong)} not finite", "report it")
+    check_finite(errors)
+    check_finite(spread)
     return {"seconds": last["seconds"], "iterations": last["iteration"], "stopped": result.stopped, "errors": errors,
             "stated": spread, "near": {"seconds": near["seconds"], "iterations": near["iteration"]},
             "undone": len(result.undone), "restarts": len(result.restarts), "warnings": list(result.warnings)}
