@@ -7,7 +7,6 @@ from mitsvbrdf.bench import page, store
 
 RECORDS, PAGE = ROOT / "docs/results/benchmark.json", ROOT / "docs/benchmark.md"
 ANEW = "make it anew: mitsvbrdf bench --suite none --json docs/results/benchmark.json --page docs/benchmark.md --overwrite"
-pytestmark = pytest.mark.skipif(not RECORDS.is_file(), reason=f"no records yet: {RECORDS.relative_to(ROOT)} is not there")
 
 
 def test_the_page_in_the_docs_is_what_its_records_make(tmp_path, monkeypatch):

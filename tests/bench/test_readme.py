@@ -81,7 +81,6 @@ def test_a_file_without_markers_is_refused(text, tmp_path):
     assert text is None or page.read_text() == text
 
 
-@pytest.mark.skipif(not RECORDS.is_file(), reason=f"no records yet: {RECORDS.relative_to(ROOT)} is not there")
 def test_every_figure_of_readme_is_made_from_the_committed_records():
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     shown = text.partition(BEGIN)[2].partition(END)[0]

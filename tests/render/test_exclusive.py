@@ -17,10 +17,12 @@ import pytest
 import torch
 from helpers import GRID
 
+from mitsvbrdf.capture.lens import Lens, Pose
 from mitsvbrdf.fit.hierarchical import solver as solver_module
 from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.render.exclusive import using_mitsuba
+from mitsvbrdf.synth.traced import HandheldRenderer
 from mitsvbrdf.system.lock import PROCESS
 from mitsvbrdf.testing import random_material
 
@@ -141,7 +143,15 @@ def solved():
     return solver, found, solver.normal_equations(photos, x), solver.posterior(photos, x, torch.ones_like(x))
 
 
-@pytest.mark.parametrize("make", [partial(drawn, "mitsuba"), partial(drawn, "mitsuba-scene"), solved], ids=[*NAMES, "solver"])
+def photographed():
+    """A simulated phone's renderer, and a photo of it."""
+    renderer = HandheldRenderer(random_material("roughconductor", 8), 10.0, samples=1)
+    lens = Lens((12, 8), 10.0)
+    return renderer, renderer.render(lens, Pose.looking_at((1.0, 0.0, 20.0), (0.0, 0.0, 0.0)), 1.0)
+
+
+@pytest.mark.parametrize("make", [partial(drawn, "mitsuba"), partial(drawn, "mitsuba-scene"), solved, photographed],
+                         ids=[*NAMES, "solver", "phone"])
 def test_what_a_thread_forgets_is_freed_by_one_that_holds_the_lock(make):
     # Dr.Jit frees nothing beside another thread: in 3 of 100 processes of eight threads it crashed or waited for ever.
     with using_mitsuba():
