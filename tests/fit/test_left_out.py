@@ -11,6 +11,7 @@ from mitsvbrdf import cli
 from mitsvbrdf.errors import MapsError
 from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HierarchicalConfig, HybridConfig, left_out, losses, make_method
 from mitsvbrdf.fit.hierarchical import needs
+from mitsvbrdf.fit.hierarchical.stages import ROUNDS, Stage, Stages
 from mitsvbrdf.fit.left_out import decided_later, known_before, used
 from mitsvbrdf.fit.record import read_whole_fit
 from mitsvbrdf.material.maps import CHANNELS
@@ -114,3 +115,16 @@ def test_explain_and_the_record_say_so(tmp_path, capsys):
     (out / "fit.json").write_text(json.dumps(record | {"used": "a generator"}))
     with pytest.raises(MapsError, match="used"):
         read_whole_fit(out)
+
+
+@pytest.mark.parametrize("rounds, hurried", [(1, True), (ROUNDS[Stage.TOGETHER], False)])
+def test_photos_are_not_left_out_in_turn_where_time_was_short(rounds, hurried, leather):
+    stages, again = Stages(rivals=False), Stages(rivals=False)
+    stages.judge(torch.tensor([0.02, 0.01]))
+    stages.enter(Stage.TOGETHER)
+    for _ in range(rounds):
+        stages.begin_round()
+    stages.enter(Stage.FINE)
+    again.load_state(stages.state())
+    task = FitTask(leather, ANALYTIC, HierarchicalConfig())
+    assert [needs.IN_TURN in dict(needs.left_out(task, each)) for each in (stages, again)] == [hurried] * 2

@@ -84,3 +84,22 @@ def test_ctrl_c_in_a_render_of_mitsuba_ends_with_130(capsys):
 
     with pytest.raises(RuntimeError, match="a fault"):
         exit_code(fault)
+
+
+def test_the_signal_that_ends_more_comes_first():
+    came = []
+    before = {number: signal.signal(number, lambda number, _: came.append(number))
+              for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        with undisturbed():
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGTERM)
+            assert not came
+        assert came == [signal.SIGTERM, signal.SIGINT]
+        with pytest.raises(OSError, match="full"), undisturbed():
+            signal.raise_signal(signal.SIGINT)
+            raise OSError("full")
+        assert len(came) == 2  # the failure says more
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
