@@ -1,7 +1,7 @@
 """Result folders that appear whole or not at all, and in which nobody else's file is lost.
 
 A result is made in a hidden folder inside its place and then moved; a manifest lists the files that are ours, so that
-``--overwrite`` takes away those alone; a lock keeps two runs apart. An unfinished run leaves what it can be resumed from, and
+``--overwrite`` takes away those alone, and what commands made of them inside; a lock keeps two runs apart. An unfinished run leaves what it can be resumed from, and
 moves that a kill ended are made by the next command that opens the folder (:mod:`.journal`).
 
 The folder that a user names may be a link. Inside, a link, a pipe or a device is never gone through.
@@ -30,6 +30,8 @@ MANIFEST = ".mitsvbrdf"  # in each folder we make: the files we put there
 CHECKPOINT = "checkpoint.safetensors"
 LIVE = "live.safetensors"  # what a running fit is watched through; no part of the result
 LOCK = ".lock"
+# Folders that commands make of maps, inside their folder where no other is named, and a file by which each is known.
+DERIVED = {"export": "export.json", "relight": "relight.json"}
 PATIENCE = 5.0  # seconds that another command may take to put its result in place
 GLANCE = 0.05  # seconds that somebody who asks :func:`in_use` may take
 
@@ -45,8 +47,9 @@ def output_folder(out: Path, overwrite: bool, resume: bool = False, keep: tuple[
     """Make the files of a result folder all or not at all.
 
     Yields the folder to write into, inside :func:`partial_folder`. When the block ends well its files move to ``out``, those
-    that an earlier run put there (the manifest lists them) go, and files of anybody else stay: one that is in the way gets
-    ``.old`` behind its name. When the block fails only what a later run resumes from is kept.
+    that an earlier run put there (the manifest lists them) go, with what commands made of them in :data:`DERIVED` folders, and
+    files of anybody else stay: one that is in the way gets ``.old`` behind its name. What goes so or stays beside is said. When
+    the block fails only what a later run resumes from is kept.
 
     Args:
         out: the folder the caller asked for.
@@ -79,8 +82,11 @@ def output_folder(out: Path, overwrite: bool, resume: bool = False, keep: tuple[
     try:
         yield staged
         with undisturbed():
+            earlier, made_of_it = ([], {}) if add else (own_files(out), derived(out))
             _put_in_place(out, staged, add)
             done = True
+            if earlier:
+                _say_beside(out, made_of_it)
     except OSError as reason:
         raise OutputError(f"to write {out}", reason.strerror or str(reason), "free space or choose another place") from None
     finally:
@@ -161,6 +167,9 @@ def _check_free(out: Path, overwrite: bool, resume: bool, keep: tuple[str, ...])
                           "add --overwrite to replace them, or choose another folder")
     if any(os.path.lexists(partial / name) for name in keep) and not (overwrite or resume):
         raise OutputError("no unfinished run", f"the one in {out}", "--resume goes on, --overwrite starts anew")
+    for place in filter(None, (inside(out, name) for name in _derived_names(out))):
+        if in_use(place):
+            raise _others(place)
 
 
 def _locked(out: Path, patience: float = GLANCE) -> IO:
@@ -218,11 +227,13 @@ def _clean(partial: Path, keep: tuple[str, ...]) -> None:
 
 
 def _put_in_place(out: Path, staged: Path, add: bool) -> None:
-    """Move the new files to ``out`` and take away earlier ones of the same names, or, unless they are added, all of ours."""
+    """Move the new files to ``out`` and take away earlier ones of the same names; unless they are added all of ours, and
+    what was made of them."""
     new = sorted(str(path.relative_to(staged)) for path in staged.rglob("*") if is_regular(path))
     new = [name for name in new if name not in (LOCK, LIVE)]
     mine = own_files(out)
     earlier = [name for name in mine if (name in new or not add) and is_regular(inside(out, name))]
+    earlier += [] if add else itertools.chain(*derived(out).values())
     earlier += [MANIFEST] if is_regular(out / MANIFEST) else []
     (staged / MANIFEST).write_text(json.dumps(sorted({*mine, *new}) if add else new))
     Journal(out, ADDED if add else "", earlier, [*new, MANIFEST]).run()
@@ -235,3 +246,32 @@ def own_files(out: Path) -> list[str]:
     except (OSError, ValueError):
         return []
     return list(dict.fromkeys(name for name in names if is_own(name) and name != MANIFEST))
+
+
+def derived(out: Path) -> dict[str, list[str]]:
+    """Folders inside a result in which commands put what they made of it, and the names of their files in ``out``.
+
+    Only what a manifest there lists, in a folder of :data:`DERIVED` beside files of the result, counts.
+    """
+    found = {}
+    for name in _derived_names(out):
+        place = inside(out, name)
+        theirs = own_files(place) if place else []
+        if any(Path(each).name == DERIVED[Path(name).name] for each in theirs):
+            found[name] = [f"{name}/{each}" for each in (*theirs, MANIFEST) if is_regular(inside(out, f"{name}/{each}"))]
+    return found
+
+
+def _derived_names(out: Path) -> list[str]:
+    """Where there may be such folders."""
+    homes = {parent for name in own_files(out) for parent in Path(name).parents}
+    return sorted(str(home / folder) for home in homes for folder in DERIVED)
+
+
+def _say_beside(out: Path, made_of_it: dict[str, list[str]]) -> None:
+    """Say what went with an earlier result, and what lies beside the new one and is no part of it."""
+    if made_of_it:
+        say(f"{out}: removed, as made of the earlier result: {', '.join(made_of_it)}")
+    ours = {PARTIAL, MANIFEST, *(Path(name).parts[0] for name in own_files(out))}
+    if others := sorted(entry.name for entry in out.iterdir() if entry.name not in ours):
+        say(f"{out}: left as it was, and no part of this result: {', '.join(others[:5])}{' ...' * (len(others) > 5)}")
