@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -71,6 +72,8 @@ def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A fo
 def _print(result: CaptureResult) -> None:
     from rich.table import Table
 
+    from ..capture.quality.next_view import HIGHLIGHT_ANGLE
+
     table = Table(title=f"{len(result.used)} of {len(result.photos)} photos used", title_justify="left")
     for heading in ("photo", "", "reprojection", "sharpness", "clipped"):
         table.add_column(heading, justify="left" if heading in ("photo", "") else "right")
@@ -83,3 +86,5 @@ def _print(result: CaptureResult) -> None:
         say(f"note: {warning}")
     say(f"highlights shown of {result.covered:.0%} of the patch"
         + (f"; one more photo would show most {result.next_view.words}" if result.next_view else ""))
+    say(f"shown: some photo has its highlight within {math.degrees(HIGHLIGHT_ANGLE):.0f} degrees; how surely that tells "
+        "specular and roughness, `fit` says in its line how sure")

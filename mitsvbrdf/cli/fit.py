@@ -14,7 +14,7 @@ from ..capture import Capture
 from ..errors import ConfigError
 from ..fit import FitTask, fit_svbrdf
 from ..fit.checkpoint import load_tensors
-from ..fit.confidence import confidence
+from ..fit.confidence import DETERMINED, confidence
 from ..fit.config import FitConfig
 from ..fit.generator.finish import finished, why_not
 from ..fit.left_out import decided_later, known_before, used
@@ -154,6 +154,8 @@ def _say_result(result: FitResult, shots: Capture, before: int | None) -> None:
         say("scene.xml has a light that falls off with the distance; this fit's did not")
     sure = confidence(result.deviations).items()
     say("how sure: " + ", ".join(f"{name} ±{c['median_sd']:.3f} ({c['determined_share']:.0%} determined)" for name, c in sure))
+    say("±: median standard deviation of a texel, maps counted from 0 to 1, colours as linear^(1/2.2), normals as (n + 1) / 2; "
+        f"determined: texels below ±{DETERMINED:g} by their own photos alone; the others follow texels that look alike")
     for warning in result.warnings:
         say(f"warning: {warning}")
 

@@ -132,7 +132,7 @@ class HierarchicalConfig(FitConfig):
     rivals: Switch = True
     """Whether exact photos are fitted from three starts, whose lobes are of very different width."""
     calibrate: bool | None = None
-    """Estimate missing views, refine camera, flash and exposure of each photo. None: refine stated ones of a phone only."""
+    """Estimate missing views, refine all, which exact photos lose by. None: refine stated ones of a phone's photos only."""
     flash_offset: Switch = True
     """Whether the sideways distance between lens and flash is fitted, one for all photos (calibrations claim 0)."""
 

@@ -55,7 +55,7 @@ def judged(record: dict) -> tuple[bool, str]:
     if record["warnings"]:
         more = len(record["warnings"]) - 1
         rest = f" ({more} more below)" if more else ""
-        return False, f"Look at this: {record['warnings'][0].rstrip('.')}{rest}."
+        return False, f"Look at this: {record['warnings'][0].rstrip('.')}{rest}. {met[0].upper()}{met[1:]}."
     return True, f"Good: nothing speaks against these maps; {met}."
 
 

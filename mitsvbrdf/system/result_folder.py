@@ -1,8 +1,9 @@
 """Result folders that appear whole or not at all, and in which nobody else's file is lost.
 
 A result is made in a hidden folder inside its place and then moved; a manifest lists the files that are ours, so that
-``--overwrite`` takes away those alone, and what commands made of them inside; a lock keeps two runs apart. An unfinished run leaves what it can be resumed from, and
-moves that a kill ended are made by the next command that opens the folder (:mod:`.journal`).
+``--overwrite`` takes away those alone, with what commands made of them in there; a lock keeps two runs apart. An unfinished run
+leaves what it can be resumed from, and moves that a kill ended are made by the next command that opens the folder
+(:mod:`.journal`).
 
 The folder that a user names may be a link. Inside, a link, a pipe or a device is never gone through.
 """
@@ -227,8 +228,7 @@ def _clean(partial: Path, keep: tuple[str, ...]) -> None:
 
 
 def _put_in_place(out: Path, staged: Path, add: bool) -> None:
-    """Move the new files to ``out`` and take away earlier ones of the same names; unless they are added all of ours, and
-    what was made of them."""
+    """Move the new files to ``out`` and take away earlier ones of the same names, or, unless they are added, all of ours."""
     new = sorted(str(path.relative_to(staged)) for path in staged.rglob("*") if is_regular(path))
     new = [name for name in new if name not in (LOCK, LIVE)]
     mine = own_files(out)

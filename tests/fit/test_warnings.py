@@ -153,3 +153,14 @@ def test_games_that_are_lost_and_games_that_are_not(game, leather):
     fair = fit_svbrdf(leather, ANALYTIC, dataclasses.replace(config, discriminator_rate=1e-3, iterations=80))
     said = [any("almost surely" in warning for warning in result.warnings) for result in (lost, fair)]
     assert said == [True, False]
+
+
+@pytest.mark.parametrize("change, said", [
+    ({}, 1), ({"config": HierarchicalConfig()}, 0), ({"left_out": (("rival starts", "photos of a phone"),)}, 0),
+    ({"calibrated_rmse": None}, 0), ({"calibrated_rmse": 0.002}, 0), ({"flash_offset": (0.08 * GRID.size, 0.0)}, 0),
+])
+def test_views_that_were_refined_though_exact_photos_said_they_were_right(change, said, fitted, leather):
+    asked = {"config": HierarchicalConfig(calibrate=True), "left_out": (("tied stage", "the photos follow the model"),),
+             "rerender_rmse": 0.0013, "calibrated_rmse": 0.0014, "flash_offset": (0.004, 0.001), "stopped": "settled"}
+    warnings = list(fit_warnings(dataclasses.replace(fitted, **(asked | change)), leather))
+    assert [("leave --calibrate out" in warning) for warning in warnings] == [True] * said

@@ -98,6 +98,13 @@ def test_pictures_are_those_of_the_files(fitted):
     assert page.pixels("Guessed diffuse").shape == (SIDE, SIDE, 3)
 
 
+def test_photos_lie_open_and_what_experts_ask_is_folded(fitted):
+    open_part, folded = Page(fitted / "report.html").source.split('<details class="laboratory">')
+    for place in ("front", "maps", "live", "photos"):
+        assert f'id="{place}"' in open_part or f'class="{place}"' in open_part
+    assert 'class="wipe"' in open_part and 'class="wipe"' not in folded and 'id="curves"' in folded
+
+
 def test_the_page_asks_nothing_of_the_network_and_escapes_names(measured):
     _, fit, _, page = measured
     assert page.addresses and all(address.startswith(("data:", "#")) for address in page.addresses)

@@ -155,7 +155,7 @@ def test_the_page_begins_with_the_material_and_its_textures(width, phone, larger
     with opened(larger, width=width, height=844, phone=phone) as page:
         top = page.locator(".front .ball").bounding_box()
         assert top["y"] + top["height"] < 844  # seen without scrolling
-        assert not page.locator("#photos").is_visible()
+        assert page.locator("#photos").is_visible() and not page.locator("#curves").is_visible()
         with page.expect_download() as download:
             page.locator("a.main").click()
         download.value.save_as(tmp_path / "all.zip")

@@ -27,7 +27,8 @@ def out(tmp_path):
 
 
 def there(out):
-    return sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file() and path.name != result_folder.MANIFEST)
+    names = [str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()]
+    return sorted(name for name in names if not name.endswith(result_folder.MANIFEST))
 
 
 @pytest.mark.parametrize("options", [{"overwrite": True}, {"overwrite": False, "resume": True}])
