@@ -45,6 +45,8 @@ def crosscheck(
     check_new_files(json_file, html_file, overwrite=overwrite, read=[maps], photos=views)
     materials, falloff, offset, transfer = _materials(maps, resolution)
     names, lit = views_of(views, falloff)
+    say(f"{len(names)} views of {views}" + (
+        "; --views CAPTURE renders those of its photos" if maps and views.startswith("builtin:") else ""))
     lit = _with_offset(lit, offset)
     bsdfs: list[Bsdf] = list(get_args(Bsdf)) if bsdf == "all" else [bsdf]
     engines: tuple[RendererName, ...] = RENDERERS if renderer == "all" else (renderer,)
@@ -117,7 +119,7 @@ def _table(record: dict, texels: str, bsdf: str, rows: list[dict]) -> Table:
     table = Table(title=f"{bsdf}, texels of roughness {bound}" + (f", worst of {count} materials" if count > 1 else ""),
                   title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     table.add_column("", no_wrap=True)
-    for heading in ("tolerance", "float32", *(row["renderer"] for row in rows)):
+    for heading in ("tolerance", "float32 limit", *(row["renderer"] for row in rows)):
         table.add_column(heading, justify="right", no_wrap=True)
     stated = record["tolerances"] if texels == "rough" else {"image": {}, "gradients": {}}
 

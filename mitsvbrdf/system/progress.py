@@ -70,7 +70,7 @@ class Progress:
     """
 
     def __init__(self, title: str = "fit") -> None:
-        self.title, self.started, self.last = title, time.perf_counter(), 0.0
+        self.title, self.last = title, 0.0
         self.first: tuple[int, float] | None = None
         self.live: Live | None = None
         self.cell = Cell(title) if console.is_jupyter else None
@@ -96,7 +96,7 @@ class Progress:
         now = time.perf_counter()
         first_iteration, first_time = self.first = self.first or (entry["iteration"], now)
         speed = (entry["iteration"] - first_iteration) / max(now - first_time, 1e-9)
-        left = (now - self.started) * (1 / share - 1) if share > 0 else 0.0
+        left = entry["seconds"] * (1 / share - 1) if share > 0 else 0.0  # both count what was before a --resume, and no set-up
         losses = "  ".join(f"{k} {v:.4f}" for k, v in entry.items() if k not in ("seconds", "iteration", "rerender_rmse"))
         line = (f"{share:4.0%}  {entry['seconds']:6.1f} s  iteration {entry['iteration']}  rmse {entry['rerender_rmse']:.4f}  "
                 f"{losses}  {speed:.1f} it/s" + (f"  at most {left:.0f} s left" if share else ""))

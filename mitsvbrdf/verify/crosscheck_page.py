@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from torch import Tensor
 
+from ..pages.colours import CHART_FAINT
 from ..pages.page import figure, svg, write_page
 from ..pages.pictures import error_picture, png_uri
 from .charts import BSDF_MARKS, bounded_panel
@@ -66,12 +67,16 @@ def error_against_time(record: dict) -> Figure:
     tolerances = record["tolerances"]["image"]["mean"], record["tolerances"]["gradients"]["relative_l2"]
     titles = "Mean relative image error", "Gradient of the worst map, relative L2"
     for panel, title, tolerance in zip(panels, titles, tolerances):
-        bounded_panel(panel, title, tolerance)
+        line = bounded_panel(panel, title, tolerance)
         panel.set(xscale="log", yscale="log", xlabel="seconds, forward and backward")
         for axis, (low, high) in ((panel.xaxis, panel.get_xlim()), (panel.yaxis, panel.get_ylim())):
             axis.set_major_locator(LogLocator(subs=(1, 2, 5) if high / low < 100 else (1,)))
             axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
             axis.set_minor_formatter(NullFormatter())
+    line.set_label("stated tolerance")
+    if not all(c["rough"] for c in record["configurations"]):
+        panels[0].plot([], [], "o", color=CHART_FAINT, markerfacecolor="none", markersize=4,
+                       label=f"hollow: all texels below roughness {record['rough_from']}, no tolerance stated")
     drawing.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     return drawing
 

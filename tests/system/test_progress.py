@@ -47,13 +47,21 @@ def bar(text):
 def test_without_a_terminal_a_line_every_ten_seconds(capsys, clock):
     with Progress("a fit") as report:
         for second in range(26):
-            report(ENTRY | {"iteration": second}, second / 100)
+            report(ENTRY | {"iteration": second, "seconds": float(second)}, second / 100)
             clock[0] += 1
         report(ENTRY, 1.0)
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "a fit" and len(lines) == 1 + 3 + 1  # at 0, 11 and 22 s, and the last
     assert [line.split()[0] for line in lines[1:]] == ["0%", "11%", "22%", "100%"]
     assert "iteration 11  rmse 0.1250  cost 2.0000  1.0 it/s  at most 89 s left" in lines[2]
+
+
+@pytest.mark.parametrize("before, seconds, share", [(30, 2.0, 0.02), (0, 60.0, 0.6)])  # set up for long; gone on from 60 s
+def test_the_time_left_is_that_of_the_limit(before, seconds, share, capsys, clock):
+    with Progress("a fit") as report:
+        clock[0] += before
+        report(ENTRY | {"seconds": seconds}, share)
+    assert f"at most {100 - seconds:.0f} s left" in capsys.readouterr().out
 
 
 def test_a_bar_without_a_terminal(capsys, clock):

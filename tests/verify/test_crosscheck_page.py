@@ -13,7 +13,7 @@ from mitsvbrdf.measure.metrics import image_error
 from mitsvbrdf.measure.tolerances import TOLERANCES
 from mitsvbrdf.system import files
 from mitsvbrdf.verify.crosscheck import crosscheck
-from mitsvbrdf.verify.crosscheck_page import write_crosscheck_page
+from mitsvbrdf.verify.crosscheck_page import error_against_time, write_crosscheck_page
 
 NUMBER = (int, float)
 IMAGE = {"mean": NUMBER, "p99.9": NUMBER, "worst": NUMBER, "bias": NUMBER, "not_finite": int}
@@ -78,6 +78,20 @@ def test_figures_are_those_of_the_metrics():
     for name, g in c["rough"]["gradients"].items():
         off = (got.gradients[name].double() - exact.gradients[name]).norm() / exact.gradients[name].norm()
         assert g["relative_l2"] == pytest.approx(float(off), rel=1e-9)
+
+
+def test_the_plot_explains_all_that_it_draws(real):
+    said = [text.get_text() for text in error_against_time(real[0]).legends[0].get_texts()]
+    drawn = {f"{c['renderer']}, {c['bsdf']}" for c in real[0]["configurations"]}
+    assert drawn <= set(said) and said.count("stated tolerance") == 1
+    assert [text for text in said if "hollow" in text] and not any("hollow" in text.get_text() for text in error_against_time(
+        real[0] | {"configurations": [c for c in real[0]["configurations"] if c["rough"]]}).legends[0].get_texts())
+
+
+def test_the_float32_limit_has_one_name(real, tmp_path):
+    write_crosscheck_page(tmp_path / "page.html", *real)
+    page = (tmp_path / "page.html").read_text()
+    assert not re.search(r"(?<!float32 )(?<!Float32 )\b[Ll]imit\b", page) and "float32's" not in page
 
 
 def test_page_shows_every_configuration_and_needs_no_network(real, tmp_path):
