@@ -5,6 +5,7 @@ import json
 import re
 import shlex
 import shutil
+import subprocess
 import textwrap
 import tomllib
 from pathlib import Path
@@ -100,6 +101,18 @@ def test_the_first_pages_lead_to_what_they_name(name, tmp_path, monkeypatch):
     named = re.findall(r"`((?:out[\w-]*|capture)/[\w./-]+)`", (ROOT / name).read_text())
     assert named or name == "docs/index.md"
     assert not [path for path in named if not Path(path).exists()]
+
+
+@pytest.mark.skipif(not (ROOT / ".git").exists(), reason="no checkout")
+@pytest.mark.parametrize("name", ["README.md", *TASKS])
+def test_what_the_first_pages_make_is_not_taken_for_source(name):
+    page = (ROOT / name).read_text()
+    made = re.findall(r"(?: -o | --html )(\S+)", "\n".join(commands(ROOT / name)))
+    made += re.findall(r'(?:write_fit\(.*|save_maps\(.*|write_report\(.*)"([\w-]+)"\)', page)
+    done = subprocess.run(["git", "check-ignore", "--no-index", *(f"{each}/" if "." not in each else each for each in made)],
+                          cwd=ROOT, capture_output=True, text=True)
+    assert [each for each in made if each not in [line.rstrip("/") for line in done.stdout.split()]] == []
+    assert made or name == "docs/index.md"
 
 
 def test_links_between_the_first_pages():
