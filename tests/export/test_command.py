@@ -17,7 +17,7 @@ from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.relight import sphere
-from mitsvbrdf.system import images
+from mitsvbrdf.system import files, images, result_folder
 
 
 def test_what_is_lost_is_told_with_the_folder(tmp_path, capsys):
@@ -143,3 +143,15 @@ def test_mistakes_in_python(wrong, tmp_path):
     with pytest.raises(ConfigError, match="expected"):
         export_material(flat(4), tmp_path / "out", **wrong)
     assert not (tmp_path / "out").exists()
+
+
+def test_exports_go_with_the_maps_they_were_made_of(tmp_path):
+    for size in (8, 16):
+        with result_folder.output_folder(tmp_path / "fit", overwrite=True) as folder:
+            save_maps(make_material("tiles", size), folder / "maps")
+        assert not (tmp_path / "fit/export").exists()
+        assert cli.main(["export", str(tmp_path / "fit"), "--to", "maps,gltf", "--no-preview", "--zip"]) == 0
+    files.write_bytes(tmp_path / "fit/export/mine.txt", b"mine")
+    with result_folder.output_folder(tmp_path / "fit", overwrite=True) as folder:
+        save_maps(make_material("tiles", 8), folder / "maps")
+    assert [path.name for path in (tmp_path / "fit/export").rglob("*")] == ["mine.txt"]

@@ -3,6 +3,7 @@
 import pytest
 
 from mitsvbrdf.errors import OutputError
+from mitsvbrdf.relight import frames
 from mitsvbrdf.system import files, result_folder
 from mitsvbrdf.system.journal import JOURNAL, Journal
 
@@ -89,3 +90,7 @@ def test_all_or_none_of_it_goes(out, monkeypatch):
     with pytest.raises(OutputError, match="full"):
         make(out, "fit.json", text="new", overwrite=True)
     assert there(out) == before and not (out / ".partial" / JOURNAL).exists()
+
+
+def test_relight_is_known_by_its_record():
+    assert result_folder.DERIVED["relight"] == frames.RECORD  # tests/export/test_command.py has the same of export
