@@ -157,8 +157,8 @@ def _burnt_in(result: FitResult) -> Iterator[str]:
             yield f"{share:.0%} of the {name} map lies as the photos' highlights do: it may be theirs, not the material's"
     for name, share in local_burn_in(result.svbrdf, result.views).items():
         if share > OVALS and name not in fixed and result.svbrdf.resolution >= LOCAL_SIDE:  # fewer texels have it by chance
-            yield (f"the {name} map has ovals where single photos had their highlights ({share:.0%} of it): they are the "
-                   "photos', not the material's; more photos, with the highlights elsewhere, take them away")
+            yield (f"the {name} map has ovals where single photos had their highlights ({share:.0%} of it): they are "
+                   "hardly the material's; add photos from other places, with the highlights elsewhere, and fit again")
 
 
 def _cut_short(result: FitResult) -> Iterator[str]:
