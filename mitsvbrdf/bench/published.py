@@ -50,8 +50,8 @@ def published(path: Path, tasks: Sequence[Task], resolution: int) -> Published:
                                                     for who, maps in stated["materials"][task.name].items()}
             elif task.name in stated["captures"]:
                 each = stated["captures"][task.name]["per_view"]
-                parts = {"seen": task.photos.index} | ({"left_out": task.left_out.index} if task.left_out else {})
-                here = found.setdefault(capture_kind(task.numbers), {})
+                parts = {"seen": task.photos.index} | ({"left_out": task.unseen.index} if task.unseen else {})
+                here = found.setdefault(capture_kind(task.left_out), {})
                 here[task.name] = {"MaterialGAN": {
                     part: math.sqrt(sum(each[i] ** 2 for i in index) / len(index)) for part, index in parts.items()}}
                 if parts.get("left_out") == PEERS_LEFT_OUT:
