@@ -21,7 +21,7 @@ from .in_short import in_short, listed, plural
 from .plots import each_figure, methods_figure
 from .published import BLIND
 from .renderer_plots import renderers_figure
-from .schema import LEFT_OUT
+from .schema import USUAL_LEFT_OUT
 from .suite_tables import capture_tables, renderer_tables, start_table
 from .summary import ERRORS, KINDS
 from .tables import Table, ablation_tables, each_map, each_one, equal_time, looks
@@ -208,8 +208,8 @@ def _capture(record: Mapping) -> list[str]:
             "to the patch, root mean square, without a sheet after the best similarity. Rectification: pixels of 512. Maps: "
             "mean of the four RMSEs, beside that of a fit of the same photos with the true views. Real captures: views taken "
             "away and found again by the fit; lateral in patch sides, after the best scale and shift. Left out, whatever "
-            f"`--left-out` says: photos {listed(list(map(str, LEFT_OUT)))}, predicted by fits of the others with the views "
-            "given, refined or held.")
+            f"`--left-out` says: photos {listed(list(map(str, USUAL_LEFT_OUT)))}, predicted by fits of the others with the "
+            "views given, refined or held.")
     return ["## From a phone to maps", "", text, "", *lines] if lines else []
 
 

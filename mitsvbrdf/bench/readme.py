@@ -13,7 +13,7 @@ from . import summary
 from .methods import method_table
 from .page import markdown
 from .published import BLIND, METHOD_NAMES
-from .tables import Table, at_time, best_in_row, methods_of
+from .tables import Table, at_time, best_in_row, methods_of, with_median
 
 BEGIN, END = "<!-- results: mitsvbrdf bench --readme -->", "<!-- /results -->"
 MAPS = ("diffuse", "specular", "roughness", "normal")
@@ -80,6 +80,7 @@ def _photos(record: Mapping) -> Table | None:
         ahead = "; ".join(filter(None, (_ahead(who.removesuffix(BLIND), [(row[0], row[1 + k]) for row in values])
                                         for k, who in enumerate(whose))))
         loop, wall = (statistics.median(getattr(point, clock) for point in points) for clock in ("seconds", "wall"))
+        with_median(rows, values, 3)
         numbers = " and ".join(map(str, protocol["left_out"]))
         return Table(f"Real photos that no fit has seen: photos {numbers} predicted from the others, RMSE in display values",
                      ["", "default", *(who.removesuffix(BLIND) for who in whose)], best_in_row(rows, values),

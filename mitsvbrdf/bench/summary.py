@@ -13,7 +13,7 @@ from ..system.timing import spread
 from .behaviour import ended_for_good
 from .methods import method_table
 from .published import BLIND, Published
-from .schema import LEFT_OUT, capture_kind, identity
+from .schema import USUAL_LEFT_OUT, capture_kind, identity
 from .variants import FULL
 
 # The errors that are judged by, of known materials and of real captures, and what to call them.
@@ -91,7 +91,7 @@ def for_readers(record: Mapping) -> list[dict]:
 def ways_to_leave_out(records: Iterable[Mapping]) -> list[tuple[int, ...]]:
     """The numbers of the photos left out, each way once: the usual one first, whatever the order of the records."""
     ways = dict.fromkeys(tuple(r["left_out"]) for r in records if "left_out" in r)
-    return sorted(ways, key=lambda numbers: numbers != LEFT_OUT)
+    return sorted(ways, key=lambda numbers: numbers != USUAL_LEFT_OUT)
 
 
 def protocol(record: Mapping, left_out: Sequence[int]) -> dict:
@@ -105,7 +105,7 @@ def usual(record: Mapping) -> dict:
     """Materials, and captures without the usual photos, else of the first way to leave some out: for a page that shows one."""
     materials, *captures = protocols(record)
     if not captures:
-        return {**materials, "left_out": LEFT_OUT}
+        return {**materials, "left_out": USUAL_LEFT_OUT}
     return {**captures[0], "records": [r for r in record["records"] if r.get("left_out", [*captures[0]["left_out"]])
                                        == [*captures[0]["left_out"]]],
             "published": {**record["published"], **captures[0]["published"]}}

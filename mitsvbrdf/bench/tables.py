@@ -74,13 +74,19 @@ def each_one(record: Mapping, kind: str, error: str, title: str) -> Table | None
         values.append([value_at(found, m, longest) for m in methods] + [given.get(who) for who in whose])
     if not rows:
         return None
-    if len(rows) > 1:
-        values.insert(0, [statistics.median(each) if None not in each else None for each in zip(*values)])
-        rows.insert(0, ["median", *("of fewer" if value is None else f"{value:.4f}" for value in values[0])])
+    with_median(rows, values, 4)
     fair = [[None if who in whose and unfair(who, error) else value for who, value in zip((*methods, *whose), row)]
             for row in values]
     return Table(f"{title}, {longest:g} s, each {kind}",
                  ["", *(f"`{m}`" for m in methods), *(as_published(who, error) for who in whose)], best_in_row(rows, fair))
+
+
+def with_median(rows: list[list[str]], values: list[list[float | None]], digits: int) -> None:
+    """Put the median of each column above several rows; of columns where all have a value."""
+    if len(rows) > 1:
+        columns = [[value for value in each if value is not None] for each in zip(*values)]
+        values.insert(0, [statistics.median(each) if len(each) == len(rows) else None for each in columns])
+        rows.insert(0, ["median", *("not of all" if value is None else f"{value:.{digits}f}" for value in values[0])])
 
 
 def unfair(who: str, error: str) -> bool:

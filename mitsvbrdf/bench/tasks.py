@@ -24,7 +24,7 @@ from ..render import Renderer, make_renderer
 from ..synth import photograph
 from ..views import Views
 from .methods import Fitted
-from .schema import LEFT_OUT
+from .schema import USUAL_LEFT_OUT
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class RealCapture:
     name: str
     photos: Capture
     unseen: Capture | None
-    left_out: tuple[int, ...] = LEFT_OUT
+    left_out: tuple[int, ...] = USUAL_LEFT_OUT
 
     @property
     def key(self) -> dict:
@@ -110,7 +110,7 @@ def known_material(name: str, resolution: int, views: Views, renderer: Renderer)
                          photograph(shown, views, renderer))
 
 
-def real_capture(folder: Path, resolution: int, left_out: Sequence[int] = LEFT_OUT) -> RealCapture:
+def real_capture(folder: Path, resolution: int, left_out: Sequence[int] = USUAL_LEFT_OUT) -> RealCapture:
     """A task from a folder of photos.
 
     Args:
