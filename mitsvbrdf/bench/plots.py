@@ -103,7 +103,8 @@ def names_of(kind: str, fits: Sequence[Mapping]) -> str:
     count, seeds = len(summary.names(fits)), len({r["seed"] for r in fits})
     left_out = f" without {' and '.join(map(str, fits[0]['left_out']))}" if fits[0].get("left_out") else ""
     band = f"quartiles of {'them' if count > 1 else f'{seeds} seeds'}" if max(count, seeds) > 1 else "one seed"
-    return f"{count} {summary.KINDS[kind]}{'s' * (count > 1)}{left_out}; {'mean, band of the default: ' if count > 1 else ''}{band}"
+    shown = f"{'mean, band of the default: ' if count > 1 else ''}{band}"
+    return f"{count} {summary.KINDS[kind]}{'s' * (count > 1)}{left_out}; {shown}"
 
 
 def _curves(panel: Axes, found: Mapping[str, Sequence[summary.Point]], clock: Mapping[str, Sequence[float]],
