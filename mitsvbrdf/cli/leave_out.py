@@ -42,6 +42,7 @@ def leave_out(
     Each measurement is kept as soon as it is there: Ctrl-C loses one, and the same command goes on. Nothing else should run
     meanwhile.
     """
+    from ..batch.settings import BatchSettings
     from ..bench.leave_out.page import print_leave_out, write_leave_out_page
     from ..bench.leave_out.plan import SHAPING, LeaveOutPlan, capture_folders
     from ..bench.store import Store, read_benchmark
@@ -50,6 +51,7 @@ def leave_out(
     files.check_output(json_file)
     if not fits and (parts, captures, workers) != (None, None, None):
         raise ConfigError("--fits beside --parts, --captures and --workers", "no --fits", "add --fits")
+    BatchSettings(workers=workers).check()
     if page_only:
         record, failed = read_benchmark(json_file), False
     else:

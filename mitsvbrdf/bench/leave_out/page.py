@@ -9,6 +9,8 @@ from ...pages.page import figure, seconds
 from ...system import files
 from ..page import made_on, markdown, print_tables
 from ..tables import Table
+from .fits import SUITE as FITS
+from .parts import REAL
 from .renders import SUITE as RENDERS
 from .verdict import COSTS, FLOOR, SAVES, default_fits, items
 
@@ -76,7 +78,19 @@ def write_leave_out_page(path: str | Path, record: Mapping) -> None:
         lines += [OF_RENDERS.format(**settings), *_untitled(renders)]
     if parts := parts_table(record):
         lines += [OF_FITS.format(**settings), *markdown(scenes_table(record)), OF_PARTS, *_untitled(parts)]
+    lines += ["## How to reproduce", "", f"    {command(record)}", "",
+              "Each record is kept as soon as it is there: Ctrl-C loses one measurement, and the same command goes on.", ""]
     files.write_bytes(Path(path), "\n".join(lines).encode())
+
+
+def command(record: Mapping) -> str:
+    """The command that makes the record again."""
+    settings, pairs = record["settings"], [r for r in record["records"] if r["suite"] == FITS]
+    captures = ",".join(dict.fromkeys(r["name"] for r in pairs if r["kind"] == REAL))
+    fits = (f" --fits --fit-resolution {settings['resolution']} --fit-repeats {settings['repeats']}"
+            + (f" --captures {captures}" if captures else "")) if pairs else ""
+    return (f"mitsvbrdf leave-out --resolution {settings['renders_resolution']} --repeats {settings['renders_repeats']}{fits} "
+            "--json leave-out.json --md leave-out.md")
 
 
 def _untitled(table: Table) -> list[str]:

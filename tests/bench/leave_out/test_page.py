@@ -75,6 +75,7 @@ def test_the_page_says_how_it_was_made(tmp_path):
     assert "1 of 2 records were made 2 at a time (`--workers`)" in page and "code 0123456789ab" in page
     assert "| starts | `hierarchical` | exact | 1 | 2.50 (2.25 to 2.75) |" in page and "| exact, by itself |" in page
     assert "## Of a scene" not in page  # nothing of it was measured
+    assert "--repeats 1 --fits --fit-resolution 16 --fit-repeats 2 --json" in page
 
 
 def test_the_page_in_the_docs_is_what_its_records_make(tmp_path):
