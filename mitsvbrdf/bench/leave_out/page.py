@@ -39,11 +39,12 @@ and *rival starts* put in stand for the whole fit of photos taken for the other 
 """
 OF_PARTS = f"""### Each part left out, against the fit that has it
 
-Scenes are those of the kind, errors are without it over with it, in the median and at worst. *By itself*: the program leaves it
-out of such photos; it was put in to be measured. A part is *needed* where an error that decides (of maps, under new light, of
-photos left out) grows by more than {COSTS - 1:.0%} on any scene; *not needed* where none does and at least {1 - 1 / SAVES:.0%}
-of the seconds are saved. Errors below {FLOOR:g} count as {FLOOR:g}. *generator* compares `hybrid` with the default. Verdicts
-are those of the fits named here, no more: a part is left out by itself only where a test on the photos decides it.
+Scenes are those of the kind, errors are without it over with it, of several scenes the median and the worst. *By itself*: the
+program leaves it out of such photos; it was put in to be measured. A part is *needed* where an error that decides (of maps,
+under new light, of photos left out) grows by more than {COSTS - 1:.0%} on any scene; *not needed* where none does and at least
+{1 - 1 / SAVES:.0%} of the seconds are saved. Errors below {FLOOR:g} count as {FLOOR:g}. *generator* compares `hybrid` with the
+default. Verdicts are those of the fits named here, no more: a part is left out by itself only where a test on the photos
+decides it.
 """
 SPENT = ("setting up", "solver", "sharing", "views", "noise", "measuring", "uncertainty")
 ERRORS = ("maps", "new light", "left out", "seen")
@@ -53,13 +54,13 @@ def print_leave_out(record: Mapping) -> None:
     """What is saved, on the terminal."""
     tables = []
     if renders := renders_table(record):
-        rows = [[row[0], row[1], row[3], *row[6:]] for row in renders.rows]
-        tables.append(Table("Left out of a scene: largest relative difference, seconds forward and backward",
-                            ["what", "where", "difference", "full", "lean", "full / lean"], rows))
+        tables.append(Table("Left out of a scene: largest relative difference, seconds with it over those without",
+                            ["what", "where", "difference", "with / without"],
+                            [[row[0], row[1], row[3], row[-1]] for row in renders.rows]))
     if parts := parts_table(record):
-        rows = [[row[0], row[1], row[2], row[4], row[-1]] for row in parts.rows]
         tables.append(Table("Left out of a fit: seconds with it over those without",
-                            ["what", "method", "of", "with / without", "verdict"], rows))
+                            ["what", "method", "of", "ratio", "verdict"],
+                            [[row[0], row[1].strip("`"), row[2], row[4], row[-1]] for row in parts.rows]))
     print_tables(tables)
 
 
@@ -126,11 +127,14 @@ def parts_table(record: Mapping) -> Table | None:
         errors = [item["errors"].get(name) for name in ERRORS]
         rows.append([item["part"], f"`{item['of']}`", item["kind"] + (", by itself" if item["put_in"] else ""),
                      str(item["scenes"]), _quartiles(item["ratio"], "{:.2f}".format),
-                     *("–" if error is None else f"{error['median']:.3f}, {error['worst']:.3f}" for error in errors),
+                     *("–" if error is None else f"{error['median']:.3f}" + (f", {error['worst']:.3f}" if item["scenes"] > 1 else "")
+                       for error in errors),
                      item["verdict"]])
     heads = ["left out", "method", "of", "scenes", "seconds, with / without (quartiles)", *ERRORS, "verdict"]
     return Table("Of a fit", heads, rows) if rows else None
 
 
 def _quartiles(spread: Mapping, shown: Callable[[float], str]) -> str:
+    if spread["repeats"] == 1:
+        return shown(spread["median"])
     return f"{shown(spread['median'])} ({shown(spread['low'])} to {shown(spread['high'])})"

@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 
 from ...system.timing import spread
 from .fits import SUITE
-from .parts import MATTE
+from .parts import FOLLOWING, MATTE, OTHERS, parts
 
+KINDS = (*FOLLOWING, *OTHERS)
 SHOWN = {"mean": "maps", "novel_light": "new light", "left_out": "left out", "photos": "seen", "seen": "seen"}
 UNSEEN = ("maps", "new light", "left out")  # what decides: photos seen are explained better by whatever burns in
 FLOOR = 0.001  # of errors that are compared: a quarter of a step of 8 bits, below which none shows
@@ -24,13 +25,18 @@ def items(record: Mapping) -> list[dict]:
     Returns:
         Of each part and kind ``part``, ``of`` (a method), ``kind``, ``put_in``, ``scenes`` (how many), ``ratio`` (median and
         quartiles, over scenes and turns, of the seconds with it over those without), ``errors`` (by name ``median`` and
-        ``worst`` of the errors without it over those with it) and ``verdict``.
+        ``worst`` of the errors without it over those with it) and ``verdict``; in the order of the parts, whichever was done
+        first.
     """
+    order = {part.name: number for number, part in enumerate(parts())}
     groups: dict[tuple[str, str], list[Mapping]] = {}
-    for r in record["records"]:
-        if r["suite"] == SUITE:
-            groups.setdefault((r["method"], r["kind"]), []).append(r)
+    for r in sorted(_pairs(record), key=lambda r: (order.get(r["method"], len(order)), KINDS.index(r["kind"]))):
+        groups.setdefault((r["method"], r["kind"]), []).append(r)
     return [_item(kind, pairs) for (_, kind), pairs in groups.items()]
+
+
+def _pairs(record: Mapping) -> list[Mapping]:
+    return [r for r in record["records"] if r["suite"] == SUITE]
 
 
 def _item(kind: str, pairs: Sequence[Mapping]) -> dict:
@@ -59,8 +65,8 @@ def default_fits(record: Mapping) -> list[dict]:
     quartiles, and ``spent``, the median seconds of each part of its work.
     """
     groups: dict[tuple[str, str], list[Mapping]] = {}
-    for r in record["records"]:
-        if r["suite"] == SUITE and r["of"] == "hierarchical":
+    for r in sorted(_pairs(record), key=lambda r: (KINDS.index(r["kind"]), r["name"])):
+        if r["of"] == "hierarchical":
             groups.setdefault((r["name"], r["kind"]), []).append(r)
     found = []
     for (name, kind), pairs in groups.items():

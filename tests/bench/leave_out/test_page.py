@@ -55,6 +55,15 @@ def test_which_errors_decide(errors, word):
     assert [item["verdict"] for item in items(settled([pair(**errors)]))] == [word]
 
 
+def test_rows_stand_in_the_order_of_the_parts_whichever_was_done_first():
+    names = {kind: [item["part"] for item in items(settled(
+        [pair(part, kind=kind, mean=(0.1, 0.1)) for part in ("every other photo", "look-alikes", "flash offset")]))]
+        for kind in ("exact", "cameras off")}
+    assert set(map(tuple, names.values())) == {("flash offset", "look-alikes", "every other photo")}
+    kinds = [item["kind"] for item in items(settled([pair("look-alikes", kind=kind) for kind in ("cameras off", "exact")]))]
+    assert kinds == ["exact", "cameras off"]
+
+
 def test_maps_of_a_matte_material_decide_nothing():
     errors = {"mean": (0.1, 0.5), "novel_light": (0.02, 0.02)}
     (item,) = items(settled([pair(kind="exact, matte", **errors)]))
