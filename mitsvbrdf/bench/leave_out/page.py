@@ -124,14 +124,17 @@ def parts_table(record: Mapping) -> Table | None:
     """What leaving parts out of fits costs and saves; None without records of it."""
     rows = []
     for item in items(record):
-        errors = [item["errors"].get(name) for name in ERRORS]
         rows.append([item["part"], f"`{item['of']}`", item["kind"] + (", by itself" if item["put_in"] else ""),
                      str(item["scenes"]), _quartiles(item["ratio"], "{:.2f}".format),
-                     *("–" if error is None else f"{error['median']:.3f}" + (f", {error['worst']:.3f}" if item["scenes"] > 1 else "")
-                       for error in errors),
-                     item["verdict"]])
+                     *(_error(item["errors"].get(name), item["scenes"]) for name in ERRORS), item["verdict"]])
     heads = ["left out", "method", "of", "scenes", "seconds, with / without (quartiles)", *ERRORS, "verdict"]
     return Table("Of a fit", heads, rows) if rows else None
+
+
+def _error(ratio: Mapping | None, scenes: int) -> str:
+    if ratio is None:
+        return "–"
+    return f"{ratio['median']:.3f}" + (f", {ratio['worst']:.3f}" if scenes > 1 else "")
 
 
 def _quartiles(spread: Mapping, shown: Callable[[float], str]) -> str:
