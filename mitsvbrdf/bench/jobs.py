@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Protocol
 
 from ..errors import ConfigError, MitsvbrdfError
 from ..fit import FitConfig
@@ -111,6 +112,29 @@ class FitJob:
 Job = FitJob | RenderJob | CaptureJob | ReferenceJob | ScheduleJob | StepJob | SheetJob | StartJob
 
 
+class AnyJob(Protocol):
+    """What :func:`run` needs of a job, of this benchmark or of another that keeps its records in such a file."""
+
+    @property
+    def key(self) -> dict:
+        """What identifies the record."""
+    @property
+    def settings(self) -> dict:
+        """What else shapes the record."""
+    @property
+    def title(self) -> str:
+        """For the progress line."""
+    @property
+    def group(self) -> str:
+        """Jobs whose guesses of run time are off by the same factor."""
+    @property
+    def cost(self) -> float:
+        """A guess of its seconds."""
+
+    def run(self, report: Callable[[float], None] = ...) -> dict:
+        """The figures."""
+
+
 def check_finite(figures: Mapping[str, float]) -> None:
     """Refuse figures that JSON has no number for.
 
@@ -122,7 +146,7 @@ def check_finite(figures: Mapping[str, float]) -> None:
         raise ConfigError("finite errors and deviations", f"{', '.join(wrong)} not finite", "report it")
 
 
-def key_of(job: Job) -> str:
+def key_of(job: AnyJob) -> str:
     """What identifies a job and what shapes its record, as text."""
     return json.dumps([job.key, job.settings], sort_keys=True, default=str)
 
@@ -145,7 +169,7 @@ def fit_jobs(suite: str, methods: Mapping[str, FitConfig], tasks: Sequence[Task]
             if seed == seeds[0] or draws(config)]
 
 
-def warm_up(job: Job, warm: set[tuple]) -> None:
+def warm_up(job: AnyJob, warm: set[tuple]) -> None:
     """Two steps before the first fit of a shape, so that none that counts waits for kernels; what fails, the fit itself tells.
 
     Args:
@@ -158,7 +182,7 @@ def warm_up(job: Job, warm: set[tuple]) -> None:
             job.warm_up()
 
 
-def run(jobs: Sequence[Job], store: Store, report: Report = lambda text, share: None) -> dict[str, str]:
+def run(jobs: Sequence[AnyJob], store: Store, report: Report = lambda text, share: None) -> dict[str, str]:
     """Do the jobs whose records are missing and needed, and keep each record as soon as it is there.
 
     A job that fails ends no other.
@@ -183,7 +207,7 @@ def run(jobs: Sequence[Job], store: Store, report: Report = lambda text, share: 
         done, later = sum(j.cost for j in pending[:number]), forecast.left(pending[number + 1:])
         text = f"{job.title} ({number + 1} of {len(pending)})"
 
-        def tell(share: float, job: Job = job, done: float = done, later: float = later, text: str = text) -> None:
+        def tell(share: float, job: AnyJob = job, done: float = done, later: float = later, text: str = text) -> None:
             left = forecast.left([job]) * (1 - share) + later
             report(f"{text}, {duration(left)} left", (done + share * job.cost) / whole)
 
@@ -205,12 +229,12 @@ class _Forecast:
     def __init__(self) -> None:
         self.taken: dict[str, tuple[float, float]] = {}
 
-    def learn(self, job: Job, seconds: float) -> None:
+    def learn(self, job: AnyJob, seconds: float) -> None:
         """A job has taken this long."""
         taken, guessed = self.taken.get(job.group, (0.0, 0.0))
         self.taken[job.group] = taken + seconds, guessed + job.cost
 
-    def left(self, jobs: Sequence[Job]) -> float:
+    def left(self, jobs: Sequence[AnyJob]) -> float:
         """Seconds that these jobs will take, one after the other."""
         total = 0.0
         for job in jobs:

@@ -12,20 +12,29 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import ClassVar, Protocol
 
 from ..batch.schedule import Scheduler, Work
 from ..batch.settings import BatchSettings
 from ..batch.workers.pool import Pool, RayPool
 from ..system.interrupts import stop_signals
-from .jobs import Job, Report, duration, key_of
-from .plan import Plan
+from .jobs import AnyJob, Report, duration, key_of
 from .store import Store
 
 CHILD = (sys.executable, "-P", "-m", "mitsvbrdf.bench.child")
 EVERYWHERE = "bench://"  # no folder that workers must see: the records are kept here
 
 
-def run_parallel(plan: Plan, jobs: Sequence[Job], store: Store, settings: BatchSettings,
+class AnyPlan(Protocol):
+    """What was asked for, of which every process makes the same jobs: one of :data:`mitsvbrdf.bench.child.PLANS`."""
+
+    __dataclass_fields__: ClassVar[dict]
+
+    def jobs(self) -> tuple[list, dict, dict]:
+        """All jobs, what their records share, and what was published about them."""
+
+
+def run_parallel(plan: AnyPlan, jobs: Sequence[AnyJob], store: Store, settings: BatchSettings,
                  report: Report = lambda text, share: None) -> dict[str, str]:
     """Do the jobs whose records are missing and needed, several at a time, and keep each record as soon as it is there.
 
@@ -54,7 +63,7 @@ def run_parallel(plan: Plan, jobs: Sequence[Job], store: Store, settings: BatchS
         return _measured(plan, {key_of(job): job for job in store.pending(list(jobs))}, store, settings, pool, report)
 
 
-def _measured(plan: Plan, jobs: dict[str, Job], store: Store, settings: BatchSettings, pool: Pool,
+def _measured(plan: AnyPlan, jobs: dict[str, AnyJob], store: Store, settings: BatchSettings, pool: Pool,
               report: Report) -> dict[str, str]:
     scheduler = Scheduler([Work(key, 0.0) for key in jobs], settings.retries)  # of equal cost: first come, first served
     idle, up, failed, ended, began = set[str](), set[str](), dict[str, str](), 0, time.monotonic()
@@ -68,7 +77,8 @@ def _measured(plan: Plan, jobs: dict[str, Job], store: Store, settings: BatchSet
                     idle.add(worker)
                     ended += 1
                     continue
-                task = {"attempt": work.identity, "folder": str(Path.cwd()), "plan": asdict(plan), "key": work.identity}
+                task = {"attempt": work.identity, "folder": str(Path.cwd()), "plan": [type(plan).__name__, asdict(plan)],
+                        "key": work.identity}
                 pool.run(worker, task)
             for event in pool.events(0.5):
                 worker = event["worker"]

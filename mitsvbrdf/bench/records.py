@@ -206,6 +206,51 @@ class StartRecord(Made):
     rows: list[StartRow]
 
 
+class LeaveOutRecord(OfTask):
+    """A part of a fit, with it and without it in turn, on one scene.
+
+    ``method`` names the pair, ``of`` the method that ``part`` belongs to, ``says`` the names by which ``fit --explain`` says
+    that it is left out; ``put_in``: the program leaves it out by itself. ``kind`` of the scene, of so many ``photos``;
+    ``config``: the settings of both. By ``with`` and ``without``: ``seconds`` of each turn on the wall and ``errors`` as
+    :class:`FitRecord` has them; ``spent``: seconds by part of the work, of the fit as the program decides it.
+    """
+
+    suite: Literal["leave-out"]
+    method: str
+    kind: Literal["exact", "exact, matte", "exact, noisy", "cameras off", "real photos"]
+    name: str
+    config: dict[str, Any]
+    part: str
+    says: list[str]
+    of: str
+    put_in: bool
+    photos: int
+    seconds: dict[str, list[float]]
+    spent: dict[str, float]
+    errors: dict[str, dict[str, float]]
+
+
+class LeaveOutRenderRecord(Made):
+    """A thing that a scene may do without, with it and without it in turn: forward and backward, or steps of a fit.
+
+    ``where``: what renders; ``says`` as above; ``why`` it is not needed. ``worst`` and ``mean`` relative difference of the two;
+    ``full_error`` and ``lean_error``, the worst of each against float64, None without a twin (two float32 results may differ
+    by their sum); ``seconds`` of ``full`` and ``lean``.
+    """
+
+    suite: Literal["leave-out-renders"]
+    where: str
+    name: str
+    config: dict[str, Any]
+    says: list[str]
+    why: str
+    worst: float
+    mean: float
+    full_error: float | None
+    lean_error: float | None
+    seconds: dict[str, Spread]
+
+
 class Benchmark(TypedDict):
     """The whole file.
 
@@ -220,4 +265,4 @@ class Benchmark(TypedDict):
     seeds: list[int]
     published: dict[str, dict[str, dict[str, dict[str, float]]]]
     records: list[RenderRecord | FitRecord | CaptureRecord | ReferenceRecord | ScheduleRecord | StepRecord | SheetRecord
-                  | StartRecord | StiffRecord]
+                  | StartRecord | StiffRecord | LeaveOutRecord | LeaveOutRenderRecord]

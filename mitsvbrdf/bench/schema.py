@@ -21,7 +21,8 @@ def identity(record: dict) -> tuple:
     names = {"renderers": ("suite", "bsdf", "resolution", "views", "truth"), "capture": ("suite", "kind", "name", "sheet"),
              "references": ("suite", "kind", "name"), "sheets": ("suite", "kind", "name"),
              "schedule": ("suite", "method", "kind", "name", "seed"), "start": ("suite", "method", "kind", "name"),
-             "steps": ("suite", "preset", "resolution", "width")}
+             "steps": ("suite", "preset", "resolution", "width"), "leave-out": ("suite", "method", "kind", "name"),
+             "leave-out-renders": ("suite", "where", "name")}
     own = names.get(record["suite"], ("suite", "method", "kind", "name", "budget", "seed"))
     return (*(record[name] for name in own), tuple(record.get("left_out", ())))
 

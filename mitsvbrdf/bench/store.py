@@ -46,16 +46,18 @@ class Store:
         path: the JSON file; one that is there is gone on with.
         settings: what all its records share.
         anew: forget what is in the file, once.
+        shaping: what further code shapes its records, as :data:`SHAPING` has it.
 
     Raises:
         ConfigError: the file is no benchmark, or one of other settings, versions or machine.
     """
 
-    def __init__(self, path: Path, settings: Mapping[str, Any], anew: bool = False) -> None:
+    def __init__(self, path: Path, settings: Mapping[str, Any], anew: bool = False,
+                 shaping: tuple[str, ...] = ()) -> None:
         self.path, self.anew = Path(path), anew
         used = versions() | {"mitsvbrdf": __version__, "flip-evaluator": _flip_version()}
         self.content: Benchmark = {
-            "schema_version": SCHEMA_VERSION, "settings": {**settings, "code": code()}, "machine": this_machine(),
+            "schema_version": SCHEMA_VERSION, "settings": {**settings, "code": code(shaping)}, "machine": this_machine(),
             "versions": used, "seeds": [], "published": {}, "records": []}
         self.found: Published = {}
         self.outdated: list[dict] = []  # records of earlier settings, which go when the first new one comes
@@ -189,13 +191,13 @@ def text_of(content: Mapping) -> str:
 
 
 @functools.cache
-def code() -> str:
-    """Twelve digits that change with the code that shapes records (:data:`SHAPING`), but not with the words in it.
+def code(more: tuple[str, ...] = ()) -> str:
+    """Twelve digits that change with the code that shapes records (:data:`SHAPING` and ``more``), but not with the words in it.
 
     They are of the syntax trees: comments, docstrings and the layout of lines do not count.
     """
     digest = hashlib.sha256()
-    for path in sorted(path for pattern in SHAPING for path in PACKAGE.glob(pattern)):
+    for path in sorted(path for pattern in (*SHAPING, *more) for path in PACKAGE.glob(pattern)):
         digest.update(path.relative_to(PACKAGE).as_posix().encode() + syntax_of(path.read_text(encoding="utf-8")).encode())
     return digest.hexdigest()[:12]
 

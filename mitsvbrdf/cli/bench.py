@@ -9,7 +9,8 @@ from tyro.conf import arg
 
 from ..render import RendererName
 from ..system import files
-from ..system.progress import progress_bar, say, say_written
+from ..system.progress import say_written
+from .measuring import measure
 from .options import Overwrite, Variant, check_new_files
 
 if TYPE_CHECKING:
@@ -63,11 +64,9 @@ def bench(
     Each record is kept as soon as it is there: Ctrl-C loses one fit at most, and the same command goes on. Nothing else should
     run meanwhile. docs/evaluation.md says what is measured and how.
     """
-    from ..batch.settings import BatchSettings
-    from ..bench.jobs import duration, new_pictures, run
+    from ..bench.jobs import new_pictures
     from ..bench.page import page_files
     from ..bench.paper.page import gan_page_files
-    from ..bench.parallel import run_parallel
     from ..bench.plan import QUICK, WHOLE, Plan, data_folder
     from ..bench.readme import around_results
     from ..bench.store import Store, read_benchmark
@@ -90,27 +89,10 @@ def bench(
     jobs, settings, found = plan.jobs()
     store = Store(json_file, settings, anew)
     store.publish(found)
-    missing = store.pending(jobs)
-    check_new_files(*pages, *new_pictures(missing, store), overwrite=overwrite, read=[json_file])
-    say(f"{len(jobs) - len(missing)} of {len(jobs)} jobs need no more than the records in {json_file}; "
-        + (f"the other {len(missing)} take about {duration(sum(job.cost for job in missing) / (workers or 1))}, less where "
-           "fits end by themselves" if missing else "nothing to do"))
-    failed: dict[str, str] = {}
-    try:
-        with progress_bar("measuring") as report:
-            if missing and (workers or address):
-                failed = run_parallel(plan, jobs, store, BatchSettings(workers=workers, address=address), report)
-            else:
-                failed = run(jobs, store, report)
-    except KeyboardInterrupt:
-        say(f"interrupted: {len(jobs) - len(store.pending(jobs))} of {len(jobs)} jobs need no more than the records in "
-            f"{json_file}; the same command goes on")
+    check_new_files(*pages, *new_pictures(store.pending(jobs), store), overwrite=overwrite, read=[json_file])
+    failed = measure(plan, jobs, store, workers, address, less=", less where fits end by themselves")
+    if failed is None:
         return 130
-    store.write()
-    failed |= {job.title: "another run began the file anew" for job in store.pending(jobs) if job.title not in failed}
-    say_written(json_file)
-    for title, reason in failed.items():
-        say(f"no record: {title}: {reason}")
     _show(dict(store.content), page, gan_page, readme)
     return int(bool(failed))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,6 +14,7 @@ from ..errors import ConfigError
 from ..render import RENDERERS, RendererName, make_renderer
 from ..system import files
 from ..system.progress import print_rich, progress_bar, say, say_written
+from .measuring import measure
 from .options import Overwrite, Variant, check_new_files
 
 Sweep = Literal["roughness", "tilt", "distance", "colour", "intensity", "clipped", "flat", "resolution", "views", "stiff"]
@@ -35,6 +37,8 @@ def stability(
     methods: Annotated[tuple[Method, ...], arg(help="Of the fits; left out: all.")] = (),
     budget: Annotated[float | None, arg(help="Seconds of a fit at most; left out: 20.")] = None,
     resolution: Annotated[int, arg(help="Side of maps and photos in the fits.")] = 64,
+    workers: Annotated[int | None, arg(help="Do so many fits at a time, on the workers of `mitsvbrdf batch`; their times are "
+                                            "then those of a shared machine. Needs Ray.")] = None,
     anew: Annotated[bool, arg(help="Forget the fits that are there.")] = False,
     variant: Variant = "llvm_ad_rgb",
     overwrite: Overwrite = False,
@@ -48,52 +52,39 @@ def stability(
     code 1 when a fit failed. Each fit is kept as soon as it is done: Ctrl-C loses one, and the same command goes on.
     """
     if fits is None:
-        if methods or budget is not None or anew:
-            raise ConfigError("--fits beside --methods, --budget and --anew", "no --fits", "add --fits all, or quick")
+        if methods or budget is not None or anew or workers is not None:
+            raise ConfigError("--fits beside --methods, --budget, --workers and --anew", "no --fits",
+                              "add --fits all, or quick")
         return _renderers(renderer, only, json_file, html_file, md, variant, overwrite)
     if only or html_file:
         raise ConfigError("--json and --md beside --fits", "--only or --html", "leave them out: sweeps are of renderers")
     return _fits(fits, Path("out/stability-fits.json") if json_file is None else json_file, md, methods, budget, resolution,
-                 "mitsuba" if renderer == "all" else renderer, variant, anew, overwrite)
+                 "mitsuba" if renderer == "all" else renderer, variant, workers, anew, overwrite)
 
 
 def _fits(which: Literal["all", "quick", "none"], json_file: Path, md: Path | None, methods: tuple[Method, ...],
-          budget: float | None, resolution: int, renderer: RendererName, variant: str, anew: bool, overwrite: bool) -> int:
+          budget: float | None, resolution: int, renderer: RendererName, variant: str, workers: int | None, anew: bool,
+          overwrite: bool) -> int:
     """The fits of stiff scenes that the file lacks, the verdicts on all, and the page."""
-    from ..bench.jobs import duration, run
-    from ..bench.stiff.fits import stiff_jobs
+    from ..bench.stiff.fits import StiffPlan
     from ..bench.stiff.page import failures, print_verdicts, stiff_page_files, write_stiff_page
     from ..bench.stiff.scenes import digest
     from ..bench.store import Store, read_benchmark
 
     check_new_files(*stiff_page_files(md), overwrite=overwrite, read=[json_file])
     files.check_output(json_file)
-    lost: dict[str, str] = {}
+    lost: Mapping[str, str] | None = {}
     if which == "none":
         record = read_benchmark(json_file)
         if record["settings"].get("scenes") != digest():
             raise ConfigError("the fits of these scenes", f"others in {json_file}", "run --fits all or quick, with --anew")
     else:
-        quick = which == "quick"
-        seconds = (5.0 if quick else 20.0) if budget is None else budget
-        jobs = stiff_jobs(resolution, seconds, (0,) if quick else (0, 1, 2), make_renderer(renderer, variant), methods,
-                          at_length=not quick)
-        store = Store(json_file, {"resolution": resolution, "views": "builtin:grid", "renderer": renderer, "variant": variant,
-                                  "quick": quick, "scenes": digest()}, anew)
-        missing = store.pending(jobs)
-        say(f"{len(jobs) - len(missing)} of {len(jobs)} fits are in {json_file}"
-            + (f"; the others take about {duration(sum(job.cost for job in missing))}" if missing else ""))
-        try:
-            with progress_bar("fitting") as report:
-                lost = run(jobs, store, report)
-        except KeyboardInterrupt:
-            say(f"interrupted: {len(jobs) - len(store.pending(jobs))} of {len(jobs)} fits are kept in {json_file}; "
-                "the same command goes on")
+        plan = StiffPlan(which == "quick", methods, budget, resolution, renderer, variant)
+        jobs, settings, _ = plan.jobs()
+        store = Store(json_file, settings, anew)
+        lost = measure(plan, jobs, store, workers)
+        if lost is None:
             return 130
-        store.write()
-        say_written(json_file)
-        for title, reason in lost.items():
-            say(f"no record: {title}: {reason}")
         record = store.content
     print_verdicts(record)
     if md:

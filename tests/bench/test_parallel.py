@@ -160,7 +160,7 @@ def test_ctrl_c_while_the_last_record_is_written(tmp_path, monkeypatch):
 
 
 def test_a_child_makes_the_jobs_of_a_plan_once_and_warms_each_shape_up_once(tmp_path, monkeypatch):
-    plan = json.loads(json.dumps(asdict(make_plan(tmp_path))))
+    plan = json.loads(json.dumps(["Plan", asdict(make_plan(tmp_path))]))
     jobs = make_plan(tmp_path).jobs()[0]
     made, warmed = [], []
     real = Plan.jobs

@@ -14,6 +14,7 @@ import pytest
 from helpers.bench_records import SETTINGS, record
 
 from mitsvbrdf.bench import jobs
+from mitsvbrdf.bench.leave_out import fits, plan, renders
 from mitsvbrdf.bench.schema import check_benchmark
 from mitsvbrdf.bench.stiff.fits import StiffFit
 from mitsvbrdf.bench.store import PACKAGE, SHAPING, Store, read_benchmark, syntax_of
@@ -171,15 +172,16 @@ def imported(path):
                 yield from filter(Path.is_file, (place.with_suffix(".py"), place / "__init__.py"))
 
 
-def test_all_code_that_shapes_records_changes_the_digits():
-    todo = [Path(inspect.getfile(kind)) for kind in (*get_args(jobs.Job), StiffFit)] + [PACKAGE / "bench/start_child.py"]
+@pytest.mark.parametrize("kinds, more", [((*get_args(jobs.Job), StiffFit), ()), ((fits.PairJob, renders.Case), plan.SHAPING)])
+def test_all_code_that_shapes_records_changes_the_digits(kinds, more):
+    todo = [Path(inspect.getfile(kind)) for kind in kinds] + [PACKAGE / "bench/start_child.py"]
     seen = set()
     while todo:
         path = todo.pop()
         todo += () if path in seen else imported(path)
         seen.add(path)
-    shaping = {path for pattern in SHAPING for path in PACKAGE.glob(pattern)}
-    assert all(list(PACKAGE.glob(pattern)) for pattern in SHAPING)
+    shaping = {path for pattern in (*SHAPING, *more) for path in PACKAGE.glob(pattern)}
+    assert all(list(PACKAGE.glob(pattern)) for pattern in (*SHAPING, *more))
     found = {path.relative_to(PACKAGE).as_posix() for path in seen}
     assert found - {path.relative_to(PACKAGE).as_posix() for path in shaping} == SHAPELESS
 

@@ -11,10 +11,10 @@ from ...errors import ConfigError
 from ...fit import FitResult, fit_svbrdf
 from ...fit.methods import METHODS
 from ...measure.metrics import map_rmse
-from ...render import Renderer
+from ...render import Renderer, RendererName, make_renderer
 from ...system.timing import timed
 from ..jobs import FitJob, check_finite
-from .scenes import CONTROL, StiffTask, stated, stiff_tasks
+from .scenes import CONTROL, StiffTask, digest, stated, stiff_tasks
 
 SUITE = "stiff"
 SEEDED = ("hierarchical", "hybrid", "gan")  # methods whose result follows their seed; `direct` draws no random number
@@ -98,3 +98,36 @@ def stiff_jobs(resolution: int, budget: float, seeds: Sequence[int], renderer: R
         jobs += [fit("gan", task, seed, configs["gan"].default_budget)
                  for task in cases if task.name in GAN_AT_LENGTH for seed in seeds]
     return list({str(job.key): job for job in jobs}.values())  # where the budget is gan's own, each once
+
+
+@dataclass(frozen=True)
+class StiffPlan:
+    """What was asked for; plain values, so that another process can be told.
+
+    Args:
+        quick: one seed, and no longer budget for ``gan``.
+        methods: names; none for all.
+        budget: seconds of a fit at most; None is 20, 5 where it is quick.
+        resolution: of maps and photos.
+        renderer: carries the gradients.
+        variant: Mitsuba's.
+    """
+
+    quick: bool
+    methods: Sequence[str] = ()
+    budget: float | None = None
+    resolution: int = 64
+    renderer: RendererName = "mitsuba"
+    variant: str = "llvm_ad_rgb"
+
+    def jobs(self) -> tuple[list[StiffFit], dict, dict]:
+        """All fits, what their records share, and nothing published.
+
+        Raises:
+            ConfigError: no such method, or a resolution or budget that no fit has.
+        """
+        seconds = (5.0 if self.quick else 20.0) if self.budget is None else self.budget
+        jobs = stiff_jobs(self.resolution, seconds, (0,) if self.quick else (0, 1, 2),
+                          make_renderer(self.renderer, self.variant), self.methods, at_length=not self.quick)
+        return jobs, {"resolution": self.resolution, "views": "builtin:grid", "renderer": self.renderer,
+                      "variant": self.variant, "quick": self.quick, "scenes": digest()}, {}

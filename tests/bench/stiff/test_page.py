@@ -1,16 +1,20 @@
 """The page says what the record says, and the published one is that of the published record."""
 
 import json
+from dataclasses import asdict
 
 import pytest
 from helpers import ROOT
 from helpers.bench_records import benchmark, stiff
 
 from mitsvbrdf import cli
+from mitsvbrdf.bench import child, store
+from mitsvbrdf.bench.jobs import key_of
 from mitsvbrdf.bench.schema import check_benchmark
+from mitsvbrdf.bench.stiff.fits import StiffFit, StiffPlan
 from mitsvbrdf.bench.stiff.page import write_stiff_page
 from mitsvbrdf.bench.stiff.plots import convergence_figure
-from mitsvbrdf.bench.stiff.scenes import CASES, SERIES, Scene
+from mitsvbrdf.bench.stiff.scenes import CASES, SERIES, Scene, digest
 from mitsvbrdf.bench.stiff.tables import convergence, each, fits_of, inputs, overview, warnings
 
 SILENT_LIGHT = {"name": "light stated 4x too weak", "diffuse": 0.3}
@@ -61,6 +65,13 @@ def test_the_page_names_what_is_silent_and_what_failed(tmp_path):
     assert write_stiff_page(tmp_path / "cases.md", benchmark(RECORDS[:4])) == [tmp_path / "cases.md"]
 
 
+@pytest.mark.slow
+def test_the_published_records_are_of_this_code():
+    settings = json.loads((ROOT / "docs/results/stability-fits.json").read_text())["settings"]
+    assert settings["code"] == store.code(), "the code that shapes records has changed: run `mitsvbrdf stability --fits` anew"
+    assert settings["scenes"] == digest()
+
+
 def test_the_picture_has_a_place_for_every_fit():
     error, time = convergence_figure(benchmark(RECORDS)).axes[0], convergence_figure(benchmark(RECORDS)).axes[2]
     for panel, height in ((error, 0.03), (time, 2.5)):
@@ -74,8 +85,6 @@ ASKED = ["stability", "--fits", "quick", "--methods", "direct", "--renderer", "a
 
 
 def test_the_command_goes_on_and_makes_the_page_anew(tmp_path, monkeypatch, capsys):
-    from mitsvbrdf.bench.stiff.fits import StiffFit
-
     for table, kept in ((CASES, ("nothing wrong", "black albedo")), (SERIES, ("roughness",))):
         for name in [name for name in table if name not in kept]:
             monkeypatch.delitem(table, name)
@@ -91,7 +100,7 @@ def test_the_command_goes_on_and_makes_the_page_anew(tmp_path, monkeypatch, caps
 
     monkeypatch.setattr(StiffFit, "run", second_interrupted)
     monkeypatch.setattr(StiffFit, "warm_up", lambda job: None)
-    assert cli.main([*ASKED, *out]) == 130 and f"1 of {there} fits are kept" in capsys.readouterr().out
+    assert cli.main([*ASKED, *out]) == 130 and f"1 of {there} jobs need no more" in capsys.readouterr().out
     assert cli.main([*ASKED, *out, "--md", str(tmp_path / "s.md")]) == 1
     assert f"failed: direct on {list(CASES)[1]}, seed 0: out of luck" in " ".join(capsys.readouterr().out.split())
     assert len(count) == 1 + there and len(json.loads((tmp_path / "s.json").read_text())["records"]) == there
@@ -100,8 +109,21 @@ def test_the_command_goes_on_and_makes_the_page_anew(tmp_path, monkeypatch, caps
     assert (tmp_path / "s.md").read_bytes() == first and len(count) == 1 + there
 
 
+def test_workers_make_the_same_fits_of_what_was_asked_for(tmp_path, monkeypatch):
+    asked = StiffPlan(True, ["direct", "hybrid"], 0.05, 16, "analytic")
+    told = json.loads(json.dumps(["StiffPlan", asdict(asked)]))
+    monkeypatch.setattr(child, "_made", [])
+    monkeypatch.setattr(StiffFit, "warm_up", lambda job: None)
+    monkeypatch.setattr(StiffFit, "run", lambda job: {"ran": job.title})
+    monkeypatch.chdir(tmp_path)
+    for job in asked.jobs()[0]:
+        assert child.measure({"folder": str(tmp_path), "plan": told, "key": key_of(job)}) == {"ran": job.title}
+
+
 @pytest.mark.parametrize("asked, words", [
-    (["--methods", "direct"], "add --fits"), (["--budget", "0"], "add --fits"), (["--fits", "all", "--only", "flat"], "sweeps"),
+    (["--methods", "direct"], "add --fits"), (["--workers", "2"], "add --fits"),
+    (["--fits", "all", "--workers", "0"], "--workers"),
+    (["--budget", "0"], "add --fits"), (["--fits", "all", "--only", "flat"], "sweeps"),
     (["--fits", "all", "--html", "a.html"], "sweeps"), (["--fits", "all", "--budget", "0"], "a budget above 0"),
     (["--fits", "none", "--json", "{}/gone.json"], "No such file"),
     (["--fits", "none", "--json", "{}/other.json"], "others in"),

@@ -1,4 +1,4 @@
-"""What leaving things out saves, and that it changes nothing: each item measured against the scene that has it.
+"""What a scene may do without: each item measured against the scene that has it, one record of a benchmark's file each.
 
 Every case renders one material twice, forward and backward, nine co-located views: once with the item computed although
 it changes nothing, once without. The two run in turn in one process, so their ratio is fair where their seconds are not.
@@ -14,31 +14,32 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from ..capture import Capture, guess_diffuse
-from ..color import to_display
-from ..fit import FitConfig, FitTask, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf, losses, make_method
-from ..fit.finish_config import FinishConfig
-from ..fit.generator.finish import finished
-from ..fit.methods import method_name
-from ..material.made import make_material
-from ..material.maps import SVBRDF
-from ..measure.gradients import fixed_cotangent
-from ..measure.metrics import image_error
-from ..render import RendererName, make_renderer
-from ..render.needs import Needs, scene_needs
-from ..system.entry import entry
-from ..system.provenance import machine, versions
-from ..system.timing import side_by_side
-from ..views import Views, nine_view_grid
+from ...capture import Capture, guess_diffuse
+from ...color import to_display
+from ...fit import FitConfig, FitTask, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf, losses, make_method
+from ...fit.finish_config import FinishConfig
+from ...fit.generator.finish import finished
+from ...fit.methods import method_name
+from ...material.made import make_material
+from ...material.maps import SVBRDF
+from ...measure.gradients import fixed_cotangent
+from ...measure.metrics import image_error
+from ...render import RendererName, make_renderer
+from ...render.needs import Needs
+from ...system.timing import side_by_side
+from ...views import Views, nine_view_grid
 
-SCHEMA_VERSION = 1
+SUITE = "leave-out-renders"
 EVERYTHING = Needs()
 CO_LOCATED = replace(EVERYTHING, fresnel_curve=False)
+# Seconds of a turn: those that its size does not change, and those of each texel.
+SECONDS = {"mitsuba": (0.02, 5e-6), "hybrid": (1.0, 5e-5), "gan": (1.0, 5e-5), "hierarchical": (4.0, 3e-4)}
+OF_RAYS = (0.2, 1e-4)  # the same of all others
 
 
 @dataclass(frozen=True)
 class Case:
-    """One item to leave out.
+    """One item to leave out, as a job of a benchmark's file.
 
     Args:
         what: its name.
@@ -46,8 +47,10 @@ class Case:
         why: when it is not needed.
         full: computes with the item; returns the image, or the maps, to compare.
         lean: computes without.
-        truth: the same image by the float64 twin, or None.
+        truth: renders the same image by the float64 twin, or None.
         says: the names by which the program says that it is left out.
+        resolution: side of the maps in texels.
+        repeats: measured turns of the pair.
     """
 
     what: str
@@ -55,40 +58,56 @@ class Case:
     why: str
     full: Callable[[], Tensor]
     lean: Callable[[], Tensor]
-    truth: Tensor | None = None
+    truth: Callable[[], Tensor] | None = None
     says: tuple[str, ...] = ()
+    resolution: int = 256
+    repeats: int = 9
+
+    @property
+    def key(self) -> dict:
+        """What identifies the record."""
+        return {"suite": SUITE, "where": self.where, "name": self.what}
+
+    @property
+    def settings(self) -> dict:
+        """What else shapes the record; nothing that all records do not share."""
+        return {}
+
+    @property
+    def title(self) -> str:
+        """For the progress line."""
+        return f"{self.what}, {self.where}"
+
+    @property
+    def group(self) -> str:
+        """Jobs whose guesses of run time are off by the same factor."""
+        return self.where
+
+    @property
+    def cost(self) -> float:
+        """A guess of its seconds."""
+        fixed, each = SECONDS.get(self.where, OF_RAYS)
+        return 2 * (self.repeats + 2) * (fixed + each * self.resolution**2)
+
+    def run(self, report: Callable[[float], None] = lambda share: None) -> dict:
+        """The figures: :class:`mitsvbrdf.bench.records.LeaveOutRenderRecord`."""
+        full, lean = self.full(), self.lean()
+        difference = image_error(lean, full)
+        truth = None if self.truth is None else self.truth()
+        errors = [None if truth is None else image_error(found, truth)["worst"] for found in (full, lean)]
+        return {"says": [self.what, *self.says], "why": self.why, "worst": difference["worst"], "mean": difference["mean"],
+                "full_error": errors[0], "lean_error": errors[1],
+                "seconds": side_by_side({"full": self.full, "lean": self.lean}, self.repeats)}
 
 
-@entry(gradients=True)
-def measure_leave_out(resolution: int = 256, repeats: int = 9, report: Callable[[str], None] | None = None) -> dict:
-    """Measure every case.
+def render_cases(resolution: int = 256, repeats: int = 9) -> list[Case]:
+    """Every item.
 
     Args:
         resolution: side of the maps in texels.
         repeats: measured turns of each pair.
-        report: told the name of each case before it runs.
-
-    Returns:
-        ``items``: what, ``says``, where, why; ``worst`` and ``mean`` relative difference of the two; ``full_error`` and
-        ``lean_error``, the worst of each against float64 (two float32 results may differ by their sum); seconds of both
-        with their spread, and ``ratio`` of the medians. ``left_out``: what the leanest case did without.
     """
-    items = []
-    for case in cases(resolution):
-        if report:
-            report(case.what)
-        full, lean = case.full(), case.lean()
-        difference = image_error(lean, full)
-        errors = [None if case.truth is None else image_error(found, case.truth)["worst"] for found in (full, lean)]
-        seconds = side_by_side({"full": case.full, "lean": case.lean}, repeats)
-        items.append({"what": case.what, "says": [case.what, *case.says], "where": case.where, "why": case.why,
-                      "worst": difference["worst"], "mean": difference["mean"], "full_error": errors[0],
-                      "lean_error": errors[1], "seconds": seconds,
-                      "ratio": seconds["full"]["median"] / seconds["lean"]["median"]})
-    leanest = scene_needs(lean_material(resolution), nine_view_grid(), "mitsuba")
-    return {"schema_version": SCHEMA_VERSION, "resolution": resolution, "views": 9, "items": items,
-            "left_out": [{"what": what, "why": why} for what, why in leanest.left_out],
-            "machine": machine(), "versions": versions()}
+    return [replace(case, resolution=resolution, repeats=repeats) for case in _cases(resolution)]
 
 
 def lean_material(resolution: int) -> SVBRDF:
@@ -99,7 +118,7 @@ def lean_material(resolution: int) -> SVBRDF:
     return SVBRDF("roughconductor", dict(svbrdf.maps) | {"specular": grey, "normal": up})
 
 
-def cases(resolution: int) -> Iterator[Case]:
+def _cases(resolution: int) -> Iterator[Case]:
     """The items in the order of the table, from single ones to all at once."""
     views, coloured, lean = nine_view_grid(), make_material("inlay", resolution), lean_material(resolution)
     black = torch.zeros(resolution, resolution, 3)
@@ -112,17 +131,17 @@ def cases(resolution: int) -> Iterator[Case]:
         wanted = tuple(name for name in svbrdf.maps if name not in fixed)
         less: dict[str, Any] = dict.fromkeys(without, False)
         return Case(what, renderer, why, _pass(renderer, svbrdf, views, wanted, needs),
-                    _pass(renderer, svbrdf, views, wanted, replace(needs, **less)), twin.render(svbrdf, views), says)
+                    _pass(renderer, svbrdf, views, wanted, replace(needs, **less)), partial(twin.render, svbrdf, views), says)
 
     def across(what: str, why: str, svbrdf: SVBRDF, wanted: tuple[str, ...], needs: Needs, lean_needs: Needs | None,
                says: tuple[str, ...] = ()) -> Case:
         return Case(what, "mitsuba-scene, mitsuba", why, _pass("mitsuba-scene", svbrdf, views, tuple(svbrdf.maps), needs),
-                    _pass("mitsuba", svbrdf, views, wanted, lean_needs), twin.render(svbrdf, views), says)
+                    _pass("mitsuba", svbrdf, views, wanted, lean_needs), partial(twin.render, svbrdf, views), says)
 
     def gradient(svbrdf: SVBRDF, name: str) -> Case:
         everything, others = tuple(svbrdf.maps), tuple(other for other in svbrdf.maps if other != name)
         full, lean = (_pass("mitsuba", svbrdf, views, wanted, bare) for wanted in (everything, others))
-        return Case(f"gradient of {name}", "mitsuba", "it is held fixed", full, lean, twin.render(svbrdf, views))
+        return Case(f"gradient of {name}", "mitsuba", "it is held fixed", full, lean, partial(twin.render, svbrdf, views))
 
     every, twin = tuple(coloured.maps), make_renderer("analytic64")
     bare = replace(CO_LOCATED, shadow_rays=False, path_depth=False, environment=False)
@@ -135,7 +154,7 @@ def cases(resolution: int) -> Iterator[Case]:
     yield from (gradient(coloured, name) for name in every)
     yield from (gradient(metal, name) for name in ("base_color", "metallic"))
     yield Case("gradients of three maps", "mitsuba", "they are held fixed", _pass("mitsuba", coloured, views, every, bare),
-               _pass("mitsuba", coloured, views, ("diffuse",), bare), twin.render(coloured, views))
+               _pass("mitsuba", coloured, views, ("diffuse",), bare), partial(twin.render, coloured, views))
     falling, constant = (_pass("mitsuba", coloured, lit, every, bare) for lit in (views, replace(views, falloff="none")))
     yield Case("light falloff", "mitsuba", "asked for: the paper's light, so other pictures", falling, constant)
     yield pair("environment", "the flash is the only light", coloured, ("environment",), renderer="mitsuba-scene")

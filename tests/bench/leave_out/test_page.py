@@ -1,0 +1,98 @@
+"""Verdicts on parts of fits by stated records, and the page made of the records beside it."""
+
+import pytest
+from helpers import ROOT
+from helpers.bench_records import benchmark
+
+from mitsvbrdf.bench.leave_out.page import write_leave_out_page
+from mitsvbrdf.bench.leave_out.plan import SHAPING
+from mitsvbrdf.bench.leave_out.verdict import default_fits, items, verdict
+from mitsvbrdf.bench.store import code, read_benchmark
+
+RECORDS, PAGE = ROOT / "docs/results/leave-out.json", ROOT / "docs/leave-out.md"
+ANEW = "make it anew: mitsvbrdf leave-out --page-only --json docs/results/leave-out.json --md docs/leave-out.md --overwrite"
+
+
+def pair(part="starts", name="inlay", kind="exact", put_in=False, full=(6.0, 6.0), lean=(3.0, 2.0), spent=None, workers=None,
+         **errors):
+    """A pair of fits; errors of both sides by name."""
+    errors = errors or {"mean": (0.1, 0.1), "photos": (0.01, 0.05)}
+    return {"suite": "leave-out", "method": f"hierarchical without {part}", "kind": kind, "name": name, "config": {},
+            "part": part, "says": [part], "of": "hierarchical", "put_in": put_in, "photos": 9,
+            "seconds": {"with": list(full), "without": list(lean)}, "spent": spent or {"solver": 1.0},
+            "errors": {side: {error: both[number] for error, both in errors.items()}
+                       for number, side in enumerate(("with", "without"))}} | ({"workers": workers} if workers else {})
+
+
+def settled(records):
+    made = benchmark(records)
+    return made | {"settings": made["settings"] | {"repeats": 2, "renders_resolution": 16, "renders_repeats": 1}}
+
+
+@pytest.mark.parametrize("ratio, worst, word", [(2.0, 1.05, "needed"), (2.0, 1.01, "not needed"), (1.02, 0.9, "no time saved")])
+def test_verdicts(ratio, worst, word):
+    errors = {"new light": {"median": 1.0, "worst": worst}, "seen": {"median": 3.0, "worst": 9.0}}
+    assert verdict(ratio, errors) == word
+
+
+def test_a_part_is_judged_by_all_scenes_of_a_kind_and_by_the_worst():
+    sound, harmed = pair(mean=(0.1, 0.1)), pair(name="tiles", full=(8.0,), lean=(2.0,), mean=(0.1, 0.13))
+    (item,) = items(settled([sound, harmed]))
+    assert item["scenes"] == 2 and item["ratio"] | {"median": 3.0, "repeats": 3} == item["ratio"]  # of 2, 3 and 4
+    assert item["errors"]["maps"] == pytest.approx({"median": 1.15, "worst": 1.3}) and item["verdict"] == "needed"
+    (alone,) = items(settled([sound]))
+    assert alone["verdict"] == "not needed"
+    apart = items(settled([sound, pair(kind="cameras off", mean=(0.1, 0.13))]))
+    assert [item["verdict"] for item in apart] == ["not needed", "needed"]
+
+
+@pytest.mark.parametrize("errors, word", [
+    ({"mean": (0.1, 0.1), "photos": (0.01, 0.5)}, "not needed"),  # photos seen decide nothing
+    ({"seen": (0.1, 0.1), "left_out": (0.1, 0.11)}, "needed"),
+    ({"mean": (0.0001, 0.0009)}, "not needed"),  # below what shows
+    ({"mean": (0.1, 0.1), "novel_light": (0.02, 0.021)}, "needed")])
+def test_which_errors_decide(errors, word):
+    assert [item["verdict"] for item in items(settled([pair(**errors)]))] == [word]
+
+
+def test_rows_stand_in_the_order_of_the_parts_whichever_was_done_first():
+    names = {kind: [item["part"] for item in items(settled(
+        [pair(part, kind=kind, mean=(0.1, 0.1)) for part in ("every other photo", "look-alikes", "flash offset")]))]
+        for kind in ("exact", "cameras off")}
+    assert set(map(tuple, names.values())) == {("flash offset", "look-alikes", "every other photo")}
+    kinds = [item["kind"] for item in items(settled([pair("look-alikes", kind=kind) for kind in ("cameras off", "exact")]))]
+    assert kinds == ["exact", "cameras off"]
+
+
+def test_maps_of_a_matte_material_decide_nothing():
+    errors = {"mean": (0.1, 0.5), "novel_light": (0.02, 0.02)}
+    (item,) = items(settled([pair(kind="exact, matte", **errors)]))
+    assert set(item["errors"]) == {"new light"} and item["verdict"] == "not needed"
+
+
+def test_the_default_fit_is_the_side_that_the_program_decides():
+    records = [pair(full=(6.0,), lean=(3.0,), spent={"solver": 4.0}),
+               pair("tied stage", full=(20.0,), lean=(8.0,), put_in=True, spent={"solver": 6.0, "views": 1.0})]
+    (found,) = default_fits(settled(records))
+    assert found["seconds"] | {"median": 7.0, "repeats": 2} == found["seconds"]
+    assert found["spent"] == {"solver": 5.0, "views": 0.5}
+
+
+def test_the_page_says_how_it_was_made(tmp_path):
+    write_leave_out_page(tmp_path / "p.md", settled([pair(workers=2), pair("tied stage", put_in=True)]))
+    page = (tmp_path / "p.md").read_text()
+    assert "1 of 2 records were made 2 at a time (`--workers`)" in page and "code 0123456789ab" in page
+    assert "| starts | `hierarchical` | exact | 1 | 2.50 (2.25 to 2.75) |" in page and "| exact, by itself |" in page
+    assert "## Of a scene" not in page  # nothing of it was measured
+    assert "--repeats 1 --fits --fit-resolution 16 --fit-repeats 2 --json" in page
+
+
+def test_the_page_in_the_docs_is_what_its_records_make(tmp_path):
+    write_leave_out_page(tmp_path / "page.md", read_benchmark(RECORDS))
+    assert (tmp_path / "page.md").read_bytes() == PAGE.read_bytes(), ANEW
+
+
+@pytest.mark.slow
+def test_the_records_in_the_docs_are_of_this_code():
+    measured = read_benchmark(RECORDS)["settings"]["code"]
+    assert measured == code(SHAPING), "the code that shapes records has changed since: run `mitsvbrdf leave-out --fits` anew"
