@@ -17,7 +17,7 @@ from .config import HierarchicalConfig, HybridConfig
 from .fixed_maps import described
 from .gan_config import GanConfig
 from .hierarchical.moved_views import TILTED
-from .hierarchical.needs import TIED
+from .hierarchical.skipped import TIED
 from .result import FitResult
 
 # Behind each number, what twelve real captures of nine photos had, fitted with `hybrid` and `direct` at 64 px.
