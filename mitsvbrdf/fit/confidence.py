@@ -5,6 +5,11 @@ J the derivative of its display values in all photos by its unknowns, s the nois
 p, the covariance is (J^T J / s^2 + 1 / p^2)^-1. Neighbours, priors and networks, which share evidence between texels, do not
 count; nor does what is wrong for all photos alike, such as the light power.
 
+A curvature knows one lobe and those close to it. A lobe so broad that it looks like the diffuse colour, and one so narrow that
+no photo met its highlight, make almost the same photos, with nothing between them that does. So each texel is also given other
+roughnesses, with the colours that come nearest to its rendering then. Those that the noise hides count as what the texel might
+be as well, each as much as it is likely.
+
 All numbers are those in which map errors are counted (docs/conventions.md): diffuse and specular as linear^(1/2.2), roughness
 and metallic as they are, normals as (n + 1) / 2. Each has a range of 1, and the prior is that range: p = 1 / sqrt(12), the
 standard deviation of a number of which nothing else is known.
@@ -31,6 +36,8 @@ GRID = 64  # texels a side that are looked at; of larger maps, area averages
 UNKNOWN = 1 / math.sqrt(12)
 DETERMINED = 0.1  # a texel counts as determined when its standard deviation is below this
 STEP = 1e-5  # of the differences
+LOBES = 6  # other roughnesses that a texel is given: middles of as many equal parts of the range
+RANGE = 0.01, 0.99  # of the numbers that go with them
 
 
 def deviations(svbrdf: SVBRDF, views: Views, images: Tensor, task: FitTask) -> dict[str, Tensor]:
@@ -60,9 +67,59 @@ def deviations(svbrdf: SVBRDF, views: Views, images: Tensor, task: FitTask) -> d
     noise2 = (missed.sum(dim=1, keepdim=True) + unknowns * typical) / weights.sum(dim=1, keepdim=True).clamp_min(unknowns)
     curve = slopes.mT @ (weights * slopes) / noise2
     curve.diagonal(dim1=1, dim2=2).add_(1 / UNKNOWN**2)
-    spread = torch.linalg.inv(curve).diagonal(dim1=1, dim2=2).clamp(0, UNKNOWN**2).sqrt().float()
+    variance = torch.linalg.inv(curve).diagonal(dim1=1, dim2=2).clamp(0, UNKNOWN**2)
+    if "roughness" in numbers:
+        variance = _with_other_lobes(variance, known, numbers, views, capture.transfer, weights / noise2)
+    spread = variance.clamp_max(UNKNOWN**2).sqrt().float()
     parts = spread.reshape(side, side, -1).split([value.shape[-1] for value in numbers.values()], dim=-1)
     return dict(zip(numbers, parts))
+
+
+def _with_other_lobes(variance: Tensor, known: SVBRDF, numbers: Mapping[str, Tensor], views: Views, transfer: color.Transfer,
+                      precision: Tensor) -> Tensor:
+    """Mean squares of how far each texel's unknowns may be from those found, r^2 x unknowns, other roughnesses counted.
+
+    Args:
+        variance: around what was found, r^2 x unknowns.
+        known: the material, r x r, float64.
+        numbers: the unknown maps, roughness among them, r x r x C.
+        views: N views.
+        transfer: how display values encode light.
+        precision: of display values, r^2 x 3 N x 1; 0 where clipped.
+    """
+    goal = shown(known, views, transfer)
+    rest = {name: value for name, value in numbers.items() if name not in ("roughness", "normal")}
+    found = _columns(numbers)
+    at = torch.tensor([name == "roughness" for name, value in numbers.items() for _ in range(value.shape[-1])])
+
+    def missed(maps: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        error = (goal - shown(material_of(known, maps), views, transfer))[..., None]
+        off = (_columns(maps) - found)[:, ~at].square().sum(dim=1, keepdim=True)
+        return error, (precision * error.square()).sum(dim=1) + off / UNKNOWN**2
+
+    mass = math.sqrt(2 * math.pi) * variance[:, at].sqrt()
+    square = mass * variance
+    for lobe in range(LOBES):
+        other = {**numbers, "roughness": torch.full_like(numbers["roughness"], (lobe + 0.5) / LOBES)}
+        error, cost = missed(other)
+        x = _columns(other)
+        if rest:  # a Gauss-Newton step towards the rendering of what was found, where it comes nearer
+            slopes = jacobian(material_of(known, other), rest, views, transfer)
+            curve = slopes.mT @ (precision * slopes) + torch.eye(slopes.shape[-1], dtype=slopes.dtype) / UNKNOWN**2
+            step = torch.linalg.solve(curve, slopes.mT @ (precision * error))[..., 0]
+            parts = step.split([value.shape[-1] for value in rest.values()], dim=1)
+            nearer = other | {name: (value + part.reshape(value.shape)).clamp(*RANGE)
+                              for (name, value), part in zip(rest.items(), parts)}
+            _, less = missed(nearer)
+            x, cost = torch.where(less < cost, _columns(nearer), x), less.minimum(cost)
+        likely = torch.exp(-cost / 2) / LOBES
+        mass, square = mass + likely, square + likely * (x - found).square()
+    return variance.maximum(square / mass)
+
+
+def _columns(numbers: Mapping[str, Tensor]) -> Tensor:
+    """Maps r x r x C side by side, a row for each texel."""
+    return torch.cat(list(numbers.values()), dim=-1).flatten(0, 1)
 
 
 def confidence(spreads: Mapping[str, Tensor]) -> dict[str, dict[str, float]]:
@@ -87,17 +144,32 @@ def jacobian(known: SVBRDF, numbers: Mapping[str, Tensor], views: Views, transfe
         views: N views.
         transfer: how display values encode light.
     """
+    def moved(name: str, channel: slice, step: float) -> Tensor:
+        value = numbers[name].clone()
+        value[..., channel] += step
+        return shown(material_of(known, {name: value}), views, transfer)
+
+    columns = []
+    for name, value in numbers.items():
+        count = value.shape[-1]
+        coloured = name in COLOURS and count == 3  # a channel shows its own channel of a colour alone: one pair serves all
+        for channel in [slice(None)] if coloured else [slice(k, k + 1) for k in range(count)]:
+            slope = (moved(name, channel, STEP) - moved(name, channel, -STEP)) / (2 * STEP)
+            columns.append(slope.unflatten(1, (-1, 3)).diag_embed().flatten(1, 2) if coloured else slope[..., None])
+    return torch.cat(columns, dim=-1)
+
+
+def shown(svbrdf: SVBRDF, views: Views, transfer: color.Transfer) -> Tensor:
+    """Display values of each texel in all photos, not clipped: r^2 x 3 N, float64."""
     renderer = AnalyticRenderer(torch.float64, Needs())  # everything: a flat normal map has slopes too
+    values = color.encode(renderer.render(svbrdf, views), transfer)
+    return values.permute(1, 2, 0, 3).flatten(2, 3).flatten(0, 1)
 
-    def shown(name: str, channel: int, step: float) -> Tensor:
-        moved = numbers[name].clone()
-        moved[..., channel] += step
-        maps = {**known.maps, name: map_of(name, moved).expand_as(known[name])}
-        return color.encode(renderer.render(SVBRDF(known.bsdf, maps), views), transfer)
 
-    columns = [(shown(name, channel, STEP) - shown(name, channel, -STEP)) / (2 * STEP)
-               for name, value in numbers.items() for channel in range(value.shape[-1])]
-    return torch.stack(columns, dim=-1).permute(1, 2, 0, 3, 4).flatten(2, 3).flatten(0, 1)
+def material_of(known: SVBRDF, numbers: Mapping[str, Tensor]) -> SVBRDF:
+    """A material with some maps replaced by those of the numbers of :func:`numbers_of`."""
+    maps = {name: map_of(name, value).expand_as(known[name]) for name, value in numbers.items()}
+    return SVBRDF(known.bsdf, {**known.maps, **maps})
 
 
 def numbers_of(name: str, value: Tensor) -> Tensor:
