@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 
 from . import summary
-from .schema import LEFT_OUT
+from .schema import USUAL_LEFT_OUT
 from .variants import FULL, ablations
 
 
@@ -86,8 +86,8 @@ def _start(settings: Mapping, here: Sequence[Mapping]) -> str:
 
 def _left_out(here: Sequence[Mapping]) -> str:
     """The photos left out, where they are not the usual ones."""
-    numbers = next((r["left_out"] for r in here if "left_out" in r), LEFT_OUT)
-    return "" if tuple(numbers) == LEFT_OUT else f" --left-out {','.join(map(str, numbers))}"
+    numbers = next((r["left_out"] for r in here if "left_out" in r), USUAL_LEFT_OUT)
+    return "" if tuple(numbers) == USUAL_LEFT_OUT else f" --left-out {','.join(map(str, numbers))}"
 
 
 def _named(here: Sequence[Mapping]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from .schema import LEFT_OUT, OF_TASKS, SCHEMA_VERSION, capture_kind
+from .schema import OF_TASKS, SCHEMA_VERSION, USUAL_LEFT_OUT, capture_kind
 
 
 def upgraded(value: Any) -> Any:
@@ -14,7 +14,7 @@ def upgraded(value: Any) -> Any:
     settings, records, published = (value.get(part) for part in ("settings", "records", "published"))
     if not (isinstance(settings, dict) and isinstance(records, list) and isinstance(published, dict)):
         return value
-    left_out = settings.get("left_out", list(LEFT_OUT))
+    left_out = settings.get("left_out", list(USUAL_LEFT_OUT))
     return value | {
         "schema_version": SCHEMA_VERSION, "settings": {k: v for k, v in settings.items() if k != "left_out"},
         "published": {capture_kind(left_out) if kind == "capture" else kind: each for kind, each in published.items()},

@@ -33,7 +33,7 @@ from ..system.progress import say
 from ..system.provenance import machine, versions
 from ..system.tool import run_tool
 
-LEFT_OUT = (4, 7)
+USUAL_LEFT_OUT = (4, 7)
 NEARER, FARTHER = 0.8, 1.1  # what the patches' distance and the RMSE may be, over those of the maps, for the bar
 
 
@@ -132,7 +132,7 @@ def _median(ordered: Sequence[float]) -> float:
 
 def write(rows: dict[str, dict], config: FinishConfig, sides: tuple[int, int], out: Path) -> None:
     """``finish.json`` and ``finish.md`` of what :func:`figures` gave for each capture; texels a side of fit and finish."""
-    record = {"schema_version": 1, "left_out": list(LEFT_OUT), "resolution": sides[0], "finish_at": sides[1],
+    record = {"schema_version": 1, "left_out": list(USUAL_LEFT_OUT), "resolution": sides[0], "finish_at": sides[1],
               "config": asdict(config), "captures": rows, "machine": machine(), "versions": versions()}
     files.write_json(out / "finish.json", record)
     files.write_bytes(out / "finish.md", page(record).encode())
@@ -149,7 +149,7 @@ def main(captures: Annotated[Path, tyro.conf.arg(metavar="FOLDER", help="Of cali
     rows: dict[str, dict] = {}
     for folder in sorted(path for path in captures.iterdir() if path.is_dir()):
         shots = read_capture(folder, resolution=resolution)
-        kept = shots.pick([number for number in shots.index if number not in LEFT_OUT])
+        kept = shots.pick([number for number in shots.index if number not in USUAL_LEFT_OUT])
         solved, kept = reduced(fit_svbrdf(kept, renderer, HierarchicalConfig()), kept, renderer, finish_at)
         result = finished(solved, kept, renderer, config)
         if result.look is None:
@@ -158,7 +158,7 @@ def main(captures: Annotated[Path, tyro.conf.arg(metavar="FOLDER", help="Of cali
                 raise KeyboardInterrupt
             say(f"{folder.name}: left out, {why}")
             continue
-        rows[folder.name] = figures(result, shots.pick(LEFT_OUT).averaged(finish_at), renderer)
+        rows[folder.name] = figures(result, shots.pick(USUAL_LEFT_OUT).averaged(finish_at), renderer)
         write(rows, config, (resolution, finish_at), out)
         say(f"{folder.name}: bar {'met' if passes(rows[folder.name]) else 'missed'}")
     return 0

@@ -35,7 +35,7 @@ from ..synth.truth import Truth, rig_of, true_capture, truth_maps
 from ..system.timing import timed
 from ..views import Views, default_views
 from .methods import settings_of
-from .schema import LEFT_OUT
+from .schema import USUAL_LEFT_OUT
 
 SHEET_CM = 18.0
 SAMPLE_SIDE = 1024  # texels of made materials over the whole sample
@@ -156,7 +156,7 @@ class CaptureJob:
         errors |= {f"fitted {name}": value for name, value in recovered(alone.views, given.views).items()}
         errors |= {"given photos": with_views.rerender_rmse, "found photos": alone.rerender_rmse,
                    "ratio": alone.rerender_rmse / with_views.rerender_rmse}
-        seen, held = ([i for i in given.index if (i in LEFT_OUT) == out] for out in (False, True))
+        seen, held = ([i for i in given.index if (i in USUAL_LEFT_OUT) == out] for out in (False, True))
         for name, calibrate in (("refined", True), ("held", False)) if seen and held else ():
             result = fitted(given.pick(seen), f"views {name}", replace(self.config, calibrate=calibrate))
             errors[f"{name} left out"] = evaluate_fit(result, given.pick(held))["rerender_rmse"]

@@ -105,7 +105,7 @@ class FitJob:
             check_finite(errors)
         except MitsvbrdfError as reason:
             return {"seconds": 0.0, "wall": 0.0, "iterations": 0, "stopped": "failed", "why": str(reason), "errors": {}}
-        return {"seconds": found.seconds, "wall": round(found.wall, 3), "iterations": found.iterations,
+        return {"seconds": found.seconds, "wall": found.wall, "iterations": found.iterations,
                 "stopped": found.stopped, "why": None, "errors": errors}
 
 

@@ -18,8 +18,10 @@ from ..system.progress import print_rich
 from . import summary
 from .commands import commands
 from .in_short import in_short, listed, plural
-from .plots import methods_figure, renderers_figure, small_multiples
-from .schema import LEFT_OUT
+from .plots import each_figure, methods_figure
+from .published import BLIND
+from .renderer_plots import renderers_figure
+from .schema import USUAL_LEFT_OUT
 from .suite_tables import capture_tables, renderer_tables, start_table
 from .summary import ERRORS, KINDS
 from .tables import Table, ablation_tables, each_map, each_one, equal_time, looks
@@ -28,18 +30,18 @@ from .times import equal_error, ladders, passing, wall_time
 KNOWN = ("Photos made of known maps, 8 bits, without noise; the error of the maps is the mean of the four RMSEs, the error "
          "under new light is that of pictures lit from the side, 25 and 50 degrees off the upright, unlike any photo's flash. "
          "Published figures are on the publishers' own photos of the same maps.")
-CAPTURED = ("Photos {} are left out of every fit and predicted afterwards. MaterialGAN, trained on a large data set, saw all "
-            "nine, those two as well.")
-BLIND = " Methods *without them* did not see them either: their authors published what fits to photos 0 to 6 predict."
+CAPTURED = "Photos {} are left out of every fit and predicted afterwards."
+NOBODY = " {} did not see them either: their authors published what fits to photos 0 to 6 predict."
+UNFAIR = (" Not comparable: *MaterialGAN, which saw them* was fitted to all nine photos, those left out as well.")
 Picture = Callable[[str, Figure | None, str], list[str]]  # name, drawing, what it shows -> lines of Markdown
 
 
 def print_benchmark(record: Mapping) -> None:
     """The tables at equal time, to equal error, of renderers and of the ablation, without spreads, on the terminal."""
-    apart = summary.views(record)
+    apart = summary.for_readers(record)
     start = start_table(record)
-    print_tables([*(table for view in apart for table in (*equal_time(view), *equal_error(view))), *renderer_tables(record),
-                  *([start] if start else []), *(table for view in apart for table in ablation_tables(view)),
+    print_tables([*(table for each in apart for table in (*equal_time(each), *equal_error(each))), *renderer_tables(record),
+                  *([start] if start else []), *(table for each in apart for table in ablation_tables(each)),
                   *capture_tables(record)])
 
 
@@ -60,7 +62,7 @@ def page_files(path: Path | None) -> list[Path]:
     """The page and every picture that it may have beside it; nothing for None."""
     if path is None:
         return []
-    names = ["methods", "renderers", *(_picture_of(kind, error, ()) for kind, errors in ERRORS.items() for error in errors)]
+    names = ["methods", "methods-wall", "renderers", "material"]
     there = path.parent.glob(f"{glob.escape(path.stem)}-capture-*.svg")  # of whatever photos were left out
     return [path, *(path.with_name(f"{path.stem}-{name}.svg") for name in names), *sorted(there)]
 
@@ -86,10 +88,10 @@ def write_benchmark_page(path: str | Path, record: Mapping) -> list[Path]:
         pictures[f"{path.stem}-{name}.svg"] = svg_file(drawing)
         return [f"![{what}]({path.stem}-{name}.svg)", ""]
 
-    whole = picture("methods", methods_figure(record), "Error against run time of all methods")
-    head = ["# Benchmark: error against run time", "",
-            f"Written by `mitsvbrdf bench --page`, nothing by hand. {made_on(record)}", ""]
-    sections = [line for view in summary.views(record) for line in _methods(view, picture)]
+    head = ["# Benchmark: error against run time", "", "Written by `mitsvbrdf bench --page`, nothing by hand.", ""]
+    whole = picture("methods", methods_figure(record), "Error against the seconds of the loop, all methods")
+    whole += picture("methods-wall", methods_figure(record, wall=True), "Error against seconds on the wall, all methods")
+    sections = [line for protocol in summary.for_readers(record) for line in _methods(protocol, picture)]
     lines = [*head, *in_short(record), *whole, *sections, *_start(record), *_renderers(record, picture),
              *_ablation(record), *_capture(record), *_how(record)]
     files.write_bytes(path, "\n".join(lines).encode())
@@ -99,10 +101,11 @@ def write_benchmark_page(path: str | Path, record: Mapping) -> list[Path]:
 
 
 def markdown(table: Table | None, level: str = "###") -> list[str]:
-    """A table as lines of Markdown under its title; none for None."""
+    """A table as lines of Markdown under its title, in bold without a ``level``; none for None."""
     if table is None:
         return []
-    lines = [f"{level} {table.title}", "", f"| {' | '.join(table.heads)} |", "|---" + "|---:" * (len(table.heads) - 1) + "|"]
+    lines = [f"{level} {table.title}" if level else f"**{table.title}**", ""]
+    lines += [f"| {' | '.join(table.heads)} |", "|---" + "|---:" * (len(table.heads) - 1) + "|"]
     lines += [f"| {' | '.join(row)} |" for row in table.rows]
     return [*lines, "", *([table.note, ""] if table.note else [])]
 
@@ -129,36 +132,51 @@ def _at_a_time(record: Mapping) -> str:
             "times are those of a shared machine.")
 
 
-def left_out_by(view: Mapping) -> str:
+def left_out_by(protocol: Mapping) -> str:
     """The numbers of the photos that fits of real captures did not see, in words, of one of :func:`summary.views`."""
-    return listed([str(i) for i in view["left_out"]])
+    return listed([str(i) for i in protocol["left_out"]])
 
 
-def _methods(view: Mapping, picture: Picture) -> list[str]:
+def _methods(protocol: Mapping, picture: Picture) -> list[str]:
     """The section of the known materials, or of the real captures of which the same photos were left out."""
     lines: list[str] = []
     for kind in KINDS:
-        fits = summary.of(view["records"], "methods", kind)
+        fits = summary.of(protocol["records"], "methods", kind)
         if not fits:
             continue
-        names, left_out = summary.names(fits), view.get("left_out", ())
-        heading, text = "Known materials", KNOWN
-        if kind == "capture":
-            published = view["published"]["capture"]
-            heading, text = f"Real captures without photos {left_out_by(view)}", CAPTURED.format(left_out_by(view))
-            text += BLIND if any(who.endswith("without them") for name in names for who in published.get(name, {})) else ""
+        names = summary.names(fits)
+        heading, text = ("Known materials", KNOWN) if kind == "material" else _of_captures(protocol, names)
         lines += [f"## {heading}", "", f"{text} {plural(len(names), KINDS[kind])}: {', '.join(names)}.", ""]
-        ends = passing(view) if kind == "capture" else each_map(view)
-        for table in (*equal_time(view), looks(view, kind), ends, *equal_error(view), *ladders(view), *wall_time(view)):
+        for table in equal_time(protocol):
             lines += markdown(table)
-        for error, title in ERRORS[kind].items():
-            lines += markdown(each_one(view, kind, error, title))
-            lines += picture(_picture_of(kind, error, left_out), small_multiples(view, kind, error), f"{title}, one by one")
+        lines += picture(_picture_of(kind, protocol.get("left_out", ())), each_figure(protocol, kind), "Errors, one by one")
+        lines += [line for table in (*([each_map(protocol)] if kind == "material" else []), *equal_error(protocol))
+                  for line in markdown(table)]
+        each = [each_one(protocol, kind, error, title) for error, title in ERRORS[kind].items()]
+        passed = passing(protocol) if kind == "capture" else None
+        lines += folded(f"Each {kind}", [*each, passed])
+        lines += folded("How different pictures look, seconds to other errors, seconds on the wall",
+                        [looks(protocol, kind), *ladders(protocol), *wall_time(protocol)])
     return lines
 
 
-def _picture_of(kind: str, error: str, left_out: Sequence[int]) -> str:
-    return "-".join([kind, *map(str, left_out), error.replace("_", "-")])
+def _of_captures(protocol: Mapping, names: Sequence[str]) -> tuple[str, str]:
+    """Heading and words of a section of real captures."""
+    numbers, published = left_out_by(protocol), protocol["published"]["capture"]
+    whose = dict.fromkeys(who for name in names for who in published.get(name, {}))
+    blind = [who.removesuffix(BLIND) for who in whose if who.endswith(BLIND)]
+    text = CAPTURED.format(numbers) + (NOBODY.format(listed(blind)) if blind else "")
+    return f"Real captures without photos {numbers}", text + (UNFAIR if len(blind) < len(whose) else "")
+
+
+def folded(title: str, tables: Sequence[Table | None]) -> list[str]:
+    """Tables that a reader opens; no headings, whose sections would not end where the fold does."""
+    lines = [line for table in tables for line in markdown(table, "")]
+    return ["<details>", f"<summary>{title}</summary>", "", *lines, "</details>", ""] if lines else []
+
+
+def _picture_of(kind: str, left_out: Sequence[int]) -> str:
+    return "-".join([kind, *map(str, left_out)])
 
 
 def _start(record: Mapping) -> list[str]:
@@ -179,7 +197,7 @@ def _renderers(record: Mapping, picture: Picture) -> list[str]:
 
 
 def _ablation(record: Mapping) -> list[str]:
-    lines = [line for view in summary.views(record) for table in ablation_tables(view) for line in markdown(table)]
+    lines = [line for each in summary.protocols(record) for table in ablation_tables(each) for line in markdown(table)]
     return ["## Each ingredient off", "", *lines] if lines else []
 
 
@@ -190,14 +208,15 @@ def _capture(record: Mapping) -> list[str]:
             "to the patch, root mean square, without a sheet after the best similarity. Rectification: pixels of 512. Maps: "
             "mean of the four RMSEs, beside that of a fit of the same photos with the true views. Real captures: views taken "
             "away and found again by the fit; lateral in patch sides, after the best scale and shift. Left out, whatever "
-            f"`--left-out` says: photos {listed(list(map(str, LEFT_OUT)))}, predicted by fits of the others with the views "
-            "given, refined or held.")
+            f"`--left-out` says: photos {listed(list(map(str, USUAL_LEFT_OUT)))}, predicted by fits of the others with the "
+            "views given, refined or held.")
     return ["## From a phone to maps", "", text, "", *lines] if lines else []
 
 
 def _how(record: Mapping) -> list[str]:
-    return ["## How to reproduce", "", "Every point is a fit of its own with its own budget, for schedules follow the budget; "
-            "seconds are the loop's own, after kernels are compiled, without what comes before and after it. A fit that ended "
-            "by itself so early that a longer budget changes nothing stands for the longer ones too. Methods take turns. Real "
-            "captures, known materials and published numbers lie in the folder that `MITSVBRDF_DATA` names.", "",
+    return ["## How to reproduce", "", made_on(record), "",
+            "Every point is a fit of its own with its own budget, for schedules follow the budget; seconds are the loop's own, "
+            "after kernels are compiled, without what comes before and after it. A fit that ended by itself so early that a "
+            "longer budget changes nothing stands for the longer ones too. Methods take turns. Real captures, known materials "
+            "and published numbers lie in the folder that `MITSVBRDF_DATA` names.", "",
             *(f"    {line}" for line in (*commands(record), "mitsvbrdf bench --suite none --page benchmark.md")), ""]

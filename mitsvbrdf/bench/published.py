@@ -15,7 +15,8 @@ PUBLISHED_SIDE = 256  # the published numbers are for photos and maps of this si
 METHOD_NAMES = {"materialgan": "MaterialGAN", "gao2019": "Gao 2019", "deschaintre2019": "Deschaintre 2019",
          "deschaintre2019-gao2019": "Deschaintre + Gao 2019"}
 PEERS_LEFT_OUT = (7, 8)  # the photos that the field's protocol leaves out of fits to 0 to 6
-BLIND = "left_out_7_8_rmse_256"  # their errors, in peers.json
+PEERS_BLIND = "left_out_7_8_rmse_256"  # their errors, in peers.json
+BLIND = " without them"  # behind the name of a method that did not see the photos left out either
 PUBLISHED_MAPS = ("diffuse", "specular", "roughness", "normal")
 
 Published = dict[str, dict[str, dict[str, dict[str, float]]]]
@@ -49,13 +50,13 @@ def published(path: Path, tasks: Sequence[Task], resolution: int) -> Published:
                                                     for who, maps in stated["materials"][task.name].items()}
             elif task.name in stated["captures"]:
                 each = stated["captures"][task.name]["per_view"]
-                parts = {"seen": task.photos.index} | ({"left_out": task.left_out.index} if task.left_out else {})
-                here = found.setdefault(capture_kind(task.numbers), {})
+                parts = {"seen": task.photos.index} | ({"left_out": task.unseen.index} if task.unseen else {})
+                here = found.setdefault(capture_kind(task.left_out), {})
                 here[task.name] = {"MaterialGAN": {
                     part: math.sqrt(sum(each[i] ** 2 for i in index) / len(index)) for part, index in parts.items()}}
                 if parts.get("left_out") == PEERS_LEFT_OUT:
-                    blind = stated["captures"][task.name].get(BLIND, {})
-                    here[task.name] |= {f"{METHOD_NAMES.get(who, who)} without them": {"left_out": float(error)}
+                    blind = stated["captures"][task.name].get(PEERS_BLIND, {})
+                    here[task.name] |= {METHOD_NAMES.get(who, who) + BLIND: {"left_out": float(error)}
                                         for who, error in blind.items()}
     except (ValueError, KeyError, TypeError, AttributeError, IndexError) as reason:
         raise ConfigError("peers.json with materials and captures", f"{path}: {reason!r}", "mend it, or take it away") from None
@@ -69,7 +70,7 @@ def predicted_by_peers(path: Path) -> list[str]:
         ConfigError: there is no such file, or it cannot be understood.
     """
     try:
-        return [name for name, stated in load(path)["captures"].items() if BLIND in stated]
+        return [name for name, stated in load(path)["captures"].items() if PEERS_BLIND in stated]
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as reason:
         raise ConfigError("peers.json with captures beside the data", f"{path}: {reason!r}",
                           "give the numbers of the photos to leave out") from None

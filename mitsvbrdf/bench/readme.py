@@ -12,11 +12,10 @@ from ..system import files
 from . import summary
 from .methods import method_table
 from .page import markdown
-from .published import METHOD_NAMES
-from .tables import Table, at_time, best_in_row, methods_of
+from .published import BLIND, METHOD_NAMES
+from .tables import Table, at_time, best_in_row, methods_of, with_median
 
 BEGIN, END = "<!-- results: mitsvbrdf bench --readme -->", "<!-- /results -->"
-BLIND = " without them"  # of a published method that did not see the photos left out either
 MAPS = ("diffuse", "specular", "roughness", "normal")
 SIDE, VIEWS = 256, 4  # of the renderers' case
 
@@ -62,10 +61,10 @@ def results(record: Mapping) -> str:
 def _photos(record: Mapping) -> Table | None:
     """Photos left out of captures of which peers published what they made of these without having seen them."""
     default = next(iter(method_table()))
-    for view in summary.views(record):
-        given = view["published"].get("capture", {})
+    for protocol in summary.protocols(record):
+        given = protocol["published"].get("capture", {})
         whose = list(dict.fromkeys(who for each in given.values() for who in each if who.endswith(BLIND)))
-        fits = summary.of([r for r in view["records"] if r.get("method") == default], "methods", "capture")
+        fits = summary.of([r for r in protocol["records"] if r.get("method") == default], "methods", "capture")
         names = [name for name in summary.names(fits) if any(who in given.get(name, {}) for who in whose)]
         longest = max(summary.budgets(fits), default=0)
         found = [at_time(summary.curves(fits, "left_out", [name]).get(default, []), longest) for name in names]
@@ -81,7 +80,8 @@ def _photos(record: Mapping) -> Table | None:
         ahead = "; ".join(filter(None, (_ahead(who.removesuffix(BLIND), [(row[0], row[1 + k]) for row in values])
                                         for k, who in enumerate(whose))))
         loop, wall = (statistics.median(getattr(point, clock) for point in points) for clock in ("seconds", "wall"))
-        numbers = " and ".join(map(str, view["left_out"]))
+        with_median(rows, values, 3)
+        numbers = " and ".join(map(str, protocol["left_out"]))
         return Table(f"Real photos that no fit has seen: photos {numbers} predicted from the others, RMSE in display values",
                      ["", "default", *(who.removesuffix(BLIND) for who in whose)], best_in_row(rows, values),
                      "The others learned from large data sets; figures as published."

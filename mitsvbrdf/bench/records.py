@@ -26,6 +26,24 @@ class OfTask(Made, total=False):
     left_out: list[int]
 
 
+class OfRun(OfTask):
+    """One run of a method.
+
+    ``seconds`` by the loop's clock, ``wall`` with preparation and reckoning. ``errors`` of a known ``material``: each map,
+    ``mean``, ``novel_light``, ``photos``; of a real ``capture``: ``seen``, ``left_out``, those of its photos.
+    """
+
+    method: str
+    name: str
+    seed: int
+    config: dict[str, Any]
+    seconds: float
+    wall: float
+    iterations: int
+    stopped: str
+    errors: dict[str, float]
+
+
 class RenderRow(TypedDict):
     """One renderer of a case.
 
@@ -54,28 +72,18 @@ class RenderRecord(Made):
     skipped: list[dict[str, str]]
 
 
-class FitRecord(OfTask):
+class FitRecord(OfRun):
     """One fit.
 
-    ``seconds`` by the loop's clock, ``wall`` with preparation and reckoning. ``errors`` of a known ``material``: each map,
-    ``mean``, ``novel_light``, ``photos``; of a real ``capture``: ``seen``, ``left_out``; of pictures also the mean FLIP,
-    ``flip_novel_light`` and so on, where its package was there; none of a fit that failed, which ``why`` explains. A fit has
-    no record where it would repeat one of a shorter budget (:func:`mitsvbrdf.bench.behaviour.ended_for_good`).
+    ``errors`` also have the mean FLIP of pictures, ``flip_novel_light`` and so on, where its package was there; none of a fit
+    that failed, which ``why`` explains. A fit has no record where it would repeat one of a shorter budget
+    (:func:`mitsvbrdf.bench.behaviour.ended_for_good`).
     """
 
     suite: Literal["methods", "ablation", "gan"]
-    method: str
     kind: Literal["material", "capture"]
-    name: str
     budget: float
-    seed: int
-    config: dict[str, Any]
-    seconds: float
-    wall: float
-    iterations: int
-    stopped: str
     why: str | None
-    errors: dict[str, float]
 
 
 class CaptureRecord(Made):
@@ -107,20 +115,11 @@ class ReferenceRecord(OfTask):
     errors: dict[str, dict[str, float]]
 
 
-class ScheduleRecord(OfTask):
+class ScheduleRecord(OfRun):
     """One run of the paper's schedule: ``errors`` of its result; ``trace`` has those of the state, iteration and seconds."""
 
     suite: Literal["schedule"]
-    method: str
     kind: Literal["material", "capture"]
-    name: str
-    seed: int
-    config: dict[str, Any]
-    seconds: float
-    wall: float
-    iterations: int
-    stopped: str
-    errors: dict[str, float]
     trace: list[dict[str, float]]
 
 
@@ -156,7 +155,7 @@ class SheetRecord(Made):
     errors: dict[str, dict[str, float]]
 
 
-class StiffRecord(Made):
+class StiffRecord(OfRun):
     """One fit of a stiff scene, a ``case`` or a member of a ``series``.
 
     ``condition``, ``attainable`` and ``start`` belong to the scene (:attr:`mitsvbrdf.bench.stiff.scenes.StiffTask.known`).
@@ -167,21 +166,12 @@ class StiffRecord(Made):
     """
 
     suite: Literal["stiff"]
-    method: str
     kind: Literal["case", "series"]
-    name: str
     budget: float
-    seed: int
-    config: dict[str, Any]
     condition: dict[str, float | None]
     attainable: dict[str, float]
     start: dict[str, float]
-    seconds: float
-    wall: float
-    iterations: int
-    stopped: str
     why: str | None
-    errors: dict[str, float]
     stated: dict[str, float]
     near: dict[str, float]
     undone: int

@@ -13,7 +13,7 @@ from .records import Benchmark
 
 SCHEMA_VERSION: Literal[2] = 2
 OF_TASKS = "methods", "ablation", "gan", "references", "schedule"  # suites whose records are of an :class:`OfTask`
-LEFT_OUT = (4, 7)  # numbers of the photos that fits of real captures do not see, where nothing else is said
+USUAL_LEFT_OUT = (4, 7)  # numbers of the photos that fits of real captures do not see, where nothing else is said
 
 
 def identity(record: dict) -> tuple:

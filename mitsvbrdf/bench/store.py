@@ -173,7 +173,7 @@ def _repeats(key: Mapping[str, Any], ended: Mapping[tuple, float]) -> bool:
 
 
 def short(value: Any) -> Any:
-    """Six digits of every float, in a value that JSON has."""
+    """Six digits of every float, in a value that JSON has: more say nothing, and the file stays small."""
     if isinstance(value, float):
         return float(f"{value:.6g}")
     if isinstance(value, dict):

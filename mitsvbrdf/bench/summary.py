@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from ..system.timing import spread
 from .behaviour import ended_for_good
 from .methods import method_table
-from .published import Published
-from .schema import LEFT_OUT, capture_kind, identity
+from .published import BLIND, Published
+from .schema import USUAL_LEFT_OUT, capture_kind, identity
 from .variants import FULL
 
 # The errors that are judged by, of known materials and of real captures, and what to call them.
@@ -76,19 +76,25 @@ def with_repeats(fits: Sequence[Mapping]) -> list[Mapping]:
     return list(found.values())
 
 
-def views(record: Mapping) -> list[dict]:
+def protocols(record: Mapping) -> list[dict]:
     """The record apart by what fits are judged by: known materials, and real captures by the photos left out."""
     materials = {**record, "records": [r for r in record["records"] if r.get("kind") != "capture"]}
-    return [materials, *(view(record, numbers) for numbers in ways_to_leave_out(record["records"]))]
+    return [materials, *(protocol(record, numbers) for numbers in ways_to_leave_out(record["records"]))]
+
+
+def for_readers(record: Mapping) -> list[dict]:
+    """:func:`protocols`, those first in which others did not see the photos left out either, as their authors published."""
+    return sorted(protocols(record), key=lambda part: not any(
+        who.endswith(BLIND) for each in part["published"].get("capture", {}).values() for who in each))
 
 
 def ways_to_leave_out(records: Iterable[Mapping]) -> list[tuple[int, ...]]:
     """The numbers of the photos left out, each way once: the usual one first, whatever the order of the records."""
     ways = dict.fromkeys(tuple(r["left_out"]) for r in records if "left_out" in r)
-    return sorted(ways, key=lambda numbers: numbers != LEFT_OUT)
+    return sorted(ways, key=lambda numbers: numbers != USUAL_LEFT_OUT)
 
 
-def view(record: Mapping, left_out: Sequence[int]) -> dict:
+def protocol(record: Mapping, left_out: Sequence[int]) -> dict:
     """The captures of which these photos were left out, with the numbers published for them under the kind ``capture``."""
     return {**record, "left_out": tuple(left_out),
             "records": [r for r in record["records"] if r.get("left_out") == list(left_out)],
@@ -97,9 +103,9 @@ def view(record: Mapping, left_out: Sequence[int]) -> dict:
 
 def usual(record: Mapping) -> dict:
     """Materials, and captures without the usual photos, else of the first way to leave some out: for a page that shows one."""
-    materials, *captures = views(record)
+    materials, *captures = protocols(record)
     if not captures:
-        return {**materials, "left_out": LEFT_OUT}
+        return {**materials, "left_out": USUAL_LEFT_OUT}
     return {**captures[0], "records": [r for r in record["records"] if r.get("left_out", [*captures[0]["left_out"]])
                                        == [*captures[0]["left_out"]]],
             "published": {**record["published"], **captures[0]["published"]}}
@@ -163,6 +169,25 @@ def absent(fits: Iterable[Mapping], method: str, budget: float, error: str, only
     return f"only {len(done)} of {len(wanted)}" if done else "not measured"
 
 
+def cold_starts(record: Mapping) -> dict[str, float]:
+    """Method -> seconds that a new process takes beside its loop with an empty kernel cache, by the suite ``start``.
+
+    Kernels are compiled within the loop too: of its seconds, those that its iterations take with a full cache do not count.
+    """
+    found: dict[str, list[float]] = {}
+    for r in (r for r in record["records"] if r["suite"] == "start"):
+        empty, full = ({part: row[part]["median"] for part in ("wall", "loop", "iterations")}
+                       for cache in ("empty", "full") for row in r["rows"] if row["cache"] == cache)
+        loop = full["loop"] * empty["iterations"] / max(full["iterations"], 1)
+        found.setdefault(r["method"], []).append(empty["wall"] - min(loop, empty["loop"]))
+    return {method: statistics.median(each) for method, each in found.items()}
+
+
+def wall_seconds(point: Point, cold: float | None) -> float:
+    """Seconds of a fit from start to end: of a new process, where ``cold`` of :func:`cold_starts` is known, else a warm one."""
+    return point.wall if cold is None else point.seconds + cold
+
+
 def first_below(points: Sequence[Point], target: float) -> Point | None:
     """The shortest budget whose median error is below a target; schedules follow budgets, so nothing is known in between."""
     return next((point for point in points if point.median < target), None)
@@ -178,7 +203,12 @@ def published_mean(published: Published, kind: str, wanted: Sequence[str], error
 def beside(published: Published, kind: str) -> list[str]:
     """Whose published errors fits are held against: MaterialGAN's, and those of methods that did not see what is left out."""
     whose = dict.fromkeys(who for each in published.get(kind, {}).values() for who in each)
-    return [who for who in whose if who == "MaterialGAN" or who.endswith("without them")]
+    return [who for who in whose if who == "MaterialGAN" or who.endswith(BLIND)]
+
+
+def comparable(published: Published, kind: str, error: str) -> list[str]:
+    """Those of :func:`beside` that did not see what is predicted: the others' errors of photos left out are no measure."""
+    return [who for who in beside(published, kind) if error != "left_out" or who.endswith(BLIND)]
 
 
 def with_published(published: Published, kind: str, wanted: Sequence[str], who: str, error: str) -> list[str]:

@@ -7,14 +7,17 @@ is no fit. No cell is empty: one without a number says why.
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from . import summary
 from .behaviour import record_draws
-from .schema import LEFT_OUT
+from .published import BLIND
 from .summary import ERRORS, Point
 from .variants import FULL
+
+ENDED = "†"  # behind an error: the fits ended before their budget did
 
 # Mean FLIP of pictures, under the name of the error that it stands beside.
 LOOKS = {"material": {"flip_novel_light": "under new light", "flip_photos": "photos"},
@@ -47,10 +50,10 @@ def equal_time(record: Mapping) -> list[Table]:
         rows = [[f"`{name}`", *(cell(fits, found, name, budget, error) for budget in times)] for name in methods]
         rows = with_best(rows, [[value_at(found, name, budget) for budget in times] for name in methods])
         published = summary.published_mean(record["published"], kind, summary.names(fits), error)
-        rows += [[f"{who}, published, at any time", *[f"{value:.4f}"] * len(times)] for who, value in published.items()]
+        rows += [[as_published(who, error), *[f"{value:.4f}"] * len(times)] for who, value in fair_first(published, error)]
         if found:
             tables.append(Table(f"{title}, {count_of(kind, fits)}", ["", *(f"{budget:g} s" for budget in times)], rows,
-                                _spread_note(fits)))
+                                _spread_note(fits, found)))
     return tables
 
 
@@ -60,7 +63,8 @@ def each_one(record: Mapping, kind: str, error: str, title: str) -> Table | None
     names, methods = summary.names(fits), methods_of(fits)
     longest = max(summary.budgets(fits), default=0)
     published = record["published"].get(kind, {})
-    whose = list(dict.fromkeys(who for name in names for who, e in published.get(name, {}).items() if error in e))
+    given_by = {who: 0.0 for name in names for who, e in published.get(name, {}).items() if error in e}
+    whose = [who for who, _ in fair_first(given_by, error)]
     rows, values = [], []
     for name in names:
         found = summary.curves(fits, error, [name])
@@ -70,8 +74,34 @@ def each_one(record: Mapping, kind: str, error: str, title: str) -> Table | None
         values.append([value_at(found, m, longest) for m in methods] + [given.get(who) for who in whose])
     if not rows:
         return None
+    with_median(rows, values, 4)
+    fair = [[None if who in whose and unfair(who, error) else value for who, value in zip((*methods, *whose), row)]
+            for row in values]
     return Table(f"{title}, {longest:g} s, each {kind}",
-                 ["", *(f"`{m}`" for m in methods), *(f"{who}, published" for who in whose)], best_in_row(rows, values))
+                 ["", *(f"`{m}`" for m in methods), *(as_published(who, error) for who in whose)], best_in_row(rows, fair))
+
+
+def with_median(rows: list[list[str]], values: list[list[float | None]], digits: int) -> None:
+    """Put the median of each column above several rows; of columns where all have a value."""
+    if len(rows) > 1:
+        columns = [[value for value in each if value is not None] for each in zip(*values)]
+        values.insert(0, [statistics.median(each) if len(each) == len(rows) else None for each in columns])
+        rows.insert(0, ["median", *("not of all" if value is None else f"{value:.{digits}f}" for value in values[0])])
+
+
+def unfair(who: str, error: str) -> bool:
+    """Whether a published error is of photos that the method saw and fits here did not."""
+    return error == "left_out" and not who.endswith(BLIND)
+
+
+def as_published(who: str, error: str) -> str:
+    """What a row or column of published errors is called; those that are no fair comparison are marked."""
+    return f"*{who}, which saw them*" if unfair(who, error) else f"{who.removesuffix(BLIND)}, published"
+
+
+def fair_first(values: Mapping[str, float], error: str) -> list[tuple[str, float]]:
+    """Published errors, those that are no fair comparison last."""
+    return sorted(values.items(), key=lambda each: unfair(each[0], error))
 
 
 def each_map(record: Mapping, suite: str = "methods") -> Table | None:
@@ -153,18 +183,16 @@ def cell(fits: Sequence[Mapping], found: Mapping[str, Sequence[Point]], method: 
         budget: seconds.
         error: a name.
         only: the materials or captures that count.
-        spread: whether quartiles, and the seconds after which fits ended by themselves, stand behind it.
+        spread: whether quartiles, and a mark where fits ended by themselves, stand behind it.
     """
     point = at_time(found.get(method, []), budget)
     if point is None:
         return summary.absent(fits, method, budget, error, only)
     own = [r for r in fits if r["method"] == method]
     seeds, text = len({r["seed"] for r in own}), error_cell(point, spread)
-    if spread and len({r["seed"] for r in fits}) > 1 and not any(map(record_draws, own)):
-        text += " (no randomness)"
     if point.seeds < seeds:
         text += f" ({point.seeds} of {seeds} seeds)"
-    return text + (f", ended after {point.seconds:.3g} s" if spread and point.ended else "")
+    return text + (f" {ENDED}" if spread and point.ended else "")
 
 
 def error_cell(point: Point | None, spread: bool = True) -> str:
@@ -203,13 +231,20 @@ def best_in_row(rows: list[list[str]], values: list[list[float | None]]) -> list
 
 
 def count_of(kind: str, fits: Sequence[Mapping]) -> str:
-    """Whose error it is: the only material's or capture's, or the mean over how many; and unusual photos left out."""
+    """Whose error it is: the only material's or capture's, or the mean over how many; and the photos left out."""
     names = summary.names(fits)
     whose = names[0] if len(names) == 1 else f"mean of {len(names)} {summary.KINDS[kind]}s"
-    left_out = tuple(fits[0].get("left_out", LEFT_OUT)) if fits else LEFT_OUT
-    return whose if left_out == LEFT_OUT else f"{whose} without photos {' and '.join(map(str, left_out))}"
+    left_out = fits[0].get("left_out", ()) if fits else ()
+    return f"{whose} without photos {' and '.join(map(str, left_out))}" if left_out else whose
 
 
-def _spread_note(fits: Sequence[Mapping]) -> str:
-    seeds = len({r["seed"] for r in fits})
-    return f"Median of {seeds} seeds, quartiles in brackets." if seeds > 1 else "One seed."
+def _spread_note(fits: Sequence[Mapping], found: Mapping[str, Sequence[Point]]) -> str:
+    counts = {name: len({r["seed"] for r in fits if r["method"] == name}) for name in found}
+    alike = [f"`{name}`" for name in found if not any(record_draws(r) for r in fits if r["method"] == name)]
+    drawn = {name: count for name, count in counts.items() if f"`{name}`" not in alike}
+    of = f"of {max(counts.values())} seeds" if len(set(drawn.values())) == 1 else (
+        f"over seeds ({', '.join(f'{count} of `{name}`' for name, count in drawn.items())})")
+    notes = ["One seed." if max(counts.values()) == 1 else f"Median {of}, quartiles in brackets."]
+    notes += [f"Without randomness: {', '.join(alike)}."] if alike and max(counts.values()) > 1 else []
+    ended = [f"`{name}` after {points[-1].seconds:.3g} s" for name, points in found.items() if points[-1].ended]
+    return " ".join([*notes, *([f"{ENDED} ended by itself: {', '.join(ended)}."] if ended else [])])

@@ -24,7 +24,7 @@ from ..render import Renderer, make_renderer
 from ..synth import photograph
 from ..views import Views
 from .methods import Fitted
-from .schema import LEFT_OUT
+from .schema import USUAL_LEFT_OUT
 
 
 @dataclass(frozen=True)
@@ -68,29 +68,29 @@ class RealCapture:
     Args:
         name: of the capture.
         photos: what is fitted.
-        left_out: what is predicted; None where the capture has none of these photos, or states no views to predict from.
-        numbers: of the photos that were to be left out.
+        unseen: what is predicted; None where the capture has none of these photos, or states no views to predict from.
+        left_out: the numbers of the photos that were to be left out.
     """
 
     kind: ClassVar = "capture"
     name: str
     photos: Capture
-    left_out: Capture | None
-    numbers: tuple[int, ...] = LEFT_OUT
+    unseen: Capture | None
+    left_out: tuple[int, ...] = USUAL_LEFT_OUT
 
     @property
     def key(self) -> dict:
         """What identifies it in a record."""
-        return {"kind": self.kind, "name": self.name, "left_out": list(self.numbers)}
+        return {"kind": self.kind, "name": self.name, "left_out": list(self.left_out)}
 
     def errors(self, found: Fitted) -> dict[str, float]:
         """RMSE in display values of the photos ``seen`` and, where there are any, ``left_out``."""
-        predicted = {} if self.left_out is None else {"left_out": found.predict(self.left_out)[1]}
+        predicted = {} if self.unseen is None else {"left_out": found.predict(self.unseen)[1]}
         return {"seen": found.rmse} | predicted
 
     def looks(self, found: Fitted) -> dict[str, float]:
         """Mean FLIP of the photos ``flip_seen`` and, where there are any, ``flip_left_out``."""
-        parts = {"flip_seen": self.photos, "flip_left_out": self.left_out}
+        parts = {"flip_seen": self.photos, "flip_left_out": self.unseen}
         return {name: mean_flip(found.predict(shots)[0], shots.linear, shots.transfer)
                 for name, shots in parts.items() if shots is not None}
 
@@ -110,7 +110,7 @@ def known_material(name: str, resolution: int, views: Views, renderer: Renderer)
                          photograph(shown, views, renderer))
 
 
-def real_capture(folder: Path, resolution: int, left_out: Sequence[int] = LEFT_OUT) -> RealCapture:
+def real_capture(folder: Path, resolution: int, left_out: Sequence[int] = USUAL_LEFT_OUT) -> RealCapture:
     """A task from a folder of photos.
 
     Args:

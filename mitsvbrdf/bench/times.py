@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 from . import summary
 from .summary import ERRORS
-from .tables import Table, at_time, count_of, judged, methods_of
+from .tables import Table, as_published, at_time, count_of, judged, methods_of, unfair
 
 PEERS = "peers-baseline"
 STEP = math.sqrt(2)  # between two errors of a ladder
@@ -37,7 +37,7 @@ def equal_error(record: Mapping) -> list[Table]:
                            else f"{below.seconds:.3g} s" if below else f"not in {points[-1].budget:g} s (best {best:.4f})")
             rows.append(row)
         heads = ["", *(f"{head} {goal}" for head, goal, *_ in targets)]
-        tables.append(Table("Seconds to a lower error, " + count_of(kind, fits), heads, rows,
+        tables.append(Table("Seconds to pass others, " + count_of(kind, fits), heads, rows,
                             "The shortest budget whose median is lower; schedules follow it, so nothing is known in between."))
     return tables
 
@@ -49,12 +49,12 @@ def _targets(record: Mapping, kind: str, fits: Sequence[Mapping]) -> Iterator[tu
         final = summary.curves(fits, error).get(PEERS)
         if final:
             yield f"{short},", f"below `{PEERS}` ({final[-1].median:.4f})", error, None, final[-1].median, PEERS
-        for who in summary.beside(record["published"], kind):
+        for who in summary.comparable(record["published"], kind, error):
             only = summary.with_published(record["published"], kind, summary.names(fits), who, error)
             if only:
                 value = summary.published_mean(record["published"], kind, only, error)[who]
                 where = "" if set(only) == set(summary.names(fits)) else f" on {', '.join(only)}"
-                yield f"{short},", f"below {who}{where} ({value:.4f})", error, only, value, None
+                yield f"{short},", f"below {as_published(who, error)}{where} ({value:.4f})", error, only, value, None
 
 
 def ladders(record: Mapping) -> list[Table]:
@@ -91,7 +91,8 @@ def passing(record: Mapping, kind: str = "capture", error: str = "left_out") -> 
     default, published = next((r["method"] for r in fits), ""), record["published"].get(kind, {})
     longest = max(summary.budgets(fits), default=0)
     names = [name for name in summary.names(fits) if any(error in e for e in published.get(name, {}).values())]
-    whose = list(dict.fromkeys(who for name in names for who, e in published[name].items() if error in e))
+    whose = sorted(dict.fromkeys(who for name in names for who, e in published[name].items() if error in e),
+                   key=lambda who: unfair(who, error))
     rows, taken = [], {who: list[float]() for who in whose}
     for name in names:
         points = summary.curves(fits, error, [name]).get(default, [])
@@ -115,7 +116,7 @@ def passing(record: Mapping, kind: str = "capture", error: str = "left_out") -> 
             (f"{middle[who]:.3g} s" if math.isfinite(middle[who]) else "not passed by half")
             + f" ({sum(map(math.isfinite, taken[who]))} of {len(taken[who])} passed)" for who in whose)])
     return Table(f"Seconds of `{default}` to pass what was published, photos left out",
-                 ["", f"`{default}` after {longest:g} s", *(f"below {who}" for who in whose)], rows,
+                 ["", f"`{default}` after {longest:g} s", *(f"below {as_published(who, error)}" for who in whose)], rows,
                  "Published errors in brackets. The loop's seconds with the shortest budget whose median is lower.")
 
 

@@ -42,18 +42,18 @@ def decided_later(task: FitTask) -> list[tuple[str, str]]:
     """What the fit may leave out once it has looked at its photos, as (what, when)."""
     if not isinstance(task.config, HierarchicalConfig):
         return []
-    from .hierarchical import needs
+    from .hierarchical import skipped
 
-    return needs.decided_later(task)
+    return skipped.decided_later(task)
 
 
 def known_before(task: FitTask) -> list[tuple[str, str]]:
     """:func:`left_out`, and what the method leaves out whatever its photos show, as (what, why)."""
     if not isinstance(task.config, HierarchicalConfig):
         return left_out(task)
-    from .hierarchical import needs
+    from .hierarchical import skipped
 
-    return left_out(task) + needs.left_out(task)
+    return left_out(task) + skipped.left_out(task)
 
 
 def used(task: FitTask) -> list[tuple[str, str]]:

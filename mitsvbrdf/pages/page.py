@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import io
 import math
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +19,10 @@ from ..system import files
 if TYPE_CHECKING:
     import jinja2
     from matplotlib.figure import Figure
+
+SVG_FONTS = ["DejaVu Sans", "Verdana", "sans-serif"]  # of one width; GitHub shows an SVG without fonts from elsewhere
+SVG_PLACES = re.compile(r' (?:d|x|y|transform)="[^"]*"')
+LONG_NUMBER = re.compile(r"-?\d+\.\d{3,}(?:e-\d+)?")
 
 
 def write_page(path: str | Path, template: str, **context: object) -> None:
@@ -77,6 +82,11 @@ def _svg_text(drawing: Figure, **look: Any) -> bytes:
     import matplotlib
 
     data = io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": "mitsvbrdf", "svg.fonttype": "none"}):
+    with matplotlib.rc_context({"svg.hashsalt": "mitsvbrdf", "svg.fonttype": "none", "font.sans-serif": SVG_FONTS}):
         drawing.savefig(data, format="svg", metadata={"Date": None}, **look)
-    return data.getvalue()
+    return _shortened(data.getvalue().decode()).encode()
+
+
+def _shortened(text: str) -> str:
+    """An SVG whose places and paths have two decimals: hundredths of a pixel."""
+    return SVG_PLACES.sub(lambda places: LONG_NUMBER.sub(lambda number: f"{float(number[0]):.2f}", places[0]), text)

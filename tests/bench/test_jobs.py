@@ -116,12 +116,12 @@ def test_photos_4_and_7_are_left_out(tmp_path):
     shots = photos_of(make_material("inlay", 16))
     write_capture(shots, tmp_path / "shots")
     task = real_capture(tmp_path / "shots", 16)
-    assert task.photos.index == (0, 1, 2, 3, 5, 6, 8) and task.left_out.index == (4, 7) and task.name == "shots"
+    assert task.photos.index == (0, 1, 2, 3, 5, 6, 8) and task.unseen.index == (4, 7) and task.name == "shots"
     found = task.errors(fit(task.photos, ANALYTIC, DirectConfig(iterations=2)))
     assert set(found) == {"seen", "left_out"} and found["seen"] != found["left_out"]
     assert task.key == {"kind": "capture", "name": "shots", "left_out": [4, 7]}
     write_capture(shots.pick([0, 1]), tmp_path / "two")
-    assert real_capture(tmp_path / "two", 16).left_out is None
+    assert real_capture(tmp_path / "two", 16).unseen is None
     stated = json.loads((tmp_path / "shots/capture.json").read_text())
     (tmp_path / "shots/capture.json").write_text(json.dumps(stated | {"idx": [4, 7]}))
     with pytest.raises(ConfigError, match="besides"):
@@ -135,10 +135,10 @@ def test_flip_of_pictures_is_that_of_each_beside_its_own(tmp_path):
     found = fit(task.photos, ANALYTIC, DirectConfig(iterations=2))
     looks = task.looks(found)
     assert set(looks) == {"flip_seen", "flip_left_out"}
-    images, _ = found.predict(task.left_out)
+    images, _ = found.predict(task.unseen)
     shown = images.clamp(0, 1) ** (1 / 2.2)
     each = [flip_evaluator.evaluate(photo.numpy(), image.contiguous().numpy(), "LDR")[1]
-            for photo, image in zip(task.left_out.photos, shown)]
+            for photo, image in zip(task.unseen.photos, shown)]
     assert looks["flip_left_out"] == pytest.approx(sum(each) / len(each), abs=1e-4)  # photos there and back; measured 3e-7
     known = known_material("builtin:inlay", 16, GRID, ANALYTIC)
     exact = known.looks(replace(fit(known.photos, ANALYTIC, DirectConfig(iterations=1)), svbrdf=known.truth))

@@ -5,7 +5,7 @@ from helpers.bench_records import GIVEN, METHODS, benchmark, record
 
 from mitsvbrdf.bench import summary
 from mitsvbrdf.bench.commands import commands
-from mitsvbrdf.bench.tables import equal_time, looks
+from mitsvbrdf.bench.tables import each_one, equal_time, looks
 from mitsvbrdf.bench.times import equal_error
 
 TWO = [record("hybrid", b, s, n, mean=e) for b, s, n, e in (
@@ -53,24 +53,26 @@ def test_tables_show_the_medians_and_mark_the_lowest():
     # hybrid at 30 s: 0.05, 0.055, 0.06 times the mean of 1 and 1.5.
     cells = {row[0]: row[1:] for row in table.rows}
     assert table.heads == ["", "10 s", "30 s"] and cells["`hybrid`"][1] == "**0.0688 (0.0656–0.0719)**"
-    assert cells["`direct`"][1].startswith("0.1100") and "MaterialGAN, published" not in cells  # it is known of a alone
-    seen = next(t for t in equal_time(summary.views(benchmark(METHODS, GIVEN))[1]) if "seen" in t.title)
-    assert ["MaterialGAN, published, at any time", "0.0100", "0.0100"] in seen.rows
+    assert cells["`direct`"][1].startswith("0.1100")
+    assert not any("MaterialGAN" in name for name in cells)  # it is known of a alone
+    seen = next(t for t in equal_time(summary.protocols(benchmark(METHODS, GIVEN))[1]) if "seen" in t.title)
+    assert ["MaterialGAN, published", "0.0100", "0.0100"] in seen.rows
 
 
 def test_equal_error_names_the_shortest_budget():
-    material, capture = (table for view in summary.views(benchmark(METHODS, GIVEN)) for table in equal_error(view))
+    material, capture = (table for view in summary.protocols(benchmark(METHODS, GIVEN)) for table in equal_error(view))
     # The baseline ends at 0.2 * 1.1 * 1.25 = 0.275; hybrid has 0.1191 after 10 s, direct 0.1905.
     assert material.heads[1] == "maps, below `peers-baseline` (0.2750)" and material.heads[2].endswith("on a (0.0600)")
     rows = {row[0]: row[1:] for row in material.rows}
     assert rows["`hybrid`"][:2] == ["10 s", "30 s"]  # on a alone: 0.055 after 30 s
     assert rows["`direct`"][:2] == ["10 s", "not in 30 s (best 0.0880)"] and rows["`peers-baseline`"][0] == "its own error"
-    assert {row[0]: row[2] for row in capture.rows}["`hybrid`"] == "not in 30 s (best 0.0688)"
+    assert not any("0.0200" in head for head in capture.heads)  # MaterialGAN saw the photos left out
+    assert {row[0]: row[-1] for row in capture.rows}["`hybrid`"] == "not in 30 s (best 0.0688)"
 
 
 def cells_of(records, given=None):
     table = equal_time(benchmark(records, given))[0]
-    return {row[0]: dict(zip(table.heads[1:], row[1:])) for row in table.rows}
+    return {row[0]: dict(zip(table.heads[1:], row[1:])) for row in table.rows} | {"note": table.note}
 
 
 def test_every_cell_has_a_number_or_a_reason():
@@ -84,9 +86,11 @@ def test_every_cell_has_a_number_or_a_reason():
                       *fits("peers-baseline", 10.0, 0, config={"class": "PeersConfig"}, stopped="iterations", seconds=4.0)])
     assert cells["`hybrid`"] == {"10 s": "0.1500 (0.1250–0.1750)", "30 s": "**0.1000 (1 of 2 seeds)**"}
     assert cells["`gan`"] == {"10 s": "only 1 of 2", "30 s": "fails on 1 of 2"}
-    assert cells["`direct`"] == {"10 s": "**0.1000 (no randomness)**", "30 s": "not run"}
+    assert cells["`direct`"] == {"10 s": "**0.1000**", "30 s": "not run"}
+    assert cells["note"] == ("Median of 2 seeds, quartiles in brackets. Without randomness: `direct`, `peers-baseline`. † "
+                             "ended by itself: `peers-baseline` after 4 s.")
     # It ended by itself: the longer budget would give the same.
-    assert cells["`peers-baseline`"] == dict.fromkeys(("10 s", "30 s"), "**0.1000 (no randomness), ended after 4 s**")
+    assert cells["`peers-baseline`"] == dict.fromkeys(("10 s", "30 s"), "**0.1000 †**")
 
 
 def test_flip_stands_in_a_table_of_its_own_where_it_was_measured():
@@ -99,10 +103,10 @@ def test_two_ways_to_leave_photos_out_are_shown_apart():
     both = [record("hybrid", 10.0, 0, "a", "capture", seen=e, left_out=e) | {"left_out": numbers}
             for numbers, e in (([4, 7], 0.1), ([7, 8], 0.3))]
     given = {"capture 7,8": {"a": {"Gao 2019 without them": {"left_out": 0.2}}}}
-    _, usual, other = summary.views(benchmark([*both, record(mean=0.5)], given))
+    _, usual, other = summary.protocols(benchmark([*both, record(mean=0.5)], given))
     assert [row[1] for row in equal_time(usual)[0].rows] == ["**0.1000**"]
     table = equal_time(other)[0]
-    assert table.rows == [["`hybrid`", "**0.3000**"], ["Gao 2019 without them, published, at any time", "0.2000"]]
+    assert table.rows == [["`hybrid`", "**0.3000**"], ["Gao 2019, published", "0.2000"]]
     assert table.title.endswith("a without photos 7 and 8")
 
 
@@ -111,8 +115,21 @@ def test_the_usual_photos_come_first_whatever_the_order_of_the_records():
                     for numbers in ([7, 8], [4, 7]))
     material = [record("hybrid", 10.0, 0, "m", mean=0.1)]
     for records in (other + material + usual, usual + other + material):
-        assert [view["left_out"] for view in summary.views(benchmark(records))[1:]] == [(4, 7), (7, 8)]
+        assert [part["left_out"] for part in summary.protocols(benchmark(records))[1:]] == [(4, 7), (7, 8)]
         assert summary.usual(benchmark(records))["left_out"] == (4, 7)
         (beside,) = (line for line in commands(benchmark(records)) if "--materials m" in line)
         assert "--left-out" not in beside  # materials stand in the command of the usual photos
     assert summary.usual(benchmark(other))["left_out"] == (7, 8)
+
+
+def test_errors_of_photos_that_a_method_saw_are_marked_last_and_never_the_best():
+    fits = [record("hybrid", 10.0, 0, n, "capture", seen=e, left_out=e) | {"left_out": [7, 8]}
+            for n, e in (("a", 0.1), ("b", 0.3))]
+    given = {"capture 7,8": {n: {"MaterialGAN": {"seen": 0.2, "left_out": 0.01}, "MaterialGAN without them": {"left_out": 0.15}}
+                             for n in ("a", "b")}}
+    _, protocol = summary.protocols(benchmark(fits, given))
+    assert summary.for_readers(benchmark(fits, given))[0] == protocol
+    table = each_one(protocol, "capture", "left_out", "Error")
+    assert table.heads == ["", "`hybrid`", "MaterialGAN, published", "*MaterialGAN, which saw them*"]
+    assert table.rows == [["median", "0.2000", "**0.1500**", "0.0100"], ["a", "**0.1000**", "0.1500", "0.0100"],
+                          ["b", "0.3000", "**0.1500**", "0.0100"]]

@@ -55,7 +55,7 @@ def test_files_that_are_there_are_replaced_only_when_asked(command, lazy, capsys
     fails(capsys, lazy, [*command, "link"], "link, which exists", "--overwrite")
 
 
-@pytest.mark.parametrize("name", ["p-methods.svg", "p-material-novel-light.svg", "g-schedule.svg"])
+@pytest.mark.parametrize("name", ["p-methods.svg", "p-material.svg", "g-schedule.svg"])
 def test_pictures_beside_a_page_are_no_less(name, lazy, capsys):
     (lazy / name).write_text("mine")
     fails(capsys, lazy, ["bench", "--page", "p.md", "--gan-page", "g.md"], name, "--overwrite")

@@ -10,7 +10,7 @@ from helpers import ANALYTIC, MITSUBA, ROOT
 from mitsvbrdf import cli
 from mitsvbrdf.errors import MapsError
 from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HierarchicalConfig, HybridConfig, left_out, losses, make_method
-from mitsvbrdf.fit.hierarchical import needs
+from mitsvbrdf.fit.hierarchical import skipped
 from mitsvbrdf.fit.hierarchical.stages import ROUNDS, Stage, Stages
 from mitsvbrdf.fit.left_out import decided_later, known_before, used
 from mitsvbrdf.fit.record import read_whole_fit
@@ -70,11 +70,12 @@ def test_every_claim_has_a_measured_row(leather):
     assert said >= {"Fresnel curve", "interreflection and path depth", "shadow rays", "environment", "ray tracing",
                     "texture look-ups", "light falloff", "specular lobe", "diffuse lobe", "colour of the specular map",
                     "metallic map", "normal map", "guessed diffuse map", "flash offset", "generator", "discriminator",
-                    needs.TIED, needs.RIVALS, needs.VIEWS, needs.IN_TURN}
+                    skipped.TIED, skipped.RIVALS, skipped.VIEWS, skipped.IN_TURN}
     assert said >= {f"gradient of {name}" for names in CHANNELS.values() for name in names} | set(losses.NAMES.values())
 
 
-@pytest.mark.parametrize("structure, without", [(0.0005, {needs.TIED, needs.VIEWS, needs.IN_TURN}), (0.02, {needs.RIVALS})])
+@pytest.mark.parametrize("structure, without", [
+    (0.0005, {skipped.TIED, skipped.VIEWS, skipped.IN_TURN}), (0.02, {skipped.RIVALS})])
 def test_what_the_free_stage_decides_is_said_with_its_figure(structure, without, leather):
     task = FitTask(leather, MITSUBA, HierarchicalConfig())
     method = make_method(task)
@@ -82,7 +83,7 @@ def test_what_the_free_stage_decides_is_said_with_its_figure(structure, without,
     method.stages.judge(torch.tensor([structure, 0.01]))
     told = dict(method.left_out)
     assert set(told) == without <= set(dict(decided_later(task)))
-    assert all(f"{structure:g}" in why for what, why in told.items() if what != needs.IN_TURN)
+    assert all(f"{structure:g}" in why for what, why in told.items() if what != skipped.IN_TURN)
 
 
 def test_explain_and_the_record_say_so(tmp_path, capsys):
@@ -127,4 +128,4 @@ def test_photos_are_not_left_out_in_turn_where_time_was_short(rounds, hurried, l
     stages.enter(Stage.FINE)
     again.load_state(stages.state())
     task = FitTask(leather, ANALYTIC, HierarchicalConfig())
-    assert [needs.IN_TURN in dict(needs.left_out(task, each)) for each in (stages, again)] == [hurried] * 2
+    assert [skipped.IN_TURN in dict(skipped.left_out(task, each)) for each in (stages, again)] == [hurried] * 2

@@ -8,7 +8,7 @@ from functools import partial
 
 from ...capture import Capture
 from ...fit import FitConfig, GanConfig, HierarchicalConfig, HybridConfig
-from ...fit.hierarchical import needs
+from ...fit.hierarchical import skipped
 from ...fit.hierarchical.moved_views import REFINED
 from ...fit.hierarchical.stages import ROUNDS, Stage
 from ...fit.methods import method_name
@@ -61,13 +61,13 @@ def parts() -> list[Part]:
     hybrid, gan = HybridConfig(iterations=STEPS), GanConfig(iterations=STEPS)
     first = partial(replace, usual)
     return [
-        Part(needs.TIED, usual, first(exact=False), True, FOLLOWING),
-        Part(needs.RIVALS, usual, first(exact=True), True, (OFF,)),
-        Part(needs.RIVALS, usual, first(rivals=False), kinds=FOLLOWING),
-        Part(needs.VIEWS, usual, first(calibrate=True), True, FOLLOWING),
-        Part(needs.VIEWS, usual, first(calibrate=False), kinds=OTHERS),
+        Part(skipped.TIED, usual, first(exact=False), True, FOLLOWING),
+        Part(skipped.RIVALS, usual, first(exact=True), True, (OFF,)),
+        Part(skipped.RIVALS, usual, first(rivals=False), kinds=FOLLOWING),
+        Part(skipped.VIEWS, usual, first(calibrate=True), True, FOLLOWING),
+        Part(skipped.VIEWS, usual, first(calibrate=False), kinds=OTHERS),
         Part("flash offset", usual, first(flash_offset=False), kinds=OTHERS),
-        Part(needs.IN_TURN, usual, first(noise=0.03), kinds=OTHERS),
+        Part(skipped.IN_TURN, usual, first(noise=0.03), kinds=OTHERS),
         Part("other starts of texels", usual, first(neighbours=False)),
         Part("look-alikes", usual, first(materials=1)),
         Part("freedom at full size", usual, first(own=0.0), kinds=OTHERS),

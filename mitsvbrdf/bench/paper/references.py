@@ -87,7 +87,7 @@ class ReferenceJob:
         return self._of_maps(maps) | {"novel_light": novel_light_rmse(maps, self.task.truth, self.task.photos.views)}
 
     def _of_photos(self, maps: SVBRDF) -> dict[str, float]:
-        parts = {"seen": self.task.photos, "left_out": getattr(self.task, "left_out", None)}
+        parts = {"seen": self.task.photos, "left_out": getattr(self.task, "unseen", None)}
         return {part: evaluate_capture(maps, shots, self.renderer)["rerender_rmse"]
                 for part, shots in parts.items() if shots is not None}
 

@@ -78,8 +78,8 @@ class ScheduleJob:
         """
         trace: list[dict[str, float]] = []
         found, wall = timed(self._fit, trace, report)
-        return {"seconds": found.seconds, "wall": round(wall, 3), "iterations": found.iterations, "stopped": found.stopped,
-                "errors": _short(self.task.errors(found)), "trace": trace}
+        return {"seconds": found.seconds, "wall": wall, "iterations": found.iterations, "stopped": found.stopped,
+                "errors": self.task.errors(found), "trace": trace}
 
     def _fit(self, trace: list[dict[str, float]], report: Callable[[float], object]) -> Fitted:
         config = replace(self.config, iterations=self.iterations, budget=None, seed=self.seed)
@@ -91,7 +91,7 @@ class ScheduleJob:
         def kept(entry: dict, share: float) -> None:
             rmse, svbrdf, _ = loop.seen
             now = self._fitted(svbrdf, rmse, entry["seconds"], entry["iteration"], "going on")
-            trace.append({"iteration": entry["iteration"], "seconds": entry["seconds"]} | _short(self.task.errors(now)))
+            trace.append({"iteration": entry["iteration"], "seconds": entry["seconds"]} | self.task.errors(now))
             report(share)
 
         loop = Loop(method, lit, self.renderer, config, report=kept)
@@ -106,7 +106,3 @@ class ScheduleJob:
     def _fitted(self, svbrdf: SVBRDF, rmse: float, seconds: float, iterations: int, stopped: str) -> Fitted:
         return Fitted(svbrdf.detach(), rmse, lambda shots: predict(svbrdf, as_lit(shots, self.config), self.renderer, None)[:2],
                       seconds, math.nan, iterations, stopped)
-
-
-def _short(errors: dict[str, float]) -> dict[str, float]:
-    return {name: round(value, 5) for name, value in errors.items()}

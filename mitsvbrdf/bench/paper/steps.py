@@ -128,4 +128,4 @@ def parts_of(method: Gan, steps: int) -> dict[str, float]:
         for _ in range(steps):
             with profiled(STEP):
                 method.step(LATE)
-        return {name: round(part["share"], 4) for name, part in profile.summary()["parts"].items()}
+        return {name: part["share"] for name, part in profile.summary()["parts"].items()}

@@ -39,17 +39,10 @@ class StiffFit(FitJob):
             result, wall = timed(fit_svbrdf, self.task.photos, self.renderer, config, report=lambda entry, share: report(share))
             if result.stopped == "interrupted":
                 raise KeyboardInterrupt
-            found = figures(result, self.task) | {"wall": round(wall, 3), "why": None}
+            found = figures(result, self.task) | {"wall": wall, "why": None}
         except Exception as reason:  # also one that nobody expects: that is what is looked for
             found = NO_FIGURES | {"stopped": "failed", "why": f"{type(reason).__name__}: {reason}"}
-        return _rounded(self.task.known | found)
-
-
-def _rounded(value: Any) -> Any:
-    """JSON with numbers of five digits: more say nothing, and the file stays small."""
-    if isinstance(value, dict):
-        return {name: _rounded(each) for name, each in value.items()}
-    return float(f"{value:.5g}") if isinstance(value, float) else value
+        return self.task.known | found
 
 
 def figures(result: FitResult, task: StiffTask) -> dict[str, Any]:

@@ -39,8 +39,8 @@ from .highlights import independent, trust
 from .left_out import NOISES, in_turn, least_as_good, prediction_errors
 from .marginal import integrated
 from .moved_views import LEVELLED, REFINED, MovedViews
-from .needs import left_out
 from .scales import Scale, Scales
+from .skipped import left_out
 from .solver import Observations
 from .stages import NOISE, Stage, Stages, unexplained
 from .starts import LESS, Rivals, other_starts, stepped

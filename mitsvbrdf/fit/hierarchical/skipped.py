@@ -1,4 +1,4 @@
-"""Which parts of the fit these photos do not need: what is known before it, and what the free stage decides."""
+"""Which parts of the fit are skipped, as these photos do not need them: known before it, or decided by the free stage."""
 
 from __future__ import annotations
 
