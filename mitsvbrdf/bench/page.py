@@ -90,7 +90,8 @@ def write_benchmark_page(path: str | Path, record: Mapping) -> list[Path]:
 
     head = ["# Benchmark: error against run time", "", "Written by `mitsvbrdf bench --page`, nothing by hand.", ""]
     whole = picture("methods", methods_figure(record), "Error against the seconds of the loop, all methods")
-    whole += picture("methods-wall", methods_figure(record, wall=True), "Error against seconds on the wall, all methods")
+    wall = picture("methods-wall", methods_figure(record, wall=True), "Error against seconds on the wall, all methods")
+    whole += folded("The same by the clock on the wall", wall)
     sections = [line for protocol in summary.for_readers(record) for line in _methods(protocol, picture)]
     lines = [*head, *in_short(record), *whole, *sections, *_start(record), *_renderers(record, picture),
              *_ablation(record), *_capture(record), *_how(record)]
@@ -154,9 +155,10 @@ def _methods(protocol: Mapping, picture: Picture) -> list[str]:
                   for line in markdown(table)]
         each = [each_one(protocol, kind, error, title) for error, title in ERRORS[kind].items()]
         passed = passing(protocol) if kind == "capture" else None
-        lines += folded(f"Each {kind}", [*each, passed])
-        lines += folded("How different pictures look, seconds to other errors, seconds on the wall",
-                        [looks(protocol, kind), *ladders(protocol), *wall_time(protocol)])
+        rest = [looks(protocol, kind), *ladders(protocol), *wall_time(protocol)]
+        for title, tables in ((f"Each {kind}", [*each, passed]),
+                              ("How different pictures look, seconds to other errors, seconds on the wall", rest)):
+            lines += folded(title, [line for table in tables for line in markdown(table, "")])
     return lines
 
 
@@ -169,9 +171,8 @@ def _of_captures(protocol: Mapping, names: Sequence[str]) -> tuple[str, str]:
     return f"Real captures without photos {numbers}", text + (UNFAIR if len(blind) < len(whose) else "")
 
 
-def folded(title: str, tables: Sequence[Table | None]) -> list[str]:
-    """Tables that a reader opens; no headings, whose sections would not end where the fold does."""
-    lines = [line for table in tables for line in markdown(table, "")]
+def folded(title: str, lines: Sequence[str]) -> list[str]:
+    """Lines that a reader opens; without headings, whose sections would not end where the fold does."""
     return ["<details>", f"<summary>{title}</summary>", "", *lines, "</details>", ""] if lines else []
 
 

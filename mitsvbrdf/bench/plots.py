@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import accumulate
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -35,7 +36,7 @@ def methods_figure(record: Mapping, wall: bool = False) -> Figure | None:
     drawing = Figure(figsize=(WIDTH, 3.1 * len(parts) + 0.3))
     height = drawing.get_figheight()
     panels = drawing.subplots(len(parts), 2, squeeze=False)
-    drawing.subplots_adjust(left=0.06, right=0.805, wspace=0.88, hspace=0.42, top=1 - 0.5 / height, bottom=0.45 / height)
+    drawing.subplots_adjust(left=0.06, right=0.81, wspace=0.98, hspace=0.42, top=1 - 0.5 / height, bottom=0.45 / height)
     shades = colours([fit for _, fits, _ in parts for fit in fits])
     for row, (kind, fits, protocol) in zip(panels, parts):
         for panel, (error, title) in zip(row, summary.ERRORS[kind].items()):
@@ -102,7 +103,8 @@ def names_of(kind: str, fits: Sequence[Mapping]) -> str:
     count, seeds = len(summary.names(fits)), len({r["seed"] for r in fits})
     left_out = f" without {' and '.join(map(str, fits[0]['left_out']))}" if fits[0].get("left_out") else ""
     band = f"quartiles of {'them' if count > 1 else f'{seeds} seeds'}" if max(count, seeds) > 1 else "one seed"
-    return f"{count} {summary.KINDS[kind]}{'s' * (count > 1)}{left_out}; {'mean, band: ' if count > 1 else ''}{band}"
+    shown = f"{'mean, band of the default: ' if count > 1 else ''}{band}"
+    return f"{count} {summary.KINDS[kind]}{'s' * (count > 1)}{left_out}; {shown}"
 
 
 def _curves(panel: Axes, found: Mapping[str, Sequence[summary.Point]], clock: Mapping[str, Sequence[float]],
@@ -116,7 +118,9 @@ def _curves(panel: Axes, found: Mapping[str, Sequence[summary.Point]], clock: Ma
         low, high = ([p.scenes[0] for p in points], [p.scenes[1] for p in points]) if points[0].count > 1 else (
             [p.low for p in points], [p.high for p in points])
         if high > low and name == next(iter(found)):
-            panel.fill_between(x, low, high, color=shades[name], alpha=0.13, linewidth=0, zorder=2)
+            on = points[-1].ended  # to the right edge; and fits that end by themselves take turns in being the faster one
+            panel.fill_between([*accumulate(x, max), *[right] * on], low + low[-1:] * on, high + high[-1:] * on,
+                               color=shades[name], alpha=0.13, linewidth=0, zorder=2)
         panel.plot(x, y, color=shades[name], linewidth=2.0, marker="o", markersize=4, zorder=3 + number,
                    solid_capstyle="round")
         if points[-1].ended:
