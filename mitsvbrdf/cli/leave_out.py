@@ -9,8 +9,8 @@ from tyro.conf import arg
 
 from ..errors import ConfigError
 from ..system import files
-from ..system.progress import say_written
-from .measuring import measure
+from ..system.progress import say, say_written
+from .measuring import measure, outlook
 from .options import Overwrite, check_new_files
 
 
@@ -59,6 +59,8 @@ def leave_out(
         plan = LeaveOutPlan(fits, resolution, repeats, fit_resolution, fit_repeats, named, capture_folders(captures, data))
         pairs, settings, _ = plan.jobs()
         store = Store(json_file, settings, anew, SHAPING)
+        if fits:
+            say(f"pairs of fits, after the renders: {outlook(pairs, store, workers)}")
         lost = [measure(plan, plan.renders(), store)]
         if fits and lost[0] is not None:
             lost.append(measure(plan, pairs, store, workers))

@@ -32,19 +32,16 @@ def measure(plan: AnyPlan, jobs: Sequence[AnyJob], store: Store, workers: int | 
         ConfigError: no such number of workers.
     """
     from ..batch.settings import BatchSettings
-    from ..bench.jobs import duration, run
+    from ..bench.jobs import run
     from ..bench.parallel import run_parallel
 
     settings = BatchSettings(workers=workers, address=address)
     settings.check()
-    missing = store.pending(list(jobs))
-    say(f"{len(jobs) - len(missing)} of {len(jobs)} jobs need no more than the records in {store.path}; "
-        + (f"the other {len(missing)} take about {duration(sum(job.cost for job in missing) / (workers or 1))}{less}"
-           if missing else "nothing to do"))
+    say(outlook(jobs, store, workers, less))
     failed: Mapping[str, str] = {}
     try:
         with progress_bar("measuring") as report:
-            if missing and (workers or address):
+            if (workers or address) and store.pending(list(jobs)):
                 failed = run_parallel(plan, jobs, store, settings, report)
             else:
                 failed = run(jobs, store, report)
@@ -59,3 +56,13 @@ def measure(plan: AnyPlan, jobs: Sequence[AnyJob], store: Store, workers: int | 
     for title, reason in failed.items():
         say(f"no record: {title}: {reason}")
     return failed
+
+
+def outlook(jobs: Sequence[AnyJob], store: Store, workers: int | None = None, less: str = "") -> str:
+    """How many jobs have what they need, and how long the others take, in words; arguments as of :func:`measure`."""
+    from ..bench.jobs import duration
+
+    missing = store.pending(list(jobs))
+    rest = (f"the other {len(missing)} take about {duration(sum(job.cost for job in missing) / (workers or 1))}{less}"
+            if missing else "nothing to do")
+    return f"{len(jobs) - len(missing)} of {len(jobs)} jobs need no more than the records in {store.path}; {rest}"

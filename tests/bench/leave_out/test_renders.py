@@ -9,6 +9,7 @@ import torch
 from helpers.bench_records import benchmark
 
 from mitsvbrdf.bench.leave_out import plan, renders
+from mitsvbrdf.bench.leave_out.fits import PairJob
 from mitsvbrdf.bench.leave_out.renders import Case
 from mitsvbrdf.bench.schema import check_benchmark
 from mitsvbrdf.cli import main
@@ -75,6 +76,14 @@ def test_the_command_goes_on_after_ctrl_c_and_forgets_only_when_asked(out, monke
     assert main([*command, "--repeats", "3"]) == 2
     assert "--anew forgets it" in " ".join(capsys.readouterr().err.split()) and out.read_bytes() == before
     assert main([*command, "--repeats", "3", "--anew"]) == 0 and count[4:] == ["a", "b", "c"]
+
+
+def test_the_time_of_the_fits_is_said_first(out, monkeypatch, capsys):
+    monkeypatch.setattr(PairJob, "run", lambda job, report: pytest.fail("began"))
+    monkeypatch.setattr(renders.Case, "run", lambda job, report: os.kill(os.getpid(), signal.SIGINT))
+    assert main(["leave-out", "--json", str(out), "--fits", "--fit-resolution", "16", "--parts", "look-alikes"]) == 130
+    said = capsys.readouterr().out
+    assert said.index("after the renders: 0 of 4 jobs") < said.index("0 of 3 jobs") and "the other 4 take about" in said
 
 
 @pytest.mark.parametrize("extra, words", [
