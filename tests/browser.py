@@ -19,7 +19,7 @@ STALL = "GPU stall due to ReadPixels"  # Chromium's remark on a test that reads 
 
 def chromium() -> str:
     """Chromium's path, by the environment variable MITSVBRDF_CHROMIUM or on PATH; skips the test where there is none."""
-    pytest.importorskip("playwright", reason="needs playwright: pip install 'mitsvbrdf[test]'")
+    pytest.importorskip("playwright", reason="needs playwright: pip install 'mitsvbrdf[slow]'")
     names = (os.environ.get("MITSVBRDF_CHROMIUM", ""), "chromium", "chromium-browser", "google-chrome")
     path = next((found for name in names if name and (found := shutil.which(name))), None)
     if path is None:

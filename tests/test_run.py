@@ -125,6 +125,41 @@ def test_changed_requirements_are_set_up_again(checkout):
     assert (checkout / ".venv" / "stamp").read_text() == stamp(checkout)
 
 
+UV_WAYS = """printf '%s\\n' "$UV_DEFAULT_INDEX" "$UV_INDEX" "$UV_FIND_LINKS" "$SSL_CERT_FILE" "$UV_HTTP_TIMEOUT" "$@" >&2"""
+
+
+def told(checkout: Path, settings: str, uv: str) -> tuple[str, list[str]]:
+    """What `run setup` says where pip has these settings, and the calls of pip to install; beside a uv of these commands."""
+    (checkout / ".venv" / "stamp").unlink()
+    programs, calls = checkout / ".venv" / "bin", checkout / "calls"
+    (checkout / "settings").write_text(settings)
+    (programs / "uv").write_text(f"#!/bin/sh\n{uv}\n")
+    (programs / "uv").chmod(0o755)
+    (programs / "python").write_text(f'#!/bin/sh\nroot="{checkout}"\n'
+                                     'case "$*" in *"pip config list") cat "$root/settings" ;;\n'
+                                     '*"pip install"*) printf "%s\\n" "$*" >>"$root/calls" ;; esac\n')
+    done = sh(checkout / "run", "setup", env={"PATH": "/usr/bin:/bin"})
+    assert done.returncode == 0, done.stderr
+    return done.stderr, [call.rsplit("constraints.txt ", 1)[1] for call in calls.read_text().splitlines()]
+
+
+def test_uv_looks_for_packages_where_pip_does(checkout):
+    said, by_pip = told(checkout, ":env:.timeout='180'\nglobal.index-url='https://a/simple?x=1'\nglobal.find-links='/b /c'\n"
+                        "global.cert='/d.crt'\nuser.extra-index-url='\\nhttps://e\\nfile:///f'\n", UV_WAYS)
+    assert by_pip == ["uv"]
+    lines = said.splitlines()
+    at = lines.index("https://a/simple?x=1")
+    assert lines[at + 1 : at + 5] == ["https://e file:///f", "/b,/c", "/d.crt", "180"]
+    assert lines[at + 5 : at + 7] == ["pip", "install"] and f"{checkout}[test,dev]" in lines[at:]
+
+
+@pytest.mark.parametrize("settings, uv", [("global.no-index='true'\n", UV_WAYS), ("", "exit 2"),
+                                          ("global.index-url='https://a'\nuser.index-url='https://b'\n", UV_WAYS)])
+def test_pip_installs_what_uv_does_not(checkout, settings, uv):
+    said, by_pip = told(checkout, settings, uv)
+    assert by_pip == ["uv", "hatchling editables", f"--no-build-isolation -e {checkout}[test,dev]"] and "pip, which" in said
+
+
 def test_without_a_fitting_python_it_says_so(tmp_path):
     shutil.copy(RUN, tmp_path / "run")
     for name in ("pyproject.toml", "constraints.txt"):

@@ -126,6 +126,7 @@ def test_formats_page_names_every_key(made):
         assert f"`{key}`" in page, key
 
 
+@pytest.mark.slow
 def test_page_in_a_browser(made):
     import browser
 

@@ -92,11 +92,11 @@ def test_exposure_counts_in_the_error():
 
 @pytest.mark.parametrize("preset", ["sphere", pytest.param("turntable", marks=pytest.mark.slow)])
 def test_target_is_met_and_not_by_far(mi, scenes, preset):
-    truth = render_frame(mi, scenes[preset], Stop(samples=4096), seed=99).image.numpy()
+    truth = render_frame(mi, scenes[preset], Stop(samples=1024), seed=99).image.numpy()
     found = render_frame(mi, scenes[preset], Stop(target_error=0.02), seed=1)
     assert found.stopped == "target"
     assert 0.85 * 0.02 <= found.error <= 0.02  # the next sample was needed: 0.95 to 1.0 seen
-    assert rmse(found.image.numpy(), truth) == pytest.approx(0.02, rel=0.2)  # 0.93 to 1.05 seen
+    assert rmse(found.image.numpy(), truth) == pytest.approx(0.02, rel=0.2)  # 0.89 to 1.06 seen
 
 
 def test_one_sample_that_is_enough_is_noticed():
