@@ -16,8 +16,6 @@ from .confidence import DETERMINED, confidence
 from .config import HierarchicalConfig, HybridConfig
 from .fixed_maps import described
 from .gan_config import GanConfig
-from .hierarchical.moved_views import TILTED
-from .hierarchical.skipped import TIED
 from .result import FitResult
 
 # Behind each number, what twelve real captures of nine photos had, fitted with `hybrid` and `direct` at 64 px.
@@ -184,6 +182,9 @@ def _game(result: FitResult) -> Iterator[str]:
 
 def _refined_for_nothing(result: FitResult, capture: Capture) -> Iterator[str]:
     """Whether stated views were refined, as asked for, where exact photos said as much with the views as they were."""
+    from .hierarchical.moved_views import TILTED  # with OpenCV, which results alone do not need
+    from .hierarchical.skipped import TIED
+
     stated, offset = result.calibrated_rmse, math.hypot(*(result.flash_offset or (0.0, 0.0)))
     if not (result.config.refines_views and stated and TIED in dict(result.left_out)):  # only exact photos are not tied
         return
