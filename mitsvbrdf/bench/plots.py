@@ -40,16 +40,22 @@ def methods_figure(record: Mapping, wall: bool = False) -> Figure | None:
     shades = colours([fit for _, fits, _ in parts for fit in fits])
     for row, (kind, fits, protocol) in zip(panels, parts):
         for panel, (error, title) in zip(row, summary.ERRORS[kind].items()):
-            found = summary.curves(fits, error)
+            found = {name: _once(points) for name, points in summary.curves(fits, error).items()}
             clock = {name: [summary.wall_seconds(p, cold.get(name)) if wall else p.seconds for p in points]
                      for name, points in found.items()}
             lines = summary.published_mean(protocol["published"], kind, summary.names(fits), error)
             named = {name: f"{name} (warm)" if wall and cold and name not in cold else name for name in found}
-            _curves(panel, found, clock, shades, {_whose(who, error): value for who, value in lines.items()}, named)
+            published = {_whose(who, error): value for who, value in lines.items()}
+            _curves(panel, summary.budgets(fits), found, clock, shades, published, named)
             panel.set_xlabel(("seconds, start and compilation included" if cold else "seconds of a fit in a warm process")
                              if wall else "seconds of the loop", fontsize=FONT_SIZES["small"], labelpad=1)
             headed(panel, title, f"RMSE, {names_of(kind, fits)}")
     return drawing
+
+
+def _once(points: Sequence[summary.Point]) -> list[summary.Point]:
+    """The points, of budgets with which fits ended by themselves only the longest one: the others say the same again."""
+    return [p for p in points if not p.ended or p is points[-1]]
 
 
 def _whose(who: str, error: str) -> str:
@@ -102,15 +108,14 @@ def names_of(kind: str, fits: Sequence[Mapping]) -> str:
     """How many materials or captures, and what the band is of."""
     count, seeds = len(summary.names(fits)), len({r["seed"] for r in fits})
     left_out = f" without {' and '.join(map(str, fits[0]['left_out']))}" if fits[0].get("left_out") else ""
-    band = f"quartiles of {'them' if count > 1 else f'{seeds} seeds'}" if max(count, seeds) > 1 else "one seed"
-    shown = f"{'mean, band of the default: ' if count > 1 else ''}{band}"
+    shown = "mean, band: quartiles" if count > 1 else f"quartiles of {seeds} seeds" if seeds > 1 else "one seed"
     return f"{count} {summary.KINDS[kind]}{'s' * (count > 1)}{left_out}; {shown}"
 
 
-def _curves(panel: Axes, found: Mapping[str, Sequence[summary.Point]], clock: Mapping[str, Sequence[float]],
-            shades: Mapping[str, str], published: Mapping[str, float], named: Mapping[str, str]) -> None:
+def _curves(panel: Axes, budgets: Sequence[float], found: Mapping[str, Sequence[summary.Point]],
+            clock: Mapping[str, Sequence[float]], shades: Mapping[str, str], published: Mapping[str, float],
+            named: Mapping[str, str]) -> None:
     """Lines of medians, the default's with a band; dashed lines of what was published; names at their ends."""
-    budgets = sorted({p.budget for points in found.values() for p in points})
     taken = [seconds for each in clock.values() for seconds in each]
     right, ends = max([1.0, *taken, *budgets]) * 1.12, []
     for number, (name, points) in enumerate(reversed(list(found.items()))):  # the default method on top
@@ -130,7 +135,7 @@ def _curves(panel: Axes, found: Mapping[str, Sequence[summary.Point]], clock: Ma
         panel.axhline(value, color=CHART_TEXT, linewidth=1.0, linestyle=(0, (5, 3)), zorder=1)
         ends.append((who, value, CHART_TEXT, "italic"))
     panel.set(xscale="log", yscale="log")
-    panel.set_xlim(min(taken, default=1.0) / 1.25, right)
+    panel.set_xlim(min([*taken, *budgets], default=1.0) / 1.25, right)
     panel.xaxis.set_major_locator(FixedLocator(budgets))
     plain(panel)
     _labels(panel, ends)
