@@ -13,9 +13,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import BackendError
+from ..fit import live
 from ..render import RendererName
 from ..render.llvm import STATED, VARIABLE
 from ..system.timing import spread
+from .code import method_module, own_code
 
 CACHE = "DRJIT_CACHE_DIR"  # where Dr.Jit keeps compiled kernels; by default in ~/.drjit
 CHILD = (sys.executable, "-P", "-m", "mitsvbrdf.bench.start_child")
@@ -53,7 +55,7 @@ class StartJob:
     def settings(self) -> dict:
         """What else shapes the record."""
         return {"resolution": self.resolution, "budget": self.budget, "repeats": self.repeats, "renderer": self.renderer,
-                "variant": self.variant}
+                "variant": self.variant, "code": own_code(__name__, CHILD[-1], live.__name__, method_module(self.method))}
 
     @property
     def title(self) -> str:
