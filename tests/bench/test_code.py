@@ -25,7 +25,7 @@ def test_the_digits_of_the_code_change_with_what_it_does_and_not_with_its_words(
 
 
 # What the modules of jobs import and what shapes no record: words, drawings, how files are read and written.
-SHAPELESS = {"__init__.py", "errors.py", "system/__init__.py",
+SHAPELESS = {"__init__.py", "bench/__init__.py", "errors.py", "system/__init__.py",
              *(f"pages/{name}.py" for name in ("canvas", "colours", "notebook", "page", "pictures")),
              *(f"system/{name}.py" for name in ("files", "interrupts", "journal", "json_files", "lock", "profile", "progress",
                                                 "provenance", "result_folder", "shared_file")),
