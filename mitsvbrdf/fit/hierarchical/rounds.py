@@ -17,11 +17,13 @@ photos are believed as far as each is predicted from the others (:mod:`~mitsvbrd
 
 Texels that share a roughness also hold each other in a wrong one. Photos of a simulation, which can tell, are therefore
 explained from three starts, whose lobes are of very different width, and the most probable answer is refined at full size.
+Where they need no lobe (:mod:`~mitsvbrdf.fit.hierarchical.matte`), the rest is refined without one.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -38,6 +40,7 @@ from ..task import FitTask
 from .highlights import independent, trust
 from .left_out import NOISES, in_turn, least_as_good, prediction_errors
 from .marginal import integrated
+from .matte import Search, explained_without, may_be_left_out, without_lobe
 from .moved_views import LEVELLED, REFINED, MovedViews
 from .scales import Scale, Scales
 from .skipped import left_out
@@ -74,6 +77,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         self.scales = Scales(capture, task.guess, self.fixed, config, self.variant)
         self.scale = self.scales.of(Stage.ALONE)
         self.ties = Ties(self.scale.solver.unknowns, config)
+        self.search = Search(self.scales, self.ties)  # with a specular lobe
         self.stages = Stages(config.rivals and "roughness" in self.ties.unknowns.shapes, config.exact)
         self.rivals = Rivals()
         self.answer = self.start()
@@ -107,6 +111,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         if self.stages.stage == Stage.ALONE:
             self.stages.judge(unexplained(self.preview(), self.moved.moved(self.views), self.scale.capture,
                                           make_renderer("mitsuba", self.variant)))
+            self._leave_lobe_out()
         if self.stages.stage == Stage.RIVALS:
             if self.stages.finished:
                 self._keep()
@@ -118,6 +123,20 @@ class Hierarchical(Method[HierarchicalConfig]):
         if stage == Stage.FINE:
             self.scale, self.answer = self._at_full_size(learn=True)
         self.stages.enter(stage)
+
+    def _leave_lobe_out(self) -> None:
+        """Search no further for a specular lobe where the first stage came to its end and the photos need none."""
+        stages, found = self.stages, None
+        if stages.exact and stages.finished and may_be_left_out(self.task):
+            with profiled("solver"):
+                found = explained_without(self.answer, self.search, self.lobeless, stages.unexplained[1], self.observations)
+        if found:
+            stages.matte, (self.scale, self.answer), (self.scales, self.ties) = True, found, self.lobeless
+
+    @cached_property
+    def lobeless(self) -> Search:
+        """The search without a lobe."""
+        return without_lobe(self.search)
 
     def _at_full_size(self, learn: bool = False) -> tuple[Scale, Answer]:
         """The present answer enlarged; texels that were tied are free there, and their look-alikes are asked no more.
@@ -277,5 +296,6 @@ class Hierarchical(Method[HierarchicalConfig]):
         self.answer = Answer(**{name: state[name].clone() for name in Answer._fields})
         for part in (self.stages, self.moved, self.rivals):
             part.load_state(state)
+        self.scales, self.ties = self.lobeless if self.stages.matte else self.search
         stage = self.stages.stage
         self.scale = self.scales.of(stage, free=self.stages.tied and stage == Stage.FINE)
