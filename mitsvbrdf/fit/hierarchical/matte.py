@@ -50,6 +50,11 @@ class Search(NamedTuple):
     scales: Scales
     ties: Ties
 
+    @staticmethod
+    def of(scales: Scales) -> Search:
+        """All that is not held."""
+        return Search(scales, Ties(scales.of(Stage.ALONE).solver.unknowns, scales.config))
+
 
 def may_be_left_out(task: FitTask) -> bool:
     """Whether this fit searches for a lobe that its photos may turn out not to need: with no map of it held, but not alone."""
@@ -62,8 +67,7 @@ def without_lobe(search: Search) -> Search:
     """The search for the rest: specular is held at 0, and roughness, which then shows nowhere, as the robust start has it."""
     coarse, config, side = search.scales.of(Stage.ALONE), search.ties.config, search.scales.captures[Stage.FINE].resolution
     start = robust_start(coarse.capture, coarse.guess, config.bsdf, coarse.solver.fixed)
-    scales = search.scales.holding(**_lobe(0.0, float(start["roughness"].mean()), side))
-    return Search(scales, Ties(scales.of(Stage.ALONE).solver.unknowns, config))
+    return Search.of(search.scales.holding(**_lobe(0.0, float(start["roughness"].mean()), side)))
 
 
 def _lobe(specular: float, roughness: float, side: int) -> dict[str, Tensor]:
@@ -159,14 +163,16 @@ def needed(left: Tensor, less: Tensor, values: Tensor, few: int, many: int) -> b
     """
     from scipy.special import fdtri
 
-    tests = list(blocks(left - less.minimum(left), less.minimum(left), values - many, torch.ones_like(values)))
+    less = less.minimum(left)
+    rest = less.maximum((values - many) * QUANTIZATION_NOISE**2)  # photos are no more exact than 8 bits
+    tests = list(blocks(left - less, rest, values - many, torch.ones_like(values)))
     if tests[-1][2] <= 0:
         return True
     count = sum(saved.numel() for saved, *_ in tests)
     for saved, rest, free, texels in tests:
-        further = (many - few) * texels
-        limit = torch.from_numpy(fdtri(further.numpy(), free.clamp_min(1).numpy(), 1 - RARE / count))
-        if (saved * free.clamp_min(1) > limit * further * rest).any():
+        further, free = (many - few) * texels, free.clamp_min(1)
+        limit = torch.from_numpy(fdtri(further.numpy(), free.numpy(), 1 - RARE / count))
+        if (saved * free > limit * further * rest).any():
             return True
     return False
 

@@ -47,7 +47,7 @@ from .skipped import left_out
 from .solver import Observations
 from .stages import NOISE, Stage, Stages, unexplained
 from .starts import LESS, Rivals, other_starts, stepped
-from .ties import LEAST_PRECISION, Answer, Ties
+from .ties import LEAST_PRECISION, Answer
 
 ROBUST = 3.0  # errors beyond so many times the noise count by their size alone
 ROBUST_END = 10.0  # the same at full size of photos of a phone, where no start is that far from its highlight any more
@@ -74,10 +74,9 @@ class Hierarchical(Method[HierarchicalConfig]):
         self.task, capture, config = task, task.capture, task.config
         self.variant = task.renderer.variant or "llvm_ad_rgb"
         self.moved = MovedViews(capture, task.refined, self.fits_offset)
-        self.scales = Scales(capture, task.guess, self.fixed, config, self.variant)
+        self.search = Search.of(Scales(capture, task.guess, self.fixed, config, self.variant))
+        self.scales, self.ties = self.search
         self.scale = self.scales.of(Stage.ALONE)
-        self.ties = Ties(self.scale.solver.unknowns, config)
-        self.search = Search(self.scales, self.ties)  # with a specular lobe
         self.stages = Stages(config.rivals and "roughness" in self.ties.unknowns.shapes, config.exact)
         self.rivals = Rivals()
         self.answer = self.start()
