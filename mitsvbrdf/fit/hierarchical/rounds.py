@@ -17,11 +17,13 @@ photos are believed as far as each is predicted from the others (:mod:`~mitsvbrd
 
 Texels that share a roughness also hold each other in a wrong one. Photos of a simulation, which can tell, are therefore
 explained from three starts, whose lobes are of very different width, and the most probable answer is refined at full size.
+Where they need no lobe (:mod:`~mitsvbrdf.fit.hierarchical.matte`), the rest is refined without one.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -38,13 +40,14 @@ from ..task import FitTask
 from .highlights import independent, trust
 from .left_out import NOISES, in_turn, least_as_good, prediction_errors
 from .marginal import integrated
+from .matte import Search, explained_without, may_be_left_out, without_lobe
 from .moved_views import LEVELLED, REFINED, MovedViews
 from .scales import Scale, Scales
 from .skipped import left_out
 from .solver import Observations
 from .stages import NOISE, Stage, Stages, unexplained
 from .starts import LESS, Rivals, other_starts, stepped
-from .ties import LEAST_PRECISION, Answer, Ties
+from .ties import LEAST_PRECISION, Answer
 
 ROBUST = 3.0  # errors beyond so many times the noise count by their size alone
 ROBUST_END = 10.0  # the same at full size of photos of a phone, where no start is that far from its highlight any more
@@ -71,9 +74,9 @@ class Hierarchical(Method[HierarchicalConfig]):
         self.task, capture, config = task, task.capture, task.config
         self.variant = task.renderer.variant or "llvm_ad_rgb"
         self.moved = MovedViews(capture, task.refined, self.fits_offset)
-        self.scales = Scales(capture, task.guess, self.fixed, config, self.variant)
+        self.search = Search.of(Scales(capture, task.guess, self.fixed, config, self.variant))
+        self.scales, self.ties = self.search
         self.scale = self.scales.of(Stage.ALONE)
-        self.ties = Ties(self.scale.solver.unknowns, config)
         self.stages = Stages(config.rivals and "roughness" in self.ties.unknowns.shapes, config.exact)
         self.rivals = Rivals()
         self.answer = self.start()
@@ -107,6 +110,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         if self.stages.stage == Stage.ALONE:
             self.stages.judge(unexplained(self.preview(), self.moved.moved(self.views), self.scale.capture,
                                           make_renderer("mitsuba", self.variant)))
+            self._leave_lobe_out()
         if self.stages.stage == Stage.RIVALS:
             if self.stages.finished:
                 self._keep()
@@ -118,6 +122,20 @@ class Hierarchical(Method[HierarchicalConfig]):
         if stage == Stage.FINE:
             self.scale, self.answer = self._at_full_size(learn=True)
         self.stages.enter(stage)
+
+    def _leave_lobe_out(self) -> None:
+        """Search no further for a specular lobe where the first stage came to its end and the photos need none."""
+        stages, found = self.stages, None
+        if stages.exact and stages.finished and may_be_left_out(self.task):
+            with profiled("solver"):
+                found = explained_without(self.answer, self.search, self.lobeless, stages.unexplained[1], self.observations)
+        if found:
+            stages.matte, (self.scale, self.answer), (self.scales, self.ties) = True, found, self.lobeless
+
+    @cached_property
+    def lobeless(self) -> Search:
+        """The search without a lobe."""
+        return without_lobe(self.search)
 
     def _at_full_size(self, learn: bool = False) -> tuple[Scale, Answer]:
         """The present answer enlarged; texels that were tied are free there, and their look-alikes are asked no more.
@@ -277,5 +295,6 @@ class Hierarchical(Method[HierarchicalConfig]):
         self.answer = Answer(**{name: state[name].clone() for name in Answer._fields})
         for part in (self.stages, self.moved, self.rivals):
             part.load_state(state)
+        self.scales, self.ties = self.lobeless if self.stages.matte else self.search
         stage = self.stages.stage
         self.scale = self.scales.of(stage, free=self.stages.tied and stage == Stage.FINE)
