@@ -10,6 +10,9 @@ no photo met its highlight, make almost the same photos, with nothing between th
 roughnesses, with the colours that come nearest to its rendering then. Those that the noise hides count as what the texel might
 be as well, each as much as it is likely.
 
+Nor does a curvature know a colour near 0: what is shown follows the colour, which its number, the colour to 1 / 2.2, hardly
+changes there. A slope by such a number is therefore that of the chord over the deviation that comes out, as far as 0 below it.
+
 All numbers are those in which map errors are counted (docs/conventions.md): diffuse and specular as linear^(1/2.2), roughness
 and metallic as they are, normals as (n + 1) / 2. Each has a range of 1, and the prior is that range: p = 1 / sqrt(12), the
 standard deviation of a number of which nothing else is known.
@@ -38,6 +41,8 @@ DETERMINED = 0.1  # a texel counts as determined when its standard deviation is 
 STEP = 1e-5  # of the differences
 LOBES = 6  # other roughnesses that a texel is given: middles of as many equal parts of the range
 RANGE = 0.01, 0.99  # of the numbers that go with them
+LIFTED = 0.05  # slopes of what is shown by a colour are taken no lower than at this number: below it they are the same
+CHORDS = 8  # times that deviations and the chords over them are found from each other
 
 
 def deviations(svbrdf: SVBRDF, views: Views, images: Tensor, task: FitTask) -> dict[str, Tensor]:
@@ -59,15 +64,21 @@ def deviations(svbrdf: SVBRDF, views: Views, images: Tensor, task: FitTask) -> d
     numbers = {name: numbers_of(name, value) for name, value in known.maps.items() if name not in task.fixed}
     if task.config.grey_specular:
         numbers["specular"] = numbers["specular"][..., :1]
-    slopes = jacobian(known, numbers, views, capture.transfer)
+    lifted = {name: value.clamp_min(LIFTED) if name in COLOURS else value for name, value in numbers.items()}
+    slopes = jacobian(known, lifted, views, capture.transfer)
 
     # The noise of a texel: what its own photos are missed by. The fit took out of that as many values as it has unknowns;
     # for these the average over all texels stands in.
     unknowns, typical = slopes.shape[-1], max(float(miss.sum() / seen.sum().clamp_min(1)), QUANTIZATION_NOISE**2)
     noise2 = (missed.sum(dim=1, keepdim=True) + unknowns * typical) / weights.sum(dim=1, keepdim=True).clamp_min(unknowns)
     curve = slopes.mT @ (weights * slopes) / noise2
-    curve.diagonal(dim1=1, dim2=2).add_(1 / UNKNOWN**2)
-    variance = torch.linalg.inv(curve).diagonal(dim1=1, dim2=2).clamp(0, UNKNOWN**2)
+    reach = torch.full_like(slopes[:, 0], UNKNOWN)
+    for _ in range(CHORDS):
+        chord = _chords(numbers, reach) / _chords(lifted, torch.full_like(reach, STEP))
+        whole = chord[:, :, None] * curve * chord[:, None]
+        whole.diagonal(dim1=1, dim2=2).add_(1 / UNKNOWN**2)
+        variance = torch.linalg.inv(whole).diagonal(dim1=1, dim2=2).clamp(0, UNKNOWN**2)
+        reach = (reach * variance.sqrt()).sqrt()  # at 0 a chord twice as long makes a deviation less than half: halfway, or it swings
     if "roughness" in numbers:
         variance = _with_other_lobes(variance, known, numbers, views, capture.transfer, weights / noise2)
     spread = variance.clamp_max(UNKNOWN**2).sqrt().float()
@@ -115,6 +126,14 @@ def _with_other_lobes(variance: Tensor, known: SVBRDF, numbers: Mapping[str, Ten
         likely = torch.exp(-cost / 2) / LOBES
         mass, square = mass + likely, square + likely * (x - found).square()
     return variance.maximum(square / mass)
+
+
+def _chords(numbers: Mapping[str, Tensor], spread: Tensor) -> Tensor:
+    """Mean slopes of what numbers stand for, over so much around them but not below 0, r^2 x unknowns; 1 but for colours."""
+    coloured = torch.tensor([name in COLOURS for name, value in numbers.items() for _ in range(value.shape[-1])])
+    x = _columns(numbers)
+    high, low = x + spread, (x - spread).clamp_min(0)
+    return torch.where(coloured, (color.decode(high) - color.decode(low)) / (high - low), 1.0)
 
 
 def _columns(numbers: Mapping[str, Tensor]) -> Tensor:
