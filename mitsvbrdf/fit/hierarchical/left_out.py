@@ -33,6 +33,11 @@ def in_turn(count: int) -> range:
     return range(0, count if count >= FEWEST else 0, math.ceil(count / MOST))
 
 
+def prediction_steps() -> int:
+    """How many steps of the solver :func:`prediction_errors` makes for each photo, variances counted as one."""
+    return len(NOISES) * ROUNDS * (STEPS + 1)
+
+
 def prediction_errors(photos: Observations, solver: TexelSolver, ties: Ties, starts: Mapping[int, Answer],
                       noises: Sequence[float]) -> Tensor:
     """Mean squared error of some photos' display values, each predicted from all others: one row for each noise.

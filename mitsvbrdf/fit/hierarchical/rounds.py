@@ -36,12 +36,13 @@ from ..method import Method
 from ..start import robust_start
 from ..task import FitTask
 from .highlights import independent, trust
-from .left_out import NOISES, in_turn, least_as_good, prediction_errors
+from .left_out import NOISES, in_turn, least_as_good, prediction_errors, prediction_steps
 from .marginal import integrated
 from .moved_views import LEVELLED, REFINED, MovedViews
+from .pace import Kind, Pace
 from .scales import Scale, Scales
 from .skipped import left_out
-from .solver import Observations
+from .solver import Observations, Solved
 from .stages import NOISE, Stage, Stages, unexplained
 from .starts import LESS, Rivals, other_starts, stepped
 from .ties import LEAST_PRECISION, Answer, Ties
@@ -49,6 +50,7 @@ from .ties import LEAST_PRECISION, Answer, Ties
 ROBUST = 3.0  # errors beyond so many times the noise count by their size alone
 ROBUST_END = 10.0  # the same at full size of photos of a phone, where no start is that far from its highlight any more
 STEPS, OTHER_STEPS = 6, 4  # Levenberg-Marquardt steps of a round, and of another start
+ROUND_STEPS = STEPS + 4 * OTHER_STEPS  # and of a round with all of them
 LAST_STEPS = 8  # and at the end
 AGREED = 4  # rounds in which texels forget a photo that is left out
 
@@ -75,7 +77,10 @@ class Hierarchical(Method[HierarchicalConfig]):
         self.scale = self.scales.of(Stage.ALONE)
         self.ties = Ties(self.scale.solver.unknowns, config)
         self.stages = Stages(config.rivals and "roughness" in self.ties.unknowns.shapes, config.exact)
-        self.rivals = Rivals()
+        self.stages.believe(config.noise or NOISE)
+        self.rivals, self.pace = Rivals(), Pace(config.budget)
+        self.closed: Answer | None = None  # what the present answer ends in, once it was asked for
+        self.cut = False  # whether the time left was too short for the whole of the latest round
         self.answer = self.start()
 
     def start(self) -> Answer:
@@ -87,10 +92,14 @@ class Hierarchical(Method[HierarchicalConfig]):
     # The run: stages of rounds.
 
     def step(self, progress: float) -> dict[str, float]:
-        """One round of the present stage, or the first of the next."""
+        """One round of the present stage, or the first of the next; the end of the last where no time is left for a round."""
         stages = self.stages
-        if stages.over(progress):
+        self.pace.begin(progress)
+        if stages.over(progress, short=not self._in_time(ROUND_STEPS * self.texels)):
             self._begin_next_stage()
+        if stages.tied and stages.stage == Stage.FINE and not self._in_time(self.texels):
+            return self._end()
+        self.closed = None
         trial, had = stages.trial
         if stages.stage == Stage.RIVALS and had == 0:
             self._keep()
@@ -101,7 +110,36 @@ class Hierarchical(Method[HierarchicalConfig]):
         self._move_views()
         with profiled("sharing"):
             self.answer = self._tied(self.scale, self.observations(self.scale, self.answer), self.answer)
+        if self.cut:
+            stages.repeat_round()
         return {"cost": float(cost)}
+
+    def _end(self) -> dict[str, float]:
+        """The rest of the time: the answer is closed, and then as closely as the time allows."""
+        with profiled("closing"):
+            self.closed = self._closed() if self.closed is None else self._more_closed(self.scale, self.closed, 1)
+        return {}
+
+    # The time left.
+
+    @property
+    def texels(self) -> int:
+        """Texels of the present stage."""
+        return self.answer.x[0].numel()
+
+    def _to_come(self) -> int:
+        """Steps of the solver at full size that must follow the present stage."""
+        if self.stages.stage != Stage.FINE:
+            return STEPS + LAST_STEPS
+        return LAST_STEPS if self.stages.tied else 0
+
+    def _in_time(self, work: float, kind: Kind = "solver") -> bool:
+        """Whether so much work can end in time, with what must follow."""
+        return self.pace.allows((kind, work), ("solver", self._to_come() * self.capture.resolution**2))
+
+    def _stepped(self, scale: Scale, photos: Observations, answer: Answer, steps: int) -> Solved:
+        with self.pace.timed("solver", steps * answer.x[0].numel()):
+            return stepped(scale.solver, photos, answer, self.ties, steps)
 
     def _begin_next_stage(self) -> None:
         if self.stages.stage == Stage.ALONE:
@@ -111,13 +149,14 @@ class Hierarchical(Method[HierarchicalConfig]):
             if self.stages.finished:
                 self._keep()
             self.answer = self.rivals.take(self.answer)
-        stage = self.stages.next
+        stage, hurried = self.stages.next, not self.stages.finished
         if stage == Stage.TOGETHER:
             self.scale = self.scales.of(stage)
             self.answer = self.start()
         if stage == Stage.FINE:
-            self.scale, self.answer = self._at_full_size(learn=True)
-        self.stages.enter(stage)
+            hurried = hurried or not self._in_time(self._work_of_noise())
+            self.scale, self.answer = self._at_full_size(learn=not hurried)
+        self.stages.enter(stage, hurried)
 
     def _at_full_size(self, learn: bool = False) -> tuple[Scale, Answer]:
         """The present answer enlarged; texels that were tied are free there, and their look-alikes are asked no more.
@@ -128,7 +167,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         fine = self.scales.of(Stage.FINE)
         if self.stages.exact:
             return fine, self.ties.enlarge(self.answer, self.scale, fine, False)
-        if learn:
+        if learn and self.config.noise is None and in_turn(len(self.capture)):
             with profiled("noise"):
                 self.stages.believe(self._noise_of_detail(fine))
         return self.scales.of(Stage.FINE, free=True), self._freed(self.answer, fine)
@@ -136,11 +175,14 @@ class Hierarchical(Method[HierarchicalConfig]):
     def _freed(self, answer: Answer, fine: Scale) -> Answer:
         return self.ties.free(self.ties.enlarge(answer, self.scale, fine, True))
 
+    def _work_of_noise(self) -> int:
+        """Of the solver: to find the noise, and for a round at full size after it."""
+        turns = len(in_turn(len(self.capture)))
+        return turns * (AGREED * STEPS + prediction_steps()) * self.texels + (ROUND_STEPS - STEPS) * self.capture.resolution**2
+
     def _noise_of_detail(self, fine: Scale) -> float:
-        """The noise of photos of a phone at full size: as asked for, or by which each is predicted well from the others."""
+        """The noise of photos of a phone at full size, by which each is predicted well from the others."""
         turns, scale, starts = in_turn(len(self.capture)), self.scale, dict[int, Answer]()
-        if self.config.noise is not None or not turns or not self.stages.finished:  # else there is no time for it
-            return self.config.noise or NOISE
         every = self.observations(scale, self.answer)
         for photo in turns:
             others, answer = every.without(photo), self.answer
@@ -165,11 +207,16 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def solve(self) -> Tensor:
         """Solve every texel, then try other starts where they lead to less; returns the mean cost."""
-        observations, solver = self.observations(self.scale, self.answer), self.scale.solver
-        found = stepped(solver, observations, self.answer, self.ties, STEPS)
+        observations = self.observations(self.scale, self.answer)
+        fine = self.stages.stage == Stage.FINE
+        steps = self.pace.steps(self.texels, STEPS, self._to_come()) if fine else STEPS
+        found, self.cut = self._stepped(self.scale, observations, self.answer, steps), steps < STEPS
         x, cost = found.x, found.data + found.prior
         for start in other_starts(self.ties, self.stages.rounds) if self.config.neighbours else ():
-            found = stepped(solver, observations, start(self.answer._replace(x=x)), self.ties, OTHER_STEPS)
+            if fine and not self._in_time(OTHER_STEPS * self.texels):
+                self.cut = True
+                break
+            found = self._stepped(self.scale, observations, start(self.answer._replace(x=x)), OTHER_STEPS)
             other = found.data + found.prior
             better = other < cost * (1 - LESS)
             x, cost = torch.where(better, found.x, x), torch.where(better, other, cost)
@@ -184,8 +231,8 @@ class Hierarchical(Method[HierarchicalConfig]):
         if rounds in LEVELLED.get(stage, ()) and self.moved.fits_offset and sloped:
             self.answer, slope = self.ties.levelled(self.answer)
             self.moved.level(slope)
-        if rounds in REFINED.get(stage, ()):
-            with profiled("views"):
+        if rounds in REFINED.get(stage, ()) and self.moved.begun(self._in_time(self.moved.work * self.texels, "views")):
+            with profiled("views"), self.pace.timed("views", self.moved.work * self.texels):
                 if sloped and stage != Stage.FINE:
                     self.answer, _ = self.ties.levelled(self.answer)
                 self.moved.refine(self.preview(), self.scale.capture)
@@ -228,7 +275,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         if self.rivals.best is not None and self.stages.stage == Stage.RIVALS:
             x = enlarged(self.rivals.best.x, side)
         elif self.stages.tied:
-            x = self._closed()
+            x = self._closed().x
         else:
             x = self.answer.x if self.answer.x.shape[-1] == side else enlarged(self.answer.x, side)
         return self.scales.solver(side).svbrdf(x).map(Tensor.contiguous), self.moved.moved(self.views)
@@ -237,20 +284,26 @@ class Hierarchical(Method[HierarchicalConfig]):
         """The present answer as it is, at the size of the present stage."""
         return self.scale.solver.svbrdf(self.answer.x)
 
-    def _closed(self) -> Tensor:
+    def _closed(self) -> Answer:
         """The answer with what the photos burnt in taken out, and the diffuse map that belongs to it.
 
-        Before the last stage: of an answer as if that stage began now.
+        Before the last stage: of an answer as if that stage began now. Steps that cannot end in time are left out.
         """
-        scale, answer, ties = self.scale, self.answer, self.ties
+        if self.closed is not None:
+            return self.closed
+        scale, answer, ties, pace = self.scale, self.answer, self.ties, self.pace
         if self.stages.stage != Stage.FINE:
             scale, answer = self._at_full_size()
-            observations = self.observations(scale, answer)
-            answer = answer._replace(x=stepped(scale.solver, observations, answer, ties, LAST_STEPS).x)
-        observations, x = self.observations(scale, answer), answer.x.clone()
+            steps = pace.steps(answer.x[0].numel(), LAST_STEPS, self._to_come() + LAST_STEPS)
+            answer = answer._replace(x=self._stepped(scale, self.observations(scale, answer), answer, steps).x)
+        x = answer.x.clone()
         x[ties.shared] = ties.bounded(self.independent(x[ties.shared], scale, answer), ties.shared)
         answer = ties.fixed_but_diffuse(answer._replace(x=x))
-        return stepped(scale.solver, observations, answer, ties, LAST_STEPS).x
+        self.closed = self._more_closed(scale, answer, pace.steps(answer.x[0].numel(), LAST_STEPS))
+        return self.closed
+
+    def _more_closed(self, scale: Scale, answer: Answer, steps: int) -> Answer:
+        return answer._replace(x=self._stepped(scale, self.observations(scale, answer), answer, steps).x)
 
     @property
     def views_deviation(self) -> tuple[Tensor | None, Tensor | None]:
@@ -269,13 +322,14 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def state(self) -> dict[str, Tensor]:
         """The states of its parts."""
-        parts = self.answer._asdict(), self.stages.state(), self.moved.state(), self.rivals.state()
+        parts = self.answer._asdict(), *(part.state() for part in (self.stages, self.moved, self.rivals, self.pace))
         return {name: value.clone() for part in parts for name, value in part.items()}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
         self.answer = Answer(**{name: state[name].clone() for name in Answer._fields})
-        for part in (self.stages, self.moved, self.rivals):
+        self.closed = None
+        for part in (self.stages, self.moved, self.rivals, self.pace):
             part.load_state(state)
         stage = self.stages.stage
         self.scale = self.scales.of(stage, free=self.stages.tied and stage == Stage.FINE)
