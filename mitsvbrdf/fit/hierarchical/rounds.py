@@ -36,10 +36,10 @@ from ..method import Method
 from ..start import robust_start
 from ..task import FitTask
 from .highlights import independent, trust
-from .left_out import NOISES, in_turn, least_as_good, prediction_errors, prediction_steps
+from .left_out import AGREED, NOISES, in_turn, least_as_good, prediction_errors, steps_of_turns
 from .marginal import integrated
 from .moved_views import LEVELLED, REFINED, MovedViews
-from .pace import Kind, Pace
+from .pace import LAST_STEPS, OTHER_STEPS, ROUND_STEPS, STEPS, Pace
 from .scales import Scale, Scales
 from .skipped import left_out
 from .solver import Observations, Solved
@@ -49,10 +49,6 @@ from .ties import LEAST_PRECISION, Answer, Ties
 
 ROBUST = 3.0  # errors beyond so many times the noise count by their size alone
 ROBUST_END = 10.0  # the same at full size of photos of a phone, where no start is that far from its highlight any more
-STEPS, OTHER_STEPS = 6, 4  # Levenberg-Marquardt steps of a round, and of another start
-ROUND_STEPS = STEPS + 4 * OTHER_STEPS  # and of a round with all of them
-LAST_STEPS = 8  # and at the end
-AGREED = 4  # rounds in which texels forget a photo that is left out
 
 
 class Hierarchical(Method[HierarchicalConfig]):
@@ -78,7 +74,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         self.ties = Ties(self.scale.solver.unknowns, config)
         self.stages = Stages(config.rivals and "roughness" in self.ties.unknowns.shapes, config.exact)
         self.stages.believe(config.noise or NOISE)
-        self.rivals, self.pace = Rivals(), Pace(config.budget)
+        self.rivals, self.pace = Rivals(), Pace(config.budget, self.stages, capture.resolution**2)
         self.closed: Answer | None = None  # what the present answer ends in, once it was asked for
         self.cut = False  # whether the time left was too short for the whole of the latest round
         self.answer = self.start()
@@ -95,10 +91,11 @@ class Hierarchical(Method[HierarchicalConfig]):
         """One round of the present stage, or the first of the next; the end of the last where no time is left for a round."""
         stages = self.stages
         self.pace.begin(progress)
-        if stages.over(progress, short=not self._in_time(ROUND_STEPS * self.texels)):
+        if stages.over(progress, short=not self.pace.in_time(ROUND_STEPS * self.scale.texels)):
             self._begin_next_stage()
-        if stages.tied and stages.stage == Stage.FINE and not self._in_time(self.texels):
-            return self._end()
+        if stages.tied and stages.stage == Stage.FINE and not self.pace.in_time(self.scale.texels):
+            self._closed(more=1)
+            return {}
         self.closed = None
         trial, had = stages.trial
         if stages.stage == Stage.RIVALS and had == 0:
@@ -114,33 +111,6 @@ class Hierarchical(Method[HierarchicalConfig]):
             stages.repeat_round()
         return {"cost": float(cost)}
 
-    def _end(self) -> dict[str, float]:
-        """The rest of the time: the answer is closed, and then as closely as the time allows."""
-        with profiled("closing"):
-            self.closed = self._closed() if self.closed is None else self._more_closed(self.scale, self.closed, 1)
-        return {}
-
-    # The time left.
-
-    @property
-    def texels(self) -> int:
-        """Texels of the present stage."""
-        return self.answer.x[0].numel()
-
-    def _to_come(self) -> int:
-        """Steps of the solver at full size that must follow the present stage."""
-        if self.stages.stage != Stage.FINE:
-            return STEPS + LAST_STEPS
-        return LAST_STEPS if self.stages.tied else 0
-
-    def _in_time(self, work: float, kind: Kind = "solver") -> bool:
-        """Whether so much work can end in time, with what must follow."""
-        return self.pace.allows((kind, work), ("solver", self._to_come() * self.capture.resolution**2))
-
-    def _stepped(self, scale: Scale, photos: Observations, answer: Answer, steps: int) -> Solved:
-        with self.pace.timed("solver", steps * answer.x[0].numel()):
-            return stepped(scale.solver, photos, answer, self.ties, steps)
-
     def _begin_next_stage(self) -> None:
         if self.stages.stage == Stage.ALONE:
             self.stages.judge(unexplained(self.preview(), self.moved.moved(self.views), self.scale.capture,
@@ -154,7 +124,8 @@ class Hierarchical(Method[HierarchicalConfig]):
             self.scale = self.scales.of(stage)
             self.answer = self.start()
         if stage == Stage.FINE:
-            hurried = hurried or not self._in_time(self._work_of_noise())
+            turns = steps_of_turns(len(self.capture)) * self.scale.texels
+            hurried = hurried or not self.pace.in_time(turns, beside=ROUND_STEPS)
             self.scale, self.answer = self._at_full_size(learn=not hurried)
         self.stages.enter(stage, hurried)
 
@@ -174,11 +145,6 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def _freed(self, answer: Answer, fine: Scale) -> Answer:
         return self.ties.free(self.ties.enlarge(answer, self.scale, fine, True))
-
-    def _work_of_noise(self) -> int:
-        """Of the solver: to find the noise, and for a round at full size after it."""
-        turns = len(in_turn(len(self.capture)))
-        return turns * (AGREED * STEPS + prediction_steps()) * self.texels + (ROUND_STEPS - STEPS) * self.capture.resolution**2
 
     def _noise_of_detail(self, fine: Scale) -> float:
         """The noise of photos of a phone at full size, by which each is predicted well from the others."""
@@ -207,16 +173,15 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def solve(self) -> Tensor:
         """Solve every texel, then try other starts where they lead to less; returns the mean cost."""
-        observations = self.observations(self.scale, self.answer)
         fine = self.stages.stage == Stage.FINE
-        steps = self.pace.steps(self.texels, STEPS, self._to_come()) if fine else STEPS
-        found, self.cut = self._stepped(self.scale, observations, self.answer, steps), steps < STEPS
+        steps = self.pace.steps(STEPS, self.pace.to_come) if fine else STEPS
+        found, self.cut = self._stepped(self.scale, self.answer, steps), steps < STEPS
         x, cost = found.x, found.data + found.prior
         for start in other_starts(self.ties, self.stages.rounds) if self.config.neighbours else ():
-            if fine and not self._in_time(OTHER_STEPS * self.texels):
+            if fine and not self.pace.in_time(OTHER_STEPS * self.scale.texels):
                 self.cut = True
                 break
-            found = self._stepped(self.scale, observations, start(self.answer._replace(x=x)), OTHER_STEPS)
+            found = self._stepped(self.scale, start(self.answer._replace(x=x)), OTHER_STEPS)
             other = found.data + found.prior
             better = other < cost * (1 - LESS)
             x, cost = torch.where(better, found.x, x), torch.where(better, other, cost)
@@ -231,8 +196,9 @@ class Hierarchical(Method[HierarchicalConfig]):
         if rounds in LEVELLED.get(stage, ()) and self.moved.fits_offset and sloped:
             self.answer, slope = self.ties.levelled(self.answer)
             self.moved.level(slope)
-        if rounds in REFINED.get(stage, ()) and self.moved.begun(self._in_time(self.moved.work * self.texels, "views")):
-            with profiled("views"), self.pace.timed("views", self.moved.work * self.texels):
+        work = self.moved.work * self.scale.texels
+        if rounds in REFINED.get(stage, ()) and self.moved.begun(self.pace.in_time(work, "views")):
+            with profiled("views"), self.pace.timed("views", work):
                 if sloped and stage != Stage.FINE:
                     self.answer, _ = self.ties.levelled(self.answer)
                 self.moved.refine(self.preview(), self.scale.capture)
@@ -275,7 +241,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         if self.rivals.best is not None and self.stages.stage == Stage.RIVALS:
             x = enlarged(self.rivals.best.x, side)
         elif self.stages.tied:
-            x = self._closed().x
+            x = self._closed()
         else:
             x = self.answer.x if self.answer.x.shape[-1] == side else enlarged(self.answer.x, side)
         return self.scales.solver(side).svbrdf(x).map(Tensor.contiguous), self.moved.moved(self.views)
@@ -284,26 +250,30 @@ class Hierarchical(Method[HierarchicalConfig]):
         """The present answer as it is, at the size of the present stage."""
         return self.scale.solver.svbrdf(self.answer.x)
 
-    def _closed(self) -> Answer:
+    def _closed(self, more: int = 0) -> Tensor:
         """The answer with what the photos burnt in taken out, and the diffuse map that belongs to it.
 
         Before the last stage: of an answer as if that stage began now. Steps that cannot end in time are left out.
-        """
-        if self.closed is not None:
-            return self.closed
-        scale, answer, ties, pace = self.scale, self.answer, self.ties, self.pace
-        if self.stages.stage != Stage.FINE:
-            scale, answer = self._at_full_size()
-            steps = pace.steps(answer.x[0].numel(), LAST_STEPS, self._to_come() + LAST_STEPS)
-            answer = answer._replace(x=self._stepped(scale, self.observations(scale, answer), answer, steps).x)
-        x = answer.x.clone()
-        x[ties.shared] = ties.bounded(self.independent(x[ties.shared], scale, answer), ties.shared)
-        answer = ties.fixed_but_diffuse(answer._replace(x=x))
-        self.closed = self._more_closed(scale, answer, pace.steps(answer.x[0].numel(), LAST_STEPS))
-        return self.closed
 
-    def _more_closed(self, scale: Scale, answer: Answer, steps: int) -> Answer:
-        return answer._replace(x=self._stepped(scale, self.observations(scale, answer), answer, steps).x)
+        Args:
+            more: steps to take where the answer has been closed already.
+        """
+        scale, answer, ties, steps = self.scale, self.closed, self.ties, more
+        if answer is None:
+            answer = self.answer
+            if self.stages.stage != Stage.FINE:
+                scale, answer = self._at_full_size()
+                steps = self.pace.steps(LAST_STEPS, self.pace.to_come + LAST_STEPS)
+                answer = answer._replace(x=self._stepped(scale, answer, steps).x)
+            x = answer.x.clone()
+            x[ties.shared] = ties.bounded(self.independent(x[ties.shared], scale, answer), ties.shared)
+            answer, steps = ties.fixed_but_diffuse(answer._replace(x=x)), self.pace.steps(LAST_STEPS)
+        self.closed = answer._replace(x=self._stepped(scale, answer, steps).x) if steps else answer
+        return self.closed.x
+
+    def _stepped(self, scale: Scale, answer: Answer, steps: int) -> Solved:
+        with self.pace.timed("solver", steps * answer.x[0].numel()):
+            return stepped(scale.solver, self.observations(scale, answer), answer, self.ties, steps)
 
     @property
     def views_deviation(self) -> tuple[Tensor | None, Tensor | None]:
