@@ -43,7 +43,7 @@ class MovedViews:
         self.off = torch.tensor([priors.camera[2], priors.exposure], dtype=torch.float64)
         self.change = torch.zeros(len(capture), CHANGE.size, dtype=torch.float64)
         self.deviation, self.flash_deviation = torch.zeros_like(self.change), torch.zeros(2, dtype=torch.float64)
-        self.skipped = torch.tensor(0)  # refinements for which there was no time
+        self.skipped = torch.zeros(())  # 1 where a refinement was left out, for which there was no time
 
     @property
     def priors(self) -> Priors:
@@ -60,8 +60,8 @@ class MovedViews:
         return self.refined == "always" or self.refined == "unless exact" and tied
 
     def begun(self, in_time: bool) -> bool:
-        """Whether a refinement is begun, which can end in time or not; those left out are counted."""
-        self.skipped += not in_time
+        """Whether a refinement is begun, which can end in time or not; that one was left out is remembered."""
+        self.skipped = self.skipped if in_time else torch.ones(())
         return in_time
 
     @property

@@ -88,7 +88,7 @@ class Hierarchical(Method[HierarchicalConfig]):
     # The run: stages of rounds.
 
     def step(self, progress: float) -> dict[str, float]:
-        """One round of the present stage, or the first of the next; the end of the last where no time is left for a round."""
+        """One round of the present stage, or the first of the next; where no time is left for one, the last steps."""
         stages = self.stages
         self.pace.begin(progress)
         if stages.over(progress, short=not self.pace.in_time(ROUND_STEPS * self.scale.texels)):
@@ -125,7 +125,7 @@ class Hierarchical(Method[HierarchicalConfig]):
             self.answer = self.start()
         if stage == Stage.FINE:
             turns = steps_of_turns(len(self.capture)) * self.scale.texels
-            hurried = hurried or not self.pace.in_time(turns, beside=ROUND_STEPS)
+            hurried = hurried or not self.pace.in_time(turns, beside=ROUND_STEPS - STEPS)
             self.scale, self.answer = self._at_full_size(learn=not hurried)
         self.stages.enter(stage, hurried)
 
@@ -258,9 +258,8 @@ class Hierarchical(Method[HierarchicalConfig]):
         Args:
             more: steps to take where the answer has been closed already.
         """
-        scale, answer, ties, steps = self.scale, self.closed, self.ties, more
-        if answer is None:
-            answer = self.answer
+        scale, answer, ties, steps = self.scale, self.closed or self.answer, self.ties, more
+        if self.closed is None:
             if self.stages.stage != Stage.FINE:
                 scale, answer = self._at_full_size()
                 steps = self.pace.steps(LAST_STEPS, self.pace.to_come + LAST_STEPS)
@@ -283,12 +282,7 @@ class Hierarchical(Method[HierarchicalConfig]):
     @property
     def left_out(self) -> list[tuple[str, str]]:
         """What these photos did not need."""
-        return left_out(self.task, self.stages)
-
-    # Its state.
-
-    def cut_step(self) -> None:
-        """Nothing to halve: a step of Levenberg-Marquardt that is too long is refused by the solver."""
+        return left_out(self.task, self.stages, bool(self.moved.skipped))
 
     def state(self) -> dict[str, Tensor]:
         """The states of its parts."""
