@@ -79,7 +79,7 @@ class CaptureJob:
     @property
     def settings(self) -> dict:
         """What else shapes the record."""
-        return settings_of(self.config) | {"budget": self.config.budget, "seed": self.config.seed,
+        return settings_of(self.config, __name__) | {"budget": self.config.budget, "seed": self.config.seed,
                                            "megapixels": self.phone.megapixels, "photos": self.phone.photos}
 
     @property

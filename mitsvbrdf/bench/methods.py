@@ -15,10 +15,11 @@ from ..evaluate import as_fitted
 from ..evaluate.placement import predict
 from ..fit import FitConfig, FitTask, fit_svbrdf
 from ..fit.loop import Loop
-from ..fit.methods import METHODS
+from ..fit.methods import METHODS, method_name
 from ..material.maps import SVBRDF
 from ..render import Renderer
 from ..system.timing import timed
+from .code import method_module, own_code
 from .peers_baseline import PeersBaseline, PeersConfig
 
 Report = Callable[[dict, float], None]  # told an entry of the trace and the share done
@@ -60,12 +61,17 @@ def method_table() -> dict[str, FitConfig]:
     return table | {"peers-baseline": PeersConfig()}
 
 
-def settings_of(config: FitConfig) -> dict:
-    """The class, the guess, and the settings that are not the class's own, as JSON has them; each fit sets budget and seed."""
+def settings_of(config: FitConfig, *modules: str) -> dict:
+    """The class, the guess, and the settings that are not the class's own, as JSON has them; each fit sets budget and seed.
+
+    ``code``: the digits of what the method, and ``modules`` where they are given, have for themselves.
+    """
+    method = PeersBaseline.__module__ if isinstance(config, PeersConfig) else method_module(method_name(config))
     own = asdict(type(config)())
     plain = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(config).items()
              if value != own[name] or name == "guess"}
-    return {"class": type(config).__name__} | {k: v for k, v in plain.items() if k not in ("budget", "seed")}
+    return ({"class": type(config).__name__, "code": own_code(method, *modules)}
+            | {k: v for k, v in plain.items() if k not in ("budget", "seed")})
 
 
 def as_lit(capture: Capture, config: FitConfig) -> Capture:

@@ -18,6 +18,7 @@ from ..system.progress import print_rich
 from . import summary
 from .commands import commands
 from .in_short import in_short, listed, plural
+from .methods import method_table
 from .plots import each_figure, methods_figure
 from .published import BLIND
 from .renderer_plots import renderers_figure
@@ -117,9 +118,23 @@ def made_on(record: Mapping) -> str:
     model = m.get("model") or m.get("cpu")
     memory = f", {m['memory_gib']} GiB" if m.get("memory_gib") else ""
     packages = ", ".join(f"{name} {v[name]}" for name in ("mitsvbrdf", "mitsuba", "drjit", "torch", "python") if v.get(name))
+    code = ", ".join([s["code"], *(f"of `{name}` {digits}" for name, digits in codes(record).items())])
     return (f"Machine: {model}, {m['cores']} cores{memory}, {m['system']}. Versions: {packages}, "
-            f"{m.get('libllvm') or 'libLLVM unknown'}; code {s['code']}. Fits: {s['resolution']} px, through `{s['renderer']}`"
+            f"{m.get('libllvm') or 'libLLVM unknown'}; code {code}. Fits: {s['resolution']} px, through `{s['renderer']}`"
             + (f", seeds {', '.join(map(str, record['seeds']))}" if record["seeds"] else "") + "." + _at_a_time(record))
+
+
+def codes(record: Mapping) -> dict[str, str]:
+    """The digits of each method's own code, by its name, where the records state them."""
+    found = {each["class"]: each["code"] for each in configs_of(record) if "code" in each}
+    names = {type(config).__name__: name for name, config in reversed(method_table().items())}  # presets have their method's
+    return {names[kind]: digits for kind, digits in found.items() if kind in names}
+
+
+def configs_of(record: Mapping) -> list[Mapping]:
+    """The settings of all fits; of pairs of fits both."""
+    both = [each for r in record["records"] for each in (r["config"], *r["config"].values())]
+    return [each for each in both if isinstance(each, Mapping) and "class" in each]
 
 
 def _at_a_time(record: Mapping) -> str:

@@ -23,6 +23,7 @@ from ..measure.tolerances import ROUGH_FROM
 from ..render import Renderer, make_renderer
 from ..system.timing import in_turns, spread, timed
 from ..views import Views
+from .code import own_code
 
 RENDERED_MATERIAL = "inlay"
 FLASH_BESIDE = 0.1  # patch sides between lens and flash, as fits find them; with it the Fresnel curve takes part
@@ -66,7 +67,7 @@ class RenderJob:
     @property
     def settings(self) -> dict:
         """What else shapes the record."""
-        return {"samples": list(self.samples), "repeats": self.repeats}
+        return {"samples": list(self.samples), "repeats": self.repeats, "code": own_code(__name__)}
 
     @property
     def title(self) -> str:

@@ -13,12 +13,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import BackendError
+from ..fit import live
 from ..render import RendererName
 from ..render.llvm import STATED, VARIABLE
 from ..system.timing import spread
+from . import start_child
+from .code import method_module, own_code
 
 CACHE = "DRJIT_CACHE_DIR"  # where Dr.Jit keeps compiled kernels; by default in ~/.drjit
-CHILD = (sys.executable, "-P", "-m", "mitsvbrdf.bench.start_child")
+CHILD = (sys.executable, "-P", "-m", start_child.__name__)
 SECONDS_BESIDE_BUDGET = 15.0  # of a process, before there is anything to go by
 
 
@@ -53,7 +56,7 @@ class StartJob:
     def settings(self) -> dict:
         """What else shapes the record."""
         return {"resolution": self.resolution, "budget": self.budget, "repeats": self.repeats, "renderer": self.renderer,
-                "variant": self.variant}
+                "variant": self.variant, "code": own_code(__name__, live.__name__, method_module(self.method))}
 
     @property
     def title(self) -> str:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import ast
-import functools
-import hashlib
 import importlib.metadata
 import json
 import math
@@ -21,22 +18,14 @@ from ..system.json_files import load
 from ..system.provenance import machine, versions
 from ..system.shared_file import held
 from .behaviour import ended_for_good
+from .code import shared_code
 from .earlier import upgraded
 from .published import Published
 from .records import Benchmark
 from .schema import SCHEMA_VERSION, check_benchmark, identity
 
-PACKAGE = Path(__file__).parents[1]
 EXACT = "config", "budget"  # of a record, what is compared with what is asked for
 UNSHAPING = "mitsvbrdf"  # of the versions the one that says nothing: the code's own digits do
-# The code that shapes what jobs measure; what is only said, drawn or written may change between two runs that add to one file.
-SHAPING = ("capture/**/*.py", "calibrate/*.py", "fit/**/*.py", "material/*.py", "measure/*.py", "render/*.py", "synth/*.py",
-           "evaluate/*.py", "color.py", "views.py", "verify/stability/conditioning.py",
-           *(f"system/{name}.py" for name in ("decode", "entry", "images", "layout", "timing")),
-           *(f"bench/paper/{name}.py" for name in ("references", "schedule", "sheets", "steps")),
-           *(f"bench/{name}.py" for name in ("behaviour", "from_phone", "jobs", "methods", "peers_baseline", "renderers",
-                                             "schema", "start", "start_child", "tasks", "variants")),
-           "bench/stiff/fits.py", "bench/stiff/scenes.py")
 
 
 class Store:
@@ -46,7 +35,7 @@ class Store:
         path: the JSON file; one that is there is gone on with.
         settings: what all its records share.
         anew: forget what is in the file, once.
-        shaping: what further code shapes its records, as :data:`SHAPING` has it.
+        shaping: what further code shapes its records, as :data:`mitsvbrdf.bench.code.SHARED` has it.
 
     Raises:
         ConfigError: the file is no benchmark, or one of other settings, versions or machine.
@@ -57,10 +46,10 @@ class Store:
         self.path, self.anew = Path(path), anew
         used = versions() | {"mitsvbrdf": __version__, "flip-evaluator": _flip_version()}
         self.content: Benchmark = {
-            "schema_version": SCHEMA_VERSION, "settings": {**settings, "code": code(shaping)}, "machine": this_machine(),
+            "schema_version": SCHEMA_VERSION, "settings": {**settings, "code": shared_code(shaping)}, "machine": this_machine(),
             "versions": used, "seeds": [], "published": {}, "records": []}
         self.found: Published = {}
-        self.outdated: list[dict] = []  # records of earlier settings, which go when the first new one comes
+        self.outdated: list[dict] = []  # records of earlier settings or code, which go when the first new one comes
         self._read()
 
     def _read(self) -> None:
@@ -188,29 +177,6 @@ def text_of(content: Mapping) -> str:
 
     head = [f'"{name}":{line(value)}' for name, value in content.items() if name != "records"]
     return "{" + ",\n".join([*head, '"records":[\n' + ",\n".join(map(line, content["records"])) + "]"]) + "}\n"
-
-
-@functools.cache
-def code(more: tuple[str, ...] = ()) -> str:
-    """Twelve digits that change with the code that shapes records (:data:`SHAPING` and ``more``), but not with the words in it.
-
-    They are of the syntax trees: comments, docstrings and the layout of lines do not count.
-    """
-    digest = hashlib.sha256()
-    for path in sorted(path for pattern in (*SHAPING, *more) for path in PACKAGE.glob(pattern)):
-        digest.update(path.relative_to(PACKAGE).as_posix().encode() + syntax_of(path.read_text(encoding="utf-8")).encode())
-    return digest.hexdigest()[:12]
-
-
-def syntax_of(source: str) -> str:
-    """What a source does, as text: its syntax tree without docstrings, whether of modules, classes, functions or fields."""
-    tree = ast.parse(source)
-    for node in ast.walk(tree):
-        body = getattr(node, "body", None)
-        if isinstance(body, list):
-            node.body = [each for each in body if not (  # type: ignore[attr-defined]
-                isinstance(each, ast.Expr) and isinstance(each.value, ast.Constant) and isinstance(each.value.value, str))]
-    return ast.dump(tree)
 
 
 def _flip_version() -> str | None:

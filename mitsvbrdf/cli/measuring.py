@@ -65,4 +65,6 @@ def outlook(jobs: Sequence[AnyJob], store: Store, workers: int | None = None, le
     missing = store.pending(list(jobs))
     rest = (f"the other {len(missing)} take about {duration(sum(job.cost for job in missing) / (workers or 1))}{less}"
             if missing else "nothing to do")
-    return f"{len(jobs) - len(missing)} of {len(jobs)} jobs need no more than the records in {store.path}; {rest}"
+    void = len(store.outdated)
+    gone = f"; records of other settings or code of a method, which go when the first new one comes: {void}" if void else ""
+    return f"{len(jobs) - len(missing)} of {len(jobs)} jobs need no more than the records in {store.path}; {rest}{gone}"

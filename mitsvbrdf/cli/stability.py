@@ -66,7 +66,7 @@ def _fits(which: Literal["all", "quick", "none"], json_file: Path, md: Path | No
           budget: float | None, resolution: int, renderer: RendererName, variant: str, workers: int | None, anew: bool,
           overwrite: bool) -> int:
     """The fits of stiff scenes that the file lacks, the verdicts on all, and the page."""
-    from ..bench.stiff.fits import StiffPlan
+    from ..bench.stiff.fits import SHAPING, StiffPlan
     from ..bench.stiff.page import failures, print_verdicts, stiff_page_files, write_stiff_page
     from ..bench.stiff.scenes import digest
     from ..bench.store import Store, read_benchmark
@@ -81,7 +81,7 @@ def _fits(which: Literal["all", "quick", "none"], json_file: Path, md: Path | No
     else:
         plan = StiffPlan(which == "quick", methods, budget, resolution, renderer, variant)
         jobs, settings, _ = plan.jobs()
-        store = Store(json_file, settings, anew)
+        store = Store(json_file, settings, anew, SHAPING)
         lost = measure(plan, jobs, store, workers)
         if lost is None:
             return 130

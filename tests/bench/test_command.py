@@ -14,6 +14,7 @@ from mitsvbrdf.bench.schema import check_benchmark
 from mitsvbrdf.bench.store import Store
 from mitsvbrdf.bench.tasks import known_material
 from mitsvbrdf.capture import write_capture
+from mitsvbrdf.cli.measuring import outlook
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import HybridConfig
 from mitsvbrdf.material.made import make_material
@@ -48,6 +49,18 @@ def test_a_changed_variant_is_measured_anew(tmp_path):
     missing = store.pending(jobs.fit_jobs("ablation", new, [task], [0.1], [0], ANALYTIC))
     assert [(job.method, job.seed) for job in missing] == [("less", 0)]
     assert [r["method"] for r in store.records] == ["full", "full"]  # what was measured with the old settings is gone
+
+
+def test_records_of_other_code_of_their_method_go_with_the_first_new_one_and_no_others(tmp_path):
+    task = known_material("builtin:inlay", 16, GRID, ANALYTIC)
+    both = jobs.fit_jobs("methods", {name: method_table()[name] for name in ("direct", "hybrid")}, [task], [0.1], [0], ANALYTIC)
+    store = Store(tmp_path / "b.json", SETTINGS)
+    for job, code in zip(both, ({"code": "0123456789ab"}, {})):
+        store.add(record(job.method, 0.1, name="inlay", mean=0.1) | {"config": job.settings | code})
+    assert [job.method for job in store.pending(both)] == ["direct"]
+    said = outlook(both, store)
+    assert said.startswith("1 of 2 jobs") and said.endswith("code of a method, which go when the first new one comes: 1")
+    assert "of a method" not in outlook(both[1:], Store(tmp_path / "b.json", SETTINGS))
 
 
 @pytest.fixture

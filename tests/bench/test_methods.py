@@ -7,6 +7,7 @@ import pytest
 import torch
 from helpers import ANALYTIC, photos_of
 
+from mitsvbrdf.bench.code import own_code
 from mitsvbrdf.bench.methods import method_table, settings_of
 from mitsvbrdf.bench.stiff.scenes import CASES, StiffTask
 from mitsvbrdf.bench.variants import GAN_VARIANTS, NO_GAME, PAPERS_LOSSES, VARIANTS, ablations, variant_table
@@ -25,9 +26,10 @@ def test_the_table_has_every_method_and_preset():
 
 
 def test_a_record_says_what_differs_from_the_settings_of_the_method():
-    assert settings_of(HybridConfig(seed=3, budget=2.0)) == {"class": "HybridConfig", "guess": "robust"}
+    code = {"code": own_code("mitsvbrdf.fit.generator.hybrid")}
+    assert settings_of(HybridConfig(seed=3, budget=2.0)) == {"class": "HybridConfig", "guess": "robust"} | code
     found = settings_of(HybridConfig(width=8, fix=("normal=flat",), guess="min"))
-    assert found == {"class": "HybridConfig", "guess": "min", "fix": ["normal=flat"], "width": 8}
+    assert found == {"class": "HybridConfig", "guess": "min", "fix": ["normal=flat"], "width": 8} | code
     assert found == json.loads(json.dumps(found))
 
 

@@ -1,23 +1,17 @@
 """Several runs add to one file of records: none is lost, none is mixed with another, and Ctrl-C is heard."""
 
-import ast
-import inspect
 import json
 import multiprocessing
 import os
 import signal
 import time
-from pathlib import Path
-from typing import get_args
 
 import pytest
 from helpers.bench_records import SETTINGS, record
 
 from mitsvbrdf.bench import jobs
-from mitsvbrdf.bench.leave_out import fits, plan, renders
 from mitsvbrdf.bench.schema import check_benchmark
-from mitsvbrdf.bench.stiff.fits import StiffFit
-from mitsvbrdf.bench.store import PACKAGE, SHAPING, Store, read_benchmark, syntax_of
+from mitsvbrdf.bench.store import Store, read_benchmark
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.system import files
 from mitsvbrdf.system.shared_file import held
@@ -144,46 +138,6 @@ def test_ctrl_c_between_jobs_and_while_a_record_is_written(when, tmp_path, monke
         jobs.run([Job(0), Job(1)], Store(tmp_path / "b.json", SETTINGS), told)
     monkeypatch.undo()
     assert done == ["seed 0"] and [r["seed"] for r in read_benchmark(tmp_path / "b.json")["records"]] == [0]
-
-
-def test_the_digits_of_the_code_change_with_what_it_does_and_not_with_its_words():
-    source = '"""Words."""\nclass A:\n    """Words."""\n    width: int = 3\n    """More."""\n\ndef f(x):\n    return x + 1\n'
-    other = '# a comment\nclass A:\n    width: int = (\n        3)\n\n\ndef f(x):\n    """Others."""\n    return x + 1  # so\n'
-    assert syntax_of(source) == syntax_of(other)
-    for one, another in (("= 3", "= 4"), ("x + 1", "x + 2"), ("return x", "return '' or x")):
-        assert syntax_of(source.replace(one, another)) != syntax_of(source)
-
-
-# What the modules of jobs import and what shapes no record: words, drawings, how files are read and written.
-SHAPELESS = {"__init__.py", "errors.py", "system/__init__.py",
-             *(f"pages/{name}.py" for name in ("canvas", "colours", "notebook", "page", "pictures")),
-             *(f"system/{name}.py" for name in ("files", "interrupts", "journal", "json_files", "lock", "profile", "progress",
-                                                "provenance", "result_folder", "shared_file")),
-             *(f"bench/{name}.py" for name in ("earlier", "published", "records", "store"))}
-
-
-def imported(path):
-    """The files of the package that a file of it imports, inside functions too."""
-    package = path.relative_to(PACKAGE.parent).parts[:-1]
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.ImportFrom) and node.level:
-            home = PACKAGE.parent.joinpath(*package[:len(package) - node.level + 1], *(node.module or "").split("."))
-            for place in (home, *(home / alias.name for alias in node.names)):
-                yield from filter(Path.is_file, (place.with_suffix(".py"), place / "__init__.py"))
-
-
-@pytest.mark.parametrize("kinds, more", [((*get_args(jobs.Job), StiffFit), ()), ((fits.PairJob, renders.Case), plan.SHAPING)])
-def test_all_code_that_shapes_records_changes_the_digits(kinds, more):
-    todo = [Path(inspect.getfile(kind)) for kind in kinds] + [PACKAGE / "bench/start_child.py"]
-    seen = set()
-    while todo:
-        path = todo.pop()
-        todo += () if path in seen else imported(path)
-        seen.add(path)
-    shaping = {path for pattern in (*SHAPING, *more) for path in PACKAGE.glob(pattern)}
-    assert all(list(PACKAGE.glob(pattern)) for pattern in (*SHAPING, *more))
-    found = {path.relative_to(PACKAGE).as_posix() for path in seen}
-    assert found - {path.relative_to(PACKAGE).as_posix() for path in shaping} == SHAPELESS
 
 
 def test_another_version_of_mitsvbrdf_alone_goes_on(tmp_path):

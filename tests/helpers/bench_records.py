@@ -1,4 +1,7 @@
-"""Records of a benchmark, made by hand."""
+"""Records of a benchmark, made by hand, and methods whose code is not that of records."""
+
+from mitsvbrdf.bench.methods import method_table, settings_of
+from mitsvbrdf.bench.page import configs_of
 
 SETTINGS = {"resolution": 16, "views": "builtin:grid", "renderer": "analytic", "variant": "llvm_ad_rgb", "quick": False}
 
@@ -48,3 +51,9 @@ def stiff(method="hybrid", name="nothing wrong", kind="case", seed=0, budget=5.0
             "errors": {} if why else found, "stated": {} if why else dict.fromkeys((*maps, "mean"), 0.01) | (stated or {}),
             "near": {} if why else {"seconds": budget / 2, "iterations": 20}, "undone": 0, "restarts": 0,
             "warnings": list(warnings)}
+
+
+def stale(record):
+    """The classes of settings whose records are not of the code that is there."""
+    code = {each["class"]: each["code"] for each in map(settings_of, method_table().values())}
+    return {each["class"] for each in configs_of(record) if each.get("code") != code[each["class"]]}

@@ -19,7 +19,7 @@ from ...color import to_display
 from ...fit import FitConfig, FitTask, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf, losses, make_method
 from ...fit.finish_config import FinishConfig
 from ...fit.generator.finish import finished
-from ...fit.methods import method_name
+from ...fit.methods import METHODS, method_name
 from ...material.made import make_material
 from ...material.maps import SVBRDF
 from ...measure.gradients import fixed_cotangent
@@ -28,6 +28,7 @@ from ...render import RendererName, make_renderer
 from ...render.needs import Needs
 from ...system.timing import side_by_side
 from ...views import Views, nine_view_grid
+from ..code import method_module, own_code
 
 SUITE = "leave-out-renders"
 EVERYTHING = Needs()
@@ -70,8 +71,8 @@ class Case:
 
     @property
     def settings(self) -> dict:
-        """What else shapes the record; nothing that all records do not share."""
-        return {}
+        """What else shapes the record: the code of a fit; of scenes nothing that all records do not share."""
+        return {"code": own_code(method_module(self.where), finished.__module__)} if self.where in METHODS else {}
 
     @property
     def title(self) -> str:

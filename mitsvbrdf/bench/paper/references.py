@@ -13,6 +13,7 @@ from ...material.map_files import load_maps
 from ...material.maps import SVBRDF
 from ...measure.metrics import map_rmse
 from ...render import Renderer
+from ..code import own_code
 from ..published import METHOD_NAMES
 from ..tasks import KnownMaterial, Task, novel_light_rmse
 
@@ -45,7 +46,7 @@ class ReferenceJob:
     @property
     def settings(self) -> dict:
         """What else shapes the record."""
-        return {"guesses": list(get_args(GuessMethod))}
+        return {"guesses": list(get_args(GuessMethod)), "code": own_code(__name__)}
 
     @property
     def title(self) -> str:

@@ -47,8 +47,8 @@ class ScheduleJob:
     @property
     def settings(self) -> dict:
         """What else shapes the record."""
-        return settings_of(self.config) | {"resolution": self.task.photos.resolution, "width": self.config.width,
-                                           "iterations": self.iterations}
+        return settings_of(self.config, __name__) | {"resolution": self.task.photos.resolution, "width": self.config.width,
+                                                     "iterations": self.iterations}
 
     @property
     def title(self) -> str:

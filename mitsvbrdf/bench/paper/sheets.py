@@ -18,6 +18,7 @@ from ...material.maps import SVBRDF, TITLES, shown_map
 from ...pages.canvas import HEADER_HEIGHT, LABEL_HEIGHT, PICTURE_GAP, SHEET_MARGIN, Canvas, square_side
 from ...pages.colours import SHEET_QUIET, SHEET_TEXT
 from ...render import Renderer
+from ..code import own_code
 from ..methods import as_lit, fit, settings_of
 from ..tasks import KnownMaterial, novel_views
 from .references import peers
@@ -75,7 +76,8 @@ class SheetJob:
     @property
     def settings(self) -> dict:
         """What else shapes the record."""
-        return {"budget": self.budget, "seed": self.seed, "methods": {n: settings_of(c) for n, c in self.methods.items()}}
+        return {"budget": self.budget, "seed": self.seed, "code": own_code(__name__),
+                "methods": {n: settings_of(c) for n, c in self.methods.items()}}
 
     @property
     def title(self) -> str:

@@ -17,6 +17,7 @@ from ...synth import photograph
 from ...system.profile import STEP, profiled, profiling, switch_at
 from ...system.timing import in_turns, spread, timed
 from ...views import nine_view_grid
+from ..code import own_code
 from ..methods import as_lit
 
 STEPPED_MATERIAL = "inlay"
@@ -79,7 +80,7 @@ class StepJob:
     @property
     def settings(self) -> dict:
         """What else shapes the record."""
-        return {"repeats": self.repeats, "precision": self.config.precision}
+        return {"repeats": self.repeats, "precision": self.config.precision, "code": own_code(__name__)}
 
     @property
     def title(self) -> str:

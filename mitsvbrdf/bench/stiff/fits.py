@@ -17,6 +17,8 @@ from ..jobs import FitJob, check_finite
 from .scenes import CONTROL, StiffTask, digest, stated, stiff_tasks
 
 SUITE = "stiff"
+# What shapes these records, beside what shapes those of the benchmark.
+SHAPING = ("bench/stiff/fits.py", "bench/stiff/scenes.py", "verify/stability/conditioning.py")
 SEEDED = ("hierarchical", "hybrid", "gan")  # methods whose result follows their seed; `direct` draws no random number
 # Cases that `gan` also has its own budget for.
 GAN_AT_LENGTH = (CONTROL, "metal of roughness 0.05", "metal of roughness 0.05, deep relief, 30 % clipped")

@@ -2,12 +2,14 @@
 
 import pytest
 from helpers import ROOT
-from helpers.bench_records import benchmark
+from helpers.bench_records import benchmark, stale
 
+from mitsvbrdf.bench.code import shared_code
 from mitsvbrdf.bench.leave_out.page import write_leave_out_page
 from mitsvbrdf.bench.leave_out.plan import SHAPING
+from mitsvbrdf.bench.leave_out.renders import Case
 from mitsvbrdf.bench.leave_out.verdict import default_fits, items, verdict
-from mitsvbrdf.bench.store import code, read_benchmark
+from mitsvbrdf.bench.store import read_benchmark
 
 RECORDS, PAGE = ROOT / "docs/results/leave-out.json", ROOT / "docs/leave-out.md"
 ANEW = "make it anew: mitsvbrdf leave-out --page-only --json docs/results/leave-out.json --md docs/leave-out.md --overwrite"
@@ -94,5 +96,8 @@ def test_the_page_in_the_docs_is_what_its_records_make(tmp_path):
 
 @pytest.mark.slow
 def test_the_records_in_the_docs_are_of_this_code():
-    measured = read_benchmark(RECORDS)["settings"]["code"]
-    assert measured == code(SHAPING), "the code that shapes records has changed since: run `mitsvbrdf leave-out --fits` anew"
+    record = read_benchmark(RECORDS)
+    assert record["settings"]["code"] == shared_code(SHAPING), "shared code has changed: run `mitsvbrdf leave-out --fits` anew"
+    assert not stale(record), "the code of methods has changed: run `mitsvbrdf leave-out --fits`, which goes on"
+    where = {r["where"]: r["config"].get("code") for r in record["records"] if r["suite"] == "leave-out-renders"}
+    assert where == {name: Case("", name, "", print, print).settings.get("code") for name in where}
