@@ -128,11 +128,12 @@ def test_changed_requirements_are_set_up_again(checkout):
 UV_WAYS = """printf '%s\\n' "$UV_DEFAULT_INDEX" "$UV_INDEX" "$UV_FIND_LINKS" "$SSL_CERT_FILE" "$UV_HTTP_TIMEOUT" "$@" >&2"""
 
 
-def told(checkout: Path, settings: str, uv: str) -> tuple[str, list[str]]:
-    """What `run setup` says where pip has these settings, and the calls of pip to install; beside a uv of these commands."""
+def told(checkout: Path, settings: str | None, uv: str) -> tuple[str, list[str]]:
+    """What `run setup` says where pip has these settings (None: tells none), and pip's calls to install; with this as uv."""
     (checkout / ".venv" / "stamp").unlink()
     programs, calls = checkout / ".venv" / "bin", checkout / "calls"
-    (checkout / "settings").write_text(settings)
+    if settings is not None:
+        (checkout / "settings").write_text(settings)
     (programs / "uv").write_text(f"#!/bin/sh\n{uv}\n")
     (programs / "uv").chmod(0o755)
     (programs / "python").write_text(f'#!/bin/sh\nroot="{checkout}"\n'
@@ -143,17 +144,27 @@ def told(checkout: Path, settings: str, uv: str) -> tuple[str, list[str]]:
     return done.stderr, [call.rsplit("constraints.txt ", 1)[1] for call in calls.read_text().splitlines()]
 
 
-def test_uv_looks_for_packages_where_pip_does(checkout):
-    said, by_pip = told(checkout, ":env:.timeout='180'\nglobal.index-url='https://a/simple?x=1'\nglobal.find-links='/b /c'\n"
-                        "global.cert='/d.crt'\nuser.extra-index-url='\\nhttps://e\\nfile:///f'\n", UV_WAYS)
+@pytest.mark.parametrize("timeout", ["timeout", "default-timeout"])
+def test_uv_looks_for_packages_where_pip_does(checkout, timeout):
+    said, by_pip = told(checkout, f":env:.{timeout}='180'\nglobal.index-url='https://a/simple?x=1'\nglobal.find-links='/b /c'\n"
+                        "global.cert='/d.crt'\nuser.extra-index-url='\\nhttps://e\\nfile:///f'\n"
+                        "site.extra-index-url='https://g'\nuser.find-links='/h'\nuser.index-url='https://a/simple?x=1'\n"
+                        "global.retries='9'\nglobal.no-input='true'\nglobal.cache-dir='/i'\n"
+                        "global.disable-pip-version-check='true'\n", UV_WAYS)
     assert by_pip == ["uv"]
-    lines = said.splitlines()
+    lines, limits = said.splitlines(), f"{checkout}/constraints.txt"
     at = lines.index("https://a/simple?x=1")
-    assert lines[at + 1 : at + 5] == ["https://e file:///f", "/b,/c", "/d.crt", "180"]
-    assert lines[at + 5 : at + 7] == ["pip", "install"] and f"{checkout}[test,dev]" in lines[at:]
+    assert lines[at + 1 : at + 5] == ["https://e file:///f https://g", "/b,/c,/h", "/d.crt", "180"]
+    assert lines[at + 5 : at + 17] == ["pip", "install", "-q", "--python", f"{checkout}/.venv/bin/python", "--index-strategy",
+                                       "unsafe-best-match", "-c", limits, "-b", limits, "-e"]
+    assert lines[at + 17] == f"{checkout}[test,dev]"
 
 
-@pytest.mark.parametrize("settings, uv", [("global.no-index='true'\n", UV_WAYS), ("", "exit 2"),
+def test_uv_installs_where_pip_is_told_nothing(checkout):
+    assert told(checkout, "", UV_WAYS)[1] == ["uv"]
+
+
+@pytest.mark.parametrize("settings, uv", [("global.no-index='true'\n", UV_WAYS), ("", "exit 2"), (None, UV_WAYS),
                                           ("global.index-url='https://a'\nuser.index-url='https://b'\n", UV_WAYS)])
 def test_pip_installs_what_uv_does_not(checkout, settings, uv):
     said, by_pip = told(checkout, settings, uv)

@@ -24,6 +24,7 @@ from ..material.map_files import save_maps
 from ..material.maps import SVBRDF
 from ..system import files
 from .phone import DIAGONAL_35MM, HandheldPhone, Shot, Spoil, shots
+from .truth import PATCH, SAMPLE, patch_of
 
 USABLE = ("rotated",)  # an odd photo that nothing is wrong with
 SENSOR_DIAGONAL = 9.5  # mm
@@ -153,7 +154,10 @@ def write_photo(path: Path, pixels: NDArray[np.uint8], phone: HandheldPhone, sho
 def write_handheld(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[..., Any], folder: Path,
                    spoil: Sequence[Spoil] = (), poses: Sequence[Pose] | None = None,
                    report: Callable[[int, int], object] | None = None, **about: object) -> dict[str, Any]:
-    """Take the photos of :func:`handheld_photos` and write them, ``truth/truth.json`` and the sample's maps ``truth/maps``.
+    """Take the photos of :func:`handheld_photos` and write them, ``truth/truth.json`` and the sample's maps ``truth/sample``.
+
+    With a sheet also ``truth/maps``, of just the patch within it, as a fit finds them. Without one the photos say where the
+    patch is: :func:`mitsvbrdf.synth.truth.truth_maps` cuts it out.
 
     Args:
         folder: for the photos.
@@ -169,6 +173,9 @@ def write_handheld(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[...,
         write_photo(folder / shot.name, pixels, phone, shot)
         if report:
             report(done, len(truth["rig"]["poses"]))
-    save_maps(svbrdf, folder / "truth" / "maps")
+    save_maps(svbrdf, folder / "truth" / SAMPLE)
+    if phone.sheet:
+        texels = max(1, round(svbrdf.resolution * phone.patch / phone.sample))
+        save_maps(patch_of(svbrdf, phone.sample, phone.patch, texels), folder / "truth" / PATCH)
     files.write_json(folder / "truth" / "truth.json", truth | about)
     return truth | about

@@ -28,6 +28,7 @@ from ..views import Views, texel_positions
 Array = NDArray[np.float64]
 
 _SHAPE = {"rig": dict, "sample_cm": NUMBER, "intensity": [NUMBER], "spoiled": {str: {"kind": str, "usable": bool}}}
+SAMPLE, PATCH = "sample", "maps"  # folders beside truth.json: the maps of the whole sample, and of the patch within a sheet
 POINTS = 17  # along a side of the patch, at which rectification is compared
 
 
@@ -159,7 +160,7 @@ def rms_of(values: Array) -> float:
 
 
 def truth_maps(truth: str | Path | Truth, rig: Rig, resolution: int) -> SVBRDF:
-    """The known maps of just the patch that a rig has: averaged over each texel, normals turned with the patch.
+    """The known maps of just the patch that a rig has.
 
     Args:
         truth: as :meth:`Truth.read` takes it, or the truth itself.
@@ -167,19 +168,32 @@ def truth_maps(truth: str | Path | Truth, rig: Rig, resolution: int) -> SVBRDF:
         resolution: texels along its side.
     """
     truth = truth if isinstance(truth, Truth) else Truth.read(truth)
-    placed, maps, side = similarity(rig, truth), load_maps(truth.folder / "maps"), truth.value["sample_cm"]
-    texel = placed.scale * rig.size / resolution * maps.resolution / side  # in texels of the known maps
+    sample, placed = load_maps(truth.folder / SAMPLE), similarity(rig, truth)
+    return patch_of(sample, truth.value["sample_cm"], rig.size, resolution, placed)
+
+
+def patch_of(sample: SVBRDF, side: float, size: float, resolution: int, placed: Similarity = Similarity()) -> SVBRDF:
+    """The maps of a square patch of a sample: averaged over each texel, normals turned with the patch.
+
+    Args:
+        sample: the maps of all of it.
+        side: of the sample, cm.
+        size: side of the patch, in units of its own world, around whose origin it lies.
+        resolution: texels along the patch's side.
+        placed: from the patch's world to the sample's; left out: in its middle, in cm.
+    """
+    texel = placed.scale * size / resolution * sample.resolution / side  # in texels of the sample
     times = max(1, math.ceil(2 * texel))
-    where = placed(texel_positions(resolution * times).numpy() * rig.size)[..., :2] / side * (2, -2)
+    where = placed(texel_positions(resolution * times).numpy() * size)[..., :2] / side * (2, -2)
     grid = torch.from_numpy(where).float()[None]
 
     def cut(value: torch.Tensor) -> torch.Tensor:
         fine = F.grid_sample(value.permute(2, 0, 1)[None], grid, "bilinear", "border", align_corners=False)
         return F.avg_pool2d(fine, times)[0].permute(1, 2, 0)
 
-    found = {name: cut(value) for name, value in maps.maps.items()}
+    found = {name: cut(value) for name, value in sample.maps.items()}
     found["normal"] = F.normalize(found["normal"] @ torch.from_numpy(placed.turn).float(), dim=-1)
-    return SVBRDF(maps.bsdf, found)
+    return SVBRDF(sample.bsdf, found)
 
 
 def true_capture(folder: str | Path, truth: str | Path | Truth, **options: Any) -> Capture:

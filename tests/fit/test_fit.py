@@ -40,8 +40,8 @@ def with_limits(config, **limits):
 
 @pytest.mark.parametrize("method", SMALL)
 @pytest.mark.parametrize("bsdf", CHANNELS)
-def test_every_method_through_mitsuba(method, bsdf, capture):
-    result = fit_svbrdf(capture, make_renderer("mitsuba"), with_limits(SMALL[method], iterations=12, bsdf=bsdf))
+def test_every_method_through_mitsuba(method, bsdf, leather):
+    result = fit_svbrdf(leather, make_renderer("mitsuba"), with_limits(SMALL[method], iterations=12, bsdf=bsdf))
     result.svbrdf.check()
     assert result.stopped == "iterations" and result.variant == "llvm_ad_rgb" and result.left_out
     assert [entry["iteration"] for entry in result.trace] == [0, 10, 12]

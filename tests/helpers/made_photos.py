@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import cv2
 import numpy as np
 from PIL import Image
 
 from mitsvbrdf.capture.align.sheet import Sheet
-from mitsvbrdf.capture.lens import Lens, Pose, on_plane
+from mitsvbrdf.capture.lens import Lens, Pose, rays
 
 SHEET = Sheet(18.0)
 LENS = Lens((1200, 900), 900.0, distortion=(0.03, -0.02), vignetting=(-0.2, 0.0), flash=(1.4, 0.3, 0.0))
@@ -40,24 +41,35 @@ def ground(with_sheet=True, seed=0):
     return np.dstack((np.where(hole[..., None], inside, paper), hole)).astype(np.float32), side
 
 
+@cache
+def optics(lens):
+    """The ray of each pixel in camera axes, K x 3, and the share of its light that arrives, K."""
+    pixels = np.stack(np.meshgrid(np.arange(lens.size[0]), np.arange(lens.size[1])), axis=-1).reshape(-1, 2)
+    return rays(lens, pixels), lens.transmission(pixels)
+
+
+def length(vectors):
+    return np.sqrt(np.einsum("ki,ki->k", vectors, vectors))  # many times quicker than numpy's norm of short rows
+
+
 def taken(what, lens, pose, flash=True, seed=0):
     """What the phone stores, H x W x 3 linear radiance: flash or an even light, vignetting, a highlight on the material."""
     albedo, side = what
-    pixels = np.stack(np.meshgrid(np.arange(lens.size[0]), np.arange(lens.size[1])), axis=-1).reshape(-1, 2)
-    at = on_plane(lens, pose, pixels)
-    texels = ((np.stack((at[:, 0], -at[:, 1]), axis=1) / side + 0.5) * len(albedo) - 0.5).astype(np.float32)
+    ray, arrives = optics(lens)
+    ray = ray @ pose.rotation
+    gaze = ray * (-pose.position[2] / ray[:, 2:])  # to the point of the plane that the pixel sees
+    at = pose.position + gaze
+    texels = ((at[:, :2] * (1, -1) / side + 0.5) * len(albedo) - 0.5).astype(np.float32)
     seen = cv2.remap(albedo, texels.reshape(lens.size[1], lens.size[0], 2), None, cv2.INTER_LINEAR,
                      borderMode=cv2.BORDER_CONSTANT, borderValue=(0.1, 0.1, 0.1, 0)).reshape(-1, 4)
-    light = np.full(len(at), 1.2)
-    gloss = np.zeros(len(at))
+    light, gloss = np.full(len(at), 1.2), np.zeros(len(at))
     if flash:
-        points = np.column_stack((at, np.zeros(len(at))))
-        ray, eye = pose.flash(lens) - points, pose.position - points
-        distance = np.linalg.norm(ray, axis=1)
-        light = POWER * ray[:, 2] / distance**3
-        half = ray / distance[:, None] + eye / np.linalg.norm(eye, axis=1, keepdims=True)
-        gloss = 0.3 * np.exp(-np.square(half[:, :2]).sum(axis=1) / half[:, 2] ** 2 / 0.006) * seen[:, 3]
-    out = (seen[:, :3] / math.pi + gloss[:, None]) * (light * lens.transmission(pixels))[:, None]
+        to_flash = pose.flash(lens) - at
+        distance = length(to_flash)
+        light = POWER * to_flash[:, 2] / distance**3
+        half = to_flash / distance[:, None] - gaze / length(gaze)[:, None]
+        gloss = 0.3 * np.exp(-(half[:, 0] ** 2 + half[:, 1] ** 2) / half[:, 2] ** 2 / 0.006) * seen[:, 3]
+    out = (seen[:, :3] / math.pi + gloss[:, None]) * (light * arrives)[:, None]
     out = out.reshape(lens.size[1], lens.size[0], 3)
     return out + 0.002 * np.random.default_rng(seed).standard_normal(out.shape)
 

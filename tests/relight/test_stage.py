@@ -17,8 +17,13 @@ from mitsvbrdf.testing import random_material
 from mitsvbrdf.verify.soak import kernels_made
 
 
-@pytest.mark.parametrize("bsdf", CHANNELS)
-@pytest.mark.parametrize("preset", PRESETS)
+def each_with(every, choices):
+    """Each preset with each choice: quick are all of preset ``every``, and one of each other preset, in turn."""
+    return [pytest.param(preset, choice, marks=() if preset == every or (row + i) % len(choices) == 0 else pytest.mark.slow)
+            for row, preset in enumerate(PRESETS) for i, choice in enumerate(choices)]
+
+
+@pytest.mark.parametrize("preset, bsdf", each_with("sphere", CHANNELS))
 def test_every_preset_draws_and_moves_without_new_kernels(mi, preset, bsdf):
     stage = make_stage(mi, random_material(bsdf, 16), preset, size=(24, 24), frames=4, tiling=2)
     for none in (-1, 4):
@@ -39,8 +44,7 @@ def test_every_preset_draws_and_moves_without_new_kernels(mi, preset, bsdf):
     assert float((pictures[1] - pictures[0]).abs().mean()) > 0.01
 
 
-@pytest.mark.parametrize("environment", ["none", "sunsky"])
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset, environment", each_with("sphere", ["none", "sunsky"]))
 def test_every_preset_goes_with_every_environment(mi, preset, environment):
     stage = make_stage(mi, make_material("tiles", 16), preset, environment=environment, size=(16, 16))
     picture = drawn(mi, stage)

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -15,9 +16,10 @@ from mitsvbrdf.capture.lens import Lens, project
 from mitsvbrdf.capture.photo import Photo
 from mitsvbrdf.capture.rig import rig_from_json
 from mitsvbrdf.errors import ConfigError
+from mitsvbrdf.material.map_files import load_maps
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.synth.phone import HandheldPhone, handheld_poses, shots
-from mitsvbrdf.synth.photos import READ, SHOT, developed, handheld_photos
+from mitsvbrdf.synth.photos import READ, SHOT, developed, handheld_photos, write_handheld
 from mitsvbrdf.synth.traced import HandheldRenderer
 
 
@@ -168,9 +170,38 @@ def test_the_command_writes_photos_and_their_truth(tmp_path, capsys):
     assert truth["material"] == "tiles" and truth["sample_cm"] == 24.0 and truth["phone"]["seed"] == 2
     rig = rig_from_json(truth["rig"])
     assert list(rig.poses) == [f"IMG_{i:04d}.jpg" for i in range(1, 5)] and rig.lens.distortion == (0.06, -0.04)
-    assert (raw / "truth" / "maps" / "normal.exr").is_file()
+    assert (raw / "truth" / "sample" / "normal.exr").is_file() and not (raw / "truth" / "maps").exists()
     pixels = photo.pixels()
     assert 60 < pixels.mean() < 160 and (pixels == 255).mean() < 0.05  # a photo that is well exposed
+
+
+class Grey:
+    """In the place of the traced scene: the same light everywhere."""
+
+    def __init__(self, svbrdf, side, sheet, depth):
+        pass
+
+    def render(self, lens, pose, **light):
+        return np.full((*lens.size[::-1], 3), 0.5, dtype=np.float32)
+
+
+def test_true_maps_within_a_sheet_are_those_of_the_patch(tmp_path):
+    """Of a ramp over 19 cm the patch of 11.52 cm in the middle: the known maps to hold a fit against."""
+    side, phone = 190, replace(SMALL, megapixels=0.05, photos=1, sheet=18.0)
+    at = (torch.arange(side) + 0.5) / side
+    across, down = at.expand(side, side), at[:, None].expand(side, side)
+    known = flat(side)
+    known.maps["diffuse"], known.maps["roughness"] = torch.stack((across, down, across), dim=-1), down[..., None].clone()
+    write_handheld(known, phone, Grey, tmp_path)
+    found, whole = load_maps(tmp_path / "truth" / "maps"), load_maps(tmp_path / "truth" / "sample")
+    assert (found.resolution, whole.resolution) == (115, 190)  # texels of one size
+    share = 11.52 / 19
+    want = 0.5 + share * ((torch.arange(115) + 0.5) / 115 - 0.5)
+    # Halves in the files round by up to 0.00025, float32 places of texels do not count beside that
+    assert float((found["diffuse"][..., 0] - want).abs().max()) < 5e-4
+    assert float((found["diffuse"][..., 1] - want[:, None]).abs().max()) < 5e-4
+    assert float((found["roughness"][..., 0] - want[:, None]).abs().max()) < 5e-4
+    assert float((whole["diffuse"][..., 0] - across).abs().max()) < 5e-4
 
 
 @pytest.mark.parametrize("arguments", [

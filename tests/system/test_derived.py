@@ -51,6 +51,15 @@ def test_files_of_others_stay_and_are_named(out, capsys):
     assert "no part of this result: check.html, export, notes" in " ".join(capsys.readouterr().out.split())
 
 
+def test_of_many_files_of_others_five_are_named(tmp_path, capsys):
+    make(tmp_path, "fit.json")
+    for name in "fedcba":
+        files.write_bytes(tmp_path / name, b"mine")
+    make(tmp_path, "fit.json", overwrite=True)
+    said = " ".join(capsys.readouterr().out.split())
+    assert said.endswith("no part of this result: a, b, c, d, e ...") and "removed" not in said
+
+
 def test_files_that_are_added_take_nothing_away(out, capsys):
     before = there(out)
     make(out, "report.html", add=True)

@@ -8,7 +8,7 @@ from functools import partial
 
 from ...capture import Capture
 from ...fit import FitConfig, GanConfig, HierarchicalConfig, HybridConfig
-from ...fit.hierarchical import skipped
+from ...fit.hierarchical import matte, skipped
 from ...fit.hierarchical.moved_views import REFINED
 from ...fit.hierarchical.stages import ROUNDS, Stage
 from ...fit.methods import method_name
@@ -32,7 +32,7 @@ class Part:
         kinds: of scenes.
         says: further names by which ``fit --explain`` says that it is left out.
         photos: what takes it away from the photos, instead of settings.
-        rounds: a table of rounds by stage, and what changes in it to take the part away, instead of settings.
+        rounds: a table of the method's, as of rounds by stage, and what changes in it instead of settings.
     """
 
     what: str
@@ -63,7 +63,7 @@ def parts() -> list[Part]:
     return [
         Part(skipped.TIED, usual, first(exact=False), True, FOLLOWING),
         Part(skipped.RIVALS, usual, first(exact=True), True, (OFF,)),
-        Part(skipped.RIVALS, usual, first(rivals=False), kinds=FOLLOWING),
+        Part(skipped.RIVALS, usual, first(rivals=False), kinds=(EXACT, NOISY)),
         Part(skipped.VIEWS, usual, first(calibrate=True), True, FOLLOWING),
         Part(skipped.VIEWS, usual, first(calibrate=False), kinds=OTHERS),
         Part("flash offset", usual, first(flash_offset=False), kinds=OTHERS),
@@ -76,7 +76,7 @@ def parts() -> list[Part]:
         Part("view refinement at full size", usual, usual, kinds=OTHERS, rounds=(REFINED, {Stage.FINE: ()})),
         Part("view refinements but one", usual, usual, kinds=OTHERS, rounds=(REFINED, {Stage.TOGETHER: (3,), Stage.FINE: ()})),
         Part("second half of the rounds at full size", usual, usual, kinds=FOLLOWING, rounds=(ROUNDS, {Stage.FINE: 7})),
-        Part("search for a specular lobe", usual, first(fix=("specular=0", "roughness=1")), kinds=(MATTE,)),
+        Part(skipped.LOBE, usual, usual, True, (MATTE,), rounds=(matte.LOBE, {"roughconductor": ()})),
         Part("every other photo", usual, usual, photos=lambda shots: shots.pick(shots.index[::2])),
         Part("generator", usual, hybrid, True, (EXACT,)),
         Part("discriminator", hybrid, replace(hybrid, adversarial=0.0), kinds=TRAINED, says=("adversarial loss",)),

@@ -28,9 +28,15 @@ def items(record: Mapping) -> list[dict]:
         ``worst`` of the errors without it over those with it) and ``verdict``; in the order of the parts, whichever was done
         first.
     """
-    order = {part.name: number for number, part in enumerate(parts())}
+    names = [part.name for part in parts()]
+    order = {name: number for number, name in enumerate(names)}
+    first = {(part.of, part.what): names.index(part.name) for part in reversed(parts())}
+
+    def place(r: Mapping) -> tuple[int, int, int]:  # a part that was once put in, or left out, stays in its place
+        return first.get((r["of"], r["part"]), len(order)), order.get(r["method"], len(order)), KINDS.index(r["kind"])
+
     groups: dict[tuple[str, str], list[Mapping]] = {}
-    for r in sorted(_pairs(record), key=lambda r: (order.get(r["method"], len(order)), KINDS.index(r["kind"]))):
+    for r in sorted(_pairs(record), key=place):
         groups.setdefault((r["method"], r["kind"]), []).append(r)
     return [_item(kind, pairs) for (_, kind), pairs in groups.items()]
 

@@ -17,11 +17,13 @@ photos are believed as far as each is predicted from the others (:mod:`~mitsvbrd
 
 Texels that share a roughness also hold each other in a wrong one. Photos of a simulation, which can tell, are therefore
 explained from three starts, whose lobes are of very different width, and the most probable answer is refined at full size.
+Where they need no lobe (:mod:`~mitsvbrdf.fit.hierarchical.matte`), the rest is refined without one.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -35,20 +37,18 @@ from ..config import HierarchicalConfig
 from ..method import Method
 from ..start import robust_start
 from ..task import FitTask
-from .highlights import independent, trust
 from .left_out import AGREED, NOISES, in_turn, least_as_good, prediction_errors, steps_of_turns
 from .marginal import integrated
+from .matte import Search, explained_without, may_be_left_out, without_lobe
 from .moved_views import LEVELLED, REFINED, MovedViews
 from .pace import LAST_STEPS, OTHER_STEPS, ROUND_STEPS, STEPS, Pace
 from .scales import Scale, Scales
+from .seen import ROBUST_END, Seen
 from .skipped import left_out
 from .solver import Observations, Solved
 from .stages import NOISE, Stage, Stages, unexplained
 from .starts import LESS, Rivals, other_starts, stepped
-from .ties import LEAST_PRECISION, Answer, Ties
-
-ROBUST = 3.0  # errors beyond so many times the noise count by their size alone
-ROBUST_END = 10.0  # the same at full size of photos of a phone, where no start is that far from its highlight any more
+from .ties import LEAST_PRECISION, Answer
 
 
 class Hierarchical(Method[HierarchicalConfig]):
@@ -69,11 +69,13 @@ class Hierarchical(Method[HierarchicalConfig]):
         self.task, capture, config = task, task.capture, task.config
         self.variant = task.renderer.variant or "llvm_ad_rgb"
         self.moved = MovedViews(capture, task.refined, self.fits_offset)
-        self.scales = Scales(capture, task.guess, self.fixed, config, self.variant)
+        self.search = Search.of(Scales(capture, task.guess, self.fixed, config, self.variant))
+        self.scales, self.ties = self.search
         self.scale = self.scales.of(Stage.ALONE)
-        self.ties = Ties(self.scale.solver.unknowns, config)
         self.stages = Stages(config.rivals and "roughness" in self.ties.unknowns.shapes, config.exact)
         self.stages.believe(config.noise or NOISE)
+        seen = Seen(self.stages, self.moved, config)
+        self.observations, self.independent = seen.observations, seen.independent
         self.rivals, self.pace = Rivals(), Pace(config.budget, self.stages, capture.resolution**2)
         self.closed: Answer | None = None  # what the present answer ends in, once it was asked for
         self.cut = False  # whether the time left was too short for the whole of the latest round
@@ -115,6 +117,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         if self.stages.stage == Stage.ALONE:
             self.stages.judge(unexplained(self.preview(), self.moved.moved(self.views), self.scale.capture,
                                           make_renderer("mitsuba", self.variant)))
+            self._leave_lobe_out()
         if self.stages.stage == Stage.RIVALS:
             if self.stages.finished:
                 self._keep()
@@ -128,6 +131,20 @@ class Hierarchical(Method[HierarchicalConfig]):
             hurried = hurried or not self.pace.in_time(turns, beside=ROUND_STEPS - STEPS)
             self.scale, self.answer = self._at_full_size(learn=not hurried)
         self.stages.enter(stage, hurried)
+
+    def _leave_lobe_out(self) -> None:
+        """Search no further for a specular lobe where the first stage came to its end and the photos need none."""
+        stages, found = self.stages, None
+        if stages.exact and stages.finished and may_be_left_out(self.task):
+            with profiled("solver"):
+                found = explained_without(self.answer, self.search, self.lobeless, stages.unexplained[1], self.observations)
+        if found:
+            stages.matte, (self.scale, self.answer), (self.scales, self.ties) = True, found, self.lobeless
+
+    @cached_property
+    def lobeless(self) -> Search:
+        """The search without a lobe."""
+        return without_lobe(self.search)
 
     def _at_full_size(self, learn: bool = False) -> tuple[Scale, Answer]:
         """The present answer enlarged; texels that were tied are free there, and their look-alikes are asked no more.
@@ -215,24 +232,6 @@ class Hierarchical(Method[HierarchicalConfig]):
                             lambda planes: self.independent(planes, scale, answer))
         return shared._replace(x=answer.x)
 
-    def observations(self, scale: Scale, answer: Answer) -> Observations:
-        """The photos; while texels are tied to look-alikes, pixels near highlights count most."""
-        noise, capture = float(self.stages.noise), scale.capture
-        weighted = self.stages.tied and not scale.free and self.config.tails
-        return Observations(capture.photos, self.moved.moved(capture.views), capture.transfer, noise,
-                            (ROBUST_END if scale.free else ROBUST) * noise,
-                            self._trust(scale, answer, self.config.tails) if weighted else None)
-
-    def _trust(self, scale: Scale, answer: Answer, reach: float) -> Tensor:
-        roughness = scale.solver.svbrdf(answer.mean)["roughness"][..., 0]
-        return trust(self.moved.moved(scale.capture.views), roughness, reach)
-
-    def independent(self, planes: Tensor, scale: Scale, answer: Answer) -> Tensor:
-        """Shared unknowns kept from following where the photos of a phone showed highlights."""
-        if not (len(planes) and self.stages.tied and self.config.independent):
-            return planes
-        return independent(planes, self.moved.moved(scale.capture.views), self._trust(scale, answer, self.config.tails or 1.0))
-
     # What comes out.
 
     def estimate(self) -> tuple[SVBRDF, Views]:
@@ -295,5 +294,6 @@ class Hierarchical(Method[HierarchicalConfig]):
         self.closed = None
         for part in (self.stages, self.moved, self.rivals, self.pace):
             part.load_state(state)
+        self.scales, self.ties = self.lobeless if self.stages.matte else self.search
         stage = self.stages.stage
         self.scale = self.scales.of(stage, free=self.stages.tied and stage == Stage.FINE)

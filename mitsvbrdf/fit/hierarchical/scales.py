@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -77,6 +78,12 @@ class Scales:
         guess = area_averaged(self.guess, capture.resolution)
         return Scale(capture, guess, self.solver(capture.resolution), self.basis, self.config.likeness, free)
 
+    def holding(self, **maps: Tensor) -> Scales:
+        """The same photos with further maps held fixed, at full size."""
+        other = copy(self)
+        other.fixed, other.solvers = {**self.fixed, **maps}, {}
+        return other
+
     @staticmethod
     def sampled(planes: Tensor) -> Tensor:
         """Planes of full size, ... x R x R, at the texels of the first stages' sampled photos."""
@@ -86,5 +93,6 @@ class Scales:
         """The solver of so many texels a side, made once."""
         if side not in self.solvers:
             fixed = {name: area_averaged(value, side) for name, value in self.fixed.items()}
-            self.solvers[side] = TexelSolver(self.config.bsdf, fixed, self.config.grey_specular, self.variant)
+            grey = self.config.grey_specular and "specular" not in fixed
+            self.solvers[side] = TexelSolver(self.config.bsdf, fixed, grey, self.variant)
         return self.solvers[side]

@@ -5,9 +5,11 @@ from __future__ import annotations
 from ..config import HierarchicalConfig
 from ..task import FitTask
 from .left_out import FEWEST
+from .matte import WEAK, may_be_left_out
 from .stages import EXACT, Stages
 
 TIED, RIVALS, VIEWS, IN_TURN = "tied stage", "rival starts", "view refinement", "photos left out in turn"
+LOBE = "search for a specular lobe"
 FOLLOW = "the photos follow the model"
 
 
@@ -17,13 +19,16 @@ def decided_later(task: FitTask[HierarchicalConfig]) -> list[tuple[str, str]]:
     Args:
         task: of the fit.
     """
-    if task.config.exact is not None:
-        return []
+    exact = task.config.exact
+    matte = f"no block of texels needs a lobe, and one of {WEAK:g} would show"
+    if exact is not None:
+        return [(LOBE, f"if {matte}")] if exact and may_be_left_out(task) else []
     below = f"a free fit at 64 px leaves errors whose structure is below {EXACT:g}: {FOLLOW}"
+    lobe = [(LOBE, f"if {below}; {matte}")] if may_be_left_out(task) else []
     rivals = [(RIVALS, f"unless {below}")] if _may_rival(task) else []
     views = [(VIEWS, f"if {below}, and so do the stated views")] if task.refined == "unless exact" else []
     turns = [(IN_TURN, f"if {below}, or where time is short")] if _may_take_turns(task) else []
-    return [(TIED, f"if {below}"), *rivals, *views, *turns]
+    return [(TIED, f"if {below}"), *lobe, *rivals, *views, *turns]
 
 
 def left_out(task: FitTask[HierarchicalConfig], stages: Stages | None = None, short: bool = False) -> list[tuple[str, str]]:
@@ -38,10 +43,13 @@ def left_out(task: FitTask[HierarchicalConfig], stages: Stages | None = None, sh
     if exact is None and stages and stages.known:
         exact, structure = stages.exact, float(stages.unexplained[0])
         why = f"a free fit leaves errors with a structure of {structure:.2g}, {'' if exact else 'not '}below {EXACT:g}"
-    items = []
+    items, matte = [], stages is not None and stages.matte
     if exact:
         items.append((TIED, f"{FOLLOW}: {why}"))
-    if not _may_rival(task):
+    if matte:
+        items.append((LOBE, f"the material is matte: no block of texels needs a lobe, and one of {WEAK:g} would show"))
+        items.append((RIVALS, "without a lobe there is one start"))
+    elif not _may_rival(task):
         items.append((RIVALS, "not asked for" if not config.rivals else "roughness held fixed"))
     elif exact is False:
         items.append((RIVALS, f"the photos do not follow the model: {why}"))

@@ -60,6 +60,7 @@ class Stages:
         self.unexplained = torch.full((2,), torch.nan)
         self.detail = torch.tensor(NOISE)
         self.hurried = False
+        self.matte = False  # whether the photos were found to need no specular lobe
 
     @property
     def known(self) -> bool:
@@ -95,7 +96,7 @@ class Stages:
     def next(self) -> Stage:
         """The stage after this one; after ALONE, :meth:`judge` comes first."""
         if self.stage == Stage.ALONE:
-            return Stage.TOGETHER if not self.exact else Stage.RIVALS if self.rivals else Stage.FINE
+            return Stage.TOGETHER if not self.exact else Stage.RIVALS if self.rivals and not self.matte else Stage.FINE
         return Stage.FINE
 
     def judge(self, left: Tensor) -> None:
@@ -138,13 +139,13 @@ class Stages:
 
     def state(self) -> dict[str, Tensor]:
         """Everything :meth:`load_state` needs."""
-        return {"stage": torch.tensor([self.stage, self.rounds, self.hurried]), "noise": self.noise.clone(),
-                "detail": self.detail.clone(), "unexplained": self.unexplained.nan_to_num(-1.0)}
+        return {"stage": torch.tensor([self.stage, self.rounds, self.hurried]), "matte": torch.tensor(self.matte),
+                "noise": self.noise.clone(), "detail": self.detail.clone(), "unexplained": self.unexplained.nan_to_num(-1.0)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
         stage, self.rounds, hurried = state["stage"].tolist()
-        self.stage, self.hurried = Stage(stage), bool(hurried)
+        self.stage, self.hurried, self.matte = Stage(stage), bool(hurried), bool(state["matte"])
         self.noise, self.detail = state["noise"].clone(), state["detail"].clone()
         self.unexplained = torch.where(state["unexplained"] < 0, torch.nan, state["unexplained"])
 
