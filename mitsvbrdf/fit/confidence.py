@@ -78,7 +78,7 @@ def deviations(svbrdf: SVBRDF, views: Views, images: Tensor, task: FitTask) -> d
         whole = chord[:, :, None] * curve * chord[:, None]
         whole.diagonal(dim1=1, dim2=2).add_(1 / UNKNOWN**2)
         variance = torch.linalg.inv(whole).diagonal(dim1=1, dim2=2).clamp(0, UNKNOWN**2)
-        reach = (reach * variance.sqrt()).sqrt()  # at 0 a chord twice as long makes a deviation less than half: halfway, or it swings
+        reach = (reach * variance.sqrt()).sqrt()  # half way, or it swings: near 0 they outrun each other
     if "roughness" in numbers:
         variance = _with_other_lobes(variance, known, numbers, views, capture.transfer, weights / noise2)
     spread = variance.clamp_max(UNKNOWN**2).sqrt().float()

@@ -86,7 +86,7 @@ def test_a_lobe_whose_highlights_were_met_is_no_other():
 @pytest.mark.parametrize("name", ["diffuse", "specular"])
 def test_a_colour_near_zero_is_known_to_be_dark_as_it_is_counted(name):
     # Its number u stands for u^2.2, which is what photos show: g u^2.2 in linear radiance. Where u = 0 the deviation is the u
-    # at which that reaches what the noise hides, however flat u^2.2 is there: (s / g)^(1/2.2) for linear photos with the noise s
+    # at which that reaches what the noise hides, however flat u^2.2 is there: (s / g)^(1/2.2) for linear photos with noise s
     # and g the root of the sum of squares over photos. Solved with the prior for u here, by bisection.
     views, noise = GRID, 1e-3
     truth = flat(SIDE, **{"diffuse": 0.2, "specular": 0.04, "roughness": 0.9, name: 0.0})

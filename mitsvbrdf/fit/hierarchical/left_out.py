@@ -25,12 +25,18 @@ from .ties import LEAST_PRECISION, Answer, Ties
 # seen better.
 NOISES = (0.03, 0.05, 0.08)
 FEWEST, MOST = 4, 9  # photos; of fewer none can be spared, and of many no more are left out in turn
+AGREED = 4  # rounds in which texels forget a photo that is left out
 STEPS, ROUNDS = 6, 3  # of Levenberg-Marquardt, and of these with the freedom that texels took
 
 
 def in_turn(count: int) -> range:
     """Which of so many photos are left out in turn: all or evenly some, none where they are too few."""
     return range(0, count if count >= FEWEST else 0, math.ceil(count / MOST))
+
+
+def steps_of_turns(count: int) -> int:
+    """How many steps of the solver it takes to predict each photo of so many that is left out; variances count as one."""
+    return len(in_turn(count)) * (AGREED * STEPS + len(NOISES) * ROUNDS * (STEPS + 1))
 
 
 def prediction_errors(photos: Observations, solver: TexelSolver, ties: Ties, starts: Mapping[int, Answer],

@@ -34,7 +34,7 @@ class MovedViews:
         fits_offset: whether a flash offset that all photos share is among what may change.
     """
 
-    STATE = "change", "deviation", "flash_deviation", "off"
+    STATE = "change", "deviation", "flash_deviation", "off", "skipped"
 
     def __init__(self, capture: Capture, refined: Refined, fits_offset: bool) -> None:
         self.stated, self.refined, self.fits_offset = capture.views, refined, fits_offset
@@ -43,6 +43,7 @@ class MovedViews:
         self.off = torch.tensor([priors.camera[2], priors.exposure], dtype=torch.float64)
         self.change = torch.zeros(len(capture), CHANGE.size, dtype=torch.float64)
         self.deviation, self.flash_deviation = torch.zeros_like(self.change), torch.zeros(2, dtype=torch.float64)
+        self.skipped = torch.zeros(())  # 1 where a refinement was left out, for which there was no time
 
     @property
     def priors(self) -> Priors:
@@ -57,6 +58,20 @@ class MovedViews:
     def may_move(self, tied: bool) -> bool:
         """Whether the views are refined now, with photos that are known to be a phone's or not."""
         return self.refined == "always" or self.refined == "unless exact" and tied
+
+    def begun(self, in_time: bool) -> bool:
+        """Whether a refinement is begun, which can end in time or not; that one was left out is remembered."""
+        self.skipped = self.skipped if in_time else torch.ones(())
+        return in_time
+
+    @property
+    def _steps(self) -> int:
+        return FEW_STEPS if self.refined == "always" else ITERATIONS
+
+    @property
+    def work(self) -> int:
+        """Renderings of the maps from all views, at most, of a refinement: two for the slope of each of its unknowns."""
+        return self._steps * 2 * CHANGE.size
 
     def level(self, slope: Tensor) -> None:
         """Move the flash of all photos until the patch as a whole is flat.
@@ -75,8 +90,8 @@ class MovedViews:
 
     def refine(self, svbrdf: SVBRDF, capture: Capture) -> None:
         """Find where camera and flash stood from the maps so far; where they were stated, from where they seemed to before."""
-        steps, start = (FEW_STEPS, None) if self.refined == "always" else (ITERATIONS, self.change)
-        found = refine_views(svbrdf, capture.views, capture, self.priors, steps, start)
+        start = None if self.refined == "always" else self.change
+        found = refine_views(svbrdf, capture.views, capture, self.priors, self._steps, start)
         self.change, self.deviation = found.change, found.deviation
         self.flash_deviation = found.common_covariance.diagonal().sqrt()
         if self.refined == "unless exact":

@@ -37,23 +37,18 @@ from ..config import HierarchicalConfig
 from ..method import Method
 from ..start import robust_start
 from ..task import FitTask
-from .highlights import independent, trust
-from .left_out import NOISES, in_turn, least_as_good, prediction_errors
+from .left_out import AGREED, NOISES, in_turn, least_as_good, prediction_errors, steps_of_turns
 from .marginal import integrated
 from .matte import Search, explained_without, may_be_left_out, without_lobe
 from .moved_views import LEVELLED, REFINED, MovedViews
+from .pace import LAST_STEPS, OTHER_STEPS, ROUND_STEPS, STEPS, Pace
 from .scales import Scale, Scales
+from .seen import ROBUST_END, Seen
 from .skipped import left_out
-from .solver import Observations
+from .solver import Observations, Solved
 from .stages import NOISE, Stage, Stages, unexplained
 from .starts import LESS, Rivals, other_starts, stepped
 from .ties import LEAST_PRECISION, Answer
-
-ROBUST = 3.0  # errors beyond so many times the noise count by their size alone
-ROBUST_END = 10.0  # the same at full size of photos of a phone, where no start is that far from its highlight any more
-STEPS, OTHER_STEPS = 6, 4  # Levenberg-Marquardt steps of a round, and of another start
-LAST_STEPS = 8  # and at the end
-AGREED = 4  # rounds in which texels forget a photo that is left out
 
 
 class Hierarchical(Method[HierarchicalConfig]):
@@ -78,7 +73,12 @@ class Hierarchical(Method[HierarchicalConfig]):
         self.scales, self.ties = self.search
         self.scale = self.scales.of(Stage.ALONE)
         self.stages = Stages(config.rivals and "roughness" in self.ties.unknowns.shapes, config.exact)
-        self.rivals = Rivals()
+        self.stages.believe(config.noise or NOISE)
+        seen = Seen(self.stages, self.moved, config)
+        self.observations, self.independent = seen.observations, seen.independent
+        self.rivals, self.pace = Rivals(), Pace(config.budget, self.stages, capture.resolution**2)
+        self.closed: Answer | None = None  # what the present answer ends in, once it was asked for
+        self.cut = False  # whether the time left was too short for the whole of the latest round
         self.answer = self.start()
 
     def start(self) -> Answer:
@@ -90,10 +90,15 @@ class Hierarchical(Method[HierarchicalConfig]):
     # The run: stages of rounds.
 
     def step(self, progress: float) -> dict[str, float]:
-        """One round of the present stage, or the first of the next."""
+        """One round of the present stage, or the first of the next; where no time is left for one, the last steps."""
         stages = self.stages
-        if stages.over(progress):
+        self.pace.begin(progress)
+        if stages.over(progress, short=not self.pace.in_time(ROUND_STEPS * self.scale.texels)):
             self._begin_next_stage()
+        if stages.tied and stages.stage == Stage.FINE and not self.pace.in_time(self.scale.texels):
+            self._closed(more=1)
+            return {}
+        self.closed = None
         trial, had = stages.trial
         if stages.stage == Stage.RIVALS and had == 0:
             self._keep()
@@ -104,6 +109,8 @@ class Hierarchical(Method[HierarchicalConfig]):
         self._move_views()
         with profiled("sharing"):
             self.answer = self._tied(self.scale, self.observations(self.scale, self.answer), self.answer)
+        if self.cut:
+            stages.repeat_round()
         return {"cost": float(cost)}
 
     def _begin_next_stage(self) -> None:
@@ -115,13 +122,15 @@ class Hierarchical(Method[HierarchicalConfig]):
             if self.stages.finished:
                 self._keep()
             self.answer = self.rivals.take(self.answer)
-        stage = self.stages.next
+        stage, hurried = self.stages.next, not self.stages.finished
         if stage == Stage.TOGETHER:
             self.scale = self.scales.of(stage)
             self.answer = self.start()
         if stage == Stage.FINE:
-            self.scale, self.answer = self._at_full_size(learn=True)
-        self.stages.enter(stage)
+            turns = steps_of_turns(len(self.capture)) * self.scale.texels
+            hurried = hurried or not self.pace.in_time(turns, beside=ROUND_STEPS - STEPS)
+            self.scale, self.answer = self._at_full_size(learn=not hurried)
+        self.stages.enter(stage, hurried)
 
     def _leave_lobe_out(self) -> None:
         """Search no further for a specular lobe where the first stage came to its end and the photos need none."""
@@ -146,7 +155,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         fine = self.scales.of(Stage.FINE)
         if self.stages.exact:
             return fine, self.ties.enlarge(self.answer, self.scale, fine, False)
-        if learn:
+        if learn and self.config.noise is None and in_turn(len(self.capture)):
             with profiled("noise"):
                 self.stages.believe(self._noise_of_detail(fine))
         return self.scales.of(Stage.FINE, free=True), self._freed(self.answer, fine)
@@ -155,10 +164,8 @@ class Hierarchical(Method[HierarchicalConfig]):
         return self.ties.free(self.ties.enlarge(answer, self.scale, fine, True))
 
     def _noise_of_detail(self, fine: Scale) -> float:
-        """The noise of photos of a phone at full size: as asked for, or by which each is predicted well from the others."""
+        """The noise of photos of a phone at full size, by which each is predicted well from the others."""
         turns, scale, starts = in_turn(len(self.capture)), self.scale, dict[int, Answer]()
-        if self.config.noise is not None or not turns or not self.stages.finished:  # else there is no time for it
-            return self.config.noise or NOISE
         every = self.observations(scale, self.answer)
         for photo in turns:
             others, answer = every.without(photo), self.answer
@@ -183,11 +190,15 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def solve(self) -> Tensor:
         """Solve every texel, then try other starts where they lead to less; returns the mean cost."""
-        observations, solver = self.observations(self.scale, self.answer), self.scale.solver
-        found = stepped(solver, observations, self.answer, self.ties, STEPS)
+        fine = self.stages.stage == Stage.FINE
+        steps = self.pace.steps(STEPS, self.pace.to_come) if fine else STEPS
+        found, self.cut = self._stepped(self.scale, self.answer, steps), steps < STEPS
         x, cost = found.x, found.data + found.prior
         for start in other_starts(self.ties, self.stages.rounds) if self.config.neighbours else ():
-            found = stepped(solver, observations, start(self.answer._replace(x=x)), self.ties, OTHER_STEPS)
+            if fine and not self.pace.in_time(OTHER_STEPS * self.scale.texels):
+                self.cut = True
+                break
+            found = self._stepped(self.scale, start(self.answer._replace(x=x)), OTHER_STEPS)
             other = found.data + found.prior
             better = other < cost * (1 - LESS)
             x, cost = torch.where(better, found.x, x), torch.where(better, other, cost)
@@ -202,8 +213,9 @@ class Hierarchical(Method[HierarchicalConfig]):
         if rounds in LEVELLED.get(stage, ()) and self.moved.fits_offset and sloped:
             self.answer, slope = self.ties.levelled(self.answer)
             self.moved.level(slope)
-        if rounds in REFINED.get(stage, ()):
-            with profiled("views"):
+        work = self.moved.work * self.scale.texels
+        if rounds in REFINED.get(stage, ()) and self.moved.begun(self.pace.in_time(work, "views")):
+            with profiled("views"), self.pace.timed("views", work):
                 if sloped and stage != Stage.FINE:
                     self.answer, _ = self.ties.levelled(self.answer)
                 self.moved.refine(self.preview(), self.scale.capture)
@@ -219,24 +231,6 @@ class Hierarchical(Method[HierarchicalConfig]):
         shared = ties.share(answer._replace(x=says), variance, scale.member, len(photos.views), self.stages.tied,
                             lambda planes: self.independent(planes, scale, answer))
         return shared._replace(x=answer.x)
-
-    def observations(self, scale: Scale, answer: Answer) -> Observations:
-        """The photos; while texels are tied to look-alikes, pixels near highlights count most."""
-        noise, capture = float(self.stages.noise), scale.capture
-        weighted = self.stages.tied and not scale.free and self.config.tails
-        return Observations(capture.photos, self.moved.moved(capture.views), capture.transfer, noise,
-                            (ROBUST_END if scale.free else ROBUST) * noise,
-                            self._trust(scale, answer, self.config.tails) if weighted else None)
-
-    def _trust(self, scale: Scale, answer: Answer, reach: float) -> Tensor:
-        roughness = scale.solver.svbrdf(answer.mean)["roughness"][..., 0]
-        return trust(self.moved.moved(scale.capture.views), roughness, reach)
-
-    def independent(self, planes: Tensor, scale: Scale, answer: Answer) -> Tensor:
-        """Shared unknowns kept from following where the photos of a phone showed highlights."""
-        if not (len(planes) and self.stages.tied and self.config.independent):
-            return planes
-        return independent(planes, self.moved.moved(scale.capture.views), self._trust(scale, answer, self.config.tails or 1.0))
 
     # What comes out.
 
@@ -255,20 +249,29 @@ class Hierarchical(Method[HierarchicalConfig]):
         """The present answer as it is, at the size of the present stage."""
         return self.scale.solver.svbrdf(self.answer.x)
 
-    def _closed(self) -> Tensor:
+    def _closed(self, more: int = 0) -> Tensor:
         """The answer with what the photos burnt in taken out, and the diffuse map that belongs to it.
 
-        Before the last stage: of an answer as if that stage began now.
+        Before the last stage: of an answer as if that stage began now. Steps that cannot end in time are left out.
+
+        Args:
+            more: steps to take where the answer has been closed already.
         """
-        scale, answer, ties = self.scale, self.answer, self.ties
-        if self.stages.stage != Stage.FINE:
-            scale, answer = self._at_full_size()
-            observations = self.observations(scale, answer)
-            answer = answer._replace(x=stepped(scale.solver, observations, answer, ties, LAST_STEPS).x)
-        observations, x = self.observations(scale, answer), answer.x.clone()
-        x[ties.shared] = ties.bounded(self.independent(x[ties.shared], scale, answer), ties.shared)
-        answer = ties.fixed_but_diffuse(answer._replace(x=x))
-        return stepped(scale.solver, observations, answer, ties, LAST_STEPS).x
+        scale, answer, ties, steps = self.scale, self.closed or self.answer, self.ties, more
+        if self.closed is None:
+            if self.stages.stage != Stage.FINE:
+                scale, answer = self._at_full_size()
+                steps = self.pace.steps(LAST_STEPS, self.pace.to_come + LAST_STEPS)
+                answer = answer._replace(x=self._stepped(scale, answer, steps).x)
+            x = answer.x.clone()
+            x[ties.shared] = ties.bounded(self.independent(x[ties.shared], scale, answer), ties.shared)
+            answer, steps = ties.fixed_but_diffuse(answer._replace(x=x)), self.pace.steps(LAST_STEPS)
+        self.closed = answer._replace(x=self._stepped(scale, answer, steps).x) if steps else answer
+        return self.closed.x
+
+    def _stepped(self, scale: Scale, answer: Answer, steps: int) -> Solved:
+        with self.pace.timed("solver", steps * answer.x[0].numel()):
+            return stepped(scale.solver, self.observations(scale, answer), answer, self.ties, steps)
 
     @property
     def views_deviation(self) -> tuple[Tensor | None, Tensor | None]:
@@ -278,22 +281,18 @@ class Hierarchical(Method[HierarchicalConfig]):
     @property
     def left_out(self) -> list[tuple[str, str]]:
         """What these photos did not need."""
-        return left_out(self.task, self.stages)
-
-    # Its state.
-
-    def cut_step(self) -> None:
-        """Nothing to halve: a step of Levenberg-Marquardt that is too long is refused by the solver."""
+        return left_out(self.task, self.stages, bool(self.moved.skipped))
 
     def state(self) -> dict[str, Tensor]:
         """The states of its parts."""
-        parts = self.answer._asdict(), self.stages.state(), self.moved.state(), self.rivals.state()
+        parts = self.answer._asdict(), *(part.state() for part in (self.stages, self.moved, self.rivals, self.pace))
         return {name: value.clone() for part in parts for name, value in part.items()}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
         self.answer = Answer(**{name: state[name].clone() for name in Answer._fields})
-        for part in (self.stages, self.moved, self.rivals):
+        self.closed = None
+        for part in (self.stages, self.moved, self.rivals, self.pace):
             part.load_state(state)
         self.scales, self.ties = self.lobeless if self.stages.matte else self.search
         stage = self.stages.stage

@@ -39,6 +39,11 @@ class Scale:
     width: float
     free: bool = False
 
+    @property
+    def texels(self) -> int:
+        """Their number."""
+        return self.capture.resolution**2
+
     @cached_property
     def member(self) -> Tensor:
         """How much of each basis material texels are, M x K."""

@@ -31,12 +31,13 @@ def decided_later(task: FitTask[HierarchicalConfig]) -> list[tuple[str, str]]:
     return [(TIED, f"if {below}"), *lobe, *rivals, *views, *turns]
 
 
-def left_out(task: FitTask[HierarchicalConfig], stages: Stages | None = None) -> list[tuple[str, str]]:
+def left_out(task: FitTask[HierarchicalConfig], stages: Stages | None = None, short: bool = False) -> list[tuple[str, str]]:
     """What the fit leaves out, as (what, why), as far as it is known.
 
     Args:
         task: of the fit.
         stages: as it stands; None before the fit.
+        short: whether the views were refined less often than they should be, for lack of time.
     """
     config, exact, why = task.config, task.config.exact, "stated by --exact"
     if exact is None and stages and stages.known:
@@ -61,7 +62,9 @@ def left_out(task: FitTask[HierarchicalConfig], stages: Stages | None = None) ->
     elif not _may_take_turns(task):
         items.append((IN_TURN, "stated by --noise" if config.noise is not None else f"fewer than {FEWEST} photos"))
     elif stages and stages.hurried:
-        items.append((IN_TURN, "the stage before it had run out of its share of the time"))
+        items.append((IN_TURN, "it could not have ended within its share of the time"))
+    if short:
+        items.append((f"further {VIEWS}", "it could not have ended within the budget"))
     return items
 
 

@@ -87,9 +87,9 @@ class Stages:
         """Whether the stage had all its rounds."""
         return self.rounds >= ROUNDS[self.stage]
 
-    def over(self, progress: float) -> bool:
-        """Whether the stage ends before the round to come, at this share of the run."""
-        late = self.rounds > 0 and progress >= DEADLINE.get(self.stage, 2.0)
+    def over(self, progress: float, short: bool = False) -> bool:
+        """Whether the stage ends before the round to come, at this share of the run or with the time left too short for it."""
+        late = self.rounds > 0 and (short or progress >= DEADLINE.get(self.stage, 2.0))
         return self.stage != Stage.FINE and (late or self.finished)
 
     @property
@@ -107,15 +107,19 @@ class Stages:
         """Learn the noise of photos of a phone at full size."""
         self.detail = torch.tensor(noise)
 
-    def enter(self, stage: Stage) -> None:
-        """Begin a stage."""
-        self.hurried = stage == Stage.FINE and not self.exact and not self.finished
+    def enter(self, stage: Stage, hurried: bool = False) -> None:
+        """Begin a stage, in a hurry or not."""
+        self.hurried = stage == Stage.FINE and not self.exact and (hurried or not self.finished)
         self.stage, self.rounds = stage, 0
 
     def begin_round(self) -> None:
         """Count another round, and set its noise."""
         self.noise = torch.tensor(self._next_noise())
         self.rounds += 1
+
+    def repeat_round(self) -> None:
+        """Count the latest round, which was not a whole one, no longer."""
+        self.rounds -= 1
 
     @property
     def trial(self) -> tuple[int, int]:

@@ -1,0 +1,144 @@
+"""A budget is kept, by a clock that only work moves: a step of the solver at full size takes a second."""
+
+import pytest
+import torch
+from helpers import photos_of
+from helpers.hierarchical_fits import method_of
+
+from mitsvbrdf.fit.hierarchical import left_out, rounds, scales, starts
+from mitsvbrdf.fit.hierarchical.pace import LAST_STEPS, OTHER_STEPS, STEPS, Pace
+from mitsvbrdf.fit.hierarchical.skipped import IN_TURN, VIEWS
+from mitsvbrdf.fit.hierarchical.stages import Stage, Stages
+from mitsvbrdf.material.made import make_material
+
+SIDE = 8
+AMPLE = 1e5
+
+
+class Clock:
+    """Tells the seconds of the work done."""
+
+    def __init__(self):
+        self.now, self.calls = 0.0, []
+
+    def __call__(self):
+        return self.now
+
+    def work(self, kind, side, count):
+        self.calls.append((kind, side, count))
+        self.now += count * (side / SIDE)**2
+
+
+@pytest.fixture(scope="module")
+def shots():
+    return photos_of(make_material("leather", SIDE))
+
+
+@pytest.fixture
+def timed(shots, monkeypatch):
+    """Makes a fit of photos of a phone that runs by such a clock."""
+    monkeypatch.setattr(scales, "COARSE", SIDE // 2)
+
+    def made(budget, **settings):
+        method, clock = method_of(shots, budget=budget, **({"exact": False} | settings)), Clock()
+
+        def stepped(solver, photos, answer, ties, count):
+            clock.work("solver", answer.x.shape[-1], count)
+            return starts.stepped(solver, photos, answer, ties, count)
+
+        monkeypatch.setattr(rounds, "stepped", stepped)
+        monkeypatch.setattr(left_out, "stepped", stepped)
+        monkeypatch.setattr(method.moved, "refine", lambda maps, _: clock.work("views", maps.resolution, method.moved.work))
+        method.pace.clock = clock
+        return method, clock
+
+    return made
+
+
+def run(method, clock, budget):
+    """The loop, as far as it matters here: the stage and its rounds after each step, and what comes out."""
+    passed = []
+    while not method.done and clock.now < budget:
+        method.step(clock.now / budget)
+        passed.append((method.stages.stage, method.stages.rounds))
+    return passed, method.estimate()[0]
+
+
+@pytest.mark.parametrize("budget, exact", [(30, False), (120, False), (700, False), (60, True), (300, True)])
+def test_a_budget_is_kept_and_used(budget, exact, timed):
+    method, clock = timed(budget, exact=exact)
+    passed, found = run(method, clock, budget)
+    assert passed[-1][0] == Stage.FINE
+    assert found.resolution == SIDE and all(torch.isfinite(value).all() for value in found.maps.values())
+    assert clock.now <= budget + 2  # the last step may begin just before the end
+    assert method.done or clock.now >= budget
+
+
+def test_an_ample_budget_changes_nothing(timed):
+    method, clock = timed(AMPLE)
+    passed, found = run(method, clock, AMPLE)
+    free, other = timed(None)
+    assert (passed, clock.calls) == (run(free, other, AMPLE)[0], other.calls) and free.done
+    assert all(torch.equal(value, free.estimate()[0][name]) for name, value in found.maps.items())
+    assert ("views", SIDE, method.moved.work) in clock.calls
+    assert not {IN_TURN, f"further {VIEWS}"} & dict(method.left_out).keys()
+
+
+def test_what_cannot_end_in_time_is_not_begun_and_said(timed):
+    method, clock = timed(1000)
+    run(method, clock, 1000)
+    assert ("views", SIDE // 2, method.moved.work) in clock.calls  # a quarter of what it takes at full size
+    assert ("views", SIDE, method.moved.work) not in clock.calls
+    assert {IN_TURN, f"further {VIEWS}"} <= dict(method.left_out).keys()
+
+
+def test_a_resumed_fit_knows_what_steps_took(timed):
+    method, clock = timed(AMPLE)
+    while (method.stages.stage, method.stages.rounds) != (Stage.FINE, 4):
+        method.step(0.0)
+    again, later = timed(1000)
+    again.load_state(method.state())
+    assert again.pace.rates == method.pace.rates and len(again.pace.rates) == 2
+    later.now = 600
+    run(again, later, 1000)
+    assert again.done and "views" not in [kind for kind, *_ in later.calls]
+    assert again.stages.rounds == 6 and f"further {VIEWS}" in dict(again.left_out)
+
+
+def test_a_round_that_was_cut_is_made_again(timed):
+    method, clock = timed(AMPLE)
+    while (method.stages.stage, method.stages.rounds) != (Stage.FINE, 1):
+        method.step(0.0)
+    method.pace.end = clock.now + LAST_STEPS + STEPS + OTHER_STEPS
+    clock.calls.clear()
+    method.step(0.5)
+    assert clock.calls == [("solver", SIDE, STEPS), ("solver", SIDE, OTHER_STEPS)] and method.stages.rounds == 1
+    method.step(0.5)
+    assert clock.calls[2:] == [("solver", SIDE, LAST_STEPS)] and clock.now == method.pace.end
+    method.pace.end = AMPLE * 2
+    method.step(0.5)
+    assert method.stages.rounds == 2 and method.closed is None
+
+
+def test_the_pace():
+    clock = Clock()
+    stages = Stages(rivals=True)
+    pace = Pace(10.0, stages, 4, clock)
+    assert pace.in_time(1e9) and pace.steps(7) == 7  # nothing is known yet
+    pace.begin(0.2)
+    pace.begin(0.9)  # not the first step
+    assert pace.end == 8
+    with pace.timed("solver", 20):
+        clock.now += 1
+    assert pace.steps(200) == 35 and pace.steps(200, keep=5) == 30 and pace.steps(200, keep=50) == 1
+    assert pace.to_come == STEPS + LAST_STEPS == 14
+    assert pace.in_time(84) and not pace.in_time(85) and not pace.in_time(84, beside=1)
+    assert pace.in_time(84, "views")
+    with pace.timed("views", 10):
+        clock.now += 1
+    assert pace.in_time(32, "views") and not pace.in_time(33, "views")
+    stages.enter(Stage.FINE)
+    again = Pace(None, stages, 4, clock)
+    again.load_state(pace.state())
+    again.begin(0.0)
+    assert again.rates == pace.rates and again.in_time(1e9) and again.to_come == LAST_STEPS
