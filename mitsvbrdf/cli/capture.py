@@ -64,26 +64,34 @@ def capture(photos: Annotated[Positional[Path], arg(metavar="PHOTOS", help="A fo
         last.enter_context(undisturbed())  # until all is in place
         write_capture(result.capture, folder, capture_keys(result))
         write_quality(result, folder)
-    _print(result)
+    _print(result, resolution)
     say(f"wrote {out}/quality.html, contact.jpg, capture.json, target/; next: mitsvbrdf fit {out} -o OUT")
     return 0
 
 
-def _print(result: CaptureResult) -> None:
+def _print(result: CaptureResult, asked: int) -> None:
+    """Each photo with the number that a fit calls it by, and what the user should know; ``asked`` is the resolution wanted."""
     from rich.table import Table
 
     from ..capture.quality.next_view import HIGHLIGHT_ANGLE
+    from ..fit.options import FitOptions
 
     table = Table(title=f"{len(result.used)} of {len(result.photos)} photos used", title_justify="left")
     for heading in ("photo", "", "reprojection", "sharpness", "clipped"):
-        table.add_column(heading, justify="left" if heading in ("photo", "") else "right")
+        text = heading in ("photo", "")
+        table.add_column(heading, justify="left" if text else "right", no_wrap=not text)
+    number = {name: f"used as {i:02d}" for i, name in enumerate(result.used)}
     for photo in result.photos:
         quality, error = result.qualities.get(photo.name), result.rig.errors.get(photo.name)
-        table.add_row(photo.name, result.rig.left_out.get(photo.name, "used"), "" if error is None else f"{error:.2f} px",
-                      f"{quality.sharpness:.2f}" if quality else "", f"{quality.clipped:.0%}" if quality else "")
-    print_rich(table)
+        table.add_row(photo.name, result.rig.left_out.get(photo.name) or number[photo.name],
+                      "" if error is None else f"{error:.2f} px", f"{quality.sharpness:.2f}" if quality else "",
+                      f"{quality.clipped:.0%}" if quality else "")
+    print_rich(table, markup=False)
     for warning in result.warnings:
         say(f"note: {warning}")
+    if (side := result.capture.resolution) < asked:
+        say(f"{side} pixels are {'enough' if side >= FitOptions.resolution else 'few'}: a fit takes {FitOptions.resolution} "
+            "where --resolution asks for no more; photos from closer by would show more")
     say(f"highlights shown of {result.covered:.0%} of the patch"
         + (f"; one more photo would show most {result.next_view.words}" if result.next_view else ""))
     say(f"shown: some photo has its highlight within {math.degrees(HIGHLIGHT_ANGLE):.0f} degrees; how surely that tells "

@@ -99,7 +99,7 @@ class Progress:
         left = entry["seconds"] * (1 / share - 1) if share > 0 else 0.0  # both count what was before a --resume, and no set-up
         losses = "  ".join(f"{k} {v:.4f}" for k, v in entry.items() if k not in ("seconds", "iteration", "rerender_rmse"))
         line = (f"{share:4.0%}  {entry['seconds']:6.1f} s  iteration {entry['iteration']}  rmse {entry['rerender_rmse']:.4f}  "
-                f"{losses}  {speed:.1f} it/s" + (f"  at most {left:.0f} s left" if share else ""))
+                f"{losses}  {speed:.1f} it/s" + ("  ended" if share >= 1 else f"  at most {left:.0f} s left" if share else ""))
         if self.cell:
             self.cell.show(share, line)
         elif self.live:
@@ -152,7 +152,14 @@ def say(text: str) -> None:
 
 
 def print_rich(*what: Any, **style: Any) -> None:
-    """Tables and what else rich can print; where that cannot be done the work goes on without."""
+    """Tables and what else rich can print; where that cannot be done the work goes on without.
+
+    In a table a word longer than its column goes on below; rich would cut it.
+    """
+    for table in what:
+        for column in table.columns if isinstance(table, Table) else ():
+            if not column.no_wrap:
+                column.overflow = "fold"
     with contextlib.suppress(OSError, ValueError):
         console.print(*what, **style)
 
@@ -183,9 +190,9 @@ def print_profile(profile: dict) -> None:
 
 
 def print_numbers(title: str, numbers: dict[str, float]) -> None:
-    """A small table of named numbers, under a line that may be longer than it is wide."""
+    """A small table of named numbers, the names as they are, under a line that may be longer than it is wide."""
     table = Table(show_header=False)
     for name, value in numbers.items():
         table.add_row(name, f"{value:.4f}")
     print_rich(title, style="italic", markup=False, soft_wrap=True)
-    print_rich(table)
+    print_rich(table, markup=False)

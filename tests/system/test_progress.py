@@ -7,9 +7,10 @@ import sys
 
 import notebooks
 import pytest
+from rich.table import Table
 
 from mitsvbrdf.system import progress
-from mitsvbrdf.system.progress import Cell, Progress, progress_bar
+from mitsvbrdf.system.progress import Cell, Progress, print_numbers, print_rich, progress_bar
 
 ENTRY = {"seconds": 1.5, "iteration": 6, "cost": 2.0, "rerender_rmse": 0.125}
 
@@ -54,6 +55,7 @@ def test_without_a_terminal_a_line_every_ten_seconds(capsys, clock):
     assert lines[0] == "a fit" and len(lines) == 1 + 3 + 1  # at 0, 11 and 22 s, and the last
     assert [line.split()[0] for line in lines[1:]] == ["0%", "11%", "22%", "100%"]
     assert "iteration 11  rmse 0.1250  cost 2.0000  1.0 it/s  at most 89 s left" in lines[2]
+    assert lines[-1].endswith("it/s  ended") and "left" not in lines[-1]
 
 
 @pytest.mark.parametrize("before, seconds, share", [(30, 2.0, 0.02), (0, 60.0, 0.6)])  # set up for long; gone on from 60 s
@@ -70,6 +72,26 @@ def test_a_bar_without_a_terminal(capsys, clock):
             report(f"case {second}", second / 26)
             clock[0] += 1
     assert capsys.readouterr().out.splitlines() == ["a sweep", " 42%  case 11", " 85%  case 22"]
+
+
+def first_column(text):
+    """What stands in the first column of a table, put together again."""
+    return "".join(line.split("│")[1].strip() for line in text.splitlines() if "│" in line)
+
+
+def test_no_name_in_a_table_is_cut_or_read_as_markup(capsys):
+    long = "IMG_" + "0123456789" * 50 + "[red].jpg"  # wider than any terminal
+    print_numbers("title", {long: 0.125})
+    said = capsys.readouterr().out
+    assert first_column(said) == long and "0.1250" in said
+
+
+def test_what_may_not_wrap_is_seen_to_be_cut(capsys):
+    table = Table(show_header=False)
+    table.add_column(no_wrap=True)
+    table.add_row("a" * 500)
+    print_rich(table)
+    assert "aaa…" in capsys.readouterr().out
 
 
 def on_a_terminal(code):
