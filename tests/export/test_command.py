@@ -24,7 +24,14 @@ def test_what_is_lost_is_told_with_the_folder(tmp_path, capsys):
     """Of many materials one after the other the folder tells which one it is."""
     done = {"usd": Export(("oak.usda",), (), conversion={"metallic": {"diffuse": 0.5}})}
     export_command._tell(tmp_path / "oak-1a2b3c4d", done)
-    assert capsys.readouterr().out.splitlines()[0] == f"lost in {tmp_path}/oak-1a2b3c4d/usd, metallic: diffuse 0.5000"
+    first, *_, last = capsys.readouterr().out.splitlines()
+    assert first == f"lost in {tmp_path}/oak-1a2b3c4d/usd, metallic: diffuse 0.5000"
+    assert last.startswith("lost: RMSE, from 0 to 1, ") and f"below {1 / 255:.3f} is less than" in last
+
+
+def test_no_unit_is_told_where_nothing_is_lost(tmp_path, capsys):
+    export_command._tell(tmp_path, {"mitsuba": Export(("scene.xml",), ())})
+    assert capsys.readouterr().out == f"wrote {tmp_path}/mitsuba/scene.xml\n"
 
 
 def test_a_principled_material_loses_nothing(tmp_path):
