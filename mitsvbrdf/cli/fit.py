@@ -44,14 +44,17 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitAr
         overwrite: Overwrite = False) -> int:
     """Recover the maps of a material from photos.
 
-    `mitsvbrdf fit photos/ -o out --budget 120` is all it takes. Leave photos out with --views 0,1,2,3,5,6,8 and predict
-    them with `mitsvbrdf evaluate out --capture photos/ --views 4,7`: the honest test of a fit. The paper's method is
-    --method gan --preset paper-one-stage, shortened by --iterations 500. Known maps are held fixed with
-    --fix normal=flat --fix specular=0.04 --fix diffuse=map.exr, and cost nothing then.
+    `mitsvbrdf fit photos/ -o out` is all it takes: the default method ends by itself, after 120 s at the latest if --budget
+    says nothing else. It shows rmse, the re-rendering error so far, and cost, which it lowers: squared errors over the noise
+    plus distances from what is expected, the mean of all texels. Cost has no unit, and a new round may raise it.
 
-    Ctrl-C ends the fit and keeps its best result. OUT then holds report.html, the page to look at, maps/, guess/, photos/,
-    rerendered/, sheet.png, curve.svg, scene.xml (for plain Mitsuba), fit.json, report.json and the checkpoint that --resume
-    goes on from; with --finish gan also look/ and its page, look.html.
+    Leave photos out with --views 0,1,2,3,5,6,8 and predict them with `mitsvbrdf evaluate out --capture photos/ --views 4,7`:
+    the honest test of a fit. The paper's method is --method gan --preset paper-one-stage, shortened by --iterations 500. Known
+    maps are held fixed with --fix normal=flat --fix specular=0.04 --fix diffuse=map.exr, and cost nothing then.
+
+    Ctrl-C ends the fit and keeps its best result. OUT then holds report.html, the page to look at, maps/, uncertainty/,
+    guess/, photos/, rerendered/, sheet.png, curve.svg, scene.xml (for plain Mitsuba), fit.json, report.json and the checkpoint
+    that --resume goes on from; with --finish gan also look/ and its page, look.html.
     """
     shared.check(config)
     keep_apart(capture, out)
@@ -67,7 +70,8 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitAr
     if shared.finish != "none":
         _say_finish(result)
     page = "report.html, " if (out / "report.html").is_file() else ""
-    say(f"wrote {out}/{page}sheet.png, maps/, {'look/, ' if result.look else ''}rerendered/, scene.xml, fit.json")
+    also = ("uncertainty/, " if result.deviations else "") + ("look/, " if result.look else "")
+    say(f"wrote {out}/{page}sheet.png, maps/, {also}rerendered/, scene.xml, fit.json")
     return 0
 
 
@@ -150,6 +154,8 @@ def _say_result(result: FitResult, shots: Capture, before: int | None) -> None:
     elif before is not None and result.trace[-1]["iteration"] == before:
         say(f"nothing was left to do after {before} iterations and {result.trace[-1]['seconds']:.0f} s; "
             "raise --iterations or --budget")
+    elif result.stopped == "settled":
+        say(f"settled after {result.trace[-1]['seconds']:.0f} s: it ended by itself, before its limit")
     if shots.views.falloff == "none":
         say("scene.xml has a light that falls off with the distance; this fit's did not")
     sure = confidence(result.deviations).items()

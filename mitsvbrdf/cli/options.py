@@ -128,6 +128,8 @@ def read_photos(capture: Path, resolution: int, views: str | None, transfer: Tra
         bar = functools.cache(lambda: open_bar.enter_context(progress_bar("capture")))  # of plain photos alone
         shots = read_capture(capture, resolution=resolution, index=photo_numbers(views), falloff=falloff,
                              transfer=None if transfer == "auto" else transfer, report=lambda text, share: bar()(text, share))
+    if shots.source and (shots.source / "quality.html").is_file():
+        say(f"photos go by their numbers in {shots.source}/quality.html, which names the file of each")
     for note in shots.notes:
         say(note)
     return shots

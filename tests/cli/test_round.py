@@ -27,6 +27,9 @@ from mitsvbrdf.system.journal import JOURNAL
 def test_a_whole_round(options, losses, shots, tmp_path, capsys):
     out = tmp_path / "out"
     assert cli.main(["fit", str(shots), "-o", str(out), "--iterations", "12", "--resolution", "48", *options]) == 0
+    (wrote,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith(f"wrote {out}/"))
+    named = wrote.removeprefix(f"wrote {out}/").split(", ")
+    assert {"report.html", "maps/", "uncertainty/"} <= set(named) and all((out / name).exists() for name in named)
     written = {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file()}
     for stem in ("maps/diffuse", "maps/specular", "maps/roughness", "maps/normal", "guess/diffuse",
                  *(f"rerendered/{i:02d}" for i in range(9))):
