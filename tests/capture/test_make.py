@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from helpers import ROOT
 from helpers.made_photos import LENS, POWER, SHEET, ground, poses, stored, taken
+from helpers.tables import words_at_the_right
 from PIL import Image
 
 from mitsvbrdf import cli
@@ -117,6 +118,7 @@ def test_quality_page_and_pictures(made):
     assert 0.3 < record["coverage"]["share"] <= 1 and (record["stand"] is None or record["stand"]["words"] in page)
     assert cv2.imread(str(out / "contact.jpg")).shape[1] == 1680
     assert any("flash differs" in warning for warning in record["warnings"])
+    assert "<td" in page and not words_at_the_right(page)
 
 
 def test_formats_page_names_every_key(made):

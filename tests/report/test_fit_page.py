@@ -11,6 +11,7 @@ import pytest
 import torch
 from helpers import ANALYTIC, GRID, ROOT
 from helpers.fit_pages import HOSTILE, SIDE, Page
+from helpers.tables import words_at_the_right
 
 from mitsvbrdf import cli
 from mitsvbrdf.capture import read_capture
@@ -41,6 +42,8 @@ def test_fit_writes_the_page_with_photos_left_out_as_evaluate_finds_them(fitted,
     assert record["left_out_rmse"] == pytest.approx(found["rerender_rmse"], rel=1e-6)
     assert f"RMSE of 2 photos left out {record['left_out_rmse']:.4f}" in page.text
     assert record["quick"] and record["saved"] is None and "checks and times all renderers" in page.text
+    assert "numbers in the capture; the quality.html of one made from a phone's photos names the file of each" in page.text
+    assert not words_at_the_right(page.source)
 
 
 def test_every_number_of_the_records_is_on_the_page(measured):
@@ -118,7 +121,8 @@ def test_a_cost_that_may_rise_is_explained_where_there_is_one(measured, photos, 
     assert "All axes are logarithmic" in measured[3].text and "the cost may rise" not in measured[3].text
     assert measured[1]["method"] != "hierarchical"
     assert cli.main(["fit", str(photos), "-o", str(tmp_path / "h"), "--iterations", "2", "--resolution", "16"]) == 0
-    assert "the cost may rise" in Page(tmp_path / "h/report.html").text
+    text = Page(tmp_path / "h/report.html").text
+    assert "the cost may rise" in text and "Cost: the mean over texels of their squared errors" in text
 
 
 @pytest.mark.parametrize("options, words", [

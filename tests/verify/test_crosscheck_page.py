@@ -6,6 +6,7 @@ import re
 import pytest
 from helpers import ANALYTIC, ROOT, TWIN
 from helpers.crosschecks import THREE
+from helpers.tables import words_at_the_right
 
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.measure.gradients import render_and_gradients
@@ -108,3 +109,4 @@ def test_page_shows_every_configuration_and_needs_no_network(real, tmp_path):
         assert all(texel["why"].replace("<", "&lt;") in page for texel in c["worst_texels"])
     assert "made &lt;up&gt;" in page and "0.00125" in page
     assert "made <up>" not in page
+    assert "<td" in page and not words_at_the_right(page)

@@ -20,7 +20,8 @@ def test_record_page_and_markdown(one_case, tmp_path):
     (row,) = record["rows"]
     assert row["renderers"]["analytic"]["verdict"] == "exact" and max(row["fifty_digits"].values()) < 1e-12
     write_stability_page(tmp_path / "page.html", record)
-    assert "85 degrees" in (tmp_path / "page.html").read_text()
+    shown = (tmp_path / "page.html").read_text()
+    assert "85 degrees" in shown and 'class="word good">exact<' in shown  # words stand at the left
     page = tmp_path / "page.md"
     page.write_text(f"before\n{BEGIN}old{END}\nafter\n")
     for _ in range(2):
