@@ -125,15 +125,19 @@ def made_on(record: Mapping) -> str:
 
 
 def codes(record: Mapping) -> dict[str, str]:
-    """The digits of each method's own code, by its name, where the records state them."""
-    found = {each["class"]: each["code"] for each in configs_of(record) if "code" in each}
+    """The digits of each method's own code, by its name, where the records state them; all where these are of several."""
     names = {type(config).__name__: name for name, config in reversed(method_table().items())}  # presets have their method's
-    return {names[kind]: digits for kind, digits in found.items() if kind in names}
+    stated = dict.fromkeys((each["class"], each["code"]) for each in configs_of(record) if "code" in each)
+    found: dict[str, list[str]] = {}
+    for kind, digits in stated:
+        if kind in names:
+            found.setdefault(names[kind], []).append(digits)
+    return {name: " and ".join(all_digits) for name, all_digits in found.items()}
 
 
 def configs_of(record: Mapping) -> list[Mapping]:
-    """The settings of all fits; of pairs of fits both."""
-    both = [each for r in record["records"] for each in (r["config"], *r["config"].values())]
+    """The settings of all fits by a method's code alone; of pairs of fits both. Other suites have code of their own besides."""
+    both = [each for r in record["records"] for each in ((r["config"],) if "budget" in r else r["config"].values())]
     return [each for each in both if isinstance(each, Mapping) and "class" in each]
 
 

@@ -8,7 +8,7 @@ from helpers.bench_records import GIVEN, METHODS, benchmark, case, record, timin
 
 from mitsvbrdf.bench import plots, summary
 from mitsvbrdf.bench.in_short import in_short
-from mitsvbrdf.bench.page import write_benchmark_page
+from mitsvbrdf.bench.page import codes, write_benchmark_page
 from mitsvbrdf.bench.schema import check_benchmark
 
 
@@ -36,6 +36,19 @@ def test_the_page_has_every_section_and_its_pictures(tmp_path):
         assert f">{label}</text>" in drawn
     write_benchmark_page(tmp_path / "again.md", content)
     assert (tmp_path / "again-methods.svg").read_bytes() == (tmp_path / "page-methods.svg").read_bytes()
+
+
+def test_code_of_a_method_is_said_as_often_as_it_changed_and_that_of_other_suites_not():
+    def of(kind, digits):
+        return {"class": kind, "code": digits}
+
+    records = [{"suite": "methods", "budget": 10.0, "config": of("DirectConfig", "one")},
+               {"suite": "ablation", "budget": 10.0, "config": of("DirectConfig", "two")},
+               {"suite": "methods", "budget": 30.0, "config": of("DirectConfig", "one")},
+               {"suite": "leave-out", "config": {"with": of("HybridConfig", "three"), "without": of("GanConfig", "four")}},
+               {"suite": "capture", "config": of("HierarchicalConfig", "five")},
+               {"suite": "schedule", "config": of("GanConfig", "six")}]
+    assert codes({"records": records}) == {"direct": "one and two", "hybrid": "three", "gan": "four"}
 
 
 def test_curves_are_drawn_at_the_medians():

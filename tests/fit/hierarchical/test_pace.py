@@ -5,7 +5,7 @@ import torch
 from helpers import photos_of
 from helpers.hierarchical_fits import method_of
 
-from mitsvbrdf.fit.hierarchical import left_out, rounds, scales, starts
+from mitsvbrdf.fit.hierarchical import left_out, matte, rounds, scales, starts
 from mitsvbrdf.fit.hierarchical.pace import LAST_STEPS, OTHER_STEPS, STEPS, Pace
 from mitsvbrdf.fit.hierarchical.skipped import IN_TURN, VIEWS
 from mitsvbrdf.fit.hierarchical.stages import Stage, Stages
@@ -46,8 +46,8 @@ def timed(shots, monkeypatch):
             clock.work("solver", answer.x.shape[-1], count)
             return starts.stepped(solver, photos, answer, ties, count)
 
-        monkeypatch.setattr(rounds, "stepped", stepped)
-        monkeypatch.setattr(left_out, "stepped", stepped)
+        for where in (rounds, left_out, matte):
+            monkeypatch.setattr(where, "stepped", stepped)
         monkeypatch.setattr(method.moved, "refine", lambda maps, _: clock.work("views", maps.resolution, method.moved.work))
         method.pace.clock = clock
         return method, clock
