@@ -12,6 +12,7 @@ be as well, each as much as it is likely.
 
 Nor does a curvature know a colour near 0: what is shown follows the colour, which its number, the colour to 1 / 2.2, hardly
 changes there. A slope by such a number is therefore that of the chord over the deviation that comes out, as far as 0 below it.
+Where nothing else lights a texel, display values do follow the number, and the deviation stated is larger than it is.
 
 All numbers are those in which map errors are counted (docs/conventions.md): diffuse and specular as linear^(1/2.2), roughness
 and metallic as they are, normals as (n + 1) / 2. Each has a range of 1, and the prior is that range: p = 1 / sqrt(12), the

@@ -30,7 +30,7 @@ def light_power_told(svbrdf: SVBRDF, deviations: Mapping[str, Tensor]) -> float 
         return None
     sure = deviations["specular"].square().mean(dim=-1).sqrt()
     level = svbrdf.resized(sure.shape[0])["specular"].mean(dim=-1)
-    told = (sure < DETERMINED) & (level < METAL)
+    told = (sure < DETERMINED) & (level > 0) & (level < METAL)  # no lobe tells nothing
     if float(told.float().mean()) < MOST_TEXELS:
         return None
     factor = float(level[told].median()) / DIELECTRIC_F0

@@ -110,7 +110,7 @@ def _light(result: FitResult, capture: Capture) -> Iterator[str]:
     if white > WHITE_SHARE:
         yield f"{white:.0%} of the diffuse map is as white as can be: the light may be stronger than stated"
     specular, sure = float(material["specular"].median()), confidence(result.deviations).get("specular")
-    if sure and sure["determined_share"] > 0.25 and specular < FAINT:
+    if sure and sure["determined_share"] > 0.25 and 0 < specular < FAINT:
         yield f"specular of {specular:.2g} is below that of any known material: the light may be weaker than stated"
 
 

@@ -21,8 +21,9 @@ SURE = {"diffuse": torch.zeros(8, 8, 3), "specular": torch.zeros(8, 8, 3)}
 
 
 @pytest.mark.parametrize("specular, diffuse, sd, factor", [
-    (0.08, 0.3, 0.0, 2.0), (0.02, 0.3, 0.0, 0.5), (0.02, 0.76, 0.0, 0.8), (0.3, 0.3, 0.0, None), (0.08, 0.3, 0.15, None)],
-    ids=["dark light", "bright light", "no whiter than white", "metal", "no highlight seen"])
+    (0.08, 0.3, 0.0, 2.0), (0.02, 0.3, 0.0, 0.5), (0.02, 0.76, 0.0, 0.8), (0.3, 0.3, 0.0, None), (0.08, 0.3, 0.15, None),
+    (0.0, 0.3, 0.0, None)],
+    ids=["dark light", "bright light", "no whiter than white", "metal", "no highlight seen", "no lobe"])
 def test_power_by_closed_form(specular, diffuse, sd, factor):
     maps = flat(16, specular=specular, roughness=0.3, diffuse=diffuse)
     told = light_power_told(maps, {**SURE, "specular": SURE["specular"] + sd})

@@ -63,6 +63,13 @@ def may_be_left_out(task: FitTask) -> bool:
     return bool(lobe and others) and not set(lobe) & set(task.fixed)
 
 
+def decision_work(scales: Scales) -> int:
+    """Texels times steps of the solver, at most, that :func:`explained_without` takes; a texel has four other starts."""
+    coarse, fine = (scales.of(stage).texels for stage in (Stage.ALONE, Stage.FINE))
+    both = (2 + len(STARTS)) * STEPS + 2 * ROUNDS * 4 * (STEPS // 2)
+    return (both + len(WIDTHS) * STEPS) * coarse + (both * fine if fine > coarse else 0)
+
+
 def without_lobe(search: Search) -> Search:
     """The search for the rest: specular is held at 0, and roughness, which then shows nowhere, as the robust start has it."""
     coarse, config, side = search.scales.of(Stage.ALONE), search.ties.config, search.scales.captures[Stage.FINE].resolution
@@ -188,7 +195,7 @@ def shown_if_weak(scale: Scale, photos: Observations, ties: Ties, x: Tensor, lef
         left: their squared errors, R x R.
         values: how many values of each texel's photos are not clipped.
     """
-    side, free, step = x.shape[-1], (values - len(x)).clamp_min(0), values * QUANTIZATION_NOISE**2
+    side, free, step = x.shape[-1], (values - len(x)).clamp_min(0), values.clamp_min(1) * QUANTIZATION_NOISE**2
     count = len(WIDTHS) * sum(sums.numel() for (sums,) in blocks(left))
     solver = TexelSolver(scale.solver.bsdf, scale.solver.fixed, variant=scale.solver.variant)
     for width in WIDTHS:
@@ -197,6 +204,6 @@ def shown_if_weak(scale: Scale, photos: Observations, ties: Ties, x: Tensor, lef
         # -2 log of the ratio of the likelihoods, each at its texel's own noise; photos are no more exact than 8 bits.
         unlikelier = free * ((other + step) / (left + step)).log()
         *parts, whole = (sums for (sums,) in blocks(unlikelier))
-        if float(whole) < 2 * math.log(1 / RARE) or any((sums < -2 * math.log(count / RARE)).any() for sums in parts):
+        if not float(whole) >= 2 * math.log(1 / RARE) or any((sums < -2 * math.log(count / RARE)).any() for sums in parts):
             return True
     return False

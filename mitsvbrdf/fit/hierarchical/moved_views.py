@@ -64,6 +64,10 @@ class MovedViews:
         self.skipped = self.skipped if in_time else torch.ones(())
         return in_time
 
+    def leave(self, stage: Stage, rounds: int, tied: bool) -> None:
+        """Remember whether a stage ends after so many rounds before all its refinements."""
+        self.begun(not self.may_move(tied) or rounds >= max(REFINED.get(stage, (0,))))
+
     @property
     def _steps(self) -> int:
         return FEW_STEPS if self.refined == "always" else ITERATIONS

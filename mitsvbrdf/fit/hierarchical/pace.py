@@ -27,7 +27,7 @@ KINDS: tuple[Kind, ...] = ("solver", "views")
 
 
 class Pace:
-    """The clock of a run, and the seconds that a unit of each kind of work took the last time.
+    """The clock of a run, and the fewest seconds that a unit of each kind of work took: a first call also makes a kernel.
 
     Args:
         budget: seconds that the run may take; None for no limit.
@@ -42,7 +42,7 @@ class Pace:
         self.rates: dict[Kind, float] = {}
 
     def begin(self, progress: float) -> None:
-        """Learn from the first step when the run ends: this share of it is over."""
+        """Learn from the first step when the run ends: this share of it is over. A resumed run knows what it has spent."""
         if self.budget and math.isinf(self.end):
             self.end = self.clock() + self.budget * (1 - progress)
 
@@ -51,7 +51,7 @@ class Pace:
         """Learn what so much work takes."""
         began = self.clock()
         yield
-        self.rates[kind] = (self.clock() - began) / work
+        self.rates[kind] = min((self.clock() - began) / work, self.rates.get(kind, math.inf))
 
     @property
     def to_come(self) -> int:
@@ -79,8 +79,12 @@ class Pace:
 
     def state(self) -> dict[str, Tensor]:
         """Everything :meth:`load_state` needs."""
-        return {"pace": torch.tensor([self.rates.get(kind, -1.0) for kind in KINDS], dtype=torch.float64)}
+        spent = self.budget - (self.end - self.clock()) if self.budget and math.isfinite(self.end) else 0.0
+        return {"pace": torch.tensor([spent, *(self.rates.get(kind, -1.0) for kind in KINDS)], dtype=torch.float64)}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         """Go on from a saved state."""
-        self.rates = {kind: rate for kind, rate in zip(KINDS, state["pace"].tolist(), strict=True) if rate >= 0}
+        spent, *rates = state["pace"].tolist()
+        self.rates = {kind: rate for kind, rate in zip(KINDS, rates, strict=True) if rate >= 0}
+        if self.budget and math.isinf(self.end) and spent:
+            self.end = self.clock() + self.budget - spent

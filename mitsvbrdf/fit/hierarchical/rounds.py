@@ -39,7 +39,7 @@ from ..start import robust_start
 from ..task import FitTask
 from .left_out import AGREED, NOISES, in_turn, least_as_good, prediction_errors, steps_of_turns
 from .marginal import integrated
-from .matte import Search, explained_without, may_be_left_out, without_lobe
+from .matte import Search, decision_work, explained_without, may_be_left_out, without_lobe
 from .moved_views import LEVELLED, REFINED, MovedViews
 from .pace import LAST_STEPS, OTHER_STEPS, ROUND_STEPS, STEPS, Pace
 from .scales import Scale, Scales
@@ -87,8 +87,6 @@ class Hierarchical(Method[HierarchicalConfig]):
         return self.ties.vague(scale.solver.numbers(
             robust_start(scale.capture, scale.guess, self.config.bsdf, scale.solver.fixed)))
 
-    # The run: stages of rounds.
-
     def step(self, progress: float) -> dict[str, float]:
         """One round of the present stage, or the first of the next; where no time is left for one, the last steps."""
         stages = self.stages
@@ -123,19 +121,21 @@ class Hierarchical(Method[HierarchicalConfig]):
                 self._keep()
             self.answer = self.rivals.take(self.answer)
         stage, hurried = self.stages.next, not self.stages.finished
+        self.moved.leave(self.stages.stage, self.stages.rounds, self.stages.tied)
         if stage == Stage.TOGETHER:
             self.scale = self.scales.of(stage)
             self.answer = self.start()
         if stage == Stage.FINE:
-            turns = steps_of_turns(len(self.capture)) * self.scale.texels
-            hurried = hurried or not self.pace.in_time(turns, beside=ROUND_STEPS - STEPS)
+            turns = steps_of_turns(len(self.capture)) * self.scales.of(Stage.ALONE).texels
+            hurried = hurried or not (self.stages.exact or self.pace.in_time(turns, beside=ROUND_STEPS - STEPS))
             self.scale, self.answer = self._at_full_size(learn=not hurried)
         self.stages.enter(stage, hurried)
 
     def _leave_lobe_out(self) -> None:
         """Search no further for a specular lobe where the first stage came to its end and the photos need none."""
         stages, found = self.stages, None
-        if stages.exact and stages.finished and may_be_left_out(self.task):
+        asked = stages.exact and stages.finished and may_be_left_out(self.task)
+        if asked and self.pace.in_time(decision_work(self.search.scales)):
             with profiled("solver"):
                 found = explained_without(self.answer, self.search, self.lobeless, stages.unexplained[1], self.observations)
         if found:

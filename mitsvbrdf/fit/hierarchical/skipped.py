@@ -22,10 +22,12 @@ def decided_later(task: FitTask[HierarchicalConfig]) -> list[tuple[str, str]]:
     exact = task.config.exact
     matte = f"no block of texels needs a lobe, and one of {WEAK:g} would show"
     if exact is not None:
-        return [(LOBE, f"if {matte}")] if exact and may_be_left_out(task) else []
+        if not exact or not may_be_left_out(task):
+            return []
+        return [(LOBE, f"if {matte}"), *([(RIVALS, "without a lobe")] if _may_rival(task) else [])]
     below = f"a free fit at 64 px leaves errors whose structure is below {EXACT:g}: {FOLLOW}"
     lobe = [(LOBE, f"if {below}; {matte}")] if may_be_left_out(task) else []
-    rivals = [(RIVALS, f"unless {below}")] if _may_rival(task) else []
+    rivals = [(RIVALS, f"unless {below}" + (", and without a lobe" if lobe else ""))] if _may_rival(task) else []
     views = [(VIEWS, f"if {below}, and so do the stated views")] if task.refined == "unless exact" else []
     turns = [(IN_TURN, f"if {below}, or where time is short")] if _may_take_turns(task) else []
     return [(TIED, f"if {below}"), *lobe, *rivals, *views, *turns]
@@ -53,6 +55,8 @@ def left_out(task: FitTask[HierarchicalConfig], stages: Stages | None = None, sh
         items.append((RIVALS, "not asked for" if not config.rivals else "roughness held fixed"))
     elif exact is False:
         items.append((RIVALS, f"the photos do not follow the model: {why}"))
+    elif exact and stages and stages.hurried:
+        items.append((f"further {RIVALS}", "they could not have ended within their share of the time"))
     if task.refined == "never":
         items.append((VIEWS, "the views are held" if config.holds_views else "the views are a stated default"))
     elif exact and task.refined == "unless exact":

@@ -88,8 +88,11 @@ class Stages:
         return self.rounds >= ROUNDS[self.stage]
 
     def over(self, progress: float, short: bool = False) -> bool:
-        """Whether the stage ends before the round to come, at this share of the run or with the time left too short for it."""
-        late = self.rounds > 0 and (short or progress >= DEADLINE.get(self.stage, 2.0))
+        """Whether the stage ends before the round to come, at this share of the run or with the time left too short for it.
+
+        What a round takes is not known before the second one.
+        """
+        late = self.rounds > 1 and short or self.rounds > 0 and progress >= DEADLINE.get(self.stage, 2.0)
         return self.stage != Stage.FINE and (late or self.finished)
 
     @property

@@ -105,6 +105,32 @@ def test_a_resumed_fit_knows_what_steps_took(timed):
     assert again.stages.rounds == 6 and f"further {VIEWS}" in dict(again.left_out)
 
 
+def test_the_question_whether_a_material_is_matte_is_not_asked_where_it_cannot_end(timed):
+    method, clock = timed(AMPLE, exact=True)
+    while not method.stages.finished:
+        method.step(0.0)
+    asked = matte.decision_work(method.search.scales) / SIDE**2
+    for left, counts in ((asked - 1, set()), (asked + STEPS + LAST_STEPS + 1, {matte.STEPS})):
+        clock.calls.clear()
+        method.pace.end = clock.now + left
+        method._leave_lobe_out()
+        assert {count for _, _, count in clock.calls} & {matte.STEPS} == counts
+
+
+def test_the_turns_are_foreseen_as_they_are_made(timed):
+    # Everything between the stage at the coarse size and the first round at full size, by the solver's steps; variances, which
+    # count as one each, are not seen by this clock.
+    method, clock = timed(AMPLE)
+    while method.stages.stage != Stage.TOGETHER or not method.stages.finished:
+        method.step(0.0)
+    clock.calls.clear()
+    method._begin_next_stage()
+    steps, turns = sum(count for _, _, count in clock.calls), left_out.in_turn(len(method.capture))
+    rounds_of_each = left_out.AGREED + len(left_out.NOISES) * left_out.ROUNDS
+    assert steps + len(turns) * rounds_of_each == left_out.steps_of_turns(len(method.capture))
+    assert {side for _, side, _ in clock.calls} == {method.scales.of(Stage.ALONE).capture.resolution}
+
+
 def test_a_round_that_was_cut_is_made_again(timed):
     method, clock = timed(AMPLE)
     while (method.stages.stage, method.stages.rounds) != (Stage.FINE, 1):
@@ -137,8 +163,16 @@ def test_the_pace():
     with pace.timed("views", 10):
         clock.now += 1
     assert pace.in_time(32, "views") and not pace.in_time(33, "views")
+    with pace.timed("views", 10):  # the first call of a kernel makes it too
+        clock.now += 0
+    assert pace.rates["views"] == 0 and pace.rates["solver"] == 0.05
+    pace.rates["views"] = 0.1
     stages.enter(Stage.FINE)
     again = Pace(None, stages, 4, clock)
     again.load_state(pace.state())
     again.begin(0.0)
+    later = Pace(20.0, stages, 4, clock)
+    later.load_state(pace.state())
+    later.begin(0.5)  # by the number of iterations, say
+    assert later.end == clock.now + 20 - (10 - (8 - clock.now))
     assert again.rates == pace.rates and again.in_time(1e9) and again.to_come == LAST_STEPS
