@@ -39,7 +39,7 @@ class FitConfig:
     guess: GuessMethod = "robust"
     """How the guessed diffuse map is made: robust (ours), min (the paper's), mean-blur (Zhao 2020)."""
     budget: float | None = None
-    """Stop after so many seconds. With no limit: hierarchical, hybrid 120, direct 60, gan 300 or its preset's iterations."""
+    """Stop after so many seconds. Unset: hierarchical and hybrid 120, direct 60, gan 300 or its preset's iterations."""
     iterations: int | None = None
     """Stop after this many iterations (with --budget: whichever comes first)."""
     seed: int = 0

@@ -96,11 +96,12 @@ def test_a_resumed_fit_knows_what_steps_took(timed):
     method, clock = timed(AMPLE)
     while (method.stages.stage, method.stages.rounds) != (Stage.FINE, 4):
         method.step(0.0)
-    again, later = timed(1000)
+    again, later = timed(clock.now + 400)
+    later.now = clock.now
     again.load_state(method.state())
     assert again.pace.rates == method.pace.rates and len(again.pace.rates) == 2
-    later.now = 600
-    run(again, later, 1000)
+    assert again.pace.end == again.pace.budget
+    run(again, later, again.pace.budget)
     assert again.done and "views" not in [kind for kind, *_ in later.calls]
     assert again.stages.rounds == 6 and f"further {VIEWS}" in dict(again.left_out)
 
@@ -109,6 +110,7 @@ def test_the_question_whether_a_material_is_matte_is_not_asked_where_it_cannot_e
     method, clock = timed(AMPLE, exact=True)
     while not method.stages.finished:
         method.step(0.0)
+    method.stages.judge(torch.zeros(2))
     asked = matte.decision_work(method.search.scales) / SIDE**2
     for left, counts in ((asked - 1, set()), (asked + STEPS + LAST_STEPS + 1, {matte.STEPS})):
         clock.calls.clear()
