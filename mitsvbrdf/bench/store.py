@@ -114,7 +114,7 @@ class Store:
         with stop_signals() as stop:
             with held(self.path):
                 self._read()
-                there = [r for r in self.records if r not in self.outdated]
+                there = [r for r in self.records if not (new and r in self.outdated)]
                 for record in new:
                     self._check_alike(record, there)
                 known = set(map(identity, there))

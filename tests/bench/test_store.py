@@ -104,6 +104,9 @@ def test_earlier_records_stay_until_the_first_new_one(tmp_path):
     for anew, settings in ((False, {"smooth": 0.1}), (True, {})):
         store = Store(tmp_path / "b.json", SETTINGS, anew)
         assert len(store.pending([Job(0, **settings)])) == 1 and (tmp_path / "b.json").read_bytes() == before
+        if not anew:
+            store.write()  # as where every job failed
+            assert {r["seed"] for r in read_benchmark(tmp_path / "b.json")["records"]} == {0, 1}
         jobs.run([Job(0, **settings)], store)
         assert [r["config"] for r in read_benchmark(tmp_path / "b.json")["records"]] == [settings]
         (tmp_path / "b.json").write_bytes(before)

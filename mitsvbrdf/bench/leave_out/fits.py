@@ -92,7 +92,7 @@ class PairJob:
         """A fit and its seconds by part of it."""
         config, photos, part = self._sides()[side], self.scene.task.photos, self.part
         less = (side == "with") == part.put_in  # the program's own way is the other
-        with profiling() as profile, changed(*part.rounds) if less and part.rounds else contextlib.nullcontext():
+        with profiling() as profile, changed(*part.table) if less and part.table else contextlib.nullcontext():
             fitted = fit(part.photos(photos) if less and part.photos else photos, self.renderer, config)
         return fitted, profile.totals()
 

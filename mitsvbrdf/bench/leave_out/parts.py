@@ -32,7 +32,7 @@ class Part:
         kinds: of scenes.
         says: further names by which ``fit --explain`` says that it is left out.
         photos: what takes it away from the photos, instead of settings.
-        rounds: a table of the method's, as of rounds by stage, and what changes in it instead of settings.
+        table: of the method, as of rounds by stage, and what changes in it instead of settings.
     """
 
     what: str
@@ -42,7 +42,7 @@ class Part:
     kinds: Sequence[str] = (*FOLLOWING, *OTHERS)
     says: tuple[str, ...] = ()
     photos: Callable[[Capture], Capture] | None = None
-    rounds: tuple[dict, Mapping] | None = None
+    table: tuple[dict, Mapping] | None = None
 
     @property
     def of(self) -> str:
@@ -73,10 +73,10 @@ def parts() -> list[Part]:
         Part("freedom at full size", usual, first(own=0.0), kinds=OTHERS),
         Part("weights of pixels", usual, first(tails=0.0), kinds=OTHERS),
         Part("removal of burn-in", usual, first(independent=False), kinds=OTHERS),
-        Part("view refinement at full size", usual, usual, kinds=OTHERS, rounds=(REFINED, {Stage.FINE: ()})),
-        Part("view refinements but one", usual, usual, kinds=OTHERS, rounds=(REFINED, {Stage.TOGETHER: (3,), Stage.FINE: ()})),
-        Part("second half of the rounds at full size", usual, usual, kinds=FOLLOWING, rounds=(ROUNDS, {Stage.FINE: 7})),
-        Part(skipped.LOBE, usual, usual, True, (MATTE,), rounds=(matte.LOBE, {"roughconductor": ()})),
+        Part("view refinement at full size", usual, usual, kinds=OTHERS, table=(REFINED, {Stage.FINE: ()})),
+        Part("view refinements but one", usual, usual, kinds=OTHERS, table=(REFINED, {Stage.TOGETHER: (3,), Stage.FINE: ()})),
+        Part("second half of the rounds at full size", usual, usual, kinds=FOLLOWING, table=(ROUNDS, {Stage.FINE: 7})),
+        Part(skipped.LOBE, usual, usual, True, (MATTE,), table=(matte.LOBE, {"roughconductor": ()})),
         Part("every other photo", usual, usual, photos=lambda shots: shots.pick(shots.index[::2])),
         Part("generator", usual, hybrid, True, (EXACT,)),
         Part("discriminator", hybrid, replace(hybrid, adversarial=0.0), kinds=TRAINED, says=("adversarial loss",)),

@@ -67,7 +67,7 @@ def test_photos_and_rounds_are_taken_away_from_one_side_alone(done, inlay, monke
     table, seen = {"a": 14}, []
     real = fits.fit
     monkeypatch.setattr(fits, "fit", lambda photos, renderer, config: seen.append(table["a"]) or real(photos, renderer, config))
-    PairJob(Part("rounds", USUAL, USUAL, rounds=(table, {"a": 7})), inlay, 2, ANALYTIC).run()
+    PairJob(Part("rounds", USUAL, USUAL, table=(table, {"a": 7})), inlay, 2, ANALYTIC).run()
     assert seen[2:] == [14, 7, 14, 7] and table == {"a": 14}
 
 
@@ -117,7 +117,7 @@ def test_what_is_fitted():
     matte = next(scene.task for scene in made if scene.kind == "exact, matte")
     assert not matte.truth["specular"].any() and torch.isfinite(matte.photos.photos).all()
     listed = parts()
-    assert all((part.other != part.config) + bool(part.photos) + bool(part.rounds) == 1 for part in listed)
+    assert all((part.other != part.config) + bool(part.photos) + bool(part.table) == 1 for part in listed)
     names = [part.name for part in listed]
     assert len(set(names)) == len(names)  # a file has one setting of each
     assert not any(REAL in part.kinds for part in listed if part.put_in)
