@@ -120,14 +120,16 @@ def test_explain_and_the_record_say_so(tmp_path, capsys):
         read_whole_fit(out)
 
 
-@pytest.mark.parametrize("rounds, hurried", [(1, True), (ROUNDS[Stage.TOGETHER], False)])
-def test_photos_are_not_left_out_in_turn_where_time_was_short(rounds, hurried, leather):
-    stages, again = Stages(rivals=False), Stages(rivals=False)
-    stages.judge(torch.tensor([0.02, 0.01]))
-    stages.enter(Stage.TOGETHER)
-    for _ in range(rounds):
+@pytest.mark.parametrize("stage, structure, said", [
+    (Stage.TOGETHER, 0.02, skipped.IN_TURN), (Stage.RIVALS, 0.001, f"further {skipped.RIVALS}")])
+@pytest.mark.parametrize("hurried", [True, False])
+def test_what_time_was_too_short_for_is_said(hurried, stage, structure, said, leather):
+    stages, again = Stages(rivals=True), Stages(rivals=True)
+    stages.judge(torch.tensor([structure, 0.01]))
+    stages.enter(stage)
+    for _ in range(1 if hurried else ROUNDS[stage]):
         stages.begin_round()
     stages.enter(Stage.FINE)
     again.load_state(stages.state())
     task = FitTask(leather, ANALYTIC, HierarchicalConfig())
-    assert [skipped.IN_TURN in dict(skipped.left_out(task, each)) for each in (stages, again)] == [hurried] * 2
+    assert [said in dict(skipped.left_out(task, each)) for each in (stages, again)] == [hurried] * 2

@@ -106,6 +106,12 @@ def test_a_specular_that_is_usual_determined_or_given_is_no_doubt(fitted, leathe
         assert not any("median specular" in warning for warning in fit_warnings(found, leather))
 
 
+@pytest.mark.parametrize("specular, sure, said", [(0.005, True, 1), (0.005, False, 0), (0.02, True, 0), (0.0, True, 0)])
+def test_a_specular_below_that_of_any_material(specular, sure, said, fitted, leather):  # a matte material has none
+    found = with_maps(fitted, spread=torch.full((SIDE, SIDE, 3), 0.001 if sure else 0.2), specular=specular)
+    assert sum("light may be weaker" in warning for warning in fit_warnings(found, leather)) == said
+
+
 def test_texels_that_reflect_more_than_arrives(fitted, leather):
     bright = [warning for warning in fit_warnings(with_maps(fitted, diffuse=0.8, specular=0.3), leather)
               if "100% of the texels reflect more than arrives" in warning]

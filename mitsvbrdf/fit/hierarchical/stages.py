@@ -112,7 +112,7 @@ class Stages:
 
     def enter(self, stage: Stage, hurried: bool = False) -> None:
         """Begin a stage, in a hurry or not."""
-        self.hurried = stage == Stage.FINE and not self.exact and (hurried or not self.finished)
+        self.hurried = stage == Stage.FINE and (hurried or not self.finished)
         self.stage, self.rounds = stage, 0
 
     def begin_round(self) -> None:
