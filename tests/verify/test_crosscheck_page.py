@@ -2,6 +2,7 @@
 
 import json
 import re
+import struct
 
 import pytest
 from helpers import ANALYTIC, ROOT, TWIN
@@ -87,6 +88,34 @@ def test_the_plot_explains_all_that_it_draws(real):
     assert drawn <= set(said) and said.count("stated tolerance") == 1
     assert [text for text in said if "hollow" in text] and not any("hollow" in text.get_text() for text in error_against_time(
         real[0] | {"configurations": [c for c in real[0]["configurations"] if c["rough"]]}).legends[0].get_texts())
+
+
+def test_the_plot_shows_the_figures_of_the_record(real):
+    images, gradients = error_against_time(real[0]).axes[:2]
+    points: dict[str, list] = {"image": [], "gradients": []}
+    for c in real[0]["configurations"]:
+        texels = c["rough"] if c["rough"] else c["smooth"]
+        seconds = c["seconds"]["forward"]["median"] + c["seconds"]["backward"]["median"]
+        worst = sorted(g["relative_l2"] for g in texels["gradients"].values() if g["relative_l2"] is not None)[-1]
+        for name, error in (("image", texels["image"]["mean"]), ("gradients", worst)):
+            points[name] += [(seconds, error, not c["rough"])] if error else []
+    for panel, wanted in ((images, points["image"]), (gradients, points["gradients"])):
+        lines = [bar.lines[0] for bar in panel.containers]
+        assert wanted and wanted == [(line.get_xdata()[0], line.get_ydata()[0], line.get_markerfacecolor() == "none")
+                                     for line in lines]
+    assert {hollow for *_, hollow in points["image"]} == {True, False}
+
+
+def test_the_page_shows_float32_to_the_last_digit_and_cosines_by_what_they_lack(real, tmp_path):
+    write_crosscheck_page(tmp_path / "page.html", *real)
+    page = (tmp_path / "page.html").read_text()
+    shown = {struct.unpack("f", struct.pack("f", float(cell)))[0] for cell in re.findall(r"<td>([\d.e+-]+)</td>", page)}
+    lacking = [float(cell) for cell in re.findall(r"<td>1 − ([\d.e+-]+)</td>", page)]
+    for c in real[0]["configurations"]:
+        assert {texel["value"] for texel in c["worst_texels"]} <= shown
+        for texels in filter(None, (c["rough"], c["smooth"])):
+            for cosine in (g["cosine"] for g in texels["gradients"].values() if g["cosine"] is not None):
+                assert any(each == pytest.approx(max(1 - cosine, 0), rel=0.05) for each in lacking)
 
 
 def test_the_float32_limit_has_one_name(real, tmp_path):

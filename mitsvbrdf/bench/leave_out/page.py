@@ -10,6 +10,7 @@ from ...system import files
 from ..page import made_on, markdown, print_tables
 from ..tables import Table
 from .fits import SUITE as FITS
+from .in_short import in_short
 from .parts import REAL
 from .renders import SUITE as RENDERS
 from .verdict import COSTS, FLOOR, SAVES, default_fits, items
@@ -75,6 +76,8 @@ def write_leave_out_page(path: str | Path, record: Mapping) -> None:
         OutputError: it cannot be written.
     """
     settings, lines = record["settings"], [INTRO.format(made_on=made_on(record))]
+    if short := in_short(record):
+        lines += ["## In short", "", *(f"- {line}" for line in short), ""]
     if renders := renders_table(record):
         lines += [OF_RENDERS.format(**settings), *_untitled(renders)]
     if parts := parts_table(record):

@@ -13,6 +13,7 @@ KINDS = (*FOLLOWING, *OTHERS)
 SHOWN = {"mean": "maps", "novel_light": "new light", "left_out": "left out", "photos": "seen", "seen": "seen"}
 UNSEEN = ("maps", "new light", "left out")  # what decides: photos seen are explained better by whatever burns in
 FLOOR = 0.001  # of errors that are compared: a quarter of a step of 8 bits, below which none shows
+NEEDED, NOT_NEEDED, NO_TIME_SAVED = "needed", "not needed", "no time saved"
 SAVES, COSTS = 1.05, 1.02  # from which ratio on of seconds (median) and of errors (worst) a part counts as saved and as needed
 
 
@@ -62,8 +63,8 @@ def verdict(ratio: float, errors: Mapping[str, Mapping[str, float]]) -> str:
     """``needed`` where leaving it out costs errors; else ``not needed``, or ``no time saved`` where it saves less than 5 %."""
     worst = max((errors[name]["worst"] for name in UNSEEN if name in errors), default=1.0)
     if worst > COSTS:
-        return "needed"
-    return "not needed" if ratio >= SAVES else "no time saved"
+        return NEEDED
+    return NOT_NEEDED if ratio >= SAVES else NO_TIME_SAVED
 
 
 def default_fits(record: Mapping) -> list[dict]:

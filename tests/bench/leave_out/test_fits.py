@@ -22,6 +22,7 @@ from mitsvbrdf.bench.tasks import known_material
 from mitsvbrdf.capture import write_capture
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import HierarchicalConfig
+from mitsvbrdf.system.profile import profiled
 
 USUAL = HierarchicalConfig(budget=UNLIMITED)
 STARTS = Part("starts", USUAL, replace(USUAL, neighbours=False))
@@ -61,14 +62,24 @@ def test_a_pair_takes_turns_and_tells_which_is_which(put_in, done, inlay):
     assert record["method"] == f"hierarchical {'with' if put_in else 'without'} starts" and record["photos"] == 9
 
 
-def test_photos_and_rounds_are_taken_away_from_one_side_alone(done, inlay, monkeypatch):
+def test_photos_are_taken_away_from_one_side_alone(done, inlay):
     PairJob(Part("half", USUAL, USUAL, photos=lambda shots: shots.pick(shots.index[::2])), inlay, 1, ANALYTIC).run()
     assert [photos for _, steps, photos in done if steps is None] == [9, 5]
-    table, seen = {"a": 14}, []
-    real = fits.fit
-    monkeypatch.setattr(fits, "fit", lambda photos, renderer, config: seen.append(table["a"]) or real(photos, renderer, config))
-    PairJob(Part("rounds", USUAL, USUAL, table=(table, {"a": 7})), inlay, 2, ANALYTIC).run()
-    assert seen[2:] == [14, 7, 14, 7] and table == {"a": 14}
+
+
+@pytest.mark.parametrize("put_in", [False, True])
+def test_a_table_is_changed_for_one_side_alone(put_in, done, inlay, monkeypatch):
+    table, seen, real = {"a": 14}, [], fits.fit
+
+    def fit(photos, renderer, config):
+        seen.append(table["a"])
+        with profiled(f"rounds: {table['a']}"):
+            return real(photos, renderer, config)
+
+    monkeypatch.setattr(fits, "fit", fit)
+    record = PairJob(Part("rounds", USUAL, USUAL, put_in, table=(table, {"a": 7})), inlay, 2, ANALYTIC).run()
+    assert seen[2:] == ([7, 14] if put_in else [14, 7]) * 2 and table == {"a": 14}  # with the part, without it
+    assert list(record["spent"]) == ["rounds: 14"]  # of the program's own way
 
 
 def test_a_table_is_as_before_even_after_an_error():
