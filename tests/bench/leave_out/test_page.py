@@ -90,31 +90,35 @@ def test_the_page_says_how_it_was_made(tmp_path):
 
 
 def test_the_page_begins_with_what_the_verdicts_come_to(tmp_path):
-    render = {"suite": "leave-out-renders", "name": "ray tracing", "where": "mitsuba", "why": "known", "config": {},
-              "worst": 1.4e-6, "mean": 1e-7, "full_error": 1e-6, "lean_error": 1e-6,
-              "seconds": {side: {"median": value, "low": value, "high": value, "repeats": 1}
-                          for side, value in (("full", 3.0), ("lean", 0.4))}}
-    falloff = render | {"name": "light falloff", "worst": 0.3, "full_error": None, "lean_error": None}
+    def render(name, worst, full, lean, error=1e-6):
+        seconds = {side: {"median": value, "low": value, "high": value, "repeats": 1}
+                   for side, value in (("full", full), ("lean", lean))}
+        return {"suite": "leave-out-renders", "name": name, "where": "mitsuba", "why": "known", "config": {}, "worst": worst,
+                "mean": worst / 10, "full_error": error, "lean_error": error, "seconds": seconds}
+
     write_leave_out_page(tmp_path / "p.md", settled([
-        render, falloff,
+        render("path depth", 0.0, 2.0, 1.0), render("ray tracing", 1.4e-6, 3.0, 0.4),
+        render("light falloff", 0.3, 9.0, 1.0, None),
         pair("tied stage", put_in=True, mean=(0.1, 0.05)),
         pair("tied stage", kind="exact, noisy", put_in=True, full=(4.0, 4.0)),
         pair("rival starts", kind="cameras off", put_in=True, full=(1.0,), lean=(2.0,), mean=(0.1, 0.1)),
         pair("look-alikes", mean=(0.1, 0.13), novel_light=(0.1, 0.15)),
         pair("look-alikes", kind="cameras off", mean=(0.1, 0.1)),
         pair("weights of pixels", full=(3.0, 3.0), mean=(0.1, 0.1)),
+        pair("discriminator", mean=(0.1, 0.2)) | {"of": "gan", "method": "gan without discriminator"},
         pair("every other photo", put_in=True, mean=(0.1, 0.2))]))
     lines = (tmp_path / "p.md").read_text().split("## ")[1].splitlines()
     ratio = "Seconds with it over those without"
     assert [line for line in lines if line] == [
         "In short",
         f"- **Of a scene.** Leaving out what it does not need changes pictures by at most 1.4e-06 of their values. {ratio}: "
-        "ray tracing 7.5.",
+        "ray tracing 7.5, path depth 2.",
         "- **Left out of fits by the program itself**, where photos show that they do not need it. "
         f"{ratio}: tied stage 1.7 to 2.5.",
         "- **Left out by the program itself, though it would help.** Error without it over error with it: "
         "every other photo: maps 2.00 (exact).",
-        "- **Needed.** Error without it over error with it: look-alikes: new light 1.50 (exact).",
+        "- **Needed.** Error without it over error with it: look-alikes: new light 1.50 (exact); "
+        "discriminator of `gan`: maps 2.00 (exact).",
         f"- **Kept, though none of these photos needs it**, as no test of photos tells so. {ratio}: "
         "weights of pixels 1.2."]
 
