@@ -25,19 +25,33 @@ def commands(record: Mapping) -> list[str]:
 def _alike(here: Sequence[Mapping]) -> list[list[Mapping]]:
     """The records of a suite that one command makes.
 
-    Those of long runs are apart by size, width and iterations, fits by the photos left out and by the budgets of their method.
+    Those of long runs are apart by size, width and iterations, fits by the photos left out and, of each method, by the budgets
+    that had the same seeds.
     """
     groups: dict[tuple, list[Mapping]] = {}
     usual = next(iter(summary.ways_to_leave_out(here)), ())
-    times: dict[str, set[float]] = {}
-    for r in summary.with_repeats([r for r in here if r["suite"] in summary.FIT_SUITES]):
-        times.setdefault(r["method"], set()).add(r["budget"])
+    together = _together([r for r in here if r["suite"] in summary.FIT_SUITES])
     for r in here:
         own: tuple = (r["config"]["resolution"], r["config"]["width"], r["iterations"]) if r["suite"] == "schedule" else ()
         if r["suite"] in summary.FIT_SUITES:
-            own = tuple(sorted(times[r["method"]]))
+            own = together[_series(r), r["budget"]]
         groups.setdefault((*own, tuple(r.get("left_out", usual))), []).append(r)
     return list(groups.values())
+
+
+def _series(r: Mapping) -> tuple:
+    """What the fits of a method are of."""
+    return r["method"], r["kind"], tuple(r.get("left_out", ()))
+
+
+def _together(fits: Sequence[Mapping]) -> dict[tuple, tuple]:
+    """Series and budget -> its seeds, and all budgets of the series that had the same."""
+    seeds: dict[tuple, set[int]] = {}
+    for r in summary.with_repeats(fits):
+        seeds.setdefault((_series(r), r["budget"]), set()).add(r["seed"])
+    return {(series, budget): (tuple(sorted(found)), tuple(sorted(b for (s, b), other in seeds.items()
+                                                                   if s == series and other == found)))
+            for (series, budget), found in seeds.items()}
 
 
 def _renderers(settings: Mapping, here: Sequence[Mapping]) -> str:

@@ -65,9 +65,9 @@ def _whose(who: str, error: str) -> str:
 
 
 def each_figure(protocol: Mapping, kind: str) -> Figure | None:
-    """Both errors of each material or capture at the longest budget, a row for each; None where there are fewer than two."""
+    """Errors of each material or capture at the longest budget of all methods, a row for each; None where fewer than two."""
     fits = summary.of(protocol["records"], "methods", kind)
-    names, longest, published = summary.names(fits), max(summary.budgets(fits), default=0), protocol["published"].get(kind, {})
+    names, longest, published = summary.names(fits), summary.longest(fits), protocol["published"].get(kind, {})
     if len(names) < 2:
         return None
     drawing = Figure(figsize=(WIDTH, 0.22 * len(names) + 1.5))

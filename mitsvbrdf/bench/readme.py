@@ -64,9 +64,9 @@ def _photos(record: Mapping) -> Table | None:
     for protocol in summary.protocols(record):
         given = protocol["published"].get("capture", {})
         whose = list(dict.fromkeys(who for each in given.values() for who in each if who.endswith(BLIND)))
-        fits = summary.of([r for r in protocol["records"] if r.get("method") == default], "methods", "capture")
+        every = summary.of(protocol["records"], "methods", "capture")
+        fits, longest = [r for r in every if r["method"] == default], summary.longest(every)
         names = [name for name in summary.names(fits) if any(who in given.get(name, {}) for who in whose)]
-        longest = max(summary.budgets(fits), default=0)
         found = [at_time(summary.curves(fits, "left_out", [name]).get(default, []), longest) for name in names]
         points = [point for point in found if point]
         if not points:
@@ -103,7 +103,7 @@ def _materials(record: Mapping) -> Table | None:
     default = next(iter(method_table()))
     shown = {default: "default", "gan": "`--method gan`"}
     fits = summary.of([r for r in record["records"] if r.get("method") in shown], "methods", "material")
-    names, longest, rows = summary.names(fits), max(summary.budgets(fits), default=0), list[list[str]]()
+    names, longest, rows = summary.names(fits), summary.longest(fits), list[list[str]]()
 
     def own(method: str, only: list[str]) -> list[str]:
         points = {error: at_time(summary.curves(fits, error, only).get(method, []), longest) for error in MAPS}

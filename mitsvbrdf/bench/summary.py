@@ -121,6 +121,12 @@ def budgets(fits: Iterable[Mapping]) -> list[float]:
     return sorted({r["budget"] for r in fits})
 
 
+def longest(fits: Sequence[Mapping]) -> float:
+    """The longest budget that every method had; of all budgets where there is none such, 0 without fits."""
+    each = [{r["budget"] for r in fits if r["method"] == method} for method in {r["method"] for r in fits}]
+    return max(set.intersection(*each) or set.union(*each)) if each else 0
+
+
 def curves(fits: Sequence[Mapping], error: str, only: Sequence[str] | None = None) -> dict[str, list[Point]]:
     """Method -> its points, the shortest budget first.
 

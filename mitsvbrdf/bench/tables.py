@@ -11,6 +11,7 @@ import statistics
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from ..batch.progress import duration
 from . import summary
 from .behaviour import record_draws
 from .published import BLIND
@@ -53,15 +54,14 @@ def equal_time(record: Mapping) -> list[Table]:
         rows += [[as_published(who, error), *[f"{value:.4f}"] * len(times)] for who, value in fair_first(published, error)]
         if found:
             tables.append(Table(f"{title}, {count_of(kind, fits)}", ["", *(f"{budget:g} s" for budget in times)], rows,
-                                _spread_note(fits, found)))
+                                " ".join(filter(None, (_spread_note(fits, found), _not_run_note(fits))))))
     return tables
 
 
 def each_one(record: Mapping, kind: str, error: str, title: str) -> Table | None:
-    """The error of each material or capture at the longest budget, beside what was published for it."""
+    """The error of each material or capture at the longest budget of all methods, beside what was published for it."""
     fits = summary.of(record["records"], "methods", kind)
-    names, methods = summary.names(fits), methods_of(fits)
-    longest = max(summary.budgets(fits), default=0)
+    names, methods, longest = summary.names(fits), methods_of(fits), summary.longest(fits)
     published = record["published"].get(kind, {})
     given_by = {who: 0.0 for name in names for who, e in published.get(name, {}).items() if error in e}
     whose = [who for who, _ in fair_first(given_by, error)]
@@ -105,14 +105,14 @@ def fair_first(values: Mapping[str, float], error: str) -> list[tuple[str, float
 
 
 def each_map(record: Mapping, suite: str = "methods") -> Table | None:
-    """The error of each map at the longest budget."""
+    """The error of each map at the longest budget of all methods."""
     heads = {name: name for name in ("diffuse", "specular", "roughness", "normal", "mean")} | {"novel_light": "new light"}
     fits = summary.of(record["records"], suite, "material")
     return _at_the_end(fits, "material", heads, "RMSE of each map", "`" if suite == "methods" else "")
 
 
 def looks(record: Mapping, kind: str) -> Table | None:
-    """Mean FLIP at the longest budget."""
+    """Mean FLIP at the longest budget of all methods."""
     fits = summary.of(record["records"], "methods", kind)
     if not any(error in r["errors"] for r in fits for error in LOOKS[kind]):
         return None
@@ -120,8 +120,8 @@ def looks(record: Mapping, kind: str) -> Table | None:
 
 
 def _at_the_end(fits: Sequence[Mapping], kind: str, heads: Mapping[str, str], title: str, quote: str) -> Table | None:
-    """Several errors of each method at the longest budget."""
-    longest = max(summary.budgets(fits), default=0)
+    """Several errors of each method at the longest budget of all."""
+    longest = summary.longest(fits)
     found = {error: summary.curves(fits, error) for error in heads}
     rows = [[f"{quote}{m}{quote}", *(cell(fits, found[error], m, longest, error, None, False) for error in heads)]
             for m in methods_of(fits)]
@@ -248,3 +248,13 @@ def _spread_note(fits: Sequence[Mapping], found: Mapping[str, Sequence[Point]]) 
     notes += [f"Without randomness: {', '.join(alike)}."] if alike and max(counts.values()) > 1 else []
     ended = [f"`{name}` after {points[-1].seconds:.3g} s" for name, points in found.items() if points[-1].ended]
     return " ".join([*notes, *([f"{ENDED} ended by itself: {', '.join(ended)}."] if ended else [])])
+
+
+def _not_run_note(fits: Sequence[Mapping]) -> str:
+    """Which budgets which methods lack, and how long one fit of each material or capture with these would take."""
+    ran = {(r["method"], r["budget"]) for r in fits}
+    lacking = {name: [b for b in summary.budgets(fits) if (name, b) not in ran] for name in methods_of(fits)}
+    named = [f"`{name}` at {', '.join(f'{b:g}' for b in each)} s" for name, each in lacking.items() if each]
+    count = len(summary.names(fits)) * sum(map(len, lacking.values()))
+    seconds = len(summary.names(fits)) * sum(map(sum, lacking.values()))
+    return f"Not run, for the time it takes: {'; '.join(named)} ({count} fits, {duration(seconds)})." if named else ""

@@ -1,5 +1,7 @@
 """What is counted and shown, against hand-computed numbers."""
 
+import re
+
 import pytest
 from helpers.bench_records import GIVEN, METHODS, benchmark, record
 
@@ -88,7 +90,8 @@ def test_every_cell_has_a_number_or_a_reason():
     assert cells["`gan`"] == {"10 s": "only 1 of 2", "30 s": "fails on 1 of 2"}
     assert cells["`direct`"] == {"10 s": "**0.1000**", "30 s": "not run"}
     assert cells["note"] == ("Median of 2 seeds, quartiles in brackets. Without randomness: `direct`, `peers-baseline`. † "
-                             "ended by itself: `peers-baseline` after 4 s.")
+                             "ended by itself: `peers-baseline` after 4 s. Not run, for the time it takes: `direct` at 30 s "
+                             "(2 fits, 60 s).")
     # It ended by itself: the longer budget would give the same.
     assert cells["`peers-baseline`"] == dict.fromkeys(("10 s", "30 s"), "**0.1000 †**")
 
@@ -97,6 +100,30 @@ def test_flip_stands_in_a_table_of_its_own_where_it_was_measured():
     assert looks(benchmark([record("hybrid", mean=0.1)]), "material") is None
     table = looks(benchmark([record("hybrid", mean=0.1, flip_photos=0.03), record("direct", mean=0.1)]), "material")
     assert table.rows == [["`hybrid`", "not measured", "**0.0300**"], ["`direct`", "not measured", "not measured"]]
+
+
+def test_tables_of_one_budget_have_the_longest_that_all_methods_had():
+    fits = [record(m, b, 0, n, mean=e * b, flip_photos=0.1 * e) for n, e in (("a", 0.01), ("b", 0.02))
+            for m, b in (("gan", 10.0), ("gan", 30.0), ("gan", 100.0), ("direct", 10.0), ("direct", 30.0))]
+    assert summary.longest(fits) == 30.0
+    table = each_one(benchmark(fits), "material", "mean", "Error")
+    assert table.title == "Error, 30 s, each material"
+    assert table.rows == [["median", *["**0.4500**"] * 2], ["a", *["**0.3000**"] * 2], ["b", *["**0.6000**"] * 2]]
+    assert ", 30 s, " in looks(benchmark(fits), "material").title
+    assert "`direct` at 100 s (2 fits, 3 min)" in equal_time(benchmark(fits))[0].note
+    apart = [r for r in fits if r["budget"] == (100.0 if r["method"] == "gan" else 30.0)]
+    assert summary.longest(apart) == 100.0 and summary.longest([]) == 0  # no budget is shared: the longest of all
+
+
+def test_each_command_has_the_budgets_that_had_its_seeds():
+    fits = [*(record("gan", b, 0, "a") for b in (10.0, 30.0, 100.0)), record("gan", 10.0, 1, "a"),
+            record("direct", 30.0, 0, "a"), record("direct", 100.0, 0, "a"),
+            *(record("gan", 300.0, 0, "c", "capture") | {"left_out": numbers} for numbers in ([4, 7], [7, 8]))]
+    told = [(re.search("--materials (.*?) .*--methods (.*?) --budgets (.*?) --seeds (.*?) ", line).groups(), line[-14:])
+            for line in commands(benchmark(fits))]
+    assert [groups for groups, _ in told] == [
+        ("a", "gan", "10", "0,1"), ("a", "gan,direct", "30,100", "0"), ("none", "gan", "300", "0"), ("none", "gan", "300", "0")]
+    assert [end == "--left-out 7,8" for _, end in told] == [False, False, False, True]
 
 
 def test_two_ways_to_leave_photos_out_are_shown_apart():
