@@ -237,6 +237,8 @@ def _how(record: Mapping) -> list[str]:
     return ["## How to reproduce", "", made_on(record), "",
             "Every point is a fit of its own with its own budget, for schedules follow the budget; seconds are the loop's own, "
             "after kernels are compiled, without what comes before and after it. A fit that ended by itself so early that a "
-            "longer budget changes nothing stands for the longer ones too. Methods take turns. Real captures, known materials "
-            "and published numbers lie in the folder that `MITSVBRDF_DATA` names.", "",
+            "longer budget changes nothing stands for the longer ones too. Methods take turns. The paper's presets, "
+            "`gan-one-stage` and `gan-two-stage`, need 20,000 and 25,000 iterations, hours, whatever the budget: the suite "
+            "`schedule` runs them to their end. Real captures, known materials and published numbers lie in the folder that "
+            "`MITSVBRDF_DATA` names.", "",
             *(f"    {line}" for line in (*commands(record), "mitsvbrdf bench --suite none --page benchmark.md")), ""]
