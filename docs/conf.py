@@ -37,7 +37,8 @@ CONTENTS = {
         "Project": ["All at a glance </README>", "/CONTRIBUTING", "/CHANGELOG", "/SECURITY", "/docs/citation"],
     },
     "docs/results/README": {
-        "": ["/docs/benchmark", "/docs/stability", "/docs/stability-fits", "/docs/leave-out",
+        "": ["/docs/benchmark", "The same on Intel, 300 s, renderers </docs/results/benchmark-intel>",
+             "/docs/stability", "/docs/stability-fits", "/docs/leave-out",
              "Each ingredient off </docs/results/ablation>",
              "/docs/results/coverage", "/docs/results/finish", "The same at 256 px </docs/results/finish-256/finish>",
              "/docs/results/gan", "The same: 300 s, 256 px </docs/results/gan-256>",

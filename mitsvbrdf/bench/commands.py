@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 
 from . import summary
+from .behaviour import record_draws
 from .schema import USUAL_LEFT_OUT
 from .variants import FULL, ablations
 
@@ -45,10 +46,13 @@ def _series(r: Mapping) -> tuple:
 
 
 def _together(fits: Sequence[Mapping]) -> dict[tuple, tuple]:
-    """Series and budget -> its seeds, and all budgets of the series that had the same."""
+    """Series and budget -> its seeds, of a method that draws none those of the others, and all budgets that had the same."""
     seeds: dict[tuple, set[int]] = {}
-    for r in summary.with_repeats(fits):
-        seeds.setdefault((_series(r), r["budget"]), set()).add(r["seed"])
+    every = summary.with_repeats(fits)
+    for r in every:
+        drawn = {each["seed"] for each in every if record_draws(each) and each["budget"] == r["budget"]
+                 and _series(each)[1:] == _series(r)[1:]} if not record_draws(r) else set()
+        seeds.setdefault((_series(r), r["budget"]), set()).update(drawn or {r["seed"]})
     return {(series, budget): (tuple(sorted(found)), tuple(sorted(b for (s, b), other in seeds.items()
                                                                    if s == series and other == found)))
             for (series, budget), found in seeds.items()}

@@ -89,7 +89,8 @@ def write_benchmark_page(path: str | Path, record: Mapping) -> list[Path]:
         pictures[f"{path.stem}-{name}.svg"] = svg_file(drawing)
         return [f"![{what}]({path.stem}-{name}.svg)", ""]
 
-    head = ["# Benchmark: error against run time", "", "Written by `mitsvbrdf bench --page`, nothing by hand.", ""]
+    head = [f"# Benchmark: error against run time, {machine_of(record)}", "",
+            "Written by `mitsvbrdf bench --page`, nothing by hand.", ""]
     whole = picture("methods", methods_figure(record), "Error against the seconds of the loop, all methods")
     wall = picture("methods-wall", methods_figure(record, wall=True), "Error against seconds on the wall, all methods")
     whole += folded("The same by the clock on the wall", wall)
@@ -122,6 +123,12 @@ def made_on(record: Mapping) -> str:
     return (f"Machine: {model}, {m['cores']} cores{memory}, {m['system']}. Versions: {packages}, "
             f"{m.get('libllvm') or 'libLLVM unknown'}; code {code}. Fits: {s['resolution']} px, through `{s['renderer']}`"
             + (f", seeds {', '.join(map(str, record['seeds']))}" if record["seeds"] else "") + "." + _at_a_time(record))
+
+
+def machine_of(record: Mapping) -> str:
+    """The processor's name, short."""
+    name = record["machine"].get("model") or record["machine"].get("cpu")
+    return str(name or "a processor unknown").replace("(R)", "").removesuffix(" Processor")
 
 
 def codes(record: Mapping) -> dict[str, str]:

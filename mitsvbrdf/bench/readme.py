@@ -84,10 +84,10 @@ def _photos(record: Mapping) -> Table | None:
         numbers = " and ".join(map(str, protocol["left_out"]))
         return Table(f"Real photos that no fit has seen: photos {numbers} predicted from the others, RMSE in display values",
                      ["", "default", *(who.removesuffix(BLIND) for who in whose)], best_in_row(rows, values),
-                     "The others learned from large data sets; figures as published."
+                     "The others learned from large data sets; figures as published, of all captures that have them."
                      + (f" The default is lower than {ahead}." if ahead else "")
-                     + f" Its budget was {longest:g} s; a fit took {loop:.0f} s in the median, {wall:.0f} s with all that "
-                     "comes before and after it.")
+                     + f" The default's budget was {longest:g} s; its loop took {loop:.0f} s in the median, {wall:.0f} s with "
+                     "the first guess and the uncertainty of the maps, without start-up and page.")
     return None
 
 

@@ -33,7 +33,7 @@ def test_photos_that_nobody_saw_stand_beside_those_who_did_not_see_them_either()
     assert "| `a` | 0.050 | 0.060 | **0.030** |" in text  # of the longest budget; the lowest is marked, whosever it is
     assert "| `b` | 0.030 | **0.020** | not published |" in text
     assert "lower than MaterialGAN on 1 of 2 (median ratio 1.17); Gao 2019 on 0 of 1 (median ratio 1.67)" in text
-    assert "Its budget was 30 s; a fit took 30 s" in text
+    assert "budget was 30 s; its loop took 30 s" in text
     assert "0.010" not in text  # MaterialGAN's, which had seen the photos
 
 
