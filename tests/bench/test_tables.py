@@ -7,6 +7,8 @@ from helpers.bench_records import GIVEN, METHODS, benchmark, record
 
 from mitsvbrdf.bench import summary
 from mitsvbrdf.bench.commands import commands
+from mitsvbrdf.bench.plots import each_figure
+from mitsvbrdf.bench.readme import results
 from mitsvbrdf.bench.tables import each_one, equal_time, looks
 from mitsvbrdf.bench.times import equal_error
 
@@ -111,8 +113,17 @@ def test_tables_of_one_budget_have_the_longest_that_all_methods_had():
     assert table.rows == [["median", *["**0.4500**"] * 2], ["a", *["**0.3000**"] * 2], ["b", *["**0.6000**"] * 2]]
     assert ", 30 s, " in looks(benchmark(fits), "material").title
     assert "`direct` at 100 s (2 fits, 3 min)" in equal_time(benchmark(fits))[0].note
+    assert "RMSE, 30 s" in {text.get_text() for text in each_figure(benchmark(fits), "material").axes[0].texts}
     apart = [r for r in fits if r["budget"] == (100.0 if r["method"] == "gan" else 30.0)]
     assert summary.longest(apart) == 100.0 and summary.longest([]) == 0  # no budget is shared: the longest of all
+
+
+def test_the_readme_has_the_longest_budget_that_all_methods_had():
+    of = [("hierarchical", 10.0, 0.1), ("hierarchical", 30.0, 0.2), ("gan", 10.0, 0.3)]
+    shots = [record(m, b, 0, "a", "capture", left_out=e, seen=e) | {"left_out": [7, 8]} for m, b, e in of]
+    maps = [record(m, b, 0, "m", mean=e, **dict.fromkeys(("diffuse", "specular", "roughness", "normal"), e)) for m, b, e in of]
+    text = results(benchmark([*maps, *shots], {"capture 7,8": {"a": {"Gao 2019 without them": {"left_out": 0.4}}}}))
+    assert "budget was 10 s" in text and "| `a` | **0.100** | 0.400 |" in text and "RMSE of each map, budget 10 s" in text
 
 
 def test_each_command_has_the_budgets_that_had_its_seeds():
