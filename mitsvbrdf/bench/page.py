@@ -120,8 +120,10 @@ def made_on(record: Mapping) -> str:
     memory = f", {m['memory_gib']} GiB" if m.get("memory_gib") else ""
     packages = ", ".join(f"{name} {v[name]}" for name in ("mitsvbrdf", "mitsuba", "drjit", "torch", "python") if v.get(name))
     code = ", ".join([s["code"], *(f"of `{name}` {digits}" for name, digits in codes(record).items())])
+    sizes = " and ".join(map(str, sorted({r["config"]["resolution"] if r["suite"] == "schedule" else s["resolution"]
+                                          for r in record["records"]}) or [s["resolution"]]))
     return (f"Machine: {model}, {m['cores']} cores{memory}, {m['system']}. Versions: {packages}, "
-            f"{m.get('libllvm') or 'libLLVM unknown'}; code {code}. Fits: {s['resolution']} px, through `{s['renderer']}`"
+            f"{m.get('libllvm') or 'libLLVM unknown'}; code {code}. Fits: {sizes} px, through `{s['renderer']}`"
             + (f", seeds {', '.join(map(str, record['seeds']))}" if record["seeds"] else "") + "." + _at_a_time(record))
 
 

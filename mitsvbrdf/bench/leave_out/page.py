@@ -17,8 +17,8 @@ from .verdict import COSTS, FLOOR, SAVES, default_fits, items
 
 INTRO = """# What is left out, and what it saves
 
-Written by `mitsvbrdf leave-out --md docs/leave-out.md`, nothing by hand. {made_on} Seconds differ from machine to machine;
-their ratios less so, for with and without take turns in one process.
+Written by `mitsvbrdf leave-out{fits} --md docs/leave-out.md`, nothing by hand. {made_on}
+Seconds differ from machine to machine; their ratios less so, for with and without take turns in one process.
 
 From material, views and task each render decides what it does not need (`mitsvbrdf/render/needs.py`); what is left out is
 neither compiled nor handed over nor allocated. `fit --explain` lists it for a fit, `fit.json` keeps it. A map that wants a
@@ -75,7 +75,9 @@ def write_leave_out_page(path: str | Path, record: Mapping) -> None:
     Raises:
         OutputError: it cannot be written.
     """
-    settings, lines = record["settings"], [INTRO.format(made_on=made_on(record))]
+    settings = record["settings"]
+    fits = " --fits" if any(r["suite"] == FITS for r in record["records"]) else ""
+    lines = [INTRO.format(made_on=made_on(record), fits=fits)]
     if short := in_short(record):
         lines += ["## In short", "", *(f"- {line}" for line in short), ""]
     if renders := renders_table(record):

@@ -57,7 +57,8 @@ def write_stiff_page(path: str | Path, record: Mapping) -> list[Path]:
 def _lines(record: Mapping, picture: str | None) -> Iterator[str]:
     yield "# Numerical stability of the fits"
     fits = [r for r in record["records"] if r["suite"] == SUITE]
-    yield f"\nWritten by `mitsvbrdf stability --fits`, nothing by hand. {made_on(record)} {_budgets(fits)}"
+    which = "quick" if record["settings"]["quick"] else "all"
+    yield f"\nWritten by `mitsvbrdf stability --fits {which}`, nothing by hand. {made_on(record)} {_budgets(fits)}"
     if record["settings"]["quick"]:
         yield ("\n**A quick run**: one seed and short budgets, on a machine that may have done other work. Most fits end "
                "before they have converged, and times are rough; `--fits all` on a machine that does nothing else has more.")
