@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"
 
 _HOME = {
     "SVBRDF": "material.maps", "load_maps": "material.map_files", "save_maps": "material.map_files",
