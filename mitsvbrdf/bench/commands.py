@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
 from . import summary
@@ -47,15 +48,18 @@ def _series(r: Mapping) -> tuple:
 
 def _together(fits: Sequence[Mapping]) -> dict[tuple, tuple]:
     """Series and budget -> its seeds, of a method that draws none those of the others, and all budgets that had the same."""
-    seeds: dict[tuple, set[int]] = {}
-    every = summary.with_repeats(fits)
-    for r in every:
-        drawn = {each["seed"] for each in every if record_draws(each) and each["budget"] == r["budget"]
-                 and _series(each)[1:] == _series(r)[1:]} if not record_draws(r) else set()
-        seeds.setdefault((_series(r), r["budget"]), set()).update(drawn or {r["seed"]})
-    return {(series, budget): (tuple(sorted(found)), tuple(sorted(b for (s, b), other in seeds.items()
-                                                                   if s == series and other == found)))
-            for (series, budget), found in seeds.items()}
+    own, drawn = defaultdict(set), defaultdict(set)
+    for r in summary.with_repeats(fits):
+        own[_series(r), r["budget"]].add(r["seed"])
+        if record_draws(r):
+            drawn[_series(r)[1:], r["budget"]].add(r["seed"])
+    draws = {_series(r) for r in fits if record_draws(r)}
+    seeds = {(series, budget): tuple(sorted(drawn[series[1:], budget] if series not in draws else found) or sorted(found))
+             for (series, budget), found in own.items()}
+    budgets = defaultdict(list)
+    for (series, budget), found in seeds.items():
+        budgets[series, found].append(budget)
+    return {(series, budget): (found, tuple(sorted(budgets[series, found]))) for (series, budget), found in seeds.items()}
 
 
 def _renderers(settings: Mapping, here: Sequence[Mapping]) -> str:
