@@ -118,7 +118,7 @@ def made_on(record: Mapping) -> str:
     m, v, s = record["machine"], record["versions"], record["settings"]
     model = m.get("model") or m.get("cpu")
     memory = f", {m['memory_gib']} GiB" if m.get("memory_gib") else ""
-    packages = ", ".join(f"{name} {v[name]}" for name in ("mitsvbrdf", "mitsuba", "drjit", "torch", "python") if v.get(name))
+    packages = ", ".join(f"{name} {v[name]}" for name in ("mitsuba", "drjit", "torch", "python") if v.get(name))
     code = ", ".join([s["code"], *(f"of `{name}` {digits}" for name, digits in codes(record).items())])
     sizes = " and ".join(map(str, sorted({r["config"]["resolution"] if r["suite"] == "schedule" else s["resolution"]
                                           for r in record["records"]}) or [s["resolution"]]))

@@ -78,7 +78,8 @@ def each_one(record: Mapping, kind: str, error: str, title: str) -> Table | None
     fair = [[None if who in whose and unfair(who, error) else value for who, value in zip((*methods, *whose), row)]
             for row in values]
     return Table(f"{title}, {longest:g} s, each {kind}",
-                 ["", *(f"`{m}`" for m in methods), *(as_published(who, error) for who in whose)], best_in_row(rows, fair))
+                 ["", *(_with_seeds(fits, m, longest) for m in methods), *(as_published(who, error) for who in whose)],
+                 best_in_row(rows, fair))
 
 
 def with_median(rows: list[list[str]], values: list[list[float | None]], digits: int) -> None:
@@ -123,8 +124,8 @@ def _at_the_end(fits: Sequence[Mapping], kind: str, heads: Mapping[str, str], ti
     """Several errors of each method at the longest budget of all."""
     longest = summary.longest(fits)
     found = {error: summary.curves(fits, error) for error in heads}
-    rows = [[f"{quote}{m}{quote}", *(cell(fits, found[error], m, longest, error, None, False) for error in heads)]
-            for m in methods_of(fits)]
+    rows = [[_with_seeds(fits, m, longest, quote),
+             *(cell(fits, found[error], m, longest, error, None, False) for error in heads)] for m in methods_of(fits)]
     values = [[value_at(found[error], m, longest) for error in heads] for m in methods_of(fits)]
     if not rows:
         return None
@@ -183,16 +184,26 @@ def cell(fits: Sequence[Mapping], found: Mapping[str, Sequence[Point]], method: 
         budget: seconds.
         error: a name.
         only: the materials or captures that count.
-        spread: whether quartiles, and a mark where fits ended by themselves, stand behind it.
+        spread: whether quartiles, a mark where fits ended by themselves and what :func:`_with_seeds` says stand behind it.
     """
     point = at_time(found.get(method, []), budget)
     if point is None:
         return summary.absent(fits, method, budget, error, only)
-    own = [r for r in fits if r["method"] == method]
-    seeds, text = len({r["seed"] for r in own}), error_cell(point, spread)
+    seeds, text = len(_seeds(fits, method, None if spread else budget)), error_cell(point, spread)
     if point.seeds < seeds:
         text += f" ({point.seeds} of {seeds} seeds)"
     return text + (f" {ENDED}" if spread and point.ended else "")
+
+
+def _with_seeds(fits: Sequence[Mapping], method: str, budget: float, quote: str = "`") -> str:
+    """A method's name in a table of one budget, and how many of its seeds had that budget where not all had."""
+    here, seeds = len(_seeds(fits, method, budget)), len(_seeds(fits, method))
+    return f"{quote}{method}{quote}" + (f" ({here} of {seeds} seeds)" if 0 < here < seeds else "")
+
+
+def _seeds(fits: Sequence[Mapping], method: str, budget: float | None = None) -> set[int]:
+    """The seeds of a method, of one budget or of any."""
+    return {r["seed"] for r in fits if r["method"] == method and budget in (None, r["budget"])}
 
 
 def error_cell(point: Point | None, spread: bool = True) -> str:
@@ -239,7 +250,7 @@ def count_of(kind: str, fits: Sequence[Mapping]) -> str:
 
 
 def _spread_note(fits: Sequence[Mapping], found: Mapping[str, Sequence[Point]]) -> str:
-    counts = {name: len({r["seed"] for r in fits if r["method"] == name}) for name in found}
+    counts = {name: len(_seeds(fits, name)) for name in found}
     alike = [f"`{name}`" for name in found if not any(record_draws(r) for r in fits if r["method"] == name)]
     drawn = {name: count for name, count in counts.items() if f"`{name}`" not in alike}
     of = f"of {max(counts.values())} seeds" if len(set(drawn.values())) == 1 else (

@@ -118,6 +118,16 @@ def test_tables_of_one_budget_have_the_longest_that_all_methods_had():
     assert summary.longest(apart) == 100.0 and summary.longest([]) == 0  # no budget is shared: the longest of all
 
 
+def test_a_table_of_one_budget_says_once_whose_seeds_it_lacks():
+    fits = [*(record("hybrid", 10.0, seed, n, mean=0.1, flip_photos=0.2) for seed in (0, 1, 2) for n in "ab"),
+            *(record("hybrid", 30.0, 0, n, mean=0.1, flip_photos=0.2) for n in "ab"),
+            record("gan", 30.0, 0, "a", mean=0.2), record("gan", 30.0, 0, "b", mean=0.2), record("gan", 30.0, 1, "b", mean=0.4)]
+    each, seen = each_one(benchmark(fits), "material", "mean", "Error"), looks(benchmark(fits), "material")
+    assert each.heads[1:] == ["`hybrid` (1 of 3 seeds)", "`gan`"]
+    assert [row[1:] for row in each.rows[1:]] == [["**0.1000**", "0.2000 (1 of 2 seeds)"], ["**0.1000**", "0.3000"]]
+    assert [row[0] for row in seen.rows] == each.heads[1:] and seen.rows[0][2] == "**0.2000**"
+
+
 def test_the_readme_has_the_longest_budget_that_all_methods_had():
     of = [("hierarchical", 10.0, 0.1), ("hierarchical", 30.0, 0.2), ("gan", 10.0, 0.3)]
     shots = [record(m, b, 0, "a", "capture", left_out=e, seen=e) | {"left_out": [7, 8]} for m, b, e in of]

@@ -11,6 +11,7 @@ from .. import summary
 from ..commands import commands
 from ..page import left_out_by, made_on, markdown, print_tables
 from ..tables import Table
+from ..variants import FULL, GAN_VARIANTS
 from . import tables
 from .plots import schedule_figure
 
@@ -18,8 +19,8 @@ NOT_RUN = "Not in these records: "
 
 INTRODUCTION = (
     "The errors are RMSE of maps encoded to 0 to 1, counted as in the paper: diffuse and specular by gamma 2.2, roughness as "
-    "stored, normals as (n + 1) / 2. The columns are those of its tables 1 and 2. `gan` is the paper's method with the "
-    "ingredients that the tables below take out one by one; `hierarchical` is the default method of this program.")
+    "stored, normals as (n + 1) / 2. The columns are those of its tables 1 and 2. `gan` is the paper's method with "
+    "ingredients of our own; `hierarchical` is the default method of this program.")
 NOT_COMPARABLE = (
     "The materials of sets 4 and 5 are not published: these rows cannot be measured again, and no row below is on the same "
     "material. They stand here for their order of size.")
@@ -37,7 +38,10 @@ START = (
     "is what it takes off the error of this start.")
 GAME = ("The same method, budget, materials and seeds; without the adversarial loss, only the diffuse loss and the smoothness "
         "of specular and roughness are left.")
-INGREDIENTS = "`full` is `gan` as it is. Counted are the materials, budgets and seeds that every row has."
+INGREDIENTS = ("`full` is `gan` as it was in these records. Counted are the materials, budgets and seeds that every row "
+               "has. A fit keeps the state that met its photos best, which may be its start: such rows are equal.")
+EARLIER = (" Rows of an earlier version: {}. Today's program does not know them, and refuses the command below that names "
+           "them; what such a row puts in, `full` may have today.")
 CAPTURES = (
     "RMSE in display values. Photos {} are left out of every fit and predicted with the flash offset it found. MaterialGAN, "
     "trained on a large data set, saw all nine photos, those two as well; a method *without them* did not.")
@@ -89,7 +93,7 @@ def gan_page(record: Mapping, curve: str) -> str:
         "Pictures": (PICTURES, _sheets(record)),
         "From the start to the end": (START, [start] if start else []),
         "With and without the adversarial loss": (GAME, tables.game_tables(record)),
-        "Each ingredient": (INGREDIENTS, tables.ingredient_tables(record)),
+        "Each ingredient": (INGREDIENTS + _earlier(record), tables.ingredient_tables(record)),
         "Real captures": (CAPTURES.format(left_out_by(record)), tables.capture_tables(record)),
         "The paper's full schedule": (SCHEDULE, [*schedule, f"![Errors against the iteration]({curve})"] if schedule else []),
         "Seconds of an iteration": ("", tables.step_tables(record))}
@@ -114,6 +118,13 @@ def print_gan(record: Mapping) -> None:
 
 def _sheets(record: Mapping) -> list[str]:
     return [f"![Maps and renderings of {r['name']}]({r['file']})" for r in record["records"] if r["suite"] == "sheets"]
+
+
+def _earlier(record: Mapping) -> str:
+    """Which variants are none today, in a sentence."""
+    known = {FULL, *GAN_VARIANTS}
+    gone = dict.fromkeys(r["method"] for r in record["records"] if r["suite"] == "gan" and r["method"] not in known)
+    return EARLIER.format(", ".join(f"*{name}*" for name in gone)) if gone else ""
 
 
 def _commands(record: Mapping) -> list[str]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from torch import Tensor
 
 from ...color import CLIPPED, TOE
+from ...fit.hierarchical.ties import BOUNDS
 from ...fit.parameters import MAX_SLOPE, ROUGHNESS_RANGE
 from ...render.analytic import MIN_ALPHA
 from ...render.bsdf import F0_RANGE
@@ -74,7 +75,10 @@ CLAMPS = (
     Clamp("views that are taken", "`views.py`, `NEAREST`, `FARTHEST`, `BRIGHTEST`",
           f"Cameras and lights closer than {NEAREST:g} or further than {FARTHEST:g} patch sides, or I / d^2 above "
           f"{BRIGHTEST:g}, are refused: float32 would overflow, and a patch size in another unit is the likely cause."),
-    Clamp("what a fit can reach", "`fit/parameters.py`, `ROUGHNESS_RANGE`, `MAX_SLOPE`, `to_raw`",
-          f"Roughness {ROUGHNESS_RANGE[0]} to {ROUGHNESS_RANGE[1]:g}, normals up to a slope of {MAX_SLOPE} along an axis; "
-          "starts are moved just inside, where tanh and the logistic function still have a slope."),
+    Clamp("what a fit can reach",
+          "`fit/hierarchical/ties.py`, `BOUNDS`; others: `fit/parameters.py`, `ROUGHNESS_RANGE`, `MAX_SLOPE`, `to_raw`",
+          f"Roughness {ROUGHNESS_RANGE[0]} to {ROUGHNESS_RANGE[1]:g}. Normals up to a slope of {BOUNDS['normal'][1]:g} along "
+          f"an axis with `hierarchical`, {MAX_SLOPE} with other methods. F0 of {BOUNDS['specular'][0] ** 2.2:.2g} or more with "
+          "`hierarchical`, or 0 where no lobe is needed. Starts of other methods are moved just inside, where tanh and the "
+          "logistic function still have a slope."),
 )

@@ -33,7 +33,14 @@ def test_what_has_no_records_is_named_and_has_no_section(tmp_path):
     assert text.count("\n## ") == 1 and "real captures; the paper's full schedule; seconds" in text[text.index(NOT_RUN):]
 
 
-@pytest.mark.parametrize("name", ["gan", "gan-256", "gan-captures", "gan-features", "gan-ingredients", "gan-schedule"])
+def test_rows_that_the_program_no_longer_knows_are_said_to_be_of_an_earlier_version(tmp_path):
+    (now, _), (then, _) = (write_gan_page(tmp_path / f"{name}.md", {**WHOLE, "records": [
+        {**r, "method": name} if r.get("method") == "bce" else r for r in WHOLE["records"]]}) for name in ("bce", "of old"))
+    assert "earlier version" not in now.read_text() and "Rows of an earlier version: *of old*." in then.read_text()
+
+
+@pytest.mark.parametrize("name", ["gan", "gan-256", "gan-adversarial", "gan-captures", "gan-features", "gan-ingredients",
+                                  "gan-schedule"])
 def test_the_page_in_the_docs_is_what_its_records_make(name, tmp_path):
     record = read_benchmark(RESULTS / f"{name}.json")
     for made in write_gan_page(tmp_path / f"{name}.md", record):
