@@ -138,13 +138,15 @@ def test_the_readme_has_the_longest_budget_that_all_methods_had():
 
 def test_each_command_has_the_budgets_that_had_its_seeds():
     fits = [*(record("gan", b, 0, "a") for b in (10.0, 30.0, 100.0)), record("gan", 10.0, 1, "a"),
-            record("direct", 30.0, 0, "a"), record("direct", 100.0, 0, "a"),
+            *(record("direct", b, 0, "a") | {"config": {"class": "DirectConfig"}} for b in (10.0, 30.0, 100.0)),
+            record("hybrid", 100.0, 0, "a"),
             *(record("gan", 300.0, 0, "c", "capture") | {"left_out": numbers} for numbers in ([4, 7], [7, 8]))]
     told = [(re.search("--materials (.*?) .*--methods (.*?) --budgets (.*?) --seeds (.*?) ", line).groups(), line[-14:])
             for line in commands(benchmark(fits))]
     assert [groups for groups, _ in told] == [
-        ("a", "gan", "10", "0,1"), ("a", "gan,direct", "30,100", "0"), ("none", "gan", "300", "0"), ("none", "gan", "300", "0")]
-    assert [end == "--left-out 7,8" for _, end in told] == [False, False, False, True]
+        ("a", "gan,direct", "10", "0,1"), ("a", "gan,direct", "30,100", "0"), ("a", "hybrid", "100", "0"),
+        ("none", "gan", "300", "0"), ("none", "gan", "300", "0")]
+    assert [end == "--left-out 7,8" for _, end in told] == [False, False, False, False, True]
 
 
 def test_two_ways_to_leave_photos_out_are_shown_apart():
