@@ -1,12 +1,15 @@
 """Recover the maps of a material from a few flash photos, through a physically based differentiable renderer.
 
 The public names below are loaded on first use: importing the package loads neither torch nor Mitsuba, and sets no variant.
+The first use sets ``OMP_WAIT_POLICY=PASSIVE`` where torch is not loaded and nobody has set it.
 ``__init__.pyi`` beside this file tells type checkers and editors the same names.
 """
 
 from __future__ import annotations
 
 import importlib
+import os
+import sys
 from typing import Any
 
 __version__ = "1.0.0"
@@ -32,6 +35,8 @@ def __getattr__(name: str) -> Any:
     if name in _HOME:
         from .system.lock import PROCESS
         with PROCESS:  # torch and Mitsuba do not bear a second thread while they load
+            if "torch" not in sys.modules:
+                os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # its idle threads leave the cores to Mitsuba
             found = globals()[name] = getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
         return found
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

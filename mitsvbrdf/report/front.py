@@ -47,16 +47,16 @@ def front(found: SavedFit, quick: bool) -> dict:
 
 
 def judged(record: dict) -> tuple[bool, str]:
-    """Whether nothing speaks against the maps, and one sentence that says so, or what to look at first."""
+    """Whether no check found a fault in the maps, and one sentence that says so, or what to look at first."""
     photos = f"{len(record['per_photo'])} photo{'s' * (len(record['per_photo']) != 1)}"
-    met = f"rendered again, they are within {record['rerender_rmse']:.3f} of {photos}, where 1 is white"
+    met = f"rendered again, they differ from {photos} by {record['rerender_rmse']:.3f} (RMSE, where 1 is white)"
     if record["stopped"] == "interrupted":
         return False, f"Look at this: the fit was interrupted, and these are the best maps until then; {met}."
     if record["warnings"]:
         more = len(record["warnings"]) - 1
         rest = f" ({more} more below)" if more else ""
         return False, f"Look at this: {record['warnings'][0].rstrip('.')}{rest}. {met[0].upper()}{met[1:]}."
-    return True, f"Good: nothing speaks against these maps; {met}."
+    return True, f"No check found a fault in these maps; {met}."
 
 
 def packed(svbrdf: SVBRDF, name: str) -> tuple[str, bytes]:

@@ -20,8 +20,8 @@ from mitsvbrdf.report.front import front, judged, packed
 
 
 @pytest.mark.parametrize("stopped, warnings, good, words", [
-    ("settled", [], True, "Good: nothing speaks against these maps; rendered again, they are within 0.025 of 2 photos"),
-    ("settled", ["photo 3 is dark."], False, "Look at this: photo 3 is dark. Rendered again, they are within 0.025"),
+    ("settled", [], True, "No check found a fault in these maps; rendered again, they differ from 2 photos by 0.025 (RMSE"),
+    ("settled", ["photo 3 is dark."], False, "Look at this: photo 3 is dark. Rendered again, they differ from 2 photos"),
     ("budget", ["one", "two", "three"], False, "Look at this: one (2 more below)."),
     ("interrupted", [], False, "Look at this: the fit was interrupted")])
 def test_the_verdict_is_that_of_the_record(stopped, warnings, good, words):
