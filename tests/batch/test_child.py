@@ -189,6 +189,7 @@ def signals_heard(pid):
     return next((int(line.split()[1], 16) for line in lines if line.startswith("SigCgt")), 0)
 
 
+@pytest.mark.slow
 def test_maps_are_the_same_to_the_byte_whatever_child_made_them(captures, tmp_path, made_elsewhere):
     """One process fits the second capture alone on two threads; this one does so after the first."""
     library, answer, _ = made_elsewhere

@@ -86,6 +86,7 @@ class Household:
         return next(pid for pid, words in self.all.items() if victim in words.split(" --")[0])
 
 
+@pytest.mark.slow
 def test_a_ray_of_its_own_listens_on_loopback_alone_and_leaves_nothing(make_pool):
     pool = make_pool(workers=1)
     worker = await_events(pool, "worker")[0]["worker"]

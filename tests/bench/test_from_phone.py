@@ -50,6 +50,7 @@ def test_scaled_diffuse_error_does_not_see_a_factor():
     assert 0.01 < scaled_diffuse_rmse(noisy, truth) <= map_rmse(noisy, truth)["diffuse"]
 
 
+@pytest.mark.slow
 def test_a_phone_with_a_sheet_from_end_to_end(monkeypatch):
     monkeypatch.setattr(suite, "SAMPLE_SIDE", 128)
     job = CaptureJob("material", "builtin:leather", True, HandheldPhone(megapixels=0.2, photos=4),

@@ -163,6 +163,7 @@ def test_views_that_are_known_are_left_alone(glossy):
     assert self_calibrated(shots) == (shots, None)
 
 
+@pytest.mark.slow
 def test_a_fit_estimates_views_and_says_so(glossy):
     shots = replace(photos(make_material("inlay", 24), glossy[1]), source=None)
     result = fit_svbrdf(shots, MITSUBA, HierarchicalConfig(iterations=14))

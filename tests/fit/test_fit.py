@@ -77,7 +77,7 @@ def test_hybrid_finds_the_flash_beside_the_lens():
     assert result.flash_offset[0] < -0.05 and abs(result.flash_offset[1]) < 0.03
 
 
-@pytest.mark.parametrize("method", mostly_slow(RESUMED, "hybrid", "direct", "gan"))
+@pytest.mark.parametrize("method", mostly_slow(RESUMED, "hybrid", "direct"))
 def test_resume_is_bit_equal(method, tmp_path, monkeypatch):
     monkeypatch.setattr(gan_config, "SMALLEST", 32)
     config, side, saved_at = RESUMED[method]

@@ -133,6 +133,7 @@ def test_growth_is_the_slope_of_the_least_squares_line():
     assert soak.slope([0, 0, 0, 1]) == pytest.approx(0.3)  # by hand: sum of (x - 1.5) y over sum of (x - 1.5)^2, 1.5 / 5
 
 
+@pytest.mark.slow
 def test_the_command_keeps_the_record_and_tells_by_its_exit_code(tmp_path, monkeypatch, capsys):
     options = {"steps": 20, "renderer": ("analytic",), "bsdf": ("principled",), "json": tmp_path / "new" / "soak.json"}
     monkeypatch.setattr(soak, "SLOPE_LIMIT", 1e6)  # twenty steps are all warm-up

@@ -81,6 +81,7 @@ def detail_of(capture):
     return method, float(method.stages.detail)
 
 
+@pytest.mark.slow
 def test_detail_that_other_photos_confirm_is_believed_and_other_detail_is_not(two_stages, phone):
     clean = photos_of(make_material("leather", SIDE))
     glitter = 0.25 * torch.randn(clean.photos.shape[:3], generator=torch.Generator().manual_seed(0))[..., None]

@@ -61,7 +61,7 @@ PHOTOS = {
 }
 
 
-@pytest.mark.parametrize("change", mostly_slow(PHOTOS, "black", "uncalibrated"))
+@pytest.mark.parametrize("change", mostly_slow(PHOTOS, "black"))
 def test_any_photos(change, capture):
     shots = PHOTOS[change](capture.averaged(16))
     result = fit_svbrdf(shots, MITSUBA)

@@ -28,7 +28,7 @@ def cost_of(method, x, mean, precision):
     return rho.sum(dim=(0, 3)) + (precision * (x - mean).square()).double().sum(dim=0)
 
 
-@pytest.mark.parametrize("exact", [True, False])
+@pytest.mark.parametrize("exact", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_a_round_raises_no_texels_cost(exact, capture, monkeypatch):
     monkeypatch.setattr(stages, "EXACT", 0.006 if exact else 0.0)
     method, rises = method_of(capture.averaged(16)), []
