@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
-from ...color import CLIPPED, TOE
+from ...color import CLIPPED, TOE, decode
 from ...fit.hierarchical.ties import BOUNDS
 from ...fit.parameters import MAX_SLOPE, ROUGHNESS_RANGE
 from ...render.analytic import MIN_ALPHA
@@ -15,6 +16,8 @@ from ...render.bsdf import F0_RANGE
 from ...render.needs import CONSTANT_FRESNEL_DEGREES, half_angle_bound
 from ...views import BRIGHTEST, FARTHEST, NEAREST
 from .sweeps import Case
+
+LEAST_F0 = float(decode(torch.tensor(BOUNDS["specular"][0])))  # bounds are of display values
 
 
 @dataclass(frozen=True)
@@ -78,7 +81,7 @@ CLAMPS = (
     Clamp("what a fit can reach",
           "`fit/hierarchical/ties.py`, `BOUNDS`; others: `fit/parameters.py`, `ROUGHNESS_RANGE`, `MAX_SLOPE`, `to_raw`",
           f"Roughness {ROUGHNESS_RANGE[0]} to {ROUGHNESS_RANGE[1]:g}. Normals up to a slope of {BOUNDS['normal'][1]:g} along "
-          f"an axis with `hierarchical`, {MAX_SLOPE} with other methods. F0 of {BOUNDS['specular'][0] ** 2.2:.2g} or more with "
+          f"an axis with `hierarchical`, {MAX_SLOPE} with other methods. F0 of {LEAST_F0:.2g} or more with "
           "`hierarchical`, or 0 where no lobe is needed. Starts of other methods are moved just inside, where tanh and the "
           "logistic function still have a slope."),
 )
