@@ -1,8 +1,8 @@
 """Recover the maps of a material from a few flash photos, through a physically based differentiable renderer.
 
-The public names below are loaded on first use: importing the package loads neither torch nor Mitsuba, and sets no variant.
-The first use sets ``OMP_WAIT_POLICY=PASSIVE`` where torch is not loaded and nobody has set it.
-``__init__.pyi`` beside this file tells type checkers and editors the same names.
+The public names below are loaded on first use: importing the package loads neither torch nor Mitsuba, and
+sets no variant. The first use sets ``OMP_WAIT_POLICY=PASSIVE`` where torch is not loaded and nobody has set
+it. ``__init__.pyi`` beside this file tells type checkers and editors the same names.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _HOME = {
     "write_fit": "report.folder", "write_scene": "export.mitsuba",
     "ExportSettings": "export", "export_material": "export",
     "make_material": "material.made",
-    "Progress": "system.progress",
+    "Progress": "io.progress",
     "MitsvbrdfError": "errors",
 }
 __all__ = sorted(_HOME)
@@ -33,10 +33,11 @@ __all__ = sorted(_HOME)
 
 def __getattr__(name: str) -> Any:
     if name in _HOME:
-        from .system.lock import PROCESS
+        from .io.lock import PROCESS
         with PROCESS:  # torch and Mitsuba do not bear a second thread while they load
             if "torch" not in sys.modules:
-                os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # its idle threads leave the cores to Mitsuba
+                # its idle threads leave the cores to Mitsuba
+                os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
             found = globals()[name] = getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
         return found
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

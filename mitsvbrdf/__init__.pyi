@@ -16,6 +16,7 @@ from .fit import GanConfig as GanConfig
 from .fit import HierarchicalConfig as HierarchicalConfig
 from .fit import HybridConfig as HybridConfig
 from .fit import fit_svbrdf as fit_svbrdf
+from .io.progress import Progress as Progress
 from .material.made import make_material as make_material
 from .material.map_files import load_maps as load_maps
 from .material.map_files import save_maps as save_maps
@@ -23,7 +24,6 @@ from .material.maps import SVBRDF as SVBRDF
 from .render import make_renderer as make_renderer
 from .render.exclusive import using_mitsuba as using_mitsuba
 from .report.folder import write_fit as write_fit
-from .system.progress import Progress as Progress
 from .views import View as View
 from .views import Views as Views
 

@@ -1,4 +1,6 @@
-"""Entry point: prepares the process, then hands over to the command line; ``doctor`` works even where packages miss."""
+"""Entry point: prepares the process, then hands over to the command line; ``doctor`` works even where
+packages miss.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +13,15 @@ INTERRUPTED = 130
 
 def main() -> int:
     """Run ``mitsvbrdf`` with the arguments of the process; returns the exit code."""
-    # Raised in the middle of an import, Ctrl-C may come out as another error, or not at all: there it ends the process.
+    # Raised in the middle of an import, Ctrl-C may come out as another error, or not at all: there it ends
+    # the process.
     heard = signal.getsignal(signal.SIGINT) == signal.default_int_handler
     if heard:
         signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
-    # Idle threads sleep instead of spinning: torch and Dr.Jit have a pool each and take turns. Read when torch loads.
+    # Idle threads sleep instead of spinning: torch and Dr.Jit have a pool each and take turns. Read when
+    # torch loads.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    from .system.streams import guard_streams, told
+    from .io.streams import guard_streams, told
     guard_streams()
     try:
         code = _run(heard)
@@ -27,9 +31,12 @@ def main() -> int:
         code = stop.code if isinstance(stop.code, int) else 0 if stop.code is None else 2
     from .cli import only_prints
     code = told(code, only_prints(sys.argv[1:]))
-    exec("")  # Python forgets a Ctrl-C that came out of a library's exec; else it ends by the signal, without our exit code
+    # Python forgets a Ctrl-C that came out of a library's exec; else it ends by the signal, without our exit
+    # code
+    exec("")
     if heard:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)  # libraries that are being taken down would show a traceback
+        # libraries that are being taken down would show a traceback
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
     return code
 
 

@@ -15,13 +15,15 @@ from .errors import ConfigError
 
 # Photo values that say no more than "at least this bright". Two thresholds, which go different ways:
 CLIPPED = 0.995  # in fits, whose residuals are one-sided from here on: 254 and 255 of 8 bits
-NEARLY_CLIPPED = 0.99  # before them (guess, flash, quality), where texels left out cost little: 253 of 8 bits, too
+# before them (guess, flash, quality), where texels left out cost little: 253 of 8 bits, too
+NEARLY_CLIPPED = 0.99
 QUANTIZATION_NOISE = 1 / (255 * math.sqrt(12))  # standard deviation of the rounding to 8 bits
 
 Transfer = Literal["gamma2.2", "srgb", "linear"]
 
-# Below this linear value the slope of the power curve is frozen (a tangent line instead): its derivative at 0 is
-# infinite. 2e-6 is the linear value of 2/3 of one 8-bit step under gamma 2.2, so no photo value is touched by it.
+# Below this linear value the slope of the power curve is frozen (a tangent line instead): its derivative at 0
+# is infinite. 2e-6 is the linear value of 2/3 of one 8-bit step under gamma 2.2, so no photo value is touched
+# by it.
 TOE = 2e-6
 
 

@@ -72,7 +72,9 @@ def strict(wanted: bool = True) -> Iterator[None]:
 
 @contextlib.contextmanager
 def plain_warnings() -> Iterator[None]:
-    """Inside, warnings of this package are single lines on standard error, each once, without the place in the code."""
+    """Inside, warnings of this package are single lines on standard error, each once, without the place in
+    the code.
+    """
     said = set()
     with warnings.catch_warnings():
         others = warnings.showwarning
@@ -104,17 +106,21 @@ def exit_code(command: Callable[[], int], interrupted: str = "interrupted") -> i
     except UnicodeEncodeError as error:
         if error.reason != "surrogates not allowed":
             raise  # a fault of our own, not of a name
-        near = error.object[max(0, error.start - 40):error.end + 20].encode("utf-8", "backslashreplace").decode()
-        print(f"error: expected names of files in UTF-8, got {near}; rename the file or folder", file=sys.stderr)
+        near = error.object[max(0, error.start - 40):error.end + 20].encode("utf-8",
+                                                                            "backslashreplace").decode()
+        print(f"error: expected names of files in UTF-8, got {near}; rename the file or folder",
+              file=sys.stderr)
         return 2
     except OSError as error:
-        print(f"error: expected to read or write {error.filename or 'a file'}, got {error.strerror or error}; check the name "
+        print(f"error: expected to read or write {error.filename or 'a file'}, got "
+              f"{error.strerror or error}; check the name "
               "and your rights to it", file=sys.stderr)
         return 2
     except (MemoryError, RuntimeError) as error:
         if isinstance(error, RuntimeError) and "allocate memory" not in str(error):  # torch's words for it
             raise
-        print(f"error: expected enough memory, got {str(error).splitlines()[0] if str(error) else 'too little'}; "
+        print("error: expected enough memory, got "
+              f"{str(error).splitlines()[0] if str(error) else 'too little'}; "
               "choose a lower --resolution, or fewer photos", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -123,7 +129,9 @@ def exit_code(command: Callable[[], int], interrupted: str = "interrupted") -> i
 
 
 def _interruptible(command: Callable[[], int]) -> int:
-    """Run a command; Ctrl-C is KeyboardInterrupt again where Dr.Jit made a RuntimeError of it, in a render of Mitsuba."""
+    """Run a command; Ctrl-C is KeyboardInterrupt again where Dr.Jit made a RuntimeError of it, in a render of
+    Mitsuba.
+    """
     try:
         return command()
     except RuntimeError as error:

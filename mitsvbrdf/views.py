@@ -1,8 +1,8 @@
 """Views: where the camera and the light stand, and how bright the light is.
 
-Conventions (docs/conventions.md): the patch lies in z = 0, x right, y up, centre at the origin, and spans ``size``;
-camera and light are at z > 0, all in one unit of length. Co-located camera and light is the special case
-``camera == light``.
+Conventions (docs/conventions.md): the patch lies in z = 0, x right, y up, centre at the origin, and spans
+``size``; camera and light are at z > 0, all in one unit of length. Co-located camera and light is the special
+case ``camera == light``.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ FIELD_OF_VIEW = 60.0  # degrees across the long side where no EXIF says it: a ph
 
 Falloff = Literal["inverse-square", "none"]
 
-# What float32 and a traced ray can still cope with, in patch sides; beyond, a size in another unit is the likely cause. At
-# 1e12 for I / d^2 the steepest highlight (alpha 1e-4) and its gradients stay below 1e30.
+# What float32 and a traced ray can still cope with, in patch sides; beyond, a size in another unit is the
+# likely cause. At 1e12 for I / d^2 the steepest highlight (alpha 1e-4) and its gradients stay below 1e30.
 NEAREST, FARTHEST = 1e-3, 1e6
 BRIGHTEST = 1e12
 
@@ -45,10 +45,11 @@ class Views:
     Args:
         camera: N x 3, positions with z > 0.
         light: N x 3, positions with z > 0.
-        intensity: N x 3, radiant intensity I of each light (rgb); irradiance is I cos / d^2. All three are float tensors.
+        intensity: N x 3, radiant intensity I of each light (rgb); irradiance is I cos / d^2. All three are
+            float tensors.
         size: side of the patch, in the unit of the positions.
-        falloff: ``inverse-square``, or ``none`` for the paper's light without attenuation: the light then gives
-            everywhere the irradiance factor it has at the patch centre, I / |light|^2.
+        falloff: ``inverse-square``, or ``none`` for the paper's light without attenuation: the light then
+            gives everywhere the irradiance factor it has at the patch centre, I / |light|^2.
 
     Raises:
         CaptureError: other shapes, or no view at all. Values are looked at by :meth:`check`.
@@ -65,10 +66,12 @@ class Views:
         for name in ("camera", "light", "intensity"):
             value = getattr(self, name)
             if not isinstance(value, Tensor) or not value.is_floating_point():
-                raise CaptureError(f"{name} as a float tensor", repr(getattr(value, "dtype", type(value).__name__)),
+                raise CaptureError(f"{name} as a float tensor",
+                                   repr(getattr(value, "dtype", type(value).__name__)),
                                    "use Views.of(camera, light, intensity), which takes lists and arrays")
             if value.ndim != 2 or value.shape[1] != 3 or value.shape[0] != self.camera.shape[0]:
-                raise CaptureError(f"{name} of N x 3 with N = {self.camera.shape[0]}", f"shape {tuple(value.shape)}",
+                raise CaptureError(f"{name} of N x 3 with N = {self.camera.shape[0]}",
+                                   f"shape {tuple(value.shape)}",
                                    "give one row of three numbers for each photo")
         if not len(self):
             raise CaptureError("one view or more", "none", "give one row of three numbers for each photo")
@@ -90,7 +93,8 @@ class Views:
         """
         try:
             camera = torch.as_tensor(camera, dtype=torch.float64).reshape(-1, 3)
-            light = camera.clone() if light is None else torch.as_tensor(light, dtype=torch.float64).reshape(-1, 3)
+            light = (camera.clone() if light is None
+                     else torch.as_tensor(light, dtype=torch.float64).reshape(-1, 3))
             power = torch.as_tensor(intensity, dtype=torch.float64)
             power = power.expand(len(camera), 3) if power.ndim < 2 else power.reshape(-1, 3)
             size = float(size)
@@ -102,34 +106,43 @@ class Views:
         return views
 
     def check(self) -> None:
-        """Raise CaptureError unless every number is finite and physically possible, and all lengths go together.
+        """Raise CaptureError unless every number is finite and physically possible, and all lengths go
+        together.
 
-        Cameras and lights stand at least :data:`NEAREST` patch sides above the plane and no coordinate is above
-        :data:`FARTHEST` sides; the I / d^2 of a light at the nearest point of the patch is at most :data:`BRIGHTEST`.
+        Cameras and lights stand at least :data:`NEAREST` patch sides above the plane and no coordinate is
+        above :data:`FARTHEST` sides; the I / d^2 of a light at the nearest point of the patch is at most
+        :data:`BRIGHTEST`.
         """
         if not (self.size > 0 and torch.isfinite(torch.tensor(self.size))):
             raise CaptureError("a patch size > 0", str(self.size), "check im_size / image_size")
         for name in ("camera", "light"):
             for row, position in enumerate(getattr(self, name).tolist()):
                 if not all(map(_finite, position)):
-                    raise CaptureError("finite positions", f"{name} {row} at {position}", "check the calibration for NaN")
+                    raise CaptureError("finite positions", f"{name} {row} at {position}",
+                                       "check the calibration for NaN")
                 if position[2] <= 0:
-                    raise CaptureError("cameras and lights above the plane (z > 0)", f"{name} {row} at {position}",
-                                       "z points from the material toward the camera; check signs and column order")
+                    raise CaptureError("cameras and lights above the plane (z > 0)",
+                                       f"{name} {row} at {position}",
+                                       "z points from the material toward the camera; check signs and "
+                                       "column order")
         for row, power in enumerate(self.intensity.tolist()):
             if not all(map(_finite, power)) or min(power) < 0 or max(power) == 0:
-                raise CaptureError("a light intensity >= 0, not all 0", f"light {row} with {power}", "check light_pow")
+                raise CaptureError("a light intensity >= 0, not all 0", f"light {row} with {power}",
+                                   "check light_pow")
         self._check_scale()
 
     def _check_scale(self) -> None:
-        """Distances beside the patch, and light beside distances: both are plain numbers, whatever the unit of length."""
+        """Distances beside the patch, and light beside distances: both are plain numbers, whatever the unit
+        of length.
+        """
         sides = self.to(torch.float64).in_patch_sides()
         for name in ("camera", "light"):
             for row, position in enumerate(getattr(sides, name).tolist()):
                 if position[2] < NEAREST or max(map(abs, position)) > FARTHEST:
                     at = ", ".join(f"{x:.3g}" for x in position)
                     raise CaptureError(f"cameras and lights {NEAREST:g} to {FARTHEST:g} patch sides away",
-                                       f"{name} {row} at ({at}) sides", "give the patch size in the unit of the positions")
+                                       f"{name} {row} at ({at}) sides", "give the patch size in the unit of "
+                                                                        "the positions")
         beside = torch.cat(((sides.light[:, :2].abs() - 0.5).clamp_min(0), sides.light[:, 2:]), dim=1)
         brightness = sides.intensity.amax(dim=1) / beside.square().sum(dim=1)
         if not bool((brightness <= BRIGHTEST).all()):
@@ -141,7 +154,8 @@ class Views:
         return self.camera.shape[0]
 
     def __iter__(self) -> Iterator[View]:
-        for camera, light, intensity in zip(self.camera.tolist(), self.light.tolist(), self.intensity.tolist()):
+        for camera, light, intensity in zip(self.camera.tolist(), self.light.tolist(),
+                                            self.intensity.tolist()):
             yield View(tuple(camera), tuple(light), tuple(intensity))
 
     def carried(self, shift: Tensor) -> Views:
@@ -153,7 +167,8 @@ class Views:
         moved = replace(self, camera=self.camera + shift, light=self.light + shift)
         if self.falloff == "inverse-square":
             return moved
-        # A light without falloff is as bright everywhere as at the centre of the patch, from which this one has moved.
+        # A light without falloff is as bright everywhere as at the centre of the patch, from which this one
+        # has moved.
         nearer = moved.light.square().sum(dim=1) / self.light.square().sum(dim=1)
         return replace(moved, intensity=self.intensity * nearer[:, None])
 
@@ -165,13 +180,17 @@ class Views:
         """
         rows = whole_numbers(index)
         if not rows or min(rows) < 0 or max(rows) >= len(self):
-            raise CaptureError(f"positions from 0 to {len(self) - 1}", str(rows or "none"), "check which views are picked")
+            raise CaptureError(f"positions from 0 to {len(self) - 1}", str(rows or "none"),
+                               "check which views are picked")
         return replace(self, camera=self.camera[rows], light=self.light[rows], intensity=self.intensity[rows])
 
     def in_patch_sides(self) -> Views:
-        """The same views with the patch side as unit of length (size = 1): same radiance, better-scaled numbers."""
+        """The same views with the patch side as unit of length (size = 1): same radiance, better-scaled
+        numbers.
+        """
         s = self.size
-        return replace(self, camera=self.camera / s, light=self.light / s, intensity=self.intensity / s**2, size=1.0)
+        return replace(self, camera=self.camera / s, light=self.light / s, intensity=self.intensity / s**2,
+                       size=1.0)
 
     def to(self, dtype: torch.dtype) -> Views:
         """The same views with tensors of this dtype."""
@@ -196,7 +215,9 @@ def _finite(x: float) -> bool:
 
 
 def texel_positions(resolution: int, dtype: torch.dtype = torch.float64) -> Tensor:
-    """Centres of the texels of an R x R map on a patch of side 1: R x R x 3, row 0 at the top (largest y), z = 0."""
+    """Centres of the texels of an R x R map on a patch of side 1: R x R x 3, row 0 at the top (largest y), z
+    = 0.
+    """
     step = (torch.arange(resolution, dtype=dtype) + 0.5) / resolution - 0.5
     y, x = torch.meshgrid(-step, step, indexing="ij")
     return torch.stack((x, y, torch.zeros_like(x)), dim=-1)
@@ -221,7 +242,8 @@ def cubic(x: Tensor, values: Tensor) -> Tensor:
     """Least-squares cubics in x (M) through values (S x M), at x: S x M, float64."""
     x = x.double() - x.double().mean()
     powers = torch.stack([(x / x.abs().max().clamp_min(1e-9)) ** k for k in range(4)], dim=1)
-    return (powers @ torch.linalg.lstsq(powers, values.double().T, driver="gelsd").solution).T  # gelsd: x may be constant
+    # gelsd: x may be constant
+    return (powers @ torch.linalg.lstsq(powers, values.double().T, driver="gelsd").solution).T
 
 
 def nine_view_grid(distance: float = 2.0, spread: float = 0.4) -> Views:
@@ -236,7 +258,8 @@ def nine_view_grid(distance: float = 2.0, spread: float = 0.4) -> Views:
 
 
 def default_views(count: int, field_of_view: float = FIELD_OF_VIEW, share: float = 1.0) -> Views:
-    """The geometry assumed for photos without calibration: all alike, camera and light together above the centre.
+    """The geometry assumed for photos without calibration: all alike, camera and light together above the
+    centre.
 
     Args:
         count: number of photos.
@@ -244,21 +267,25 @@ def default_views(count: int, field_of_view: float = FIELD_OF_VIEW, share: float
         share: the patch side as a share of that long side.
 
     Returns:
-        Views with the patch side as unit; the intensity is such that a white diffuse texel at the patch centre has
-        radiance 1, so that display values read as albedo.
+        Views with the patch side as unit; the intensity is such that a white diffuse texel at the patch
+        centre has radiance 1, so that display values read as albedo.
     """
     distance = 0.5 / (share * math.tan(math.radians(field_of_view) / 2))
     return Views.of([[0.0, 0.0, distance]] * count, intensity=math.pi * distance**2)
 
 
 def field_of_view(focal_35mm: float, width: int, height: int) -> float:
-    """Degrees across the long side of a photo, from its 35 mm equivalent focal length (equal diagonals, 43.27 mm)."""
+    """Degrees across the long side of a photo, from its 35 mm equivalent focal length (equal diagonals, 43.27
+    mm).
+    """
     focal = focal_35mm / math.hypot(36, 24) * math.hypot(width, height)
     return math.degrees(2 * math.atan(max(width, height) / 2 / focal))
 
 
 def geometry(views: Views, resolution: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Unit vectors to the light and half way to the camera, and the irradiance of flat texels: N x R x R x 3 each."""
+    """Unit vectors to the light and half way to the camera, and the irradiance of flat texels: N x R x R x 3
+    each.
+    """
     views, texels = views.in_patch_sides(), texel_positions(resolution)
     light, camera = (x[:, None, None] - texels for x in (views.light, views.camera))
     reach = light.norm(dim=-1, keepdim=True)

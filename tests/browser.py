@@ -18,7 +18,9 @@ STALL = "GPU stall due to ReadPixels"  # Chromium's remark on a test that reads 
 
 
 def chromium() -> str:
-    """Chromium's path, by the environment variable MITSVBRDF_CHROMIUM or on PATH; skips the test where there is none."""
+    """Chromium's path, by the environment variable MITSVBRDF_CHROMIUM or on PATH; skips the test where there
+    is none.
+    """
     pytest.importorskip("playwright", reason="needs playwright: pip install 'mitsvbrdf[slow]'")
     names = (os.environ.get("MITSVBRDF_CHROMIUM", ""), "chromium", "chromium-browser", "google-chrome")
     path = next((found for name in names if name and (found := shutil.which(name))), None)
@@ -28,12 +30,13 @@ def chromium() -> str:
 
 
 @contextmanager
-def opened(path: Path, *, width: int = 1280, height: int = 900, scheme: Literal["light", "dark"] = "light", phone: bool = False,
+def opened(path: Path, *, width: int = 1280, height: int = 900, scheme: Literal["light", "dark"] = "light",
+           phone: bool = False,
            flags: tuple[str, ...] = FLAGS, beside: bool | Path = False, at: str = "") -> Iterator:
     """A playwright page that shows this file, opened from disk; the browser ends with the block.
 
-    At the end of the block: no console message, no uncaught error, and no request but for the file itself, or with ``beside``
-    for files of its folder, or of the one that it names.
+    At the end of the block: no console message, no uncaught error, and no request but for the file itself, or
+    with ``beside`` for files of its folder, or of the one that it names.
 
     Args:
         path: an HTML file.
@@ -51,16 +54,18 @@ def opened(path: Path, *, width: int = 1280, height: int = 900, scheme: Literal[
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=executable, args=list(flags))
         try:
-            page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme, has_touch=phone,
-                                    is_mobile=phone, device_scale_factor=2 if phone else 1)
-            page.on("console", lambda message: STALL in message.text or said.append(f"{message.type}: {message.text}"))
+            page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme,
+                                    has_touch=phone, is_mobile=phone, device_scale_factor=2 if phone else 1)
+            page.on("console", lambda message: STALL in message.text
+                    or said.append(f"{message.type}: {message.text}"))
             page.on("pageerror", lambda error: said.append(f"uncaught: {error}"))
             page.on("request", lambda request: asked.append(request.url))
             page.goto(address + at)
             yield page
             folder = path.parent if beside is True else beside
             own = (folder.resolve().as_uri() + "/",) if folder else ()
-            outside = [url for url in asked if url.split("#")[0] != address and not url.startswith(("data:", "blob:", *own))]
+            outside = [url for url in asked if url.split("#")[0] != address
+                       and not url.startswith(("data:", "blob:", *own))]
             assert not said and not outside, f"the page said {said} and asked for {outside}"
         finally:
             browser.close()

@@ -8,7 +8,8 @@ import signal
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # of a job in the background; the tests press Ctrl-C
     signal.signal(signal.SIGINT, signal.default_int_handler)
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # as the command does (mitsvbrdf.__main__), before torch loads
+# as the command does (mitsvbrdf.__main__), before torch loads
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # the workers share the cores
 
@@ -16,10 +17,12 @@ from pathlib import Path
 
 import pytest
 
-os.fsync = lambda descriptor: None  # nothing that a test writes has to outlive a power cut, and waiting for the disk is slow
+# nothing that a test writes has to outlive a power cut, and waiting for the disk is slow
+os.fsync = lambda descriptor: None
 pytest.register_assert_rewrite("helpers")
 
-# The plugin under test also comes through its entry point where the package is installed; pytest then loads it once.
+# The plugin under test also comes through its entry point where the package is installed; pytest then loads
+# it once.
 pytest_plugins = ["mitsvbrdf.testing.plugin", "pytester"]
 
 
@@ -27,7 +30,8 @@ pytest_plugins = ["mitsvbrdf.testing.plugin", "pytester"]
 def data_folder() -> Path:
     """The folder of real captures and known materials (``captures/``, ``materials/``); not in the repository.
 
-    The environment variable MITSVBRDF_DATA names it, else ``../shared/data`` beside the repository is looked at.
+    The environment variable MITSVBRDF_DATA names it, else ``../shared/data`` beside the repository is looked
+    at.
     """
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
     folder = Path(os.environ.get("MITSVBRDF_DATA") or beside)
@@ -38,7 +42,9 @@ def data_folder() -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def coarse_spheres() -> None:
-    """The sphere of each page and each export is drawn with one ray a pixel instead of 64, a second of work less."""
+    """The sphere of each page and each export is drawn with one ray a pixel instead of 64, a second of work
+    less.
+    """
     from mitsvbrdf.relight import sphere
 
     sphere.SAMPLES = 1
@@ -46,14 +52,17 @@ def coarse_spheres() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def photos_guessed_once() -> None:
-    """A fit's guess of photos that were fitted before is the one made then: a third of a second, the fifth of a short fit."""
+    """A fit's guess of photos that were fitted before is the one made then: a third of a second, the fifth of
+    a short fit.
+    """
     from mitsvbrdf.fit import task
 
     guess, made = task.guess_diffuse, {}
 
     def guessed(capture, method):
         views = capture.views
-        key = hashlib.sha256(repr((method, capture.transfer, capture.photos.shape, views.size, views.falloff)).encode())
+        key = hashlib.sha256(repr((method, capture.transfer, capture.photos.shape, views.size,
+                                   views.falloff)).encode())
         for values in (capture.photos, views.camera, views.light, views.intensity):
             key.update(values.detach().contiguous().numpy())
         if key.digest() not in made:

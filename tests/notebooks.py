@@ -20,8 +20,10 @@ def run(notebook, folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     Returns:
         The types of all messages that came from the kernel, in their order.
     """
-    client = pytest.importorskip("nbclient", reason="needs nbclient and ipykernel: pip install mitsvbrdf[test]")
-    kernelspec = pytest.importorskip("ipykernel.kernelspec", reason="needs ipykernel: pip install mitsvbrdf[test]")
+    client = pytest.importorskip("nbclient", reason="needs nbclient and ipykernel: pip install "
+                                                    "mitsvbrdf[test]")
+    kernelspec = pytest.importorskip("ipykernel.kernelspec", reason="needs ipykernel: pip install "
+                                                                    "mitsvbrdf[test]")
     kernelspec.write_kernel_spec(folder / "jupyter/kernels/python3")
     monkeypatch.setenv("JUPYTER_PATH", str(folder / "jupyter"))  # is searched first
     monkeypatch.setenv("IPYTHONDIR", str(folder / "ipython"))  # no start-up files of a user
@@ -39,7 +41,9 @@ def run(notebook, folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def main(*paths: str) -> None:
-    """Run notebooks as they are and write them with their outputs, without what tells machines and moments apart."""
+    """Run notebooks as they are and write them with their outputs, without what tells machines and moments
+    apart.
+    """
     import nbformat
 
     for path in paths:

@@ -124,7 +124,8 @@ def test_foreign_files_are_gamma(tmp_path):
 def test_no_falloff():
     generous = one(flat(8, specular=0.0), (0.3, 0.4, 1.0), intensity=2.0, falloff="none")
     physical = one(flat(8, specular=0.0), (0.3, 0.4, 1.0), intensity=2.0)
-    d2 = ((torch.tensor([0.3, 0.4, 1.0], dtype=torch.float64) - texel_positions(8)) ** 2).sum(-1, keepdim=True)
+    d2 = ((torch.tensor([0.3, 0.4, 1.0], dtype=torch.float64) - texel_positions(8)) ** 2).sum(-1,
+                                                                                              keepdim=True)
     assert torch.allclose(generous, physical * d2 / (0.3**2 + 0.4**2 + 1), rtol=1e-12)
 
 
@@ -142,7 +143,8 @@ def test_transfer_known_values():
     half = torch.tensor(0.5, dtype=torch.float64)
     assert color.encode(half, "gamma2.2").item() == pytest.approx(0.5 ** (1 / 2.2), rel=1e-12)
     assert color.encode(half, "srgb").item() == pytest.approx(1.055 * 0.5 ** (1 / 2.4) - 0.055, rel=1e-12)
-    assert color.encode(torch.tensor(0.001, dtype=torch.float64), "srgb").item() == pytest.approx(0.01292, rel=1e-12)
+    assert color.encode(torch.tensor(0.001, dtype=torch.float64), "srgb").item() == pytest.approx(0.01292,
+                                                                                                  rel=1e-12)
     zero = torch.zeros((), requires_grad=True)
     for transfer in ("gamma2.2", "srgb", "linear"):
         (slope,) = torch.autograd.grad(color.encode(zero, transfer), zero)
@@ -158,7 +160,8 @@ def test_photos_shrink_by_area(tmp_path):
 
 
 def test_closed_form():
-    # One texel, everything by hand with math.*: camera and light apart, normal up, F within 4e-7 of F0 (needs.py).
+    # One texel, everything by hand with math.*: camera and light apart, normal up, F within 4e-7 of F0
+    # (needs.py).
     r, rho, f0 = 0.5, 0.4, 0.25
     camera, light = (0.0, 0.0, 2.0), (0.02, 0.0, 2.0)
     image = one(flat(1, diffuse=rho, specular=f0, roughness=r), camera, light, 3.0)
@@ -175,13 +178,15 @@ def test_closed_form():
 def test_fresnel_at_the_camera():
     # The specular part is proportional to F0 at any tilt and distance when camera and light coincide.
     views = GRID
-    dark, bright = (TWIN.render(flat(8, diffuse=0.0, specular=s, dtype=torch.float64), views) for s in (0.1, 0.8))
+    dark, bright = (TWIN.render(flat(8, diffuse=0.0, specular=s, dtype=torch.float64), views) for s in (0.1,
+                                                                                                        0.8))
     assert torch.allclose(bright, 8 * dark, rtol=1e-12)
 
 
 def test_fresnel_away_from_the_camera():
-    # Camera and light 60 degrees to either side of the normal: unpolarised reflectance of eta = 1.5 at 60 degrees, from
-    # Fresnel's equations (Rs 0.17696, Rp 0.00180, their mean 0.08938); against F0 = 0.04 seen from straight above.
+    # Camera and light 60 degrees to either side of the normal: unpolarised reflectance of eta = 1.5 at 60
+    # degrees, from Fresnel's equations (Rs 0.17696, Rp 0.00180, their mean 0.08938); against F0 = 0.04 seen
+    # from straight above.
     x = math.sqrt(3)
     material = flat(1, diffuse=0.0, specular=0.04, roughness=0.5)
     apart = one(material, (x, 0, 1), (-x, 0, 1))[0, 0, 0].item()
@@ -195,7 +200,8 @@ def test_fresnel_away_from_the_camera():
 
 
 def test_facing_away_is_black():
-    tilted = SVBRDF("roughconductor", dict(flat(1).maps) | {"normal": torch.tensor([[[-0.995, 0.0, 0.0999]]])})
+    tilted = SVBRDF("roughconductor", dict(flat(1).maps)
+                    | {"normal": torch.tensor([[[-0.995, 0.0, 0.0999]]])})
     normal = tilted["normal"].double().requires_grad_()
     maps = {k: v.double() for k, v in tilted.maps.items()} | {"normal": normal}
     image = TWIN.render(SVBRDF("roughconductor", maps), Views.of([[5.0, 0, 0.4]]))

@@ -1,4 +1,6 @@
-"""Commands in README and docs are understood; the slow suite runs them, in their order, on made photos and shortened."""
+"""Commands in README and docs are understood; the slow suite runs them, in their order, on made photos and
+shortened.
+"""
 
 import functools
 import json
@@ -18,11 +20,14 @@ from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.render.exclusive import using_mitsuba
 
-SHORTER = [(r"--budget \d+", "--iterations 3"), (r"budget=\d+", "iterations=3"), (r"resolution=\d+", "resolution=32"),
-           (r"--megapixels \d+", "--megapixels 0.7"), (r"--target-error \S+ ?", ""), (r"\(seed=0\)", "(seed=0, iterations=3)"),
+SHORTER = [(r"--budget \d+", "--iterations 3"), (r"budget=\d+", "iterations=3"),
+           (r"resolution=\d+", "resolution=32"),
+           (r"--megapixels \d+", "--megapixels 0.7"), (r"--target-error \S+ ?", ""),
+           (r"\(seed=0\)", "(seed=0, iterations=3)"),
            (r"(make_material\(\S+,) \d+", r"\1 32"), (r"error<\S+\b", "error<1")]
 QUICK = {"crosscheck": ["--repeats", "1", "--bsdf", "roughconductor", "--resolution", "32"],
-         "leave-out": ["--resolution", "16", "--repeats", "1"], "capture": ["--resolution", "64"], "report": ["--quick"],
+         "leave-out": ["--resolution", "16", "--repeats", "1"], "capture": ["--resolution", "64"],
+         "report": ["--quick"],
          "stability": ["--only", "clipped", "--renderer", "analytic"],
          "relight": ["--size", "24", "--frames", "1", "--samples", "2"],
          "bench": ["--suite", "methods", "--methods", "direct", "--budgets", "0.3", "--resolution", "16"]}
@@ -109,7 +114,8 @@ def test_what_the_first_pages_make_is_not_taken_for_source(name):
     page = (ROOT / name).read_text()
     made = re.findall(r"(?: -o | --html )(\S+)", "\n".join(commands(ROOT / name)))
     made += re.findall(r'(?:write_fit\(.*|save_maps\(.*|write_report\(.*)"([\w-]+)"\)', page)
-    done = subprocess.run(["git", "check-ignore", "--no-index", *(f"{each}/" if "." not in each else each for each in made)],
+    done = subprocess.run(["git", "check-ignore", "--no-index",
+                           *(f"{each}/" if "." not in each else each for each in made)],
                           cwd=ROOT, capture_output=True, text=True)
     assert [each for each in made if each not in [line.rstrip("/") for line in done.stdout.split()]] == []
     assert made or name == "docs/index.md"
@@ -140,7 +146,8 @@ def test_commands_for_a_fit(name, photos):
 
 @pytest.mark.slow
 def test_batch_page_commands(photos):
-    run_shortened([line for line in commands(ROOT / "docs/batch.md") if not line.startswith("view ")])  # it waits for Ctrl-C
+    # it waits for Ctrl-C
+    run_shortened([line for line in commands(ROOT / "docs/batch.md") if not line.startswith("view ")])
     assert list(Path("exported").rglob("material.glb"))
 
 
@@ -157,7 +164,8 @@ def test_python_of_the_formats_page(photos):
     import mitsuba as mi
 
     assert cli.main(["export", "builtin:inlay", "--to", "mitsuba", "-o", "out/export", "--no-preview"]) == 0
-    (block,) = re.findall(r"^(    mi\.file_resolver.*\n(?:    .*\n)+)", (ROOT / "docs/formats.md").read_text(), re.M)
+    (block,) = re.findall(r"^(    mi\.file_resolver.*\n(?:    .*\n)+)",
+                          (ROOT / "docs/formats.md").read_text(), re.M)
     with using_mitsuba("llvm_ad_rgb"):
         names = {"mi": mi, "json": json}
         exec(textwrap.dedent(block), names)  # noqa: S102  (our own text)
@@ -192,7 +200,8 @@ def test_capture_page_commands(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     lines = commands(ROOT / "docs/capture.md")
     assert [line.split()[0] for line in lines] == ["synth", "sheet", "capture", "fit"]
-    short = {"synth": ["--megapixels", "0.7", "--photos", "4", "--resolution", "256"], "capture": ["--resolution", "64"],
+    short = {"synth": ["--megapixels", "0.7", "--photos", "4", "--resolution", "256"],
+             "capture": ["--resolution", "64"],
              "fit": ["--iterations", "3", "--resolution", "32"]}
     for line in lines:
         arguments = shlex.split(re.sub(r" --spoil .*", "", line))
@@ -209,16 +218,19 @@ def test_links_lead_somewhere():
 
 def test_architecture_shows_the_law_and_files_that_are_there():
     page = (ROOT / "ARCHITECTURE.md").read_text()
-    law = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"][0]["layers"]
+    law = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"][0][
+        "layers"]
     picture = re.search(r"\n\n((?:    .*\n)+)", page)[1]
     drawn = [line[4:].split("  ")[0].rstrip() for line in picture.splitlines() if line[4] not in " |"]
     assert drawn == law
     for name in re.findall(r"`([\w/]+(?:/|\.py))`", page):
-        assert any((root / name).exists() for root in (ROOT, ROOT / "mitsvbrdf", *(ROOT / "mitsvbrdf").iterdir())), name
+        assert any((root / name).exists() for root in (ROOT, ROOT / "mitsvbrdf",
+                                                       *(ROOT / "mitsvbrdf").iterdir())), name
 
 
 def test_formats_page_names_every_field_of_fit_json(photos):
-    assert cli.main(["fit", "photos", "-o", "out", "--method", "direct", "--iterations", "1", "--renderer", "analytic"]) == 0
+    assert cli.main(["fit", "photos", "-o", "out", "--method", "direct", "--iterations", "1", "--renderer",
+                     "analytic"]) == 0
     page = (ROOT / "docs/formats.md").read_text()
     for field in json.loads(Path("out/fit.json").read_text()):
         assert f"`{field}`" in page, field

@@ -36,7 +36,8 @@ def test_the_text_tells_the_same(capsys):
 
 
 @pytest.mark.parametrize("module, line", [("cv2", "pip install opencv-contrib-python-headless"),
-                                          ("torch", "pip install torch"), ("safetensors", "pip install safetensors")])
+                                          ("torch", "pip install torch"),
+                                          ("safetensors", "pip install safetensors")])
 def test_a_missing_package_is_named_with_the_line_to_type(monkeypatch, capsys, module, line):
     real = doctor.importlib.import_module
 

@@ -41,7 +41,8 @@ def fitted(config, renderer="mitsuba"):
 
 
 def same(found, expected):
-    return len(found) == len(expected) and all(a.dtype == b.dtype and torch.equal(a, b) for a, b in zip(found, expected))
+    return (len(found) == len(expected)
+            and all(a.dtype == b.dtype and torch.equal(a, b) for a, b in zip(found, expected)))
 
 
 @pytest.fixture(scope="module")
@@ -65,8 +66,10 @@ def test_guesses_are_the_same_bits_under_any_default(mode):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("config", [mv.HierarchicalConfig(iterations=8), mv.HybridConfig(width=4, iterations=3),
-                                    mv.GanConfig(width=4, iterations=3, precision="float32")], ids=lambda c: type(c).__name__)
+@pytest.mark.parametrize("config", [mv.HierarchicalConfig(iterations=8),
+                                    mv.HybridConfig(width=4, iterations=3),
+                                    mv.GanConfig(width=4, iterations=3, precision="float32")],
+                         ids=lambda c: type(c).__name__)
 def test_fits_of_every_method_are_the_same_bits_under_any_default(mode, config):
     expected = fitted(config)
     with MODES[mode]():
@@ -88,8 +91,10 @@ def test_pictures_are_the_same_bits_under_any_default(name, mode):
 @pytest.mark.parametrize("mode", MODES)
 def test_a_crosscheck_finds_the_same_under_any_default(mode):
     def figures():
-        record = crosscheck({"flat": flat(8)}, GRID.pick([0]), ["roughconductor"], [mv.make_renderer("mitsuba")])
-        return [{part: each[part] for part in ("rough", "smooth") if part in each} for each in record["configurations"]]
+        record = crosscheck({"flat": flat(8)}, GRID.pick([0]), ["roughconductor"],
+                            [mv.make_renderer("mitsuba")])
+        return [{part: each[part] for part in ("rough", "smooth") if part in each}
+                for each in record["configurations"]]
 
     expected = figures()
     with MODES[mode]():
@@ -105,7 +110,8 @@ def test_fits_in_threads_are_those_of_one():
 
 @pytest.mark.slow
 def test_fits_of_other_methods_in_threads_are_those_of_one():
-    configs = [mv.HybridConfig(width=4, iterations=3, seed=1), mv.GanConfig(width=4, iterations=3, precision="float32"),
+    configs = [mv.HybridConfig(width=4, iterations=3, seed=1), mv.GanConfig(width=4, iterations=3,
+                                                                            precision="float32"),
                mv.HierarchicalConfig(iterations=8)]
     expected = [fitted(config) for config in configs]
     with ThreadPoolExecutor(3) as pool:
@@ -118,9 +124,10 @@ def test_the_state_of_torch_and_mitsuba_is_left_as_found():
         mi.set_variant("scalar_rgb")
 
         def state():
-            return (torch.get_default_dtype(), torch.is_grad_enabled(), torch.get_num_threads(), torch.initial_seed(),
-                    torch.get_rng_state().tolist(), torch.are_deterministic_algorithms_enabled(), mi.variant(),
-                    [dr.flag(flag) for flag in dr.JitFlag])
+            return (torch.get_default_dtype(), torch.is_grad_enabled(), torch.get_num_threads(),
+                    torch.initial_seed(),
+                    torch.get_rng_state().tolist(), torch.are_deterministic_algorithms_enabled(),
+                    mi.variant(), [dr.flag(flag) for flag in dr.JitFlag])
 
         before = state()
         fitted(DIRECT)

@@ -44,15 +44,16 @@ def test_photos_left_out_are_predicted(fitted, data_folder, tmp_path, request):
         request.applymarker(pytest.mark.xfail(reason="misses the goal: measured 0.085", strict=True))
     figures = tmp_path / "e.json"
     capture = str(data_folder / "captures/cards-blue")
-    assert cli.main(["evaluate", str(out), "--capture", capture, "--views", "4,7", "--json", str(figures)]) == 0
+    assert cli.main(["evaluate", str(out), "--capture", capture, "--views", "4,7", "--json",
+                     str(figures)]) == 0
     error = json.loads(figures.read_text())["rerender_rmse"]
     print(bsdf, "photos 4 and 7:", error)
     assert error <= 0.08  # measured with roughconductor: 0.068
 
 
 def test_known_materials_come_back(data_folder):
-    # The bars are those of MaterialGAN, trained on a large data set, on materials of the same kind (paper, tables 1 and 2, and
-    # peers.json). Measured: see README.
+    # The bars are those of MaterialGAN, trained on a large data set, on materials of the same kind (paper,
+    # tables 1 and 2, and peers.json). Measured: see README.
     views, errors = read_capture(data_folder / "captures/cards-blue").views, []
     for folder in sorted((data_folder / "materials").iterdir()):
         capture = photograph(load_maps(folder).resized(256), views, make_renderer("mitsuba"))
@@ -65,7 +66,8 @@ def test_known_materials_come_back(data_folder):
 
 
 def test_nothing_is_burnt_in(data_folder):
-    # Roughness and specular of the capture that burns in worst: 0.67 in MaterialGAN's published roughness, 0.79 with `hybrid`.
+    # Roughness and specular of the capture that burns in worst: 0.67 in MaterialGAN's published roughness,
+    # 0.79 with `hybrid`.
     capture = read_capture(data_folder / "captures/wood-bamboo", resolution=256)
     result = fit_svbrdf(capture, make_renderer("mitsuba"), HierarchicalConfig(budget=300))
     assert max(burn_in(result.svbrdf, result.views).values()) <= 0.10

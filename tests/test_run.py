@@ -1,4 +1,6 @@
-"""The script that sets everything up: clean POSIX sh, a help that exits sensibly, and no work once all is there."""
+"""The script that sets everything up: clean POSIX sh, a help that exits sensibly, and no work once all is
+there.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ RUN = ROOT / "run"
 
 
 def sh(*arguments: object, **options) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([str(a) for a in arguments], capture_output=True, encoding="utf-8", timeout=20, **options)
+    return subprocess.run([str(a) for a in arguments], capture_output=True, encoding="utf-8", timeout=20,
+                          **options)
 
 
 @pytest.mark.parametrize("shell", [s for s in ("sh", "dash", "bash", "busybox") if shutil.which(s)])
@@ -25,7 +28,8 @@ def test_every_shell_reads_it(shell):
 
 def test_help_names_the_commands():
     shown = sh(RUN, "help").stdout
-    assert all(f"./run {command}" in shown for command in ("demo", "test", "check", "slow", "docs", "soak", "setup"))
+    assert all(f"./run {command}" in shown for command in ("demo", "test", "check", "slow", "docs", "soak",
+                                                           "setup"))
 
 
 @pytest.mark.parametrize("arguments", [[], ["tset"]])
@@ -56,7 +60,9 @@ def stamp(root: Path) -> str:
 
 
 def test_a_set_up_checkout_runs_at_once_from_anywhere(checkout, tmp_path):
-    """PATH has no pip, apt or Python here and HOME is unset, so anything but starting the program would fail."""
+    """PATH has no pip, apt or Python here and HOME is unset, so anything but starting the program would
+    fail.
+    """
     environment = {"PATH": "/usr/bin:/bin", "LC_ALL": "C"}
     demo = sh(checkout / "run", "demo", "--out", "my maps", cwd=tmp_path, env=environment)
     assert demo.stdout == f"{tmp_path}|mitsvbrdf|demo|--out|my maps|", demo.stderr
@@ -73,12 +79,14 @@ def test_a_set_up_checkout_runs_at_once_from_anywhere(checkout, tmp_path):
 
 def breaks(checkout: Path, *programs: str) -> None:
     for name in programs:
-        (checkout / ".venv" / "bin" / name).write_text(f'#!/bin/sh\necho {name} found something >&2\nexit 1\n')
+        (checkout / ".venv" / "bin" / name).write_text(
+            f'#!/bin/sh\necho {name} found something >&2\nexit 1\n')
 
 
 def test_check_says_a_line_for_each_and_goes_on_after_a_red_one(checkout):
     green = sh(checkout / "run", "check")
-    assert (green.returncode, green.stdout.split()) == (0, "style ok types ok imports ok lengths ok".split()), green.stderr
+    assert (green.returncode, green.stdout.split()) == (0,
+                                                        "style ok types ok imports ok lengths ok".split()), green.stderr
     breaks(checkout, "ruff", "lint-imports")
     red = sh(checkout / "run", "check")
     assert red.returncode == 1 and red.stdout.splitlines() == [
@@ -111,7 +119,8 @@ def test_slow_tests_get_their_tools_once(checkout):
     assert not second
 
 
-@pytest.mark.parametrize("given, used", [({"LC_ALL": "C"}, "C.UTF-8"), ({}, "C.UTF-8"), ({"LANG": "de_DE.utf8"}, "")])
+@pytest.mark.parametrize("given, used", [({"LC_ALL": "C"}, "C.UTF-8"), ({}, "C.UTF-8"),
+                                         ({"LANG": "de_DE.utf8"}, "")])
 def test_python_gets_a_locale_that_can_spell_the_path(checkout, given, used):
     (checkout / ".venv" / "bin" / "python").write_text('#!/bin/sh\nprintf "%s" "${LC_ALL-}"\n')
     assert sh(checkout / "run", "test", "-q", env={"PATH": "/usr/bin:/bin"} | given).stdout == used
@@ -129,7 +138,9 @@ UV_WAYS = """printf '%s\\n' "$UV_DEFAULT_INDEX" "$UV_INDEX" "$UV_FIND_LINKS" "$S
 
 
 def told(checkout: Path, settings: str | None, uv: str) -> tuple[str, list[str]]:
-    """What `run setup` says where pip has these settings (None: tells none), and pip's calls to install; with this as uv."""
+    """What `run setup` says where pip has these settings (None: tells none), and pip's calls to install; with
+    this as uv.
+    """
     (checkout / ".venv" / "stamp").unlink()
     programs, calls = checkout / ".venv" / "bin", checkout / "calls"
     if settings is not None:
@@ -146,7 +157,8 @@ def told(checkout: Path, settings: str | None, uv: str) -> tuple[str, list[str]]
 
 @pytest.mark.parametrize("timeout", ["timeout", "default-timeout"])
 def test_uv_looks_for_packages_where_pip_does(checkout, timeout):
-    said, by_pip = told(checkout, f":env:.{timeout}='180'\nglobal.index-url='https://a/simple?x=1'\nglobal.find-links='/b /c'\n"
+    said, by_pip = told(checkout,
+                        f":env:.{timeout}='180'\nglobal.index-url='https://a/simple?x=1'\nglobal.find-links='/b /c'\n"
                         "global.cert='/d.crt'\nuser.extra-index-url='\\nhttps://e\\nfile:///f'\n"
                         "site.extra-index-url='https://g'\nuser.find-links='/h'\nuser.index-url='https://a/simple?x=1'\n"
                         "global.retries='9'\nglobal.no-input='true'\nglobal.cache-dir='/i'\n"
@@ -155,7 +167,8 @@ def test_uv_looks_for_packages_where_pip_does(checkout, timeout):
     lines, limits = said.splitlines(), f"{checkout}/constraints.txt"
     at = lines.index("https://a/simple?x=1")
     assert lines[at + 1 : at + 5] == ["https://e file:///f https://g", "/b,/c,/h", "/d.crt", "180"]
-    assert lines[at + 5 : at + 17] == ["pip", "install", "-q", "--python", f"{checkout}/.venv/bin/python", "--index-strategy",
+    assert lines[at + 5 : at + 17] == ["pip", "install", "-q", "--python", f"{checkout}/.venv/bin/python",
+                                       "--index-strategy",
                                        "unsafe-best-match", "-c", limits, "-b", limits, "-e"]
     assert lines[at + 17] == f"{checkout}[test,dev]"
 
@@ -164,11 +177,14 @@ def test_uv_installs_where_pip_is_told_nothing(checkout):
     assert told(checkout, "", UV_WAYS)[1] == ["uv"]
 
 
-@pytest.mark.parametrize("settings, uv", [("global.no-index='true'\n", UV_WAYS), ("", "exit 2"), (None, UV_WAYS),
-                                          ("global.index-url='https://a'\nuser.index-url='https://b'\n", UV_WAYS)])
+@pytest.mark.parametrize("settings, uv", [("global.no-index='true'\n", UV_WAYS), ("", "exit 2"),
+                                          (None, UV_WAYS),
+                                          ("global.index-url='https://a'\nuser.index-url='https://b'\n",
+                                           UV_WAYS)])
 def test_pip_installs_what_uv_does_not(checkout, settings, uv):
     said, by_pip = told(checkout, settings, uv)
-    assert by_pip == ["uv", "hatchling editables", f"--no-build-isolation -e {checkout}[test,dev]"] and "pip, which" in said
+    assert by_pip == ["uv", "hatchling editables",
+                      f"--no-build-isolation -e {checkout}[test,dev]"] and "pip, which" in said
 
 
 def test_without_a_fitting_python_it_says_so(tmp_path):

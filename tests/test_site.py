@@ -1,4 +1,6 @@
-"""The site builds without a warning; its pages open in a browser, wide and narrow, and hold what the program says of itself."""
+"""The site builds without a warning; its pages open in a browser, wide and narrow, and hold what the program
+says of itself.
+"""
 
 from __future__ import annotations
 
@@ -25,13 +27,16 @@ def site(tmp_path_factory) -> Path:
         pytest.importorskip(name, reason="needs the site's packages: pip install 'mitsvbrdf[docs]'")
     folder = tmp_path_factory.mktemp("site")
     # As `./run docs` does, with this Python and into another folder.
-    command = ["-m", "sphinx", "-b", "html", "-c", "docs", "-d", folder / "doctrees", "-E", "-W", "--keep-going", "-q", "."]
-    done = subprocess.run([sys.executable, *command, folder / "site"], cwd=ROOT, capture_output=True, encoding="utf-8")
+    command = ["-m", "sphinx", "-b", "html", "-c", "docs", "-d", folder / "doctrees", "-E", "-W",
+               "--keep-going", "-q", "."]
+    done = subprocess.run([sys.executable, *command, folder / "site"], cwd=ROOT, capture_output=True,
+                          encoding="utf-8")
     assert done.returncode == 0, done.stderr
     return folder / "site"
 
 
-# What ends right of the window, but for what lies in a block that scrolls by itself; the theme's own scrolling would hide it.
+# What ends right of the window, but for what lies in a block that scrolls by itself; the theme's own
+# scrolling would hide it.
 OUTSIDE = """width => [...document.querySelectorAll("body *")].filter(it => !it.closest("pre, .table-wrapper, aside, label")
     && it.getClientRects().length && it.getBoundingClientRect().right > width + 1).map(it => it.outerHTML.slice(0, 80))"""
 
@@ -83,10 +88,12 @@ def test_the_page_of_python_has_every_public_name_with_its_first_sentence(site):
     shown = " ".join(html.unescape(re.sub("<[^>]*>", "", page)).split())
     for name in mitsvbrdf.__all__:
         assert f'id="mitsvbrdf.{name}"' in page, name
-        first = re.split(r"[.:]", " ".join((getattr(mitsvbrdf, name).__doc__ or "").replace("`", "").split()))[0]
+        first = re.split(r"[.:]", " ".join((getattr(mitsvbrdf, name).__doc__ or "").replace("`",
+                                                                                            "").split()))[0]
         assert len(first) > 10 and first in shown, (name, first)
     for config in (mitsvbrdf.HierarchicalConfig, mitsvbrdf.GanConfig):
-        missing = [field.name for field in fields(config) if f'id="mitsvbrdf.{config.__name__}.{field.name}"' not in page]
+        missing = [field.name for field in fields(config)
+                   if f'id="mitsvbrdf.{config.__name__}.{field.name}"' not in page]
         assert not missing, missing
     assert "How alike texels must look to share: standard deviation" in shown and "tyro" not in shown
 
@@ -96,23 +103,27 @@ def configured(monkeypatch) -> dict:
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setenv("COLUMNS", "96")
     names = {"__file__": str(ROOT / "docs/conf.py"), "__name__": "conf"}
-    exec(compile((ROOT / "docs/conf.py").read_text(), names["__file__"], "exec"), names)  # noqa: S102  (our own text)
+    exec(compile((ROOT / "docs/conf.py").read_text(), names["__file__"], "exec"),
+         names)  # noqa: S102  (our own text)
     return names
 
 
 def test_every_page_has_a_place_in_the_sidebar(monkeypatch):
     names = configured(monkeypatch)
-    entries = [entry for captions in names["CONTENTS"].values() for entries in captions.values() for entry in entries]
+    entries = [entry for captions in names["CONTENTS"].values() for entries in captions.values()
+               for entry in entries]
     places = [names["source_of"](entry) for entry in entries]
     sources = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), *(ROOT / "docs").glob("*.ipynb")]
     for path in sources:
         name = str(path.relative_to(ROOT).with_suffix(""))
-        assert name == "docs/index" or any(fnmatch(name, place) for place in places), f"{name} into CONTENTS of docs/conf.py"
+        assert name == "docs/index" or any(fnmatch(name, place)
+                                           for place in places), f"{name} into CONTENTS of docs/conf.py"
 
 
 def test_a_page_that_is_not_there_yet_is_left_out(monkeypatch):
     names = configured(monkeypatch)
-    names["CONTENTS"]["docs/faq"] = {"More": ["/docs/not-there-yet", "/docs/limits", "What it asks </docs/faq>"]}
+    names["CONTENTS"]["docs/faq"] = {"More": ["/docs/not-there-yet", "/docs/limits",
+                                              "What it asks </docs/faq>"]}
     added = names["with_contents"]("text", "docs/faq")
     assert "/docs/limits" in added and "What it asks </docs/faq>" in added and "not-there-yet" not in added
     assert names["with_contents"]("text", "docs/limits") == "text"

@@ -1,4 +1,6 @@
-"""The tutorial runs, in small; its figures are those computed anew in numpy; what is kept with it comes from a run."""
+"""The tutorial runs, in small; its figures are those computed anew in numpy; what is kept with it comes from
+a run.
+"""
 
 import re
 import sys
@@ -8,10 +10,10 @@ import numpy as np
 import pytest
 from helpers import GRID
 
+from mitsvbrdf.io import images
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.synth.photograph import photograph
-from mitsvbrdf.system import images
 
 TUTORIAL = notebooks.ROOT / "docs/tutorial.ipynb"
 SIDE = 32
@@ -20,7 +22,8 @@ SMALL = f"resolution, budget, out = {SIDE}, 1.0, 'small'"
 
 
 def read():
-    return pytest.importorskip("nbformat", reason="needs nbformat: pip install mitsvbrdf[test]").read(TUTORIAL, 4)
+    return pytest.importorskip("nbformat",
+                               reason="needs nbformat: pip install mitsvbrdf[test]").read(TUTORIAL, 4)
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +78,8 @@ def exr(path):
 def test_errors_of_the_maps(tutorial):
     notebook, folder = tutorial
     truth, printed = make_material("inlay", SIDE), figures(notebook, "map")
-    stored = {name: exr(folder / f"small/fit/maps/{name}.exr") for name in truth.maps}  # normals as (n + 1) / 2
+    # normals as (n + 1) / 2
+    stored = {name: exr(folder / f"small/fit/maps/{name}.exr") for name in truth.maps}
     true = {name: value.double().numpy() for name, value in truth.maps.items()}
     counted = {"diffuse": encoded(stored["diffuse"]) - encoded(true["diffuse"]),
                "specular": encoded(stored["specular"]) - encoded(true["specular"]),
@@ -83,7 +87,8 @@ def test_errors_of_the_maps(tutorial):
                "normal": stored["normal"] - (true["normal"] + 1) / 2}
     for name, off in counted.items():
         assert printed[name] == pytest.approx(np.sqrt((off**2).mean()), abs=6e-5)  # four digits are printed
-        assert 1e-4 < printed[name] < 0.1  # measured: 0.018, 0.044, 0.019 and 0.004; the guess has 0.17 in diffuse
+        # measured: 0.018, 0.044, 0.019 and 0.004; the guess has 0.17 in diffuse
+        assert 1e-4 < printed[name] < 0.1
     assert printed["mean"] == pytest.approx(np.mean([printed[name] for name in counted]), abs=1e-4)
 
 
@@ -94,20 +99,24 @@ def test_errors_of_the_photos(tutorial):
     assert len(printed) == 9
     for (name, error), photo in zip(printed.items(), photos.double().numpy()):
         off = encoded(exr(folder / f"small/fit/rerendered/{name}.exr").clip(0, 1)) - photo
-        # The photos of the notebook come from another renderer: a rounding may lie on the other side of a step of 8 bits.
+        # The photos of the notebook come from another renderer: a rounding may lie on the other side of a
+        # step of 8 bits.
         assert error == pytest.approx(np.sqrt((off**2).mean()), abs=1e-4)
-        assert 0.002 < error < 0.01  # noise of 0.003 in linear light shows as 0.0014 in white, more in dark; measured 0.0046
+        # noise of 0.003 in linear light shows as 0.0014 in white, more in dark; measured 0.0046
+        assert 0.002 < error < 0.01
 
 
 def test_renderers_agree_with_float64(tutorial):
     rows = re.findall(r"^(\S+) +image (\S+) +gradient (\S+) +\d+ ms$", said(tutorial[0]), re.M)
     assert [row[0] for row in rows] == ["mitsuba", "mitsuba-scene", "analytic"]
-    for _, image, gradient in rows:  # measured 7e-8 to 1.2e-7, and 2.6e-7 to 3.4e-7; float32 itself shows, so not 0
+    # measured 7e-8 to 1.2e-7, and 2.6e-7 to 3.4e-7; float32 itself shows, so not 0
+    for _, image, gradient in rows:
         assert 1e-9 < float(image) < 5e-7 and 1e-9 < float(gradient) < 2e-6
 
 
 def test_the_gradient_is_that_of_a_central_difference(tutorial):
-    by_gradient, central = map(float, re.search(r"^slope: (\S+) by .*, (\S+) by", said(tutorial[0]), re.M).groups())
+    by_gradient, central = map(float, re.search(r"^slope: (\S+) by .*, (\S+) by", said(tutorial[0]),
+                                                re.M).groups())
     assert by_gradient == pytest.approx(central, rel=1e-5) and central > 1e-4  # measured 2e-7 and 2e-3
 
 
@@ -123,9 +132,11 @@ def test_the_kernel_is_the_python_of_the_tests(tmp_path, monkeypatch):
 def test_what_is_kept_is_small_and_comes_from_a_run(tutorial):
     text, kept = TUTORIAL.read_text(encoding="utf-8"), read()
     assert len(text.encode()) < 300_000
-    assert not re.search(r"/(home|tmp|work|root|Users|usr)/|[A-Z]:\\\\", re.sub(r"[A-Za-z0-9+/]{200,}", "", text))
+    assert not re.search(r"/(home|tmp|work|root|Users|usr)/|[A-Z]:\\\\", re.sub(r"[A-Za-z0-9+/]{200,}", "",
+                                                                                text))
     cells = [cell for cell in kept.cells if cell.cell_type == "code"]
-    assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))  # once, from top to bottom
+    # once, from top to bottom
+    assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
 
     def kinds(notebook):
         return [(output.output_type, *sorted(output.get("data", ()))) for output in outputs(notebook)]

@@ -19,9 +19,11 @@ from .places.address import is_url
 TYPICAL_SECONDS = 35.0  # of the default fit: nine photos, 256 px, one thread
 PHOTOS = 9  # of a capture whose files are not at hand
 ENDLESS = 3600.0  # seconds, of a fit that ends after iterations
-# A limit must not end a fit that goes on, on a machine ten times slower than where these were measured, and on one thread.
+# A limit must not end a fit that goes on, on a machine ten times slower than where these were measured, and
+# on one thread.
 SLOWEST = 10.0
-BESIDE, RAW, FINISH = 18.0, 60.0, 60.0  # seconds beside the budget: reading and writing; a capture of raw photos; 80 steps
+# seconds beside the budget: reading and writing; a capture of raw photos; 80 steps
+BESIDE, RAW, FINISH = 18.0, 60.0, 60.0
 BUDGETS = 3.0  # a fit looks at the clock between steps, and the last of them may be long
 
 
@@ -61,7 +63,8 @@ class Asked:
         usual: Any = kind(preset=preset) if preset else kind()  # type: ignore[call-arg]
         found = ["--method", method] * (method != next(iter(METHODS)))
         found += ["--preset", preset] * (preset != getattr(kind(), "preset", None))
-        found += [*_changed(self.config, usual), *_changed(self.options, FitOptions()), *["--pages", "none"] * (not self.pages)]
+        found += [*_changed(self.config, usual), *_changed(self.options, FitOptions()),
+                  *["--pages", "none"] * (not self.pages)]
         found += ["--strict"] * self.strict
         return shlex.join([*found, *([] if self.sheet is None else ["--sheet", _typed(self.sheet)])])
 
@@ -71,7 +74,8 @@ class Asked:
         limit = self.config.limited()
         if not isinstance(self.config, HierarchicalConfig):
             return limit.budget or ENDLESS
-        return min(limit.budget or ENDLESS, TYPICAL_SECONDS * self._photos / PHOTOS * (self.options.resolution / 256) ** 2)
+        return min(limit.budget or ENDLESS,
+                   TYPICAL_SECONDS * self._photos / PHOTOS * (self.options.resolution / 256) ** 2)
 
     @property
     def limit(self) -> float | None:

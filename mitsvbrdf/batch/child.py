@@ -1,6 +1,7 @@
 """The process that fits: one capture after the other, with Mitsuba, renderers and kernels kept warm.
 
-A :class:`~.workers.guard.Guard` talks to it over two pipes and watches it; what it prints goes to the guard's log.
+A :class:`~.workers.guard.Guard` talks to it over two pipes and watches it; what it prints goes to the guard's
+log.
 """
 
 from __future__ import annotations
@@ -60,8 +61,8 @@ def fit_into_library(task: dict) -> dict:
     """Fit one capture, and let its result appear in the library.
 
     Args:
-        task: ``attempt``, ``name``, ``identity``, ``capture``, ``library``, ``folder`` where paths start, and ``options``: what
-            was asked for, as ``Asked.record`` has it.
+        task: ``attempt``, ``name``, ``identity``, ``capture``, ``library``, ``folder`` where paths start, and
+            ``options``: what was asked for, as ``Asked.record`` has it.
 
     Returns:
         The row of the material: error, left_out_error, burn_in, warnings and so on.
@@ -130,13 +131,15 @@ def _renderer(name: str, variant: str) -> Renderer:
 
 def _write_record(staging: Path, task: dict, row: dict) -> None:
     """Say in the result itself what it is, for whoever finds it."""
-    from ..system.files import file_hash, write_json
+    from ..io.files import file_hash, write_json
     from .places.place import RECORD
 
     files = {str(path.relative_to(staging)): {"bytes": path.stat().st_size, "sha256": file_hash(path)}
              for path in sorted(staging.rglob("*")) if path.is_file()}
-    write_json(staging / RECORD, {"identity": task["identity"], "name": task["name"], "attempt": task["attempt"],
-                                  "source": task["capture"], "asked": task["options"], "row": row, "files": files})
+    write_json(staging / RECORD, {"identity": task["identity"], "name": task["name"],
+                                  "attempt": task["attempt"],
+                                  "source": task["capture"], "asked": task["options"], "row": row,
+                                  "files": files})
 
 
 def use_threads() -> None:
@@ -152,7 +155,8 @@ def use_threads() -> None:
 def main(perform: Callable[[dict], dict] = fit_into_library) -> None:
     """Run as a guard's child: the last two arguments are the pipes."""
     die_with_parent()
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # SIGTERM then kills: a fit would end early, and half a fit count
+    # SIGTERM then kills: a fit would end early, and half a fit count
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     from ..errors import plain_warnings
     from ..render import make_renderer
 

@@ -1,4 +1,6 @@
-"""What a batch is asked to fit: folders of captures, patterns and lists, each entry a capture and its own options."""
+"""What a batch is asked to fit: folders of captures, patterns and lists, each entry a capture and its own
+options.
+"""
 
 from __future__ import annotations
 
@@ -66,10 +68,11 @@ def entries(names: Sequence[str], mistakes: Mistakes | None = None) -> list[Entr
     """The captures that names stand for, in their order.
 
     Args:
-        names: each a capture (a folder, its JSON file, or a URL), a folder of captures, a pattern of these, a list file with
-            one of these a line, options behind it, ``#`` before a remark; or ``-``, a list on standard input. A library
-            among captures is passed over.
-        mistakes: gathers those in names and lines, and the captures of the others are returned; left out: they are raised.
+        names: each a capture (a folder, its JSON file, or a URL), a folder of captures, a pattern of these, a
+            list file with one of these a line, options behind it, ``#`` before a remark; or ``-``, a list on
+            standard input. A library among captures is passed over.
+        mistakes: gathers those in names and lines, and the captures of the others are returned; left out:
+            they are raised.
 
     Raises:
         CaptureError: a name that stands for no capture, with its line where it is in a list.
@@ -89,7 +92,8 @@ def name_of_source(source: str) -> str:
     """What a capture is called: its folder's name in letters that every file system has."""
     path = source.split("://", 1)[-1].rstrip("/")
     name = os.path.basename(os.path.dirname(path) if path.endswith(".json") else path)
-    return "".join(letter if letter.isascii() and (letter.isalnum() or letter in "._-") else "_" for letter in name
+    return "".join(letter if letter.isascii() and (letter.isalnum() or letter in "._-") else "_"
+                   for letter in name
                    ).strip("._-")[:80] or "capture"
 
 
@@ -111,7 +115,8 @@ def _expanded(name: str, mistakes: Mistakes, own: tuple[str, ...] = (), where: s
     elif path.suffix.lower() == ".json" and path.is_file():
         yield Entry(os.path.realpath(path), own, where)
     elif not where and name == "-":
-        yield from _listed(_lines("standard input", sys.stdin.buffer.read), "standard input", Path(), mistakes)
+        yield from _listed(_lines("standard input", sys.stdin.buffer.read), "standard input", Path(),
+                           mistakes)
     elif not where and path.is_file():
         yield from _listed(_lines(name, path.read_bytes), name, path.parent, mistakes)
     else:
@@ -124,7 +129,8 @@ def _captures_in(folder: Path, where: str) -> list[Path]:
         return []
     if _is_capture(folder):
         return [folder]
-    inside = sorted(each for each in folder.iterdir() if each.is_dir() and each.name[0] != "." and _is_capture(each))
+    inside = sorted(each for each in folder.iterdir() if each.is_dir() and each.name[0] != "."
+                    and _is_capture(each))
     if not inside:
         raise _wrong("a capture, or a folder of captures", f"{folder}, which has no photos", where)
     return inside
@@ -141,7 +147,8 @@ def _lines(name: str, read: Callable[[], bytes]) -> list[str]:
     try:
         return read().decode("utf-8-sig").splitlines()  # some editors begin a file with a mark
     except (OSError, ValueError) as reason:
-        raise CaptureError("a list of captures, one a line", f"{name}: {reason}", "write it as UTF-8 text") from None
+        raise CaptureError("a list of captures, one a line", f"{name}: {reason}",
+                           "write it as UTF-8 text") from None
 
 
 def _listed(lines: Iterable[str], name: str, base: Path, mistakes: Mistakes) -> Iterator[Entry]:

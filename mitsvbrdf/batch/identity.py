@@ -1,4 +1,6 @@
-"""Which result belongs to which capture: a hash of all that decides it, so that nothing is fitted twice or mistaken."""
+"""Which result belongs to which capture: a hash of all that decides it, so that nothing is fitted twice or
+mistaken.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..capture.photo import SUFFIXES
-from ..system.json_files import load
+from ..io.json_files import load
 from .places.address import is_url
 from .places.remote import CALIBRATIONS, remote_contents
 
@@ -37,8 +39,11 @@ def identity(source: str, asked: dict, hash_of: Hash) -> str:
 
 
 def identity_of_unreadable(source: str, asked: dict) -> str:
-    """In the place of the identity of a capture whose photos cannot be read: a hash of its address and its options."""
-    return hashlib.sha256(json.dumps([__version__, asked, source, "unreadable"], sort_keys=True).encode()).hexdigest()
+    """In the place of the identity of a capture whose photos cannot be read: a hash of its address and its
+    options.
+    """
+    return hashlib.sha256(json.dumps([__version__, asked, source, "unreadable"],
+                                     sort_keys=True).encode()).hexdigest()
 
 
 def is_calibrated(source: str) -> bool:
@@ -58,7 +63,8 @@ def capture_files(source: Path) -> list[Path]:
         folders.add(folder / target)
     except (OSError, ValueError, KeyError, TypeError):
         pass  # no such file, or a wrong one, which the fit will say
-    inside = [path for each in folders if each.is_dir() for path in each.iterdir() if path.is_file() and path.name[0] != "."]
+    inside = [path for each in folders if each.is_dir() for path in each.iterdir() if path.is_file()
+              and path.name[0] != "."]
     return sorted({path for path in inside if path == source or path.name in CALIBRATION_FILES
                    or path.suffix.lower() in SUFFIXES})
 

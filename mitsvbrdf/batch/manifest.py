@@ -1,8 +1,9 @@
 """What became of every capture of a library: one SQLite file, written by one batch at a time.
 
-SQLite and not Parquet: each change of a state is a transaction of its own that survives a power cut, and rows change thousands
-of times; ``library.json`` is what pandas reads. Files are the truth and this is their index: a result that lies in the library
-counts as done, whatever stands here, and so a manifest that was lost is made anew from them.
+SQLite and not Parquet: each change of a state is a transaction of its own that survives a power cut, and rows
+change thousands of times; ``library.json`` is what pandas reads. Files are the truth and this is their index:
+a result that lies in the library counts as done, whatever stands here, and so a manifest that was lost is
+made anew from them.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from ..errors import OutputError
-from ..system.files import file_hash, is_entry
+from ..io.files import file_hash, is_entry
 
 FILE = "manifest.sqlite"
 VERSION = 1
@@ -28,8 +29,10 @@ SHORT = 8  # letters of an identity that a folder's name has, beside the capture
 UNIQUE = 16  # and that an attempt's name has, alone: of 100,000 captures, two are likely to share eight
 AWAY = "move it away; results are found again"
 # SQLite holds anything in any column; this is what ours hold.
-_KINDS = dict.fromkeys(("identity", "name", "folder", "source", "asked", "own", "tags", "state", "reason"), (str,)) | {
-    "cost": (int, float), "attempts": (int,), "seconds": (int, float, type(None)), "peak_bytes": (int, float, type(None))
+_KINDS = dict.fromkeys(("identity", "name", "folder", "source", "asked", "own", "tags", "state", "reason"),
+                       (str,)) | {
+    "cost": (int, float), "attempts": (int,), "seconds": (int, float, type(None)),
+    "peak_bytes": (int, float, type(None))
 } | dict.fromkeys(("published", "worker", "host", "date", "row"), (str, type(None)))
 _TABLES = """
 create table if not exists materials (
@@ -53,7 +56,8 @@ def now() -> str:
 
 def _opened(path: Path, readonly: bool) -> tuple[sqlite3.Connection, int]:
     """The file, and its version, 0 where it is new."""
-    address = f"{path.resolve().as_uri()}?mode={'ro' if readonly else 'rwc'}" if str(path) != IN_MEMORY else f"file:{path}"
+    address = (f"{path.resolve().as_uri()}?mode={'ro' if readonly else 'rwc'}" if str(path) != IN_MEMORY
+               else f"file:{path}")
     db = sqlite3.connect(address, uri=True, timeout=30)
     try:
         return db, db.execute("pragma user_version").fetchone()[0]
@@ -61,7 +65,8 @@ def _opened(path: Path, readonly: bool) -> tuple[sqlite3.Connection, int]:
         db.close()
         if not readonly:
             raise
-    return _opened(path, readonly=False)  # a batch died in the midst of a change: whoever may write takes it back
+    # a batch died in the midst of a change: whoever may write takes it back
+    return _opened(path, readonly=False)
 
 
 def _way_out(reason: sqlite3.Error, otherwise: str) -> str:
@@ -97,7 +102,8 @@ class Manifest:
             raise OutputError("a library's manifest", f"{path}: {reason}",
                               _way_out(reason, AWAY)) from None
         if version != VERSION:
-            raise OutputError(f"a manifest of version {VERSION}", f"{version} in {path}", "use the version that made it")
+            raise OutputError(f"a manifest of version {VERSION}", f"{version} in {path}",
+                              "use the version that made it")
 
     def close(self) -> None:
         """Close the file."""
@@ -112,7 +118,8 @@ class Manifest:
             with self.db:
                 yield
         except sqlite3.Error as reason:
-            raise OutputError(f"to write {self.path}", str(reason), _way_out(reason, "free space, or check the disk")) from None
+            raise OutputError(f"to write {self.path}", str(reason),
+                              _way_out(reason, "free space, or check the disk")) from None
 
     def wrong(self, what: str) -> OutputError:
         """The error of a file that holds something else than we wrote."""
@@ -122,7 +129,8 @@ class Manifest:
         try:
             return self.db.execute(query, values).fetchall()
         except sqlite3.Error as reason:
-            raise OutputError("a library's manifest", f"{self.path}: {reason}", _way_out(reason, AWAY)) from None
+            raise OutputError("a library's manifest", f"{self.path}: {reason}",
+                              _way_out(reason, AWAY)) from None
 
     def hash_of(self, path: Path) -> str:
         """A file's SHA-256, remembered for as long as its size and time of change stay."""
@@ -143,11 +151,12 @@ class Manifest:
         self._hashes, self._hashes_due = [], time.monotonic() + HASHES_SECONDS
 
     def want(self, materials: Iterable[dict]) -> None:
-        """These are what the batch is about; others stay, and are wanted no more where source and options are the same.
+        """These are what the batch is about; others stay, and are wanted no more where source and options are
+        the same.
 
         Args:
-            materials: ``identity``, ``name``, ``source``, ``asked`` (with ``folder``, where paths start, and ``limit`` in
-                seconds), ``own`` (its options in words), ``tags``, ``cost``.
+            materials: ``identity``, ``name``, ``source``, ``asked`` (with ``folder``, where paths start, and
+                ``limit`` in seconds), ``own`` (its options in words), ``tags``, ``cost``.
         """
         materials = list(materials)
         self._keep_hashes()
@@ -159,10 +168,13 @@ class Manifest:
             for each in materials:
                 folder = f"{each['name']}-{each['identity'][:SHORT]}"
                 self.db.execute(
-                    "insert into materials (identity, name, folder, source, asked, own, tags, cost, wanted) values "
-                    "(:identity, :name, :folder, :source, :asked, :own, :tags, :cost, 1) on conflict (identity) do update set "
+                    "insert into materials (identity, name, folder, source, asked, own, tags, cost, wanted) "
+                    "values "
+                    "(:identity, :name, :folder, :source, :asked, :own, :tags, :cost, 1) on conflict "
+                    "(identity) do update set "
                     "source = :source, asked = :asked, own = :own, tags = :tags, cost = :cost, wanted = 1",
-                    each | {"folder": folder, "asked": json.dumps(each["asked"]), "tags": json.dumps(each["tags"])})
+                    each | {"folder": folder, "asked": json.dumps(each["asked"]),
+                            "tags": json.dumps(each["tags"])})
 
     def refuse(self, reasons: Mapping[str, str]) -> None:
         """These have failed before anybody could try.
@@ -177,9 +189,11 @@ class Manifest:
     def materials(self, *states: str, wanted: bool = True) -> list[sqlite3.Row]:
         """The materials in these states, all where none is named; by name."""
         some = f" and state in ({', '.join('?' * len(states))})" if states else ""
-        found = self._read(f"select * from materials where wanted >= ?{some} order by name, identity", int(wanted), *states)
+        found = self._read(f"select * from materials where wanted >= ?{some} order by name, identity",
+                           int(wanted), *states)
         for each in found:
-            if wrong := next((name for name, kinds in _KINDS.items() if not isinstance(each[name], kinds)), None):
+            if wrong := next((name for name, kinds in _KINDS.items() if not isinstance(each[name], kinds)),
+                             None):
                 raise self.wrong(f"{each[wrong]!r:.60} as {wrong}")
             if not is_entry(each["folder"]):
                 raise self.wrong(f"{each['folder']!r:.60} as folder")
@@ -197,11 +211,14 @@ class Manifest:
     def begin(self, identity: str, worker: str, host: str) -> str:
         """An attempt begins; returns its name."""
         with self._change():
-            self.db.execute("update materials set state = 'running', attempts = attempts + 1, worker = ?, host = ?, "
+            self.db.execute("update materials set state = 'running', attempts = attempts + 1, worker = ?, "
+                            "host = ?, "
                             "reason = '' where identity = ?", (worker, host, identity))
-            count = self.db.execute("select attempts from materials where identity = ?", (identity,)).fetchone()[0]
+            count = self.db.execute("select attempts from materials where identity = ?",
+                                    (identity,)).fetchone()[0]
             attempt = f"{identity[:UNIQUE]}-{count}"
-            self.db.execute("insert into attempts (attempt, identity, worker, host, started) values (?, ?, ?, ?, ?)",
+            self.db.execute("insert into attempts (attempt, identity, worker, host, started) values (?, ?, "
+                            "?, ?, ?)",
                             (attempt, identity, worker, host, now()))
         return attempt
 
@@ -211,33 +228,40 @@ class Manifest:
         Args:
             attempt: its name.
             state: of its material from now on: pending (again), done or failed.
-            outcome: ``state`` of the attempt, ``reason``, and where known ``seconds``, ``peak_bytes``, ``row``.
+            outcome: ``state`` of the attempt, ``reason``, and where known ``seconds``, ``peak_bytes``,
+                ``row``.
             ended: the attempt whose result counts, where it is another one.
         """
         facts = {"seconds": None, "peak_bytes": None, "row": None, "reason": ""} | outcome
         facts |= {"attempt": attempt, "material": state, "time": now(), "row": json.dumps(facts["row"]),
                   "published": (ended or attempt) if state == "done" else None}
         with self._change():
-            self.db.execute("update attempts set ended = :time, state = :state, reason = :reason, seconds = :seconds, "
+            self.db.execute("update attempts set ended = :time, state = :state, reason = :reason, seconds = "
+                            ":seconds, "
                             "peak_bytes = :peak_bytes where attempt = :attempt", facts)
             self.db.execute("update materials set state = :material, reason = :reason, seconds = :seconds, "
-                            "peak_bytes = :peak_bytes, row = :row, date = :time, published = :published where identity = "
+                            "peak_bytes = :peak_bytes, row = :row, date = :time, published = :published "
+                            "where identity = "
                             "(select identity from attempts where attempt = :attempt)", facts)
 
     def adopt(self, identity: str, record: dict) -> None:
         """A result that lies in the library counts as done: that of an attempt whose end nobody saw."""
         with self._change():
-            self.db.execute("update attempts set state = 'done', ended = ?, reason = 'found in the library' where attempt = ? "
+            self.db.execute("update attempts set state = 'done', ended = ?, reason = 'found in the library' "
+                            "where attempt = ? "
                             "and identity = ?", (now(), record["attempt"], identity))
-            self.db.execute("update materials set state = 'done', reason = '', seconds = ?, row = ?, date = ?, published = ?, "
+            self.db.execute("update materials set state = 'done', reason = '', seconds = ?, row = ?, date = "
+                            "?, published = ?, "
                             "attempts = max(attempts, ?) where identity = ?",
-                            (record["row"].get("seconds"), json.dumps(record["row"]), record["row"].get("date"),
+                            (record["row"].get("seconds"), json.dumps(record["row"]),
+                             record["row"].get("date"),
                              record["attempt"], int(record["attempt"].rpartition("-")[2]), identity))
 
     def again(self, identity: str, reason: str = "") -> None:
         """A material waits to be fitted (again)."""
         with self._change():
-            self.db.execute("update materials set state = 'pending', reason = ?, row = null, published = null "
+            self.db.execute("update materials set state = 'pending', reason = ?, row = null, published = "
+                            "null "
                             "where identity = ?", (reason, identity))
 
     def interrupted(self) -> None:

@@ -1,4 +1,6 @@
-"""From what was asked for to what is left to do: identities, what lies in the library already, and what has changed."""
+"""From what was asked for to what is left to do: identities, what lies in the library already, and what has
+changed.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..errors import OutputError
-from ..system.files import open_regular, write_bytes, write_json
+from ..io.files import open_regular, write_bytes, write_json
 from .asked import Asked
 from .entries import name_of_source
 from .identity import identity, identity_of_unreadable, is_calibrated
@@ -39,7 +41,8 @@ def library_lock(home: Path) -> Callable[[], None]:
             path.name == LOCK or path.name.startswith((TOKEN, f".{TOKEN}")) for path in home.iterdir())
         if not known or home.exists() and not home.is_dir():
             photos = home.is_dir() and is_capture(os.listdir(home))
-            raise OutputError("a new folder or a library", f"{home}, which {'holds photos' if photos else 'is neither'}",
+            raise OutputError("a new folder or a library",
+                              f"{home}, which {'holds photos' if photos else 'is neither'}",
                               "choose another place")
         home.mkdir(parents=True, exist_ok=True)
         _refuse_links(home)
@@ -60,9 +63,12 @@ def library_lock(home: Path) -> Callable[[], None]:
 
 
 def _refuse_links(home: Path) -> None:
-    """Raise OutputError where something would be written through a link; results may be links, which are only read."""
+    """Raise OutputError where something would be written through a link; results may be links, which are only
+    read.
+    """
     for path in (*home.iterdir(), *home.glob(f"{QUARANTINE}/*")):
-        if path.is_symlink() and not (path.is_dir() and path.parent == home and path.name not in (WORK, QUARANTINE)):
+        if path.is_symlink() and not (path.is_dir() and path.parent == home and path.name not in (WORK,
+                                                                                                  QUARANTINE)):
             raise OutputError("a library without links in it", f"{path}, a link", "move it away")
 
 
@@ -86,7 +92,8 @@ def register(asked: Iterable[Asked], manifest: Manifest, report: Report) -> Regi
         manifest: of the library.
         report: told what is being read and the share done.
     """
-    asked, materials, nameless, same = list(asked), dict[str, dict](), dict[str, OutputError](), dict[str, str]()
+    asked, materials, nameless, same = list(asked), dict[str, dict](), dict[str, OutputError](), dict[str,
+                                                                                                      str]()
     unreadable: dict[str, str] = {}
     for number, each in enumerate(asked):
         source = each.entry.source
@@ -122,9 +129,11 @@ def _material(each: Asked, manifest: Manifest) -> tuple[dict, str]:
         known, cost, limit = identity(source, each.record, manifest.hash_of), each.cost, each.limit
     except OSError as error:
         known = identity_of_unreadable(source, each.record)
-        reason = str(OutputError("a capture that can be read", f"{source}: {error}", "check your rights to it"))
+        reason = str(OutputError("a capture that can be read", f"{source}: {error}",
+                                 "check your rights to it"))
     asked = each.record | {"folder": os.getcwd(), "limit": limit}
-    return {"identity": known, "name": name_of_source(source), "source": source, "asked": asked, "own": each.words,
+    return {"identity": known, "name": name_of_source(source), "source": source, "asked": asked,
+            "own": each.words,
             "tags": list(each.tags), "cost": cost}, reason
 
 
@@ -160,7 +169,8 @@ def take_stock(manifest: Manifest, place: Place, home: Path, retry_failed: bool)
     for each in manifest.materials("done", "pending", "failed"):
         record = place.record(each["folder"])
         whole = record is not None and record.get("identity") == each["identity"]
-        wrong = place.damage(each["folder"], record, hashes=False) if record and whole else "its record is missing"
+        wrong = (place.damage(each["folder"], record, hashes=False) if record and whole
+                 else "its record is missing")
         if not wrong and record:
             if each["state"] != "done":
                 manifest.adopt(each["identity"], record)
@@ -206,5 +216,6 @@ def task_of(manifest: Manifest, work: Work, attempt: str, library: str) -> dict:
     """What a worker is told of a piece of work."""
     row = manifest.material(work.identity)
     asked = json.loads(row["asked"])
-    return {"attempt": attempt, "name": row["name"], "identity": work.identity, "capture": row["source"], "library": library,
+    return {"attempt": attempt, "name": row["name"], "identity": work.identity, "capture": row["source"],
+            "library": library,
             "folder": asked.pop("folder"), "limit": asked.pop("limit", None), "options": asked}

@@ -7,13 +7,14 @@ from pathlib import Path
 import torch
 
 from .. import color
+from ..io.files import write_bytes
 from ..material.maps import SVBRDF
 from ..render import make_renderer
-from ..system.files import write_bytes
 from ..views import Views
 
 SIDE = 192  # pixels
-LIGHTS = ((-0.35, 0.35, 1.3), (0.9, 0.5, 1.2))  # patch sides: a highlight on the patch, and light aslant that shows relief
+# patch sides: a highlight on the patch, and light aslant that shows relief
+LIGHTS = ((-0.35, 0.35, 1.3), (0.9, 0.5, 1.2))
 CAMERA = (0.0, 0.0, 2.2)
 BRIGHT = 0.9  # quantile of the radiance that becomes mid-bright
 QUALITY = 85

@@ -1,4 +1,6 @@
-"""How a batch goes, on the terminal: a bar and counts; on a pipe one line a capture. Both count what this run has to do."""
+"""How a batch goes, on the terminal: a bar and counts; on a pipe one line a capture. Both count what this run
+has to do.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ from collections.abc import Iterator
 
 import rich.progress
 
-from ..system.progress import console, say
+from ..io.progress import console, say
 from .run import Progress, Tell
 
 
@@ -35,7 +37,8 @@ def telling(title: str) -> Iterator[Tell]:
 def words(stands: Progress) -> str:
     """How a batch stands, in a line."""
     now = {name: stands.counts[name] - stands.before.get(name, 0) for name in ("running", "failed")}
-    parts = [f"{stands.ended} of {stands.ended + stands.left} ended", *(f"{n} {name}" for name, n in now.items() if n)]
+    parts = [f"{stands.ended} of {stands.ended + stands.left} ended",
+             *(f"{n} {name}" for name, n in now.items() if n)]
     if stands.left_seconds is not None:
         parts += [rate(stands.per_hour), f"about {duration(stands.left_seconds)} left"]
     before = [f"{n} {name}" for name in ("done", "failed") if (n := stands.before.get(name))]
@@ -43,7 +46,9 @@ def words(stands: Progress) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A length of time in at most two units: 0.8 s, 40 s, 12 min, 3 h 20 min, 2 days 5 h; the page says the same."""
+    """A length of time in at most two units: 0.8 s, 40 s, 12 min, 3 h 20 min, 2 days 5 h; the page says the
+    same.
+    """
     minutes, hours = math.floor(seconds / 60 + 0.5), math.floor(seconds / 3600 + 0.5)
     if seconds < 89.5:
         return f"{seconds:.1f} s" if seconds < 9.95 else f"{math.floor(seconds + 0.5)} s"

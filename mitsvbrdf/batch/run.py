@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import OutputError
-from ..system.interrupts import stop_signals
-from ..system.progress import several
+from ..io.interrupts import stop_signals
+from ..io.progress import several
 from .library.rows import write_library
 from .manifest import Manifest
 from .places.address import title_of
@@ -77,15 +77,16 @@ class Batch:
         clock: seconds since any moment.
     """
 
-    def __init__(self, home: Path, library: str, place: Place, manifest: Manifest, scheduler: Scheduler, tell: Tell,
-                 command: str | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, home: Path, library: str, place: Place, manifest: Manifest, scheduler: Scheduler,
+                 tell: Tell, command: str | None = None, clock: Callable[[], float] = time.monotonic) -> None:
         self.home, self.library, self.place, self.manifest = home, library, place, manifest
         self.scheduler, self.tell, self.command, self.clock = scheduler, tell, command, clock
         self.idle: dict[str, str] = {}  # hosts of workers without work
         self.attempts: dict[str, str] = {}  # by worker
         self.names: dict[str, str] = {}  # of what each worker runs
         self.hosts: dict[str, str] = {}
-        self.counts = manifest.counts()  # kept here too: to count 100,000 rows at each event would take most of the time
+        # kept here too: to count 100,000 rows at each event would take most of the time
+        self.counts = manifest.counts()
         self.before = dict(self.counts)
         self.started, self.ended, self.trouble = clock(), 0, ""
         self._page_due, self.going = 0.0, True
@@ -153,7 +154,9 @@ class Batch:
             pool.run(worker, task)
 
     def _next(self, worker: str) -> Work | None:
-        """The next work that is not done yet: one whose worker was lost may have let its result appear before."""
+        """The next work that is not done yet: one whose worker was lost may have let its result appear
+        before.
+        """
         while work := self.scheduler.hand_out(worker):
             folder = self.manifest.material(work.identity)
             record = self.place.record(folder["folder"]) if folder["attempts"] else None
@@ -163,7 +166,8 @@ class Batch:
             release(self.home, folder["folder"])
             self.scheduler.found_done(worker)
             self._moved("pending", "done")
-            self._said(work, "done", {"reason": "", "row": record["row"], "seconds": record["row"].get("seconds")})
+            self._said(work, "done", {"reason": "", "row": record["row"],
+                                      "seconds": record["row"].get("seconds")})
         return None
 
     def _finished(self, worker: str, outcome: dict) -> None:
@@ -182,17 +186,21 @@ class Batch:
         self._noted(work, attempt, verdict, outcome)
 
     def _lost(self, worker: str, reason: str) -> None:
-        attempt, found, _ = self.attempts.pop(worker, None), self.scheduler.lost(worker), self.names.pop(worker, "")
+        attempt, found, _ = self.attempts.pop(worker,
+                                              None), self.scheduler.lost(worker), self.names.pop(worker, "")
         if attempt and found:
             self._noted(found[0], attempt, found[1], {"state": "lost", "reason": reason, "log": ""})
 
     def _noted(self, work: Work, attempt: str, verdict: str, outcome: dict) -> None:
-        """Write down how an attempt ended, by what lies in the library; a capture that failed goes to the quarantine."""
+        """Write down how an attempt ended, by what lies in the library; a capture that failed goes to the
+        quarantine.
+        """
         material = self.manifest.material(work.identity)
         record = (self.place.record(material["folder"]) or {}) if verdict != "again" else {}
         there = record.get("identity") == work.identity
         if verdict == "done" and not there:
-            verdict, outcome = "failed", outcome | {"state": "failed", "reason": "its result did not appear", "row": None}
+            verdict, outcome = "failed", outcome | {"state": "failed", "reason": "its result did not appear",
+                                                    "row": None}
         elif verdict == "failed" and there:  # it died after its result had appeared
             verdict, outcome = "done", outcome | {"row": record["row"]}
         if verdict == "done":
@@ -226,7 +234,8 @@ class Batch:
 
     def progress(self) -> Progress:
         """How it stands now."""
-        return Progress(dict(self.counts), self.clock() - self.started, self.ended, list(self.names.values()), self.before)
+        return Progress(dict(self.counts), self.clock() - self.started, self.ended, list(self.names.values()),
+                        self.before)
 
     def _show(self) -> None:
         """Tell how it stands, and write the page anew where it is time."""

@@ -1,8 +1,10 @@
-"""Who fits what next. No clock, no disk and no Ray: the same code schedules a batch and the simulation of one.
+"""Who fits what next. No clock, no disk and no Ray: the same code schedules a batch and the simulation of
+one.
 
-The largest captures go first, so that none is left to be waited for at the end. A capture whose fit crashed, ran out of time
-or memory is tried again after all that were not tried yet; one that the fit refused is not, for it would be refused again. What
-was lost with its worker goes back to the front: that was not the capture's fault, until it happens again and again.
+The largest captures go first, so that none is left to be waited for at the end. A capture whose fit crashed,
+ran out of time or memory is tried again after all that were not tried yet; one that the fit refused is not,
+for it would be refused again. What was lost with its worker goes back to the front: that was not the
+capture's fault, until it happens again and again.
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ from typing import Literal
 
 State = Literal["pending", "running", "done", "failed"]
 Verdict = Literal["done", "failed", "again"]
-ENDED_WELL, REFUSED = "done", "failed"  # what an outcome says; "crashed", "timeout" and "memory" are tried again
+# what an outcome says; "crashed", "timeout" and "memory" are tried again
+ENDED_WELL, REFUSED = "done", "failed"
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,8 @@ class Scheduler:
 
     def __init__(self, work: Iterable[Work], retries: int = 2, most_lost: int = 8) -> None:
         self.retries, self.most_lost = retries, most_lost
-        self._waiting = [(0, -each.cost, number, each) for number, each in enumerate(work)]  # tries first, then the largest
+        # tries first, then the largest
+        self._waiting = [(0, -each.cost, number, each) for number, each in enumerate(work)]
         heapq.heapify(self._waiting)
         self._count = len(self._waiting)
         self.running: dict[str, Work] = {}  # by worker
@@ -86,12 +90,16 @@ class Scheduler:
         return work, verdict
 
     def found_done(self, worker: str) -> None:
-        """The work just handed out turned out to be done already: its worker was lost after it had finished."""
+        """The work just handed out turned out to be done already: its worker was lost after it had
+        finished.
+        """
         self.running.pop(worker)
         self.ended["done"] += 1
 
     def put_back(self, worker: str) -> None:
-        """The work just handed out was not begun: there is no space for its result, or nobody waits for it any more."""
+        """The work just handed out was not begun: there is no space for its result, or nobody waits for it
+        any more.
+        """
         work = self.running.pop(worker)
         self._wait(work, self._tried.get(work.identity, 0), first=True)
 

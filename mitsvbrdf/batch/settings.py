@@ -16,15 +16,18 @@ class BatchSettings:
     """Workers and their limits."""
 
     workers: int | None = None
-    """How many fit at a time. Left out: one a core, fewer where memory is short; on a cluster as many as its cores allow."""
+    """How many fit at a time. Left out: one a core, fewer where memory is short; on a cluster as many as its
+    cores allow."""
     threads: int = 1
     """Threads of each worker."""
     address: str | None = None
-    """A Ray cluster to join: auto, HOST:PORT or ray://HOST:PORT. Left out: a Ray of its own, on this machine alone."""
+    """A Ray cluster to join: auto, HOST:PORT or ray://HOST:PORT. Left out: a Ray of its own, on this machine
+    alone."""
     retries: int = 2
     """How often a fit is tried again that crashed or took more time or memory than it may."""
     timeout: float | None = None
-    """Seconds that a fit may take. Left out: 3 minutes and 3 times its budget, more where much is read or written."""
+    """Seconds that a fit may take. Left out: 3 minutes and 3 times its budget, more where much is read or
+    written."""
     memory: float | None = None
     """GiB that a worker may take. Left out: an equal share of what is free here; on a cluster, no limit."""
     retry_failed: bool = False
@@ -36,8 +39,10 @@ class BatchSettings:
         """Raise ConfigError for numbers out of range."""
         least = {"workers": 1, "threads": 1, "retries": 0}
         for name, value in {name: getattr(self, name) for name in (*least, "timeout", "memory")}.items():
-            if value is not None and not (value >= least[name] if name in least else 0 < value < float("inf")):
-                raise ConfigError(f"--{name} of {least[name]} or more" if name in least else f"--{name} > 0", str(value),
+            if value is not None and not (value >= least[name] if name in least
+                                          else 0 < value < float("inf")):
+                raise ConfigError(f"--{name} of {least[name]} or more" if name in least else f"--{name} > 0",
+                                  str(value),
                                   "give such a number")
 
     def local_workers(self) -> int:
@@ -50,7 +55,8 @@ class BatchSettings:
 
     def local_memory(self, workers: int) -> float | None:
         """GiB that each of so many workers may take here; None is no limit."""
-        return self.memory or (round(HEADROOM * free_gib() / workers, 2) if free_gib() < float("inf") else None)
+        return self.memory or (round(HEADROOM * free_gib() / workers, 2) if free_gib() < float("inf")
+                               else None)
 
 
 def free_gib() -> float:

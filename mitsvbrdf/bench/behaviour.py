@@ -1,4 +1,6 @@
-"""How methods behave, as far as a benchmark depends on it: which draw random numbers, and which fit a longer budget repeats."""
+"""How methods behave, as far as a benchmark depends on it: which draw random numbers, and which fit a longer
+budget repeats.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +12,9 @@ from .peers_baseline import PeersConfig
 
 NO_RANDOMNESS = (DirectConfig, PeersConfig)  # the same bits from every seed
 
-# Settings -> how a fit ends by itself, and by which share of its budget it must have ended for every longer budget to give the
-# same bits: steps of the baseline know no budget; those of `hierarchical` know deadlines, the first at this share.
+# Settings -> how a fit ends by itself, and by which share of its budget it must have ended for every longer
+# budget to give the same bits: steps of the baseline know no budget; those of `hierarchical` know deadlines,
+# the first at this share.
 ENDS = {PeersConfig: ("iterations", 1.0), HierarchicalConfig: ("settled", min(DEADLINE.values()))}
 
 

@@ -1,4 +1,6 @@
-"""The process that does jobs of a benchmark for :mod:`mitsvbrdf.bench.parallel`: its tasks are kept, its kernels warm."""
+"""The process that does jobs of a benchmark for :mod:`mitsvbrdf.bench.parallel`: its tasks are kept, its
+kernels warm.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ def measure(task: dict) -> dict:
     """Do one job.
 
     Args:
-        task: ``folder`` where paths start, ``plan`` (the name of its class and its fields), and the job's ``key`` as text.
+        task: ``folder`` where paths start, ``plan`` (the name of its class and its fields), and the job's
+            ``key`` as text.
 
     Returns:
         The figures of its record, and ``seconds``.
@@ -29,7 +32,8 @@ def measure(task: dict) -> dict:
     jobs = _jobs(PLANS[kind](**fields))
     job = jobs.get(task["key"])
     if job is None:
-        raise ConfigError("a job of this benchmark", task["key"], "use the same version and data on all nodes")
+        raise ConfigError("a job of this benchmark", task["key"],
+                          "use the same version and data on all nodes")
     warm_up(job, _warm)
     return job.run()
 

@@ -1,8 +1,9 @@
-"""From a phone to maps: captures that were made without calibration, against the truth and against calibrated ones.
+"""From a phone to maps: captures that were made without calibration, against the truth and against calibrated
+ones.
 
-Known materials are photographed by the simulated phone, with and without a sheet of tags; the capture made of the photos is
-held against the truth, and so are the maps of its fit, beside those of a fit of the same photos with the true views. Real
-captures lose their views; those found again are held against the ones given.
+Known materials are photographed by the simulated phone, with and without a sheet of tags; the capture made of
+the photos is held against the truth, and so are the maps of its fit, beside those of a fit of the same photos
+with the true views. Real captures lose their views; those found again are held against the ones given.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from ..errors import MitsvbrdfError
 from ..evaluate import evaluate_fit
 from ..fit import HierarchicalConfig, fit_svbrdf
 from ..fit.result import FitResult
+from ..io.timing import timed
 from ..material.made import make_material
 from ..material.map_files import load_maps
 from ..material.maps import SVBRDF
@@ -32,7 +34,6 @@ from ..synth.against_truth import compare_with_truth
 from ..synth.phone import HandheldPhone
 from ..synth.photos import write_handheld
 from ..synth.truth import Truth, rig_of, true_capture, truth_maps
-from ..system.timing import timed
 from ..views import Views, default_views
 from .methods import settings_of
 from .schema import USUAL_LEFT_OUT
@@ -69,7 +70,8 @@ class CaptureJob:
     @property
     def name(self) -> str:
         """Of the material or the capture."""
-        return self.source.removeprefix("builtin:") if self.source.startswith("builtin:") else Path(self.source).name
+        return (self.source.removeprefix("builtin:") if self.source.startswith("builtin:")
+                else Path(self.source).name)
 
     @property
     def key(self) -> dict:
@@ -85,7 +87,8 @@ class CaptureJob:
     @property
     def title(self) -> str:
         """For the progress line."""
-        how = "without views" if self.kind == "capture" else "with a sheet" if self.sheet else "without a sheet"
+        how = ("without views" if self.kind == "capture" else "with a sheet" if self.sheet
+               else "without a sheet")
         return f"capture, {self.name}, {how}"
 
     @property
@@ -111,7 +114,8 @@ class CaptureJob:
             return {"seconds": {}, "errors": {}, "stopped": "failed", "why": str(reason)}
         return {"seconds": seconds, "errors": errors, "stopped": "done", "why": None}
 
-    def _material(self, folder: Path, report: Callable[[float], object]) -> tuple[dict[str, float], dict[str, float]]:
+    def _material(self, folder: Path, report: Callable[[float], object]) -> tuple[dict[str, float],
+                                                                                  dict[str, float]]:
         from ..capture.make import capture_keys, make_capture
         from ..capture.photo import Photo, photos_in
         from ..synth.traced import HandheldRenderer
@@ -119,7 +123,8 @@ class CaptureJob:
         made = self.source.startswith("builtin:")
         maps = make_material(self.name, SAMPLE_SIDE) if made else load_maps(self.source)
         phone = replace(self.phone, sheet=SHEET_CM if self.sheet else None)
-        _, taking = timed(write_handheld, maps, phone, partial(HandheldRenderer, variant=self.variant), folder / "raw")
+        _, taking = timed(write_handheld, maps, phone, partial(HandheldRenderer, variant=self.variant),
+                          folder / "raw")
         report(0.2)
         photographed = make_capture([Photo.open(path) for path in photos_in(folder / "raw")], phone.sheet,
                                     phone.depth if self.sheet else 0.0, resolution=max(512, self.resolution))
@@ -145,14 +150,16 @@ class CaptureJob:
         without = replace(given, views=unknown, calibration="none")
         (estimated, *_), taken = timed(self_calibrated, without)
         seconds = {"views estimated": taken}
-        errors = {f"estimated {name}": value for name, value in recovered(estimated.views, given.views).items()}
+        errors = {f"estimated {name}": value for name, value in recovered(estimated.views,
+                                                                          given.views).items()}
 
         def fitted(shots: Capture, name: str, config: HierarchicalConfig) -> FitResult:
             result, seconds[f"fit, {name}"] = timed(self._fit, shots, config)
             report(len(seconds) / 5)
             return result
 
-        with_views, alone = fitted(given, "views given", self.config), fitted(without, "without views", self.config)
+        with_views, alone = fitted(given, "views given", self.config), fitted(without, "without views",
+                                                                              self.config)
         errors |= {f"fitted {name}": value for name, value in recovered(alone.views, given.views).items()}
         errors |= {"given photos": with_views.rerender_rmse, "found photos": alone.rerender_rmse,
                    "ratio": alone.rerender_rmse / with_views.rerender_rmse}
@@ -173,21 +180,26 @@ def recovered(found: Views, given: Views) -> dict[str, float]:
     """Cameras against those given, in patch sides, after the scale and the sideways shift of least squares.
 
     Returns:
-        ``lateral``: median distance seen from above; ``depth``: median ratio of heights, less 1; ``scale``: given over found.
+        ``lateral``: median distance seen from above; ``depth``: median ratio of heights, less 1; ``scale``:
+        given over found.
     """
     one, other = (views.in_patch_sides().camera.double().numpy().copy() for views in (found, given))
     for camera in (one, other):
         camera[:, :2] -= camera[:, :2].mean(axis=0)
     scale = float((one * other).sum() / (one**2).sum())
     lateral = np.linalg.norm(scale * one[:, :2] - other[:, :2], axis=1)
-    return {"lateral": float(np.median(lateral)), "depth": float(np.median(np.abs(scale * one[:, 2] / other[:, 2] - 1))),
+    return {"lateral": float(np.median(lateral)),
+            "depth": float(np.median(np.abs(scale * one[:, 2] / other[:, 2] - 1))),
             "scale": scale}
 
 
 def scaled_diffuse_rmse(svbrdf: SVBRDF, truth: SVBRDF) -> float:
-    """RMSE of the diffuse map (:func:`mitsvbrdf.measure.metrics.map_rmse`) after the one factor that makes it least."""
+    """RMSE of the diffuse map (:func:`mitsvbrdf.measure.metrics.map_rmse`) after the one factor that makes it
+    least.
+    """
     size = min(svbrdf.resolution, truth.resolution)
-    found, known = (color.encode(m.as_roughconductor().resized(size)["diffuse"].double()) for m in (svbrdf, truth))
+    found, known = (color.encode(m.as_roughconductor().resized(size)["diffuse"].double()) for m in (svbrdf,
+                                                                                                    truth))
     factor = (found * known).sum() / found.square().sum().clamp_min(torch.finfo(torch.float64).tiny)
     return float((factor * found - known).square().mean().sqrt())
 
@@ -197,12 +209,13 @@ def _flat(compared: dict) -> dict[str, float]:
     cameras, rectification, lens, power = (compared[k] for k in ("cameras", "rectification", "lens", "power"))
     return {"cameras": cameras["rms"], "worst camera": cameras["worst"], "lights": compared["lights"]["rms"],
             "rectification": rectification["rms"], "mutual": rectification["mutual"], "focal": lens["focal"],
-            "flash": float(np.linalg.norm(lens["flash"][:2])), "vignetting": lens["vignetting"], "power": power["ratio"],
+            "flash": float(np.linalg.norm(lens["flash"][:2])), "vignetting": lens["vignetting"],
+            "power": power["ratio"],
             "photos": float(len(compared["photos"]["used"]))}
 
 
-def capture_jobs(materials: list[str], captures: list[str], phone: HandheldPhone, config: HierarchicalConfig, resolution: int,
-                 renderer: Renderer, variant: str) -> list[CaptureJob]:
+def capture_jobs(materials: list[str], captures: list[str], phone: HandheldPhone, config: HierarchicalConfig,
+                 resolution: int, renderer: Renderer, variant: str) -> list[CaptureJob]:
     """Each material with and without a sheet, and each real capture."""
     rest = phone, config, resolution, renderer, variant
     return [CaptureJob("material", name, sheet, *rest) for name in materials for sheet in (True, False)] + [

@@ -1,4 +1,6 @@
-"""A benchmark in a few sentences, wins and losses alike: photos that nobody saw, the time to pass others, maps, losses."""
+"""A benchmark in a few sentences, wins and losses alike: photos that nobody saw, the time to pass others,
+maps, losses.
+"""
 
 from __future__ import annotations
 
@@ -56,17 +58,21 @@ def in_short(record: Mapping) -> list[str]:
         failed[what] = failed.get(what, 0) + 1
     if failed:
         lines.append(f"- **Fits that failed**, {sum(failed.values())}: "
-                     + "; ".join(what + (f", {count} times" if count > 1 else "") for what, count in failed.items()) + ".")
+                     + "; ".join(what + (f", {count} times" if count > 1 else "")
+                                 for what, count in failed.items()) + ".")
     return ["## In short", "", *lines, ""] if lines else []
 
 
 def _duels(protocol: Mapping) -> Iterator[tuple[str, Duel]]:
-    """Error and duel, with all whose published errors are comparable: nobody saw the photos left out, both saw the others."""
+    """Error and duel, with all whose published errors are comparable: nobody saw the photos left out, both
+    saw the others.
+    """
     for kind, error, title, fits in judged(protocol, "methods"):
         default = methods_of(fits)[0]
         for who in summary.comparable(protocol["published"], kind, error):
             given = summary.with_published(protocol["published"], kind, summary.names(fits), who, error)
-            found = {name: points[-1] for name in given if (points := summary.curves(fits, error, [name]).get(default))}
+            found = {name: points[-1] for name in given if (points := summary.curves(fits, error,
+                                                                                     [name]).get(default))}
             points = summary.curves(fits, error, list(found)).get(default)
             if not points:
                 continue
@@ -96,13 +102,16 @@ def _told(title: str, duels: Sequence[Duel]) -> list[str]:
             + ", ".join(f"{duel.who} {duel.theirs:.4f}" for duel in group) + ", as published. It is "
             + ", ".join(duel.won for duel in group) + ". It passes "
             + ", ".join(f"{duel.who} " + ("at no budget" if duel.passed is None else
-                                        f"after {duel.passed.seconds:.3g} s ({duel.passed.wall:.3g} s on the wall)")
+                                        f"after {duel.passed.seconds:.3g} s ({duel.passed.wall:.3g} s on "
+                                          "the wall)")
                         for duel in group) + ".")
     return lines
 
 
 def _lowest(protocols: Sequence[Mapping]) -> list[str]:
-    """Which of our methods is lowest at each budget, beside the default or, where that is the default, the next."""
+    """Which of our methods is lowest at each budget, beside the default or, where that is the default, the
+    next.
+    """
     lines = []
     for kind, error, title, fits in (each for protocol in protocols for each in judged(protocol, "methods")):
         found, default = summary.curves(fits, error), methods_of(fits)[0]
@@ -114,7 +123,8 @@ def _lowest(protocols: Sequence[Mapping]) -> list[str]:
             order = sorted(here, key=lambda name: here[name])
             if order:
                 other = default if order[0] != default else order[1] if len(order) > 1 else ""
-                beside = f", `{other}` {f'{here[other]:.4f}' if other in here else 'has none'}" if other else ""
+                beside = (f", `{other}` {f'{here[other]:.4f}' if other in here else 'has none'}" if other
+                          else "")
                 lowest.setdefault(order[0], []).append(f"{budget:g} s ({here[order[0]]:.4f}{beside})")
         lines.append(f"- **Our methods.** {title}, {count_of(kind, fits)}, lowest: "
                      + "; ".join(f"`{name}` at {listed(at)}" for name, at in lowest.items()) + ".")
@@ -123,12 +133,16 @@ def _lowest(protocols: Sequence[Mapping]) -> list[str]:
 
 def _worse(protocols: Sequence[Mapping], duels: Sequence[Duel]) -> list[str]:
     """Where the default is not lower than what was published and is comparable; of the maps each one."""
-    parts = [f"{duel.what.replace('mean of ', '')}: than {duel.who} on " + _both(duel.worse) for duel in duels if duel.worse]
+    parts = [f"{duel.what.replace('mean of ', '')}: than {duel.who} on " + _both(duel.worse) for duel in duels
+             if duel.worse]
     for protocol in protocols:
-        fits, given = summary.of(protocol["records"], "methods", "material"), protocol["published"].get("material", {})
+        fits, given = summary.of(protocol["records"], "methods",
+                                 "material"), protocol["published"].get("material", {})
         maps: dict[str, dict[str, tuple[float, float]]] = {}
-        for who, name, error in ((w, n, e) for w in summary.comparable(protocol["published"], "material", "mean")
-                                 for n in summary.names(fits) for e in MAPS if e in given.get(n, {}).get(w, {})):
+        for who, name, error in ((w, n, e) for w in summary.comparable(protocol["published"], "material",
+                                                                       "mean")
+                                 for n in summary.names(fits) for e in MAPS if e in given.get(n, {}).get(w,
+                                                                                                         {})):
             points = summary.curves(fits, error, [name]).get(methods_of(fits)[0])
             if points and points[-1].median >= given[name][who][error]:
                 maps.setdefault(who, {})[f"{error} of {name}"] = points[-1].median, given[name][who][error]

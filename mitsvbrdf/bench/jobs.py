@@ -1,9 +1,10 @@
 """Error against run time: a list of jobs, each one record of the benchmark's file.
 
-``renderers`` holds every renderer against the float64 truth. ``methods`` fits known materials and real captures with every
-method, each budget a fit of its own, for schedules follow the budget. ``ablation`` does the same with the default method and
-with one of its ingredients after the other taken away; ``gan`` with what lies between the paper's method and ours.
-``capture`` goes from a phone's raw photos to maps. :mod:`mitsvbrdf.bench.paper` has what only the paper's tables need.
+``renderers`` holds every renderer against the float64 truth. ``methods`` fits known materials and real
+captures with every method, each budget a fit of its own, for schedules follow the budget. ``ablation`` does
+the same with the default method and with one of its ingredients after the other taken away; ``gan`` with what
+lies between the paper's method and ours. ``capture`` goes from a phone's raw photos to maps.
+:mod:`mitsvbrdf.bench.paper` has what only the paper's tables need.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ from typing import Protocol
 
 from ..errors import ConfigError, MitsvbrdfError
 from ..fit import FitConfig
+from ..io.timing import timed
 from ..render import Renderer
-from ..system.timing import timed
 from .behaviour import draws
 from .from_phone import CaptureJob
 from .methods import fit, settings_of
@@ -63,7 +64,8 @@ class FitJob:
     @property
     def key(self) -> dict:
         """What identifies the record."""
-        return {"suite": self.suite, "method": self.method, **self.task.key, "budget": self.budget, "seed": self.seed}
+        return {"suite": self.suite, "method": self.method, **self.task.key, "budget": self.budget,
+                "seed": self.seed}
 
     @property
     def settings(self) -> dict:
@@ -104,7 +106,8 @@ class FitJob:
             errors = self.task.errors(found) | (self.task.looks(found) if find_spec("flip_evaluator") else {})
             check_finite(errors)
         except MitsvbrdfError as reason:
-            return {"seconds": 0.0, "wall": 0.0, "iterations": 0, "stopped": "failed", "why": str(reason), "errors": {}}
+            return {"seconds": 0.0, "wall": 0.0, "iterations": 0, "stopped": "failed", "why": str(reason),
+                    "errors": {}}
         return {"seconds": found.seconds, "wall": found.wall, "iterations": found.iterations,
                 "stopped": found.stopped, "why": None, "errors": errors}
 
@@ -113,7 +116,9 @@ Job = FitJob | RenderJob | CaptureJob | ReferenceJob | ScheduleJob | StepJob | S
 
 
 class AnyJob(Protocol):
-    """What :func:`run` needs of a job, of this benchmark or of another that keeps its records in such a file."""
+    """What :func:`run` needs of a job, of this benchmark or of another that keeps its records in such a
+    file.
+    """
 
     @property
     def key(self) -> dict:
@@ -152,25 +157,29 @@ def key_of(job: AnyJob) -> str:
 
 
 def new_pictures(jobs: Sequence[Job], store: Store) -> list[Path]:
-    """The pictures that jobs will write beside the records; without those that earlier records name, which are ours."""
+    """The pictures that jobs will write beside the records; without those that earlier records name, which
+    are ours.
+    """
     known = {record.get("file") for record in (*store.records, *store.outdated)}
     return [job.path for job in jobs if isinstance(job, SheetJob) and job.path.name not in known]
 
 
 def fit_jobs(suite: str, methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequence[float],
              seeds: Sequence[int], renderer: Renderer) -> list[FitJob]:
-    """Every method on every task with every budget and seed; methods take turns, so that drift of the machine hits all.
+    """Every method on every task with every budget and seed; methods take turns, so that drift of the machine
+    hits all.
 
-    The first seed is done before the next one, and short budgets before long ones, which a fit that ends by itself does not
-    need. A method without randomness has the first seed alone.
+    The first seed is done before the next one, and short budgets before long ones, which a fit that ends by
+    itself does not need. A method without randomness has the first seed alone.
     """
     return [FitJob(suite, method, config, task, budget, seed, renderer)
-            for seed in seeds for budget in sorted(budgets) for task in tasks for method, config in methods.items()
-            if seed == seeds[0] or draws(config)]
+            for seed in seeds for budget in sorted(budgets) for task in tasks
+            for method, config in methods.items() if seed == seeds[0] or draws(config)]
 
 
 def warm_up(job: AnyJob, warm: set[tuple]) -> None:
-    """Two steps before the first fit of a shape, so that none that counts waits for kernels; what fails, the fit itself tells.
+    """Two steps before the first fit of a shape, so that none that counts waits for kernels; what fails, the
+    fit itself tells.
 
     Args:
         job: that comes next.
@@ -207,7 +216,8 @@ def run(jobs: Sequence[AnyJob], store: Store, report: Report = lambda text, shar
         done, later = sum(j.cost for j in pending[:number]), forecast.left(pending[number + 1:])
         text = f"{job.title} ({number + 1} of {len(pending)})"
 
-        def tell(share: float, job: AnyJob = job, done: float = done, later: float = later, text: str = text) -> None:
+        def tell(share: float, job: AnyJob = job, done: float = done, later: float = later,
+                 text: str = text) -> None:
             left = forecast.left([job]) * (1 - share) + later
             report(f"{text}, {duration(left)} left", (done + share * job.cost) / whole)
 
@@ -216,7 +226,8 @@ def run(jobs: Sequence[AnyJob], store: Store, report: Report = lambda text, shar
         try:
             figures, seconds = timed(job.run, tell)
         except Exception as reason:  # as the workers of a batch have it
-            failed[job.title] = str(reason) if isinstance(reason, MitsvbrdfError) else f"{type(reason).__name__}: {reason}"
+            failed[job.title] = (str(reason) if isinstance(reason, MitsvbrdfError)
+                                 else f"{type(reason).__name__}: {reason}")
             continue
         forecast.learn(job, seconds)
         store.add(job.key | {"config": job.settings} | figures)
@@ -224,7 +235,9 @@ def run(jobs: Sequence[AnyJob], store: Store, report: Report = lambda text, shar
 
 
 class _Forecast:
-    """How long the jobs still to come will take: their guesses, scaled by what jobs of their group took beside theirs."""
+    """How long the jobs still to come will take: their guesses, scaled by what jobs of their group took
+    beside theirs.
+    """
 
     def __init__(self) -> None:
         self.taken: dict[str, tuple[float, float]] = {}

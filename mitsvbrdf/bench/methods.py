@@ -16,9 +16,9 @@ from ..evaluate.placement import predict
 from ..fit import FitConfig, FitTask, fit_svbrdf
 from ..fit.loop import Loop
 from ..fit.methods import METHODS, method_name
+from ..io.timing import timed
 from ..material.maps import SVBRDF
 from ..render import Renderer
-from ..system.timing import timed
 from .code import method_module, own_code
 from .peers_baseline import PeersBaseline, PeersConfig
 
@@ -33,8 +33,8 @@ class Fitted:
     Args:
         svbrdf: the material of the lowest re-rendering error.
         rmse: that error, over the photos used.
-        predict: what it predicts for the photos of a capture of the same material, N x R x R x 3 linear, and the RMSE over
-            them in display values.
+        predict: what it predicts for the photos of a capture of the same material, N x R x R x 3 linear, and
+            the RMSE over them in display values.
         seconds: of the loop, by its own clock.
         wall: seconds with the preparation before and the reckoning after it.
         iterations: steps made.
@@ -51,25 +51,30 @@ class Fitted:
 
 
 def method_table() -> dict[str, FitConfig]:
-    """Name -> settings: the methods of ``fit``, with one more entry for each further preset, and the baseline."""
+    """Name -> settings: the methods of ``fit``, with one more entry for each further preset, and the
+    baseline.
+    """
     table: dict[str, FitConfig] = {}
     for name, (config, *_) in METHODS.items():
         table[name] = default = config()
-        presets = get_args(get_type_hints(config)["preset"]) if any(f.name == "preset" for f in fields(config)) else ()
+        presets = (get_args(get_type_hints(config)["preset"])
+                   if any(f.name == "preset" for f in fields(config)) else ())
         table |= {f"{name}-{preset.removeprefix('paper-')}": config(preset=preset)  # type: ignore[call-arg]
                   for preset in presets if preset != getattr(default, "preset", None)}
     return table | {"peers-baseline": PeersConfig()}
 
 
 def settings_of(config: FitConfig, *modules: str) -> dict:
-    """The class, the guess, and the settings that are not the class's own, as JSON has them; each fit sets budget and seed.
+    """The class, the guess, and the settings that are not the class's own, as JSON has them; each fit sets
+    budget and seed.
 
     ``code``: the digits of what the method, and ``modules`` where they are given, have for themselves.
     """
-    method = PeersBaseline.__module__ if isinstance(config, PeersConfig) else method_module(method_name(config))
+    method = (PeersBaseline.__module__ if isinstance(config, PeersConfig)
+              else method_module(method_name(config)))
     own = asdict(type(config)())
-    plain = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(config).items()
-             if value != own[name] or name == "guess"}
+    plain = {name: list(value) if isinstance(value, tuple) else value
+             for name, value in asdict(config).items() if value != own[name] or name == "guess"}
     return ({"class": type(config).__name__, "code": own_code(method, *modules)}
             | {k: v for k, v in plain.items() if k not in ("budget", "seed")})
 

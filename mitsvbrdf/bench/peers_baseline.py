@@ -1,9 +1,11 @@
-"""The field's own baseline, to be beaten: every texel by Adam alone, from a constant material, on the squared error.
+"""The field's own baseline, to be beaten: every texel by Adam alone, from a constant material, on the squared
+error.
 
-As in ``svbrdf-diff-renderer`` (Guo 2023, ``optim_perpixel`` from "const", 1000 steps): diffuse, specular and roughness are kept
-gamma-encoded on a scale from -1 to 1, normals by x and y; renderings are cut to [0, 1] before they are encoded, so a clipped
-highlight has no gradient; neither prior nor falling step size. Two things are ours: the renderer, that of the other methods,
-and that values which leave their range are put back onto its end after each step, where theirs become NaN.
+As in ``svbrdf-diff-renderer`` (Guo 2023, ``optim_perpixel`` from "const", 1000 steps): diffuse, specular and
+roughness are kept gamma-encoded on a scale from -1 to 1, normals by x and y; renderings are cut to [0, 1]
+before they are encoded, so a clipped highlight has no gradient; neither prior nor falling step size. Two
+things are ours: the renderer, that of the other methods, and that values which leave their range are put back
+onto its end after each step, where theirs become NaN.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ from ..views import Views
 START = {"diffuse": 0.5, "specular": 0.04, "roughness": 0.2}  # gamma-encoded
 TEXTURE_CHANNELS = {"diffuse": 3, "specular": 3, "roughness": 1, "normal": 2}
 LEAST_RENDERED = 1e-6  # what renderings are cut to from below
-LEAST_ROUGHNESS_UNIT = 2 * float(color.encode(torch.tensor(LEAST_ROUGHNESS))) - 1  # renderers take no roughness of 0
+# renderers take no roughness of 0
+LEAST_ROUGHNESS_UNIT = 2 * float(color.encode(torch.tensor(LEAST_ROUGHNESS))) - 1
 
 
 @dataclass(frozen=True)
@@ -42,7 +45,8 @@ class PeersConfig(FitConfig):
         """Raise ConfigError where the peers' baseline cannot do what is asked."""
         super().check()
         if self.bsdf != "roughconductor" or self.fix:
-            raise ConfigError("diffuse, specular, roughness and normal to fit", f"{self.bsdf} with {list(self.fix)} fixed",
+            raise ConfigError("diffuse, specular, roughness and normal to fit",
+                              f"{self.bsdf} with {list(self.fix)} fixed",
                               "the peers' baseline knows nothing else")
 
 
@@ -52,7 +56,8 @@ class PeersBaseline(Method):
     def __init__(self, task: FitTask[PeersConfig]) -> None:
         super().__init__(task)
         size = task.capture.resolution
-        self.textures = {name: torch.full((size, size, channels), 2 * START[name] - 1 if name in START else 0.0)
+        self.textures = {name: torch.full((size, size, channels), 2 * START[name] - 1 if name in START
+                                          else 0.0)
                          .requires_grad_() for name, channels in TEXTURE_CHANNELS.items()}
         self.optimizer = torch.optim.Adam(list(self.textures.values()), lr=task.config.learning_rate)
 
@@ -67,7 +72,8 @@ class PeersBaseline(Method):
         return {"l2": float(loss.detach()), "gradient": gradient}
 
     def _material(self) -> SVBRDF:
-        maps = {name: color.decode((texture + 1) / 2) for name, texture in self.textures.items() if name in START}
+        maps = {name: color.decode((texture + 1) / 2) for name, texture in self.textures.items()
+                if name in START}
         across = self.textures["normal"]
         up = (1 - across.square().sum(dim=-1, keepdim=True).clamp_max(1 - 1e-6)).sqrt()
         normal = torch.nn.functional.normalize(torch.cat((across, up), dim=-1), dim=-1)
@@ -85,7 +91,8 @@ class PeersBaseline(Method):
     def state(self) -> dict[str, Tensor]:
         """What a checkpoint keeps."""
         rate = torch.tensor(self.optimizer.param_groups[0]["lr"], dtype=torch.float64)
-        return {f"texture.{name}": t.detach().clone() for name, t in self.textures.items()} | {"rate": rate} | optimizer_state(
+        return {f"texture.{name}": t.detach().clone()
+                for name, t in self.textures.items()} | {"rate": rate} | optimizer_state(
             "optimizer", self.optimizer)
 
     def load_state(self, state: dict[str, Tensor]) -> None:

@@ -36,9 +36,11 @@ T = TypeVar("T")
 # What is measured where nothing else is said, and with --quick.
 WHOLE = {"resolution": 256, "budgets": "10,30,100,300", "seeds": "0,1,2", "repeats": 5, "megapixels": 3.0,
          "left-out": "4,7"}
-QUICK = {"resolution": 64, "budgets": "2,5", "seeds": "0", "repeats": 2, "megapixels": 0.5, "materials": "builtin:inlay",
+QUICK = {"resolution": 64, "budgets": "2,5", "seeds": "0", "repeats": 2, "megapixels": 0.5,
+         "materials": "builtin:inlay",
          "captures": "none"}
-WHOLE_CASES = {"sizes": (64, 128, 256, 512, 1024, 2048), "views": (1, 4, 16, 64), "samples": (1, 4, 16, 64, 256)}
+WHOLE_CASES = {"sizes": (64, 128, 256, 512, 1024, 2048), "views": (1, 4, 16, 64),
+               "samples": (1, 4, 16, 64, 256)}
 QUICK_CASES = {"sizes": (32, 64, 128), "views": (1, 4), "samples": (1, 4, 16)}
 
 
@@ -48,10 +50,11 @@ class Plan:
 
     Args:
         suites: what to measure.
-        chosen: resolution, budgets, seeds, repeats, megapixels, left-out, schedule, folder, and where given materials, captures
-            and variants; :data:`WHOLE` and :data:`QUICK` are its defaults.
+        chosen: resolution, budgets, seeds, repeats, megapixels, left-out, schedule, folder, and where given
+            materials, captures and variants; :data:`WHOLE` and :data:`QUICK` are its defaults.
         methods: names, separated by commas; None is all.
-        views: whose views the photos of known materials have; None is cards-blue of the data, else builtin:grid.
+        views: whose views the photos of known materials have; None is cards-blue of the data, else
+            builtin:grid.
         data: folder of real captures and known materials, as text.
         renderer: what the fits render with.
         variant: Mitsuba's.
@@ -73,8 +76,8 @@ class Plan:
         Raises:
             ConfigError: something that was asked for does not exist or is out of range.
         """
-        return _jobs(self.suites, dict(self.chosen), self.methods, self.views, Path(self.data) if self.data else None,
-                     self.renderer, self.variant, self.quick)
+        return _jobs(self.suites, dict(self.chosen), self.methods, self.views, Path(self.data) if self.data
+                     else None, self.renderer, self.variant, self.quick)
 
 
 def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str | None, data: Path | None,
@@ -102,21 +105,25 @@ def _jobs(suites: Sequence[str], chosen: dict, methods: str | None, views: str |
         tasks = _tasks(chosen, source, data, engine)
     jobs: list = []
     if "renderers" in suites:
-        jobs += render_jobs(**(QUICK_CASES if quick else WHOLE_CASES), repeats=chosen["repeats"], variant=variant)
+        jobs += render_jobs(**(QUICK_CASES if quick else WHOLE_CASES), repeats=chosen["repeats"],
+                            variant=variant)
     if "methods" in suites:
         jobs += fit_jobs("methods", picked or table, tasks, budgets, seeds, engine)
     if "start" in suites:
-        jobs += _start_jobs(_sources(chosen, data)[1], picked, chosen["resolution"], min(budgets), chosen["repeats"],
-                            renderer, variant)
+        jobs += _start_jobs(_sources(chosen, data)[1], picked, chosen["resolution"], min(budgets),
+                            chosen["repeats"], renderer, variant)
     if "capture" in suites:
         phone = HandheldPhone(megapixels=chosen["megapixels"], seed=seeds[0])
         phone.check()
-        jobs += capture_jobs(*_sources(chosen, data), phone, HierarchicalConfig(budget=max(budgets), seed=seeds[0]),
+        jobs += capture_jobs(*_sources(chosen, data), phone, HierarchicalConfig(budget=max(budgets),
+                                                                                seed=seeds[0]),
                              chosen["resolution"], engine, variant)
     for suite in suites:
-        jobs += _variant_jobs(suite, chosen, table, tasks, budgets, seeds, engine) if suite in ("ablation", "gan") else []
+        jobs += (_variant_jobs(suite, chosen, table, tasks, budgets, seeds, engine)
+                 if suite in ("ablation", "gan") else [])
         jobs += _paper_jobs(suite, chosen, picked, source, data, engine, tasks, max(budgets), seeds)
-    settings = {"resolution": chosen["resolution"], "views": _name(source), "renderer": renderer, "variant": variant,
+    settings = {"resolution": chosen["resolution"], "views": _name(source), "renderer": renderer,
+                "variant": variant,
                 "quick": quick}
     found = published(data / "peers.json", tasks, chosen["resolution"]) if data else {}
     return jobs, settings, found | (printed() if "gan" in suites else {})
@@ -127,14 +134,18 @@ def _start_jobs(captures: list[str], picked: dict, resolution: int, budget: floa
     """The command `fit` on the first capture, by each method that it has."""
     unknown = [name for name in picked if name not in METHODS]
     if unknown or not captures:
-        raise ConfigError(f"a capture, and methods of {list(METHODS)}, in the suite start", ", ".join(unknown) or "no capture",
+        raise ConfigError(f"a capture, and methods of {list(METHODS)}, in the suite start", ", ".join(unknown)
+                          or "no capture",
                           "check --methods and --captures")
-    return [StartJob(captures[0], method, resolution, budget, repeats, renderer, variant) for method in picked or METHODS]
+    return [StartJob(captures[0], method, resolution, budget, repeats, renderer, variant) for method in picked
+            or METHODS]
 
 
 def _variant_jobs(suite: str, chosen: dict, table: dict, tasks: list, budgets: list[float], seeds: list[int],
                   engine: Renderer) -> list[Job]:
-    """Fits of a method and of its variants; beside those of ``gan``, what the paper's tables compare them with."""
+    """Fits of a method and of its variants; beside those of ``gan``, what the paper's tables compare them
+    with.
+    """
     method, variants = ablations()[suite]
     names = _split(chosen.get("variants"))
     unknown = [name for name in names if name not in variants]
@@ -142,29 +153,35 @@ def _variant_jobs(suite: str, chosen: dict, table: dict, tasks: list, budgets: l
         raise ConfigError(f"variants of {list(variants)}", ", ".join(unknown), "check --variants")
     wanted = {name: variants[name] for name in names or variants}
     references = [ReferenceJob(task, engine) for task in tasks] if suite == "gan" else []
-    return [*references, *fit_jobs(suite, variant_table(table[method], wanted), tasks, budgets, seeds, engine)]
+    return [*references, *fit_jobs(suite, variant_table(table[method], wanted), tasks, budgets, seeds,
+                                   engine)]
 
 
-def _paper_jobs(suite: str, chosen: dict, picked: dict, source: str, data: Path | None, engine: Renderer, tasks: list,
-                budget: float, seeds: list[int]) -> list[Job]:
-    """What the paper's tables need besides fits at equal time: its schedule, seconds of an iteration, sheets of pictures."""
+def _paper_jobs(suite: str, chosen: dict, picked: dict, source: str, data: Path | None, engine: Renderer,
+                tasks: list, budget: float, seeds: list[int]) -> list[Job]:
+    """What the paper's tables need besides fits at equal time: its schedule, seconds of an iteration, sheets
+    of pictures.
+    """
     if suite == "steps":
         return [StepJob(GanConfig(preset=preset), chosen["resolution"], engine, chosen["repeats"])
                 for preset in ("paper-two-stage", "minutes")]
     if suite == "sheets":
         shown = picked or {name: method_table()[name] for name in ("gan", "hierarchical")}
         folder = Path(chosen["folder"])
-        return [SheetJob(shown, task, budget, seeds[0], engine, folder) for task in tasks if task.kind == "material"]
+        return [SheetJob(shown, task, budget, seeds[0], engine, folder) for task in tasks
+                if task.kind == "material"]
     if suite != "schedule":
         return []
     side, width, iterations = chosen["schedule"]
     runs = picked or {"gan-two-stage": GanConfig(preset="paper-two-stage")}
     wrong = [name for name, config in runs.items() if not isinstance(config, GanConfig)]
     if wrong:
-        raise ConfigError("gan, gan-one-stage or gan-two-stage in the suite schedule", ", ".join(wrong), "check --methods")
+        raise ConfigError("gan, gan-one-stage or gan-two-stage in the suite schedule", ", ".join(wrong),
+                          "check --methods")
     endless = [name for name, config in runs.items() if iterations is None and not config.of_paper]
     if endless:
-        raise ConfigError("--iterations for a method without a schedule of its own", ", ".join(endless), "give --iterations")
+        raise ConfigError("--iterations for a method without a schedule of its own", ", ".join(endless),
+                          "give --iterations")
     sized = {name: replace(config, width=width, iterations=iterations) for name, config in runs.items()}
     for config in sized.values():
         config.check()
@@ -187,8 +204,8 @@ def protocols(text: str, data: Path | None) -> list[tuple[list[int], list[str] |
     """Numbers of photos to leave out, each with the names of the captures that it is for; None is for all.
 
     Args:
-        text: numbers separated by commas, one protocol behind the other separated by slashes; ``peers`` is the one of published
-            predictions, of the captures that have them.
+        text: numbers separated by commas, one protocol behind the other separated by slashes; ``peers`` is
+            the one of published predictions, of the captures that have them.
         data: folder of real captures, with ``peers.json``.
 
     Raises:
@@ -213,8 +230,10 @@ def _sources(chosen: dict, data: Path | None) -> tuple[list[str], list[str]]:
     names = [f"builtin:{name}" if name in MATERIALS and not Path(name).is_dir() else name for name in names]
     shots = _folders(chosen.get("captures"), list(map(str, _inside(data, "captures"))), data, "captures")
     if not names and not shots:
-        raise ConfigError("a material or capture to fit", "none", "give --materials or --captures, or --suite renderers")
-    missing = [name for name in (*names, *shots) if not name.startswith("builtin:") and not Path(name).exists()]
+        raise ConfigError("a material or capture to fit", "none", "give --materials or --captures, or "
+                                                                  "--suite renderers")
+    missing = [name for name in (*names, *shots) if not name.startswith("builtin:")
+               and not Path(name).exists()]
     if missing:
         raise ConfigError("materials and captures that are there", f"none called {missing[0]}",
                           "name folders, or those in --data; leave the option out for all")
@@ -222,7 +241,8 @@ def _sources(chosen: dict, data: Path | None) -> tuple[list[str], list[str]]:
         labels = [Path(name.removeprefix("builtin:")).name for name in found]
         twice = [label for label in labels if labels.count(label) > 1]
         if twice:
-            raise ConfigError("each material and capture once, by a name of its own", f"{twice[0]} twice", "rename a folder")
+            raise ConfigError("each material and capture once, by a name of its own", f"{twice[0]} twice",
+                              "rename a folder")
     return names, shots
 
 
@@ -230,7 +250,8 @@ def data_folder(folder: Path | None) -> Path | None:
     """The folder of real captures and known materials, if there is one."""
     named = folder or (Path(os.environ["MITSVBRDF_DATA"]) if os.environ.get("MITSVBRDF_DATA") else None)
     if named is not None and not ((named / "captures").is_dir() or (named / "materials").is_dir()):
-        raise ConfigError("a folder with captures/ or materials/", str(named), "check --data and MITSVBRDF_DATA")
+        raise ConfigError("a folder with captures/ or materials/", str(named),
+                          "check --data and MITSVBRDF_DATA")
     return named
 
 
@@ -244,7 +265,8 @@ def _folders(asked: str | None, everything: list[str], data: Path | None, what: 
     if asked is None:
         return everything
     there = {p.name: str(p) for p in _inside(data, what)}
-    return [name if name.startswith("builtin:") else there.get(name, name) for name in _split(asked) if name != "none"]
+    return [name if name.startswith("builtin:") else there.get(name, name) for name in _split(asked)
+            if name != "none"]
 
 
 def _split(text: str | None) -> list[str]:

@@ -1,4 +1,6 @@
-"""The pictures of fits of a benchmark: error against run time, as SVG. They show numbers of the record's summary."""
+"""The pictures of fits of a benchmark: error against run time, as SVG. They show numbers of the record's
+summary.
+"""
 
 from __future__ import annotations
 
@@ -22,11 +24,13 @@ MARKS = "Dsx^v"  # of published errors
 
 
 def methods_figure(record: Mapping, wall: bool = False) -> Figure | None:
-    """Error against seconds for all materials and all captures together, two errors of each; None without fits.
+    """Error against seconds for all materials and all captures together, two errors of each; None without
+    fits.
 
     Args:
         record: the benchmark.
-        wall: seconds from the start of a process to its end, as far as they were measured, instead of the loop's own.
+        wall: seconds from the start of a process to its end, as far as they were measured, instead of the
+            loop's own.
     """
     parts = [(kind, fits, protocol) for protocol in summary.for_readers(record) for kind in summary.ERRORS
              if (fits := summary.of(protocol["records"], "methods", kind))]
@@ -36,7 +40,8 @@ def methods_figure(record: Mapping, wall: bool = False) -> Figure | None:
     drawing = Figure(figsize=(WIDTH, 3.1 * len(parts) + 0.3))
     height = drawing.get_figheight()
     panels = drawing.subplots(len(parts), 2, squeeze=False)
-    drawing.subplots_adjust(left=0.06, right=0.81, wspace=0.98, hspace=0.42, top=1 - 0.5 / height, bottom=0.45 / height)
+    drawing.subplots_adjust(left=0.06, right=0.81, wspace=0.98, hspace=0.42, top=1 - 0.5 / height,
+                            bottom=0.45 / height)
     shades = colours([fit for _, fits, _ in parts for fit in fits])
     for row, (kind, fits, protocol) in zip(panels, parts):
         for panel, (error, title) in zip(row, summary.ERRORS[kind].items()):
@@ -47,27 +52,34 @@ def methods_figure(record: Mapping, wall: bool = False) -> Figure | None:
             named = {name: f"{name} (warm)" if wall and cold and name not in cold else name for name in found}
             published = {_whose(who, error): value for who, value in lines.items()}
             _curves(panel, summary.budgets(fits), found, clock, shades, published, named)
-            panel.set_xlabel(("seconds, start and compilation included" if cold else "seconds of a fit in a warm process")
+            panel.set_xlabel(("seconds, start and compilation included" if cold else "seconds of a fit in a "
+                                                                                     "warm process")
                              if wall else "seconds of the loop", fontsize=FONT_SIZES["small"], labelpad=1)
             headed(panel, title, f"RMSE, {names_of(kind, fits)}")
     return drawing
 
 
 def _once(points: Sequence[summary.Point]) -> list[summary.Point]:
-    """The points, of budgets with which fits ended by themselves only the longest one: the others say the same again."""
+    """The points, of budgets with which fits ended by themselves only the longest one: the others say the
+    same again.
+    """
     return [p for p in points if not p.ended or p is points[-1]]
 
 
 def _whose(who: str, error: str) -> str:
     """A published line's name, short, and how it came about."""
     name = who.removesuffix(BLIND)
-    return f"{name} (blind)" if name != who else f"{who} (saw them)" if error == "left_out" else f"{who} (published)"
+    return (f"{name} (blind)" if name != who else f"{who} (saw them)" if error == "left_out"
+            else f"{who} (published)")
 
 
 def each_figure(protocol: Mapping, kind: str) -> Figure | None:
-    """Errors of each material or capture at the longest budget of all methods, a row for each; None where fewer than two."""
+    """Errors of each material or capture at the longest budget of all methods, a row for each; None where
+    fewer than two.
+    """
     fits = summary.of(protocol["records"], "methods", kind)
-    names, longest, published = summary.names(fits), summary.longest(fits), protocol["published"].get(kind, {})
+    names, longest, published = summary.names(fits), summary.longest(fits), protocol["published"].get(kind,
+                                                                                                      {})
     if len(names) < 2:
         return None
     drawing = Figure(figsize=(WIDTH, 0.22 * len(names) + 1.5))
@@ -80,21 +92,27 @@ def each_figure(protocol: Mapping, kind: str) -> Figure | None:
             found = summary.curves(fits, error, [name])
             for method in reversed(shades):  # the default on top
                 for point in (p for p in found.get(method, []) if p.budget == longest):
-                    panel.plot([point.low, point.high], [row] * 2, color=shades[method], linewidth=1.2, zorder=3)
-                    keys[method], = panel.plot(point.median, row, "o", color=shades[method], markersize=5, zorder=4)
+                    panel.plot([point.low, point.high], [row] * 2, color=shades[method], linewidth=1.2,
+                               zorder=3)
+                    keys[method], = panel.plot(point.median, row, "o", color=shades[method], markersize=5,
+                                               zorder=4)
             for who, errors in published.get(name, {}).items():
                 if error in errors:
                     whose = _whose(who, error)
-                    mark = keys[whose].get_marker() if whose in keys else MARKS[len(keys.keys() - shades.keys()) % len(MARKS)]
-                    keys[whose], = panel.plot(errors[error], row, mark, color=CHART_FAINT if unfair(who, error) else CHART_TEXT,
+                    mark = (keys[whose].get_marker() if whose in keys
+                            else MARKS[len(keys.keys() - shades.keys()) % len(MARKS)])
+                    keys[whose], = panel.plot(errors[error], row, mark, color=CHART_FAINT if unfair(who,
+                                                                                                    error) else CHART_TEXT,
                                               markersize=4.5, fillstyle="none", zorder=5)
         panel.set(xscale="log", ylim=(len(names) - 0.4, -0.6), yticks=range(len(names)), yticklabels=names)
         plain(panel)
         panel.tick_params(axis="y", length=0)
         headed(panel, title, f"RMSE, {longest:g} s")
     shown = {name: keys[name] for name in (*shades, *keys) if name in keys}
-    drawing.legend(shown.values(), shown, loc="upper left", ncols=5, fontsize=FONT_SIZES["tick"], frameon=False,
-                   bbox_to_anchor=(0.005, 1 - 0.06 / height), handlelength=1.0, columnspacing=1.4, borderaxespad=0)
+    drawing.legend(shown.values(), shown, loc="upper left", ncols=5, fontsize=FONT_SIZES["tick"],
+                   frameon=False,
+                   bbox_to_anchor=(0.005, 1 - 0.06 / height), handlelength=1.0, columnspacing=1.4,
+                   borderaxespad=0)
     return drawing
 
 
@@ -108,28 +126,34 @@ def names_of(kind: str, fits: Sequence[Mapping]) -> str:
     """How many materials or captures, and what the band is of."""
     count, seeds = len(summary.names(fits)), len({r["seed"] for r in fits})
     left_out = f" without {' and '.join(map(str, fits[0]['left_out']))}" if fits[0].get("left_out") else ""
-    shown = "mean, band: quartiles" if count > 1 else f"quartiles of {seeds} seeds" if seeds > 1 else "one seed"
+    shown = ("mean, band: quartiles" if count > 1 else f"quartiles of {seeds} seeds" if seeds > 1
+             else "one seed")
     return f"{count} {summary.KINDS[kind]}{'s' * (count > 1)}{left_out}; {shown}"
 
 
 def _curves(panel: Axes, budgets: Sequence[float], found: Mapping[str, Sequence[summary.Point]],
             clock: Mapping[str, Sequence[float]], shades: Mapping[str, str], published: Mapping[str, float],
             named: Mapping[str, str]) -> None:
-    """Lines of medians, the default's with a band; dashed lines of what was published; names at their ends."""
+    """Lines of medians, the default's with a band; dashed lines of what was published; names at their
+    ends.
+    """
     taken = [seconds for each in clock.values() for seconds in each]
     right, ends = max([1.0, *taken, *budgets]) * 1.12, []
     for number, (name, points) in enumerate(reversed(list(found.items()))):  # the default method on top
         x, y = clock[name], [p.median for p in points]
-        low, high = ([p.scenes[0] for p in points], [p.scenes[1] for p in points]) if points[0].count > 1 else (
+        low, high = ([p.scenes[0] for p in points],
+                     [p.scenes[1] for p in points]) if points[0].count > 1 else (
             [p.low for p in points], [p.high for p in points])
         if high > low and name == next(iter(found)):
-            on = points[-1].ended  # to the right edge; and fits that end by themselves take turns in being the faster one
-            panel.fill_between([*accumulate(x, max), *[right] * on], low + low[-1:] * on, high + high[-1:] * on,
-                               color=shades[name], alpha=0.13, linewidth=0, zorder=2)
+            # to the right edge; and fits that end by themselves take turns in being the faster one
+            on = points[-1].ended
+            panel.fill_between([*accumulate(x, max), *[right] * on], low + low[-1:] * on,
+                               high + high[-1:] * on, color=shades[name], alpha=0.13, linewidth=0, zorder=2)
         panel.plot(x, y, color=shades[name], linewidth=2.0, marker="o", markersize=4, zorder=3 + number,
                    solid_capstyle="round")
         if points[-1].ended:
-            panel.plot([x[-1], right], [y[-1]] * 2, color=shades[name], linewidth=0.9, linestyle=(0, (1, 2)), zorder=2)
+            panel.plot([x[-1], right], [y[-1]] * 2, color=shades[name], linewidth=0.9, linestyle=(0, (1, 2)),
+                       zorder=2)
         ends.append((named[name], y[-1], shades[name], "normal"))
     for who, value in published.items():
         panel.axhline(value, color=CHART_TEXT, linewidth=1.0, linestyle=(0, (5, 3)), zorder=1)
@@ -144,21 +168,28 @@ def _curves(panel: Axes, budgets: Sequence[float], found: Mapping[str, Sequence[
 def _labels(panel: Axes, ends: Sequence[tuple[str, float, str, str]]) -> None:
     """Names beside the right edge at the height of their lines, pushed apart where they would overlap."""
     low, high = map(math.log, panel.get_ylim())
-    at = sorted((((math.log(value) - low) / (high - low)), name, colour, style) for name, value, colour, style in ends)
+    at = sorted((((math.log(value) - low) / (high - low)), name, colour, style)
+                for name, value, colour, style in ends)
     places = spaced([each[0] for each in at], 0.072)
     for (height, name, colour, style), place in zip(at, places):
-        panel.annotate(name, xy=(1.0, height), xytext=(1.045, place), xycoords="axes fraction", textcoords="axes fraction",
-                       color=colour, fontsize=FONT_SIZES["label"], fontstyle=style, va="center", annotation_clip=False,
-                       arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.7, "shrinkA": 1, "shrinkB": 0})
+        panel.annotate(name, xy=(1.0, height), xytext=(1.045, place), xycoords="axes fraction",
+                       textcoords="axes fraction",
+                       color=colour, fontsize=FONT_SIZES["label"], fontstyle=style, va="center",
+                       annotation_clip=False,
+                       arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.7, "shrinkA": 1,
+                                   "shrinkB": 0})
 
 
 def spaced(heights: Sequence[float], gap: float) -> list[float]:
-    """Sorted heights moved as little as needed to lie at least ``gap`` apart: neighbours share their centre of gravity."""
+    """Sorted heights moved as little as needed to lie at least ``gap`` apart: neighbours share their centre
+    of gravity.
+    """
     groups: list[list[float]] = []  # sum of (height - its rank's shift), count
     for height in heights:
         groups.append([height, 1])
-        while len(groups) > 1 and groups[-2][0] / groups[-2][1] + (groups[-2][1] + groups[-1][1]) / 2 * gap > (
-                groups[-1][0] / groups[-1][1]):
+        while len(groups) > 1 and groups[-2][0] / groups[-2][1] + (groups[-2][1]
+                                                                   + groups[-1][1]) / 2 * gap > (
+  groups[-1][0] / groups[-1][1]):
             total, count = groups.pop()
             groups[-1] = [groups[-1][0] + total, groups[-1][1] + count]
     return [total / count + (k - (count - 1) / 2) * gap for total, count in groups for k in range(int(count))]
@@ -167,8 +198,8 @@ def spaced(heights: Sequence[float], gap: float) -> list[float]:
 def headed(panel: Axes, title: str, about: str) -> None:
     """Give a panel its title, and a quiet line below it."""
     panel.set_title(title, loc="left", fontsize=FONT_SIZES["title"], fontweight="bold", pad=14)
-    panel.annotate(about, (0, 1), (0, 4), xycoords="axes fraction", textcoords="offset points", fontsize=FONT_SIZES["small"],
-                   color=CHART_QUIET, va="bottom", annotation_clip=False)
+    panel.annotate(about, (0, 1), (0, 4), xycoords="axes fraction", textcoords="offset points",
+                   fontsize=FONT_SIZES["small"], color=CHART_QUIET, va="bottom", annotation_clip=False)
 
 
 def plain(panel: Axes) -> None:
@@ -183,4 +214,5 @@ def plain(panel: Axes) -> None:
     panel.set_axisbelow(True)
     panel.spines[["top", "right"]].set_visible(False)
     panel.spines[["left", "bottom"]].set_color(CHART_AXIS)
-    panel.tick_params(labelsize=FONT_SIZES["tick"], which="both", color=CHART_AXIS, labelcolor=CHART_TEXT, length=2.5)
+    panel.tick_params(labelsize=FONT_SIZES["tick"], which="both", color=CHART_AXIS, labelcolor=CHART_TEXT,
+                      length=2.5)

@@ -1,4 +1,6 @@
-"""Published results for the materials and captures of a benchmark, from ``peers.json`` in the folder of data."""
+"""Published results for the materials and captures of a benchmark, from ``peers.json`` in the folder of
+data.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from ..errors import ConfigError
-from ..system.json_files import load
+from ..io.json_files import load
 from .schema import capture_kind
 from .tasks import KnownMaterial, Task
 
@@ -23,12 +25,13 @@ Published = dict[str, dict[str, dict[str, dict[str, float]]]]
 
 
 def published(path: Path, tasks: Sequence[Task], resolution: int) -> Published:
-    """Kind -> name -> whose -> error -> value, in the names that records use; empty at another size than the numbers' own.
+    """Kind -> name -> whose -> error -> value, in the names that records use; empty at another size than the
+    numbers' own.
 
-    Materials have RMSE of each map and their ``mean``, on the publishers' own photos of them. Captures stand under the kind
-    :func:`mitsvbrdf.bench.schema.capture_kind` of the photos left out and have MaterialGAN's errors of the photos that fits
-    here see and leave out; it saw all of them. Where photos 7 and 8 are left out, they also have the errors of methods that did
-    not see these either.
+    Materials have RMSE of each map and their ``mean``, on the publishers' own photos of them. Captures stand
+    under the kind :func:`mitsvbrdf.bench.schema.capture_kind` of the photos left out and have MaterialGAN's
+    errors of the photos that fits here see and leave out; it saw all of them. Where photos 7 and 8 are left
+    out, they also have the errors of methods that did not see these either.
 
     Args:
         path: ``peers.json``; a missing file has nothing.
@@ -53,13 +56,15 @@ def published(path: Path, tasks: Sequence[Task], resolution: int) -> Published:
                 parts = {"seen": task.photos.index} | ({"left_out": task.unseen.index} if task.unseen else {})
                 here = found.setdefault(capture_kind(task.left_out), {})
                 here[task.name] = {"MaterialGAN": {
-                    part: math.sqrt(sum(each[i] ** 2 for i in index) / len(index)) for part, index in parts.items()}}
+                    part: math.sqrt(sum(each[i] ** 2 for i in index) / len(index))
+                    for part, index in parts.items()}}
                 if parts.get("left_out") == PEERS_LEFT_OUT:
                     blind = stated["captures"][task.name].get(PEERS_BLIND, {})
                     here[task.name] |= {METHOD_NAMES.get(who, who) + BLIND: {"left_out": float(error)}
                                         for who, error in blind.items()}
     except (ValueError, KeyError, TypeError, AttributeError, IndexError) as reason:
-        raise ConfigError("peers.json with materials and captures", f"{path}: {reason!r}", "mend it, or take it away") from None
+        raise ConfigError("peers.json with materials and captures", f"{path}: {reason!r}",
+                          "mend it, or take it away") from None
     return found
 
 

@@ -15,13 +15,17 @@ class Spread(TypedDict):
 
 
 class Made(TypedDict, total=False):
-    """How a record was made; ``workers``: how many there were when its job ended, left out where it was one."""
+    """How a record was made; ``workers``: how many there were when its job ended, left out where it was
+    one.
+    """
 
     workers: int
 
 
 class OfTask(Made, total=False):
-    """What is fitted; ``left_out``: numbers of the photos of a real capture that the fit does not see, part of its key."""
+    """What is fitted; ``left_out``: numbers of the photos of a real capture that the fit does not see, part
+    of its key.
+    """
 
     left_out: list[int]
 
@@ -29,8 +33,9 @@ class OfTask(Made, total=False):
 class OfRun(OfTask):
     """One run of a method.
 
-    ``seconds`` by the loop's clock, ``wall`` with preparation and reckoning. ``errors`` of a known ``material``: each map,
-    ``mean``, ``novel_light``, ``photos``; of a real ``capture``: ``seen``, ``left_out``, those of its photos.
+    ``seconds`` by the loop's clock, ``wall`` with preparation and reckoning. ``errors`` of a known
+    ``material``: each map, ``mean``, ``novel_light``, ``photos``; of a real ``capture``: ``seen``,
+    ``left_out``, those of its photos.
     """
 
     method: str
@@ -47,8 +52,8 @@ class OfRun(OfTask):
 class RenderRow(TypedDict):
     """One renderer of a case.
 
-    ``image`` is the mean relative error over texels of roughness 0.1 and more, ``gradient`` the relative L2 error of the
-    worst map there, ``forward`` a picture without gradients, ``both`` forward and backward.
+    ``image`` is the mean relative error over texels of roughness 0.1 and more, ``gradient`` the relative L2
+    error of the worst map there, ``forward`` a picture without gradients, ``both`` forward and backward.
     """
 
     renderer: str
@@ -75,9 +80,9 @@ class RenderRecord(Made):
 class FitRecord(OfRun):
     """One fit.
 
-    ``errors`` also have the mean FLIP of pictures, ``flip_novel_light`` and so on, where its package was there; none of a fit
-    that failed, which ``why`` explains. A fit has no record where it would repeat one of a shorter budget
-    (:func:`mitsvbrdf.bench.behaviour.ended_for_good`).
+    ``errors`` also have the mean FLIP of pictures, ``flip_novel_light`` and so on, where its package was
+    there; none of a fit that failed, which ``why`` explains. A fit has no record where it would repeat one of
+    a shorter budget (:func:`mitsvbrdf.bench.behaviour.ended_for_good`).
     """
 
     suite: Literal["methods", "ablation", "gan"]
@@ -89,9 +94,9 @@ class FitRecord(OfRun):
 class CaptureRecord(Made):
     """One capture made without calibration.
 
-    Of a known ``material`` by the simulated phone, with or without ``sheet``, or a real ``capture`` whose views were taken
-    away. ``seconds`` by stage; ``errors`` as :mod:`mitsvbrdf.bench.from_phone` counts them, none of what failed, which
-    ``why`` explains.
+    Of a known ``material`` by the simulated phone, with or without ``sheet``, or a real ``capture`` whose
+    views were taken away. ``seconds`` by stage; ``errors`` as :mod:`mitsvbrdf.bench.from_phone` counts them,
+    none of what failed, which ``why`` explains.
     """
 
     suite: Literal["capture"]
@@ -106,7 +111,9 @@ class CaptureRecord(Made):
 
 
 class ReferenceRecord(OfTask):
-    """What the fits of one material or capture are compared with; ``errors``: whose -> error -> value, named as in a fit."""
+    """What the fits of one material or capture are compared with; ``errors``: whose -> error -> value, named
+    as in a fit.
+    """
 
     suite: Literal["references"]
     kind: Literal["material", "capture"]
@@ -116,7 +123,9 @@ class ReferenceRecord(OfTask):
 
 
 class ScheduleRecord(OfRun):
-    """One run of the paper's schedule: ``errors`` of its result; ``trace`` has those of the state, iteration and seconds."""
+    """One run of the paper's schedule: ``errors`` of its result; ``trace`` has those of the state, iteration
+    and seconds.
+    """
 
     suite: Literal["schedule"]
     kind: Literal["material", "capture"]
@@ -145,7 +154,9 @@ class StepRecord(Made):
 
 
 class SheetRecord(Made):
-    """A picture of one material's maps by several methods; ``errors``: whose -> map -> RMSE, as written on it."""
+    """A picture of one material's maps by several methods; ``errors``: whose -> map -> RMSE, as written on
+    it.
+    """
 
     suite: Literal["sheets"]
     kind: Literal["material"]
@@ -158,10 +169,11 @@ class SheetRecord(Made):
 class StiffRecord(OfRun):
     """One fit of a stiff scene, a ``case`` or a member of a ``series``.
 
-    ``condition``, ``attainable`` and ``start`` belong to the scene (:attr:`mitsvbrdf.bench.stiff.scenes.StiffTask.known`).
-    ``errors``: each map and their ``mean`` where there is a truth, ``photos``, and ``photos_start``; ``stated``: the
-    deviations that the fit gives, as ``attainable``; ``near``: when the photos' error was within a tenth of the final one;
-    ``undone`` and ``restarts``: steps taken back, returns to an earlier state. None of a fit that failed, which ``why``
+    ``condition``, ``attainable`` and ``start`` belong to the scene
+    (:attr:`mitsvbrdf.bench.stiff.scenes.StiffTask.known`). ``errors``: each map and their ``mean`` where
+    there is a truth, ``photos``, and ``photos_start``; ``stated``: the deviations that the fit gives, as
+    ``attainable``; ``near``: when the photos' error was within a tenth of the final one; ``undone`` and
+    ``restarts``: steps taken back, returns to an earlier state. None of a fit that failed, which ``why``
     explains.
     """
 
@@ -182,8 +194,9 @@ class StiffRecord(OfRun):
 class StartRow(TypedDict):
     """Processes with one state of Dr.Jit's kernel cache.
 
-    ``wall`` from the start of a process to its end; of it ``imports`` (Python and torch), ``preparation`` up to the loop
-    (Mitsuba, photos, the first guess), the ``loop`` and ``writing`` the result after it; ``iterations`` of the loop.
+    ``wall`` from the start of a process to its end; of it ``imports`` (Python and torch), ``preparation`` up
+    to the loop (Mitsuba, photos, the first guess), the ``loop`` and ``writing`` the result after it;
+    ``iterations`` of the loop.
     """
 
     cache: Literal["empty", "full"]
@@ -209,10 +222,11 @@ class StartRecord(Made):
 class LeaveOutRecord(OfTask):
     """A part of a fit, with it and without it in turn, on one scene.
 
-    ``method`` names the pair, ``of`` the method that ``part`` belongs to, ``says`` the names by which ``fit --explain`` says
-    that it is left out; ``put_in``: the program leaves it out by itself. ``kind`` of the scene, of so many ``photos``;
-    ``config``: the settings of both. By ``with`` and ``without``: ``seconds`` of each turn on the wall and ``errors`` as
-    :class:`FitRecord` has them; ``spent``: seconds by part of the work, of the fit as the program decides it.
+    ``method`` names the pair, ``of`` the method that ``part`` belongs to, ``says`` the names by which ``fit
+    --explain`` says that it is left out; ``put_in``: the program leaves it out by itself. ``kind`` of the
+    scene, of so many ``photos``; ``config``: the settings of both. By ``with`` and ``without``: ``seconds``
+    of each turn on the wall and ``errors`` as :class:`FitRecord` has them; ``spent``: seconds by part of the
+    work, of the fit as the program decides it.
     """
 
     suite: Literal["leave-out"]
@@ -231,11 +245,12 @@ class LeaveOutRecord(OfTask):
 
 
 class LeaveOutRenderRecord(Made):
-    """A thing that a scene may do without, with it and without it in turn: forward and backward, or steps of a fit.
+    """A thing that a scene may do without, with it and without it in turn: forward and backward, or steps of
+    a fit.
 
-    ``where``: what renders; ``says`` as above; ``why`` it is not needed. ``worst`` and ``mean`` relative difference of the two;
-    ``full_error`` and ``lean_error``, the worst of each against float64, None without a twin (two float32 results may differ
-    by their sum); ``seconds`` of ``full`` and ``lean``.
+    ``where``: what renders; ``says`` as above; ``why`` it is not needed. ``worst`` and ``mean`` relative
+    difference of the two; ``full_error`` and ``lean_error``, the worst of each against float64, None without
+    a twin (two float32 results may differ by their sum); ``seconds`` of ``full`` and ``lean``.
     """
 
     suite: Literal["leave-out-renders"]
@@ -254,8 +269,8 @@ class LeaveOutRenderRecord(Made):
 class Benchmark(TypedDict):
     """The whole file.
 
-    ``published``: kind -> name -> whose -> error -> value, of what was fitted here. The kind of real captures is followed by
-    the numbers of the photos left out, such as "capture 4,7" (:func:`capture_kind`).
+    ``published``: kind -> name -> whose -> error -> value, of what was fitted here. The kind of real captures
+    is followed by the numbers of the photos left out, such as "capture 4,7" (:func:`capture_kind`).
     """
 
     schema_version: Literal[2]
@@ -264,5 +279,5 @@ class Benchmark(TypedDict):
     versions: dict[str, str | None]
     seeds: list[int]
     published: dict[str, dict[str, dict[str, dict[str, float]]]]
-    records: list[RenderRecord | FitRecord | CaptureRecord | ReferenceRecord | ScheduleRecord | StepRecord | SheetRecord
-                  | StartRecord | StiffRecord | LeaveOutRecord | LeaveOutRenderRecord]
+    records: list[RenderRecord | FitRecord | CaptureRecord | ReferenceRecord | ScheduleRecord | StepRecord
+                  | SheetRecord | StartRecord | StiffRecord | LeaveOutRecord | LeaveOutRenderRecord]

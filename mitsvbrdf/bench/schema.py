@@ -1,4 +1,6 @@
-"""The JSON of a benchmark, version 2: which record is which, and whether a file is one (:mod:`mitsvbrdf.bench.records`)."""
+"""The JSON of a benchmark, version 2: which record is which, and whether a file is one
+(:mod:`mitsvbrdf.bench.records`).
+"""
 
 from __future__ import annotations
 
@@ -12,16 +14,21 @@ from ..errors import ConfigError
 from .records import Benchmark
 
 SCHEMA_VERSION: Literal[2] = 2
-OF_TASKS = "methods", "ablation", "gan", "references", "schedule"  # suites whose records are of an :class:`OfTask`
-USUAL_LEFT_OUT = (4, 7)  # numbers of the photos that fits of real captures do not see, where nothing else is said
+# suites whose records are of an :class:`OfTask`
+OF_TASKS = "methods", "ablation", "gan", "references", "schedule"
+# numbers of the photos that fits of real captures do not see, where nothing else is said
+USUAL_LEFT_OUT = (4, 7)
 
 
 def identity(record: dict) -> tuple:
     """What no two records of a file share."""
-    names = {"renderers": ("suite", "bsdf", "resolution", "views", "truth"), "capture": ("suite", "kind", "name", "sheet"),
+    names = {"renderers": ("suite", "bsdf", "resolution", "views", "truth"),
+             "capture": ("suite", "kind", "name", "sheet"),
              "references": ("suite", "kind", "name"), "sheets": ("suite", "kind", "name"),
-             "schedule": ("suite", "method", "kind", "name", "seed"), "start": ("suite", "method", "kind", "name"),
-             "steps": ("suite", "preset", "resolution", "width"), "leave-out": ("suite", "method", "kind", "name"),
+             "schedule": ("suite", "method", "kind", "name", "seed"), "start": ("suite", "method", "kind",
+                                                                                "name"),
+             "steps": ("suite", "preset", "resolution", "width"), "leave-out": ("suite", "method", "kind",
+                                                                                "name"),
              "leave-out-renders": ("suite", "where", "name")}
     own = names.get(record["suite"], ("suite", "method", "kind", "name", "budget", "seed"))
     return (*(record[name] for name in own), tuple(record.get("left_out", ())))
@@ -53,7 +60,8 @@ def check_benchmark(value: Any, where: str) -> Benchmark:
         problem = f"{where}.records", "each fit and case once", f"{twice} twice"
     for number, record in enumerate([] if problem else value["records"]):
         if record["suite"] in OF_TASKS and ("left_out" in record) != (record["kind"] == "capture"):
-            problem = f"{where}.records.{number}", "left_out of a capture, and of nothing else", str(record["kind"])
+            problem = f"{where}.records.{number}", "left_out of a capture, and of nothing else", str(
+                record["kind"])
     if problem:
         place, expected, got = problem
         raise ConfigError(f"{expected} at {place}", got, "choose another file, or --anew to forget it")

@@ -1,4 +1,6 @@
-"""``mitsvbrdf fit`` from the start of its process to its end, with an empty kernel cache and with a full one."""
+"""``mitsvbrdf fit`` from the start of its process to its end, with an empty kernel cache and with a full
+one.
+"""
 
 from __future__ import annotations
 
@@ -14,9 +16,9 @@ from pathlib import Path
 
 from ..errors import BackendError
 from ..fit import live
+from ..io.timing import spread
 from ..render import RendererName
 from ..render.llvm import STATED, VARIABLE
-from ..system.timing import spread
 from . import start_child
 from .code import method_module, own_code
 
@@ -55,8 +57,10 @@ class StartJob:
     @property
     def settings(self) -> dict:
         """What else shapes the record."""
-        return {"resolution": self.resolution, "budget": self.budget, "repeats": self.repeats, "renderer": self.renderer,
-                "variant": self.variant, "code": own_code(__name__, live.__name__, method_module(self.method))}
+        return {"resolution": self.resolution, "budget": self.budget, "repeats": self.repeats,
+                "renderer": self.renderer,
+                "variant": self.variant, "code": own_code(__name__, live.__name__,
+                                                          method_module(self.method))}
 
     @property
     def title(self) -> str:
@@ -82,7 +86,8 @@ class StartJob:
         found: dict[str, list[dict[str, float]]] = {"empty": [], "full": []}
         for turn in range(self.repeats):
             with tempfile.TemporaryDirectory() as folder:  # the user's own cache is neither read nor changed
-                for number, each in enumerate(found.values()):  # the second process finds what the first one compiled
+                # the second process finds what the first one compiled
+                for number, each in enumerate(found.values()):
                     each.append(self._process(Path(folder), f"out{number}"))
                     report((2 * turn + number + 1) / (2 * self.repeats))
         return {"rows": [{"cache": cache} | {part: spread([one[part] for one in each]) for part in each[0]}
@@ -91,11 +96,13 @@ class StartJob:
     def _process(self, folder: Path, out: str) -> dict[str, float]:
         """Seconds of one process and of its parts, and the iterations of its loop."""
         marks = folder / "marks.json"
-        usual = {name: value for name, value in os.environ.items() if name != VARIABLE}  # this process has set its own
+        # this process has set its own
+        usual = {name: value for name, value in os.environ.items() if name != VARIABLE}
         stated = {} if STATED is None else {VARIABLE: STATED}
         environment = {"OMP_WAIT_POLICY": "PASSIVE"} | usual | stated | {CACHE: str(folder / "kernels")}
         command = ["fit", os.path.abspath(self.source), "-o", str(folder / out), "--method", self.method,
-                   "--budget", f"{self.budget:g}", "--resolution", str(self.resolution), "--renderer", self.renderer,
+                   "--budget", f"{self.budget:g}", "--resolution", str(self.resolution), "--renderer",
+                   self.renderer,
                    "--variant", self.variant]
         began = time.monotonic()
         child = subprocess.run([*CHILD, str(marks), *command], env=environment,
@@ -103,7 +110,10 @@ class StartJob:
         ended = time.monotonic()
         if child.returncode or not marks.is_file():
             said = child.stderr.strip().splitlines()[-1:] or ["no message"]
-            raise BackendError("mitsvbrdf fit to end well in a process of its own", said[0], "try that command by itself")
+            raise BackendError("mitsvbrdf fit to end well in a process of its own", said[0],
+                               "try that command by itself")
         at = json.loads(marks.read_text())
-        return {"wall": ended - began, "imports": at["imported"] - began, "preparation": at["loop"] - at["imported"],
-                "loop": at["looped"] - at["loop"], "writing": ended - at["looped"], "iterations": at["iterations"]}
+        return {"wall": ended - began, "imports": at["imported"] - began,
+                "preparation": at["loop"] - at["imported"],
+                "loop": at["looped"] - at["loop"], "writing": ended - at["looped"],
+                "iterations": at["iterations"]}

@@ -1,6 +1,8 @@
-"""The process that :mod:`mitsvbrdf.bench.start` times: ``python -m mitsvbrdf`` that notes when its parts begin.
+"""The process that :mod:`mitsvbrdf.bench.start` times: ``python -m mitsvbrdf`` that notes when its parts
+begin.
 
-The first argument is the file for these notes, by the clock that all processes share; the others are those of the command.
+The first argument is the file for these notes, by the clock that all processes share; the others are those of
+the command.
 """
 
 from __future__ import annotations

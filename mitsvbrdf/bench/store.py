@@ -1,4 +1,6 @@
-"""The benchmark's file: brought up to date with every record, so that a run can stop anywhere and go on later."""
+"""The benchmark's file: brought up to date with every record, so that a run can stop anywhere and go on
+later.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +14,11 @@ from typing import Any
 
 from .. import __version__
 from ..errors import ConfigError
-from ..system import files
-from ..system.interrupts import stop_signals
-from ..system.json_files import load
-from ..system.provenance import machine, versions
-from ..system.shared_file import held
+from ..io import files
+from ..io.interrupts import stop_signals
+from ..io.json_files import load
+from ..io.provenance import machine, versions
+from ..io.shared_file import held
 from .behaviour import ended_for_good
 from .code import shared_code
 from .earlier import upgraded
@@ -46,10 +48,12 @@ class Store:
         self.path, self.anew = Path(path), anew
         used = versions() | {"mitsvbrdf": __version__, "flip-evaluator": _flip_version()}
         self.content: Benchmark = {
-            "schema_version": SCHEMA_VERSION, "settings": {**settings, "code": shared_code(shaping)}, "machine": this_machine(),
+            "schema_version": SCHEMA_VERSION, "settings": {**settings, "code": shared_code(shaping)},
+            "machine": this_machine(),
             "versions": used, "seeds": [], "published": {}, "records": []}
         self.found: Published = {}
-        self.outdated: list[dict] = []  # records of earlier settings or code, which go when the first new one comes
+        # records of earlier settings or code, which go when the first new one comes
+        self.outdated: list[dict] = []
         self._read()
 
     def _read(self) -> None:
@@ -71,7 +75,9 @@ class Store:
         return self.content["records"]  # type: ignore[return-value]
 
     def pending(self, jobs: list) -> list:
-        """The jobs without a record that need one. Records of a method or case whose settings have changed go with it."""
+        """The jobs without a record that need one. Records of a method or case whose settings have changed go
+        with it.
+        """
         wanted = {(*_whole(job.key),): job.settings for job in jobs}
         kept = [r for r in self.records if wanted.get((*_whole(r),), r["config"]) == r["config"]]
         self.outdated += [r for r in self.records if r not in kept]
@@ -118,7 +124,8 @@ class Store:
                 for record in new:
                     self._check_alike(record, there)
                 known = set(map(identity, there))
-                self.content["records"] = there + [r for r in new if identity(r) not in known]  # type: ignore[typeddict-item]
+                self.content["records"] = there + [r for r in new
+                                                   if identity(r) not in known]  # type: ignore[typeddict-item]
                 self.content["seeds"] = sorted({r["seed"] for r in self.records if "seed" in r})
                 for kind, each in self.found.items():
                     self.content["published"].setdefault(kind, {}).update(each)
@@ -145,7 +152,8 @@ def read_benchmark(path: Path) -> Benchmark:
     except OSError as reason:
         raise ConfigError("a benchmark's JSON", f"{path}: {reason.strerror}", "check --json") from None
     except ValueError as reason:
-        raise ConfigError("a benchmark's JSON", f"{path}: {reason}", "choose another, or --anew to forget it") from None
+        raise ConfigError("a benchmark's JSON", f"{path}: {reason}",
+                          "choose another, or --anew to forget it") from None
 
 
 def _whole(key: Mapping[str, Any]) -> tuple:
@@ -176,7 +184,8 @@ def text_of(content: Mapping) -> str:
         return json.dumps(value, allow_nan=False, separators=(",", ":"))
 
     head = [f'"{name}":{line(value)}' for name, value in content.items() if name != "records"]
-    return "{" + ",\n".join([*head, '"records":[\n' + ",\n".join(map(line, content["records"])) + "]"]) + "}\n"
+    return ("{" + ",\n".join([*head, '"records":[\n' + ",\n".join(map(line, content["records"])) + "]"])
+            + "}\n")
 
 
 def _flip_version() -> str | None:
@@ -187,11 +196,14 @@ def _flip_version() -> str | None:
 
 
 def this_machine() -> dict[str, Any]:
-    """:func:`mitsvbrdf.system.provenance.machine` with the processor's name and the GiB of memory, where Linux tells them."""
+    """:func:`mitsvbrdf.io.provenance.machine` with the processor's name and the GiB of memory, where
+    Linux tells them.
+    """
     model, memory = None, None
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-        model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), None)
+        model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")),
+                     None)
         memory = round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30)
     except (OSError, ValueError):
         pass

@@ -1,6 +1,8 @@
-"""From records to what tables and curves show: medians over seeds with quartiles, times to an error, differences.
+"""From records to what tables and curves show: medians over seeds with quartiles, times to an error,
+differences.
 
-For several materials or captures the error of a seed is the mean over them; a seed that lacks one of them does not count.
+For several materials or captures the error of a seed is the mean over them; a seed that lacks one of them
+does not count.
 """
 
 from __future__ import annotations
@@ -9,7 +11,7 @@ import statistics
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from ..system.timing import spread
+from ..io.timing import spread
 from .behaviour import ended_for_good
 from .methods import method_table
 from .published import BLIND, Published
@@ -34,7 +36,8 @@ class Point:
         seconds: the loop's own, median over seeds; ``wall`` with what comes before and after it.
         median: of the error over seeds; ``low`` and ``high`` are its quartiles.
         seeds: how many.
-        scenes: quartiles over materials or captures, each of its median over seeds; ``count`` is how many these are.
+        scenes: quartiles over materials or captures, each of its median over seeds; ``count`` is how many
+            these are.
         ended: whether all these fits ended by themselves.
     """
 
@@ -59,7 +62,8 @@ def of(records: Iterable[Mapping], suite: str, kind: str) -> list[Mapping]:
 
     Methods stand in their own order, the default first, whichever fit ended first.
     """
-    fits = with_repeats([r for r in records if r["suite"] == suite and r["kind"] == kind] if suite in FIT_SUITES else [])
+    fits = with_repeats([r for r in records if r["suite"] == suite and r["kind"] == kind]
+                        if suite in FIT_SUITES else [])
     if suite != "methods":
         return fits
     rank = {name: number for number, name in enumerate(method_table())}
@@ -77,42 +81,55 @@ def with_repeats(fits: Sequence[Mapping]) -> list[Mapping]:
 
 
 def protocols(record: Mapping) -> list[dict]:
-    """The record apart by what fits are judged by: known materials, and real captures by the photos left out."""
+    """The record apart by what fits are judged by: known materials, and real captures by the photos left
+    out.
+    """
     materials = {**record, "records": [r for r in record["records"] if r.get("kind") != "capture"]}
     return [materials, *(protocol(record, numbers) for numbers in ways_to_leave_out(record["records"]))]
 
 
 def for_readers(record: Mapping) -> list[dict]:
-    """:func:`protocols`, those first in which others did not see the photos left out either, as their authors published."""
+    """:func:`protocols`, those first in which others did not see the photos left out either, as their authors
+    published.
+    """
     return sorted(protocols(record), key=lambda part: not any(
         who.endswith(BLIND) for each in part["published"].get("capture", {}).values() for who in each))
 
 
 def ways_to_leave_out(records: Iterable[Mapping]) -> list[tuple[int, ...]]:
-    """The numbers of the photos left out, each way once: the usual one first, whatever the order of the records."""
+    """The numbers of the photos left out, each way once: the usual one first, whatever the order of the
+    records.
+    """
     ways = dict.fromkeys(tuple(r["left_out"]) for r in records if "left_out" in r)
     return sorted(ways, key=lambda numbers: numbers != USUAL_LEFT_OUT)
 
 
 def protocol(record: Mapping, left_out: Sequence[int]) -> dict:
-    """The captures of which these photos were left out, with the numbers published for them under the kind ``capture``."""
+    """The captures of which these photos were left out, with the numbers published for them under the kind
+    ``capture``.
+    """
     return {**record, "left_out": tuple(left_out),
             "records": [r for r in record["records"] if r.get("left_out") == list(left_out)],
             "published": {"capture": record["published"].get(capture_kind(left_out), {})}}
 
 
 def usual(record: Mapping) -> dict:
-    """Materials, and captures without the usual photos, else of the first way to leave some out: for a page that shows one."""
+    """Materials, and captures without the usual photos, else of the first way to leave some out: for a page
+    that shows one.
+    """
     materials, *captures = protocols(record)
     if not captures:
         return {**materials, "left_out": USUAL_LEFT_OUT}
-    return {**captures[0], "records": [r for r in record["records"] if r.get("left_out", [*captures[0]["left_out"]])
+    return {**captures[0], "records": [r for r in record["records"] if r.get("left_out",
+                                                                             [*captures[0]["left_out"]])
                                        == [*captures[0]["left_out"]]],
             "published": {**record["published"], **captures[0]["published"]}}
 
 
 def names(fits: Iterable[Mapping]) -> list[str]:
-    """Materials or captures, each once, in the order of these fits: :func:`of` sorts those of the suite ``methods``."""
+    """Materials or captures, each once, in the order of these fits: :func:`of` sorts those of the suite
+    ``methods``.
+    """
     return list(dict.fromkeys(r["name"] for r in fits))
 
 
@@ -160,7 +177,8 @@ def _point(budget: float, error: str, seeds: list[dict[str, Mapping]]) -> Point 
                  (scenes["low"], scenes["high"]), len(seeds[0]), ended)
 
 
-def absent(fits: Iterable[Mapping], method: str, budget: float, error: str, only: Sequence[str] | None = None) -> str:
+def absent(fits: Iterable[Mapping], method: str, budget: float, error: str, only: Sequence[str]
+           | None = None) -> str:
     """Why :func:`curves` has no point of a method at a budget, in a few words."""
     fits = list(fits)
     wanted = set(names(fits) if only is None else only)
@@ -176,9 +194,11 @@ def absent(fits: Iterable[Mapping], method: str, budget: float, error: str, only
 
 
 def cold_starts(record: Mapping) -> dict[str, float]:
-    """Method -> seconds that a new process takes beside its loop with an empty kernel cache, by the suite ``start``.
+    """Method -> seconds that a new process takes beside its loop with an empty kernel cache, by the suite
+    ``start``.
 
-    Kernels are compiled within the loop too: of its seconds, those that its iterations take with a full cache do not count.
+    Kernels are compiled within the loop too: of its seconds, those that its iterations take with a full cache
+    do not count.
     """
     found: dict[str, list[float]] = {}
     for r in (r for r in record["records"] if r["suite"] == "start"):
@@ -190,31 +210,40 @@ def cold_starts(record: Mapping) -> dict[str, float]:
 
 
 def wall_seconds(point: Point, cold: float | None) -> float:
-    """Seconds of a fit from start to end: of a new process, where ``cold`` of :func:`cold_starts` is known, else a warm one."""
+    """Seconds of a fit from start to end: of a new process, where ``cold`` of :func:`cold_starts` is known,
+    else a warm one.
+    """
     return point.wall if cold is None else point.seconds + cold
 
 
 def first_below(points: Sequence[Point], target: float) -> Point | None:
-    """The shortest budget whose median error is below a target; schedules follow budgets, so nothing is known in between."""
+    """The shortest budget whose median error is below a target; schedules follow budgets, so nothing is known
+    in between.
+    """
     return next((point for point in points if point.median < target), None)
 
 
 def published_mean(published: Published, kind: str, wanted: Sequence[str], error: str) -> dict[str, float]:
     """Whose -> the mean of their published errors, where all of these materials or captures have one."""
     entries = [published.get(kind, {}).get(name, {}) for name in wanted]
-    whose = [who for who in (entries[0] if entries else {}) if all(error in each.get(who, {}) for each in entries)]
+    whose = [who for who in (entries[0] if entries else {}) if all(error in each.get(who, {})
+                                                                   for each in entries)]
     return {who: statistics.fmean(each[who][error] for each in entries) for who in whose}
 
 
-def beside(published: Published, kind: str) -> list[str]:
-    """Whose published errors fits are held against: MaterialGAN's, and those of methods that did not see what is left out."""
+def atomic_write(published: Published, kind: str) -> list[str]:
+    """Whose published errors fits are held against: MaterialGAN's, and those of methods that did not see what
+    is left out.
+    """
     whose = dict.fromkeys(who for each in published.get(kind, {}).values() for who in each)
     return [who for who in whose if who == "MaterialGAN" or who.endswith(BLIND)]
 
 
 def comparable(published: Published, kind: str, error: str) -> list[str]:
-    """Those of :func:`beside` that did not see what is predicted: the others' errors of photos left out are no measure."""
-    return [who for who in beside(published, kind) if error != "left_out" or who.endswith(BLIND)]
+    """Those of :func:`atomic_write` that did not see what is predicted: the others' errors of photos left out are
+    no measure.
+    """
+    return [who for who in atomic_write(published, kind) if error != "left_out" or who.endswith(BLIND)]
 
 
 def with_published(published: Published, kind: str, wanted: Sequence[str], who: str, error: str) -> list[str]:
@@ -223,15 +252,19 @@ def with_published(published: Published, kind: str, wanted: Sequence[str], who: 
 
 
 def differences(fits: Sequence[Mapping], error: str) -> dict[str, dict[float, dict[str, float]]]:
-    """Variant -> budget -> spread of its error less that of the whole method, each pair of one material and one seed."""
+    """Variant -> budget -> spread of its error less that of the whole method, each pair of one material and
+    one seed.
+    """
     whole = {(r["budget"], r["name"], r["seed"]): r["errors"][error] for r in fits
              if r["method"] == FULL and error in r["errors"]}
     pairs: dict[str, dict[float, list[float]]] = {}
     for r in fits:
         key = r["budget"], r["name"], r["seed"]
         if r["method"] != FULL and error in r["errors"] and key in whole:
-            pairs.setdefault(r["method"], {}).setdefault(r["budget"], []).append(r["errors"][error] - whole[key])
-    return {method: {budget: spread(each) for budget, each in sorted(found.items())} for method, found in pairs.items()}
+            pairs.setdefault(r["method"], {}).setdefault(r["budget"],
+                                                         []).append(r["errors"][error] - whole[key])
+    return {method: {budget: spread(each) for budget, each in sorted(found.items())}
+            for method, found in pairs.items()}
 
 
 def failures(records: Iterable[Mapping]) -> list[Mapping]:

@@ -1,8 +1,9 @@
-"""The tables of a benchmark as text, for the terminal and for the page; they print what the record and its summary hold.
+"""The tables of a benchmark as text, for the terminal and for the page; they print what the record and its
+summary hold.
 
-Errors of fits at equal time, of each material and each map at the longest budget, by how different pictures look, and with
-ingredients taken away. :mod:`~mitsvbrdf.bench.times` has the seconds to an error, :mod:`~mitsvbrdf.bench.suite_tables` what
-is no fit. No cell is empty: one without a number says why.
+Errors of fits at equal time, of each material and each map at the longest budget, by how different pictures
+look, and with ingredients taken away. :mod:`~mitsvbrdf.bench.times` has the seconds to an error,
+:mod:`~mitsvbrdf.bench.suite_tables` what is no fit. No cell is empty: one without a number says why.
 """
 
 from __future__ import annotations
@@ -48,18 +49,23 @@ def equal_time(record: Mapping) -> list[Table]:
     for kind, error, title, fits in judged(record, "methods"):
         found, times = summary.curves(fits, error), summary.budgets(fits)
         methods = methods_of(fits)
-        rows = [[f"`{name}`", *(cell(fits, found, name, budget, error) for budget in times)] for name in methods]
+        rows = [[f"`{name}`", *(cell(fits, found, name, budget, error) for budget in times)]
+                for name in methods]
         rows = with_best(rows, [[value_at(found, name, budget) for budget in times] for name in methods])
         published = summary.published_mean(record["published"], kind, summary.names(fits), error)
-        rows += [[as_published(who, error), *[f"{value:.4f}"] * len(times)] for who, value in fair_first(published, error)]
+        rows += [[as_published(who, error), *[f"{value:.4f}"] * len(times)]
+                 for who, value in fair_first(published, error)]
         if found:
-            tables.append(Table(f"{title}, {count_of(kind, fits)}", ["", *(f"{budget:g} s" for budget in times)], rows,
+            tables.append(Table(f"{title}, {count_of(kind, fits)}",
+                                ["", *(f"{budget:g} s" for budget in times)], rows,
                                 " ".join(filter(None, (_spread_note(fits, found), _not_run_note(fits))))))
     return tables
 
 
 def each_one(record: Mapping, kind: str, error: str, title: str) -> Table | None:
-    """The error of each material or capture at the longest budget of all methods, beside what was published for it."""
+    """The error of each material or capture at the longest budget of all methods, beside what was published
+    for it.
+    """
     fits = summary.of(record["records"], "methods", kind)
     names, methods, longest = summary.names(fits), methods_of(fits), summary.longest(fits)
     published = record["published"].get(kind, {})
@@ -75,10 +81,12 @@ def each_one(record: Mapping, kind: str, error: str, title: str) -> Table | None
     if not rows:
         return None
     with_median(rows, values, 4)
-    fair = [[None if who in whose and unfair(who, error) else value for who, value in zip((*methods, *whose), row)]
+    fair = [[None if who in whose and unfair(who, error) else value for who, value in zip((*methods, *whose),
+                                                                                          row)]
             for row in values]
     return Table(f"{title}, {longest:g} s, each {kind}",
-                 ["", *(_with_seeds(fits, m, longest) for m in methods), *(as_published(who, error) for who in whose)],
+                 ["", *(_with_seeds(fits, m, longest) for m in methods),
+                  *(as_published(who, error) for who in whose)],
                  best_in_row(rows, fair))
 
 
@@ -87,7 +95,8 @@ def with_median(rows: list[list[str]], values: list[list[float | None]], digits:
     if len(rows) > 1:
         columns = [[value for value in each if value is not None] for each in zip(*values)]
         values.insert(0, [statistics.median(each) if len(each) == len(rows) else None for each in columns])
-        rows.insert(0, ["median", *("not of all" if value is None else f"{value:.{digits}f}" for value in values[0])])
+        rows.insert(0, ["median", *("not of all" if value is None else f"{value:.{digits}f}"
+                                    for value in values[0])])
 
 
 def unfair(who: str, error: str) -> bool:
@@ -107,7 +116,8 @@ def fair_first(values: Mapping[str, float], error: str) -> list[tuple[str, float
 
 def each_map(record: Mapping, suite: str = "methods") -> Table | None:
     """The error of each map at the longest budget of all methods."""
-    heads = {name: name for name in ("diffuse", "specular", "roughness", "normal", "mean")} | {"novel_light": "new light"}
+    heads = ({name: name for name in ("diffuse", "specular", "roughness", "normal", "mean")}
+             | {"novel_light": "new light"})
     fits = summary.of(record["records"], suite, "material")
     return _at_the_end(fits, "material", heads, "RMSE of each map", "`" if suite == "methods" else "")
 
@@ -120,16 +130,19 @@ def looks(record: Mapping, kind: str) -> Table | None:
     return _at_the_end(fits, kind, LOOKS[kind], "FLIP: how different pictures look, 0 to 1", "`")
 
 
-def _at_the_end(fits: Sequence[Mapping], kind: str, heads: Mapping[str, str], title: str, quote: str) -> Table | None:
+def _at_the_end(fits: Sequence[Mapping], kind: str, heads: Mapping[str, str], title: str,
+                quote: str) -> Table | None:
     """Several errors of each method at the longest budget of all."""
     longest = summary.longest(fits)
     found = {error: summary.curves(fits, error) for error in heads}
     rows = [[_with_seeds(fits, m, longest, quote),
-             *(cell(fits, found[error], m, longest, error, None, False) for error in heads)] for m in methods_of(fits)]
+             *(cell(fits, found[error], m, longest, error, None, False) for error in heads)]
+            for m in methods_of(fits)]
     values = [[value_at(found[error], m, longest) for error in heads] for m in methods_of(fits)]
     if not rows:
         return None
-    return Table(f"{title}, {longest:g} s, {count_of(kind, fits)}", ["", *heads.values()], with_best(rows, values))
+    return Table(f"{title}, {longest:g} s, {count_of(kind, fits)}", ["", *heads.values()],
+                 with_best(rows, values))
 
 
 def ablation_tables(record: Mapping, suite: str = "ablation") -> list[Table]:
@@ -138,10 +151,12 @@ def ablation_tables(record: Mapping, suite: str = "ablation") -> list[Table]:
     for kind, error, title, fits in judged(record, suite):
         times, found = summary.budgets(fits), summary.curves(fits, error)
         change = summary.differences(fits, error)
-        rows = [[name, *(_changed(at_time(points, budget), change.get(name, {}).get(budget)) for budget in times)]
+        rows = [[name, *(_changed(at_time(points, budget), change.get(name, {}).get(budget))
+                         for budget in times)]
                 for name, points in found.items()]
         if rows:
-            tables.append(Table(f"{title}, {count_of(kind, fits)}", ["", *(f"{budget:g} s" for budget in times)], rows,
+            tables.append(Table(f"{title}, {count_of(kind, fits)}",
+                                ["", *(f"{budget:g} s" for budget in times)], rows,
                                 f"Behind the error: median difference to `{FULL}` over pairs of the same "
                                 f"{kind} and seed, quartiles in brackets; above 0 "
                                 f"{'the ingredient helps' if suite == 'ablation' else 'it is worse'}."))
@@ -173,8 +188,8 @@ def methods_of(fits: Sequence[Mapping]) -> list[str]:
     return list(dict.fromkeys(r["method"] for r in fits))
 
 
-def cell(fits: Sequence[Mapping], found: Mapping[str, Sequence[Point]], method: str, budget: float, error: str,
-         only: Sequence[str] | None = None, spread: bool = True) -> str:
+def cell(fits: Sequence[Mapping], found: Mapping[str, Sequence[Point]], method: str, budget: float,
+         error: str, only: Sequence[str] | None = None, spread: bool = True) -> str:
     """The error of a method at a budget, or why there is none.
 
     Args:
@@ -184,7 +199,8 @@ def cell(fits: Sequence[Mapping], found: Mapping[str, Sequence[Point]], method: 
         budget: seconds.
         error: a name.
         only: the materials or captures that count.
-        spread: whether quartiles, a mark where fits ended by themselves and what :func:`_with_seeds` says stand behind it.
+        spread: whether quartiles, a mark where fits ended by themselves and what :func:`_with_seeds` says
+            stand behind it.
     """
     point = at_time(found.get(method, []), budget)
     if point is None:
@@ -196,7 +212,9 @@ def cell(fits: Sequence[Mapping], found: Mapping[str, Sequence[Point]], method: 
 
 
 def _with_seeds(fits: Sequence[Mapping], method: str, budget: float, quote: str = "`") -> str:
-    """A method's name in a table of one budget, and how many of its seeds had that budget where not all had."""
+    """A method's name in a table of one budget, and how many of its seeds had that budget where not all
+    had.
+    """
     here, seeds = len(_seeds(fits, method, budget)), len(_seeds(fits, method))
     return f"{quote}{method}{quote}" + (f" ({here} of {seeds} seeds)" if 0 < here < seeds else "")
 
@@ -242,7 +260,9 @@ def best_in_row(rows: list[list[str]], values: list[list[float | None]]) -> list
 
 
 def count_of(kind: str, fits: Sequence[Mapping]) -> str:
-    """Whose error it is: the only material's or capture's, or the mean over how many; and the photos left out."""
+    """Whose error it is: the only material's or capture's, or the mean over how many; and the photos left
+    out.
+    """
     names = summary.names(fits)
     whose = names[0] if len(names) == 1 else f"mean of {len(names)} {summary.KINDS[kind]}s"
     left_out = fits[0].get("left_out", ()) if fits else ()
@@ -257,15 +277,19 @@ def _spread_note(fits: Sequence[Mapping], found: Mapping[str, Sequence[Point]]) 
         f"over seeds ({', '.join(f'{count} of `{name}`' for name, count in drawn.items())})")
     notes = ["One seed." if max(counts.values()) == 1 else f"Median {of}, quartiles in brackets."]
     notes += [f"Without randomness: {', '.join(alike)}."] if alike and max(counts.values()) > 1 else []
-    ended = [f"`{name}` after {points[-1].seconds:.3g} s" for name, points in found.items() if points[-1].ended]
+    ended = [f"`{name}` after {points[-1].seconds:.3g} s" for name, points in found.items()
+             if points[-1].ended]
     return " ".join([*notes, *([f"{ENDED} ended by itself: {', '.join(ended)}."] if ended else [])])
 
 
 def _not_run_note(fits: Sequence[Mapping]) -> str:
-    """Which budgets which methods lack, and how long one fit of each material or capture with these would take."""
+    """Which budgets which methods lack, and how long one fit of each material or capture with these would
+    take.
+    """
     ran = {(r["method"], r["budget"]) for r in fits}
     lacking = {name: [b for b in summary.budgets(fits) if (name, b) not in ran] for name in methods_of(fits)}
     named = [f"`{name}` at {', '.join(f'{b:g}' for b in each)} s" for name, each in lacking.items() if each]
     count = len(summary.names(fits)) * sum(map(len, lacking.values()))
     seconds = len(summary.names(fits)) * sum(map(sum, lacking.values()))
-    return f"Not run, for the time it takes: {'; '.join(named)} ({count} fits, {duration(seconds)})." if named else ""
+    return (f"Not run, for the time it takes: {'; '.join(named)} ({count} fits, {duration(seconds)})."
+            if named else "")

@@ -1,4 +1,6 @@
-"""What is fitted: photos of known materials, judged by their maps, and real photos, judged by some that were left out."""
+"""What is fitted: photos of known materials, judged by their maps, and real photos, judged by some that were
+left out.
+"""
 
 from __future__ import annotations
 
@@ -50,15 +52,19 @@ class KnownMaterial:
         return {"kind": self.kind, "name": self.name}
 
     def errors(self, found: Fitted) -> dict[str, float]:
-        """RMSE of each map and their ``mean``, of pictures under ``novel_light``, and of the ``photos`` themselves."""
-        maps = map_rmse(found.svbrdf, self.truth) if self.folder is None else evaluate_maps(found.svbrdf, self.folder)
+        """RMSE of each map and their ``mean``, of pictures under ``novel_light``, and of the ``photos``
+        themselves.
+        """
+        maps = (map_rmse(found.svbrdf, self.truth) if self.folder is None
+                else evaluate_maps(found.svbrdf, self.folder))
         novel = novel_light_rmse(found.svbrdf, self.truth, self.photos.views)
         return maps | {"novel_light": novel, "photos": found.rmse}
 
     def looks(self, found: Fitted) -> dict[str, float]:
         """Mean FLIP of pictures under ``flip_novel_light``, and of the ``flip_photos`` themselves."""
         return {"flip_novel_light": mean_flip(*novel_pictures(found.svbrdf, self.truth, self.photos.views)),
-                "flip_photos": mean_flip(found.predict(self.photos)[0], self.photos.linear, self.photos.transfer)}
+                "flip_photos": mean_flip(found.predict(self.photos)[0], self.photos.linear,
+                                         self.photos.transfer)}
 
 
 @dataclass(frozen=True)
@@ -68,7 +74,8 @@ class RealCapture:
     Args:
         name: of the capture.
         photos: what is fitted.
-        unseen: what is predicted; None where the capture has none of these photos, or states no views to predict from.
+        unseen: what is predicted; None where the capture has none of these photos, or states no views to
+            predict from.
         left_out: the numbers of the photos that were to be left out.
     """
 
@@ -131,7 +138,8 @@ def real_capture(folder: Path, resolution: int, left_out: Sequence[int] = USUAL_
 
 
 def novel_light_rmse(svbrdf: SVBRDF, truth: SVBRDF, views: Views) -> float:
-    """How different two materials look under lights that no photo had: RMSE in display values, over :func:`novel_views`.
+    """How different two materials look under lights that no photo had: RMSE in display values, over
+    :func:`novel_views`.
 
     Args:
         svbrdf: the estimate.
@@ -143,8 +151,11 @@ def novel_light_rmse(svbrdf: SVBRDF, truth: SVBRDF, views: Views) -> float:
 
 
 def novel_pictures(svbrdf: SVBRDF, truth: SVBRDF, views: Views) -> tuple[Tensor, Tensor]:
-    """The pictures that :func:`novel_light_rmse` compares, of both materials, N x R x R x 3 linear; R of the smaller one."""
-    size, renderer, lit = min(svbrdf.resolution, truth.resolution), make_renderer("analytic"), novel_views(views)
+    """The pictures that :func:`novel_light_rmse` compares, of both materials, N x R x R x 3 linear; R of the
+    smaller one.
+    """
+    size, renderer, lit = min(svbrdf.resolution,
+                              truth.resolution), make_renderer("analytic"), novel_views(views)
     with torch.no_grad():
         found, exact = (renderer.render(m.as_roughconductor().resized(size), lit) for m in (svbrdf, truth))
     return found, exact
@@ -164,7 +175,8 @@ def novel_views(views: Views, tilts: Sequence[float] = (25.0, 50.0), around: int
         around: lights of each tilt.
 
     Returns:
-        Views in patch sides; a white diffuse texel straight below such a light, were it upright, has radiance 1.
+        Views in patch sides; a white diffuse texel straight below such a light, were it upright, has radiance
+        1.
     """
     height = float(views.in_patch_sides().camera[:, 2].mean())
     lights = []

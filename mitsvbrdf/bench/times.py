@@ -1,4 +1,6 @@
-"""Tables of seconds: to an error, of a ladder of errors, to what was published, and by the clock on the wall."""
+"""Tables of seconds: to an error, of a ladder of errors, to what was published, and by the clock on the
+wall.
+"""
 
 from __future__ import annotations
 
@@ -34,11 +36,13 @@ def equal_error(record: Mapping) -> list[Table]:
                 best = min((p.median for p in points), default=None)
                 row.append("its own error" if name == whose
                            else summary.absent(fits, name, longest, error, only) if best is None
-                           else f"{below.seconds:.3g} s" if below else f"not in {points[-1].budget:g} s (best {best:.4f})")
+                           else f"{below.seconds:.3g} s" if below else f"not in {points[-1].budget:g} s "
+                                                                       f"(best {best:.4f})")
             rows.append(row)
         heads = ["", *(f"{head} {goal}" for head, goal, *_ in targets)]
         tables.append(Table("Seconds to pass others, " + count_of(kind, fits), heads, rows,
-                            "The shortest budget whose median is lower; schedules follow it, so nothing is known in between."))
+                            "The shortest budget whose median is lower; schedules follow it, so nothing is "
+                            "known in between."))
     return tables
 
 
@@ -48,7 +52,8 @@ def _targets(record: Mapping, kind: str, fits: Sequence[Mapping]) -> Iterator[tu
         short = title.removeprefix("Error ").removeprefix("of ").removeprefix("the ")
         final = summary.curves(fits, error).get(PEERS)
         if final:
-            yield f"{short},", f"below `{PEERS}` ({final[-1].median:.4f})", error, None, final[-1].median, PEERS
+            yield f"{short},", f"below `{PEERS}` ({final[-1].median:.4f})", error, None, final[
+                -1].median, PEERS
         for who in summary.comparable(record["published"], kind, error):
             only = summary.with_published(record["published"], kind, summary.names(fits), who, error)
             if only:
@@ -58,7 +63,9 @@ def _targets(record: Mapping, kind: str, fits: Sequence[Mapping]) -> Iterator[tu
 
 
 def ladders(record: Mapping) -> list[Table]:
-    """The time of each method to each of a ladder of errors, from the largest that any fit has to the lowest."""
+    """The time of each method to each of a ladder of errors, from the largest that any fit has to the
+    lowest.
+    """
     tables = []
     for kind, error, title, fits in judged(record, "methods"):
         found = summary.curves(fits, error)
@@ -77,7 +84,9 @@ def ladders(record: Mapping) -> list[Table]:
 
 
 def ladder(errors: list[float]) -> list[float]:
-    """Errors a factor of :data:`STEP` apart, the largest first, down to just above the lowest; :data:`RUNGS` at most."""
+    """Errors a factor of :data:`STEP` apart, the largest first, down to just above the lowest; :data:`RUNGS`
+    at most.
+    """
     if not errors or min(errors) <= 0:
         return []
     top, bottom = (math.floor((math.log(value) - math.log(LOWEST)) / math.log(STEP))
@@ -90,7 +99,8 @@ def passing(record: Mapping, kind: str = "capture", error: str = "left_out") -> 
     fits = summary.of(record["records"], "methods", kind)
     default, published = next((r["method"] for r in fits), ""), record["published"].get(kind, {})
     longest = max(summary.budgets(fits), default=0)
-    names = [name for name in summary.names(fits) if any(error in e for e in published.get(name, {}).values())]
+    names = [name for name in summary.names(fits) if any(error in e for e in published.get(name,
+                                                                                           {}).values())]
     whose = sorted(dict.fromkeys(who for name in names for who, e in published[name].items() if error in e),
                    key=lambda who: unfair(who, error))
     rows, taken = [], {who: list[float]() for who in whose}
@@ -116,8 +126,10 @@ def passing(record: Mapping, kind: str = "capture", error: str = "left_out") -> 
             (f"{middle[who]:.3g} s" if math.isfinite(middle[who]) else "not passed by half")
             + f" ({sum(map(math.isfinite, taken[who]))} of {len(taken[who])} passed)" for who in whose)])
     return Table(f"Seconds of `{default}` to pass what was published, photos left out",
-                 ["", f"`{default}` after {longest:g} s", *(f"below {as_published(who, error)}" for who in whose)], rows,
-                 "Published errors in brackets. The loop's seconds with the shortest budget whose median is lower.")
+                 ["", f"`{default}` after {longest:g} s",
+                  *(f"below {as_published(who, error)}" for who in whose)], rows,
+                 "Published errors in brackets. The loop's seconds with the shortest budget whose median is "
+                 "lower.")
 
 
 def wall_time(record: Mapping) -> list[Table]:
@@ -130,11 +142,13 @@ def wall_time(record: Mapping) -> list[Table]:
         rows = []
         for name in methods_of(fits):
             points = [at_time(found.get(name, []), budget) for budget in times]
-            rows.append([f"`{name}`", *(f"{p.wall:.3g} / {p.seconds:.3g}" if p else summary.absent(fits, name, budget, error)
+            rows.append([f"`{name}`", *(f"{p.wall:.3g} / {p.seconds:.3g}" if p else summary.absent(fits, name,
+                                                                                                   budget, error)
                                         for p, budget in zip(points, times))])
         if rows:
             tables.append(Table(f"Seconds on the wall / of the loop, {count_of(kind, fits)}",
                                 ["", *(f"{budget:g} s" for budget in times)], rows,
-                                "In a process that is warm: the first guess before the loop, the uncertainty of the maps after "
+                                "In a process that is warm: the first guess before the loop, the "
+                                "uncertainty of the maps after "
                                 "it. The suite `start` has what a new process adds."))
     return tables

@@ -1,4 +1,6 @@
-"""Methods with one ingredient taken away or put in: what the suites ``ablation`` and ``gan`` fit beside the method as it is."""
+"""Methods with one ingredient taken away or put in: what the suites ``ablation`` and ``gan`` fit beside the
+method as it is.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ VARIANTS: dict[str, dict[str, object]] = {
     "no freedom at full size": {"own": 0.0},
     "all pixels alike at 64 px": {"tails": 0.0},
     "burn-in not taken out": {"independent": False},
-    "no flash offset": {"flash_offset": False},  # common to all photos; each flash is still refined within 0.01
+    # common to all photos; each flash is still refined within 0.01
+    "no flash offset": {"flash_offset": False},
     "views as calibrated": {"calibrate": False},  # neither camera nor flash
 }
 
@@ -33,14 +36,16 @@ KEPT = ("width", "learning_rate", "discriminator_rate", "decay")  # ours there t
 
 # What lies between the paper's method and our `gan` -> the settings that change it.
 GAN_VARIANTS: dict[str, dict[str, object]] = {
-    # Every ingredient as in the paper: its generator from untrained weights, its game and its diffuse loss, its guess.
+    # Every ingredient as in the paper: its generator from untrained weights, its game and its diffuse loss,
+    # its guess.
     PAPERS_LOSSES: {name: value for name, value in PRESETS["paper-one-stage"].items() if name not in KEPT},
     NO_GAME: {"adversarial": 0.0, "features": 0.0},
     "no diffuse loss": {"diffuse": 0.0},
     "the paper's guess": {"guess": "min"},
     "no start at the guess": {"start": False},
     "two-stream generator": {"generator": "two-stream"},
-    "two-stream and five fresh steps": {"generator": "two-stream", "normal_roughness_steps": 5, "fresh_pictures": True},
+    "two-stream and five fresh steps": {"generator": "two-stream", "normal_roughness_steps": 5,
+                                        "fresh_pictures": True},
     "bce": {"game": "bce"},
     "hinge": {"game": "hinge"},
     "no level": {"level": False},
@@ -83,7 +88,8 @@ def variant_table(config: FitConfig, variants: Mapping[str, Mapping[str, object]
     for name, changes in variants.items():
         unknown = [key for key in changes if key not in {f.name for f in fields(config)}]
         if unknown or name == FULL:
-            raise ConfigError(f"a variant of {type(config).__name__}", f"{name!r} with {unknown or 'the name of the whole'}",
+            raise ConfigError(f"a variant of {type(config).__name__}",
+                              f"{name!r} with {unknown or 'the name of the whole'}",
                               "mend the table in mitsvbrdf/bench/variants.py")
         table[name] = replace(config, **changes)  # type: ignore[arg-type]
         table[name].check()

@@ -4,13 +4,14 @@ One material for all texels' lobes explains the photos roughly, with flash and c
 
     radiance = e s(d, z) (rho + k lobe(roughness)),   s = z / d^3 (z / d)^b
 
-rho of each texel and k, held near one level, are eliminated (variable projection, Golub and Pereyra 1973); what is left to find
-are the places, exposures e and three numbers for all: the roughness, the level of k and b. b is what the light falls off faster
-than a point's: the beam of a flash and the darker corners of a lens. Without it real photos seem taken from half as far.
+rho of each texel and k, held near one level, are eliminated (variable projection, Golub and Pereyra 1973);
+what is left to find are the places, exposures e and three numbers for all: the roughness, the level of k and
+b. b is what the light falls off faster than a point's: the beam of a flash and the darker corners of a lens.
+Without it real photos seem taken from half as far.
 
 - Where a highlight is, there is the mirror point: the flash stands above it, for sure and in patch sides.
-- How far away is hardly told: flash, material and lens can all make the same gradient. So heights lie around what phones do
-  (:data:`HEIGHT`, :data:`SPREAD`), and how sure they are is stated.
+- How far away is hardly told: flash, material and lens can all make the same gradient. So heights lie around
+  what phones do (:data:`HEIGHT`, :data:`SPREAD`), and how sure they are is stated.
 - How much light there was is told by nothing but what materials usually reflect (:data:`F0`,
   :data:`~mitsvbrdf.material.maps.USUAL_ALBEDO`).
 """
@@ -32,9 +33,9 @@ from .. import color
 from ..capture import Capture
 from ..capture.rig import LEAST_PHOTOS
 from ..color import CLIPPED
+from ..io.entry import entry
+from ..io.layout import Layout
 from ..material.maps import DIELECTRIC_F0, USUAL_ALBEDO, WHITEST
-from ..system.entry import entry
-from ..system.layout import Layout
 from ..views import Views
 
 ESTIMATE_SIDE = 32  # pixels a side that are looked at
@@ -42,10 +43,12 @@ GAMMA = 2.2  # errors are counted in radiance^(1 / GAMMA), whatever the photos' 
 NOISE = 0.05  # of these: one lobe for all is rough
 ALIKE = 40.0  # pixels count as one: what this model lacks hangs together
 ROBUST = 1.5  # errors beyond so many times the noise count by their size alone
-DARK_RADIANCE, SAME_LOG = 0.01, 0.01  # radiance, and change of its logarithm between photos, below which nothing is told
+# radiance, and change of its logarithm between photos, below which nothing is told
+DARK_RADIANCE, SAME_LOG = 0.01, 0.01
 
-# (What is usual, and by how many natural logarithms it varies.) Of twelve real captures with known views heights were 1.7 to
-# 4.0 patch sides with a median of 1.9, and cameras were spread over 0.10 to 0.18 of their height, root mean square by axis.
+# (What is usual, and by how many natural logarithms it varies.) Of twelve real captures with known views
+# heights were 1.7 to 4.0 patch sides with a median of 1.9, and cameras were spread over 0.10 to 0.18 of their
+# height, root mean square by axis.
 HEIGHT, SPREAD = (2.2, 0.15), (0.14, 0.15)
 HEIGHTS, EXPOSURES = 0.06, 0.05  # how unlike those of the photos of one capture are
 SIDEWAYS = 0.5  # patch sides, around the centre
@@ -68,7 +71,8 @@ class EstimatedViews:
         views: the N views, in the unit of the capture's.
         deviation: standard deviations N x 4, by :data:`ESTIMATED`.
         power_deviation: of the logarithm of the light power of all photos.
-        beam: how much faster than a point's the light falls off, as an exponent of the cosine; the views leave it out.
+        beam: how much faster than a point's the light falls off, as an exponent of the cosine; the views
+            leave it out.
     """
 
     views: Views
@@ -99,19 +103,22 @@ def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
         capture: rectified photos.
 
     Returns:
-        The capture, with a note, and what was found; itself and None where views are known. Where they cannot be estimated
-        (:func:`why_not`) the default geometry stays, and a note says why.
+        The capture, with a note, and what was found; itself and None where views are known. Where they cannot
+        be estimated (:func:`why_not`) the default geometry stays, and a note says why.
     """
     if capture.calibrated:
         return capture, None
     why = why_not(capture)
     if why:
-        return replace(capture, notes=(*capture.notes, f"views not estimated: {why}; the default geometry stays")), None
+        return replace(capture, notes=(*capture.notes, f"views not estimated: {why}; the default geometry "
+                                                       "stays")), None
     found = estimate_views(capture)
     height = float(found.views.camera[:, 2].mean()) / found.views.size
     x, y, z = ESTIMATED.unpack(found.deviation.mean(dim=0)).camera.tolist()
-    note = (f"views estimated from the photos alone: cameras about {height:.2f} patch sides away, to about {z:.2f}, and "
-            f"sideways to {max(x, y):.2f}; the light power to a factor of {math.exp(found.power_deviation):.1f}")
+    note = (f"views estimated from the photos alone: cameras about {height:.2f} patch sides away, to about "
+            f"{z:.2f}, and "
+            f"sideways to {max(x, y):.2f}; the light power to a factor of "
+            f"{math.exp(found.power_deviation):.1f}")
     return replace(capture, views=found.views, notes=(*capture.notes, note)), found
 
 
@@ -120,7 +127,8 @@ def estimate_views(capture: Capture) -> EstimatedViews:
     """The most probable views of photos of an unknown material; a few seconds. See the module.
 
     Args:
-        capture: N >= 3 photos that :func:`why_not` has nothing against; its views are not looked at, but for their unit.
+        capture: N >= 3 photos that :func:`why_not` has nothing against; its views are not looked at, but for
+            their unit.
     """
     problem = Problem(capture)
     start = np.zeros(problem.layout.size)
@@ -132,7 +140,8 @@ def estimate_views(capture: Capture) -> EstimatedViews:
     deviation = np.sqrt(np.einsum("npu,uv,npv->np", slope, covariance, slope))
     power, power_deviation = problem.power(found.x)
     size = capture.views.size
-    places, intensity = torch.from_numpy(camera * size), torch.from_numpy(power * exposure[:, None] * size**2).repeat(1, 3)
+    places, intensity = torch.from_numpy(camera * size), torch.from_numpy(power * exposure[:,
+                                                                                           None] * size**2).repeat(1, 3)
     views = Views(places, places.clone(), intensity, size)
     return EstimatedViews(views, torch.from_numpy(deviation), power_deviation, shared["beam"])
 
@@ -140,8 +149,9 @@ def estimate_views(capture: Capture) -> EstimatedViews:
 class Problem:
     """The least-squares problem in unknowns whose prior is the standard normal distribution.
 
-    By ``layout`` they are ``photos``, those of each (:data:`PHOTO`: x and y, height beside the common one, exposure), and of
-    all the ``height``, ``beam`` (b), ``alpha`` (roughness) and ``level`` (of k, beside the brightest diffuse).
+    By ``layout`` they are ``photos``, those of each (:data:`PHOTO`: x and y, height beside the common one,
+    exposure), and of all the ``height``, ``beam`` (b), ``alpha`` (roughness) and ``level`` (of k, beside the
+    brightest diffuse).
     """
 
     def __init__(self, capture: Capture) -> None:
@@ -157,7 +167,9 @@ class Problem:
         self.typical = float(np.median(self.light, axis=0).max())
 
     def mirror_points(self) -> np.ndarray:
-        """Where each photo is brightest beside the others, N x 2: where its highlight is, or what is nearest the flash."""
+        """Where each photo is brightest beside the others, N x 2: where its highlight is, or what is nearest
+        the flash.
+        """
         level = np.median(self.light, axis=(1, 2), keepdims=True) + DARK_RADIANCE
         logs = np.log(self.light / level + DARK_RADIANCE)
         excess = logs - np.median(logs, axis=0)
@@ -177,7 +189,8 @@ class Problem:
     def places(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
         """Cameras N x 3, exposures N, and the numbers shared by all."""
         own, common = self.photos(u), self.layout.unpack(u)
-        shared = {"height": HEIGHT[0] * math.exp(HEIGHT[1] * common.height), "beam": BEAM[0] + BEAM[1] * common.beam,
+        shared = {"height": HEIGHT[0] * math.exp(HEIGHT[1] * common.height),
+                  "beam": BEAM[0] + BEAM[1] * common.beam,
                   "alpha": min(ROUGHNESS[0] * math.exp(ROUGHNESS[1] * common.alpha), 1.0),
                   "level": self.typical * LEVELS[0] * math.exp(LEVELS[1] * common.level)}
         camera = np.column_stack((own.place * SIDEWAYS, shared["height"] * np.exp(HEIGHTS * own.height)))
@@ -190,12 +203,16 @@ class Problem:
         slope, common = np.zeros((self.count, ESTIMATED.size, self.layout.size)), self.layout.numbers
         own, photo = PHOTO.unpack(common.photos), np.arange(self.count)
         slope[photo, x, own.place[:, 0]] = slope[photo, y, own.place[:, 1]] = SIDEWAYS
-        slope[photo, z, own.height], slope[:, z, common.height] = HEIGHTS * camera[:, 2], HEIGHT[1] * camera[:, 2]
+        slope[photo, z, own.height], slope[:, z, common.height] = HEIGHTS * camera[:,
+                                                                                   2], HEIGHT[1] * camera[:,
+                                                                                                          2]
         slope[photo, exposure, own.exposure] = EXPOSURES
         return slope
 
     def shading(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """What rho and k of a texel are multiplied by, N x R x R each, 1 below a flash at the common height; and k's level."""
+        """What rho and k of a texel are multiplied by, N x R x R each, 1 below a flash at the common height;
+        and k's level.
+        """
         camera, exposure, shared = self.places(u)
         away = camera[:, None, None] - self.texels
         square = (away**2).sum(axis=-1)
@@ -225,7 +242,8 @@ class Problem:
     def _error(self, radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Errors, 0 where a clipped photo is met by enough light, and their slope by the radiance."""
         error = radiance ** (1 / GAMMA) - self.shown
-        return np.where(self.clipped & (error > 0), 0, error), np.maximum(radiance, 1e-3) ** (1 / GAMMA - 1) / GAMMA
+        return np.where(self.clipped & (error > 0), 0, error), np.maximum(radiance,
+                                                                          1e-3) ** (1 / GAMMA - 1) / GAMMA
 
     def errors(self, u: np.ndarray) -> np.ndarray:
         """Errors of the photos and of the priors, in standard deviations; their squares' sum is least."""
@@ -233,19 +251,24 @@ class Problem:
         camera, _, shared = self.places(u)
         own = (k / shared["level"] - 1) / OWN / 3  # counts little: one lobe for all is a picture of speech
         left = np.concatenate((error / NOISE, own[None])).ravel()
-        robust = np.sign(left) * np.sqrt(2 * (np.sqrt(1 + (left / ROBUST) ** 2) - 1)) * ROBUST / math.sqrt(ALIKE)
+        robust = (np.sign(left) * np.sqrt(2 * (np.sqrt(1 + (left / ROBUST) ** 2) - 1)) * ROBUST
+                  / math.sqrt(ALIKE))
         spread = camera[:, :2].std(axis=0)
         ratio = math.sqrt((spread**2).mean() + 1e-6) / shared["height"]
         return np.concatenate((robust, u, [math.log(ratio / SPREAD[0]) / SPREAD[1]]))
 
     def power(self, u: np.ndarray) -> tuple[float, float]:
-        """Radiant intensity in patch sides squared, such that albedo and F0 are as usual, and its deviation in logarithms."""
+        """Radiant intensity in patch sides squared, such that albedo and F0 are as usual, and its deviation
+        in logarithms.
+        """
         rho, _, _ = self.texel_fit(u)
         _, _, shared = self.places(u)
-        votes = [(math.log(shared["level"] / F0[0]), F0[1]), (math.log(np.median(rho) / USUAL_ALBEDO[0]), USUAL_ALBEDO[1])]
+        votes = [(math.log(shared["level"] / F0[0]), F0[1]), (math.log(np.median(rho) / USUAL_ALBEDO[0]),
+                                                              USUAL_ALBEDO[1])]
         weight = sum(sd**-2 for _, sd in votes)
         white = math.exp(sum(value * sd**-2 for value, sd in votes) / weight)
-        white = max(white, float(np.quantile(rho, 0.99)) / WHITEST)  # radiance of a white texel below the flash
+        # radiance of a white texel below the flash
+        white = max(white, float(np.quantile(rho, 0.99)) / WHITEST)
         return math.pi * white * shared["height"] ** 2, POWER
 
 

@@ -1,15 +1,17 @@
 """Views refined with the maps frozen: where camera and flash stood in each photo, and how much light it got.
 
-Each photo has seven unknowns: how far its camera stood from where the calibration says (x, y, z), how far its flash stood
-from its place beside the camera (x, y, z), and the natural logarithm of its exposure (light power, shutter and gain look
-alike). They are found as the most probable ones: Gaussian priors around the calibration, and residuals in display values,
-robust (Huber) and one-sided where the photo is clipped, as in :mod:`mitsvbrdf.fit.losses`. Levenberg-Marquardt; derivatives
-are central differences of the float64 analytic renderer.
+Each photo has seven unknowns: how far its camera stood from where the calibration says (x, y, z), how far its
+flash stood from its place beside the camera (x, y, z), and the natural logarithm of its exposure (light
+power, shutter and gain look alike). They are found as the most probable ones: Gaussian priors around the
+calibration, and residuals in display values, robust (Huber) and one-sided where the photo is clipped, as in
+:mod:`mitsvbrdf.fit.losses`. Levenberg-Marquardt; derivatives are central differences of the float64 analytic
+renderer.
 
-Residuals are not independent noise: where a map is wrong, so are all pixels around. The noise level is therefore measured on
-the residuals themselves, photo by photo, and so is how many pixels count as one (:meth:`Problem.evidence`). Without that,
-photos left out of a real fit moved their flash by more than a patch side, to explain errors of the maps; with it, by 0.02. What
-comes out is as sure as the maps are right: an error of the maps that looks like a shift of the highlight is taken for one.
+Residuals are not independent noise: where a map is wrong, so are all pixels around. The noise level is
+therefore measured on the residuals themselves, photo by photo, and so is how many pixels count as one
+(:meth:`Problem.evidence`). Without that, photos left out of a real fit moved their flash by more than a patch
+side, to explain errors of the maps; with it, by 0.02. What comes out is as sure as the maps are right: an
+error of the maps that looks like a shift of the highlight is taken for one.
 """
 
 from __future__ import annotations
@@ -27,34 +29,40 @@ from ..capture import Capture
 from ..capture.capture import Calibration
 from ..color import CLIPPED, QUANTIZATION_NOISE
 from ..errors import CaptureError, ConfigError
+from ..io.entry import entry
+from ..io.layout import Layout
 from ..material.maps import SVBRDF
 from ..measure.metrics import photo_rmse
 from ..render.analytic import AnalyticRenderer
 from ..render.needs import Needs
-from ..system.entry import entry
-from ..system.layout import Layout
 from ..views import NEAREST, Views
 
 UNKNOWNS = ("camera_x", "camera_y", "camera_z", "flash_x", "flash_y", "flash_z", "log_exposure")
 CHANGE = Layout(camera=(3,), flash=(3,), log_exposure=())  # the same, as parts
 REFINE_SIDE = 128  # pixels a side that are looked at; larger photos and maps are area-averaged
-STEP = 1e-5  # of the differences, in patch sides: 1e-3 of the sharpest highlight; its error is 1e-6 of the slope
-HUBER = 1.345  # residuals beyond so many deviations count by their size alone: 95 % efficient on normal noise (Huber 1981)
+# of the differences, in patch sides: 1e-3 of the sharpest highlight; its error is 1e-6 of the slope
+STEP = 1e-5
+# residuals beyond so many deviations count by their size alone: 95 % efficient on normal noise (Huber 1981)
+HUBER = 1.345
 BLOCKS = 8  # a side; averages over these show how far residuals hang together
 ITERATIONS, SETTLED = 30, 1e-2  # at most; and the step, in prior standard deviations, that ends it earlier
 
 
 @dataclass(frozen=True)
 class Priors:
-    """How far a calibration may be off: standard deviations, in patch sides. 0 holds a number where it is expected.
+    """How far a calibration may be off: standard deviations, in patch sides. 0 holds a number where it is
+    expected.
 
     Args:
-        camera: (x, y, z) of each photo's camera; the flash moves along. Captures whose calibration could be checked were right
-            to 0.003 sideways and to 1 to 3 % of their 1.8 sides of height; ten times that sideways, for those that could not.
-        flash: (x, y, z) of each photo's flash from its place beside the camera: highlight centres of real captures lie
-            within 0.01 to 0.03 of what one flash offset for all photos predicts.
-        exposure: natural logarithm; a camera that sets exposure or flash by itself repeats itself to about 10 %.
-        common_flash: (x, y) of one more offset of the flash, the same in all photos; beside a phone's lens it is up to 0.25.
+        camera: (x, y, z) of each photo's camera; the flash moves along. Captures whose calibration could be
+            checked were right to 0.003 sideways and to 1 to 3 % of their 1.8 sides of height; ten times that
+            sideways, for those that could not.
+        flash: (x, y, z) of each photo's flash from its place beside the camera: highlight centres of real
+            captures lie within 0.01 to 0.03 of what one flash offset for all photos predicts.
+        exposure: natural logarithm; a camera that sets exposure or flash by itself repeats itself to about 10
+            %.
+        common_flash: (x, y) of one more offset of the flash, the same in all photos; beside a phone's lens it
+            is up to 0.25.
         expected: what is expected instead of 0, seven numbers (:data:`UNKNOWNS`) or N x 7.
     """
 
@@ -65,18 +73,25 @@ class Priors:
     expected: Tensor | tuple[float, ...] = (0.0,) * len(UNKNOWNS)
 
     def __post_init__(self) -> None:
-        if not all(0 <= sd < float("inf") for sd in (*self.camera, *self.flash, self.exposure, *self.common_flash)):
-            raise ConfigError("standard deviations of 0 and more, finite", str(self), "give 0 to hold a number fixed")
+        if not all(0 <= sd < float("inf") for sd in (*self.camera, *self.flash, self.exposure,
+                                                     *self.common_flash)):
+            raise ConfigError("standard deviations of 0 and more, finite", str(self),
+                              "give 0 to hold a number fixed")
 
 
-# How far views may be off that a fit refines beside its maps, by where they come from. A phone is some two patch sides away:
-# a sheet tells its place to 0.3 % of that, features of the photos to 2 to 3 %. Of views estimated from rectified photos the
-# places of highlights are known; how far away and how strong the flash is was settled there, and maps would only undo it.
+# How far views may be off that a fit refines beside its maps, by where they come from. A phone is some two
+# patch sides away: a sheet tells its place to 0.3 % of that, features of the photos to 2 to 3 %. Of views
+# estimated from rectified photos the places of highlights are known; how far away and how strong the flash is
+# was settled there, and maps would only undo it.
 PRIORS: dict[Calibration, Priors] = {
-    "given": Priors(camera=(0.01, 0.01, 0.02), flash=(0.01, 0.01, 0.01), exposure=0.03, common_flash=(0.15, 0.15)),
-    "sheet": Priors(camera=(0.006, 0.006, 0.006), flash=(0.002, 0.002, 0.002), exposure=0.02, common_flash=(0.03, 0.03)),
-    "photos": Priors(camera=(0.05, 0.05, 0.05), flash=(0.005, 0.005, 0.005), exposure=0.05, common_flash=(0.15, 0.15)),
-    "none": Priors(camera=(0.03, 0.03, 0.06), flash=(0.01, 0.01, 0.01), exposure=0.05, common_flash=(0.15, 0.15)),
+    "given": Priors(camera=(0.01, 0.01, 0.02), flash=(0.01, 0.01, 0.01), exposure=0.03,
+                    common_flash=(0.15, 0.15)),
+    "sheet": Priors(camera=(0.006, 0.006, 0.006), flash=(0.002, 0.002, 0.002), exposure=0.02,
+                    common_flash=(0.03, 0.03)),
+    "photos": Priors(camera=(0.05, 0.05, 0.05), flash=(0.005, 0.005, 0.005), exposure=0.05,
+                     common_flash=(0.15, 0.15)),
+    "none": Priors(camera=(0.03, 0.03, 0.06), flash=(0.01, 0.01, 0.01), exposure=0.05,
+                   common_flash=(0.15, 0.15)),
 }
 
 
@@ -90,7 +105,8 @@ class RefinedViews:
         covariance: of each photo's change, N x 7 x 7.
         common_flash: (x, y) of the part of the flash's change that all photos share.
         common_covariance: its covariance, 2 x 2.
-        before: RMSE of each photo with the views given, in display values clipped to [0, 1], at 128 px at most.
+        before: RMSE of each photo with the views given, in display values clipped to [0, 1], at 128 px at
+            most.
         after: the same with the refined views.
         iterations: steps tried.
     """
@@ -121,7 +137,8 @@ def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors 
         capture: the N photos.
         priors: how far the views may be off.
         iterations: steps at most.
-        start: changes N x 7 from which the search begins, such as those found with earlier maps; left out, those expected.
+        start: changes N x 7 from which the search begins, such as those found with earlier maps; left out,
+            those expected.
 
     Returns:
         A local optimum: a highlight must overlap its photo's to be drawn there.
@@ -143,8 +160,8 @@ def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors 
     change = problem.change(here.u)
     found, covariance = moved(problem.given, change), torch.linalg.inv(here.matrix)
     own, shared = problem.spread.reshape(len(views), len(UNKNOWNS), -1), problem.shared
-    return RefinedViews(found, change, own @ covariance @ own.mT, shared @ here.u, shared @ covariance @ shared.T,
-                        problem.rmse(views), problem.rmse(found), tried)
+    return RefinedViews(found, change, own @ covariance @ own.mT, shared @ here.u,
+                        shared @ covariance @ shared.T, problem.rmse(views), problem.rmse(found), tried)
 
 
 def moved(views: Views, change: Tensor) -> Views:
@@ -156,7 +173,9 @@ def moved(views: Views, change: Tensor) -> Views:
 
 
 class Linear(NamedTuple):
-    """The cost around u: its value, gradient and Gauss-Newton matrix, and the evidence it was counted with."""
+    """The cost around u: its value, gradient and Gauss-Newton matrix, and the evidence it was counted
+    with.
+    """
 
     u: Tensor
     evidence: tuple[Tensor, Tensor]
@@ -168,9 +187,10 @@ class Linear(NamedTuple):
 class Problem:
     """The least-squares problem in whitened unknowns u, whose prior is the standard normal distribution.
 
-    The changes of all photos are ``expected + spread @ u``: by ``whitened``, one u for each unknown of each photo (``own``),
-    and two for the offset of the flash that all share (``common_flash``). The cost is |u|^2 / 2 plus, for each photo, the sum
-    of Huber's function of residuals over noise, divided by the number of pixels that count as one.
+    The changes of all photos are ``expected + spread @ u``: by ``whitened``, one u for each unknown of each
+    photo (``own``), and two for the offset of the flash that all share (``common_flash``). The cost is |u|^2
+    / 2 plus, for each photo, the sum of Huber's function of residuals over noise, divided by the number of
+    pixels that count as one.
 
     Args:
         svbrdf, views, capture, priors: as for :func:`refine_views`.
@@ -179,7 +199,8 @@ class Problem:
     def __init__(self, svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors) -> None:
         count = len(views)
         if count != len(capture):
-            raise CaptureError(f"a view for each of {len(capture)} photos", f"{count} views", "give the views of these photos")
+            raise CaptureError(f"a view for each of {len(capture)} photos", f"{count} views",
+                               "give the views of these photos")
         side = min(REFINE_SIDE, svbrdf.resolution, capture.resolution)
         self.maps = svbrdf.detach().to(torch.float64).resized(side)
         self.given, self.transfer = views.to(torch.float64), capture.transfer
@@ -191,10 +212,12 @@ class Problem:
         self.whitened = Layout(own=(count, CHANGE.size), common_flash=(2,))
         own = CHANGE.pack(camera=priors.camera, flash=priors.flash, log_exposure=priors.exposure)
         self.shared = torch.zeros(2, self.whitened.size, dtype=torch.float64)
-        self.shared[:, self.whitened["common_flash"]] = torch.tensor(priors.common_flash, dtype=torch.float64).diag()
+        self.shared[:, self.whitened["common_flash"]] = torch.tensor(priors.common_flash,
+                                                                     dtype=torch.float64).diag()
         to_flash = torch.zeros(CHANGE.size, 2, dtype=torch.float64)
         to_flash[CHANGE["flash"]][:2] = torch.eye(2)  # x and y
-        self.spread = F.pad(torch.from_numpy(own).repeat(count).diag(), (0, 2)) + to_flash.repeat(count, 1) @ self.shared
+        self.spread = (F.pad(torch.from_numpy(own).repeat(count).diag(), (0, 2))
+                       + to_flash.repeat(count, 1) @ self.shared)
         expected = torch.as_tensor(priors.expected, dtype=torch.float64)
         if expected.shape not in ((len(UNKNOWNS),), (count, len(UNKNOWNS))):
             raise ConfigError(f"{len(UNKNOWNS)} expected changes, or {count} x {len(UNKNOWNS)}",
@@ -214,19 +237,22 @@ class Problem:
         return photo_rmse(self.renderer.render(self.maps, views), self.photos, self.transfer)[1]
 
     def residuals(self, radiance: Tensor) -> Tensor:
-        """Display values over those of the photos, N x R x R x 3; where a photo is clipped, 0 where it is bright enough."""
+        """Display values over those of the photos, N x R x R x 3; where a photo is clipped, 0 where it is
+        bright enough.
+        """
         error = color.encode(radiance, self.transfer) - self.photos
         return torch.where(self.clipped, error.clamp_max(0), error)
 
     def evidence(self, error: Tensor) -> tuple[Tensor, Tensor]:
         """Noise of each photo's residuals, and how many of them count as one: both N x 1 x 1 x 1.
 
-        The noise is 1.48 times the median size of the residuals (the standard deviation, if they were normal). If they were
-        independent, the mean square of their averages over blocks of m would be that of one over m; as many times more as it
-        is, so many count as one.
+        The noise is 1.48 times the median size of the residuals (the standard deviation, if they were
+        normal). If they were independent, the mean square of their averages over blocks of m would be that of
+        one over m; as many times more as it is, so many count as one.
         """
         sizes = torch.where(self._bright_enough(error), torch.nan, error.abs()).flatten(1)
-        noise = (sizes.nanmedian(dim=1).values.nan_to_num(0) * 1.4826).clamp_min(QUANTIZATION_NOISE).reshape(-1, 1, 1, 1)
+        noise = (sizes.nanmedian(dim=1).values.nan_to_num(0) * 1.4826).clamp_min(QUANTIZATION_NOISE).reshape(
+            -1, 1, 1, 1)
         cut = error.clamp(-HUBER * noise, HUBER * noise)
         block = max(1, error.shape[1] // BLOCKS)
         means = F.avg_pool2d(cut.permute(0, 3, 1, 2), block).mean(dim=1).square().mean(dim=(1, 2))
@@ -250,9 +276,11 @@ class Problem:
         for unknown in range(CHANGE["log_exposure"].start):  # camera and flash
             step = torch.zeros(CHANGE.size, dtype=torch.float64)
             step[unknown] = STEP
-            columns.append([self.renderer.render(self.maps, moved(self.given, change + s)) for s in (step, -step)])
+            columns.append([self.renderer.render(self.maps, moved(self.given, change + s)) for s in (step,
+                                                                                                     -step)])
         columns.append([radiance * math.exp(s) for s in (STEP, -STEP)])
-        slopes = torch.stack([(color.encode(more, self.transfer) - color.encode(less, self.transfer)) / (2 * STEP)
+        slopes = torch.stack([(color.encode(more, self.transfer) - color.encode(less,
+                                                                                self.transfer)) / (2 * STEP)
                               for more, less in columns], dim=-1).flatten(1, 3)
         weights = (HUBER * noise / error.abs()).clamp_max(1) / (noise**2 * alike)
         weights = torch.where(self._bright_enough(error), 0.0, weights).flatten(1)[..., None]
@@ -264,7 +292,8 @@ class Problem:
     def _cost(self, u: Tensor, error: Tensor, evidence: tuple[Tensor, Tensor]) -> float:
         noise, alike = evidence
         size = (error / noise).abs()
-        return float((torch.where(size < HUBER, size**2 / 2, HUBER * size - HUBER**2 / 2) / alike).sum() + u @ u / 2)
+        return float((torch.where(size < HUBER, size**2 / 2, HUBER * size - HUBER**2 / 2) / alike).sum()
+                     + u @ u / 2)
 
     def _bright_enough(self, error: Tensor) -> Tensor:
         return self.clipped & (error == 0)

@@ -1,7 +1,8 @@
 """Captures whose files state a calibration.
 
-:func:`from_json` reads ``capture.json`` (svbrdf-diff-renderer's, with our keys besides), :func:`from_text` the text files of
-MaterialGAN. Both check what they read, photo by photo and number by number, before a :class:`Capture` is made.
+:func:`from_json` reads ``capture.json`` (svbrdf-diff-renderer's, with our keys besides), :func:`from_text`
+the text files of MaterialGAN. Both check what they read, photo by photo and number by number, before a
+:class:`Capture` is made.
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ import torch
 
 from .. import color
 from ..errors import CaptureError
-from ..system.decode import decoded, header, upright
-from ..system.images import averaged
-from ..system.json_files import read_json
+from ..io.decode import decoded, header, upright
+from ..io.images import averaged
+from ..io.json_files import read_json
 from ..views import Falloff, Views, default_views
 from .capture import LEAST_SIDE, Calibration, Capture
 
@@ -24,7 +25,8 @@ MOST_HELD = 500_000_000  # pixels of all photos of a capture, shrunk: 6 GB
 
 
 def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
-    """The capture of a ``capture.json``, shrunk to ``resolution``; without ``camera_pos`` its views are the default geometry.
+    """The capture of a ``capture.json``, shrunk to ``resolution``; without ``camera_pos`` its views are the
+    default geometry.
 
     Raises:
         CaptureError: naming what is missing or wrong.
@@ -35,7 +37,8 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
         if key not in stated:
             raise CaptureError(f"the key {key!r}", f"{path} with {sorted(stated)}", "add it")
     if not isinstance(stated["target_dir"], str):
-        raise CaptureError("target_dir as text", f"{stated['target_dir']!r} in {path}", "name the photos' folder")
+        raise CaptureError("target_dir as text", f"{stated['target_dir']!r} in {path}",
+                           "name the photos' folder")
     transfer = stated.get("transfer", "gamma2.2")
     if transfer not in get_args(color.Transfer):
         raise CaptureError(f"a transfer of {get_args(color.Transfer)}", f"{transfer!r} in {path}",
@@ -52,14 +55,16 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
         index = list(photos)
         _same_count(f"camera_pos in {path}", len(camera), len(photos))
     elif not isinstance(index, list) or not index or not all(type(i) is int and i >= 0 for i in index):
-        raise CaptureError("idx as a list of photo numbers", f"{index!r} in {path}", "write for example [0, 1, 2]")
+        raise CaptureError("idx as a list of photo numbers", f"{index!r} in {path}",
+                           "write for example [0, 1, 2]")
     elif len(set(index)) < len(index):
         raise CaptureError("idx with each photo once", f"{index} in {path}", "take the repeated number out")
     elif missing := [i for i in index if i not in photos]:
         raise CaptureError(f"photo {missing[0]:02d}.png or .jpg, which idx names", "no such file in "
                            f"{path.parent / stated['target_dir']}", "add the photo or take it out of idx")
     elif max(index) >= len(camera):
-        raise CaptureError(f"a row of camera_pos for each of {len(index)} photos in idx (the last is {max(index)})",
+        raise CaptureError(f"a row of camera_pos for each of {len(index)} photos in idx (the last is "
+                           f"{max(index)})",
                            f"{len(camera)} rows in {path}", "give one row a photo, or shorten idx")
     views = _views(camera, light, stated["light_pow"], size, falloff, str(path)).pick(index)
     return _calibrated([photos[i] for i in index], views, transfer, index, path.parent,
@@ -67,10 +72,13 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
 
 
 def _calibration(stated: dict, path: Path) -> Calibration:
-    """Where the views come from, as stated; captures of other tools do not say it, and ``calibrated`` is our older word."""
+    """Where the views come from, as stated; captures of other tools do not say it, and ``calibrated`` is our
+    older word.
+    """
     found = stated.get("calibration", "none" if stated.get("calibrated", True) is False else "given")
     if found not in get_args(Calibration):
-        raise CaptureError(f"a calibration of {get_args(Calibration)}", f"{found!r} in {path}", "choose one of these")
+        raise CaptureError(f"a calibration of {get_args(Calibration)}", f"{found!r} in {path}",
+                           "choose one of these")
     return found
 
 
@@ -78,7 +86,8 @@ def _assumed(stated: dict, path: Path, rows: int) -> dict:
     """What a capture without ``camera_pos`` leaves open: the default geometry, in its unit of length."""
     beside = [key for key in ("light_pos", "light_pow") if key in stated]
     if beside:
-        raise CaptureError("the key 'camera_pos' beside light_pos and light_pow", f"{' and '.join(beside)} alone in {path}",
+        raise CaptureError("the key 'camera_pos' beside light_pos and light_pow",
+                           f"{' and '.join(beside)} alone in {path}",
                            "add camera_pos, or take these out to have the geometry estimated from the photos")
     size = _number(stated.get("im_size", 1.0), f"im_size in {path}")
     views = default_views(1)
@@ -100,9 +109,11 @@ def from_text(folder: Path, falloff: Falloff, resolution: int | None) -> Capture
         light = _rows(_table(folder / "light_pos.txt"), str(folder / "light_pos.txt"))
     sizes = [number for row in _table(folder / "image_size.txt") for number in row]
     if len(set(sizes)) != 1:
-        raise CaptureError("one side length", f"{sizes} in {folder / 'image_size.txt'}", "the patch must be square")
+        raise CaptureError("one side length", f"{sizes} in {folder / 'image_size.txt'}",
+                           "the patch must be square")
     power = _table(folder / "light_power.txt")
-    views = _views(camera, light, power[0][0] if power == [power[0][:1]] else power, sizes[0], falloff, str(folder))
+    views = _views(camera, light, power[0][0] if power == [power[0][:1]] else power, sizes[0], falloff,
+                   str(folder))
     return _calibrated(list(photos.values()), views, "gamma2.2", list(photos), folder, resolution)
 
 
@@ -113,7 +124,8 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
     side = _common_side(paths, [each.size for each in headers], source)
     kept = min(side, resolution or side)
     if (held := len(paths) * kept**2) > MOST_HELD:
-        raise CaptureError(f"photos of at most {MOST_HELD / 1e6:.0f} megapixels together", f"{held / 1e6:.0f} in {source}",
+        raise CaptureError(f"photos of at most {MOST_HELD / 1e6:.0f} megapixels together",
+                           f"{held / 1e6:.0f} in {source}",
                            "read them at a lower resolution")
     photos = torch.empty(len(paths), kept, kept, 3)
     for photo, path, about in zip(photos, paths, headers):
@@ -125,10 +137,12 @@ def _common_side(paths: list[Path], sizes: list[tuple[int, int]], source: Path) 
     """Pixels a side of photos that are square and all of one size."""
     for path, (width, height) in zip(paths, sizes):
         if min(width, height) < LEAST_SIDE:
-            raise CaptureError(f"photos of {LEAST_SIDE} pixels or more a side", f"{path} of {width} x {height}",
+            raise CaptureError(f"photos of {LEAST_SIDE} pixels or more a side",
+                               f"{path} of {width} x {height}",
                                "use the original photo")
         if (width, height) != sizes[0]:
-            raise CaptureError("photos of one size", f"{paths[0].name} of {sizes[0][0]} x {sizes[0][1]} and {path.name} of "
+            raise CaptureError("photos of one size", f"{paths[0].name} of {sizes[0][0]} x {sizes[0][1]} and "
+                                                     f"{path.name} of "
                                f"{width} x {height} in {source}", "rectify them to one size")
         if width != height:
             raise CaptureError("square photos, rectified to the patch", f"{path} of {width} x {height}",
@@ -140,7 +154,8 @@ def _photos_in(folder: Path) -> list[Path]:
     """Image files in a folder, hidden ones aside."""
     if not folder.is_dir():
         raise CaptureError("a folder of photos", f"no folder at {folder}", "check target_dir")
-    return [p for p in folder.iterdir() if p.suffix.lower() in PHOTO_SUFFIXES and p.name[0] != "." and p.is_file()]
+    return [p for p in folder.iterdir() if p.suffix.lower() in PHOTO_SUFFIXES and p.name[0] != "."
+            and p.is_file()]
 
 
 def _numbered(folder: Path) -> dict[int, Path]:
@@ -148,11 +163,13 @@ def _numbered(folder: Path) -> dict[int, Path]:
     paths: dict[int, Path] = {}
     for path in sorted(p for p in _photos_in(folder) if p.stem.isdecimal()):
         if int(path.stem) in paths:
-            raise CaptureError("one photo of each number", f"{paths[int(path.stem)].name} and {path.name} in {folder}",
+            raise CaptureError("one photo of each number", f"{paths[int(path.stem)].name} and {path.name} "
+                                                           f"in {folder}",
                                "remove one of them")
         paths[int(path.stem)] = path
     if not paths:
-        raise CaptureError("photos 00.png or 00.jpg, ...", f"none in {folder}", "add them or check target_dir")
+        raise CaptureError("photos 00.png or 00.jpg, ...", f"none in {folder}",
+                           "add them or check target_dir")
     return dict(sorted(paths.items()))
 
 
@@ -182,7 +199,8 @@ def _power(value: Any, count: int, where: str) -> float | list:
 
 def _same_count(what: str, rows: int, photos: int) -> None:
     if rows != photos:
-        raise CaptureError(f"a row of {what} for each of {photos} photos", f"{rows} rows", "give one row a photo")
+        raise CaptureError(f"a row of {what} for each of {photos} photos", f"{rows} rows",
+                           "give one row a photo")
 
 
 def _number(value: Any, where: str) -> float:

@@ -17,10 +17,12 @@ from ..views import Views, whole_numbers
 
 LEAST_SIDE = 8  # pixels
 
-KNOWN = {"given": "as calibrated", "sheet": "from a sheet of tags", "photos": "from features that the photos share",
+KNOWN = {"given": "as calibrated", "sheet": "from a sheet of tags",
+         "photos": "from features that the photos share",
          "none": "of no calibration"}
 
-# Where the views of a capture come from: its maker, a marker sheet, the features that raw photos share, or nowhere.
+# Where the views of a capture come from: its maker, a marker sheet, the features that raw photos share, or
+# nowhere.
 Calibration = Literal["given", "sheet", "photos", "none"]
 
 
@@ -38,7 +40,8 @@ class Capture:
         notes: what a user should know about how it was read (photos left out, default geometry, ...).
 
     Raises:
-        CaptureError: photos of another shape or with values that no photo has, or not a view and a number for each.
+        CaptureError: photos of another shape or with values that no photo has, or not a view and a number for
+            each.
         ConfigError: another transfer function.
     """
 
@@ -52,14 +55,17 @@ class Capture:
 
     def __post_init__(self) -> None:
         if self.transfer not in get_args(color.Transfer):
-            raise ConfigError(f"a transfer function of {get_args(color.Transfer)}", repr(self.transfer), "choose one of these")
+            raise ConfigError(f"a transfer function of {get_args(color.Transfer)}", repr(self.transfer),
+                              "choose one of these")
         object.__setattr__(self, "photos", _checked(self.photos))
         if self.photos.shape[0] != len(self.views):
-            raise CaptureError(f"a view for each of {self.photos.shape[0]} photos", f"{len(self.views)} views",
+            raise CaptureError(f"a view for each of {self.photos.shape[0]} photos",
+                               f"{len(self.views)} views",
                                "give one row of calibration a photo")
         index = whole_numbers(self.index) or list(range(len(self)))
         if len(index) != len(self) or len(set(index)) < len(index) or min(index) < 0:
-            raise CaptureError(f"a number of its own for each of {len(self)} photos", str(index), "leave the index out")
+            raise CaptureError(f"a number of its own for each of {len(self)} photos", str(index),
+                               "leave the index out")
         object.__setattr__(self, "index", tuple(index))
 
     def __len__(self) -> int:
@@ -94,8 +100,11 @@ class Capture:
         return replace(self, photos=area_averaged(self.photos, resolution).contiguous())
 
     def sampled(self, resolution: int) -> Capture:
-        """Every k-th pixel of the photos, the middle one, for the greatest k that leaves at least ``resolution`` a side."""
-        return replace(self, photos=sampled(self.photos.movedim(-1, 1), resolution).movedim(1, -1).contiguous())
+        """Every k-th pixel of the photos, the middle one, for the greatest k that leaves at least
+        ``resolution`` a side.
+        """
+        return replace(self, photos=sampled(self.photos.movedim(-1, 1), resolution).movedim(1,
+                                                                                            -1).contiguous())
 
     def pick(self, index: Sequence[int]) -> Capture:
         """The photos with these numbers (as in :attr:`index`), in this order.
@@ -106,7 +115,8 @@ class Capture:
         index = whole_numbers(index)
         missing = [i for i in index if i not in self.index]
         if missing or not index:
-            raise CaptureError(f"photo numbers out of {list(self.index)}", f"{missing or 'none'}", "check --views")
+            raise CaptureError(f"photo numbers out of {list(self.index)}", f"{missing or 'none'}",
+                               "check --views")
         if len(set(index)) < len(index):
             raise CaptureError("each photo once", f"photos {list(index)}", "take the repeated number out")
         rows = [self.index.index(i) for i in index]
@@ -123,7 +133,8 @@ def _checked(photos: Tensor) -> Tensor:
         raise CaptureError("photos as a float tensor", repr(getattr(photos, "dtype", type(photos).__name__)),
                            "give display values in [0, 1]: 8 bits divided by 255")
     if photos.ndim != 4 or photos.shape[1] != photos.shape[2] or photos.shape[3] != 3 or not photos.numel():
-        raise CaptureError("photos of N x R x R x 3", f"shape {tuple(photos.shape)}", "rectify them to squares of one size")
+        raise CaptureError("photos of N x R x R x 3", f"shape {tuple(photos.shape)}",
+                           "rectify them to squares of one size")
     least, most = photos.aminmax()
     if not (least >= 0 and most < float("inf")):  # nor where they are NaN
         raise CaptureError("photos of display values >= 0, finite", f"values from {least:g} to {most:g}",

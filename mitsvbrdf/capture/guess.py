@@ -14,9 +14,9 @@ from torch import Tensor
 
 from ..color import NEARLY_CLIPPED
 from ..errors import ConfigError
+from ..io.entry import entry
+from ..io.layout import Layout
 from ..material.resample import resized
-from ..system.entry import entry
-from ..system.layout import Layout
 from ..views import Views, geometry
 from .capture import Capture
 
@@ -26,10 +26,12 @@ BLUR = 1 / 32  # standard deviation of mean-blur, as a share of the image side
 # The texel model of `robust`: its surface, of which something is known beforehand, and its albedo.
 SURFACE = Layout(tilt=(2,), log_alpha=(), log_f0=())  # tilt: slopes of the normal
 TEXEL = Layout(surface=(SURFACE.size,), log_albedo=())
-STARTS = [{"log_alpha": math.log(0.3), "log_f0": math.log(f0)} for f0 in (0.04, 0.001)]  # a dielectric; hardly a highlight
+# a dielectric; hardly a highlight
+STARTS = [{"log_alpha": math.log(0.3), "log_f0": math.log(f0)} for f0 in (0.04, 0.001)]
 PRIOR_SD = {"tilt": 0.5, "log_alpha": 0.5, "log_f0": 1.0}  # of a surface beside what is typical
 NOISE = 0.03  # what a display value is trusted to: the photo, the calibration and this model
-TILTS = (-0.6, -0.3, 0.0, 0.3, 0.6)  # starts tried for either slope: a fit started flat sticks to a wrong highlight
+# starts tried for either slope: a fit started flat sticks to a wrong highlight
+TILTS = (-0.6, -0.3, 0.0, 0.3, 0.6)
 STEPS = 8
 DELTA = 1e-3  # of the finite differences
 FIT_SIZE = 256  # texels a side that are fitted; of larger photos, area averages
@@ -43,15 +45,16 @@ def guess_diffuse(capture: Capture, method: GuessMethod = "robust") -> Tensor:
     Args:
         capture: N >= 1 photos of R x R pixels.
         method:
-            ``min``: the paper's (III.C, after Peter and Hannes 2015): the minimum radiance over the photos, for each
-            pixel and channel, no falloff correction; one constant turns radiance L into albedo, pi L / E, with E the
-            mean irradiance at the patch centre.
-            ``mean-blur``: the baseline (III.C; Zhao 2020, Aittala 2016): the mean radiance over the photos, blurred by
-            a Gaussian of R / 32; the same constant.
-            ``robust``: ours: falloff and cosine undone; one tilted, rough, grey highlight fitted to each texel's few
-            values and subtracted; then the median over the photos, clipped pixels left out. Diffuse RMSE on six known
-            materials 0.048 where ``min`` has 0.085. Its weak side: where no photo looks far from the highlight, or the
-            calibration is off, broad highlights take colour from the diffuse map (real bamboo, red plastic).
+            ``min``: the paper's (III.C, after Peter and Hannes 2015): the minimum radiance over the photos,
+            for each pixel and channel, no falloff correction; one constant turns radiance L into albedo, pi L
+            / E, with E the mean irradiance at the patch centre.
+            ``mean-blur``: the baseline (III.C; Zhao 2020, Aittala 2016): the mean radiance over the photos,
+            blurred by a Gaussian of R / 32; the same constant.
+            ``robust``: ours: falloff and cosine undone; one tilted, rough, grey highlight fitted to each
+            texel's few values and subtracted; then the median over the photos, clipped pixels left out.
+            Diffuse RMSE on six known materials 0.048 where ``min`` has 0.085. Its weak side: where no photo
+            looks far from the highlight, or the calibration is off, broad highlights take colour from the
+            diffuse map (real bamboo, red plastic).
 
     Returns:
         R x R x 3 float32, linear, in [0, 1], finite.
@@ -100,7 +103,8 @@ def _robust(capture: Capture) -> Tensor:
     with _one_thread():
         prior = _typical(*(x[:: -(-len(x) // CHUNK)] for x in texels))
         fitted = [_shade(_fit(prior, *part), *part[2:]) for part in zip(*(x.split(CHUNK) for x in texels))]
-    shading, lobe = (resized(torch.cat(x).T.reshape(-1, size, size, 1), capture.resolution) for x in zip(*fitted))
+    shading, lobe = (resized(torch.cat(x).T.reshape(-1, size, size, 1), capture.resolution)
+                     for x in zip(*fitted))
 
     seen = (capture.photos < NEARLY_CLIPPED) | (capture.photos == capture.photos.amin(dim=0))
     diffuse = torch.where(seen, (albedo - lobe) / shading, torch.nan)
@@ -109,7 +113,9 @@ def _robust(capture: Capture) -> Tensor:
 
 @contextlib.contextmanager
 def _one_thread() -> Iterator[None]:
-    """Torch on one thread: for chunks this small a second one saves a third, or costs 50 times where others compute."""
+    """Torch on one thread: for chunks this small a second one saves a third, or costs 50 times where others
+    compute.
+    """
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -119,7 +125,8 @@ def _one_thread() -> Iterator[None]:
 
 
 def _shade(texels: Tensor, light: Tensor, half: Tensor) -> tuple[Tensor, Tensor]:
-    """The cosine and the GGX lobe of M texels in N views, relative to a flat Lambertian's cosine: two tensors M x N.
+    """The cosine and the GGX lobe of M texels in N views, relative to a flat Lambertian's cosine: two tensors
+    M x N.
 
     The lobe takes n.l = n.v = n.h, exact for a light at the camera.
     """
@@ -127,14 +134,16 @@ def _shade(texels: Tensor, light: Tensor, half: Tensor) -> tuple[Tensor, Tensor]
     tilt_x, tilt_y = surface.tilt.unbind(dim=-1)
     length = (1 + tilt_x**2 + tilt_y**2).sqrt()
     along_light, cosine = (
-        ((v[..., 0] * tilt_x + v[..., 1] * tilt_y + v[..., 2]) / length).clamp_min(0.05) for v in (light, half))
+        ((v[..., 0] * tilt_x + v[..., 1] * tilt_y + v[..., 2]) / length).clamp_min(0.05) for v in (light,
+                                                                                                   half))
     shading = along_light / light[..., 2]
     a2, c2 = torch.exp(2 * surface.log_alpha), cosine**2
     smith = 2 / (cosine + (a2 + (1 - a2) * c2).sqrt())  # G1 / cosine
     return shading, surface.log_f0.exp() * a2 / (a2 * c2 + 1 - c2) ** 2 * smith**2 / 4 * shading
 
 
-def _errors(texels: Tensor, prior: Tensor, albedo: Tensor, most: Tensor, light: Tensor, half: Tensor) -> Tensor:
+def _errors(texels: Tensor, prior: Tensor, albedo: Tensor, most: Tensor, light: Tensor,
+            half: Tensor) -> Tensor:
     """M x (N + 4) errors in standard deviations: of about display values, and of the prior."""
     shading, lobe = _shade(texels, light, half)
     parts = TEXEL.unpack(texels)
@@ -144,7 +153,9 @@ def _errors(texels: Tensor, prior: Tensor, albedo: Tensor, most: Tensor, light: 
 
 
 def _typical(*seen: Tensor) -> Tensor:
-    """What is usual in this material: median roughness and F0, from the start that explains the photos better."""
+    """What is usual in this material: median roughness and F0, from the start that explains the photos
+    better.
+    """
     found = []
     for start in STARTS:
         prior = _surface(**start)
@@ -163,7 +174,9 @@ def _surface(**parts: ArrayLike) -> Tensor:
 
 
 def _fit(prior: Tensor, *seen: Tensor) -> Tensor:
-    """M x 5 fitted texels by Levenberg-Marquardt, from the best of a grid of tilts; slopes by finite differences."""
+    """M x 5 fitted texels by Levenberg-Marquardt, from the best of a grid of tilts; slopes by finite
+    differences.
+    """
     low = (seen[0].amin(dim=1, keepdim=True) / 2).clamp_min(1e-4).log()
     starts = [torch.cat(((prior + _surface(tilt=(x, y))).expand(len(low), -1), low), dim=1)
               for x in TILTS for y in TILTS]

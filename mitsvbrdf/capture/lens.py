@@ -1,9 +1,9 @@
 """A phone: its lens, its flash, and where it stood; from points of the plane to pixels and back.
 
-Frames: the plane of the material is z = 0 of the world (x right, y up, z toward the camera, docs/conventions.md). A camera
-looks along its own +z, with x to the right and y down of the stored pixels (OpenCV's axes); pixels are (column, row) with
-whole numbers at pixel centres. Stored pixels are those of the file before any EXIF orientation is applied: turning the
-phone turns its pose, never its lens or its flash.
+Frames: the plane of the material is z = 0 of the world (x right, y up, z toward the camera,
+docs/conventions.md). A camera looks along its own +z, with x to the right and y down of the stored pixels
+(OpenCV's axes); pixels are (column, row) with whole numbers at pixel centres. Stored pixels are those of the
+file before any EXIF orientation is applied: turning the phone turns its pose, never its lens or its flash.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ class Lens:
         focal: focal length in pixels.
         centre: principal point in pixels; None: the middle of the photo.
         distortion: k1, k2 of Brown and Conrady's radial model (OpenCV's first two), at 0 a pinhole.
-        vignetting: v1, v2: radiance arrives as 1 + v1 r^2 + v2 r^4, r = 1 at half the photo's diagonal from the middle.
+        vignetting: v1, v2: radiance arrives as 1 + v1 r^2 + v2 r^4, r = 1 at half the photo's diagonal from
+            the middle.
         flash: where the flash is, in camera axes and the world's unit of length; (0, 0, 0) is in the lens.
     """
 
@@ -73,7 +74,9 @@ class Pose:
 
     @classmethod
     def looking_at(cls, position: ArrayLike, target: ArrayLike, turn: float = 0.0) -> Pose:
-        """A camera at ``position`` that has ``target`` in its middle; at ``turn`` 0 (rad) the world's y points up in it."""
+        """A camera at ``position`` that has ``target`` in its middle; at ``turn`` 0 (rad) the world's y
+        points up in it.
+        """
         position = np.asarray(position, dtype=np.float64)
         z = np.asarray(target, dtype=np.float64) - position
         z = z / np.linalg.norm(z)

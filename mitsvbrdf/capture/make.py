@@ -1,6 +1,7 @@
 """From raw photos to a capture: poses, rectified photos, the flash, and which photos are better left out.
 
-    photos -> rig (tags of a sheet, or features) -> rectified -> flash, vignetting, exposures -> verdicts -> Capture
+    photos -> rig (tags of a sheet, or features) -> rectified -> flash, vignetting, exposures -> verdicts ->
+    Capture
 
 One photo at a time is in memory; of each, what is kept is the rectified patch.
 """
@@ -17,8 +18,8 @@ import torch
 
 from .. import color
 from ..errors import CaptureError, ConfigError
-from ..system.entry import entry
-from ..system.profile import STEP, profiled, profiling, switch
+from ..io.entry import entry
+from ..io.profile import STEP, profiled, profiling, switch
 from ..views import Views, coverage_angle
 from .capture import LEAST_SIDE, Capture
 from .light.samples import LONG_SIDE
@@ -35,8 +36,8 @@ Reference = Literal["best", "first"]
 
 MOST_SIDE_RECTIFIED = 4096  # pixels
 COVERAGE_SIDE = 64
-# Spread of the cameras over their height below which all photos are from one place. Nine places as in docs/capture.md: 0.2;
-# seven real captures that were rectified already: 0.003 to 0.009.
+# Spread of the cameras over their height below which all photos are from one place. Nine places as in
+# docs/capture.md: 0.2; seven real captures that were rectified already: 0.003 to 0.009.
 ONE_PLACE = 0.03
 FARTHEST_FLASH = 5.0  # cm from the lens; phones have 1 to 3
 
@@ -55,7 +56,8 @@ class CaptureResult:
         rig: lens and poses of those used; ``left_out`` has the reason of each other photo.
         shading: what light and lens were found to be; None: nothing, the flash is taken to be at the lens.
         qualities: how good each photo is that a pose was found of, by name.
-        coverage: smallest angle (rad) between half vector and upright that a photo shows, 64 x 64, row 0 at the top.
+        coverage: smallest angle (rad) between half vector and upright that a photo shows, 64 x 64, row 0 at
+            the top.
         next_view: where one more photo would show most; None: nowhere much.
         warnings: what a user should know.
         seconds: by stage.
@@ -84,13 +86,15 @@ class CaptureResult:
 
 @entry()
 def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_cm: float = 0.0,
-                 transfer: color.Transfer | None = None, resolution: int = 1024, reference: Reference = "best",
+                 transfer: color.Transfer | None = None, resolution: int = 1024,
+                 reference: Reference = "best",
                  report: Callable[[str, float], object] = lambda text, share: None) -> CaptureResult:
     """Raw photos of a flat material, taken with one phone and its flash, to a capture.
 
     Args:
         photos: three or more; the order is kept.
-        sheet_cm: size of the printed sheet of tags around the material; None: without, poses come from what photos share.
+        sheet_cm: size of the printed sheet of tags around the material; None: without, poses come from what
+            photos share.
         depth_cm: how far the sheet lies above the material.
         transfer: how the photos encode light; None: ``linear`` for RAW files, else ``srgb``.
         resolution: pixels a side, at most; never more than the photos show.
@@ -109,12 +113,13 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
     return replace(result, seconds=profile.steps[0])
 
 
-def _made(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, transfer: color.Transfer | None, resolution: int,
-          reference: Reference, report: Callable[[str, float], object]) -> CaptureResult:
+def _made(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, transfer: color.Transfer | None,
+          resolution: int, reference: Reference, report: Callable[[str, float], object]) -> CaptureResult:
     """What :func:`make_capture` returns, without the seconds."""
     warnings = differences(photos)
     if all(photo.exif.get("flash") == "off" for photo in photos):
-        warnings.append("no photo was taken with the flash (says their EXIF); highlights then are those of the room's lights")
+        warnings.append("no photo was taken with the flash (says their EXIF); highlights then are those of "
+                        "the room's lights")
     transfer = transfer or ("linear" if photos[0].linear else "srgb")
     left, left_out = list(photos), other_sizes(photos)[1]
     found: dict[str, PhotoQuality] = {}
@@ -136,7 +141,8 @@ def _made(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, tran
             bad = verdicts(qualities, lit.pictures, lit.views, fired)
         left_out |= bad
         _enough(photos, left_out)
-        if rig.source == "sheet" or not any(map(spoils, bad.values())):  # tags that were seen are where they are
+        # tags that were seen are where they are
+        if rig.source == "sheet" or not any(map(spoils, bad.values())):
             break
     if bad:
         rig = replace(rig, poses={name: pose for name, pose in rig.poses.items() if name not in bad})
@@ -148,17 +154,22 @@ def _made(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, tran
         coverage = coverage_angle(lit.views, COVERAGE_SIDE)
     index = tuple(i for i, photo in enumerate(photos) if photo.name in lit.names)
     capture = Capture(lit.pictures, lit.views, transfer, index, rig.source, photos[0].path.parent)
-    return CaptureResult(capture, tuple(photos), replace(lit.rig, left_out=left_out), lit.shading, found, coverage, next_view,
-                         (*warnings, *rig.notes, *rectified.notes, *lit.notes), {})
+    return CaptureResult(capture, tuple(photos), replace(lit.rig, left_out=left_out), lit.shading, found,
+                         coverage, next_view, (*warnings, *rig.notes, *rectified.notes, *lit.notes), {})
 
 
-def _check(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, resolution: int, reference: str) -> None:
+def _check(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, resolution: int,
+           reference: str) -> None:
     if not LEAST_SIDE <= resolution <= MOST_SIDE_RECTIFIED:
-        raise ConfigError(f"a resolution of {LEAST_SIDE} to {MOST_SIDE_RECTIFIED}", str(resolution), "try 1024")
+        raise ConfigError(f"a resolution of {LEAST_SIDE} to {MOST_SIDE_RECTIFIED}", str(resolution),
+                          "try 1024")
     if sheet_cm is not None and not (math.isfinite(sheet_cm) and sheet_cm > 0):
-        raise ConfigError("the size of the sheet in cm", str(sheet_cm), "measure the frame of tags from edge to edge")
-    if sheet_cm is not None and not abs(depth_cm) < sheet_cm:  # NaN, too; below 0 where the sheet lies below the material
-        raise ConfigError(f"a sheet less than its size of {sheet_cm:g} cm above the material", f"{depth_cm:g} cm",
+        raise ConfigError("the size of the sheet in cm", str(sheet_cm),
+                          "measure the frame of tags from edge to edge")
+    # NaN, too; below 0 where the sheet lies below the material
+    if sheet_cm is not None and not abs(depth_cm) < sheet_cm:
+        raise ConfigError(f"a sheet less than its size of {sheet_cm:g} cm above the material",
+                          f"{depth_cm:g} cm",
                           "measure how far it is, in cm")
     if reference not in get_args(Reference):
         raise ConfigError(f"a reference of {get_args(Reference)}", repr(reference), "choose one of these")
@@ -173,16 +184,21 @@ def _enough(photos: Sequence[Photo], left_out: Mapping[str, str]) -> None:
         for name, reason in left_out.items():
             named.setdefault(reason, []).append(name)
         reasons = "".join(f"; {', '.join(names)}: {reason}" for reason, names in named.items())
-        sheet = "; if no sheet lies there, leave --sheet out" if any("tags seen" in reason for reason in named) else ""
-        raise CaptureError(f"{LEAST_PHOTOS} photos or more that can be used", f"{len(photos) - len(left_out)} of "
-                           f"{len(photos)}{reasons}", "take more photos from different places, flash on" + sheet)
+        sheet = ("; if no sheet lies there, leave --sheet out"
+                 if any("tags seen" in reason for reason in named) else "")
+        raise CaptureError(f"{LEAST_PHOTOS} photos or more that can be used",
+                           f"{len(photos) - len(left_out)} of "
+                           f"{len(photos)}{reasons}", "take more photos from different places, flash on"
+                           + sheet)
 
 
 def _from_places(rig: Rig) -> None:
     camera = np.stack([pose.position for pose in rig.poses.values()])
     if rig.source == "photos" and camera.std(axis=0).max() < ONE_PLACE * camera[:, 2].mean():
-        raise OnePlace("photos from different places", f"{len(camera)} photos that show everything in the same place: from a "
-                       "tripod, or rectified already", "move the phone between photos; rectified ones `mitsvbrdf fit` takes as "
+        raise OnePlace("photos from different places", f"{len(camera)} photos that show everything in the "
+                                                       "same place: from a "
+                       "tripod, or rectified already", "move the phone between photos; rectified ones "
+                                                       "`mitsvbrdf fit` takes as "
                        "they are")
 
 
@@ -194,7 +210,8 @@ def _blurred(photos: Sequence[Photo], reasons: Mapping[str, str], rectified: Rec
             for name, sharp in sharpness.items() if sharp < LEAST_DETAIL}
 
 
-def _within(report: Callable[[str, float], object], low: float, high: float) -> Callable[[str, float], object]:
+def _within(report: Callable[[str, float], object], low: float, high: float) -> Callable[[str, float],
+                                                                                         object]:
     return lambda text, share: report(text, low + (high - low) * share)
 
 
@@ -215,7 +232,9 @@ def _rig(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, refer
 
 @dataclass(frozen=True)
 class _Lit:
-    """The photos of a rig with its flash known: without vignetting (N x R x R x 3, filled), and their views."""
+    """The photos of a rig with its flash known: without vignetting (N x R x R x 3, filled), and their
+    views.
+    """
 
     rig: Rig
     shading: Shading | None
@@ -229,15 +248,19 @@ class _Lit:
         return list(self.rig.poses)
 
     @classmethod
-    def of(cls, rig: Rig, rectified: Rectified, sheet_cm: float | None, depth_cm: float, transfer: color.Transfer) -> _Lit:
-        in_order = {name: rig.poses[name] for name in rectified.pictures if name in rig.poses}  # as they were given
+    def of(cls, rig: Rig, rectified: Rectified, sheet_cm: float | None, depth_cm: float,
+           transfer: color.Transfer) -> _Lit:
+        # as they were given
+        in_order = {name: rig.poses[name] for name in rectified.pictures if name in rig.poses}
         rig = replace(rig, poses=in_order)
         with profiled("flash"):
             shading, notes = _shading(rig, rectified, sheet_cm, depth_cm, transfer)
             if shading:
                 rig = replace(rig, lens=shading.lens)
-            pictures = [without_vignetting(rectified.pictures[name], rig, name, transfer) for name in rig.poses]
-        overlap = {name: float(np.isfinite(picture).all(axis=-1).mean()) for name, picture in zip(rig.poses, pictures)}
+            pictures = [without_vignetting(rectified.pictures[name], rig, name, transfer)
+                        for name in rig.poses]
+        overlap = {name: float(np.isfinite(picture).all(axis=-1).mean()) for name, picture in zip(rig.poses,
+                                                                                                  pictures)}
         return cls(rig, shading, filled(pictures), overlap, _views(rig, shading), notes)
 
 
@@ -250,7 +273,8 @@ def _shading(rig: Rig, rectified: Rectified, sheet_cm: float | None, depth_cm: f
         try:
             shading = shading_of_paper(rig, rectified.small, transfer, Sheet(sheet_cm).white, depth_cm)
             beside = float(np.linalg.norm(shading.lens.flash))
-            far = (f"the flash seems to be {beside:.0f} cm beside the lens: is --sheet in cm, and as measured?",)
+            far = (f"the flash seems to be {beside:.0f} cm beside the lens: is --sheet in cm, and as "
+                   "measured?",)
             return shading, shading.notes + (far if beside > FARTHEST_FLASH else ())
         except CaptureError as reason:
             notes.append(f"the paper says nothing of the light ({reason.got}); the material is asked instead")
@@ -258,7 +282,8 @@ def _shading(rig: Rig, rectified: Rectified, sheet_cm: float | None, depth_cm: f
         shading = shading_of_material(rig, {name: rectified.pictures[name] for name in rig.poses}, transfer)
         return shading, (*notes, *shading.notes)
     except CaptureError as reason:
-        return None, (*notes, f"the shading says nothing of the light ({reason.got}): the flash is taken to be at the lens, "
+        return None, (*notes, f"the shading says nothing of the light ({reason.got}): the flash is taken to "
+                              "be at the lens, "
                               "and so bright that a white texel has radiance 1")
 
 
@@ -268,13 +293,16 @@ def _views(rig: Rig, shading: Shading | None) -> Views:
     light = np.stack([pose.flash(rig.lens) for pose in rig.poses.values()])
     if shading is None:
         return Views.of(camera, light, math.pi * float(np.median(np.square(camera).sum(axis=1))), rig.size)
-    power = [[i * math.exp(shading.log_exposure.get(name, 0.0)) for i in shading.intensity] for name in rig.poses]
+    power = [[i * math.exp(shading.log_exposure.get(name, 0.0)) for i in shading.intensity]
+             for name in rig.poses]
     return Views.of(camera, light, power, rig.size)
 
 
-def refuse_tags(photos: Sequence[Photo], how: str = "give that, for example `mitsvbrdf capture PHOTOS -o CAPTURE --sheet 18`"
+def refuse_tags(photos: Sequence[Photo], how: str = "give that, for example `mitsvbrdf capture PHOTOS -o "
+                                                    "CAPTURE --sheet 18`"
                 ) -> None:
-    """Raise CaptureError where a sheet of tags is in the first photo: without its size the tags would pass for material.
+    """Raise CaptureError where a sheet of tags is in the first photo: without its size the tags would pass
+    for material.
 
     Args:
         photos: those of a capture.
@@ -286,7 +314,8 @@ def refuse_tags(photos: Sequence[Photo], how: str = "give that, for example `mit
 
     count = len(find_edges(photos[0], Sheet()).corners) if photos else 0
     if count >= LEAST_TAGS:
-        raise CaptureError("--sheet CM for photos of a sheet of tags", f"{count} tags in {photos[0].name} and no size",
+        raise CaptureError("--sheet CM for photos of a sheet of tags",
+                           f"{count} tags in {photos[0].name} and no size",
                            f"measure the frame of tags from outer edge to outer edge and {how}")
 
 
@@ -294,7 +323,9 @@ def capture_keys(result: CaptureResult) -> dict:
     """What ``capture.json`` says beside the views: see docs/formats.md."""
     uncertainty = None
     if result.shading:
-        exposures = {name: sd for name, sd in result.shading.exposure_deviations.items() if name in result.used}
+        exposures = {name: sd for name, sd in result.shading.exposure_deviations.items()
+                     if name in result.used}
         uncertainty = dict(result.shading.deviations) | {"log_exposure": exposures}
-    return {"unit": result.rig.unit, "photos": result.used, "left_out": result.rig.left_out, "rig": rig_to_json(result.rig),
+    return {"unit": result.rig.unit, "photos": result.used, "left_out": result.rig.left_out,
+            "rig": rig_to_json(result.rig),
             "uncertainty": uncertainty}

@@ -1,4 +1,6 @@
-"""How good a capture is: its numbers as JSON, a page that shows them, and a contact sheet. They compute none."""
+"""How good a capture is: its numbers as JSON, a page that shows them, and a contact sheet. They compute
+none.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +14,12 @@ import torch
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from torch import Tensor
 
+from ..io import files
+from ..io.provenance import machine, versions
 from ..pages.canvas import LABEL_HEIGHT, PICTURE_GAP, SHEET_MARGIN, SHEET_WIDTH, Canvas
 from ..pages.colours import SHEET_ACCENT, SHEET_BACK, SHEET_QUIET, SHEET_TEXT
 from ..pages.page import write_page
 from ..pages.pictures import at_most, picture_uri, png_uri
-from ..system import files
-from ..system.provenance import machine, versions
 from .make import CaptureResult
 from .photo import Photo
 from .quality.next_view import HIGHLIGHT_ANGLE
@@ -26,7 +28,8 @@ SCHEMA_VERSION = 1
 A_ROW, SMALL_A_ROW = 5, 8  # photos in a row of the contact sheet; used, left out
 THUMBNAIL, FULL = 240, 400  # pixels on the page, and of a left-out photo as it is read
 PLAN_REACH = 0.75  # half the side of the plan, patch sides, at least
-SEEN, UNSEEN = (0.93, 0.80, 0.50), (0.36, 0.42, 0.50)  # of the coverage map; readable beside each other in grey, too
+# of the coverage map; readable beside each other in grey, too
+SEEN, UNSEEN = (0.93, 0.80, 0.50), (0.36, 0.42, 0.50)
 
 
 def write_quality(result: CaptureResult, folder: str | Path) -> None:
@@ -40,7 +43,8 @@ def write_quality(result: CaptureResult, folder: str | Path) -> None:
     files.write_json(folder / "quality.json", record)
     _contact_sheet(folder / "contact.jpg", result, record, left_out)
     pictures = {name: picture_uri(at_most(photo, THUMBNAIL), 0) for name, photo in
-                [*zip(result.used, result.capture.photos), *((n, p) for n, p in left_out.items() if p is not None)]}
+                [*zip(result.used, result.capture.photos),
+                 *((n, p) for n, p in left_out.items() if p is not None)]}
     write_page(folder / "quality.html", "capture/page.html", title=f"Capture: {_name(result)}", record=record,
                pictures=pictures, coverage=png_uri(_coverage_picture(result.coverage)), plan=_plan(result))
 
@@ -53,21 +57,27 @@ def quality_record(result: CaptureResult) -> dict:
         name, quality = photo.name, result.qualities.get(photo.name)
         pose = result.rig.poses.get(name)
         numbers = {key: value for key, value in vars(quality).items() if key != "name"} if quality else {}
-        rows.append({"name": name, "used": name in number, "number": number.get(name), "reason": result.rig.left_out.get(name),
+        rows.append({"name": name, "used": name in number, "number": number.get(name),
+                     "reason": result.rig.left_out.get(name),
                      "reprojection_error": result.rig.errors.get(name), "exif": photo.exif,
                      "camera": None if pose is None else np.asarray(pose.position).tolist(), **numbers})
     next_view, shading = result.next_view, result.shading
     return {
-        "schema_version": SCHEMA_VERSION, "photos": rows, "used": len(result.used), "calibration": result.capture.calibration,
+        "schema_version": SCHEMA_VERSION, "photos": rows, "used": len(result.used),
+        "calibration": result.capture.calibration,
         "unit": result.rig.unit, "patch": result.rig.size, "resolution": result.capture.resolution,
         "transfer": result.capture.transfer,
         "coverage": {"share": result.covered, "lobe_degrees": math.degrees(HIGHLIGHT_ANGLE)},
         "stand": None if next_view is None else {"camera": list(next_view.camera), "gain": next_view.gain,
-                                                 "near": result.used[next_view.near], "words": next_view.words},
-        "flash": list(map(float, result.rig.lens.flash)), "vignetting": list(map(float, result.rig.lens.vignetting)),
+                                                 "near": result.used[next_view.near],
+                                                 "words": next_view.words},
+        "flash": list(map(float, result.rig.lens.flash)),
+        "vignetting": list(map(float, result.rig.lens.vignetting)),
         "focal": float(result.rig.lens.focal),
-        "log_exposure": {} if shading is None else {n: e for n, e in shading.log_exposure.items() if n in number},
-        "warnings": list(result.warnings), "seconds": result.seconds, "versions": versions(), "machine": machine()}
+        "log_exposure": {} if shading is None else {n: e for n, e in shading.log_exposure.items()
+                                                    if n in number},
+        "warnings": list(result.warnings), "seconds": result.seconds, "versions": versions(),
+        "machine": machine()}
 
 
 def _name(result: CaptureResult) -> str:
@@ -89,12 +99,14 @@ def _shown(photo: Photo) -> Tensor | None:
 
 def _coverage_picture(angle: Tensor) -> Tensor:
     """Light where some photo shows a highlight, dark where none does, R x R x 3."""
-    return torch.where((angle <= HIGHLIGHT_ANGLE)[..., None], torch.tensor(SEEN), torch.tensor(UNSEEN)).float()
+    return torch.where((angle <= HIGHLIGHT_ANGLE)[..., None], torch.tensor(SEEN),
+                       torch.tensor(UNSEEN)).float()
 
 
 def _plan(result: CaptureResult) -> dict:
     """Cameras seen from above, in patch sides with y down, for the page's drawing."""
-    sides = {name: (np.asarray(pose.position) / result.rig.size).tolist() for name, pose in result.rig.poses.items()}
+    sides = {name: (np.asarray(pose.position) / result.rig.size).tolist()
+             for name, pose in result.rig.poses.items()}
     next_place = None if result.next_view is None else [x / result.rig.size for x in result.next_view.camera]
     places = [*sides.values(), *([next_place] if next_place else [])]
     half = max(PLAN_REACH, 0.1 + max(abs(x) for place in places for x in place[:2]))
@@ -102,8 +114,11 @@ def _plan(result: CaptureResult) -> dict:
             "stand": next_place and (next_place[0], -next_place[1])}
 
 
-def _contact_sheet(path: Path, result: CaptureResult, record: dict, left_out: dict[str, Tensor | None]) -> None:
-    """Rectified photos with their numbers and a dot below each camera, then the left-out ones with the reason."""
+def _contact_sheet(path: Path, result: CaptureResult, record: dict,
+                   left_out: dict[str, Tensor | None]) -> None:
+    """Rectified photos with their numbers and a dot below each camera, then the left-out ones with the
+    reason.
+    """
     large = (SHEET_WIDTH - 2 * SHEET_MARGIN - (A_ROW - 1) * PICTURE_GAP) // A_ROW
     small = (SHEET_WIDTH - 2 * SHEET_MARGIN - (SMALL_A_ROW - 1) * PICTURE_GAP) // SMALL_A_ROW
     header, reason_height = 96, 112
@@ -111,8 +126,8 @@ def _contact_sheet(path: Path, result: CaptureResult, record: dict, left_out: di
     below = header + rows * (large + LABEL_HEIGHT)
     sheet = Canvas(below + 10 + (LABEL_HEIGHT if left_out else 0) + small_rows * (small + reason_height))
     sheet.text(SHEET_MARGIN, 52, _name(result), 22, SHEET_TEXT, weight="bold")
-    sheet.text(SHEET_WIDTH - SHEET_MARGIN, 52, f"{len(result.used)} of {len(result.photos)} photos used", 16, SHEET_ACCENT,
-               weight="bold", ha="right")
+    sheet.text(SHEET_WIDTH - SHEET_MARGIN, 52, f"{len(result.used)} of {len(result.photos)} photos used", 16,
+               SHEET_ACCENT, weight="bold", ha="right")
     patch = f"patch of {result.rig.size:.3g} cm; " if result.rig.unit == "cm" else ""
     sheet.text(SHEET_MARGIN, 82, f"{patch}a dot is below where the camera stood", 11, SHEET_QUIET)
     for i, (name, photo) in enumerate(zip(result.used, result.capture.photos)):

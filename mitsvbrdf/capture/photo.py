@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import CaptureError, InputWarning
-from ..system.decode import check_size, decoded, opened
-from ..system.decode import orientation as orientation_of
-from ..system.files import check_names
-from ..system.profile import profiled
+from ..io.decode import check_size, decoded, opened
+from ..io.decode import orientation as orientation_of
+from ..io.files import check_names
+from ..io.profile import profiled
 
 PLAIN = (".png", ".jpg", ".jpeg")
 HEIC = (".heic", ".heif")  # need the extra `heic`
@@ -25,7 +25,8 @@ RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", "
 SUFFIXES = PLAIN + HEIC + RAW
 
 ORIENTATION_OF_FLIP = {3: 3, 5: 8, 6: 6}  # EXIF's by LibRaw's
-UNTURNED = {3: 2, 6: 1, 8: -1}  # quarter turns against the clock, from how a photo is shown to how the sensor saw it
+# quarter turns against the clock, from how a photo is shown to how the sensor saw it
+UNTURNED = {3: 2, 6: 1, 8: -1}
 
 # What can be locked, and shows where it was not: EXIF tags of the Exif block, a number each.
 NUMBERS = {"ISO": 34855, "exposure time": 33434, "focal length": 37386, "35 mm focal length": 41989}
@@ -44,7 +45,8 @@ class Photo:
     """A file; its pixels are read when they are asked for.
 
     Args:
-        path: png or jpg; HEIC with the extra ``heic``, RAW (dng, cr2, cr3, nef, arw, ...) with the extra ``raw``.
+        path: png or jpg; HEIC with the extra ``heic``, RAW (dng, cr2, cr3, nef, arw, ...) with the extra
+            ``raw``.
         size: width and height of the stored pixels, before any EXIF orientation.
         orientation: EXIF's, 1 to 8; 1: shown as stored.
         exif: see :func:`read_exif`.
@@ -77,16 +79,19 @@ class Photo:
             raise Unreadable("a photo", f"no file at {path}", "check the name")
         if path.suffix.lower() in RAW:
             with _readable(path), _rawpy(path).imread(str(path)) as raw:
-                size, orientation = (raw.sizes.width, raw.sizes.height), ORIENTATION_OF_FLIP.get(raw.sizes.flip, 1)
+                size, orientation = (raw.sizes.width,
+                                     raw.sizes.height), ORIENTATION_OF_FLIP.get(raw.sizes.flip, 1)
         else:
             with _readable(path), _opened(path) as image:
                 size, orientation = image.size, orientation_of(image)
-                if path.suffix.lower() in HEIC:  # decoded as it is shown; the sensor's pixels are what the lens knows
+                # decoded as it is shown; the sensor's pixels are what the lens knows
+                if path.suffix.lower() in HEIC:
                     orientation = image.info.get("original_orientation") or 1
                     size = size[::-1] if orientation in (6, 8) else size
         check_size(path, size, CaptureError)
         if max(size) > LONGEST * min(size):
-            raise CaptureError(f"photos at most {LONGEST} times as long as wide", f"{path} of {size[0]} x {size[1]} pixels",
+            raise CaptureError(f"photos at most {LONGEST} times as long as wide",
+                               f"{path} of {size[0]} x {size[1]} pixels",
                                "crop it, or leave it out")
         return cls(path, size, orientation if orientation in range(1, 9) else 1, read_exif(path))
 
@@ -94,8 +99,8 @@ class Photo:
         """H x W x 3, RGB as stored, 8 or 16 bits: display values, of RAW files linear ones. Alpha is dropped.
 
         Args:
-            most: pixels of the long side; a longer one is divided by the least whole number that makes it short enough,
-                by area averages.
+            most: pixels of the long side; a longer one is divided by the least whole number that makes it
+                short enough, by area averages.
 
         Raises:
             Unreadable: the file is damaged or cut off.
@@ -109,9 +114,10 @@ class Photo:
         suffix = self.path.suffix.lower()
         if suffix in RAW:
             rawpy = _rawpy(self.path)
-            with rawpy.imread(str(self.path)) as raw:  # nothing that depends on the picture: values stay comparable
-                return raw.postprocess(use_camera_wb=True, no_auto_bright=True, output_bps=16, gamma=(1, 1), user_flip=0,
-                                       adjust_maximum_thr=0.0)
+            # nothing that depends on the picture: values stay comparable
+            with rawpy.imread(str(self.path)) as raw:
+                return raw.postprocess(use_camera_wb=True, no_auto_bright=True, output_bps=16, gamma=(1, 1),
+                                       user_flip=0, adjust_maximum_thr=0.0)
         if suffix in PLAIN:
             return decoded(self.path, Unreadable)
         with _opened(self.path) as image:
@@ -119,13 +125,16 @@ class Photo:
 
 
 def reduced(image: np.ndarray, most: int) -> np.ndarray:
-    """Pixels divided by the least whole number that makes their long side ``most`` or less, by area averages."""
+    """Pixels divided by the least whole number that makes their long side ``most`` or less, by area
+    averages.
+    """
     import cv2
 
     times = math.ceil(max(image.shape[:2]) / most)
     if times == 1:
         return image
-    height, width = (side // times for side in image.shape[:2])  # whole blocks only: what remains at two edges is cut off
+    # whole blocks only: what remains at two edges is cut off
+    height, width = (side // times for side in image.shape[:2])
     return cv2.resize(image[: height * times, : width * times], (width, height), interpolation=cv2.INTER_AREA)
 
 
@@ -139,12 +148,15 @@ def _readable(path: Path) -> Iterator[None]:
     except Exception as reason:  # Pillow, OpenCV and LibRaw raise all kinds
         said = reason.args[0] if reason.args else type(reason).__name__
         said = said.decode(errors="replace") if isinstance(said, bytes) else said
-        raise Unreadable("a readable photo", f"{path}: {said}", "copy it from the phone again, or leave it out") from None
+        raise Unreadable("a readable photo", f"{path}: {said}", "copy it from the phone again, or leave it "
+                                                                "out") from None
 
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator:
-    """The file in Pillow, as nothing but what its name says: Pillow hands PostScript to Ghostscript, whatever it is called."""
+    """The file in Pillow, as nothing but what its name says: Pillow hands PostScript to Ghostscript, whatever
+    it is called.
+    """
     if heic := path.suffix.lower() in HEIC:
         _needed("pillow_heif", "heic", path).register_heif_opener()
     with opened(path, ("HEIF",) if heic else ("PNG", "JPEG")) as image:
@@ -174,26 +186,32 @@ def photos_in(folder: Path) -> list[Path]:
     """
     if not folder.is_dir():
         raise CaptureError("a folder of photos", f"no folder at {folder}", "check the name")
-    found = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.name[0] != "." and p.is_file())
+    found = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.name[0] != "."
+                   and p.is_file())
     check_names(*found)
     if not found:
-        raise CaptureError("photos (jpg, png, heic, dng, ...)", f"none in {folder}", "give the folder that holds them")
+        raise CaptureError("photos (jpg, png, heic, dng, ...)", f"none in {folder}",
+                           "give the folder that holds them")
     raw = [p for p in found if p.suffix.lower() in RAW]
     if raw and len(raw) < len(found):
-        raise CaptureError("photos of one kind", f"{len(raw)} RAW files and {len(found) - len(raw)} others in {folder}",
+        raise CaptureError("photos of one kind", f"{len(raw)} RAW files and {len(found) - len(raw)} others "
+                                                 f"in {folder}",
                            "move one kind to another folder")
     return found
 
 
 def other_sizes(photos: Sequence[Photo]) -> tuple[tuple[int, int], dict[str, str]]:
-    """The size of most photos, and by name the reason of each that has another: it shows the world through another lens."""
+    """The size of most photos, and by name the reason of each that has another: it shows the world through
+    another lens.
+    """
     usual = Counter(photo.size for photo in photos).most_common(1)[0][0] if photos else (0, 0)
     reasons = {}
     for photo in photos:
         if photo.size != usual:
-            why = ("its pixels were turned when it was stored; give the file as the phone wrote it" if photo.size == usual[::-1]
-                   else "cropped, scaled, or of another lens")
-            reasons[photo.name] = "{} x {} pixels, the others have {} x {}: {}".format(*photo.size, *usual, why)
+            why = ("its pixels were turned when it was stored; give the file as the phone wrote it"
+                   if photo.size == usual[::-1] else "cropped, scaled, or of another lens")
+            reasons[photo.name] = "{} x {} pixels, the others have {} x {}: {}".format(*photo.size, *usual,
+                                                                                       why)
     return usual, reasons
 
 
@@ -211,7 +229,8 @@ def differences(photos: Sequence[Photo]) -> list[str]:
             listed = ", ".join(f"{_shown(value)} in {name}" for name, value in odd[:4])
             more = f" and {len(odd) - 4} more" if len(odd) > 4 else ""
             found.append(f"{what} differs: {_shown(usual)} in {names[usual][0]}"
-                         f"{' and others' if len(names[usual]) > 1 else ''}, {listed}{more}; lock it for comparable photos")
+                         f"{' and others' if len(names[usual]) > 1 else ''}, {listed}{more}; lock it for "
+                         "comparable photos")
     return found
 
 
@@ -222,8 +241,9 @@ def _shown(value: float | str) -> str:
 def read_exif(path: Path) -> dict[str, float | str]:
     """What a photo's EXIF says, else empty.
 
-    Numbers: "ISO", "exposure time" (s), "focal length" and "35 mm focal length" (mm). Words: "white balance" (automatic or
-    manual), "flash" (fired or off), "camera" (maker and model), "date" (as the camera wrote it).
+    Numbers: "ISO", "exposure time" (s), "focal length" and "35 mm focal length" (mm). Words: "white balance"
+    (automatic or manual), "flash" (fired or off), "camera" (maker and model), "date" (as the camera wrote
+    it).
     """
     try:
         from PIL import Image
@@ -232,7 +252,8 @@ def read_exif(path: Path) -> dict[str, float | str]:
             block = Image.Image.getexif(image)  # that of a PNG would decode it
             tags = dict(block.get_ifd(0x8769))
             camera = " ".join(str(block.get(tag, "")).strip("\0 ") for tag in (271, 272)).strip()
-    except Exception:  # no such package, or an EXIF block that cannot be read: the photo itself may still be fine
+    # no such package, or an EXIF block that cannot be read: the photo itself may still be fine
+    except Exception:
         return {}
     found: dict[str, Any] = {}
     for name, tag in NUMBERS.items():

@@ -13,11 +13,11 @@ import torch
 
 from .. import color
 from ..errors import CaptureError, ConfigError
-from ..system import files
-from ..system.decode import upright
-from ..system.entry import entry
-from ..system.images import averaged, write_png
-from ..system.result_folder import settle
+from ..io import files
+from ..io.decode import upright
+from ..io.entry import entry
+from ..io.images import averaged, write_png
+from ..io.result_folder import settle
 from ..views import FIELD_OF_VIEW, Falloff, default_views, field_of_view
 from .calibrated import from_json, from_text
 from .capture import LEAST_SIDE, Capture
@@ -40,21 +40,23 @@ def read_capture(
 
     Three kinds of folder are understood, in this order:
 
-    - ``capture.json`` as svbrdf-diff-renderer has it: ``camera_pos`` (rows x, y, z), ``light_pow`` (a number, r g b, or
-      one row a photo), ``im_size``, ``target_dir``, and where given ``light_pos`` (else the light is at the camera),
-      ``idx`` (which rows and photos ``NN.png|jpg`` are used, else all) and our own ``transfer`` and ``calibration``; without
-      ``camera_pos`` nothing is known of the views but that the photos are rectified;
-    - ``camera_pos.txt``, ``image_size.txt``, ``light_power.txt`` and where given ``light_pos.txt`` beside the photos
-      ``00.png|jpg``, ... (MaterialGAN);
-    - photos alone, as a phone wrote them: three or more as :func:`~mitsvbrdf.capture.make.make_capture` sees them, upright as
-      the first; fewer, the first by name alone, with the stated default geometry.
+    - ``capture.json`` as svbrdf-diff-renderer has it: ``camera_pos`` (rows x, y, z), ``light_pow`` (a number,
+      r g b, or one row a photo), ``im_size``, ``target_dir``, and where given ``light_pos`` (else the light
+      is at the camera), ``idx`` (which rows and photos ``NN.png|jpg`` are used, else all) and our own
+      ``transfer`` and ``calibration``; without ``camera_pos`` nothing is known of the views but that the
+      photos are rectified;
+    - ``camera_pos.txt``, ``image_size.txt``, ``light_power.txt`` and where given ``light_pos.txt`` beside the
+      photos ``00.png|jpg``, ... (MaterialGAN);
+    - photos alone, as a phone wrote them: three or more as :func:`~mitsvbrdf.capture.make.make_capture` sees
+      them, upright as the first; fewer, the first by name alone, with the stated default geometry.
 
     Args:
         folder: the folder, or the JSON file itself.
-        resolution: pixels a side to shrink to, by area averages of display values; never enlarged. None: as they are.
+        resolution: pixels a side to shrink to, by area averages of display values; never enlarged. None: as
+            they are.
         index: numbers of the photos to use; None: all.
-        transfer: how display values encode radiance; None: what the capture states, else ``gamma2.2`` for calibrated
-            captures (the field's habit), ``srgb`` for plain photos, and ``linear`` for RAW files.
+        transfer: how display values encode radiance; None: what the capture states, else ``gamma2.2`` for
+            calibrated captures (the field's habit), ``srgb`` for plain photos, and ``linear`` for RAW files.
         falloff: see :class:`~mitsvbrdf.views.Views`.
         log: called with each note of the capture.
         report: told what is going on with plain photos, which take long, and the share done.
@@ -62,12 +64,14 @@ def read_capture(
     Returns:
         The capture, in the unit of length of its calibration.
 
-    Photos are decoded one at a time and shrunk at once: at most 250 megapixels of each, 500 in all when shrunk.
+    Photos are decoded one at a time and shrunk at once: at most 250 megapixels of each, 500 in all when
+    shrunk.
 
     Raises:
         CaptureError: photos or calibration that cannot be used, naming the file or row.
         ConfigError: options out of range.
-        OutputError: a command that was killed left the folder with files of two results, and it cannot be written.
+        OutputError: a command that was killed left the folder with files of two results, and it cannot be
+            written.
 
     Warns:
         InputWarning: the decoder of a photo complained; inside :func:`~mitsvbrdf.errors.strict` an error.
@@ -76,7 +80,8 @@ def read_capture(
     if resolution is not None and resolution < LEAST_SIDE:
         raise ConfigError(f"a resolution of {LEAST_SIDE} or more", str(resolution), "choose a larger one")
     if transfer is not None and transfer not in get_args(color.Transfer):
-        raise ConfigError(f"a transfer function of {get_args(color.Transfer)}", repr(transfer), "choose one of these")
+        raise ConfigError(f"a transfer function of {get_args(color.Transfer)}", repr(transfer),
+                          "choose one of these")
     settle(path.parent if path.suffix.lower() == ".json" else path)
     if path.is_file() and path.suffix.lower() == ".json":
         capture = from_json(path, falloff, resolution)
@@ -87,7 +92,8 @@ def read_capture(
     elif (path / "camera_pos.txt").is_file():
         capture = from_text(path, falloff, resolution)
     elif (path / "fit.json").is_file():
-        raise CaptureError("a folder of photos", f"{path}, the result of a fit", "name the folder that was fitted")
+        raise CaptureError("a folder of photos", f"{path}, the result of a fit",
+                           "name the folder that was fitted")
     else:
         capture = _from_plain(path, falloff, resolution, transfer, report)
     capture = capture if index is None else capture.pick(index)
@@ -102,7 +108,8 @@ def read_capture(
 def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None) -> None:
     """Write ``capture.json`` and ``target/NN.png``, so that :func:`read_capture` gives the same back.
 
-    Photos are numbered anew from 0; lengths stay in the capture's unit. Files have 8 bits, of linear photos 16.
+    Photos are numbered anew from 0; lengths stay in the capture's unit. Files have 8 bits, of linear photos
+    16.
 
     Args:
         keys: more for the JSON, as :func:`~mitsvbrdf.capture.make.capture_keys` makes them.
@@ -123,7 +130,8 @@ def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None
 
 def _from_plain(folder: Path, falloff: Falloff, resolution: int | None, transfer: color.Transfer | None,
                 report: Callable[[str, float], object]) -> Capture:
-    """Raw photos: what `mitsvbrdf capture` would make of them; of fewer than three that can be used, the first alone.
+    """Raw photos: what `mitsvbrdf capture` would make of them; of fewer than three that can be used, the
+    first alone.
 
     Photos that show everything in the same place are taken for rectified.
     """
@@ -149,19 +157,24 @@ def _from_plain(folder: Path, falloff: Falloff, resolution: int | None, transfer
     return _single(photos, falloff, folder, resolution, reason)
 
 
-def _single(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution: int | None, reason: str) -> Capture:
+def _single(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution: int | None,
+            reason: str) -> Capture:
     """The middle square of the first photo as it is shown, in the stated default geometry."""
     alone = [f"only {photos[0].name} is used of {len(photos)} photos: {reason}"] if len(photos) > 1 else []
     shot = _unposed(photos[:1], falloff, folder, resolution, [*differences(photos), *alone])
     z, focal = float(shot.views.camera[0, 2]), photos[0].exif.get("35 mm focal length")
-    geometry = (f"no calibration: camera and light are taken to be together, {z:.2f} patch sides above the centre (field of "
-                f"view {_angle(photos[0]):.0f} degrees, {'from EXIF' if focal else 'assumed'}); a white texel there has "
+    geometry = (f"no calibration: camera and light are taken to be together, {z:.2f} patch sides above the "
+                "centre (field of "
+                f"view {_angle(photos[0]):.0f} degrees, {'from EXIF' if focal else 'assumed'}); a white "
+                "texel there has "
                 "radiance 1")
     return replace(shot, notes=(*shot.notes, geometry))
 
 
 def _rectified(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution: int | None) -> Capture:
-    """The middle squares of photos that show everything in the same place, of whose views nothing is known."""
+    """The middle squares of photos that show everything in the same place, of whose views nothing is
+    known.
+    """
     size = Counter(photo.size for photo in photos).most_common(1)[0][0]
     kept = [photo for photo in photos if photo.size == size]
     others = [f"{photo.name} is left out: it has another size" for photo in photos if photo.size != size]
@@ -170,13 +183,14 @@ def _rectified(photos: Sequence[Photo], falloff: Falloff, folder: Path, resoluti
     return _unposed(kept, falloff, folder, resolution, notes, [photos.index(photo) for photo in kept])
 
 
-def _unposed(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution: int | None, notes: Sequence[str],
-             index: Sequence[int] = (0,)) -> Capture:
+def _unposed(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution: int | None,
+             notes: Sequence[str], index: Sequence[int] = (0,)) -> Capture:
     """Middle squares of photos as they are shown, in the default geometry."""
     squares = torch.from_numpy(np.stack([_square(photo, resolution) for photo in photos]))
     share = min(photos[0].size) / max(photos[0].size)
     views = replace(default_views(len(photos), _angle(photos[0]), share), falloff=falloff)
-    return Capture(squares, views, "linear" if photos[0].linear else "srgb", tuple(index), "none", folder, tuple(notes))
+    return Capture(squares, views, "linear" if photos[0].linear else "srgb", tuple(index), "none", folder,
+                   tuple(notes))
 
 
 def _angle(photo: Photo) -> float:
@@ -186,11 +200,14 @@ def _angle(photo: Photo) -> float:
 
 
 def _square(photo: Photo, resolution: int | None) -> np.ndarray:
-    """The middle square of a photo as it is shown, S x S x 3 display values, S at most :data:`MOST_SQUARE`; then shrunk."""
+    """The middle square of a photo as it is shown, S x S x 3 display values, S at most :data:`MOST_SQUARE`;
+    then shrunk.
+    """
     pixels = upright(photo.pixels(), photo.orientation)
     (height, width), side = pixels.shape[:2], min(pixels.shape[:2])
     if side < LEAST_SIDE:
-        raise CaptureError(f"photos of {LEAST_SIDE} pixels or more a side", f"{photo.path} of {width} x {height}",
+        raise CaptureError(f"photos of {LEAST_SIDE} pixels or more a side",
+                           f"{photo.path} of {width} x {height}",
                            "use the original photo")
     top, left = (height - side) // 2, (width - side) // 2
     square = averaged(pixels[top : top + side, left : left + side], min(side, MOST_SQUARE))

@@ -1,4 +1,6 @@
-"""Photos rectified to the frontal view of the patch, their vignetting undone, and what lies beyond their edges filled in."""
+"""Photos rectified to the frontal view of the patch, their vignetting undone, and what lies beyond their
+edges filled in.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ class Rectified:
     """Photos as they came, display values by name.
 
     Args:
-        pictures: the patch alone, R x R x 3 float32 in [0, 1] with the lens's vignetting; NaN beyond a photo's edges.
+        pictures: the patch alone, R x R x 3 float32 in [0, 1] with the lens's vignetting; NaN beyond a
+            photo's edges.
         small: whole photos, at most 1024 pixels long, as stored.
         notes: what a user should know.
     """
@@ -32,8 +35,11 @@ class Rectified:
     notes: tuple[str, ...]
 
     @classmethod
-    def of(cls, rig: Rig, photos: Sequence[Photo], resolution: int, report: Callable[[str, float], object]) -> Rectified:
-        """The photos that ``rig`` has poses of, in ``resolution`` pixels a side, or in as many as they show."""
+    def of(cls, rig: Rig, photos: Sequence[Photo], resolution: int, report: Callable[[str, float],
+                                                                                     object]) -> Rectified:
+        """The photos that ``rig`` has poses of, in ``resolution`` pixels a side, or in as many as they
+        show.
+        """
         photos = [photo for photo in photos if photo.name in rig.poses]
         shown = int(np.median([_resolved(rig.lens, pose, rig.size) for pose in rig.poses.values()]))
         side, pictures, small = max(LEAST_SIDE, min(resolution, shown)), {}, {}
@@ -54,7 +60,9 @@ def _resolved(lens: Lens, pose: Pose, size: float) -> float:
 
 
 def without_vignetting(picture: np.ndarray, rig: Rig, name: str, transfer: color.Transfer) -> np.ndarray:
-    """A rectified photo (R x R x 3 display values, NaN stays) as a lens without vignetting would have seen it."""
+    """A rectified photo (R x R x 3 display values, NaN stays) as a lens without vignetting would have seen
+    it.
+    """
     if rig.lens.vignetting == (0.0, 0.0):
         return picture
     linear = color.decode(torch.from_numpy(picture), transfer).numpy()
@@ -63,7 +71,9 @@ def without_vignetting(picture: np.ndarray, rig: Rig, name: str, transfer: color
 
 
 def filled(pictures: Sequence[np.ndarray]) -> torch.Tensor:
-    """Photos with what lies beyond their edges taken from the mean of the others; black where none shows it."""
+    """Photos with what lies beyond their edges taken from the mean of the others; black where none shows
+    it.
+    """
     stack = np.stack(pictures)
     known = np.isfinite(stack)
     if not known.all():
@@ -73,17 +83,20 @@ def filled(pictures: Sequence[np.ndarray]) -> torch.Tensor:
 
 
 def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolution: int) -> np.ndarray:
-    """A photo as seen straight from above: the patch in R x R pixels, row 0 at the top, lens distortion undone.
+    """A photo as seen straight from above: the patch in R x R pixels, row 0 at the top, lens distortion
+    undone.
 
     Each pixel is the average over its area, from as many samples as the photo has pixels there, or more.
 
     Args:
-        pixels: H x W x 3 as stored, 8 or 16 bits, or float32; its size may be that of ``lens`` divided by a whole number.
+        pixels: H x W x 3 as stored, 8 or 16 bits, or float32; its size may be that of ``lens`` divided by a
+            whole number.
         size: side of the patch.
         resolution: R.
 
     Returns:
-        R x R x 3 float32 in [0, 1] (integers are divided by their largest), NaN where the photo does not reach.
+        R x R x 3 float32 in [0, 1] (integers are divided by their largest), NaN where the photo does not
+        reach.
     """
     import cv2
 

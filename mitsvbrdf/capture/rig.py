@@ -15,13 +15,15 @@ LEAST_PHOTOS = 3  # from which views can be found
 
 @dataclass(frozen=True)
 class Rig:
-    """A lens and where it stood in each photo. The patch is the square of side ``size`` around the world's origin.
+    """A lens and where it stood in each photo. The patch is the square of side ``size`` around the world's
+    origin.
 
     Args:
         lens: what all photos share.
         poses: by name of the photo, of the photos that are used.
         size: side of the patch, in ``unit``.
-        unit: of all lengths: ``cm`` where a sheet of known size was seen, else ``patch sides`` (``size`` is 1).
+        unit: of all lengths: ``cm`` where a sheet of known size was seen, else ``patch sides`` (``size`` is
+            1).
         source: what the poses come from.
         errors: RMS reprojection error in pixels of the photo, by name.
         left_out: reason, by name of each photo that is not used.
@@ -41,9 +43,13 @@ class Rig:
 
 
 def rig_to_json(rig: Rig) -> dict:
-    """What :func:`rig_from_json` makes a rig of again, for ``capture.json["rig"]``: plain numbers, lists and texts."""
-    lens = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(rig.lens).items()}
-    poses = {name: {"position": np.asarray(pose.position).tolist(), "rotation": np.asarray(pose.rotation).tolist()}
+    """What :func:`rig_from_json` makes a rig of again, for ``capture.json["rig"]``: plain numbers, lists and
+    texts.
+    """
+    lens = {name: list(value) if isinstance(value, tuple) else value
+            for name, value in asdict(rig.lens).items()}
+    poses = {name: {"position": np.asarray(pose.position).tolist(),
+                    "rotation": np.asarray(pose.rotation).tolist()}
              for name, pose in rig.poses.items()}
     return {"lens": lens, "poses": poses, "size": rig.size, "unit": rig.unit, "source": rig.source,
             "errors": dict(rig.errors), "left_out": dict(rig.left_out),
@@ -57,7 +63,8 @@ def rig_from_json(value: dict) -> Rig:
         CaptureError: something is missing or no number.
     """
     try:
-        lens: dict[str, Any] = {name: tuple(x) if isinstance(x, list) else x for name, x in value["lens"].items()}
+        lens: dict[str, Any] = {name: tuple(x) if isinstance(x, list) else x
+                                for name, x in value["lens"].items()}
         poses = {name: Pose(np.array(pose["position"], dtype=np.float64).reshape(3),
                             np.array(pose["rotation"], dtype=np.float64).reshape(3, 3))
                  for name, pose in value["poses"].items()}

@@ -1,8 +1,9 @@
 """The command line: parse, call, print, exit code.
 
-0 is success, and a fit that Ctrl-C ended early; 1 a check that does not hold; 2 a mistake the caller can mend; 130 Ctrl-C
-without a result. Where standard output is full or closed the work goes on, and its exit code stays; 2 where what is printed
-is the result. Only the module of the chosen command is imported: words about commands load neither torch nor Mitsuba.
+0 is success, and a fit that Ctrl-C ended early; 1 a check that does not hold; 2 a mistake the caller can
+mend; 130 Ctrl-C without a result. Where standard output is full or closed the work goes on, and its exit code
+stays; 2 where what is printed is the result. Only the module of the chosen command is imported: words about
+commands load neither torch nor Mitsuba.
 """
 
 from __future__ import annotations
@@ -20,41 +21,58 @@ from typing import Any, get_type_hints
 from .. import __version__
 from ..errors import LARGEST, ConfigError, exit_code, plain_warnings
 from ..errors import strict as refused
-from ..system.files import check_names
+from ..io.files import check_names
 
-# What each command does, the first line of its docstring. ``leave-out`` is the function leave_out of the module leave_out.
+# What each command does, the first line of its docstring. ``leave-out`` is the function leave_out of the
+# module leave_out.
 COMMANDS = {
     "capture": "Make a capture of raw photos, for `mitsvbrdf fit`: find out where the phone was, rectify, "
                "leave bad photos out.",
     "fit": "Recover the maps of a material from photos.",
     "batch": "Fit many captures into one library, whatever dies on the way.",
-    "library": "Look through a library of materials: list, check, export or tidy up what `mitsvbrdf batch` made.",
-    "view": "Follow a fit or a batch in the browser while it runs, then see its report or its library; Ctrl-C ends the page.",
+    "library": "Look through a library of materials: list, check, export or tidy up what `mitsvbrdf batch` "
+               "made.",
+    "view": "Follow a fit or a batch in the browser while it runs, then see its report or its library; "
+            "Ctrl-C ends the page.",
     "guess": "Make the guessed diffuse map only: OUT/diffuse.exr and .png.",
     "render": "Render maps for the views of a capture: OUT/NN.png (display values) and NN.exr (linear).",
     "evaluate": "Measure maps: against known maps (--reference) or against photos (--capture).",
-    "compare": "Show maps of several methods side by side: input, maps, errors, and every photo beside its re-renderings.",
+    "compare": "Show maps of several methods side by side: input, maps, errors, and every photo beside its "
+               "re-renderings.",
     "crosscheck": "Hold every renderer and BSDF against the float64 twin: images, gradients, run time.",
-    "leave-out": "Measure what is left out of a scene that does not need it: image difference, and time with and without.",
-    "stability": "Sweep every parameter to its ends: errors, gradients, conditioning, step sizes, and a verdict on "
+    "leave-out": "Measure what is left out of a scene that does not need it: image difference, and time "
+                 "with and without.",
+    "stability": "Sweep every parameter to its ends: errors, gradients, conditioning, step sizes, and a "
+                 "verdict on "
                  "each renderer.",
-    "bench": "Measure error against run time: renderers against float64, methods against known maps and photos left out.",
-    "synth": "Take photos of known maps: rectified ones with their calibration, to test fits on, or raw ones by a "
+    "bench": "Measure error against run time: renderers against float64, methods against known maps and "
+             "photos left out.",
+    "synth": "Take photos of known maps: rectified ones with their calibration, to test fits on, or raw "
+             "ones by a "
              "simulated phone.",
-    "pretrain": "First stage of the paper's two-stage training: the generator learns from one picture with global features.",
-    "doctor": "Show what is installed, prove libLLVM in a child process, and say what is missing and how to get it.",
-    "export": "Write a material for other programs: OUT/FORMAT/, with an export.json that states what each file holds.",
-    "relight": "Show a material under other light, path traced with Mitsuba: stills as EXR and PNG, movies as MP4 and GIF.",
-    "report": "Write OUT/report.html, one page about a fit that opens from disk, and its numbers, OUT/report.json.",
-    "sheet": "Write a sheet of AprilTags to print: laid around a material, it tells `mitsvbrdf capture --sheet CM` where the "
+    "pretrain": "First stage of the paper's two-stage training: the generator learns from one picture with "
+                "global features.",
+    "doctor": "Show what is installed, prove libLLVM in a child process, and say what is missing and how to "
+              "get it.",
+    "export": "Write a material for other programs: OUT/FORMAT/, with an export.json that states what each "
+              "file holds.",
+    "relight": "Show a material under other light, path traced with Mitsuba: stills as EXR and PNG, movies "
+               "as MP4 and GIF.",
+    "report": "Write OUT/report.html, one page about a fit that opens from disk, and its numbers, "
+              "OUT/report.json.",
+    "sheet": "Write a sheet of AprilTags to print: laid around a material, it tells `mitsvbrdf capture "
+             "--sheet CM` where the "
              "phone was.",
     "demo": "Photograph a made material, recover it, and compare with the truth; about two minutes.",
 }
 FITTING = ("fit", "batch")  # these have the options of the methods
-READING = ("capture", "fit", "batch", "guess", "render", "evaluate", "compare", "pretrain", "export", "relight", "report")
-MOST = {"resolution": 16384, "size": 16384, "repeats": 10_000, "frames": 100_000}  # what takes memory, or days
+READING = ("capture", "fit", "batch", "guess", "render", "evaluate", "compare", "pretrain", "export",
+           "relight", "report")
+# what takes memory, or days
+MOST = {"resolution": 16384, "size": 16384, "repeats": 10_000, "frames": 100_000}
 RESUMED = ("fit", "relight")  # what these leave unfinished goes on with --resume
-PRINTING = ("library", "evaluate", "crosscheck", "leave-out", "stability", "doctor")  # what these print is their result
+# what these print is their result
+PRINTING = ("library", "evaluate", "crosscheck", "leave-out", "stability", "doctor")
 PRINTS = ("--help", "-h", "--explain", "--check")  # with these so do all others
 
 
@@ -71,13 +89,16 @@ def main(arguments: list[str] | None = None) -> int:
     if arguments == ["--version"]:
         print(f"mitsvbrdf {__version__}")
         return 0
-    unfinished = "; what is unfinished goes on with --resume" if arguments[:1] and arguments[0] in RESUMED else ""
+    unfinished = ("; what is unfinished goes on with --resume" if arguments[:1] and arguments[0] in RESUMED
+                  else "")
     with plain_warnings():
         return exit_code(lambda: _run(arguments), "interrupted" + unfinished)
 
 
 def command(name: str, arguments: Sequence[str] = ()) -> Callable[..., int]:
-    """The function of a command; ``fit`` and ``batch`` have the options of the method that the arguments name."""
+    """The function of a command; ``fit`` and ``batch`` have the options of the method that the arguments
+    name.
+    """
     function = getattr(_module(name), name.replace("-", "_"))
     if name in FITTING:
         from .fit import fit_command
@@ -86,13 +107,16 @@ def command(name: str, arguments: Sequence[str] = ()) -> Callable[..., int]:
 
 
 def _guarded(function: Callable[..., int], strict: bool) -> Callable[..., int]:
-    """A command whose numbers are checked before it begins; where wanted, with ``--strict`` beside its options."""
+    """A command whose numbers are checked before it begins; where wanted, with ``--strict`` beside its
+    options.
+    """
     from .options import Strict
 
     signature, hints = inspect.signature(function), get_type_hints(function, include_extras=True)
     parameters = list(signature.parameters.values())
     if strict := strict and "strict" not in signature.parameters:  # `batch` tells its workers itself
-        parameters.append(inspect.Parameter("strict", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Strict))
+        parameters.append(inspect.Parameter("strict", inspect.Parameter.KEYWORD_ONLY, default=False,
+                                            annotation=Strict))
         hints["strict"] = Strict
 
     def command(*values: Any, **options: Any) -> int:
@@ -113,7 +137,8 @@ def _check_numbers(name: str, value: object) -> None:
         for each in fields(value):
             _check_numbers(each.name, getattr(value, each.name))
     elif isinstance(value, (int, float)) and not abs(value) <= (most := MOST.get(name, LARGEST)):
-        raise ConfigError(f"--{name.replace('_', '-')} of at most {most:g}", str(value), "give a number up to that")
+        raise ConfigError(f"--{name.replace('_', '-')} of at most {most:g}", str(value),
+                          "give a number up to that")
 
 
 def load(arguments: Sequence[str]) -> None:
@@ -125,7 +150,8 @@ def load(arguments: Sequence[str]) -> None:
 
 def only_prints(arguments: Sequence[str]) -> bool:
     """Whether what these arguments ask for comes on standard output, and not as files alone."""
-    return _chosen(arguments) in PRINTING or _chosen(arguments) not in COMMANDS or bool(set(PRINTS) & set(arguments))
+    return (_chosen(arguments) in PRINTING or _chosen(arguments) not in COMMANDS
+            or bool(set(PRINTS) & set(arguments)))
 
 
 def _module(name: str) -> ModuleType:
@@ -138,13 +164,18 @@ def _chosen(arguments: Sequence[str]) -> str:
 
 
 def _run(arguments: list[str]) -> int:
-    """Parse the arguments with the chosen command's options, every other command known by name and help alone."""
+    """Parse the arguments with the chosen command's options, every other command known by name and help
+    alone.
+    """
     import tyro
 
     check_names(*arguments)
-    with contextlib.suppress(OSError, ValueError):  # the folder we are in was removed, or a word can be no name at all
-        check_names(os.getcwd(), *(os.path.realpath(word.rpartition("=")[2]) for word in arguments))  # where links lead
-    completion = any(word.startswith(("--tyro-print-completion", "--tyro-write-completion")) for word in arguments)
+    # the folder we are in was removed, or a word can be no name at all
+    with contextlib.suppress(OSError, ValueError):
+        # where links lead
+        check_names(os.getcwd(), *(os.path.realpath(word.rpartition("=")[2]) for word in arguments))
+    completion = any(word.startswith(("--tyro-print-completion", "--tyro-write-completion"))
+                     for word in arguments)
     commands = {name: command(name) if completion else _named_only(text) for name, text in COMMANDS.items()}
     chosen = _chosen(arguments)
     if chosen in COMMANDS:
@@ -157,7 +188,8 @@ def _run(arguments: list[str]) -> int:
                         config=(tyro.conf.FlagCreatePairsOff,))
     return tyro.extras.subcommand_cli_from_dict(
         commands, prog="mitsvbrdf", args=arguments, config=(tyro.conf.FlagCreatePairsOff,),
-        description="Recover the maps of a material (diffuse, specular, roughness, normal) from a few flash photos, "
+        description="Recover the maps of a material (diffuse, specular, roughness, normal) from a few flash "
+                    "photos, "
                     "fitted through Mitsuba 3, without any training data.")
 
 

@@ -30,8 +30,8 @@ from ..batch.workers.pool import RayPool, require_ray
 from ..errors import ConfigError, MitsvbrdfError
 from ..fit.config import FitConfig
 from ..fit.options import FitOptions
-from ..system.files import remove
-from ..system.progress import progress_bar, say
+from ..io.files import remove
+from ..io.progress import progress_bar, say
 from .fit import fit_command, with_flags
 from .options import Strict
 
@@ -40,29 +40,35 @@ INTERRUPTED = 130
 
 
 def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help=(
-              "Captures, folders of captures, patterns, URLs, or lists: text files with a capture and its own options a line; "
+              "Captures, folders of captures, patterns, URLs, or lists: text files with a capture and its "
+              "own options a line; "
               "- is a list on standard input."), help_behavior_hint="(required)")],
-          out: Annotated[str, arg(aliases=["-o"], metavar="LIBRARY", help="The library: a folder that all workers see, or a "
+          out: Annotated[str, arg(aliases=["-o"], metavar="LIBRARY", help="The library: a folder that all "
+                                                                          "workers see, or a "
                                                                           "URL like s3://bucket/library.")],
           config: FitConfig, shared: OmitArgPrefixes[FitOptions] = USUAL,
           running: OmitArgPrefixes[BatchSettings] = USUAL_BATCH,
           method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"],
                             arg(help="How to fit; `batch --method gan --help` shows its own options.")] = "hierarchical",
-          pages: Annotated[Literal["all", "none"], arg(help="none: maps, uncertainty, fit.json and preview alone, in a sixth "
-                                                            "of the space.")] = "all",
-          tag: UseAppendAction[Annotated[tuple[str, ...], arg(help="Words to find these materials by, commas between.")]] = (),
-          sheet: Annotated[float | None, arg(metavar="CM", help="In raw photos a printed sheet of tags lies around the "
+          pages: Annotated[Literal["all", "none"],
+                           arg(help="none: maps, uncertainty, fit.json and preview alone, in a sixth "
+                                    "of the space.")] = "all",
+          tag: UseAppendAction[Annotated[tuple[str, ...],
+                                         arg(help="Words to find these materials by, commas between.")]] = (),
+          sheet: Annotated[float | None, arg(metavar="CM", help="In raw photos a printed sheet of tags lies "
+                                                                "around the "
                                                                 "material: its measured size.")] = None,
           strict: Strict = False) -> int:
     """Fit many captures into one library, whatever dies on the way.
 
-    `mitsvbrdf batch shots/ -o library` fits each capture in shots/; the options are those of `mitsvbrdf fit`. Run the same
-    again and it goes on: what is done is checked and skipped, what has changed is done anew, what failed is tried again with
-    --retry-failed. Raw photos become captures first. Ctrl-C waits for what runs; a second one does not.
+    `mitsvbrdf batch shots/ -o library` fits each capture in shots/; the options are those of `mitsvbrdf fit`.
+    Run the same again and it goes on: what is done is checked and skipped, what has changed is done anew,
+    what failed is tried again with --retry-failed. Raw photos become captures first. Ctrl-C waits for what
+    runs; a second one does not.
 
-    LIBRARY then holds a folder a material, index.html to look at (`mitsvbrdf view LIBRARY` while the batch runs), library.json
-    for pandas, manifest.sqlite, and quarantine/ with the reason and the log of each capture that failed. The exit code is 1
-    where any failed. Needs Ray: pip install 'mitsvbrdf[batch]'.
+    LIBRARY then holds a folder a material, index.html to look at (`mitsvbrdf view LIBRARY` while the batch
+    runs), library.json for pandas, manifest.sqlite, and quarantine/ with the reason and the log of each
+    capture that failed. The exit code is 1 where any failed. Needs Ray: pip install 'mitsvbrdf[batch]'.
     """
     running.check()
     shared.check(config)
@@ -110,7 +116,8 @@ def with_own_options(entry: Entry, base: Asked) -> Asked:
 
     def line(config: FitConfig, shared: OmitArgPrefixes[FitOptions] = base.options, method: str = "",
              pages: Literal["all", "none"] = "all" if base.pages else "none",
-             tag: UseAppendAction[tuple[str, ...]] = (), sheet: float | None = base.sheet, strict: bool = base.strict) -> Asked:
+             tag: UseAppendAction[tuple[str, ...]] = (), sheet: float | None = base.sheet,
+             strict: bool = base.strict) -> Asked:
         return Asked(entry, config, shared, pages == "all", (*base.tags, *_split(tag)), sheet, strict)
 
     words, said = with_flags(list(entry.own)), io.StringIO()
@@ -183,8 +190,8 @@ def _pool(home: Path, library: str, settings: BatchSettings) -> RayPool:
     workers = settings.local_workers() if here else settings.workers
     memory = settings.local_memory(workers) if here and workers else settings.memory
     (home / WORK).mkdir(exist_ok=True)
-    return RayPool(library, address=settings.address, workers=workers, threads=settings.threads, memory=memory,
-                   timeout=settings.timeout, dashboard=settings.dashboard,
+    return RayPool(library, address=settings.address, workers=workers, threads=settings.threads,
+                   memory=memory, timeout=settings.timeout, dashboard=settings.dashboard,
                    log=home / WORK / "ray.log")
 
 
@@ -195,8 +202,8 @@ def _say_stock(stock: Standing, manifest: Manifest, home: Path) -> None:
     failed = manifest.materials("failed")
     tried = sum(row["attempts"] > 0 for row in failed)
     known = [f"{count} {what}" for count, what in (
-        (stock.done, "done already"), (stock.adopted, "of these found finished"), (tried, "failed before (--retry-failed)"),
-        (len(failed) - tried, "unreadable")) if count]
+        (stock.done, "done already"), (stock.adopted, "of these found finished"),
+        (tried, "failed before (--retry-failed)"), (len(failed) - tried, "unreadable")) if count]
     say(f"{len(stock.work)} to fit into {home}" + (f"; {', '.join(known)}" if known else ""))
 
 
@@ -206,11 +213,11 @@ def _ended(manifest: Manifest, home: Path, interrupted: bool, nameless: int) -> 
     left = counts["pending"] + counts["running"]
     for each in manifest.materials("failed")[:20]:
         log = home / QUARANTINE / each["folder"] / LOG
-        say(f"failed: {each['name']} ({each['source']}): {each['reason']}" + (f"; its log: {log}" if log.exists() else ""))
+        say(f"failed: {each['name']} ({each['source']}): {each['reason']}"
+            + (f"; its log: {log}" if log.exists() else ""))
     words = [f"{counts['done']} done"] + [f"{n} {what}" for n, what in (
         (counts["failed"], "failed"), (nameless, "left out"), (left, "left")) if n]
     say(f"{', '.join(words)}; {home}/index.html shows them" + ("; the same command goes on" if left else ""))
     if counts["failed"] or nameless:
         return 1
     return INTERRUPTED if interrupted and left else int(left > 0)
-

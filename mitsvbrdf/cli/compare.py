@@ -12,9 +12,9 @@ from tyro.conf import Positional, arg
 
 from ..capture import guess_diffuse
 from ..errors import ConfigError, MapsError
+from ..io import files, images
+from ..io.progress import print_numbers, say, say_written
 from ..render import RendererName, make_renderer
-from ..system import files, images
-from ..system.progress import print_numbers, say, say_written
 from ..views import photo_numbers
 from .options import (
     Out,
@@ -35,22 +35,32 @@ LARGEST_SIDE = 256  # pixels a side, where nothing else is asked for
 
 
 def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", help=(
-                "Folders of maps, published or the OUT of fits, or builtin:NAME; NAME= is what captions call it."))]],
+                "Folders of maps, published or the OUT of fits, or builtin:NAME; NAME= is what captions "
+                "call it."))]],
             capture: Annotated[Path, arg(metavar="CAPTURE", help="The photos.")], out: Out,
-            reference: Annotated[str | None, arg(help="Known maps, where there are any: a folder or builtin:NAME.")] = None,
+            reference: Annotated[str | None,
+                                 arg(help="Known maps, where there are any: a folder or builtin:NAME.")] = None,
             views: ViewList = None,
-            resolution: Annotated[int | None, arg(help="Side of photos and maps; left out: the smallest among them, at most "
-                                                       "256.")] = None,
+            resolution: Annotated[int | None,
+                                  arg(help="Side of photos and maps; left out: the smallest among them, at "
+                                           "most "
+                                           "256.")] = None,
             renderer: RendererName = "mitsuba",
-            transfer: Annotated[TransferOption, arg(help="How photos encode light; auto: as in each fit.")] = "auto",
-            refine_views: Annotated[bool, arg(help="Measure again with camera, flash and exposure of each photo refined, "
-                                                   "for every method alike.")] = False,
-            json_file: Annotated[Path | None, arg(name="json", help="Write the figures to this file.")] = None,
+            transfer: Annotated[TransferOption,
+                                arg(help="How photos encode light; auto: as in each fit.")] = "auto",
+            refine_views: Annotated[bool,
+                                    arg(help="Measure again with camera, flash and exposure of each photo "
+                                             "refined, "
+                                             "for every method alike.")] = False,
+            json_file: Annotated[Path | None,
+                                 arg(name="json", help="Write the figures to this file.")] = None,
             variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
-    """Show maps of several methods side by side: input, maps, errors, and every photo beside its re-renderings.
+    """Show maps of several methods side by side: input, maps, errors, and every photo beside its
+    re-renderings.
 
-    `mitsvbrdf compare out materialgan=captures/wood/materialgan --capture captures/wood -o page.html` writes one HTML file that
-    needs no network. Photos that a fit saw are rendered with the views it ended with, all others as `mitsvbrdf evaluate` does.
+    `mitsvbrdf compare out materialgan=captures/wood/materialgan --capture captures/wood -o page.html` writes
+    one HTML file that needs no network. Photos that a fit saw are rendered with the views it ended with, all
+    others as `mitsvbrdf evaluate` does.
     """
     from ..calibrate.refine import Priors
     from ..evaluate import evaluate_maps
@@ -62,7 +72,8 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
         raise ConfigError("one or more folders of maps", "none", "name them before --capture")
     if resolution is not None and resolution < 8:
         raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
-    check_new_files(out, json_file, overwrite=overwrite, photos=capture, read=[*map(_folder, maps), reference])
+    check_new_files(out, json_file, overwrite=overwrite, photos=capture,
+                    read=[*map(_folder, maps), reference])
     entries = _named_apart([_entry(text, resolution or LARGEST_SIDE) for text in maps])
     size = resolution or min(LARGEST_SIDE, *(entry.svbrdf.resolution for entry in entries))
     photos, chosen = read_photos(capture, size, None, transfer, "inverse-square"), photo_numbers(views)
@@ -76,7 +87,8 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
         map_errors = partial(map_rmse, reference=known) if reference.startswith("builtin:") else partial(
             evaluate_maps, material=reference)
     record, pictures = measure(entries, photos, make_renderer(renderer, variant), map_errors,
-                               None if transfer == "auto" else transfer, Priors() if refine_views else None, shots.index)
+                               None if transfer == "auto" else transfer, Priors() if refine_views else None,
+                               shots.index)
     record["reference"] = reference
     for method in record["methods"]:
         say(f"{method['name']}: {method['folder']}, {method['views']}")

@@ -12,32 +12,47 @@ from tyro.conf import Positional, arg
 
 from ..color import Transfer
 from ..errors import ConfigError
+from ..io import files
+from ..io.progress import print_rich, progress_bar, say, say_written
 from ..material.maps import SVBRDF, Bsdf
 from ..render import RENDERERS, RendererName, make_renderer
-from ..system import files
-from ..system.progress import print_rich, progress_bar, say, say_written
 from ..views import Falloff, Views
-from .options import Overwrite, Variant, ViewSource, check_new_files, fit_of_maps, material_of, name_of, views_of
+from .options import (
+    Overwrite,
+    Variant,
+    ViewSource,
+    check_new_files,
+    fit_of_maps,
+    material_of,
+    name_of,
+    views_of,
+)
 
 
 def crosscheck(
-    maps: Positional[Annotated[str | None, arg(metavar="MAPS", help="A folder of maps, the OUT of a fit, or builtin:NAME; left "
-                                                                    "out: made materials and corner cases.")]] = None,
+    maps: Positional[Annotated[str | None,
+                               arg(metavar="MAPS", help="A folder of maps, the OUT of a fit, or "
+                                                        "builtin:NAME; left "
+                                                        "out: made materials and corner cases.")]] = None,
     views: ViewSource = "builtin:grid",
     bsdf: Annotated[Literal["all", "roughconductor", "principled"],
                     arg(help="The maps are converted to the one that they are not.")] = "all",
-    renderer: Annotated[Literal["all", "mitsuba", "mitsuba-scene", "analytic"], arg(help="What to compare.")] = "all",
+    renderer: Annotated[Literal["all", "mitsuba", "mitsuba-scene", "analytic"],
+                        arg(help="What to compare.")] = "all",
     json_file: Annotated[Path | None, arg(name="json", help="Write all figures to this file.")] = None,
-    html_file: Annotated[Path | None, arg(name="html", help="Write a page with figures, plot and error maps.")] = None,
+    html_file: Annotated[Path | None,
+                         arg(name="html", help="Write a page with figures, plot and error maps.")] = None,
     repeats: Annotated[int, arg(help="Timed passes of each configuration, in turn with all others.")] = 5,
-    resolution: Annotated[int | None, arg(help="Side of the maps, which are area-averaged down to it; left out: 256, or 128 "
+    resolution: Annotated[int | None, arg(help="Side of the maps, which are area-averaged down to it; left "
+                                               "out: 256, or 128 "
                                                "for the built-in set.")] = None,
     variant: Variant = "llvm_ad_rgb",
     overwrite: Overwrite = False,
 ) -> int:
     """Hold every renderer and BSDF against the float64 twin: images, gradients, run time.
 
-    Exit code 1 when a stated tolerance does not hold; docs/evaluation.md says what is compared and how to read it.
+    Exit code 1 when a stated tolerance does not hold; docs/evaluation.md says what is compared and how to
+    read it.
     """
     from ..verify import crosscheck as checks
 
@@ -77,7 +92,9 @@ def _check_options(repeats: int, resolution: int | None) -> None:
 
 def _materials(maps: str | None, resolution: int | None,
                ) -> tuple[dict[str, SVBRDF], Falloff, tuple[float, float] | None, Transfer]:
-    """Materials by name, and falloff, flash offset and transfer of the fit they come from (or the defaults)."""
+    """Materials by name, and falloff, flash offset and transfer of the fit they come from (or the
+    defaults).
+    """
     from ..material.corner_cases import builtin_materials
 
     fit = fit_of_maps(maps)
@@ -100,7 +117,8 @@ def _with_offset(views: Views, offset: tuple[float, float] | None) -> Views:
 def _print(record: dict) -> None:
     from ..verify.crosscheck import left_out
 
-    for bsdf, how in dict.fromkeys(pair for m in record["materials"].values() for pair in m["converted"].items()):
+    for bsdf, how in dict.fromkeys(pair for m in record["materials"].values()
+                                   for pair in m["converted"].items()):
         say(f"as {bsdf}: {how}")
     groups = dict.fromkeys((row["texels"], row["bsdf"]) for row in record["summary"])
     for texels, bsdf in groups:
@@ -116,7 +134,8 @@ def _table(record: dict, texels: str, bsdf: str, rows: list[dict]) -> Table:
 
     count = rows[0]["materials"]
     bound = f"{'>=' if texels == 'rough' else '<'} {record['rough_from']}"
-    table = Table(title=f"{bsdf}, texels of roughness {bound}" + (f", worst of {count} materials" if count > 1 else ""),
+    table = Table(title=f"{bsdf}, texels of roughness {bound}" + (f", worst of {count} materials" if count > 1
+                                                                  else ""),
                   title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     table.add_column("", no_wrap=True)
     for heading in ("tolerance", "float32 limit", *(row["renderer"] for row in rows)):
@@ -125,12 +144,14 @@ def _table(record: dict, texels: str, bsdf: str, rows: list[dict]) -> Table:
 
     def add(label: str, tolerance: float | None, limit: float | None, values: Sequence[float | None],
             form: Callable[[Any], str] = figure) -> None:
-        cells = [f"[red]{form(v)}[/]" if tolerance and v is not None and v > tolerance else form(v) for v in values]
+        cells = [f"[red]{form(v)}[/]" if tolerance and v is not None and v > tolerance else form(v)
+                 for v in values]
         table.add_row(label, form(tolerance) if tolerance else "", form(limit) if limit else "", *cells)
 
     limit = rows[0]["limit"]  # it hangs on materials and views alone
     for name in ("mean", "p99.9", "worst", "bias"):
-        add(f"image, {name}", stated["image"].get(name), limit.get(name), [row["image"][name] for row in rows])
+        add(f"image, {name}", stated["image"].get(name), limit.get(name),
+            [row["image"][name] for row in rows])
     add("gradient, L2", stated["gradients"].get("relative_l2"), limit["relative_l2"],
         [row["gradients"]["relative_l2"] for row in rows])
     add("1 - cosine", stated["gradients"].get("1 - cosine"), None,

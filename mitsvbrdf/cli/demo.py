@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..system import result_folder
-from ..system.progress import print_numbers, say
+from ..io import result_folder
+from ..io.progress import print_numbers, say
 from .options import Out, Overwrite
 
 

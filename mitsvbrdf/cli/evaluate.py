@@ -11,9 +11,9 @@ from typing import Annotated, Any, Literal
 from tyro.conf import Positional, arg
 
 from ..errors import ConfigError
+from ..io import files
+from ..io.progress import print_numbers, say, say_written
 from ..render import RendererName, make_renderer
-from ..system import files
-from ..system.progress import print_numbers, say, say_written
 from ..views import photo_numbers
 from .options import (
     FalloffOption,
@@ -31,27 +31,34 @@ from .options import (
 
 def evaluate(maps: Positional[Material],
              reference: Annotated[str | None, arg(help="Known maps: a folder or builtin:NAME.")] = None,
-             capture: Annotated[Path | None, arg(metavar="CAPTURE", help="Photos to compare re-renderings with.")] = None,
+             capture: Annotated[Path | None,
+                                arg(metavar="CAPTURE", help="Photos to compare re-renderings with.")] = None,
              views: ViewList = None,
-             resolution: Annotated[int | None, arg(help="Side of the photos; left out: that of the maps.")] = None,
+             resolution: Annotated[int | None,
+                                   arg(help="Side of the photos; left out: that of the maps.")] = None,
              renderer: RendererName = "mitsuba", transfer: TransferOption = "auto",
              falloff: Annotated[FalloffOption, arg(help="auto: as in the fit.")] = "auto",
              flash_offset: Annotated[Literal["fitted", "none"],
                                      arg(help="fitted: use the flash offset that the fit found.")] = "fitted",
-             refine_views: Annotated[bool, arg(help="Measure again with camera, flash and exposure of each photo refined; the "
-                                                    "maps stay as they are.")] = False,
-             json_file: Annotated[Path | None, arg(name="json", help="Write the figures to this file.")] = None,
+             refine_views: Annotated[bool,
+                                     arg(help="Measure again with camera, flash and exposure of each photo "
+                                              "refined; the "
+                                              "maps stay as they are.")] = False,
+             json_file: Annotated[Path | None,
+                                  arg(name="json", help="Write the figures to this file.")] = None,
              variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
     """Measure maps: against known maps (--reference) or against photos (--capture).
 
-    Map RMSE is counted as in the field: diffuse and specular gamma-encoded, roughness as stored, normal as (n + 1) / 2.
-    Re-rendering RMSE is in display values clipped to [0, 1], over all pixels. A photo that the fit saw has the view that the
-    fit ended with, which gives the numbers that the fit printed; photos left out have the calibration and the flash offset of
-    the fit. A line below has these for all, seen or not. Burn-in is the share of a map's variance that lies as the highlights
-    of the fit's photos do (without a fit.json: of the photos given).
+    Map RMSE is counted as in the field: diffuse and specular gamma-encoded, roughness as stored, normal as (n
+    + 1) / 2. Re-rendering RMSE is in display values clipped to [0, 1], over all pixels. A photo that the fit
+    saw has the view that the fit ended with, which gives the numbers that the fit printed; photos left out
+    have the calibration and the flash offset of the fit. A line below has these for all, seen or not. Burn-in
+    is the share of a map's variance that lies as the highlights of the fit's photos do (without a fit.json:
+    of the photos given).
 
-    Photos left out of a fit have their own errors of calibration, which no fit can know. --refine-views also measures with the
-    camera, flash and exposure of each photo moved to where they explain it best, within priors, and prints how far that was.
+    Photos left out of a fit have their own errors of calibration, which no fit can know. --refine-views also
+    measures with the camera, flash and exposure of each photo moved to where they explain it best, within
+    priors, and prints how far that was.
     """
     from ..calibrate.refine import Priors
     from ..evaluate import evaluate_maps, placed
@@ -60,14 +67,17 @@ def evaluate(maps: Positional[Material],
     from ..measure.metrics import map_rmse
 
     if (reference is None) == (capture is None):
-        raise ConfigError("either --reference or --capture", "both" if reference else "neither", "give one of them")
+        raise ConfigError("either --reference or --capture", "both" if reference else "neither",
+                          "give one of them")
     if refine_views and capture is None:
-        raise ConfigError("--capture beside --refine-views", "--reference", "give the photos whose views to refine")
+        raise ConfigError("--capture beside --refine-views", "--reference",
+                          "give the photos whose views to refine")
     check_new_files(json_file, overwrite=overwrite, photos=capture, read=[maps, reference])
     svbrdf = material_of(maps)
     found: dict[str, Any]
     if reference is not None:
-        found = map_rmse(svbrdf, material_of(reference)) if reference.startswith("builtin:") else evaluate_maps(
+        found = map_rmse(svbrdf, material_of(reference)) if reference.startswith(
+            "builtin:") else evaluate_maps(
             svbrdf, reference)
         print_numbers("Map RMSE", found)
     elif capture is not None:
@@ -82,12 +92,14 @@ def evaluate(maps: Positional[Material],
         for note in shots.notes[len(photos.notes):]:
             say(note)
         shots = shots if chosen is None else shots.pick(chosen)
-        found, _ = evaluate_photos(svbrdf, fit, shots, make_renderer(renderer, variant), Priors() if refine_views else None)
+        found, _ = evaluate_photos(svbrdf, fit, shots, make_renderer(renderer, variant),
+                                   Priors() if refine_views else None)
         labels = {name: fit.label(shots, number) for name, number in zip(shots.names, shots.index)}
         _print_errors(found["views"], found, labels)
         if found["fitted_views"]:
             errors = found["calibrated"]
-            say(f"with {errors['views']}: " + ", ".join(f"{name} {error:.4f}" for name, error in _totals(errors).items()))
+            say(f"with {errors['views']}: " + ", ".join(f"{name} {error:.4f}"
+                                                        for name, error in _totals(errors).items()))
         if found["refined"]:
             _print_errors("views refined beside these maps", found["refined"], labels)
             for name, view in found["refined"]["views"].items():
@@ -116,5 +128,6 @@ def _totals(errors: dict) -> dict[str, float]:
 
 
 def _moved(change: dict[str, float]) -> str:
-    camera, flash = (", ".join(f"{change[f'{what}_{axis}']:+.3f}" for axis in "xyz") for what in ("camera", "flash"))
+    camera, flash = (", ".join(f"{change[f'{what}_{axis}']:+.3f}" for axis in "xyz") for what in ("camera",
+                                                                                                  "flash"))
     return f"camera ({camera}), flash beside it ({flash}) patch sides, light x {math.exp(change['log_exposure']):.3f}"

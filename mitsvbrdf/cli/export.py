@@ -12,9 +12,17 @@ from tyro.conf import Positional, arg
 from ..errors import BackendError, ConfigError
 from ..export import FORMATS, check_options, export_material
 from ..export.textures import Bits, Export, ExportSettings, Naming, NormalConvention
-from ..system import images, result_folder
-from ..system.progress import say
-from .options import Material, Overwrite, fit_of_maps, folder_inside, keep_apart_from_maps, material_of, name_of
+from ..io import images, result_folder
+from ..io.progress import say
+from .options import (
+    Material,
+    Overwrite,
+    fit_of_maps,
+    folder_inside,
+    keep_apart_from_maps,
+    material_of,
+    name_of,
+)
 
 if TYPE_CHECKING:
     from ..material.maps import SVBRDF
@@ -24,29 +32,39 @@ SMALLEST, LARGEST = 1e-3, 1e6  # side of a patch, centimetres
 
 
 def export(maps: Positional[Material],
-           to: Annotated[str, arg(metavar="FORMAT,...", help=f"Any of {', '.join(FORMATS)}.")] = ",".join(FORMATS),
+           to: Annotated[str, arg(metavar="FORMAT,...", help=f"Any of {', '.join(FORMATS)}.")] = ",".join(
+               FORMATS),
            naming: Annotated[Naming, arg(help="File names of the maps format.")] = "own",
-           normal: Annotated[NormalConvention, arg(help="Normals of the maps format: gl is +Y up, dx +Y down.")] = "gl",
-           bits: Annotated[Bits, arg(help="Of PNG files; glTF and colours in USD always have 8, heights 16.")] = 16,
-           tile: Annotated[bool, arg(help="Make opposite edges meet, so that the material can be repeated.")] = False,
-           side_cm: Annotated[float | None, arg(help="Side of the patch; left out: as the sheet in the photos told, else "
-                                                     "unknown.")] = None,
-           licence: Annotated[str | None, arg(metavar="TEXT", help="What users may do with it, such as CC0-1.0.")] = None,
-           preview: Annotated[bool, arg(help="Beside the formats, a picture of a sphere that wears it.")] = True,
+           normal: Annotated[NormalConvention,
+                             arg(help="Normals of the maps format: gl is +Y up, dx +Y down.")] = "gl",
+           bits: Annotated[Bits, arg(
+               help="Of PNG files; glTF and colours in USD always have 8, heights 16.")] = 16,
+           tile: Annotated[bool, arg(
+               help="Make opposite edges meet, so that the material can be repeated.")] = False,
+           side_cm: Annotated[float | None,
+                              arg(help="Side of the patch; left out: as the sheet in the photos told, else "
+                                       "unknown.")] = None,
+           licence: Annotated[str | None,
+                              arg(metavar="TEXT", help="What users may do with it, such as CC0-1.0.")] = None,
+           preview: Annotated[bool, arg(
+               help="Beside the formats, a picture of a sphere that wears it.")] = True,
            zip: Annotated[bool, arg(help="Beside each format's folder, the same as FORMAT.zip.")] = False,
-           out: Annotated[Path | None, arg(aliases=["-o"], help="Folder to write; left out: export inside MAPS.")] = None,
+           out: Annotated[Path | None, arg(aliases=["-o"], help="Folder to write; left out: export inside "
+                                                                "MAPS.")] = None,
            overwrite: Overwrite = False) -> int:
     """Write a material for other programs: OUT/FORMAT/, with an export.json that states what each file holds.
 
-    gltf is one GLB with the textures inside; materialx a standard_surface and an OpenPBR surface; usd a UsdPreviewSurface
-    with MaterialX beside it; mitsuba a scene and its material as JSON; maps PNG files. Where a format cannot say all, what that
-    changes is printed: RMSE of the maps as linear^(1/2.2), and of pictures under three lights in display values.
+    gltf is one GLB with the textures inside; materialx a standard_surface and an OpenPBR surface; usd a
+    UsdPreviewSurface with MaterialX beside it; mitsuba a scene and its material as JSON; maps PNG files.
+    Where a format cannot say all, what that changes is printed: RMSE of the maps as linear^(1/2.2), and of
+    pictures under three lights in display values.
     """
     formats = [part.strip() for part in to.split(",")]
     settings = ExportSettings(name_of(maps), naming, normal, bits, licence=licence or None, repeats=tile)
     check_options(formats, settings)
     if side_cm is not None and not SMALLEST <= side_cm <= LARGEST:
-        raise ConfigError(f"a side of {SMALLEST:g} to {LARGEST:g} cm", f"--side-cm {side_cm:g}", "give it in centimetres")
+        raise ConfigError(f"a side of {SMALLEST:g} to {LARGEST:g} cm", f"--side-cm {side_cm:g}",
+                          "give it in centimetres")
     builtin = maps.startswith("builtin:")
     if builtin and out is None:
         raise ConfigError("an output folder, beside a builtin material", "none", "add -o FOLDER")
@@ -57,7 +75,8 @@ def export(maps: Positional[Material],
     if tile:
         svbrdf, side = _tiled(svbrdf, side)
     with result_folder.output_folder(out, overwrite) as folder:
-        done = export_material(svbrdf, folder, formats, settings=replace(settings, side=side), views=fit.views)
+        done = export_material(svbrdf, folder, formats, settings=replace(settings, side=side),
+                               views=fit.views)
         if zip:
             for kind in done:
                 shutil.make_archive(str(folder / kind), "zip", folder, kind)
@@ -93,8 +112,10 @@ def _draw(folder: Path, svbrdf: SVBRDF) -> None:
 def _tell(out: Path, done: dict[str, Export]) -> None:
     for kind, written in done.items():
         for what, errors in (written.conversion or {}).items():
-            say(f"lost in {out / kind}, {what}: " + ", ".join(f"{name} {error:.4f}" for name, error in errors.items()))
+            say(f"lost in {out / kind}, {what}: " + ", ".join(f"{name} {error:.4f}"
+                                                              for name, error in errors.items()))
         say(f"wrote {', '.join(str(out / kind / file) for file in written.files)}")
     if any(written.conversion for written in done.values()):
-        say("lost: RMSE, from 0 to 1, of the maps as linear^(1/2.2) and of pictures under three lights in display values; "
+        say("lost: RMSE, from 0 to 1, of the maps as linear^(1/2.2) and of pictures under three lights in "
+            "display values; "
             "below 0.004 is less than one step of 8 bits")

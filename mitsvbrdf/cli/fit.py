@@ -21,12 +21,12 @@ from ..fit.left_out import decided_later, known_before, used
 from ..fit.methods import METHODS, method_name
 from ..fit.options import FitOptions
 from ..fit.result import FitResult
+from ..io import result_folder
+from ..io.files import is_regular
+from ..io.interrupts import deferred_signals
+from ..io.profile import profiling
+from ..io.progress import Progress, print_numbers, print_profile, progress_bar, say
 from ..render import Renderer, make_renderer
-from ..system import result_folder
-from ..system.files import is_regular
-from ..system.interrupts import undisturbed
-from ..system.profile import profiling
-from ..system.progress import Progress, print_numbers, print_profile, progress_bar, say
 from .options import Out, Overwrite, Photos, keep_apart, read_photos
 
 USUAL = FitOptions()
@@ -36,25 +36,31 @@ THREE_WAYS = "--calibrate", "--exact"  # on, off or left to the fit
 def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitArgPrefixes[FitOptions] = USUAL,
         method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"],
                           arg(help="How to fit; `fit --method gan --help` shows that method's own options.")] = "hierarchical",
-        explain: Annotated[bool, arg(help="Print what this fit would leave out, and why, what it decides as it "
+        explain: Annotated[bool, arg(help="Print what this fit would leave out, and why, what it decides as "
+                                          "it "
                                                   "runs, and the networks it uses, and end without fitting.")] = False,
-        profile: Annotated[bool, arg(help="Print where the time of a step goes: network, renderer, losses, forward and "
+        profile: Annotated[bool, arg(help="Print where the time of a step goes: network, renderer, losses, "
+                                          "forward and "
                                           "backward.")] = False,
-        resume: Annotated[bool, arg(help="Go on from the checkpoint in OUT, same options, more --iterations.")] = False,
+        resume: Annotated[bool, arg(
+            help="Go on from the checkpoint in OUT, same options, more --iterations.")] = False,
         overwrite: Overwrite = False) -> int:
     """Recover the maps of a material from photos.
 
-    `mitsvbrdf fit photos/ -o out` is all it takes: the default method ends by itself, after 120 s at the latest if --budget
-    says nothing else. It shows rmse, the re-rendering error so far, and cost, which it lowers: squared errors over the noise
-    plus distances from what is expected, the mean of all texels. Cost has no unit, and a new round may raise it.
+    `mitsvbrdf fit photos/ -o out` is all it takes: the default method ends by itself, after 120 s at the
+    latest if --budget says nothing else. It shows rmse, the re-rendering error so far, and cost, which it
+    lowers: squared errors over the noise plus distances from what is expected, the mean of all texels. Cost
+    has no unit, and a new round may raise it.
 
-    Leave photos out with --views 0,1,2,3,5,6,8 and predict them with `mitsvbrdf evaluate out --capture photos/ --views 4,7`:
-    the honest test of a fit. The paper's method is --method gan --preset paper-one-stage, shortened by --iterations 500. Known
-    maps are held fixed with --fix normal=flat --fix specular=0.04 --fix diffuse=map.exr, and cost nothing then.
+    Leave photos out with --views 0,1,2,3,5,6,8 and predict them with `mitsvbrdf evaluate out --capture
+    photos/ --views 4,7`: the honest test of a fit. The paper's method is --method gan --preset
+    paper-one-stage, shortened by --iterations 500. Known maps are held fixed with --fix normal=flat --fix
+    specular=0.04 --fix diffuse=map.exr, and cost nothing then.
 
-    Ctrl-C ends the fit and keeps its best result. OUT then holds report.html, the page to look at, maps/, uncertainty/,
-    guess/, photos/, rerendered/, sheet.png, curve.svg, scene.xml (for plain Mitsuba), fit.json, report.json and the checkpoint
-    that --resume goes on from; with --finish gan also look/ and its page, look.html.
+    Ctrl-C ends the fit and keeps its best result. OUT then holds report.html, the page to look at, maps/,
+    uncertainty/, guess/, photos/, rerendered/, sheet.png, curve.svg, scene.xml (for plain Mitsuba), fit.json,
+    report.json and the checkpoint that --resume goes on from; with --finish gan also look/ and its page,
+    look.html.
     """
     shared.check(config)
     keep_apart(capture, out)
@@ -88,34 +94,41 @@ def _explain(task: FitTask, options: FitOptions) -> int:
     return 0
 
 
-def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, options: FitOptions, profile: bool, resume: bool,
-              overwrite: bool) -> tuple[FitResult, int | None]:
-    """Fit, finish where asked to, and write the result; also tells the iteration of the checkpoint gone on from."""
+def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, options: FitOptions,
+              profile: bool, resume: bool, overwrite: bool) -> tuple[FitResult, int | None]:
+    """Fit, finish where asked to, and write the result; also tells the iteration of the checkpoint gone on
+    from.
+    """
     from ..report.folder import write_fit_files
 
-    places = [folder / result_folder.CHECKPOINT for folder in (result_folder.partial_folder(out), out)] if resume else []
+    places = ([folder / result_folder.CHECKPOINT for folder in (result_folder.partial_folder(out), out)]
+              if resume else [])
     earlier = [path for path in places if is_regular(path)]
     if resume and not earlier:
         raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
     shots, shown = options.chosen(photos)
     title = f"fit {shots.source.name if shots.source else ''} · {method_name(config)} · {engine.name}"
-    with contextlib.ExitStack() as last, result_folder.output_folder(out, overwrite or resume, resume) as folder:
+    with contextlib.ExitStack() as last, result_folder.output_folder(out, overwrite or resume,
+                                                                     resume) as folder:
         def fitted(checkpoint: Path | None) -> FitResult:
             with Progress(title) as progress, profiling() if profile else contextlib.nullcontext():
-                return fit_svbrdf(shots, engine, config, checkpoint=folder / result_folder.CHECKPOINT, resume=checkpoint,
-                                  report=progress, live=folder / result_folder.LIVE)
+                return fit_svbrdf(shots, engine, config, checkpoint=folder / result_folder.CHECKPOINT,
+                                  resume=checkpoint, report=progress, live=folder / result_folder.LIVE)
 
         result, before = _from_first_of(earlier, fitted) if resume else (fitted(None), None)
         if finishing := options.finishing(config):
             with progress_bar("adversarial finish") as finish_report:
                 result = finished(result, shots, engine, finishing, finish_report)
-        last.enter_context(undisturbed())  # until all is in place
+        last.enter_context(deferred_signals())  # until all is in place
         write_fit_files(result, shots, folder, command=options.record(shots), left_out=shown)
     return result, before
 
 
-def _from_first_of(checkpoints: Sequence[Path], fitted: Callable[[Path], FitResult]) -> tuple[FitResult, int | None]:
-    """Go on from the first checkpoint that is of this fit: what is left of another one does not hide a finished fit."""
+def _from_first_of(checkpoints: Sequence[Path], fitted: Callable[[Path], FitResult]) -> tuple[FitResult,
+                                                                                              int | None]:
+    """Go on from the first checkpoint that is of this fit: what is left of another one does not hide a
+    finished fit.
+    """
     wrong: list[ConfigError] = []
     for path in checkpoints:
         try:
@@ -132,7 +145,8 @@ def _from_first_of(checkpoints: Sequence[Path], fitted: Callable[[Path], FitResu
 
 def _say_finish(result: FitResult) -> None:
     if result.finish:
-        say(f"look/ after {result.finish['seconds']:.0f} s: one plausible draw, for pictures; re-rendering RMSE "
+        say(f"look/ after {result.finish['seconds']:.0f} s: one plausible draw, for pictures; re-rendering "
+            "RMSE "
             f"{result.finish['rerender_rmse']:.4f}")
     elif why := why_not(result):
         say(f"adversarial finish left out: {why}")
@@ -159,9 +173,12 @@ def _say_result(result: FitResult, shots: Capture, before: int | None) -> None:
     if shots.views.falloff == "none":
         say("scene.xml has a light that falls off with the distance; this fit's did not")
     sure = confidence(result.deviations).items()
-    say("how sure: " + ", ".join(f"{name} ±{c['median_sd']:.3f} ({c['determined_share']:.0%} determined)" for name, c in sure))
-    say("±: median standard deviation of a texel, maps counted from 0 to 1, colours as linear^(1/2.2), normals as (n + 1) / 2; "
-        f"determined: texels below ±{DETERMINED:g} by their own photos alone; the others follow texels that look alike")
+    say("how sure: " + ", ".join(f"{name} ±{c['median_sd']:.3f} ({c['determined_share']:.0%} determined)"
+                                 for name, c in sure))
+    say("±: median standard deviation of a texel, maps counted from 0 to 1, colours as linear^(1/2.2), "
+        "normals as (n + 1) / 2; "
+        f"determined: texels below ±{DETERMINED:g} by their own photos alone; the others follow texels that "
+        "look alike")
     for warning in result.warnings:
         say(f"warning: {warning}")
 
@@ -178,30 +195,36 @@ def fit_command(arguments: Sequence[str], function: Callable[..., Any] = fit,
     def command(*values: Any, **options: Any) -> Any:
         return function(*values, **options)
 
-    # One flat set of options, those of the method, with the defaults of the preset named; --fix may be repeated.
+    # One flat set of options, those of the method, with the defaults of the preset named; --fix may be
+    # repeated.
     names = METHODS if usual is None else dict.fromkeys([method_name(usual), *METHODS])
     kind = METHODS[_named(arguments, "--method", names)].config
     presets = get_args(get_type_hints(kind).get("preset"))
-    default = kind(preset=_named(arguments, "--preset", presets)) if presets else kind()  # type: ignore[call-arg]
+    default = kind(preset=_named(arguments, "--preset",
+                                 presets)) if presets else kind()  # type: ignore[call-arg]
     if isinstance(usual, kind) and "--preset" not in " ".join(arguments):
         default = usual
     signature = inspect.signature(function)
     chosen = [p.replace(default=default) if p.name == "config" else p for p in signature.parameters.values()]
     command.__doc__ = function.__doc__
     command.__signature__ = signature.replace(parameters=chosen)  # type: ignore[attr-defined]
-    command.__annotations__ = get_type_hints(function, include_extras=True) | {"config": UseAppendAction[OmitArgPrefixes[kind]]}  # type: ignore[misc, valid-type]
+    config = UseAppendAction[OmitArgPrefixes[kind]]  # type: ignore[misc, valid-type]
+    command.__annotations__ = get_type_hints(function, include_extras=True) | {"config": config}
     return command
 
 
 def with_flags(arguments: list[str]) -> list[str]:
-    """Arguments with --calibrate, --exact and their --no- as True and False: unsaid is a third, which no flag of tyro's has."""
+    """Arguments with --calibrate, --exact and their --no- as True and False: unsaid is a third, which no flag
+    of tyro's has.
+    """
     if _named(arguments, "--method", METHODS) != "hierarchical":
         return arguments
     found = []
     for here, after in zip(arguments, [*arguments[1:], ""]):
         alone = here in THREE_WAYS and after not in ("True", "False", "None")
         denied = here.replace("--no-", "--", 1)
-        found += [here, "True"] if alone else [denied, "False"] if denied != here and denied in THREE_WAYS else [here]
+        found += ([here, "True"] if alone else [denied, "False"] if denied != here and denied in THREE_WAYS
+                  else [here])
     return found
 
 
@@ -209,6 +232,7 @@ def _named(arguments: Sequence[str], option: str, names: Collection[str]) -> str
     """Which of the names the arguments give for an option; the first where they give none."""
     named = next(iter(names))
     for here, after in zip(arguments, [*arguments[1:], ""]):
-        name = after if here == option else here.removeprefix(f"{option}=") if here.startswith(f"{option}=") else ""
+        name = (after if here == option else here.removeprefix(f"{option}=") if here.startswith(f"{option}=")
+                else "")
         named = name if name in names else named
     return named  # the last one counts, as for every option

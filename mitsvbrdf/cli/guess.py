@@ -5,8 +5,8 @@ from __future__ import annotations
 from tyro.conf import Positional
 
 from ..capture.guess import GuessMethod
-from ..system import images, result_folder
-from ..system.progress import say
+from ..io import images, result_folder
+from ..io.progress import say
 from .options import Out, Overwrite, Photos, TransferOption, ViewList, keep_apart, read_photos
 
 
@@ -14,7 +14,8 @@ def guess(capture: Positional[Photos], out: Out, method: GuessMethod = "robust",
           views: ViewList = None, transfer: TransferOption = "auto", overwrite: Overwrite = False) -> int:
     """Make the guessed diffuse map only: OUT/diffuse.exr and .png.
 
-    Methods: min is the paper's per-pixel minimum; mean-blur the older baseline; robust undoes falloff and highlights.
+    Methods: min is the paper's per-pixel minimum; mean-blur the older baseline; robust undoes falloff and
+    highlights.
     """
     from ..capture import guess_diffuse
 

@@ -18,30 +18,37 @@ from ..batch.places.place import QUARANTINE
 from ..batch.prepare import library_lock, release
 from ..errors import ConfigError, MitsvbrdfError, OutputError
 from ..export import check_options
-from ..system.progress import console, progress_bar, say, several
+from ..io.progress import console, progress_bar, say, several
 from .options import folder_inside
 
-COLUMNS = {"error": "{:.4f}", "left_out_error": "{:.4f}", "burn_in": "{:.2f}", "seconds": "{:.1f}", "attempts": "{}"}
+COLUMNS = {"error": "{:.4f}", "left_out_error": "{:.4f}", "burn_in": "{:.2f}", "seconds": "{:.1f}",
+           "attempts": "{}"}
 
 WIDE = 32  # letters of a name that the list has room for beside its numbers, in a terminal of 80
 
 
-def library(folder: Annotated[Positional[str], arg(metavar="LIBRARY", help="What a batch made: a folder or a URL.")],
-            where: Annotated[str, arg(metavar="EXPRESSION", help="Only materials like these: \"error<0.05 tag:wood\"; all "
+def library(folder: Annotated[Positional[str],
+                              arg(metavar="LIBRARY", help="What a batch made: a folder or a URL.")],
+            where: Annotated[str, arg(metavar="EXPRESSION", help="Only materials like these: \"error<0.05 "
+                                                                 "tag:wood\"; all "
                                                                  "words are in docs/batch.md.")] = "",
-            verify: Annotated[bool, arg(help="Count the hashes of all files anew, and say which have changed.")] = False,
-            export: Annotated[str, arg(metavar="FORMAT,...", help="Export each of them into OUT/NAME; formats as of `mitsvbrdf "
+            verify: Annotated[bool, arg(
+                help="Count the hashes of all files anew, and say which have changed.")] = False,
+            export: Annotated[str, arg(metavar="FORMAT,...", help="Export each of them into OUT/NAME; "
+                                                                  "formats as of `mitsvbrdf "
                                                                   "export --to`.")] = "",
             out: Annotated[Path | None, arg(aliases=["-o"], help="Where exports go.")] = None,
-            prune: Annotated[bool, arg(help="Delete results that a newer one of the same capture took the place of, and what "
+            prune: Annotated[bool, arg(help="Delete results that a newer one of the same capture took the "
+                                            "place of, and what "
                                             "was damaged and set aside.")] = False,
             dry_run: Annotated[bool, arg(help="With --prune: only say what it would delete.")] = False,
             as_json: Annotated[bool, arg(name="json", help="Print rows as JSON, one a line.")] = False,
             overwrite: Annotated[bool, arg(help="Replace exports that are there already.")] = False) -> int:
     """Look through a library of materials: list, check, export or tidy up what `mitsvbrdf batch` made.
 
-    `mitsvbrdf library LIBRARY --where "error>0.05"` lists the materials whose photos are met worst; the page LIBRARY/index.html
-    shows them and understands the same words. The exit code of --verify is 1 where a file has changed.
+    `mitsvbrdf library LIBRARY --where "error>0.05"` lists the materials whose photos are met worst; the page
+    LIBRARY/index.html shows them and understands the same words. The exit code of --verify is 1 where a file
+    has changed.
     """
     if bool(export) != (out is not None):
         raise ConfigError("--export FORMAT with -o FOLDER", "one of them", "give both, or neither")
@@ -78,7 +85,8 @@ def _print(chosen: Sequence[dict]) -> None:
         say("no material matches")
         return
     table = Table(title=several(len(chosen), "material"), title_justify="left", box=None, header_style="bold")
-    table.add_column("material", overflow="fold", min_width=min(WIDE, max(len(_called(row)) for row in chosen)))
+    table.add_column("material", overflow="fold",
+                     min_width=min(WIDE, max(len(_called(row)) for row in chosen)))
     table.add_column("state", no_wrap=True)
     for heading in (*(name.replace("_", " ") for name in COLUMNS), "warnings"):
         table.add_column(heading, justify="right")
@@ -115,7 +123,9 @@ def _verify(library: str, manifest: Manifest, folders: set[str]) -> int:
 
 
 def _export(library: str, chosen: Sequence[dict], formats: str, out: Path, overwrite: bool) -> int:
-    """Export each material that is done into a folder of its own; one that cannot be is said, and the rest goes on."""
+    """Export each material that is done into a folder of its own; one that cannot be is said, and the rest
+    goes on.
+    """
     from .export import export as export_one
 
     wrong = 0
@@ -132,7 +142,9 @@ def _export(library: str, chosen: Sequence[dict], formats: str, out: Path, overw
 
 
 def _bring(library: str, home: Path) -> None:
-    """The manifest of a library behind a URL, as it is there; a batch of this machine that is at work has a newer one."""
+    """The manifest of a library behind a URL, as it is there; a batch of this machine that is at work has a
+    newer one.
+    """
     try:
         unlock = library_lock(home)
     except OutputError:
@@ -159,7 +171,8 @@ def _prune(library: str, home: Path, dry_run: bool) -> int:
         gone = [(row["folder"], "a newer result took its place") for row in old if row["state"] == "done"]
         gone += [(folder, "damaged, and made anew") for folder in place.aside()]
         quarantined = [row["folder"] for row in old if row["state"] == "failed"]
-        for folder, why in (*gone, *((f"{QUARANTINE}/{folder}", "its capture has changed") for folder in quarantined)):
+        for folder, why in (*gone, *((f"{QUARANTINE}/{folder}", "its capture has changed")
+                                     for folder in quarantined)):
             say(f"{deleted}: {folder} ({why})")
         if not dry_run:
             for folder, _ in gone:

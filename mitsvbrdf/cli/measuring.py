@@ -1,11 +1,13 @@
-"""What commands share that bring a file of records up to date: its missing jobs, several at a time where asked."""
+"""What commands share that bring a file of records up to date: its missing jobs, several at a time where
+asked.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from ..system.progress import progress_bar, say, say_written
+from ..io.progress import progress_bar, say, say_written
 
 if TYPE_CHECKING:
     from ..bench.jobs import AnyJob
@@ -13,8 +15,8 @@ if TYPE_CHECKING:
     from ..bench.store import Store
 
 
-def measure(plan: AnyPlan, jobs: Sequence[AnyJob], store: Store, workers: int | None = None, address: str | None = None,
-            less: str = "") -> Mapping[str, str] | None:
+def measure(plan: AnyPlan, jobs: Sequence[AnyJob], store: Store, workers: int | None = None,
+            address: str | None = None, less: str = "") -> Mapping[str, str] | None:
     """Do the jobs that have no record and need one, and say what is going on.
 
     Args:
@@ -46,11 +48,13 @@ def measure(plan: AnyPlan, jobs: Sequence[AnyJob], store: Store, workers: int | 
             else:
                 failed = run(jobs, store, report)
     except KeyboardInterrupt:
-        say(f"interrupted: {len(jobs) - len(store.pending(list(jobs)))} of {len(jobs)} jobs need no more than the records in "
+        say(f"interrupted: {len(jobs) - len(store.pending(list(jobs)))} of {len(jobs)} jobs need no more "
+            "than the records in "
             f"{store.path}; the same command goes on")
         return None
     store.write()
-    lost = {job.title: "another run began the file anew" for job in store.pending(list(jobs)) if job.title not in failed}
+    lost = {job.title: "another run began the file anew" for job in store.pending(list(jobs))
+            if job.title not in failed}
     failed = {**failed, **lost}
     say_written(store.path)
     for title, reason in failed.items():
@@ -59,12 +63,16 @@ def measure(plan: AnyPlan, jobs: Sequence[AnyJob], store: Store, workers: int | 
 
 
 def outlook(jobs: Sequence[AnyJob], store: Store, workers: int | None = None, less: str = "") -> str:
-    """How many jobs have what they need, and how long the others take, in words; arguments as of :func:`measure`."""
+    """How many jobs have what they need, and how long the others take, in words; arguments as of
+    :func:`measure`.
+    """
     from ..bench.jobs import duration
 
     missing = store.pending(list(jobs))
-    rest = (f"the other {len(missing)} take about {duration(sum(job.cost for job in missing) / (workers or 1))}{less}"
+    rest = (f"the other {len(missing)} take about "
+            f"{duration(sum(job.cost for job in missing) / (workers or 1))}{less}"
             if missing else "nothing to do")
     void = len(store.outdated)
-    gone = f"; records of other settings or code of a method, which go when the first new one comes: {void}" if void else ""
+    gone = (f"; records of other settings or code of a method, which go when the first new one comes: {void}"
+            if void else "")
     return f"{len(jobs) - len(missing)} of {len(jobs)} jobs need no more than the records in {store.path}; {rest}{gone}"

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import arg
 
 from ..errors import ConfigError, OutputError
-from ..system import files
-from ..system.progress import progress_bar, say
-from ..system.result_folder import MANIFEST, own_files
+from ..io import files
+from ..io.progress import progress_bar, say
+from ..io.result_folder import MANIFEST, own_files
 
 if TYPE_CHECKING:
     from ..capture import Capture
@@ -26,36 +26,51 @@ if TYPE_CHECKING:
     from ..views import Falloff, Views
 
 Out = Annotated[Path, arg(aliases=["-o"], help="Folder (or file) to write.")]
-Overwrite = Annotated[bool, arg(help="Replace results that are there already; export/ and relight/ made of them go too.")]
-Strict = Annotated[bool, arg(help="Refuse damaged photos, and maps that would have to be mended, instead of warning.")]
+Overwrite = Annotated[bool, arg(help="Replace results that are there already; export/ and relight/ made of "
+                                     "them go too.")]
+Strict = Annotated[bool, arg(help="Refuse damaged photos, and maps that would have to be mended, instead of "
+                                  "warning.")]
 Variant = Annotated[Literal["llvm_ad_rgb", "cuda_ad_rgb"], arg(help="Mitsuba variant.")]
-ViewList = Annotated[str | None, arg(metavar="0,1,2,...", help="Which photos to use, by number; left out: all.")]
-Material = Annotated[str, arg(metavar="MAPS", help="The OUT of a fit (OUT/look for its look), a folder of maps, or "
+ViewList = Annotated[str | None, arg(metavar="0,1,2,...", help="Which photos to use, by number; left out: "
+                                                               "all.")]
+Material = Annotated[str, arg(metavar="MAPS", help="The OUT of a fit (OUT/look for its look), a folder of "
+                                                   "maps, or "
                                                    "builtin:NAME (inlay, tiles, leather, plates).")]
-ViewSource = Annotated[str, arg(help="A capture whose views to use, or builtin:grid (nine views from two sides away).")]
-Photos = Annotated[Path, arg(metavar="CAPTURE", help="A folder of photos, calibrated or plain; see docs/formats.md.")]
+ViewSource = Annotated[str, arg(help="A capture whose views to use, or builtin:grid (nine views from two "
+                                     "sides away).")]
+Photos = Annotated[Path, arg(metavar="CAPTURE", help="A folder of photos, calibrated or plain; see "
+                                                     "docs/formats.md.")]
 TransferChoice = Literal["auto", "gamma2.2", "srgb", "linear"]
 TransferOption = Annotated[TransferChoice,
-                           arg(help="How photos encode light; auto: as the capture states, else gamma2.2 for calibrated "
+                           arg(help="How photos encode light; auto: as the capture states, else gamma2.2 "
+                                    "for calibrated "
                                     "captures and srgb for plain photos.")]
 FalloffOption = Literal["auto", "inverse-square", "none"]
 
 
 def keep_apart(capture: Path, out: Path) -> None:
-    """Results among photos would be read as photos the next time, or take the place of photos of the same name."""
+    """Results among photos would be read as photos the next time, or take the place of photos of the same
+    name.
+    """
     if _photo_folders(capture) & {os.path.realpath(path) for path in (out, out / "photos")}:
-        raise ConfigError("an output folder of its own", f"{out}, which holds the photos", "choose another folder")
+        raise ConfigError("an output folder of its own", f"{out}, which holds the photos",
+                          "choose another folder")
 
 
 def keep_apart_from_maps(maps: str, out: Path) -> None:
-    """Results among the maps would replace the fit, or be read as maps the next time; ``builtin:NAME`` lies nowhere."""
+    """Results among the maps would replace the fit, or be read as maps the next time; ``builtin:NAME`` lies
+    nowhere.
+    """
     folders = {os.path.realpath(os.path.join(maps, part)) for part in ("", "maps", "..")}
     if not maps.startswith("builtin:") and os.path.realpath(out) in folders:
-        raise ConfigError("an output folder of its own", f"{out}, which holds the maps", "choose another folder")
+        raise ConfigError("an output folder of its own", f"{out}, which holds the maps",
+                          "choose another folder")
 
 
 def folder_inside(parent: Path, name: str) -> Path:
-    """A folder for results that no user named: a link in its place is not followed, and no name leads out of ``parent``."""
+    """A folder for results that no user named: a link in its place is not followed, and no name leads out of
+    ``parent``.
+    """
     found = files.inside(parent, name)
     if found is None:
         raise OutputError(f"a folder {name} inside {parent}", "a link, or a name that leads elsewhere",
@@ -64,7 +79,9 @@ def folder_inside(parent: Path, name: str) -> Path:
 
 
 def name_of(maps: str) -> str:
-    """What a material is called: ``builtin:NAME`` by its name, others like the folder of their fit; its look NAME-look."""
+    """What a material is called: ``builtin:NAME`` by its name, others like the folder of their fit; its look
+    NAME-look.
+    """
     if maps.startswith("builtin:"):
         return maps.removeprefix("builtin:")
     folder = Path(os.path.abspath(maps))
@@ -75,9 +92,11 @@ def name_of(maps: str) -> str:
 
 def check_new_files(*outputs: Path | None, overwrite: bool, read: Sequence[str | Path | None] = (),
                     photos: str | Path | None = None) -> None:
-    """Refuse, before any work is done, files to write that are there already or could not be written once it is.
+    """Refuse, before any work is done, files to write that are there already or could not be written once it
+    is.
 
-    One that is there is replaced with --overwrite alone, and never where it is read or part of a result folder.
+    One that is there is replaced with --overwrite alone, and never where it is read or part of a result
+    folder.
 
     Args:
         outputs: as named on the command line; None was not asked for.
@@ -96,11 +115,13 @@ def check_new_files(*outputs: Path | None, overwrite: bool, read: Sequence[str |
         if any(target == other or target in other.parents or other in target.parents for other in earlier):
             raise ConfigError("a file of its own for each output", f"{path} for two", "give another name")
         if str(target) in sources or photos and os.path.realpath(path.parent) in _photo_folders(Path(photos)):
-            raise ConfigError("an output apart from what is read", str(path), "choose another name, or another folder")
+            raise ConfigError("an output apart from what is read", str(path),
+                              "choose another name, or another folder")
         if _is_of_result(target):
             raise ConfigError("an output that is no part of a result", str(path), "choose another name")
         if path.is_file() and not overwrite:
-            raise OutputError("a new file", f"{path}, which exists", "add --overwrite to replace it, or choose another name")
+            raise OutputError("a new file", f"{path}, which exists",
+                              "add --overwrite to replace it, or choose another name")
         earlier.append(target)
 
 
@@ -125,9 +146,11 @@ def read_photos(capture: Path, resolution: int, views: str | None, transfer: Tra
     if resolution < 8:
         raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
     with ExitStack() as open_bar:
-        bar = functools.cache(lambda: open_bar.enter_context(progress_bar("capture")))  # of plain photos alone
+        # of plain photos alone
+        bar = functools.cache(lambda: open_bar.enter_context(progress_bar("capture")))
         shots = read_capture(capture, resolution=resolution, index=photo_numbers(views), falloff=falloff,
-                             transfer=None if transfer == "auto" else transfer, report=lambda text, share: bar()(text, share))
+                             transfer=None if transfer == "auto" else transfer, report=lambda text,
+                             share: bar()(text, share))
     if shots.source and (shots.source / "quality.html").is_file():
         say(f"photos go by their numbers in {shots.source}/quality.html, which names the file of each")
     for note in shots.notes:
@@ -146,7 +169,9 @@ def material_of(name: str, resolution: int = 256) -> SVBRDF:
 
 
 def views_of(source: str, falloff: Falloff, fit: SavedFit | None = None) -> tuple[list[str], Views]:
-    """Names and views of a capture (:func:`~mitsvbrdf.evaluate.placed` where it states none), or of ``builtin:grid``."""
+    """Names and views of a capture (:func:`~mitsvbrdf.evaluate.placed` where it states none), or of
+    ``builtin:grid``.
+    """
     from ..evaluate.placement import named_views
 
     names, views, notes = named_views(source, falloff, fit)

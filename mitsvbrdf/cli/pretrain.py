@@ -5,18 +5,20 @@ from __future__ import annotations
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction
 
 from ..fit.gan_config import GanConfig
+from ..io.progress import Progress, say
 from ..render import RendererName, make_renderer
-from ..system.progress import Progress, say
 from ..views import Falloff
 from .options import Out, Overwrite, Photos, Variant, check_new_files, read_photos
 
 PAPER = GanConfig(preset="paper-two-stage")
 
 
-def pretrain(picture: Positional[Photos], out: Out, config: UseAppendAction[OmitArgPrefixes[GanConfig]] = PAPER,
+def pretrain(picture: Positional[Photos], out: Out,
+             config: UseAppendAction[OmitArgPrefixes[GanConfig]] = PAPER,
              resolution: int = 256, renderer: RendererName = "mitsuba", falloff: Falloff = "none",
              variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
-    """First stage of the paper's two-stage training: the generator learns from one picture with global features.
+    """First stage of the paper's two-stage training: the generator learns from one picture with global
+    features.
 
     CAPTURE's first photo is used; a folder with one plain photo will do. OUT is a .safetensors file, for
     `fit --method gan --preset paper-two-stage --pretrained OUT`.

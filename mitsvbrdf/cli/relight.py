@@ -12,10 +12,19 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from ..errors import ConfigError
-from ..system import result_folder
-from ..system.interrupts import stop_signals
-from ..system.progress import progress_bar, say
-from .options import Material, Overwrite, Variant, fit_of_maps, folder_inside, keep_apart_from_maps, material_of, name_of
+from ..io import result_folder
+from ..io.interrupts import stop_signals
+from ..io.progress import progress_bar, say
+from .options import (
+    Material,
+    Overwrite,
+    Variant,
+    fit_of_maps,
+    folder_inside,
+    keep_apart_from_maps,
+    material_of,
+    name_of,
+)
 
 if TYPE_CHECKING:
     from ..material.maps import SVBRDF
@@ -29,33 +38,49 @@ MOVIES = ("mp4", "gif")
 
 
 def relight(maps: Positional[Material],
-            preset: Annotated[str, arg(metavar="PRESET,...", help="sphere, shaderball, novel, sweep, turntable; or all.")]
+            preset: Annotated[str, arg(metavar="PRESET,...", help="sphere, shaderball, novel, sweep, "
+                                                                  "turntable; or all.")]
             = "sphere",
             environment: Annotated[str | None, arg(help="studio, sunsky, none, or an .exr or .hdr file. "
                                                         "Left out: what suits the preset.")] = None,
             size: Annotated[str, arg(metavar="N or WxH", help="Pixels.")] = "512",
-            frames: Annotated[int | None, arg(help="Of each movie; 1 makes it a still. Left out: the preset's.")] = None,
+            frames: Annotated[int | None,
+                              arg(help="Of each movie; 1 makes it a still. Left out: the preset's.")] = None,
             tiling: Annotated[int, arg(help="How often the maps repeat along each side.")] = 1,
-            displacement: Annotated[float, arg(help="Height of the relief: 1 is as high as the normals say; 0 leaves the "
-                                                    "shape as it is.")] = 0.0,
-            exposure: Annotated[float, arg(help="Stops by which PNG and movies are brighter; EXR files are not.")] = 0.0,
-            target_error: Annotated[float | None, arg(help="Render each frame until its estimated RMSE in display values is "
-                                                           "this. Left out, with neither of the next two: 0.01.")] = None,
-            budget: Annotated[float | None, arg(help="Seconds for all frames together, instead of a target.")] = None,
+            displacement: Annotated[float,
+                                    arg(help="Height of the relief: 1 is as high as the normals say; 0 "
+                                             "leaves the "
+                                             "shape as it is.")] = 0.0,
+            exposure: Annotated[float, arg(help="Stops by which PNG and movies are brighter; EXR files are "
+                                                "not.")] = 0.0,
+            target_error: Annotated[float | None,
+                                    arg(help="Render each frame until its estimated RMSE in display values "
+                                             "is "
+                                             "this. Left out, with neither of the next two: 0.01.")] = None,
+            budget: Annotated[float | None,
+                              arg(help="Seconds for all frames together, instead of a target.")] = None,
             samples: Annotated[int | None, arg(help="Samples a pixel, instead of a target.")] = None,
-            movie: Annotated[str, arg(metavar="mp4,gif|none", help="What becomes of the frames of movies, beside the EXR of "
+            movie: Annotated[str, arg(metavar="mp4,gif|none", help="What becomes of the frames of movies, "
+                                                                   "beside the EXR of "
                                                                    "each.")] = "mp4",
-            out: Annotated[Path | None, arg(aliases=["-o"], help="Folder to write; left out: relight inside MAPS.")] = None,
+            out: Annotated[Path | None, arg(aliases=["-o"], help="Folder to write; left out: relight inside "
+                                                                 "MAPS.")] = None,
             seed: int = 0, variant: Variant = "llvm_ad_rgb",
-            explain: Annotated[bool, arg(help="Print what would be left out, and why, and end without rendering.")] = False,
-            check: Annotated[bool, arg(help="Hold a novel frame, a pixel for each texel, against the analytic renderer in "
-                                            "float64: a Z-test. Exit code 1 where they differ; nothing is written.")] = False,
-            resume: Annotated[bool, arg(help="Go on with the frames that are missing, same options.")] = False,
+            explain: Annotated[bool, arg(help="Print what would be left out, and why, and end without "
+                                              "rendering.")] = False,
+            check: Annotated[bool, arg(help="Hold a novel frame, a pixel for each texel, against the "
+                                            "analytic renderer in "
+                                            "float64: a Z-test. Exit code 1 where they differ; nothing is "
+                                            "written.")] = False,
+            resume: Annotated[bool, arg(
+                help="Go on with the frames that are missing, same options.")] = False,
             overwrite: Overwrite = False) -> int:
-    """Show a material under other light, path traced with Mitsuba: stills as EXR and PNG, movies as MP4 and GIF.
+    """Show a material under other light, path traced with Mitsuba: stills as EXR and PNG, movies as MP4 and
+    GIF.
 
-    Each frame is rendered in passes until its error, as estimated from them, is below --target-error. OUT/PRESET.svg shows
-    the error over time, relight.json has the figures. EXR files hold linear radiance, as rendered.
+    Each frame is rendered in passes until its error, as estimated from them, is below --target-error.
+    OUT/PRESET.svg shows the error over time, relight.json has the figures. EXR files hold linear radiance, as
+    rendered.
 
     Ctrl-C keeps the frames done and the one at hand as it is; the same command with --resume goes on.
     """
@@ -79,8 +104,8 @@ def relight(maps: Positional[Material],
     with using_mitsuba(variant) as mi:
         if check:
             return _check(mi, svbrdf, fit.views, seed)
-        stages = [make_stage(mi, svbrdf, each, environment=environment, size=pixels, frames=frames, tiling=tiling,
-                             displacement=displacement, views=fit.views) for each in chosen]
+        stages = [make_stage(mi, svbrdf, each, environment=environment, size=pixels, frames=frames,
+                             tiling=tiling, displacement=displacement, views=fit.views) for each in chosen]
         if explain:
             for stage in stages:
                 for what, why in stage.left_out:
@@ -89,18 +114,23 @@ def relight(maps: Positional[Material],
         if "mp4" in kinds and any(stage.frames > 1 for stage in stages):
             av_module()
         keep_apart_from_maps(maps, out)
-        settings = {"maps": maps if builtin else os.path.realpath(maps), "material": _fingerprint(svbrdf, fit.views),
-                    "environment": environment, "environment_file": _file_fingerprint(environment), "size": pixels,
+        settings = {"maps": maps if builtin else os.path.realpath(maps), "material": _fingerprint(svbrdf,
+                                                                                                  fit.views),
+                    "environment": environment, "environment_file": _file_fingerprint(environment),
+                    "size": pixels,
                     "frames": frames, "tiling": tiling, "displacement": displacement, "exposure": exposure,
-                    "target_error": stop.target_error, "budget": budget, "samples": samples, "seed": seed, "variant": variant}
+                    "target_error": stop.target_error, "budget": budget, "samples": samples, "seed": seed,
+                    "variant": variant}
         title = f"relight {name_of(maps)}"
         with result_folder.output_folder(out, overwrite or resume, resume, kept_names(PRESETS)) as folder:
             record = go_on(settings, out, folder) if resume else begin(settings)
             with contextlib.ExitStack() as stack:
                 stopping = stack.enter_context(stop_signals())
                 report = stack.enter_context(progress_bar(title))
-                whole = render_stages(mi, stages, stop, record, folder, seed=seed, exposure=exposure, report=report,
-                                      done=lambda stage: _finish(stage, record, folder, kinds, exposure, stop),
+                whole = render_stages(mi, stages, stop, record, folder, seed=seed, exposure=exposure,
+                                      report=report,
+                                      done=lambda stage: _finish(stage, record, folder, kinds, exposure,
+                                                                 stop),
                                       interrupted=stopping)
         if not whole:
             say("interrupted: the frames so far were kept; the same command with --resume goes on")
@@ -133,12 +163,15 @@ def _check(mi: ModuleType, svbrdf: SVBRDF, views: Views | None, seed: int) -> in
     test = check_novel(mi, svbrdf, views, seed=seed)
     verdict = "the same but for noise" if test.passed else "they differ"
     means = ", ".join(f"{each:+.2f}" for each in test.bias.tolist())
-    say(f"novel against analytic64: {verdict}; of {test.z.numel()} values the worst is {float(test.z.abs().max()):.2f} "
-        f"standard deviations off (limit {test.z_limit:.2f}), the means of the channels {means} (limit {test.bias_limit:.2f})")
+    say(f"novel against analytic64: {verdict}; of {test.z.numel()} values the worst is "
+        f"{float(test.z.abs().max()):.2f} "
+        f"standard deviations off (limit {test.z_limit:.2f}), the means of the channels {means} (limit "
+        f"{test.bias_limit:.2f})")
     return 0 if test.passed else 1
 
 
-def _finish(stage: Stage, record: Record, folder: Path, kinds: list[str], exposure: float, stop: Stop) -> None:
+def _finish(stage: Stage, record: Record, folder: Path, kinds: list[str], exposure: float,
+            stop: Stop) -> None:
     """Curve and a line for a preset, and its movie where all frames are there."""
     from ..relight.curve import error_curve
     from ..relight.frames import display_frames
@@ -176,7 +209,8 @@ def _size(text: str) -> tuple[int, int]:
     except ValueError:
         sides = []
     if len(sides) not in (1, 2) or not all(PICTURE_SIDES[0] <= side <= PICTURE_SIDES[1] for side in sides):
-        raise ConfigError(f"--size N or WxH with sides of {PICTURE_SIDES[0]} to {PICTURE_SIDES[1]} pixels", repr(text),
+        raise ConfigError(f"--size N or WxH with sides of {PICTURE_SIDES[0]} to {PICTURE_SIDES[1]} pixels",
+                          repr(text),
                           "try 512 or 640x360")
     return sides[0], sides[-1]
 

@@ -8,11 +8,11 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from ..errors import MapsError
+from ..io import images, result_folder
+from ..io.progress import say
 from ..material.map_files import MAP_FOLDERS
 from ..material.maps import SVBRDF
 from ..render import RendererName, make_renderer
-from ..system import images, result_folder
-from ..system.progress import say
 from .options import (
     FalloffOption,
     Material,
@@ -30,13 +30,16 @@ from .options import (
 )
 
 
-def render(maps: Positional[Material], out: Out, views: ViewSource = "builtin:grid", renderer: RendererName = "mitsuba",
+def render(maps: Positional[Material], out: Out, views: ViewSource = "builtin:grid",
+           renderer: RendererName = "mitsuba",
            falloff: Annotated[FalloffOption, arg(help="auto: as in the fit.")] = "auto",
-           transfer: Annotated[TransferOption, arg(help="How the PNGs encode light; auto: as in the fit.")] = "auto",
+           transfer: Annotated[TransferOption,
+                               arg(help="How the PNGs encode light; auto: as in the fit.")] = "auto",
            flash_offset: Annotated[Literal["fitted", "none"],
                                    arg(help="fitted: the light stands beside the camera as the fit found it.")] = "none",
-           diffuse: Annotated[Literal["fitted", "guessed"], arg(help="guessed: show the guessed diffuse map of the fit "
-                                                                     "instead of its own (paper IV.B).")] = "fitted",
+           diffuse: Annotated[Literal["fitted", "guessed"],
+                              arg(help="guessed: show the guessed diffuse map of the fit "
+                                       "instead of its own (paper IV.B).")] = "fitted",
            variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
     """Render maps for the views of a capture: OUT/NN.png (display values) and NN.exr (linear)."""
     from ..views import shift_lights

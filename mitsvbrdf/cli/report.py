@@ -7,19 +7,22 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from ..system import result_folder
-from ..system.progress import print_numbers, progress_bar, say, say_written
+from ..io import result_folder
+from ..io.progress import print_numbers, progress_bar, say, say_written
 from .options import keep_apart
 
 
-def report(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder that `mitsvbrdf fit` wrote.")]],
+def report(out: Positional[Annotated[Path,
+                                     arg(metavar="OUT", help="The folder that `mitsvbrdf fit` wrote.")]],
            capture: Annotated[Path | None, arg(metavar="CAPTURE", help=(
                "The photos of the fit: shown beside their re-renderings, and those left out of it predicted."))] = None,
-           quick: Annotated[bool, arg(help="Check as `fit` does: its own renderer, small, nothing timed.")] = False) -> int:
+           quick: Annotated[bool, arg(
+               help="Check as `fit` does: its own renderer, small, nothing timed.")] = False) -> int:
     """Write OUT/report.html, one page about a fit that opens from disk, and its numbers, OUT/report.json.
 
-    `fit` writes them too, quickly. This command holds every renderer against the float64 twin on the fitted maps in the views
-    of the fit, with run times, and measures what was saved by leaving out what the material does not need.
+    `fit` writes them too, quickly. This command holds every renderer against the float64 twin on the fitted
+    maps in the views of the fit, with run times, and measures what was saved by leaving out what the material
+    does not need.
     """
     from ..capture import read_capture
     from ..fit.record import read_whole_fit
@@ -31,7 +34,8 @@ def report(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder t
     if capture is not None:
         keep_apart(capture, out)
         about = found.record["capture"]
-        shots = read_capture(capture, resolution=about["resolution"], transfer=found.transfer, falloff=found.falloff)
+        shots = read_capture(capture, resolution=about["resolution"], transfer=found.transfer,
+                             falloff=found.falloff)
         used = shots.pick(found.seen)
         check_photos(found, used)
         others = [number for number in shots.index if number not in found.seen]

@@ -8,14 +8,18 @@ from typing import Annotated
 from tyro.conf import arg
 
 from ..capture.align.sheet import Paper
-from ..system.progress import say, say_written
+from ..io.progress import say, say_written
 from .options import Overwrite, check_new_files
 
 
-def sheet(out: Annotated[Path, arg(aliases=["-o"], help="File to write: .pdf, .svg or .png.")] = Path("sheet.pdf"),
-          size: Annotated[float, arg(help="Of the frame of tags, in cm; the material shown is 0.64 of it.")] = 18.0,
-          paper: Annotated[Paper, arg(help="What the printer holds.")] = "a4", overwrite: Overwrite = False) -> int:
-    """Write a sheet of AprilTags to print: laid around a material, it tells `mitsvbrdf capture --sheet CM` where the phone was.
+def sheet(out: Annotated[Path,
+                         arg(aliases=["-o"], help="File to write: .pdf, .svg or .png.")] = Path("sheet.pdf"),
+          size: Annotated[float, arg(
+              help="Of the frame of tags, in cm; the material shown is 0.64 of it.")] = 18.0,
+          paper: Annotated[Paper, arg(help="What the printer holds.")] = "a4",
+          overwrite: Overwrite = False) -> int:
+    """Write a sheet of AprilTags to print: laid around a material, it tells `mitsvbrdf capture --sheet CM`
+    where the phone was.
 
     Print it at 100 %, cut the middle out, and measure the arrow: its length is CM.
     """

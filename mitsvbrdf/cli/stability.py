@@ -1,4 +1,6 @@
-"""``mitsvbrdf stability``: renderers at the ends of every range, fits that are asked too much; tables, JSON, pages."""
+"""``mitsvbrdf stability``: renderers at the ends of every range, fits that are asked too much; tables, JSON,
+pages.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +13,17 @@ from rich.table import Table
 from tyro.conf import arg
 
 from ..errors import ConfigError
+from ..io import files
+from ..io.progress import print_rich, progress_bar, say, say_written
 from ..render import RENDERERS, RendererName, make_renderer
-from ..system import files
-from ..system.progress import print_rich, progress_bar, say, say_written
 from .measuring import measure
 from .options import Overwrite, Variant, check_new_files
 
-Sweep = Literal["roughness", "tilt", "distance", "colour", "intensity", "clipped", "flat", "resolution", "views", "stiff"]
+Sweep = Literal["roughness", "tilt", "distance", "colour", "intensity", "clipped", "flat", "resolution",
+                "views", "stiff"]
 Method = Literal["hierarchical", "hybrid", "direct", "gan"]
-VERDICT_COLOURS = {"exact": "green", "clamped": "dim", "degraded": "yellow", "limited": "yellow", "refused": "dim",
+VERDICT_COLOURS = {"exact": "green", "clamped": "dim", "degraded": "yellow", "limited": "yellow",
+                   "refused": "dim",
                    "wrong": "bold red", "not finite": "bold red"}
 
 
@@ -27,29 +31,36 @@ def stability(
     renderer: Annotated[Literal["all", "analytic", "mitsuba", "mitsuba-scene"],
                         arg(help="What to examine; what the fits render with, mitsuba where it is left out.")] = "all",
     only: Annotated[tuple[Sweep, ...], arg(help="Some sweeps alone.")] = (),
-    json_file: Annotated[Path | None, arg(name="json", help="Write all figures to this file; with --fits, go on with the file "
+    json_file: Annotated[Path | None, arg(name="json", help="Write all figures to this file; with --fits, "
+                                                            "go on with the file "
                                                             "that is there, out/stability-fits.json.")] = None,
-    html_file: Annotated[Path | None, arg(name="html", help="Write a page with verdicts, figures and plots.")] = None,
-    md: Annotated[Path | None, arg(help="Write the tables into this Markdown file, between its marks if it has them; with "
+    html_file: Annotated[Path | None,
+                         arg(name="html", help="Write a page with verdicts, figures and plots.")] = None,
+    md: Annotated[Path | None, arg(help="Write the tables into this Markdown file, between its marks if it "
+                                        "has them; with "
                                         "--fits the whole page, its picture beside it.")] = None,
     fits: Annotated[Literal["all", "quick", "none"] | None,
-                    arg(help="Fit stiff scenes instead; quick: one seed, 5 s a fit; none: only make the page anew.")] = None,
+                    arg(help="Fit stiff scenes instead; quick: one seed, 5 s a fit; none: only make the "
+                             "page anew.")] = None,
     methods: Annotated[tuple[Method, ...], arg(help="Of the fits; left out: all.")] = (),
     budget: Annotated[float | None, arg(help="Seconds of a fit at most; left out: 20.")] = None,
     resolution: Annotated[int, arg(help="Side of maps and photos in the fits.")] = 64,
-    workers: Annotated[int | None, arg(help="Do so many fits at a time, on the workers of `mitsvbrdf batch`; their times are "
+    workers: Annotated[int | None, arg(help="Do so many fits at a time, on the workers of `mitsvbrdf "
+                                            "batch`; their times are "
                                             "then those of a shared machine. Needs Ray.")] = None,
     anew: Annotated[bool, arg(help="Forget the fits that are there.")] = False,
     variant: Variant = "llvm_ad_rgb",
     overwrite: Overwrite = False,
 ) -> int:
-    """Sweep every parameter to its ends: errors, gradients, conditioning, step sizes, and a verdict on each renderer.
+    """Sweep every parameter to its ends: errors, gradients, conditioning, step sizes, and a verdict on each
+    renderer.
 
-    About two minutes for everything. Exit code 1 when a value that is not finite came out of a public function, or a verdict
-    is worse than expected; docs/stability.md explains the verdicts and every clamp.
+    About two minutes for everything. Exit code 1 when a value that is not finite came out of a public
+    function, or a verdict is worse than expected; docs/stability.md explains the verdicts and every clamp.
 
-    --fits examines the methods instead: extreme materials, wrong calibration, photos that say little, several at once. Exit
-    code 1 when a fit failed. Each fit is kept as soon as it is done: Ctrl-C loses one, and the same command goes on.
+    --fits examines the methods instead: extreme materials, wrong calibration, photos that say little, several
+    at once. Exit code 1 when a fit failed. Each fit is kept as soon as it is done: Ctrl-C loses one, and the
+    same command goes on.
     """
     if fits is None:
         if methods or budget is not None or anew or workers is not None:
@@ -57,14 +68,17 @@ def stability(
                               "add --fits all, or quick")
         return _renderers(renderer, only, json_file, html_file, md, variant, overwrite)
     if only or html_file:
-        raise ConfigError("--json and --md beside --fits", "--only or --html", "leave them out: sweeps are of renderers")
-    return _fits(fits, Path("out/stability-fits.json") if json_file is None else json_file, md, methods, budget, resolution,
+        raise ConfigError("--json and --md beside --fits", "--only or --html",
+                          "leave them out: sweeps are of renderers")
+    return _fits(fits, Path("out/stability-fits.json") if json_file is None else json_file, md, methods,
+                 budget, resolution,
                  "mitsuba" if renderer == "all" else renderer, variant, workers, anew, overwrite)
 
 
-def _fits(which: Literal["all", "quick", "none"], json_file: Path, md: Path | None, methods: tuple[Method, ...],
-          budget: float | None, resolution: int, renderer: RendererName, variant: str, workers: int | None, anew: bool,
-          overwrite: bool) -> int:
+def _fits(which: Literal["all", "quick", "none"], json_file: Path, md: Path | None,
+          methods: tuple[Method, ...],
+          budget: float | None, resolution: int, renderer: RendererName, variant: str, workers: int | None,
+          anew: bool, overwrite: bool) -> int:
     """The fits of stiff scenes that the file lacks, the verdicts on all, and the page."""
     from ..bench.stiff.fits import SHAPING, StiffPlan
     from ..bench.stiff.page import failures, print_verdicts, stiff_page_files, write_stiff_page
@@ -77,7 +91,8 @@ def _fits(which: Literal["all", "quick", "none"], json_file: Path, md: Path | No
     if which == "none":
         record = read_benchmark(json_file)
         if record["settings"].get("scenes") != digest():
-            raise ConfigError("the fits of these scenes", f"others in {json_file}", "run --fits all or quick, with --anew")
+            raise ConfigError("the fits of these scenes", f"others in {json_file}",
+                              "run --fits all or quick, with --anew")
     else:
         plan = StiffPlan(which == "quick", methods, budget, resolution, renderer, variant)
         jobs, settings, _ = plan.jobs()
@@ -95,8 +110,8 @@ def _fits(which: Literal["all", "quick", "none"], json_file: Path, md: Path | No
     return int(bool(failed or lost))
 
 
-def _renderers(renderer: Literal["all"] | RendererName, only: tuple[Sweep, ...], json_file: Path | None, html_file: Path | None,
-               md: Path | None, variant: str, overwrite: bool) -> int:
+def _renderers(renderer: Literal["all"] | RendererName, only: tuple[Sweep, ...], json_file: Path | None,
+               html_file: Path | None, md: Path | None, variant: str, overwrite: bool) -> int:
     """The sweeps of the renderers."""
     from ..verify.stability import SWEEPS
     from ..verify.stability import stability as run
@@ -123,8 +138,10 @@ def _renderers(renderer: Literal["all"] | RendererName, only: tuple[Sweep, ...],
             write_stability_markdown(md, record)
     for key, title in record["sweeps"].items():
         print_rich(_table(title, [row for row in record["rows"] if row["sweep"] == key], record["renderers"]))
-    say("Verdict, and relative L2 error of image or worst gradient, the larger; rounding: what one float32 rounding of "
-        "the normals makes. exact: image within 1e-6, gradients within 1e-5; docs/stability.md explains the rest.")
+    say("Verdict, and relative L2 error of image or worst gradient, the larger; rounding: what one float32 "
+        "rounding of "
+        "the normals makes. exact: image within 1e-6, gradients within 1e-5; docs/stability.md explains the "
+        "rest.")
     say_written(json_file, html_file, md)
     for found in record["violations"]:
         where = ", ".join(filter(None, (found["sweep"], found["label"], found["renderer"])))
@@ -135,7 +152,9 @@ def _renderers(renderer: Literal["all"] | RendererName, only: tuple[Sweep, ...],
 
 
 def _table(title: str, rows: list[dict], renderers: list[str]) -> Table:
-    """Verdict and largest error of each renderer, beside what one rounding of the normals makes; fits 80 columns."""
+    """Verdict and largest error of each renderer, beside what one rounding of the normals makes; fits 80
+    columns.
+    """
     from ..verify.stability.page import largest
 
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)

@@ -13,12 +13,12 @@ from .. import color
 from ..capture import write_capture
 from ..errors import ConfigError
 from ..fit.config import check_seed
+from ..io import result_folder
+from ..io.progress import say
 from ..render import Renderer, RendererName, make_renderer
 from ..synth import photograph
 from ..synth.phone import HandheldPhone, Spoil
 from ..synth.photos import write_handheld
-from ..system import result_folder
-from ..system.progress import say
 from .options import (
     Material,
     Out,
@@ -37,41 +37,54 @@ PHONE = HandheldPhone()
 
 
 def synth(material: Positional[Material], out: Out, phone: OmitArgPrefixes[HandheldPhone] = PHONE,
-          handheld: Annotated[bool, arg(help="Raw photos of a simulated phone, for `mitsvbrdf capture`: OUT/IMG_0001.jpg and "
-                                             "so on, and what is true of them in OUT/truth. The phone's options count only "
+          handheld: Annotated[bool, arg(help="Raw photos of a simulated phone, for `mitsvbrdf capture`: "
+                                             "OUT/IMG_0001.jpg and "
+                                             "so on, and what is true of them in OUT/truth. The phone's "
+                                             "options count only "
                                              "with this.")] = False,
-          spoil: Annotated[str, arg(metavar="KIND,KIND,...", help="With --handheld: extra photos that are blurred, finger, "
+          spoil: Annotated[str, arg(metavar="KIND,KIND,...", help="With --handheld: extra photos that are "
+                                                                  "blurred, finger, "
                                                                   "noflash, duplicate, rotated or unrelated.")] = "",
           views: ViewSource = "builtin:grid",
-          resolution: Annotated[int | None, arg(help="Side of rectified photos, 256 where left out; with --handheld that of "
-                                                     "builtin maps, 1024.")] = None,
-          noise: Annotated[float, arg(help="Standard deviation of sensor noise of rectified photos in linear radiance.")] = 0.0,
+          resolution: Annotated[int | None,
+                                arg(help="Side of rectified photos, 256 where left out; with --handheld "
+                                         "that of "
+                                         "builtin maps, 1024.")] = None,
+          noise: Annotated[float, arg(help="Standard deviation of sensor noise of rectified photos in "
+                                           "linear radiance.")] = 0.0,
           renderer: RendererName = "mitsuba", transfer: color.Transfer = "gamma2.2",
           variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
-    """Take photos of known maps: rectified ones with their calibration, to test fits on, or raw ones by a simulated phone.
+    """Take photos of known maps: rectified ones with their calibration, to test fits on, or raw ones by a
+    simulated phone.
 
-    Rectified photos are 8-bit, clipped, optionally noisy. Those of the phone (--handheld) have its distortion, vignetting,
-    noise, JPEG and EXIF, and know nothing of where they were taken; --sheet lays a sheet of tags around the material.
+    Rectified photos are 8-bit, clipped, optionally noisy. Those of the phone (--handheld) have its
+    distortion, vignetting, noise, JPEG and EXIF, and know nothing of where they were taken; --sheet lays a
+    sheet of tags around the material.
     """
     check_seed(phone.seed)
     keep_apart_from_maps(material, out)
     if handheld:
-        unused = {"--views": views != "builtin:grid", "--noise": noise != 0, "--renderer": renderer != "mitsuba",
+        unused = {"--views": views != "builtin:grid", "--noise": noise != 0,
+                  "--renderer": renderer != "mitsuba",
                   "--transfer": transfer != "gamma2.2"}
         if any(unused.values()):
-            raise ConfigError("options of the phone beside --handheld", ", ".join(k for k, v in unused.items() if v),
+            raise ConfigError("options of the phone beside --handheld",
+                              ", ".join(k for k, v in unused.items() if v),
                               "leave these out; --grain is the phone's noise")
-        return _handheld(material, out, phone, spoil, MADE_SIDE if resolution is None else resolution, variant, overwrite)
-    given = [f"--{f.name.replace('_', '-')}" for f in fields(phone) if getattr(phone, f.name) != f.default and f.name != "seed"]
+        return _handheld(material, out, phone, spoil, MADE_SIDE if resolution is None else resolution,
+                         variant, overwrite)
+    given = [f"--{f.name.replace('_', '-')}" for f in fields(phone) if getattr(phone, f.name) != f.default
+             and f.name != "seed"]
     if given or spoil:
-        raise ConfigError("--handheld beside options of the phone", ", ".join([*given, *["--spoil"] * bool(spoil)]),
+        raise ConfigError("--handheld beside options of the phone",
+                          ", ".join([*given, *["--spoil"] * bool(spoil)]),
                           "add --handheld, or leave these out")
-    return _rectified(material, out, views, RECTIFIED_SIDE if resolution is None else resolution, noise, phone.seed,
-                      make_renderer(renderer, variant), transfer, overwrite)
+    return _rectified(material, out, views, RECTIFIED_SIDE if resolution is None else resolution, noise,
+                      phone.seed, make_renderer(renderer, variant), transfer, overwrite)
 
 
-def _rectified(material: str, out: Path, views: str, resolution: int, noise: float, seed: int, renderer: Renderer,
-               transfer: color.Transfer, overwrite: bool) -> int:
+def _rectified(material: str, out: Path, views: str, resolution: int, noise: float, seed: int,
+               renderer: Renderer, transfer: color.Transfer, overwrite: bool) -> int:
     if not 0 <= noise <= 1:
         raise ConfigError("--noise from 0 to 1", str(noise), "give the standard deviation, e.g. 0.003")
     keep_apart(Path(views), out)
@@ -90,12 +103,14 @@ def _handheld(material: str, out: Path, phone: HandheldPhone, spoil: str, resolu
     from ..synth.traced import HandheldRenderer
 
     phone.check()
-    svbrdf, kinds = material_of(material, resolution), tuple(kind.strip() for kind in spoil.split(",") if kind.strip())
+    svbrdf, kinds = material_of(material, resolution), tuple(kind.strip() for kind in spoil.split(",")
+                                                             if kind.strip())
     with result_folder.output_folder(out, overwrite) as folder:
         truth = write_handheld(
             svbrdf, phone, functools.partial(HandheldRenderer, variant=variant), folder,
             cast(tuple[Spoil, ...], kinds), material=name_of(material),
-            report=lambda done, count: say(f"took {done} of {count} photos") if done % 3 == 0 or done == count else None)
+            report=lambda done, count: say(f"took {done} of {count} photos") if done % 3 == 0 or done == count
+            else None)
     sheet = f" with the sheet of {phone.sheet:g} cm" if phone.sheet else ""
     say(f"wrote {len(truth['rig']['poses'])} photos{sheet} to {out}, and what is true of them to {out}/truth")
     return 0

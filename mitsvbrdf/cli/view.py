@@ -1,4 +1,6 @@
-"""``mitsvbrdf view``: a page that follows a fit or a batch while it runs, and shows what came of it when it has ended."""
+"""``mitsvbrdf view``: a page that follows a fit or a batch while it runs, and shows what came of it when it
+has ended.
+"""
 
 from __future__ import annotations
 
@@ -9,19 +11,23 @@ from typing import Annotated
 from tyro.conf import Positional, arg
 
 from ..batch.library.site import LibrarySite, is_library
+from ..io.progress import say
 from ..report.live import Answer, FitSite, make_server
-from ..system.progress import say
 
 
-def view(out: Positional[Annotated[Path, arg(help="The folder that `mitsvbrdf fit -o OUT` or `mitsvbrdf batch -o OUT` writes "
-                                                  "to; it need not be there yet.", metavar="OUT")]],
+def view(out: Positional[Annotated[Path,
+                                   arg(help="The folder that `mitsvbrdf fit -o OUT` or `mitsvbrdf batch -o "
+                                            "OUT` writes "
+                                            "to; it need not be there yet.", metavar="OUT")]],
          port: Annotated[int | None, arg(help="Left out: 8350, or any free one where that is taken.")] = None,
          open_page: Annotated[bool, arg(name="open", help="Open the page in the browser.")] = False) -> int:
-    """Follow a fit or a batch in the browser while it runs, then see its report or its library; Ctrl-C ends the page.
+    """Follow a fit or a batch in the browser while it runs, then see its report or its library; Ctrl-C ends
+    the page.
 
-    Start it before, while or after `mitsvbrdf fit` or `mitsvbrdf batch` runs, in another terminal: it only reads, and they
-    neither wait for it nor change with it. A fit that starts anew in OUT is followed again. Only this machine can reach the
-    address; from another one, `ssh -L 8350:localhost:8350 HOST` brings it along.
+    Start it before, while or after `mitsvbrdf fit` or `mitsvbrdf batch` runs, in another terminal: it only
+    reads, and they neither wait for it nor change with it. A fit that starts anew in OUT is followed again.
+    Only this machine can reach the address; from another one, `ssh -L 8350:localhost:8350 HOST` brings it
+    along.
     """
     site = _Followed(out)
     with make_server(site, port) as server:

@@ -8,19 +8,20 @@ from ..calibrate.refine import UNKNOWNS, Priors, refine_views
 from ..capture import Capture
 from ..fit.record import SavedFit, capture_name
 from ..fit.result import FitResult
+from ..io.entry import entry
 from ..material.map_files import encodings, load_maps
 from ..material.maps import SVBRDF
 from ..measure.metrics import map_rmse
 from ..measure.rerender import rerender
 from ..render import Renderer, make_renderer
-from ..system.entry import entry
 from ..views import Views, shift_lights
 from .placement import placed
 
 
 @entry()
 def evaluate_maps(svbrdf: SVBRDF, material: str | Path) -> dict[str, float]:
-    """RMSE of each map against a folder of known maps, counted as :func:`mitsvbrdf.measure.metrics.map_rmse` says.
+    """RMSE of each map against a folder of known maps, counted as :func:`mitsvbrdf.measure.metrics.map_rmse`
+    says.
 
     Returns:
         ``diffuse``, ``specular``, ``roughness``, ``normal`` and their ``mean``.
@@ -38,12 +39,14 @@ def evaluate_capture(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
         svbrdf: the material, brought to the photos' resolution if it differs.
         capture: the photos; they need not be those of the fit.
         renderer: draws them.
-        flash_offset: (x, y) of the flash beside the lens in patch sides, as a fit found it; None leaves the views alone.
-        priors: how far the views may be off, to measure with refined ones too (:mod:`mitsvbrdf.calibrate.refine`).
+        flash_offset: (x, y) of the flash beside the lens in patch sides, as a fit found it; None leaves the
+            views alone.
+        priors: how far the views may be off, to measure with refined ones too
+            (:mod:`mitsvbrdf.calibrate.refine`).
 
     Returns:
-        ``rerender_rmse`` over all photos and ``per_photo`` by name. With priors, the same again in ``refined``, which also has
-        ``views``: by photo, ``change`` and ``deviation`` of each unknown.
+        ``rerender_rmse`` over all photos and ``per_photo`` by name. With priors, the same again in
+        ``refined``, which also has ``views``: by photo, ``change`` and ``deviation`` of each unknown.
     """
     material = svbrdf.resized(capture.resolution)
 
@@ -56,7 +59,8 @@ def evaluate_capture(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
     if priors:
         refined = refine_views(svbrdf, views, capture, priors)
         moved = {name: {"change": dict(zip(UNKNOWNS, change)), "deviation": dict(zip(UNKNOWNS, deviation))}
-                 for name, change, deviation in zip(capture.names, refined.change.tolist(), refined.deviation.tolist())}
+                 for name, change, deviation in zip(capture.names, refined.change.tolist(),
+                                                    refined.deviation.tolist())}
         found["refined"] = errors(refined.views) | {"views": moved}
     return found
 
@@ -75,6 +79,7 @@ def as_fitted(result: FitResult, capture: Capture) -> tuple[Capture, Renderer, t
     x, y = result.flash_offset or (0.0, 0.0)
     offset = result.flash_offset and (x / result.views.size, y / result.views.size)
     known = result.calibration
-    fit = SavedFit(capture=capture_name(capture), seen=tuple(map(int, known.get("camera", ()))), views=result.views,
+    fit = SavedFit(capture=capture_name(capture), seen=tuple(map(int, known.get("camera", ()))),
+                   views=result.views,
                    estimated=known.get("estimated", False), light_power_factor=known.get("power_told") or 1.0)
     return placed(capture, fit), make_renderer(result.renderer, result.variant or "llvm_ad_rgb"), offset

@@ -39,10 +39,11 @@ class Entry:
     guess: Tensor | None = None
 
 
-def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_errors: MapErrors | None = None,
-            transfer: color.Transfer | None = None, priors: Priors | None = None,
+def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_errors: MapErrors
+            | None = None, transfer: color.Transfer | None = None, priors: Priors | None = None,
             index: Sequence[int] | None = None) -> tuple[dict, list[Tensor]]:
-    """Measure every method at the photos' resolution; maps of another one are brought to it (:meth:`SVBRDF.resized`).
+    """Measure every method at the photos' resolution; maps of another one are brought to it
+    (:meth:`SVBRDF.resized`).
 
     Photos are rendered, and errors counted, as :func:`~mitsvbrdf.evaluate.photos.evaluate_photos` says.
 
@@ -53,12 +54,14 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_
         map_errors: gives the RMSE of maps against known ones, by map; None where none are known.
         transfer: how display values encode radiance; None: as each fit took it, else as the capture states.
         priors: measure a third time, with views refined beside frozen maps, which treats all methods alike.
-        index: numbers of the N photos to show; None: all. Where views are unknown, all photos help to estimate them.
+        index: numbers of the N photos to show; None: all. Where views are unknown, all photos help to
+            estimate them.
 
     Returns:
-        The record, ready for JSON, and for each method the pictures N x R x R x 3 in display values. A method's entry in
-        ``methods`` has ``name``, ``folder``, ``resolution`` of its maps, ``transfer``, ``falloff``, ``flash_offset``,
-        ``map_rmse`` (or None), and what :func:`~mitsvbrdf.evaluate.photos.evaluate_photos` returns.
+        The record, ready for JSON, and for each method the pictures N x R x R x 3 in display values. A
+        method's entry in ``methods`` has ``name``, ``folder``, ``resolution`` of its maps, ``transfer``,
+        ``falloff``, ``flash_offset``, ``map_rmse`` (or None), and what
+        :func:`~mitsvbrdf.evaluate.photos.evaluate_photos` returns.
 
     Raises:
         ConfigError: no entry, or a name that stands twice.
@@ -77,7 +80,8 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_
         found, images = evaluate_photos(svbrdf, fit, shots, renderer, priors)
         pictures.append(color.to_display(images, shots.transfer))
         methods.append({
-            "name": entry.name, "folder": entry.folder, "resolution": entry.svbrdf.resolution, "bsdf": entry.svbrdf.bsdf,
+            "name": entry.name, "folder": entry.folder, "resolution": entry.svbrdf.resolution,
+            "bsdf": entry.svbrdf.bsdf,
             "transfer": shots.transfer, "falloff": fit.falloff, "flash_offset": fit.flash_offset,
             "map_rmse": None if map_errors is None else dict(map_errors(svbrdf)), **found})
     return {"capture": capture.source.name if capture.source else None, "photos": list(capture.names),

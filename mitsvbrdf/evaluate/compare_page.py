@@ -17,9 +17,10 @@ LARGEST = 256  # pixels along a side of a picture
 MAPS = ("diffuse", "specular", "roughness", "normal")
 
 
-def write_compare_page(path: str | Path, record: dict, entries: Sequence[Entry], capture: Capture, pictures: Sequence[Tensor],
-                       guess: Tensor, reference: SVBRDF | None = None) -> None:
-    """One self-contained HTML file: the input, the maps of each method, errors, and each photo beside its re-renderings.
+def write_compare_page(path: str | Path, record: dict, entries: Sequence[Entry], capture: Capture,
+                       pictures: Sequence[Tensor], guess: Tensor, reference: SVBRDF | None = None) -> None:
+    """One self-contained HTML file: the input, the maps of each method, errors, and each photo beside its
+    re-renderings.
 
     Args:
         path: the file to write or replace.
@@ -34,7 +35,8 @@ def write_compare_page(path: str | Path, record: dict, entries: Sequence[Entry],
         OutputError: the file cannot be written.
     """
     methods, side = record["methods"], record["resolution"]
-    rows = [] if reference is None else [{"name": "Known maps", "note": record["reference"], "maps": _maps(reference, side)}]
+    rows = ([] if reference is None
+            else [{"name": "Known maps", "note": record["reference"], "maps": _maps(reference, side)}])
     for entry, method in zip(entries, methods):
         size = "" if method["resolution"] == side else f", {method['resolution']} px"
         light = "" if method["falloff"] == "inverse-square" else ", light without falloff"
@@ -42,7 +44,8 @@ def write_compare_page(path: str | Path, record: dict, entries: Sequence[Entry],
         rows.append({"name": entry.name, "note": f"{entry.folder}{size}; {method['views']}{light}",
                      "maps": _maps(entry.svbrdf, side) + own})
     photos = [{"name": name, "photo": png_uri(at_most(photo, LARGEST)),
-               "rendered": [(method, png_uri(at_most(images[i], LARGEST))) for method, images in zip(methods, pictures)]}
+               "rendered": [(method, png_uri(at_most(images[i], LARGEST))) for method, images in zip(methods,
+                                                                                                     pictures)]}
               for i, (name, photo) in enumerate(zip(record["photos"], capture.photos))]
     title = f"{record['capture'] or 'Capture'}: {', '.join(m['name'] for m in methods)}"
     write_page(path, "evaluate/compare.html", title=title, record=record, rows=rows, photos=photos,
@@ -59,7 +62,9 @@ def _uri(name: str, value: Tensor) -> str:
 
 
 def _table(record: dict) -> list[dict]:
-    """Groups of rows: what was measured, its value for each method, and whether the values were counted alike."""
+    """Groups of rows: what was measured, its value for each method, and whether the values were counted
+    alike.
+    """
     methods, groups = record["methods"], []
 
     def row(name: str, values: list[float | None], alike: bool = True) -> dict:
@@ -67,19 +72,24 @@ def _table(record: dict) -> list[dict]:
         return {"name": name, "values": values, "best": min(known) if alike and len(known) > 1 else None}
 
     if record["reference"] is not None:
-        groups.append({"title": "Map RMSE", "rows": [row(TITLES.get(name, name), [m["map_rmse"][name] for m in methods])
-                                                     for name in (*MAPS, "mean")]})
+        groups.append({"title": "Map RMSE",
+                       "rows": [row(TITLES.get(name, name), [m["map_rmse"][name] for m in methods])
+                                for name in (*MAPS, "mean")]})
     unmoved = not any(m["flash_offset"] for m in methods)
     calibrated = not any(m["fitted_views"] for m in methods)
     alike = calibrated and unmoved
     rows = [row("all photos, as pictured", [m["rerender_rmse"] for m in methods], alike)]
     if any(m["left_out"] for m in methods):  # never all with all: each fit's photos are its own
-        rows.append(row("those that the fit saw, as pictured", [m["rmse_seen"] for m in methods], alike=False))
+        rows.append(row("those that the fit saw, as pictured", [m["rmse_seen"] for m in methods],
+                        alike=False))
         rows.append(row("those that the fit did not see", [m["rmse_left_out"] for m in methods], alike=False))
     if not calibrated:
-        rows.append(row("all, calibration and flash offset", [m["calibrated"]["rerender_rmse"] for m in methods], unmoved))
+        rows.append(row("all, calibration and flash offset",
+                        [m["calibrated"]["rerender_rmse"] for m in methods], unmoved))
     if methods[0]["refined"]:
-        rows.append(row("all, views refined for every method", [m["refined"]["rerender_rmse"] for m in methods]))
-    rows += [row(f"photo {name}", [m["per_photo"][name] for m in methods], alike) for name in record["photos"]]
+        rows.append(row("all, views refined for every method",
+                        [m["refined"]["rerender_rmse"] for m in methods]))
+    rows += [row(f"photo {name}", [m["per_photo"][name] for m in methods], alike)
+             for name in record["photos"]]
     groups.append({"title": "Re-rendering RMSE", "rows": rows})
     return groups

@@ -1,4 +1,6 @@
-"""The maps of a fit against photos: every error with the views it was counted with, photos seen and left out apart."""
+"""The maps of a fit against photos: every error with the views it was counted with, photos seen and left out
+apart.
+"""
 
 from __future__ import annotations
 
@@ -22,9 +24,10 @@ def evaluate_photos(svbrdf: SVBRDF, fit: SavedFit, capture: Capture, renderer: R
                     priors: Priors | None = None) -> tuple[dict, Tensor]:
     """Errors of the re-rendered photos in display values.
 
-    A photo that the fit saw is rendered with the view that the fit ended with, so its error is the one that the fit reports;
-    all others with the calibration and the flash offset of the fit. Refined views make an error smaller that maps without a
-    ``fit.json`` cannot have, so what :func:`mitsvbrdf.evaluate.evaluate_capture` finds for all of them stands beside it.
+    A photo that the fit saw is rendered with the view that the fit ended with, so its error is the one that
+    the fit reports; all others with the calibration and the flash offset of the fit. Refined views make an
+    error smaller that maps without a ``fit.json`` cannot have, so what
+    :func:`mitsvbrdf.evaluate.evaluate_capture` finds for all of them stands beside it.
 
     Args:
         svbrdf: the material, brought to the photos' resolution if it differs.
@@ -34,10 +37,11 @@ def evaluate_photos(svbrdf: SVBRDF, fit: SavedFit, capture: Capture, renderer: R
         priors: measure a third time, with views refined beside frozen maps.
 
     Returns:
-        ``views`` (how they were taken, in words), ``fitted_views`` and ``left_out`` (names of photos), ``rerender_rmse``,
-        ``per_photo``, ``rmse_seen`` and ``rmse_left_out`` (None without such photos); ``calibrated`` (``views`` in words) and,
-        without priors None, ``refined`` (``views`` as :func:`~mitsvbrdf.evaluate.evaluate_capture` has them) have these four
-        too. And the images, linear N x R x R x 3.
+        ``views`` (how they were taken, in words), ``fitted_views`` and ``left_out`` (names of photos),
+        ``rerender_rmse``, ``per_photo``, ``rmse_seen`` and ``rmse_left_out`` (None without such photos);
+        ``calibrated`` (``views`` in words) and, without priors None, ``refined`` (``views`` as
+        :func:`~mitsvbrdf.evaluate.evaluate_capture` has them) have these four too. And the images, linear N x
+        R x R x 3.
     """
     views, fitted = fitted_views(fit, capture)
     here = fit.of(capture)
@@ -53,14 +57,16 @@ def evaluate_photos(svbrdf: SVBRDF, fit: SavedFit, capture: Capture, renderer: R
     refined = stated.pop("refined", None)
     shown = apart({"rerender_rmse": total, "per_photo": dict(zip(capture.names, each))})
     return {"views": _words(fit, fitted, capture), "fitted_views": fitted, "left_out": left_out} | shown | {
-        "calibrated": {"views": _words(fit, [], capture)} | apart(stated), "refined": refined and apart(refined)}, images
+        "calibrated": {"views": _words(fit, [], capture)} | apart(stated), "refined": refined
+        and apart(refined)}, images
 
 
 def fitted_views(fit: SavedFit, capture: Capture) -> tuple[Views, list[str]]:
-    """The views to show a fit's maps with, and the names of the photos among them whose view comes from the fit.
+    """The views to show a fit's maps with, and the names of the photos among them whose view comes from the
+    fit.
 
-    These are the photos that it saw, where it was fitted to this capture; the others have the capture's view and the flash
-    offset of the fit. Lengths are in patch sides.
+    These are the photos that it saw, where it was fitted to this capture; the others have the capture's view
+    and the flash offset of the fit. Lengths are in patch sides.
     """
     views = shift_lights(capture.views, fit.flash_offset).in_patch_sides()
     names: list[str] = []
@@ -71,7 +77,8 @@ def fitted_views(fit: SavedFit, capture: Capture) -> tuple[Views, list[str]]:
     for row, (name, number) in enumerate(zip(capture.names, capture.index)):
         if number in fit.seen[:len(stored)]:
             at = fit.seen.index(number)
-            for mine, theirs in ((camera, stored.camera), (light, stored.light), (intensity, stored.intensity)):
+            for mine, theirs in ((camera, stored.camera), (light, stored.light),
+                                 (intensity, stored.intensity)):
                 mine[row] = theirs[at].to(mine.dtype)
             names.append(name)
     return replace(views, camera=camera, light=light, intensity=intensity), names

@@ -21,10 +21,11 @@ from ..views import Falloff, Views, nine_view_grid, shift_lights
 def placed(capture: Capture, fit: SavedFit) -> Capture:
     """A capture that states no views, with views estimated from all of its photos; any other as it is.
 
-    Where the fit saw some of these photos, all are moved together until those are, in the mean, where the fit has them:
-    sideways by an offset, heights and light power by a factor. So photos that it did not see can be predicted, though nothing
-    but the photos themselves says where they were taken. A fit that took the default geometry is shown with that. Of stated
-    views the light power alone changes, where the fit's maps told another one.
+    Where the fit saw some of these photos, all are moved together until those are, in the mean, where the fit
+    has them: sideways by an offset, heights and light power by a factor. So photos that it did not see can be
+    predicted, though nothing but the photos themselves says where they were taken. A fit that took the
+    default geometry is shown with that. Of stated views the light power alone changes, where the fit's maps
+    told another one.
 
     Args:
         capture: all photos, those left out of the fit and those it saw.
@@ -34,17 +35,21 @@ def placed(capture: Capture, fit: SavedFit) -> Capture:
         CaptureError: the fit estimated views, and these photos do not allow it.
     """
     if capture.calibrated and fit.light_power_factor != 1 and not fit.estimated and fit.of(capture):
-        return replace(capture, views=replace(capture.views, intensity=capture.views.intensity * fit.light_power_factor))
+        return replace(capture, views=replace(capture.views,
+                                              intensity=capture.views.intensity * fit.light_power_factor))
     if capture.calibrated or not (fit.estimated or fit.views is None):
         return capture
     if fit.estimated and (why := why_not(capture)):
-        raise CaptureError("photos from which views can be estimated, as for this fit", f"{len(capture)} of which {why}",
+        raise CaptureError("photos from which views can be estimated, as for this fit",
+                           f"{len(capture)} of which {why}",
                            "give all photos of the capture")
     capture, _ = self_calibrated(capture)
-    both = [(capture.index.index(number), row) for row, number in enumerate(fit.seen) if number in capture.index]
+    both = [(capture.index.index(number), row) for row, number in enumerate(fit.seen)
+            if number in capture.index]
     if fit.views is None or not both or not fit.of(capture):
         return capture
-    here, there = (views.in_patch_sides().pick(rows) for views, rows in zip((capture.views, fit.views), zip(*both)))
+    here, there = (views.in_patch_sides().pick(rows) for views, rows in zip((capture.views, fit.views),
+                                                                            zip(*both)))
     shift = torch.cat([(there.camera - here.camera).mean(dim=0)[:2], torch.zeros(1)]) * capture.views.size
     higher = (there.camera[:, 2] / here.camera[:, 2]).log().mean().exp()
     brighter = (there.intensity.sum(dim=1) / here.intensity.sum(dim=1)).log().mean().exp()
@@ -53,8 +58,10 @@ def placed(capture: Capture, fit: SavedFit) -> Capture:
                                           intensity=capture.views.intensity * brighter))
 
 
-def named_views(source: str, falloff: Falloff, fit: SavedFit | None = None) -> tuple[list[str], Views, list[str]]:
-    """Names and views of a capture (:func:`placed` where it states none), or of ``builtin:grid``; and what was noticed.
+def named_views(source: str, falloff: Falloff, fit: SavedFit | None = None) -> tuple[list[str], Views,
+                                                                                     list[str]]:
+    """Names and views of a capture (:func:`placed` where it states none), or of ``builtin:grid``; and what
+    was noticed.
 
     Raises:
         CaptureError: the source is neither.
@@ -80,10 +87,11 @@ def predict(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
         flash_offset: (x, y) of the flash beside the lens in patch sides, as the fit found it, or None.
 
     Returns:
-        Linear radiance N x R x R x 3; RMSE over all in display values, as :func:`mitsvbrdf.evaluate.evaluate_capture` finds it;
-        and that of each.
+        Linear radiance N x R x R x 3; RMSE over all in display values, as
+        :func:`mitsvbrdf.evaluate.evaluate_capture` finds it; and that of each.
     """
     material, lit = svbrdf.resized(capture.resolution), shift_lights(capture.views, flash_offset)
-    found = [rerender(renderer, material, lit.pick([k]), capture.pick([number])) for k, number in enumerate(capture.index)]
+    found = [rerender(renderer, material, lit.pick([k]), capture.pick([number]))
+             for k, number in enumerate(capture.index)]
     each = [error for _, error, _ in found]
     return torch.cat([images for images, _, _ in found]), (sum(e * e for e in each) / len(each)) ** 0.5, each

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import get_args
 
 from ..errors import ConfigError
+from ..io.entry import entry
 from ..material.maps import SVBRDF
-from ..system.entry import entry
 from ..views import Views, nine_view_grid
 from .textures import DEFAULTS, Bits, Export, ExportSettings, Naming, NormalConvention
 
@@ -19,7 +19,8 @@ FORMATS = ("gltf", "materialx", "usd", "mitsuba", "maps")
 @entry()
 def export_material(svbrdf: SVBRDF, out: str | Path, to: Sequence[str] = FORMATS, *,
                     settings: ExportSettings = DEFAULTS, views: Views | None = None) -> dict[str, Export]:
-    """Write ``out/FORMAT/`` for each format, with an ``export.json`` that says what every file holds, and how.
+    """Write ``out/FORMAT/`` for each format, with an ``export.json`` that says what every file holds, and
+    how.
 
     Args:
         svbrdf: the material, checked (:meth:`SVBRDF.check`).
@@ -44,7 +45,8 @@ def export_material(svbrdf: SVBRDF, out: str | Path, to: Sequence[str] = FORMATS
     done = {}
     for kind in dict.fromkeys(to):
         done[kind] = writers[kind](out / kind, svbrdf, settings)
-        done[kind].write(out / kind, format=kind, name=settings.name, bsdf=svbrdf.bsdf, size=svbrdf.resolution,
+        done[kind].write(out / kind, format=kind, name=settings.name, bsdf=svbrdf.bsdf,
+                         size=svbrdf.resolution,
                          side_metres=settings.side, licence=settings.licence, repeats=settings.repeats)
     return done
 
@@ -55,7 +57,8 @@ def check_options(to: Sequence[str], settings: ExportSettings = DEFAULTS) -> Non
         if kind not in FORMATS:
             raise ConfigError(f"formats of {', '.join(FORMATS)}", repr(kind), "choose of these")
     for what, value, literal in (("a naming", settings.naming, Naming),
-                                 ("a normal convention", settings.normal, NormalConvention), ("bits", settings.bits, Bits)):
+                                 ("a normal convention", settings.normal, NormalConvention),
+                                 ("bits", settings.bits, Bits)):
         choices = get_args(literal)
         if value not in choices:
             raise ConfigError(f"{what} of {', '.join(map(str, choices))}", repr(value), "choose one of these")

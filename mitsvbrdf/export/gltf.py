@@ -13,10 +13,10 @@ import torch
 from torch import Tensor
 
 from .. import __version__, color
+from ..io import files, images
 from ..material.conversion import as_shown, layered, relative_f0
 from ..material.maps import DIELECTRIC_F0, SVBRDF
 from ..material.relief import heights, occlusion
-from ..system import files, images
 from .residual import residual
 from .textures import DEFAULTS, LINEAR, SRGB, Export, ExportSettings, Texture, described, stored
 
@@ -25,13 +25,15 @@ FLOAT, UNSIGNED_SHORT = 5126, 5123
 CLAMP_TO_EDGE, REPEAT, LINEAR_FILTER, MIPMAPS = 33071, 10497, 9729, 9987
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 
-# The patch of docs/conventions.md, side 1, seen from +z. glTF's v grows downward: v = 0 is row 0 of the image, the top.
+# The patch of docs/conventions.md, side 1, seen from +z. glTF's v grows downward: v = 0 is row 0 of the
+# image, the top.
 CORNERS = ((-0.5, -0.5, 0.0), (0.5, -0.5, 0.0), (0.5, 0.5, 0.0), (-0.5, 0.5, 0.0))
 UVS = ((0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0))
 TRIANGLES = (0, 1, 2, 0, 2, 3)
 LAYER_NOTE = "glTF lets diffuse light through by 1 - max(F), ours by a sum: what is no metal is darker by F0, 4 %"
 NOTES = (
-    "glTF lets diffuse light through by 1 - max(F), ours by a sum: the base colour is diffuse / (1 - max(F0)), the same seen "
+    "glTF lets diffuse light through by 1 - max(F), ours by a sum: the base colour is diffuse / (1 - "
+    "max(F0)), the same seen "
     "from above, darker at grazing angles",
     "glTF's Fresnel curve is Schlick's, ours that of a real refractive index; F0 is the same",
     "roughness is ours: the GGX alpha is its square in both",
@@ -42,8 +44,9 @@ NOTES = (
 def write_gltf(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS) -> Export:
     """Write ``folder/material.glb``: base colour; occlusion, roughness and metallic packed; normal; and F0.
 
-    Base colour and metallic are those of :func:`mitsvbrdf.material.conversion.layered`: only what clearly is a metal is one.
-    ``KHR_materials_specular``, for ``roughconductor`` materials only, carries F0; viewers without it show 0.04.
+    Base colour and metallic are those of :func:`mitsvbrdf.material.conversion.layered`: only what clearly is
+    a metal is one. ``KHR_materials_specular``, for ``roughconductor`` materials only, carries F0; viewers
+    without it show 0.04.
 
     Args:
         folder: made when missing.
@@ -54,24 +57,28 @@ def write_gltf(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
     if svbrdf.bsdf == "roughconductor":
         material = layered(svbrdf, svbrdf["specular"].amax(dim=-1, keepdim=True))
         factor = relative_f0(svbrdf, DIELECTRIC_F0)
-        for kind, f0 in {"with KHR_materials_specular": factor, "without it": torch.ones_like(factor)}.items():
+        for kind, f0 in {"with KHR_materials_specular": factor,
+                         "without it": torch.ones_like(factor)}.items():
             f0 = f0 * DIELECTRIC_F0
             lost[kind] = residual(svbrdf, as_shown(material, f0, f0.amax(dim=-1, keepdim=True)))
     else:
         glass = torch.full_like(svbrdf["metallic"], DIELECTRIC_F0)
         lost = {"base colour as it is": residual(svbrdf, as_shown(svbrdf, glass, glass))}
-    shaded = occlusion(heights(svbrdf["normal"], settings.repeats), settings.repeats)[..., None].to(material["roughness"])
+    shaded = occlusion(heights(svbrdf["normal"], settings.repeats), settings.repeats)[...,
+                                                                                      None].to(material["roughness"])
     packed = torch.cat((shaded, material["roughness"], material["metallic"]), dim=-1)
     images = {"base_color": stored("base_color", material["base_color"]), "metallic_roughness": packed,
               "normal": stored("normal", material["normal"])}
     textures = [described(f"{FILE}: base_color", "base_color", 8),
-                Texture(f"{FILE}: metallic_roughness", "occlusion in R, roughness in G, metallic in B", LINEAR, 8),
+                Texture(f"{FILE}: metallic_roughness", "occlusion in R, roughness in G, metallic in B",
+                        LINEAR, 8),
                 described(f"{FILE}: normal", "normal", 8)]
     extension = {}
     if factor is not None:
         largest = max(float(factor.max()), 1.0)  # a texture ends at 1, the factor beside it does not
         images["specular_color"] = color.encode(factor / largest, "srgb")
-        textures.append(Texture(f"{FILE}: specular_color", f"factor on the dielectric F0 of 0.04, divided by {largest:.6g}",
+        textures.append(Texture(f"{FILE}: specular_color", "factor on the dielectric F0 of 0.04, divided "
+                                                           f"by {largest:.6g}",
                                 SRGB, 8))
         extension = {"specularColorFactor": [largest] * 3, "specularColorTexture": {"index": 3}}
     files.write_bytes(folder / FILE, _glb(images, extension, settings))
@@ -90,7 +97,8 @@ def _glb(textures: dict[str, Tensor], specular: dict, settings: ExportSettings) 
     def accessor(rows: tuple, kind: str) -> dict:
         numbers = [x for row in rows for x in row]
         ends = {"min": [min(c) for c in zip(*rows)], "max": [max(c) for c in zip(*rows)]}
-        return {"bufferView": add(struct.pack(f"<{len(numbers)}f", *numbers), target=ARRAY_BUFFER), "componentType": FLOAT,
+        return {"bufferView": add(struct.pack(f"<{len(numbers)}f", *numbers), target=ARRAY_BUFFER),
+                "componentType": FLOAT,
                 "count": len(rows), "type": kind, **ends}
 
     # The tangent is +x and, with w = 1, the bitangent cross(normal, tangent) = +y: the up of our normal maps.
@@ -110,7 +118,8 @@ def _glb(textures: dict[str, Tensor], specular: dict, settings: ExportSettings) 
         "asset": {"version": "2.0", "generator": f"mitsvbrdf {__version__}"} | copyright,
         "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"name": "patch", "mesh": 0}],
         "meshes": [{"name": "patch", "primitives": [{
-            "attributes": {"POSITION": 0, "NORMAL": 1, "TANGENT": 2, "TEXCOORD_0": 3}, "indices": 4, "material": 0}]}],
+            "attributes": {"POSITION": 0, "NORMAL": 1, "TANGENT": 2, "TEXCOORD_0": 3}, "indices": 4,
+            "material": 0}]}],
         "materials": [material], "accessors": accessors, "bufferViews": views, "images": pictures,
         "samplers": [{"magFilter": LINEAR_FILTER, "minFilter": MIPMAPS, "wrapS": wrap, "wrapT": wrap}],
         "textures": [{"name": name, "sampler": 0, "source": k} for k, name in enumerate(textures)],
@@ -123,7 +132,9 @@ def _glb(textures: dict[str, Tensor], specular: dict, settings: ExportSettings) 
 
 
 def _container(*chunks: tuple[bytes, bytes, bytes]) -> bytes:
-    """GLB version 2: each chunk is kind, content and what to fill it up with to a multiple of four bytes (section 4.4)."""
+    """GLB version 2: each chunk is kind, content and what to fill it up with to a multiple of four bytes
+    (section 4.4).
+    """
     body = b""
     for kind, content, filling in chunks:
         content += filling * (-len(content) % 4)

@@ -8,46 +8,53 @@ from pathlib import Path
 
 import torch
 
+from ..io import files
 from ..material.conversion import as_shown, layered
 from ..material.map_files import ENCODINGS
 from ..material.maps import DIELECTRIC_F0, SVBRDF
 from ..material.relief import heights, occlusion
-from ..system import files
 from .residual import residual
 from .textures import DEFAULTS, NORMALS, Export, ExportSettings, write_texture
 
-# File name of each map; NAME stands for the material's. "own" has both parameter sets; with OpenGL normals load_maps reads it.
+# File name of each map; NAME stands for the material's. "own" has both parameter sets; with OpenGL normals
+# load_maps reads it.
 FILE_NAMES: dict[str, dict[str, str]] = {
     "own": {"diffuse": "diffuse", "specular": "specular", "base_color": "base_color", "metallic": "metallic",
-            "roughness": "roughness", "normal gl": "normal", "normal dx": "normal_dx", "specular_level": "specular_level",
+            "roughness": "roughness", "normal gl": "normal", "normal dx": "normal_dx",
+            "specular_level": "specular_level",
             "height": "height", "occlusion": "occlusion", "packed": "occlusion_roughness_metallic"},
     "polyhaven": {"base_color": "NAME_diff", "metallic": "NAME_metal", "roughness": "NAME_rough",
                   "normal gl": "NAME_nor_gl", "normal dx": "NAME_nor_dx", "specular_level": "NAME_spec",
                   "height": "NAME_disp", "occlusion": "NAME_ao", "packed": "NAME_arm"},
     "ambientcg": {"base_color": "NAME_Color", "metallic": "NAME_Metalness", "roughness": "NAME_Roughness",
-                  "normal gl": "NAME_NormalGL", "normal dx": "NAME_NormalDX", "specular_level": "NAME_Specular",
+                  "normal gl": "NAME_NormalGL", "normal dx": "NAME_NormalDX",
+                  "specular_level": "NAME_Specular",
                   "height": "NAME_Displacement", "occlusion": "NAME_AmbientOcclusion"},
     "substance": {"base_color": "NAME_BaseColor", "metallic": "NAME_Metallic", "roughness": "NAME_Roughness",
-                  "normal gl": "NAME_Normal_OpenGL", "normal dx": "NAME_Normal_DirectX", "specular_level": "NAME_SpecularLevel",
+                  "normal gl": "NAME_Normal_OpenGL", "normal dx": "NAME_Normal_DirectX",
+                  "specular_level": "NAME_SpecularLevel",
                   "height": "NAME_Height", "occlusion": "NAME_AmbientOcclusion", "packed": "NAME_ORM"},
-    "materialgan": {"diffuse": "dif", "specular": "spe", "roughness": "rgh", "normal gl": "nom", "normal dx": "nom_dx"},
+    "materialgan": {"diffuse": "dif", "specular": "spe", "roughness": "rgh", "normal gl": "nom",
+                    "normal dx": "nom_dx"},
 }
 # Where the size stands in the name, of sizes that have one: 1K is 1024 texels.
 SIZED = {"polyhaven": "NAME_{map}_{size}k", "ambientcg": "NAME_{size}K_{map}"}
 LONGEST = 100  # letters of a material's name in file names; more would not fit every file system
 FULL_LEVEL = 0.08  # F0 of specular level 1, in Blender, Unreal and Substance; 0.5 is 0.04
 LOSSY_NOTE = (
-    "metallic is 0 or 1: base colour is F0 of metals, and of all else diffuse / (1 - F0), for most programs lay the highlight "
-    "over the diffuse light; the specular level (Blender's Specular IOR Level, F0 = 0.08 times it) has F0 up to 0.08")
+    "metallic is 0 or 1: base colour is F0 of metals, and of all else diffuse / (1 - F0), for most programs "
+    "lay the highlight "
+    "over the diffuse light; the specular level (Blender's Specular IOR Level, F0 = 0.08 times it) has F0 "
+    "up to 0.08")
 GAMMA_NOTE = "MaterialGAN's programs take dif, spe and rgh for gamma 2.2: here dif and spe are sRGB and rgh is linear"
 
 
 def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS) -> Export:
     """Write the maps of a preset into the folder: colours sRGB, the rest linear, whatever the preset.
 
-    Beside what a fit finds there are the height that the normals stand for (plus 0.5: at a displacement's scale of 1 and
-    middle of 0.5 it is right on a square of side 1), ambient occlusion by it, and occlusion, roughness and metallic packed in
-    the channels of one file.
+    Beside what a fit finds there are the height that the normals stand for (plus 0.5: at a displacement's
+    scale of 1 and middle of 0.5 it is right on a square of side 1), ambient occlusion by it, and occlusion,
+    roughness and metallic packed in the channels of one file.
 
     Args:
         folder: made when missing.
@@ -65,22 +72,26 @@ def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
                          "without it": torch.full_like(level, DIELECTRIC_F0)}.items():
             lost[kind] = residual(svbrdf, as_shown(material, f0, f0))
     height = heights(svbrdf["normal"], settings.repeats)
-    both |= {**material.maps, "specular_level": level, "occlusion": occlusion(height, settings.repeats).float()[..., None],
+    both |= {**material.maps, "specular_level": level, "occlusion": occlusion(height,
+                                                                              settings.repeats).float()[...,
+                                                                                                        None],
              "height": (height + 0.5).clamp(0, 1)[..., None]}
     both["packed"] = torch.cat((both["occlusion"], both["roughness"], both["metallic"]), dim=-1)
     unit = f"the patch's side, {side:.6g} metres" if side else "the patch's side"
-    holds = {"packed": "occlusion in R, roughness in G, metallic in B", "height": f"height over {unit}, plus 0.5"}
+    holds = {"packed": "occlusion in R, roughness in G, metallic in B",
+             "height": f"height over {unit}, plus 0.5"}
     chosen = {key.removesuffix(f" {normal}"): file for key, file in FILE_NAMES[naming].items()}
     written = []
     for key, file in chosen.items():
         if key in both and not (key == "specular_level" and svbrdf.bsdf == "principled"):
-            texture = write_texture(folder, f"{_named(file, settings.name, naming, svbrdf.resolution)}.png", key, both[key],
-                                    16 if key == "height" else settings.bits, normal)
+            texture = write_texture(folder, f"{_named(file, settings.name, naming, svbrdf.resolution)}.png",
+                                    key, both[key], 16 if key == "height" else settings.bits, normal)
             written.append(replace(texture, holds=holds.get(key, key)))
     if naming in ("own", "materialgan"):  # names that load_maps knows
         files.write_json(folder / "material.json", {
             "bsdf": "roughconductor" if naming == "materialgan" else svbrdf.bsdf, "size": svbrdf.resolution,
-            "encoding": {key: code for key, code in ENCODINGS["srgb"].items() if key in chosen} | {"normal": NORMALS[normal]}})
+            "encoding": {key: code for key, code in ENCODINGS["srgb"].items() if key in chosen}
+            | {"normal": NORMALS[normal]}})
     lossy = bool(lost) and "metallic" in chosen
     notes = ((LOSSY_NOTE,) if lossy else ()) + ((GAMMA_NOTE,) if naming == "materialgan" else ())
     return Export(tuple(texture.file for texture in written), tuple(written), notes, lost if lossy else None)

@@ -1,7 +1,8 @@
-"""The material as MaterialX documents with image textures: ``standard_surface``, and OpenPBR for those who read 1.39.
+"""The material as MaterialX documents with image textures: ``standard_surface``, and OpenPBR for those who
+read 1.39.
 
-Source: MaterialX specification 1.38 and 1.39; Autodesk Standard Surface (Georgiev et al. 2019) and OpenPBR Surface 1.1, whose
-roughness is the square root of the GGX alpha, as ours.
+Source: MaterialX specification 1.38 and 1.39; Autodesk Standard Surface (Georgiev et al. 2019) and OpenPBR
+Surface 1.1, whose roughness is the square root of the GGX alpha, as ours.
 """
 
 from __future__ import annotations
@@ -13,10 +14,10 @@ from typing import NamedTuple
 
 import torch
 
+from ..io import files, images
 from ..material.conversion import as_shown, layered, relative_f0, usual_f0
 from ..material.maps import DIELECTRIC_F0, SVBRDF
 from ..render.bsdf import index_from_f0
-from ..system import files, images
 from .residual import residual
 from .textures import DEFAULTS, SRGB, Export, ExportSettings, Texture, stored, write_texture
 
@@ -37,7 +38,8 @@ SURFACES = {
     "openpbr.mtlx": Surface("1.39", "open_pbr_surface", {
         "base_color": "base_color", "metallic": "base_metalness", "specular_color": "specular_color",
         "roughness": "specular_roughness", "normal": "geometry_normal"}, "specular_ior")}
-SPECULAR_NOTE = ("one refractive index for all that is no metal, for viewers cannot read a map of it; specular_color is F0 "
+SPECULAR_NOTE = ("one refractive index for all that is no metal, for viewers cannot read a map of it; "
+                 "specular_color is F0 "
                  "over the index's: F0 is exact, and grazing light scaled alike")
 LAYER_NOTE = "the specular lobe lies over the diffuse one, which gets what is left of the light; ours is a sum"
 
@@ -61,7 +63,8 @@ def write_materialx(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEF
     if svbrdf.bsdf == "roughconductor":
         file = "textures/specular_color.png"
         images.write_png(folder / file, stored("specular", relative / largest), settings.bits)
-        written["specular_color"] = Texture(file, f"F0 over {level:.6g}, divided by {largest:.6g}", SRGB, settings.bits)
+        written["specular_color"] = Texture(file, f"F0 over {level:.6g}, divided by {largest:.6g}", SRGB,
+                                            settings.bits)
     index = float(index_from_f0(torch.tensor(level)))
     for file, surface in SURFACES.items():
         files.write_bytes(folder / file, _document(surface, written, index, largest, settings.repeats))
@@ -88,7 +91,8 @@ def _document(surface: Surface, textures: Mapping[str, Texture], index: float, l
         source = f"{name}_image"
         if texture.normal:
             source = f"{name}_map"
-            _input(ET.SubElement(graph, "normalmap", name=source, type="vector3"), "in", "vector3", nodename=f"{name}_image")
+            _input(ET.SubElement(graph, "normalmap", name=source, type="vector3"), "in", "vector3",
+                   nodename=f"{name}_image")
         if name == "specular_color" and largest > 1:
             source = f"{name}_scaled"
             scaled = ET.SubElement(graph, "multiply", name=source, type="color3")

@@ -1,4 +1,6 @@
-"""The fitted material as a Mitsuba scene file: ``scenes/patch.xml`` with the material and one view filled in."""
+"""The fitted material as a Mitsuba scene file: ``scenes/patch.xml`` with the material and one view filled
+in.
+"""
 
 from __future__ import annotations
 
@@ -8,30 +10,35 @@ from pathlib import Path
 
 import torch
 
+from ..io import files, images
+from ..io.entry import entry
 from ..material.maps import SVBRDF, Bsdf
 from ..render.bsdf import plugin, slot_values
 from ..render.needs import Needs
-from ..system import files, images
-from ..system.entry import entry
 from ..views import Views
 from .textures import DEFAULTS, LINEAR, NORMALS, Export, ExportSettings, Texture
 
 # Beside the package in a checkout, inside it when installed from a wheel.
-SCENES = next((p for p in (Path(__file__).parents[1] / "scenes", Path(__file__).parents[2] / "scenes") if p.is_dir()),
+SCENES = next((p for p in (Path(__file__).parents[1] / "scenes", Path(__file__).parents[2] / "scenes")
+               if p.is_dir()),
               Path("scenes"))
 
 LIGHT_NOTE = "the light of scene.xml falls off with 1 / d^2, whatever the fit's did"
-HOLDS = {"diffuse_x2": "diffuse, times 2 for the blend of two lobes", "alpha": "GGX alpha, the square of roughness",
-         "specular_x2": "F0 over what eta gives (1 but at the ends of its range), times 2 for the blend of two lobes",
+HOLDS = {"diffuse_x2": "diffuse, times 2 for the blend of two lobes",
+         "alpha": "GGX alpha, the square of roughness",
+         "specular_x2": "F0 over what eta gives (1 but at the ends of its range), times 2 for the blend of "
+                        "two lobes",
          "eta": "refractive index with this F0"}
 
 
 @entry()
 def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
-    """Write ``out/scene.xml`` and its float textures ``out/scene/*.exr``; plain Mitsuba loads it in any RGB variant.
+    """Write ``out/scene.xml`` and its float textures ``out/scene/*.exr``; plain Mitsuba loads it in any RGB
+    variant.
 
-    The scene shows the first view, in units of the patch side, one unjittered sample a pixel. A ``roughconductor``
-    material gets its real Fresnel curve, so that it may be lit from anywhere. The light falls off with 1 / d^2.
+    The scene shows the first view, in units of the patch side, one unjittered sample a pixel. A
+    ``roughconductor`` material gets its real Fresnel curve, so that it may be lit from anywhere. The light
+    falls off with 1 / d^2.
 
     Args:
         out: folder; made when missing.
@@ -39,7 +46,8 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
         views: at least one view.
     """
     out, svbrdf = Path(out), svbrdf.detach().to(torch.float32)
-    slots = slot_values(svbrdf.bsdf, dict(svbrdf.maps), Needs(), stock=True)  # to be lit and looked at from anywhere
+    # to be lit and looked at from anywhere
+    slots = slot_values(svbrdf.bsdf, dict(svbrdf.maps), Needs(), stock=True)
     for slot, value in slots.items():
         images.write_exr(out / "scene" / f"{slot}.exr", value)
 
@@ -59,7 +67,8 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
 
 
 def write_material(out: str | Path, bsdf: Bsdf, repeats: bool = False) -> Path:
-    """Write ``out/bsdf.json``, the material of :func:`write_scene` as the dictionary that ``mitsuba.load_dict`` takes.
+    """Write ``out/bsdf.json``, the material of :func:`write_scene` as the dictionary that
+    ``mitsuba.load_dict`` takes.
 
     JSON has no transforms: each ``to_uv`` is a 4 x 4 list, to be made a ``ScalarTransform4f`` when loading.
 
@@ -74,13 +83,15 @@ def write_material(out: str | Path, bsdf: Bsdf, repeats: bool = False) -> Path:
     return path
 
 
-def write_mitsuba(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS, *, views: Views) -> Export:
+def write_mitsuba(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS, *,
+                  views: Views) -> Export:
     """Scene and material for Mitsuba 3; see :func:`write_scene` and :func:`write_material`."""
     write_scene(folder, svbrdf, views)
     write_material(folder, svbrdf.bsdf, settings.repeats)
     slots = slot_values(svbrdf.bsdf, dict(svbrdf.maps), Needs(), stock=True)
     normals = {"normal": NORMALS["gl"]}
-    textures = tuple(Texture(f"scene/{slot}.exr", HOLDS.get(slot, slot), LINEAR, 32, normals.get(slot)) for slot in slots)
+    textures = tuple(Texture(f"scene/{slot}.exr", HOLDS.get(slot, slot), LINEAR, 32, normals.get(slot))
+                     for slot in slots)
     return Export(("scene.xml", "bsdf.json"), textures, (LIGHT_NOTE,))
 
 
@@ -97,7 +108,8 @@ def view_parameters(views: Views, resolution: int) -> dict[str, str]:
     """The parameters of ``scenes/patch.xml`` that show the first view in R x R pixels, by name."""
     view = next(iter(views.in_patch_sides().pick([0])))
     (x, y, z), light = view.camera, view.light
-    values = {"camera_x": x, "camera_y": y, "camera_z": z, "field_of_view": math.degrees(2 * math.atan(0.5 / z)),
+    values = {"camera_x": x, "camera_y": y, "camera_z": z,
+              "field_of_view": math.degrees(2 * math.atan(0.5 / z)),
               "shift_x": -x, "shift_y": y, "light_x": light[0], "light_y": light[1], "light_z": light[2]}
     return {k: repr(v) for k, v in values.items()} | {
         "resolution": str(resolution), "intensity": ", ".join(map(repr, view.intensity))}

@@ -1,4 +1,6 @@
-"""Texture files, and what a reader has to know of each: what it holds, its colour space and its normal convention."""
+"""Texture files, and what a reader has to know of each: what it holds, its colour space and its normal
+convention.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +12,8 @@ import torch
 from torch import Tensor
 
 from .. import __version__, color
+from ..io import files, images
 from ..material.maps import COLOURS
-from ..system import files, images
 
 Bits = Literal[8, 16]
 Naming = Literal["own", "polyhaven", "ambientcg", "substance", "materialgan"]
@@ -30,9 +32,11 @@ class ExportSettings:
         naming: file names of ``maps``.
         normal: of ``maps``; all other formats define theirs, which is OpenGL's.
         bits: of PNG files; colours of ``usd`` and all of ``gltf`` have 8, heights 16.
-        side: of the patch in metres, for the sizes of meshes and heights; left out: the mesh has side 1, of whatever it is.
+        side: of the patch in metres, for the sizes of meshes and heights; left out: the mesh has side 1, of
+            whatever it is.
         licence: what users may do with it, in every ``export.json`` and in the GLB.
-        repeats: whether its edges meet (:func:`mitsvbrdf.material.tiling.seamless`): textures then repeat, and heights go on.
+        repeats: whether its edges meet (:func:`mitsvbrdf.material.tiling.seamless`): textures then repeat,
+            and heights go on.
     """
 
     name: str = "material"
@@ -83,10 +87,12 @@ def stored(name: str, value: Tensor, normal: NormalConvention = "gl") -> Tensor:
 
 def described(file: str, name: str, bits: int, normal: NormalConvention = "gl") -> Texture:
     """What to say of a map stored as :func:`stored` does."""
-    return Texture(file, name, SRGB if name in COLOURS else LINEAR, bits, NORMALS[normal] if name == "normal" else None)
+    return Texture(file, name, SRGB if name in COLOURS else LINEAR, bits, NORMALS[normal] if name == "normal"
+                   else None)
 
 
-def write_texture(folder: Path, file: str, name: str, value: Tensor, bits: Bits, normal: NormalConvention = "gl") -> Texture:
+def write_texture(folder: Path, file: str, name: str, value: Tensor, bits: Bits,
+                  normal: NormalConvention = "gl") -> Texture:
     """Write ``folder/file``, a PNG of a linear map."""
     images.write_png(folder / file, stored(name, value, normal), bits)
     return described(file, name, bits, normal)
@@ -100,7 +106,8 @@ class Export:
         files: the files to open, relative to the folder.
         textures: all textures.
         notes: what the format cannot say, and what it says in another way.
-        conversion: what is lost on the way, by kind of conversion; see :func:`mitsvbrdf.export.residual.residual`.
+        conversion: what is lost on the way, by kind of conversion; see
+            :func:`mitsvbrdf.export.residual.residual`.
     """
 
     files: tuple[str, ...]

@@ -1,8 +1,10 @@
-"""The material as USD text: ``UsdPreviewSurface``, and beside it MaterialX's ``standard_surface`` for those who read that.
+"""The material as USD text: ``UsdPreviewSurface``, and beside it MaterialX's ``standard_surface`` for those
+who read that.
 
 ``material.usda`` is the material alone, to be referenced and bound; ``patch.usda`` is a square that wears it.
 
-Source: UsdPreviewSurface specification 2.6 (Pixar), metallic workflow; MaterialX in USD (UsdMtlx, ``config:mtlx:version``).
+Source: UsdPreviewSurface specification 2.6 (Pixar), metallic workflow; MaterialX in USD (UsdMtlx,
+``config:mtlx:version``).
 """
 
 from __future__ import annotations
@@ -12,10 +14,10 @@ from pathlib import Path
 
 import torch
 
+from ..io import files, images
 from ..material.conversion import as_shown, layered, relative_f0, usual_f0
 from ..material.maps import COLOURS, DIELECTRIC_F0, SVBRDF
 from ..render.bsdf import index_from_f0
-from ..system import files, images
 from .residual import residual
 from .textures import DEFAULTS, LINEAR, SRGB, Export, ExportSettings, Texture, stored, write_texture
 
@@ -23,16 +25,20 @@ MATERIAL, PATCH = "material.usda", "patch.usda"
 HIGHEST_F0 = 0.9  # of what is no metal: a refractive index of 38
 LAYER_NOTE = "the specular lobe takes its light from the diffuse one, ours is a sum: what is no metal is darker by F0, 4 %"
 NOTES = (
-    "metallic workflow: importers (Blender 4.5, three.js) pass the specular one by; F0 of what is no metal is grey, a texture "
-    "of the refractive index, beside one index for all where a reader takes no texture; the MaterialX shader has it in colour",
-    "UsdPreviewSurface lets diffuse light through by what the specular lobe leaves, where ours is a sum: diffuseColor is "
+    "metallic workflow: importers (Blender 4.5, three.js) pass the specular one by; F0 of what is no metal "
+    "is grey, a texture "
+    "of the refractive index, beside one index for all where a reader takes no texture; the MaterialX "
+    "shader has it in colour",
+    "UsdPreviewSurface lets diffuse light through by what the specular lobe leaves, where ours is a sum: "
+    "diffuseColor is "
     "diffuse / (1 - F0), the same seen from above",
     "its Fresnel curve is Schlick's, ours that of a real refractive index; F0 is the same",
     "colours have 8 bits: GPUs decode sRGB from 8 bits only",
 )
 PREVIEW = {"base_color": "color3f diffuseColor", "metallic": "float metallic", "roughness": "float roughness",
            "normal": "normal3f normal", "ior": "float ior"}
-MTLX = {"base_color": "color3f base_color", "metallic": "float metalness", "roughness": "float specular_roughness",
+MTLX = {"base_color": "color3f base_color", "metallic": "float metalness",
+        "roughness": "float specular_roughness",
         "normal": "float3 normal", "specular_color": "color3f specular_color"}
 
 # st = (0, 0) is the lower left corner of an image, so row 0 of it is the top of the patch.
@@ -83,7 +89,8 @@ def write_usd(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS)
     if svbrdf.bsdf == "roughconductor":
         f0, usual = svbrdf["specular"].mean(dim=-1, keepdim=True).clamp_max(HIGHEST_F0), usual_f0(svbrdf)
         material = layered(svbrdf, f0)
-        for kind, level in {"preview surface": f0, "preview surface, one refractive index": torch.full_like(f0, usual)}.items():
+        for kind, level in {"preview surface": f0,
+                            "preview surface, one refractive index": torch.full_like(f0, usual)}.items():
             lost[kind] = residual(svbrdf, as_shown(material, level, level))
         beyond = index_from_f0(torch.where(material["metallic"] > 0, DIELECTRIC_F0, f0)) - 1
         most = max(float(beyond.max()), 1e-6)
@@ -99,13 +106,15 @@ def write_usd(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS)
         glass = torch.full_like(svbrdf["metallic"], DIELECTRIC_F0)
         lost = {"base colour as it is": residual(svbrdf, as_shown(svbrdf, glass, glass))}
     for name, value in material.maps.items():
-        textures[name] = write_texture(folder, f"textures/{name}.png", name, value, 8 if name in COLOURS else settings.bits)
+        textures[name] = write_texture(folder, f"textures/{name}.png", name, value, 8 if name in COLOURS
+                                       else settings.bits)
     text = _material(textures, float(index_from_f0(torch.tensor(usual))), decoding, largest, settings.repeats)
     alone = STAGE.format(prim="material", unit=1, content=text.format(at="/material"))
     half = (100 * settings.side if settings.side else 1.0) / 2
     worn = SQUARE.format(h=f"{half:.7g}", material=_indented(text.format(at="/patch/material")))
     files.write_bytes(folder / MATERIAL, alone.encode())
-    files.write_bytes(folder / PATCH, STAGE.format(prim="patch", unit=0.01 if settings.side else 1, content=worn).encode())
+    files.write_bytes(folder / PATCH, STAGE.format(prim="patch", unit=0.01 if settings.side else 1,
+                                                   content=worn).encode())
     notes = NOTES if svbrdf.bsdf == "roughconductor" else (LAYER_NOTE, *NOTES[2:])
     return Export((MATERIAL, PATCH), tuple(textures.values()), notes, lost)
 
@@ -121,7 +130,8 @@ def _material(textures: Mapping[str, Texture], index: float, decoding: Mapping[s
         largest: what the texture of ``specular_color`` is multiplied by.
         repeats: whether textures go on beyond their edges.
     """
-    surface, mtlx, nodes = [f"float inputs:ior = {index:.7g}"], [f"float inputs:specular_IOR = {index:.7g}"], []
+    surface, mtlx, nodes = [f"float inputs:ior = {index:.7g}"], [
+        f"float inputs:specular_IOR = {index:.7g}"], []
     for name, texture in textures.items():
         if name in PREVIEW:
             kind, entry = PREVIEW[name].split()
@@ -134,9 +144,12 @@ def _material(textures: Mapping[str, Texture], index: float, decoding: Mapping[s
             more, source = _mtlx_texture(f"mtlx_{name}", texture, kind, scale, repeats)
             nodes += more
             mtlx.append(f"{kind} inputs:{entry}.connect = <{{at}}/{source}.outputs:out>")
-    shaders = [_shader("surface", "UsdPreviewSurface", "token outputs:surface", "int inputs:useSpecularWorkflow = 0", *surface),
-               _shader("mtlx", "ND_standard_surface_surfaceshader", "token outputs:out", "float inputs:base = 1", *mtlx),
-               _shader("st", "UsdPrimvarReader_float2", "float2 outputs:result", 'string inputs:varname = "st"'), *nodes]
+    shaders = [_shader("surface", "UsdPreviewSurface", "token outputs:surface",
+                       "int inputs:useSpecularWorkflow = 0", *surface),
+               _shader("mtlx", "ND_standard_surface_surfaceshader", "token outputs:out",
+                       "float inputs:base = 1", *mtlx),
+               _shader("st", "UsdPrimvarReader_float2", "float2 outputs:result",
+                       'string inputs:varname = "st"'), *nodes]
     return '''def Material "material" (
     prepend apiSchemas = ["MaterialXConfigAPI"]
 )
@@ -152,10 +165,12 @@ def _uv_texture(name: str, texture: Texture, channels: str, decoding: tuple | No
     numbers = [f"float4 inputs:{key} = ({', '.join(f'{x:.7g}' for x in value)})"
                for key, value in zip(("scale", "bias"), decoding or ())]
     kind = "float3" if channels == "rgb" else "float"
-    return _shader(name, "UsdUVTexture", f"{kind} outputs:{channels}", f"asset inputs:file = @./{texture.file}@",
+    return _shader(name, "UsdUVTexture", f"{kind} outputs:{channels}",
+                   f"asset inputs:file = @./{texture.file}@",
                    "float2 inputs:st.connect = <{at}/st.outputs:result>",
                    f'token inputs:sourceColorSpace = "{"sRGB" if texture.colour_space == SRGB else "raw"}"',
-                   *(f'token inputs:wrap{axis} = "{"repeat" if repeats else "clamp"}"' for axis in "ST"), *numbers)
+                   *(f'token inputs:wrap{axis} = "{"repeat" if repeats else "clamp"}"' for axis in "ST"),
+                   *numbers)
 
 
 def _mtlx_texture(name: str, texture: Texture, kind: str, largest: float | None,
@@ -163,15 +178,18 @@ def _mtlx_texture(name: str, texture: Texture, kind: str, largest: float | None,
     """The image node and what decodes it, and the name of the last of them."""
     node = {"color3f": "color3", "float3": "vector3", "float": "float"}[kind]
     space = ' (\n        colorSpace = "srgb_texture"\n    )' if texture.colour_space == SRGB else ""
-    nodes = [_shader(name, f"ND_image_{node}", f"{kind} outputs:out", f"asset inputs:file = @./{texture.file}@{space}",
-                     *(f'string inputs:{axis}addressmode = "{"periodic" if repeats else "clamp"}"' for axis in "uv"))]
+    nodes = [_shader(name, f"ND_image_{node}", f"{kind} outputs:out",
+                     f"asset inputs:file = @./{texture.file}@{space}",
+                     *(f'string inputs:{axis}addressmode = "{"periodic" if repeats else "clamp"}"'
+                       for axis in "uv"))]
     if texture.normal:
         nodes.append(_shader(f"{name}map", "ND_normalmap_float", "float3 outputs:out",
                              f"float3 inputs:in.connect = <{{at}}/{name}.outputs:out>"))
         return nodes, f"{name}map"
     if largest is not None:
         nodes.append(_shader(f"{name}_scaled", "ND_multiply_color3FA", "color3f outputs:out",
-                             f"color3f inputs:in1.connect = <{{at}}/{name}.outputs:out>", f"float inputs:in2 = {largest:.7g}"))
+                             f"color3f inputs:in1.connect = <{{at}}/{name}.outputs:out>",
+                             f"float inputs:in2 = {largest:.7g}"))
         return nodes, f"{name}_scaled"
     return nodes, name
 

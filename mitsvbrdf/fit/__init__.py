@@ -11,11 +11,11 @@ from torch import Tensor
 
 from ..capture import Capture
 from ..errors import ConfigError
+from ..io.entry import entry
+from ..io.profile import profile_summary, profiled
 from ..material.maps import SVBRDF
 from ..measure.rerender import rerender
 from ..render import Renderer
-from ..system.entry import entry
-from ..system.profile import profile_summary, profiled
 from ..views import Views, shift_lights
 from .confidence import deviations
 from .config import DirectConfig, FitConfig, HierarchicalConfig, HybridConfig
@@ -38,18 +38,21 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     """Recover a material from photos.
 
     Args:
-        capture: photos and views. Where it has none, they are estimated from the photos first, but for the paper's method
-            (:mod:`mitsvbrdf.calibrate.estimate`); of one or two photos the default geometry stays.
+        capture: photos and views. Where it has none, they are estimated from the photos first, but for the
+            paper's method (:mod:`mitsvbrdf.calibrate.estimate`); of one or two photos the default geometry
+            stays.
         renderer: carries the gradients and draws the comparison.
         config: which method and its settings; left out, ``HierarchicalConfig()``.
         checkpoint: file (.safetensors) to keep the running state in.
         resume: checkpoint to continue from; bit-equal to an uninterrupted run of the same options on a CPU.
         report: called with (trace entry, share done) after each measurement.
-        live: file (.safetensors) that shows the running fit and stays with its last state; ``OUT/.partial/live.safetensors``
-            is what ``mitsvbrdf view OUT`` looks for. Fitted is the same bits without it.
+        live: file (.safetensors) that shows the running fit and stays with its last state;
+            ``OUT/.partial/live.safetensors`` is what ``mitsvbrdf view OUT`` looks for. Fitted is the same
+            bits without it.
 
     Returns:
-        The result with the lowest re-rendering error met (``hierarchical``: the last); Ctrl-C ends the fit early with it.
+        The result with the lowest re-rendering error met (``hierarchical``: the last); Ctrl-C ends the fit
+        early with it.
 
     Raises:
         ConfigError: options out of range, or a checkpoint of another fit.
@@ -81,8 +84,8 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
         svbrdf=svbrdf, views=views, guess=task.guess, rerendered=images, rerender_rmse=total, per_photo=each,
         calibrated_rmse=_calibrated_rmse(svbrdf, views, capture, renderer, moved.mean(dim=0), told),
         trace=loop.trace, config=config, renderer=renderer.name, variant=renderer.variant,
-        left_out=(*left_out(task, views), *method.left_out), used=tuple(used(task)), stopped=stopped, undone=tuple(loop.undone),
-        restarts=tuple(loop.restarts), deviations=spreads,
+        left_out=(*left_out(task, views), *method.left_out), used=tuple(used(task)), stopped=stopped,
+        undone=tuple(loop.undone), restarts=tuple(loop.restarts), deviations=spreads,
         flash_offset=tuple(offset) if offset else None, profile=profile_summary(),
         calibration=views_record(capture, views, task.estimated, *method.views_deviation, told))
     return replace(result, warnings=(*capture.notes[len(stated):], *fit_warnings(result, capture)))
@@ -90,12 +93,15 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
 
 def _calibrated_rmse(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Renderer, offset: Tensor,
                      told: float | None) -> float | None:
-    """The error with stated views and what all photos share; None where the fit moved no view by itself, or none is stated."""
+    """The error with stated views and what all photos share; None where the fit moved no view by itself, or
+    none is stated.
+    """
     given = capture.views
     x, y = (offset[:2] / given.size).tolist()
     stated = replace(shift_lights(given, (x, y)), intensity=given.intensity * (told or 1.0))
     pairs = ((stated.camera, views.camera), (stated.light, views.light), (stated.intensity, views.intensity))
-    if not capture.calibrated or all(torch.allclose(one, other.to(one.dtype), rtol=1e-6) for one, other in pairs):
+    if not capture.calibrated or all(torch.allclose(one, other.to(one.dtype), rtol=1e-6)
+                                     for one, other in pairs):
         return None
     return rerender(renderer, svbrdf, stated, capture)[1]
 
@@ -103,7 +109,8 @@ def _calibrated_rmse(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: R
 @entry(gradients=True)
 def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint: Path,
              report: Callable[[dict, float], None] | None = None) -> None:
-    """The paper's first stage (III.F): train the generator on one picture and keep its weights in ``checkpoint``.
+    """The paper's first stage (III.F): train the generator on one picture and keep its weights in
+    ``checkpoint``.
 
     Args:
         capture: its first photo is used.
@@ -114,7 +121,8 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
     """
     if not config.of_paper or config.pretrained:
         raise ConfigError("a preset of the paper, from untrained weights",
-                          f"preset {config.preset}" + (f" from {config.pretrained}" if config.pretrained else ""),
+                          f"preset {config.preset}" + (f" from {config.pretrained}" if config.pretrained
+                                                       else ""),
                           'give GanConfig(preset="paper-one-stage", ...) without pretrained')
     config = replace(config, preset="paper-one-stage",
                      iterations=config.iterations or (None if config.budget else 10_000))
@@ -122,5 +130,6 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
     Loop(make_method(FitTask(one, renderer, config)), one, renderer, config, checkpoint, report).run()
 
 
-__all__ = ["DirectConfig", "FitConfig", "FitResult", "FitTask", "GanConfig", "HierarchicalConfig", "HybridConfig",
+__all__ = ["DirectConfig", "FitConfig", "FitResult", "FitTask", "GanConfig", "HierarchicalConfig",
+           "HybridConfig",
            "fit_svbrdf", "left_out", "make_method", "pretrain"]

@@ -15,13 +15,13 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from ..errors import ConfigError
-from ..system.files import beside, to_disk
+from ..io.files import atomic_write, to_disk
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], note: dict) -> None:
     """A safetensors file: plain tensors, and a note as JSON text. Loading it runs no code."""
     tensors, text = {k: v.detach().contiguous().clone() for k, v in tensors.items()}, json.dumps(note)
-    with beside(path) as temporary:
+    with atomic_write(path) as temporary:
         try:
             save_file(tensors, temporary, metadata={"mitsvbrdf": text, "sha256": _checksum(tensors, text)})
         except SafetensorError as reason:

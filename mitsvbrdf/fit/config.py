@@ -1,4 +1,6 @@
-"""Settings of the fits: frozen dataclasses, the only home of each default; a field's docstring is its --help."""
+"""Settings of the fits: frozen dataclasses, the only home of each default; a field's docstring is its
+--help.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +16,15 @@ from ..views import Falloff
 from . import losses
 from .fixed_maps import stated_maps
 
-POSITIVE = ("budget", "iterations", "width", "learning_rate", "normal_roughness_steps", "materials", "likeness",
+POSITIVE = ("budget", "iterations", "width", "learning_rate", "normal_roughness_steps", "materials",
+            "likeness",
             "spread", "relief", "noise", "pictures", "discriminator_rate")
 MOST = {"width": 4096, "materials": 65536, "pictures": 1024}  # what takes memory
 
-# A setting that is on or off. Help names the option that changes it, which for one that is on begins with --no-.
-Switch = Annotated[bool, arg(help_behavior_hint=lambda usual: f"(default: {'on' if usual == 'True' else 'off'})")]
+# A setting that is on or off. Help names the option that changes it, which for one that is on begins with
+# --no-.
+Switch = Annotated[bool, arg(
+    help_behavior_hint=lambda usual: f"(default: {'on' if usual == 'True' else 'off'})")]
 
 
 def check_seed(seed: int) -> None:
@@ -39,13 +44,15 @@ class FitConfig:
     guess: GuessMethod = "robust"
     """How the guessed diffuse map is made: robust (ours), min (the paper's), mean-blur (Zhao 2020)."""
     budget: float | None = None
-    """Stop after so many seconds. Unset: hierarchical and hybrid 120, direct 60, gan 300 or its preset's iterations."""
+    """Stop after so many seconds. Unset: hierarchical and hybrid 120, direct 60, gan 300 or its preset's
+    iterations."""
     iterations: int | None = None
     """Stop after this many iterations (with --budget: whichever comes first)."""
     seed: int = 0
     """Seed of every random choice."""
     fix: tuple[str, ...] = ()
-    """Hold a map fixed: NAME=VALUE with a number, r,g,b, an image file, or normal=flat. Repeat it for several."""
+    """Hold a map fixed: NAME=VALUE with a number, r,g,b, an image file, or normal=flat. Repeat it for
+    several."""
     grey_specular: Switch = False
     """One grey specular level a texel instead of three channels."""
 
@@ -53,7 +60,8 @@ class FitConfig:
         """Raise ConfigError for numbers out of range, and for words that are no choice."""
         for name, kind in get_type_hints(type(self)).items():
             if get_origin(kind) is Literal and getattr(self, name) not in get_args(kind):
-                raise ConfigError(f"{name} of {get_args(kind)}", repr(getattr(self, name)), "choose one of these")
+                raise ConfigError(f"{name} of {get_args(kind)}", repr(getattr(self, name)),
+                                  "choose one of these")
         check_seed(self.seed)
         stated_maps(self.fix, self.bsdf, self.grey_specular)
         if self.weights.get("photometric", 1.0) == 0 and self.weights.get("adversarial", 0.0) == 0:
@@ -65,7 +73,8 @@ class FitConfig:
                 continue
             least = "> 0" if name in POSITIVE else ">= 0"
             if not (value > 0 or value == 0 and name not in POSITIVE) or value > MOST.get(name, LARGEST):
-                raise ConfigError(f"{name} {least} and <= {MOST.get(name, LARGEST):g}", str(value), "give such a number")
+                raise ConfigError(f"{name} {least} and <= {MOST.get(name, LARGEST):g}", str(value),
+                                  "give such a number")
 
     def limited(self) -> FitConfig:
         """Itself with the method's default limit filled in where none was given."""
@@ -94,7 +103,9 @@ class FitConfig:
 
     @property
     def refines_views(self) -> bool | None:
-        """Whether each photo's view is refined; None: a stated one only where the photos do not follow the model."""
+        """Whether each photo's view is refined; None: a stated one only where the photos do not follow the
+        model.
+        """
         return False
 
     @property
@@ -105,36 +116,48 @@ class FitConfig:
 
 @dataclass(frozen=True)
 class HierarchicalConfig(FitConfig):
-    """The default method: every texel solved by itself, specular and roughness shared between texels that look alike."""
+    """The default method: every texel solved by itself, specular and roughness shared between texels that
+    look alike.
+    """
 
     materials: int = 64
     """Basis materials, told apart by their look, between which texels share specular and roughness."""
     likeness: float = 0.02
-    """How alike texels must look to share: standard deviation, in the numbers of fit/hierarchical/appearance.py."""
+    """How alike texels must look to share: standard deviation, in the numbers of
+    fit/hierarchical/appearance.py."""
     spread: float = 0.03
-    """How far specular and roughness may be from those of look-alikes at 64 px, in photos that do not follow the model."""
+    """How far specular and roughness may be from those of look-alikes at 64 px, in photos that do not follow
+    the model."""
     relief: float = 0.02
     """Slopes of the normals to expect at 64 px, in photos that do not follow the model."""
     own: float = 0.06
-    """How far specular or metallic may leave its tied answer at full size, at first, in such photos; 0: only diffuse may."""
+    """How far specular or metallic may leave its tied answer at full size, at first, in such photos; 0: only
+    diffuse may."""
     tails: float = 2.0
-    """Pixels farther from a highlight than so many lobe widths count less at 64 px, in such photos; 0 counts all alike."""
+    """Pixels farther from a highlight than so many lobe widths count less at 64 px, in such photos; 0 counts
+    all alike."""
     independent: Switch = True
-    """Whether specular and roughness are kept from following where the photos' highlights were, in such photos."""
+    """Whether specular and roughness are kept from following where the photos' highlights were, in such
+    photos."""
     integrated: Switch = False
-    """Whether look-alikes share what texels say with their own slopes and diffuse colours integrated out, not maximised."""
+    """Whether look-alikes share what texels say with their own slopes and diffuse colours integrated out, not
+    maximised."""
     noise: float | None = None
-    """Of a phone's photos at full size, in display values: the higher, the less detail is believed. None: found by them."""
+    """Of a phone's photos at full size, in display values: the higher, the less detail is believed. None:
+    found by them."""
     neighbours: Switch = True
     """Whether texels try their neighbours' answers as starts."""
     exact: bool | None = None
-    """Whether the photos follow the model, as a simulation's do. None: told by what a free fit leaves unexplained."""
+    """Whether the photos follow the model, as a simulation's do. None: told by what a free fit leaves
+    unexplained."""
     rivals: Switch = True
     """Whether exact photos are fitted from three starts, whose lobes are of very different width."""
     calibrate: bool | None = None
-    """Estimate missing views, refine all, which exact photos lose by. None: refine stated ones of a phone's photos only."""
+    """Estimate missing views, refine all, which exact photos lose by. None: refine stated ones of a phone's
+    photos only."""
     flash_offset: Switch = True
-    """Whether the sideways distance between lens and flash is fitted, one for all photos (calibrations claim 0)."""
+    """Whether the sideways distance between lens and flash is fitted, one for all photos (calibrations claim
+    0)."""
 
     @property
     def holds_views(self) -> bool:
@@ -165,13 +188,15 @@ class HybridConfig(FitConfig):
     diffuse: float = 0.05
     """Weight of the distance of the diffuse map to the guess (the paper's diffuse loss)."""
     adversarial: float = 0.002
-    """Weight of the discriminator's verdict (the paper's adversarial loss); 0 leaves the discriminator out."""
+    """Weight of the discriminator's verdict (the paper's adversarial loss); 0 leaves the discriminator
+    out."""
     smooth: float = 0.01
     """Weight of the roughness of the specular and roughness maps (total variation)."""
     flat: float = 0.02
     """Weight of the tilt of the normals."""
     flash_offset: Switch = True
-    """Whether the sideways distance between lens and flash is fitted, one for all photos (calibrations claim 0)."""
+    """Whether the sideways distance between lens and flash is fitted, one for all photos (calibrations claim
+    0)."""
 
     @property
     def wants_flash_offset(self) -> bool | None:

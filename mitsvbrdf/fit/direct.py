@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from ..io.profile import profiled, switch_at
 from ..material.maps import SVBRDF
-from ..system.profile import profiled, switch_at
 from ..views import Views
 from . import losses
 from .checkpoint import load_optimizer_state, optimizer_state
@@ -61,7 +61,8 @@ class Direct(Method[DirectConfig]):
 
     def state(self) -> dict[str, Tensor]:
         """The raw maps, Adam's averages and the step size."""
-        return {f"raw.{k}": v.detach().clone() for k, v in self.raw.items()} | optimizer_state("optimizer", self.optimizer) | {
+        return {f"raw.{k}": v.detach().clone() for k, v in self.raw.items()} | optimizer_state("optimizer",
+                                                                                               self.optimizer) | {
             "peak": torch.tensor(self.peak, dtype=torch.float64)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:

@@ -10,7 +10,9 @@ from .config import check_seed
 
 @dataclass(frozen=True)
 class FinishConfig:
-    """The adversarial finish of a fit: one plausible draw of what no photo saw, beside the maps, which stay."""
+    """The adversarial finish of a fit: one plausible draw of what no photo saw, beside the maps, which
+    stay.
+    """
 
     steps: int = 80
     """Steps of generator and discriminator."""
@@ -31,7 +33,8 @@ class FinishConfig:
     lights: int = 4
     """Moved lights a step, each beside a photo."""
     tries: int = 4
-    """Of so many places for a moved light the one is taken where the material looks most like below the photo's."""
+    """Of so many places for a moved light the one is taken where the material looks most like below the
+    photo's."""
     crop: float = 0.5
     """Side of the pictures that are compared, in patch sides."""
     seen: int = 3
@@ -45,15 +48,18 @@ class FinishConfig:
     diffuse: float = 1.0
     """Weight of the distance of the diffuse map to the solved one."""
     worst: float = 1.4
-    """Re-rendering RMSE of the photos seen that the look may have, over that of the maps; its change is weakened to this."""
+    """Re-rendering RMSE of the photos seen that the look may have, over that of the maps; its change is
+    weakened to this."""
 
     def check(self) -> None:
         """Raise ConfigError for numbers out of range."""
         check_seed(self.seed)
         for field in fields(self):
             value = getattr(self, field.name)
-            may_be_zero = field.name in ("seed", "certain", "adversarial", "patches", "photometric", "diffuse")
+            may_be_zero = field.name in ("seed", "certain", "adversarial", "patches", "photometric",
+                                         "diffuse")
             if not 0 <= value <= LARGEST or (value == 0 and not may_be_zero):
-                raise ConfigError(f"{field.name} {'>= 0' if may_be_zero else '> 0'}", str(value), "give such a number")
+                raise ConfigError(f"{field.name} {'>= 0' if may_be_zero else '> 0'}", str(value),
+                                  "give such a number")
         if self.crop > 1:
             raise ConfigError("crop of at most 1 patch side", str(self.crop), "0.5 is half a side")

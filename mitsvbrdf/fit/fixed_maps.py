@@ -14,14 +14,16 @@ from ..errors import ConfigError
 from ..material.map_files import ENCODINGS, read_map, read_material_json
 from ..material.maps import CHANNELS, SVBRDF, Bsdf, flat
 
-LEAST_ROUGHNESS = 1 / 512  # what half a step of an 8-bit file is read as; a mirror of roughness 0 shows no light at a point
+# what half a step of an 8-bit file is read as; a mirror of roughness 0 shows no light at a point
+LEAST_ROUGHNESS = 1 / 512
 
 
 def stated_maps(fix: Sequence[str], bsdf: Bsdf, grey_specular: bool = False) -> dict[str, str]:
     """What ``--fix`` says, as map name -> value, checked but for the files it names.
 
     Args:
-        fix: ``NAME=VALUE`` each; a value is ``flat`` (normal), a number, three numbers ``r,g,b``, or an image file.
+        fix: ``NAME=VALUE`` each; a value is ``flat`` (normal), a number, three numbers ``r,g,b``, or an image
+            file.
         bsdf: the parameter set.
         grey_specular: whether specular has one level instead of three channels.
 
@@ -35,13 +37,16 @@ def stated_maps(fix: Sequence[str], bsdf: Bsdf, grey_specular: bool = False) -> 
             raise ConfigError(f"--fix NAME=VALUE with a map of {list(CHANNELS[bsdf])}", repr(item),
                               "e.g. --fix normal=flat --fix roughness=0.5")
         if name in stated:
-            raise ConfigError(f"--fix {name}=... once", f"{stated[name]!r} and {value!r}", "take one of them out")
+            raise ConfigError(f"--fix {name}=... once", f"{stated[name]!r} and {value!r}",
+                              "take one of them out")
         _check_value(name, value, CHANNELS[bsdf][name])
         stated[name] = value
     if len(stated) == len(CHANNELS[bsdf]):
-        raise ConfigError("at least one map to fit", "all of them fixed", "take one --fix out, or use `mitsvbrdf evaluate`")
+        raise ConfigError("at least one map to fit", "all of them fixed",
+                          "take one --fix out, or use `mitsvbrdf evaluate`")
     if grey_specular and ("specular" not in CHANNELS[bsdf] or "specular" in stated):
-        raise ConfigError("--grey-specular with a specular map to fit", f"{bsdf} with {list(stated) or 'nothing'} fixed",
+        raise ConfigError("--grey-specular with a specular map to fit",
+                          f"{bsdf} with {list(stated) or 'nothing'} fixed",
                           "take one of the options out")
     return stated
 
@@ -50,17 +55,20 @@ def fixed_maps(fix: Sequence[str], bsdf: Bsdf, resolution: int) -> dict[str, Ten
     """The fixed maps, name -> R x R x C, float32, linear. A constant takes no memory: its strides are 0.
 
     Args:
-        fix: as in :func:`stated_maps`; files are read as those of a folder of maps, and brought to R by area averages.
+        fix: as in :func:`stated_maps`; files are read as those of a folder of maps, and brought to R by area
+            averages.
         bsdf: the parameter set.
         resolution: R.
 
     Raises:
-        ConfigError: see :func:`stated_maps`; a file that is not there; roughness to fit without a specular lobe.
+        ConfigError: see :func:`stated_maps`; a file that is not there; roughness to fit without a specular
+            lobe.
         MapsError: a file that is no such map.
     """
     fixed = {name: _tensor(name, value, bsdf, resolution) for name, value in stated_maps(fix, bsdf).items()}
     if "roughness" not in fixed and "specular" in fixed and not fixed["specular"].any():
-        raise ConfigError("roughness held fixed too", "specular held at 0, without which no photo shows roughness",
+        raise ConfigError("roughness held fixed too", "specular held at 0, without which no photo shows "
+                                                      "roughness",
                           "add --fix roughness=1")
     return fixed
 
@@ -71,7 +79,8 @@ def unknown_but(fixed: Mapping[str, Tensor], bsdf: Bsdf, resolution: int, grey_s
         own = 1 if grey_specular and name == "specular" else channels
         return torch.ones(own, requires_grad=True).expand(resolution, resolution, channels)
 
-    return SVBRDF(bsdf, {n: fixed[n] if n in fixed else unknown(n, channels) for n, channels in CHANNELS[bsdf].items()})
+    return SVBRDF(bsdf, {n: fixed[n] if n in fixed else unknown(n, channels)
+                         for n, channels in CHANNELS[bsdf].items()})
 
 
 def described(fix: Sequence[str]) -> dict[str, str]:
@@ -91,13 +100,16 @@ def _check_value(name: str, value: str, channels: int) -> None:
     numbers = _numbers(value)
     if name == "normal":
         if numbers is not None:
-            raise ConfigError("normal=flat or normal=FILE", f"normal={value}", "flat is a normal that points up everywhere")
+            raise ConfigError("normal=flat or normal=FILE", f"normal={value}",
+                              "flat is a normal that points up everywhere")
     elif value == "flat":
-        raise ConfigError(f"a number or a file for {name}", "flat, which only a normal can be", f"e.g. --fix {name}=0.5")
+        raise ConfigError(f"a number or a file for {name}", "flat, which only a normal can be",
+                          f"e.g. --fix {name}=0.5")
     elif numbers is not None:
         least = LEAST_ROUGHNESS if name == "roughness" else 0.0
         if len(numbers) not in {1, channels}:
-            raise ConfigError(f"{' or '.join(map(str, sorted({1, channels})))} numbers for {name}", value, "separate by commas")
+            raise ConfigError(f"{' or '.join(map(str, sorted({1, channels})))} numbers for {name}", value,
+                              "separate by commas")
         if not all(math.isfinite(x) and least <= x <= 1 for x in numbers):
             raise ConfigError(f"{name} from {least:.2g} to 1", value, "values are linear")
 
@@ -107,7 +119,8 @@ def _tensor(name: str, value: str, bsdf: Bsdf, resolution: int) -> Tensor:
     if numbers is not None:
         return torch.tensor(numbers).expand(resolution, resolution, channels)
     if not os.path.isfile(value):  # unlike Path.is_file, False for a name the system refuses
-        raise ConfigError(f"a number or an image file for {name}", f"{value!r}, which is neither", "check the path")
+        raise ConfigError(f"a number or an image file for {name}", f"{value!r}, which is neither",
+                          "check the path")
     codes = ENCODINGS["gamma 2.2"] | read_material_json(Path(value).parent).get("encoding", {})
     image = read_map(Path(value), name, channels, codes)
     # Checked and resized as a part of a material, so that both are done as for any other map.

@@ -17,22 +17,27 @@ GeneratorKind = Literal["all-photos", "two-stream", "variational"]
 
 # The paper's method (III.C to III.F); it prints no weight of the diffuse loss.
 _PAPER: dict[str, Any] = {
-    "guess": "min", "grey_specular": True, "generator": "two-stream", "start": False, "width": 64, "learning_rate": 2e-5,
+    "guess": "min", "grey_specular": True, "generator": "two-stream", "start": False, "width": 64,
+    "learning_rate": 2e-5,
     "head_start": 0.0, "decay": False, "normal_roughness_steps": 5, "fresh_pictures": False, "pictures": 1,
-    "discriminator_rate": 2e-5, "game": "bce", "level": False, "angles": False, "paired": False, "clipping": False,
+    "discriminator_rate": 2e-5, "game": "bce", "level": False, "angles": False, "paired": False,
+    "clipping": False,
     "grow": False, "average": 0.0, "adversarial": 1.0, "features": 0.0, "diffuse": 10.0, "smooth": 0.0,
     "flash_offset": False}
 PRESETS: dict[str, dict[str, Any]] = {
     "minutes": {
         "guess": "robust", "grey_specular": False, "generator": "all-photos", "start": True, "width": 16,
-        "learning_rate": 2e-3, "head_start": 0.1, "decay": True, "normal_roughness_steps": 1, "fresh_pictures": False,
-        "pictures": 6, "discriminator_rate": 1e-3, "game": "relativistic", "level": True, "angles": True, "paired": True,
+        "learning_rate": 2e-3, "head_start": 0.1, "decay": True, "normal_roughness_steps": 1,
+        "fresh_pictures": False,
+        "pictures": 6, "discriminator_rate": 1e-3, "game": "relativistic", "level": True, "angles": True,
+        "paired": True,
         "clipping": True, "grow": True, "average": 0.0, "adversarial": 1.0, "features": 10.0, "diffuse": 5.0,
         "smooth": 1.0, "flash_offset": True},
     "paper-one-stage": _PAPER, "paper-two-stage": _PAPER}
 
-# Side of the coarsest phase, texels: below it a discriminator has too few patches to learn anything but each photo by heart
-# (128 px, four known materials, equal time: mean map RMSE .069 from 64 px on, .076 from 32 px on; the start has .085).
+# Side of the coarsest phase, texels: below it a discriminator has too few patches to learn anything but each
+# photo by heart (128 px, four known materials, equal time: mean map RMSE .069 from 64 px on, .076 from 32 px
+# on; the start has .085).
 SMALLEST = 64
 AS_PRESET: Any = None  # a setting left out: GanConfig fills in what its preset has
 
@@ -53,12 +58,15 @@ class Phase(NamedTuple):
 
 @dataclass(frozen=True)
 class GanConfig(FitConfig):
-    """A generator against a discriminator: adversarial and diffuse loss (III.D, III.F); left out, a setting is its preset's."""
+    """A generator against a discriminator: adversarial and diffuse loss (III.D, III.F); left out, a setting
+    is its preset's.
+    """
 
     default_budget: ClassVar[float] = 300.0
 
     preset: Preset = "minutes"
-    """minutes: ours; paper-one-stage: 20,000 iterations; paper-two-stage: 10,000 on one picture, 15,000 on the photos."""
+    """minutes: ours; paper-one-stage: 20,000 iterations; paper-two-stage: 10,000 on one picture, 15,000 on
+    the photos."""
     pretrained: str | None = None
     """A checkpoint of `mitsvbrdf pretrain`, to start the paper's second stage from."""
     guess: GuessMethod = AS_PRESET
@@ -66,11 +74,14 @@ class GanConfig(FitConfig):
     grey_specular: Switch = AS_PRESET
     """One grey specular level a texel (the paper's) instead of three channels."""
     generator: GeneratorKind = AS_PRESET
-    """A network that sees all photos; the paper's, which sees the one compared with; or variational, the paper's outlook."""
+    """A network that sees all photos; the paper's, which sees the one compared with; or variational, the
+    paper's outlook."""
     start: Switch = AS_PRESET
-    """Whether the generator starts at the guess and a robust constant specular and roughness; else untrained (the paper's)."""
+    """Whether the generator starts at the guess and a robust constant specular and roughness; else untrained
+    (the paper's)."""
     guessed_normal: Switch = False
-    """Whether normals start at those guessed from shading (Glencross 2008; the paper's outlook); else they start flat."""
+    """Whether normals start at those guessed from shading (Glencross 2008; the paper's outlook); else they
+    start flat."""
     highlight_aware: Switch = False
     """Whether the generator's first layers look past saturated pixels (Guo Jie 2021; the paper's outlook)."""
     kl: float = 0.01
@@ -80,7 +91,8 @@ class GanConfig(FitConfig):
     learning_rate: float = AS_PRESET
     """Adam's step size of the generator."""
     head_start: float = AS_PRESET
-    """Share of each phase in which the generator's step size rises from 0: a new discriminator's first verdicts mean little."""
+    """Share of each phase in which the generator's step size rises from 0: a new discriminator's first
+    verdicts mean little."""
     decay: Switch = AS_PRESET
     """Whether step sizes fall along a cosine to 2 % in each phase."""
     normal_roughness_steps: int = AS_PRESET
@@ -90,11 +102,13 @@ class GanConfig(FitConfig):
     pictures: int = AS_PRESET
     """Photos or blends that a step compares."""
     crop: int = 0
-    """Side of random crops to train on, in texels (Zhao 2020's stationary mode: one photo is enough); 0 takes all."""
+    """Side of random crops to train on, in texels (Zhao 2020's stationary mode: one photo is enough); 0 takes
+    all."""
     discriminator_rate: float = AS_PRESET
     """Adam's step size of the discriminator."""
     game: Game = AS_PRESET
-    """What the networks play: bce (the paper's), hinge, or relativistic (photo against the rendering of the same view)."""
+    """What the networks play: bce (the paper's), hinge, or relativistic (photo against the rendering of the
+    same view)."""
     level: Switch = AS_PRESET
     """Whether the discriminator sees how bright pictures are: no norm in its first layer."""
     angles: Switch = AS_PRESET
@@ -102,23 +116,28 @@ class GanConfig(FitConfig):
     paired: Switch = AS_PRESET
     """Whether the discriminator sees the photo beside what it judges."""
     clipping: Switch = AS_PRESET
-    """Whether a rendering is clipped where its photo is, and only there; else everywhere, which stops gradients."""
+    """Whether a rendering is clipped where its photo is, and only there; else everywhere, which stops
+    gradients."""
     grow: Switch = AS_PRESET
     """Whether a quarter and half the resolution come first."""
     average: float = AS_PRESET
-    """Decay of the running average of the generator's weights that makes the result; 0 takes the weights themselves."""
+    """Decay of the running average of the generator's weights that makes the result; 0 takes the weights
+    themselves."""
     precision: Precision = "auto"
-    """What the networks compute in; renderer and losses stay in float32. auto: bfloat16 where it is faster (measured)."""
+    """What the networks compute in; renderer and losses stay in float32. auto: bfloat16 where it is faster
+    (measured)."""
     adversarial: float = AS_PRESET
     """Weight of the adversarial loss."""
     features: float = AS_PRESET
-    """Weight of feature matching: the distance between the discriminator's activations for rendering and photo."""
+    """Weight of feature matching: the distance between the discriminator's activations for rendering and
+    photo."""
     diffuse: float = AS_PRESET
     """Weight of the diffuse loss beside the adversarial loss (the paper prints none)."""
     smooth: float = AS_PRESET
     """Weight of the roughness of the specular and roughness maps (total variation)."""
     flash_offset: Switch = AS_PRESET
-    """Whether the sideways distance between lens and flash is fitted, one for all photos; the paper's is 0."""
+    """Whether the sideways distance between lens and flash is fitted, one for all photos; the paper's is
+    0."""
 
     def __post_init__(self) -> None:
         """Fill in what the preset has.
@@ -131,7 +150,8 @@ class GanConfig(FitConfig):
         for name, value in PRESETS[self.preset].items():
             if getattr(self, name) is AS_PRESET:
                 object.__setattr__(self, name, value)
-        if self.of_paper and (self.bsdf == "principled" or any(item.startswith("specular=") for item in self.fix)):
+        if self.of_paper and (self.bsdf == "principled" or any(item.startswith("specular=")
+                                                               for item in self.fix)):
             # No specular map is fitted.
             object.__setattr__(self, "grey_specular", False)
 
@@ -139,24 +159,32 @@ class GanConfig(FitConfig):
         """Raise ConfigError for numbers out of range, and for settings that do not go together."""
         super().check()
         if not any(self.weights.values()):
-            raise ConfigError("a fit with a loss", "all weights 0", "give --adversarial or --diffuse a weight > 0")
+            raise ConfigError("a fit with a loss", "all weights 0",
+                              "give --adversarial or --diffuse a weight > 0")
         if self._one_picture_first and (self.generator != "two-stream" or self.grow):
-            raise ConfigError("the two-stream generator, not growing, in a preset that begins with one picture",
+            raise ConfigError("the two-stream generator, not growing, in a preset that begins with one "
+                              "picture",
                               f"generator {self.generator}, {'growing' if self.grow else 'not growing'}",
-                              "give --generator two-stream and --no-grow, or a --pretrained first stage; in Python, "
+                              "give --generator two-stream and --no-grow, or a --pretrained first stage; in "
+                              "Python, "
                               "GanConfig(preset=...) anew instead of replace(...)")
         if self.pretrained and self.preset != "paper-two-stage":
-            raise ConfigError("--preset paper-two-stage beside a pretrained checkpoint", f"--preset {self.preset}",
+            raise ConfigError("--preset paper-two-stage beside a pretrained checkpoint",
+                              f"--preset {self.preset}",
                               "add --preset paper-two-stage")
         if self.normal_roughness_steps > 1 and self.generator != "two-stream":
-            raise ConfigError("--generator two-stream with several steps of one decoder", f"--generator {self.generator}",
+            raise ConfigError("--generator two-stream with several steps of one decoder",
+                              f"--generator {self.generator}",
                               "leave --normal-roughness-steps at 1")
         if self.guessed_normal and not self.start:
-            raise ConfigError("--start beside a guessed normal", "no start", "add --start, or leave --guessed-normal out")
+            raise ConfigError("--start beside a guessed normal", "no start",
+                              "add --start, or leave --guessed-normal out")
         if self.average >= 1:
-            raise ConfigError("average below 1", str(self.average), "0.99 averages over some 100 steps; 0 does not average")
+            raise ConfigError("average below 1", str(self.average), "0.99 averages over some 100 steps; 0 "
+                                                                    "does not average")
         if self.head_start > 1:
-            raise ConfigError("a head start of 0 to 1", str(self.head_start), "0.1 is a tenth of it; 0 gives none")
+            raise ConfigError("a head start of 0 to 1", str(self.head_start),
+                              "0.1 is a tenth of it; 0 gives none")
         if 0 < self.crop < 16:
             raise ConfigError("crop of 16 texels or more, or 0", str(self.crop), "0 trains on whole pictures")
 
@@ -198,13 +226,13 @@ class GanConfig(FitConfig):
         return {"iterations": second if self.pretrained else first + second}
 
     def phases(self, resolution: int) -> list[Phase]:
-        """The parts of the training, for maps of this side: the paper's two stages, or growing resolutions."""
+        """The parts of the training, for maps of this side: the paper's two stages, or growing
+        resolutions.
+        """
         if self._one_picture_first:
             first, second = self.stages
             return [Phase(first / (first + second), photos=1), Phase(second / (first + second))]
         shares = {2: 0.2, 1: 0.3, 0: 0.5} if self.grow else {0: 1.0}
-        kept = {halvings: share for halvings, share in shares.items() if not halvings or resolution >> halvings >= SMALLEST}
+        kept = {halvings: share for halvings, share in shares.items() if not halvings
+                or resolution >> halvings >= SMALLEST}
         return [Phase(share / sum(kept.values()), halvings=halvings) for halvings, share in kept.items()]
-
-
-

@@ -1,4 +1,6 @@
-"""What a fit needs to compute, and what it leaves out: known from capture, renderer and settings before it starts."""
+"""What a fit needs to compute, and what it leaves out: known from capture, renderer and settings before it
+starts.
+"""
 
 from __future__ import annotations
 
@@ -57,18 +59,23 @@ def known_before(task: FitTask) -> list[tuple[str, str]]:
 
 
 def used(task: FitTask) -> list[tuple[str, str]]:
-    """The networks that a fit trains, as (what, how): generator and discriminator, or one of them, or none."""
+    """The networks that a fit trains, as (what, how): generator and discriminator, or one of them, or
+    none.
+    """
     config = task.config
     if isinstance(config, HybridConfig):
-        items = [("generator", f"sees all photos; its maps are compared with each of them; width {config.width}")]
+        items = [("generator", "sees all photos; its maps are compared with each of them; width "
+                               f"{config.width}")]
         verdicts = {"adversarial": config.adversarial}
     elif isinstance(config, GanConfig):
-        sees = "all photos" if config.generator != "two-stream" else "the first of the pictures its maps are compared with"
+        sees = ("all photos" if config.generator != "two-stream"
+                else "the first of the pictures its maps are compared with")
         items = [("generator", f"sees {sees}; width {config.width}")]
         verdicts = {"adversarial": config.adversarial, "features": config.features}
     else:
         return []
-    weights = [f"{losses.NAMES[name]}, weight {weight:g}" for name, weight in verdicts.items() if name not in task.unused]
+    weights = [f"{losses.NAMES[name]}, weight {weight:g}" for name, weight in verdicts.items()
+               if name not in task.unused]
     if weights:
         game = f"; game {config.game}" if isinstance(config, GanConfig) else ""
         items.append(("discriminator", f"{' and '.join(weights)}{game}"))

@@ -1,8 +1,9 @@
 """How strong the light was, told by the maps: so strong that highlights are those of usual materials.
 
-Light of twice the power on a material of half the diffuse and specular albedo makes the same photos (but for the Fresnel curve
-beside the lens). Nearly all materials but metals have an F0 near 0.04 (:data:`~mitsvbrdf.material.maps.DIELECTRIC_F0`). A fit
-knows it of every texel that showed its highlight, where one lobe for all texels only guesses.
+Light of twice the power on a material of half the diffuse and specular albedo makes the same photos (but for
+the Fresnel curve beside the lens). Nearly all materials but metals have an F0 near 0.04
+(:data:`~mitsvbrdf.material.maps.DIELECTRIC_F0`). A fit knows it of every texel that showed its highlight,
+where one lobe for all texels only guesses.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ def light_power_told(svbrdf: SVBRDF, deviations: Mapping[str, Tensor]) -> float 
     """By what the light power is to be multiplied, and the maps divided; None where too few texels tell.
 
     Args:
-        svbrdf: fitted maps, all with a freedom of their own; of ``principled`` F0 is known, and nothing is told.
+        svbrdf: fitted maps, all with a freedom of their own; of ``principled`` F0 is known, and nothing is
+            told.
         deviations: of the maps, as :func:`mitsvbrdf.fit.confidence.deviations` finds them.
     """
     if svbrdf.bsdf != "roughconductor" or not {"diffuse", "specular"} <= set(deviations):
@@ -40,5 +42,5 @@ def light_power_told(svbrdf: SVBRDF, deviations: Mapping[str, Tensor]) -> float 
 
 def with_light_power(svbrdf: SVBRDF, factor: float) -> SVBRDF:
     """Maps under a light so many times as strong that reflect as much."""
-    return SVBRDF(svbrdf.bsdf, {name: (value / factor).clamp(0, 1) if name in ("diffuse", "specular") else value
-                                for name, value in svbrdf.maps.items()})
+    return SVBRDF(svbrdf.bsdf, {name: (value / factor).clamp(0, 1) if name in ("diffuse", "specular")
+                                else value for name, value in svbrdf.maps.items()})

@@ -1,4 +1,6 @@
-"""What a running fit shows of itself: one small file, replaced about once a second, that ``mitsvbrdf view`` reads."""
+"""What a running fit shows of itself: one small file, replaced about once a second, that ``mitsvbrdf view``
+reads.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import OutputError
-from ..system.profile import profiled
+from ..io.profile import profiled
 from .checkpoint import save_tensors
 from .methods import method_name
 from .warnings import about_photos, about_steps
@@ -25,8 +27,9 @@ SHARE = 0.05  # of the time that records may take, at most
 class LiveRecord:
     """The file a fit is watched through: maps as float16, and the note of :meth:`write`.
 
-    It only looks at the fit: what is fitted has the same bits with and without it. A record that cannot be written is left
-    out; a full disk shows in the checkpoint. The file stays when the fit ends; whoever gave its name takes it away.
+    It only looks at the fit: what is fitted has the same bits with and without it. A record that cannot be
+    written is left out; a full disk shows in the checkpoint. The file stays when the fit ends; whoever gave
+    its name takes it away.
 
     Args:
         path: the file (.safetensors) to replace.
@@ -38,7 +41,8 @@ class LiveRecord:
         self.about_photos: list[str] | None = None
 
     def offer(self, loop: Loop, losses: dict[str, float], stopped: str | None = None) -> None:
-        """Write a record where the last one is long enough ago: :data:`SECONDS`, and so that all take :data:`SHARE`.
+        """Write a record where the last one is long enough ago: :data:`SECONDS`, and so that all take
+        :data:`SHARE`.
 
         Args:
             loop: the fit.
@@ -56,10 +60,11 @@ class LiveRecord:
     def write(self, loop: Loop, losses: dict[str, float], stopped: str | None) -> None:
         """Replace the file, in one step.
 
-        The maps are those of the latest measurement, or what a method shows in between; shrunk to :data:`SIDE`. The note
-        holds ``run`` (of this record's fit and no other), ``method``, ``renderer``, ``capture``, ``bsdf``, ``resolution``,
-        ``iteration``, ``seconds``, ``share`` (0 to 1), ``stopped``, ``latest_is_best``, ``trace``, ``latest`` (losses since
-        the trace's last entry) and ``warnings`` so far.
+        The maps are those of the latest measurement, or what a method shows in between; shrunk to
+        :data:`SIDE`. The note holds ``run`` (of this record's fit and no other), ``method``, ``renderer``,
+        ``capture``, ``bsdf``, ``resolution``, ``iteration``, ``seconds``, ``share`` (0 to 1), ``stopped``,
+        ``latest_is_best``, ``trace``, ``latest`` (losses since the trace's last entry) and ``warnings`` so
+        far.
 
         Raises:
             OutputError: it cannot be written.
@@ -73,6 +78,7 @@ class LiveRecord:
             "run": self.run, "method": method_name(method.config), "renderer": loop.renderer.name,
             "capture": capture.source.name if capture.source else None, "bsdf": svbrdf.bsdf,
             "resolution": capture.resolution, "iteration": loop.iteration, "seconds": round(loop.seconds, 3),
-            "share": loop.progress, "stopped": stopped, "latest_is_best": loop.latest_is_best, "trace": loop.trace,
+            "share": loop.progress, "stopped": stopped, "latest_is_best": loop.latest_is_best,
+            "trace": loop.trace,
             "latest": {"seconds": round(loop.seconds, 3), "iteration": loop.iteration, **losses},
             "warnings": [*self.about_photos, *about_steps(loop.undone, loop.restarts)]})

@@ -14,12 +14,12 @@ from torch import Tensor
 
 from ..capture import Capture
 from ..errors import ConfigError, MitsvbrdfError
+from ..io.interrupts import stop_signals
+from ..io.json_files import NUMBER, shape_error
+from ..io.profile import STEP, profiled
 from ..material.maps import SVBRDF
 from ..measure.rerender import rerender
 from ..render import Renderer
-from ..system.interrupts import stop_signals
-from ..system.json_files import NUMBER, misfit
-from ..system.profile import STEP, profiled
 from ..views import Views
 from .checkpoint import load_tensors, part, save_tensors
 from .config import FitConfig
@@ -27,13 +27,15 @@ from .method import Method, finite
 
 CHECKPOINT_SECONDS = 30.0
 MAX_UNDONE = 20
-# A loss this many times its lowest, at so many measurements running, is that of a fit that diverges. Measured on twelve
-# real captures, `hybrid` and `direct`: at no measurement was the loss above its lowest at all.
+# A loss this many times its lowest, at so many measurements running, is that of a fit that diverges. Measured
+# on twelve real captures, `hybrid` and `direct`: at no measurement was the loss above its lowest at all.
 DIVERGED, PATIENCE = 1.5, 5
-FALLING = ("photometric", "diffuse", "smooth", "flat")  # losses that a fit lowers; adversarial ones move the goal
+# losses that a fit lowers; adversarial ones move the goal
+FALLING = ("photometric", "diffuse", "smooth", "flat")
 
 BACK = {"iteration": int, "reason": str}
-NOTE = {"iteration": int, "seconds": NUMBER, "undone": [BACK], "restarts": [BACK], "lowest_loss": NUMBER, "rising": int,
+NOTE = {"iteration": int, "seconds": NUMBER, "undone": [BACK], "restarts": [BACK], "lowest_loss": NUMBER,
+        "rising": int,
         "best_rmse": NUMBER, "trace": [{str: NUMBER}]}  # what a run goes on from beside tensors
 
 Seen = tuple[float, SVBRDF, Views]  # re-rendering error, material and views of a state
@@ -77,7 +79,9 @@ class Loop:
         self.rising = 0  # measurements running at which the loss was DIVERGED times the lowest
 
     def run(self) -> str:
-        """Advance until a limit or Ctrl-C; returns "budget", "iterations", "interrupted", "unstable" or "settled"."""
+        """Advance until a limit or Ctrl-C; returns "budget", "iterations", "interrupted", "unstable" or
+        "settled".
+        """
         with stop_signals() as stop:
             self.started, saved = time.perf_counter() - self.seconds, time.perf_counter()
             if self.iteration == 0:
@@ -109,11 +113,13 @@ class Loop:
     def _begin(self) -> None:
         seen = self._look()
         if isinstance(seen, str):
-            raise ConfigError("photos and views that give a finite start", seen, "check the photos and their calibration")
+            raise ConfigError("photos and views that give a finite start", seen,
+                              "check the photos and their calibration")
         self._record(seen, {})
 
     def _advance(self, good: dict[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, float]]:
-        """One step, taken back where it or the photos rendered after it are not finite, or where the fit diverges.
+        """One step, taken back where it or the photos rendered after it are not finite, or where the fit
+        diverges.
 
         Args:
             good: a sound state to go back to; the present one where a measurement was just made.
@@ -136,8 +142,11 @@ class Loop:
             self._record(seen, losses)
         return good, losses
 
-    def _checked(self, good: dict[str, Tensor], losses: dict[str, float]) -> tuple[dict[str, Tensor], dict[str, float], Seen]:
-        """The present state, what it looks like and its losses; the one before, without losses, where it is not finite."""
+    def _checked(self, good: dict[str, Tensor], losses: dict[str, float]) -> tuple[dict[str, Tensor],
+                                                                                   dict[str, float], Seen]:
+        """The present state, what it looks like and its losses; the one before, without losses, where it is
+        not finite.
+        """
         seen = self._look()
         if not isinstance(seen, str):
             return self.method.state(), losses, seen
@@ -149,7 +158,9 @@ class Loop:
         return good, {}, seen
 
     def _look(self) -> Seen | str:
-        """What the present state looks like; or what of it is not finite: parameters, averages of Adam, photos."""
+        """What the present state looks like; or what of it is not finite: parameters, averages of Adam,
+        photos.
+        """
         with profiled("measuring"):
             for name, value in self.method.state().items():
                 if not finite(value):
@@ -210,7 +221,8 @@ class Loop:
         self.seen = seen
         if self.best is None or self.latest_is_best or seen[0] < self.best[0]:
             self.best = seen
-        entry = {"seconds": round(self.seconds, 3), "iteration": self.iteration, **losses, "rerender_rmse": seen[0]}
+        entry = {"seconds": round(self.seconds, 3), "iteration": self.iteration, **losses,
+                 "rerender_rmse": seen[0]}
         self.trace.append(entry)
         if self.report:
             self.report(entry, self.progress)
@@ -220,7 +232,8 @@ class Loop:
         # Fixed maps count by their values: the same file name may stand for others by now.
         settings = {k: v for k, v in asdict(self.config).items() if k not in ("iterations", "budget", "fix")}
         views = self.capture.views
-        digest = hashlib.sha256(repr((settings, self.renderer.name, self.capture.transfer, views.size, views.falloff)).encode())
+        digest = hashlib.sha256(repr((settings, self.renderer.name, self.capture.transfer, views.size,
+                                      views.falloff)).encode())
         for tensor in (self.capture.photos, views.camera, views.light, views.intensity):
             digest.update(tensor.numpy().tobytes())
         for name, value in sorted(self.method.fixed.items()):
@@ -228,16 +241,20 @@ class Loop:
         return digest.hexdigest()
 
     def save(self) -> None:
-        """Write the checkpoint: tensors only, with the trace as text in its header. A broken state is not worth one."""
+        """Write the checkpoint: tensors only, with the trace as text in its header. A broken state is not
+        worth one.
+        """
         assert self.checkpoint is not None
         state = self.method.state()
         if not all(map(finite, state.values())):
             return
         rmse, svbrdf, views = self.best or (math.inf, *self.method.estimate())
-        tensors = {f"method.{k}": v for k, v in state.items()} | {f"lowest.{k}": v for k, v in self.lowest[1].items()}
+        tensors = ({f"method.{k}": v for k, v in state.items()}
+                   | {f"lowest.{k}": v for k, v in self.lowest[1].items()})
         tensors |= {f"best.{k}": v for k, v in svbrdf.maps.items()}
         tensors |= {f"best_views.{name}": getattr(views, name) for name in ("camera", "light", "intensity")}
-        note = {"iteration": self.iteration, "seconds": self.seconds, "undone": self.undone, "restarts": self.restarts,
+        note = {"iteration": self.iteration, "seconds": self.seconds, "undone": self.undone,
+                "restarts": self.restarts,
                 "lowest_loss": self.lowest[0], "rising": self.rising, "best_rmse": rmse, "trace": self.trace,
                 "method": type(self.method).__name__, "bsdf": svbrdf.bsdf, "task": self._task()}
         with profiled("checkpoint"):
@@ -252,21 +269,25 @@ class Loop:
         tensors, note = load_tensors(path)
         if note.get("method") != type(self.method).__name__ or note.get("bsdf") != self.config.bsdf:
             raise ConfigError(f"a checkpoint of {type(self.method).__name__} / {self.config.bsdf}",
-                              f"{note.get('method')} / {note.get('bsdf')} in {path}", "resume with the same options")
+                              f"{note.get('method')} / {note.get('bsdf')} in {path}",
+                              "resume with the same options")
         if note.get("task") != self._task():
-            raise ConfigError("the photos, views, renderer and options of the first run", f"others than {path} was made with",
+            raise ConfigError("the photos, views, renderer and options of the first run",
+                              f"others than {path} was made with",
                               "resume with the same ones; only --iterations and --budget may change")
         try:
-            if wrong := misfit(note, NOTE):
+            if wrong := shape_error(note, NOTE):
                 raise ValueError(f"{wrong} in its note is missing or of another kind")
             self.method.load_state(part(tensors, "method."))
             lit = part(tensors, "best_views.")
-            views = replace(self.method.views, camera=lit["camera"], light=lit["light"], intensity=lit["intensity"])
+            views = replace(self.method.views, camera=lit["camera"], light=lit["light"],
+                            intensity=lit["intensity"])
             best = SVBRDF(self.config.bsdf, part(tensors, "best."))
             if best.resolution != self.capture.resolution or len(views) != len(self.capture):
                 raise ValueError(f"maps of {best.resolution} px for {len(views)} photos")
         except (LookupError, TypeError, ValueError, RuntimeError, AttributeError, MitsvbrdfError) as reason:
-            raise ConfigError("a checkpoint of the same options", f"{path}: {(str(reason).splitlines() or ['empty'])[0]}",
+            raise ConfigError("a checkpoint of the same options",
+                              f"{path}: {(str(reason).splitlines() or ['empty'])[0]}",
                               "resume with the options of the first run") from None
         self.seen = self.best = note["best_rmse"], best, views
         self.iteration, self.seconds, self.trace = note["iteration"], note["seconds"], note["trace"]

@@ -15,15 +15,19 @@ from .. import color
 from ..color import CLIPPED
 from ..material.maps import CHANNELS, SVBRDF, Bsdf
 
-# The losses with a weight, what a user calls them, and the maps they speak about (none: those speak about the photos).
-NAMES = {"photometric": "photometric loss", "diffuse": "diffuse loss", "smooth": "smoothness of specular and roughness",
+# The losses with a weight, what a user calls them, and the maps they speak about (none: those speak about the
+# photos).
+NAMES = {"photometric": "photometric loss", "diffuse": "diffuse loss",
+         "smooth": "smoothness of specular and roughness",
          "flat": "price on tilted normals", "adversarial": "adversarial loss", "features": "feature matching"}
 Game = Literal["relativistic", "bce", "hinge"]
-ABOUT = {"diffuse": ("diffuse", "base_color", "metallic"), "smooth": ("specular", "metallic", "roughness"), "flat": ("normal",)}
+ABOUT = {"diffuse": ("diffuse", "base_color", "metallic"), "smooth": ("specular", "metallic", "roughness"),
+         "flat": ("normal",)}
 
 
 def unused(weights: Mapping[str, float], bsdf: Bsdf, fixed: Collection[str]) -> dict[str, str]:
-    """The method's losses that a fit does not compute, and why: their weight is 0, or the maps they speak about are fixed.
+    """The method's losses that a fit does not compute, and why: their weight is 0, or the maps they speak
+    about are fixed.
 
     Args:
         weights: of the method's losses.
@@ -46,10 +50,12 @@ def weighted(terms: Mapping[str, Tensor], weights: Mapping[str, float]) -> Tenso
 
 
 def photometric(rendered: Tensor, photos: Tensor, transfer: color.Transfer) -> Tensor:
-    """Mean of |e| + 5 e^2 of the error e in display values; a clipped photo pixel only asks for at least its value (ours).
+    """Mean of |e| + 5 e^2 of the error e in display values; a clipped photo pixel only asks for at least its
+    value (ours).
 
-    The absolute part is robust, the squared part keeps highlights, few and bright, from being given up. Measured on
-    `cards-blue` at equal time, against the absolute part alone: photos seen 0.0369 -> 0.0342, left out 0.0628 -> 0.0616.
+    The absolute part is robust, the squared part keeps highlights, few and bright, from being given up.
+    Measured on `cards-blue` at equal time, against the absolute part alone: photos seen 0.0369 -> 0.0342,
+    left out 0.0628 -> 0.0616.
 
     Args:
         rendered: linear radiance N x R x R x 3, unclamped.
@@ -61,12 +67,15 @@ def photometric(rendered: Tensor, photos: Tensor, transfer: color.Transfer) -> T
 
 
 def diffuse(svbrdf: SVBRDF, guess: Tensor) -> Tensor:
-    """Mean absolute distance of the diffuse map to the guessed one, gamma 2.2 encoded (paper III.A, III.F)."""
+    """Mean absolute distance of the diffuse map to the guessed one, gamma 2.2 encoded (paper III.A,
+    III.F).
+    """
     return F.l1_loss(color.encode(svbrdf.as_roughconductor()["diffuse"]), color.encode(guess))
 
 
 def total_variation(svbrdf: SVBRDF, edges: Tensor, fixed: Collection[str] = ()) -> Tensor:
-    """Mean absolute step of the specular/metallic and roughness maps, less where the guess itself has an edge (ours).
+    """Mean absolute step of the specular/metallic and roughness maps, less where the guess itself has an edge
+    (ours).
 
     Args:
         fixed: names of the fixed maps, which are not counted.
@@ -77,12 +86,15 @@ def total_variation(svbrdf: SVBRDF, edges: Tensor, fixed: Collection[str] = ()) 
     for name in ABOUT["smooth"]:
         if name in svbrdf.maps and name not in fixed:
             m = svbrdf[name]
-            loss = loss + ((m[1:] - m[:-1]).abs() * down[:-1]).mean() + ((m[:, 1:] - m[:, :-1]).abs() * right[:, :-1]).mean()
+            loss = (loss + ((m[1:] - m[:-1]).abs() * down[:-1]).mean()
+                    + ((m[:, 1:] - m[:, :-1]).abs() * right[:, :-1]).mean())
     return loss
 
 
 def edge_weights(guess: Tensor, sharpness: float = 10.0) -> Tensor:
-    """Weights 2 x R x R x 1 in (0, 1]: exp(-sharpness * step of the encoded guess) downward and to the right."""
+    """Weights 2 x R x R x 1 in (0, 1]: exp(-sharpness * step of the encoded guess) downward and to the
+    right.
+    """
     g = color.encode(guess)
     down = F.pad((g[1:] - g[:-1]).abs().amax(-1, keepdim=True), (0, 0, 0, 0, 0, 1))
     right = F.pad((g[:, 1:] - g[:, :-1]).abs().amax(-1, keepdim=True), (0, 0, 0, 1, 0, 0))
@@ -101,8 +113,9 @@ def discriminator(real: Tensor, fake: Tensor, game: Game = "bce") -> Tensor:
     Args:
         real: logits of photos.
         fake: logits of renderings, the same shape.
-        game: ``bce``, cross entropy with photos 1 and renderings 0 (Goodfellow 2014); ``hinge`` (Lim 2017); ``relativistic``,
-            how surely each photo looks more real than the rendering it is paired with (Jolicoeur-Martineau 2019).
+        game: ``bce``, cross entropy with photos 1 and renderings 0 (Goodfellow 2014); ``hinge`` (Lim 2017);
+            ``relativistic``, how surely each photo looks more real than the rendering it is paired with
+            (Jolicoeur-Martineau 2019).
     """
     if game == "relativistic":
         return F.softplus(fake - real).mean()
@@ -112,7 +125,8 @@ def discriminator(real: Tensor, fake: Tensor, game: Game = "bce") -> Tensor:
 
 
 def adversarial(real: Tensor, fake: Tensor, game: Game = "bce") -> Tensor:
-    """What the generator minimises; ``bce`` is -log of the probability that its rendering is a photo (non-saturating form).
+    """What the generator minimises; ``bce`` is -log of the probability that its rendering is a photo
+    (non-saturating form).
 
     Args:
         real: logits of photos, which only ``relativistic`` looks at.
@@ -125,5 +139,8 @@ def adversarial(real: Tensor, fake: Tensor, game: Game = "bce") -> Tensor:
 
 
 def features(real: Sequence[Tensor], fake: Sequence[Tensor]) -> Tensor:
-    """Mean distance of a discriminator's activations, each layer in units of the photo's mean (Salimans 2016)."""
-    return torch.stack([(f - r).abs().mean() / r.abs().mean().clamp_min(1e-3) for r, f in zip(real, fake)]).mean()
+    """Mean distance of a discriminator's activations, each layer in units of the photo's mean (Salimans
+    2016).
+    """
+    return torch.stack([(f - r).abs().mean() / r.abs().mean().clamp_min(1e-3) for r, f in zip(real,
+                                                                                              fake)]).mean()

@@ -9,8 +9,8 @@ from typing import Generic
 import torch
 from torch import Tensor
 
+from ..io.profile import profiled
 from ..material.maps import SVBRDF
-from ..system.profile import profiled
 from ..views import Views
 from .task import Config, FitTask
 
@@ -34,7 +34,9 @@ class Method(ABC, Generic[Config]):
 
     @abstractmethod
     def step(self, progress: float) -> dict[str, float]:
-        """One iteration at this share (0 to 1) of the run; returns each loss of the state before it, unweighted."""
+        """One iteration at this share (0 to 1) of the run; returns each loss of the state before it,
+        unweighted.
+        """
 
     @abstractmethod
     def estimate(self) -> tuple[SVBRDF, Views]:
@@ -57,7 +59,9 @@ class Method(ABC, Generic[Config]):
         return False
 
     def preview(self) -> SVBRDF | None:
-        """The present material between measurements, of any size and nearly for free; None shows that of the latest one."""
+        """The present material between measurements, of any size and nearly for free; None shows that of the
+        latest one.
+        """
         return None
 
     @property
@@ -67,7 +71,9 @@ class Method(ABC, Generic[Config]):
 
     @property
     def views_deviation(self) -> tuple[Tensor | None, Tensor | None]:
-        """Standard deviations of the changes of the views, N x 7, and of the common flash offset; None where not refined."""
+        """Standard deviations of the changes of the views, N x 7, and of the common flash offset; None where
+        not refined.
+        """
         return None, None
 
 
@@ -81,7 +87,8 @@ def descend(total: Tensor, *optimizers: torch.optim.Optimizer) -> float:
         optimizer.zero_grad(set_to_none=True)
     total.backward()
     with profiled("optimiser"):
-        gradients = [p.grad for o in optimizers for group in o.param_groups for p in group["params"] if p.grad is not None]
+        gradients = [p.grad for o in optimizers for group in o.param_groups for p in group["params"]
+                     if p.grad is not None]
         if not math.isfinite(float(torch.nn.utils.get_total_norm(gradients))):
             return math.nan
         for optimizer in optimizers:

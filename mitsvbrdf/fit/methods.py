@@ -37,7 +37,8 @@ def method_name(config: FitConfig) -> str:
     for name, entry in METHODS.items():
         if isinstance(config, entry.config):
             return name
-    raise ConfigError(f"a {', '.join(entry.config.__name__ for entry in METHODS.values())}", type(config).__name__,
+    raise ConfigError(f"a {', '.join(entry.config.__name__ for entry in METHODS.values())}",
+                      type(config).__name__,
                       "use one of these")
 
 

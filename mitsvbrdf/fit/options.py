@@ -1,4 +1,6 @@
-"""What a fit is asked for beside the settings of its method: which photos, how they are read, and what renders."""
+"""What a fit is asked for beside the settings of its method: which photos, how they are read, and what
+renders.
+"""
 
 from __future__ import annotations
 
@@ -29,13 +31,16 @@ class FitOptions:
     views: Annotated[str | None, arg(metavar="0,1,2,...")] = None
     """Which photos to use, by number; left out: all."""
     falloff: Literal["auto", "inverse-square", "none"] = "auto"
-    """Light falloff; none is the paper's light. auto: inverse-square, but none for the paper's presets of --method gan."""
+    """Light falloff; none is the paper's light. auto: inverse-square, but none for the paper's presets of
+    --method gan."""
     transfer: Literal["auto", "gamma2.2", "srgb", "linear"] = "auto"
-    """How photos encode light; auto: as the capture states, else gamma2.2 for calibrated captures and srgb for plain photos."""
+    """How photos encode light; auto: as the capture states, else gamma2.2 for calibrated captures and srgb
+    for plain photos."""
     variant: Literal["llvm_ad_rgb", "cuda_ad_rgb"] = "llvm_ad_rgb"
     """Mitsuba variant."""
     finish: Literal["none", "gan"] = "none"
-    """gan: OUT/look beside OUT/maps, one plausible draw of what no photo saw, for pictures; the maps stay the same."""
+    """gan: OUT/look beside OUT/maps, one plausible draw of what no photo saw, for pictures; the maps stay the
+    same."""
     finish_steps: int = FinishConfig.steps
     """Steps of the finish; 80 take under a minute at 256 px."""
 
@@ -56,7 +61,9 @@ class FitOptions:
         return FinishConfig(steps=self.finish_steps, seed=config.seed) if self.finish == "gan" else None
 
     def chosen(self, photos: Capture) -> tuple[Capture, Capture | None]:
-        """The photos to fit; and these with some that are left out, for the page to predict, or None where all are fitted."""
+        """The photos to fit; and these with some that are left out, for the page to predict, or None where
+        all are fitted.
+        """
         numbers = photo_numbers(self.views)
         shots = photos if numbers is None else photos.pick(numbers)
         unused = [number for number in photos.index if number not in shots.index][:PREDICTED]

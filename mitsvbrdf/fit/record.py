@@ -11,14 +11,14 @@ from typing import get_args
 from .. import color
 from ..capture import Capture
 from ..errors import MapsError, MitsvbrdfError
+from ..io import files
+from ..io.json_files import NUMBER, error_text, load, shape_error
+from ..io.provenance import machine, versions
+from ..io.result_folder import settle
 from ..material.map_files import MAP_FOLDERS, load_maps
 from ..material.maps import CHANNELS, SVBRDF
 from ..measure.burn_in import burn_in, local_burn_in
 from ..render import Renderer, RendererName, make_renderer
-from ..system import files
-from ..system.json_files import NUMBER, load, misfit, said
-from ..system.provenance import machine, versions
-from ..system.result_folder import settle
 from ..views import Falloff, Views
 from .confidence import confidence
 from .fixed_maps import described
@@ -28,22 +28,26 @@ from .result import FitResult
 FILE = "fit.json"
 SCHEMA_VERSION = 1
 NONE = type(None)
-# What a page needs of fit.json, as types; see :func:`~mitsvbrdf.system.json_files.misfit`.
+# What a page needs of fit.json, as types; see :func:`~mitsvbrdf.io.json_files.shape_error`.
 _SHAPE = {
     "method": str, "renderer": str, "bsdf": str, "rerender_rmse": NUMBER, "per_photo": {str: NUMBER},
     "calibrated_rmse": (*NUMBER, NONE),
-    "confidence": {str: {"median_sd": NUMBER, "determined_share": NUMBER}}, "burn_in": {str: NUMBER}, "warnings": [str],
+    "confidence": {str: {"median_sd": NUMBER, "determined_share": NUMBER}}, "burn_in": {str: NUMBER},
+    "warnings": [str],
     "stopped": str, "undone_steps": int, "undone": [{"iteration": int, "reason": str}],
     "restarts": [{"iteration": int, "reason": str}], "seconds": NUMBER, "iterations": int, "seed": int,
-    "config": {"fix": [str], "grey_specular": bool}, "command": {str: object}, "left_out": [{"what": str, "why": str}],
+    "config": {"fix": [str], "grey_specular": bool}, "command": {str: object},
+    "left_out": [{"what": str, "why": str}],
     "used": [{"what": str, "how": str}],
     "capture": {"photos": [int], "resolution": int, "transfer": str, "calibrated": bool, "notes": [str]},
     "versions": {str: object}, "machine": {str: object}, "trace": [{str: NUMBER}]}
 # What the maps' views and light are read from.
 _KNOWN = {
-    "views": {"size": NUMBER, "falloff": str, "camera": [[NUMBER]], "light": [[NUMBER]], "intensity": [[NUMBER]]},
+    "views": {"size": NUMBER, "falloff": str, "camera": [[NUMBER]], "light": [[NUMBER]],
+              "intensity": [[NUMBER]]},
     "flash_offset": (dict, NONE), "capture": {"name": (str, NONE), "photos": [int], "transfer": str}}
-_BESIDE = {"calibration": dict, "variant": (str, NONE), "finish": dict, "profile": dict}  # where they are there
+# where they are there
+_BESIDE = {"calibration": dict, "variant": (str, NONE), "finish": dict, "profile": dict}
 
 
 def capture_name(capture: Capture) -> str:
@@ -64,7 +68,8 @@ class SavedFit:
         views: theirs, as fitted; None when unknown.
         method: how it was fitted; None when unknown.
         estimated: whether the views were estimated from the photos.
-        light_power_factor: what the light power that the capture states is to be multiplied by, as its maps told.
+        light_power_factor: what the light power that the capture states is to be multiplied by, as its maps
+            told.
         path: its folder.
         record: what its ``fit.json`` holds.
     """
@@ -145,7 +150,8 @@ def read_fit(maps: str | Path) -> SavedFit:
 
     Raises:
         MapsError: the ``fit.json`` cannot be understood.
-        OutputError: a command that was killed left the folder with files of two results, and it cannot be written.
+        OutputError: a command that was killed left the folder with files of two results, and it cannot be
+            written.
     """
     folder = Path(os.path.abspath(maps))
     folder = folder.parent if folder.name in MAP_FOLDERS else folder
@@ -163,11 +169,13 @@ def read_whole_fit(folder: str | Path) -> SavedFit:
     folder = Path(folder)
     settle(folder)
     if not (folder / FILE).is_file():
-        raise MapsError("a folder that `mitsvbrdf fit` wrote", f"{folder}, which has no {FILE}", "give the OUT of a fit")
+        raise MapsError("a folder that `mitsvbrdf fit` wrote", f"{folder}, which has no {FILE}",
+                        "give the OUT of a fit")
     fit = _read(folder)
     if wrong := _missing(fit):
         raise MapsError(f"a {FILE} of schema version {SCHEMA_VERSION}",
-                        f"{folder / FILE}, whose {wrong} is missing or of another kind", "fit again with this version")
+                        f"{folder / FILE}, whose {wrong} is missing or of another kind",
+                        "fit again with this version")
     _ = fit.svbrdf  # maps that cannot be read are an error here
     return fit
 
@@ -175,15 +183,17 @@ def read_whole_fit(folder: str | Path) -> SavedFit:
 def _read(folder: Path) -> SavedFit:
     try:
         record = record_in(folder)
-        shape = _KNOWN | {name: kind for name, kind in (_SHAPE | _BESIDE).items() if name in record and name not in _KNOWN}
-        if wrong := misfit(record, shape):
+        shape = _KNOWN | {name: kind for name, kind in (_SHAPE | _BESIDE).items() if name in record
+                          and name not in _KNOWN}
+        if wrong := shape_error(record, shape):
             raise ValueError(f"{wrong} is missing or of another kind")
         offset, views, known = record["flash_offset"], record["views"], record.get("calibration", {})
         fit = SavedFit(
             falloff=views["falloff"], transfer=record["capture"]["transfer"],
             flash_offset=None if offset is None else (float(offset["x"]), float(offset["y"])),
             capture=record["capture"]["name"], seen=tuple(record["capture"]["photos"]),
-            views=Views.of(views["camera"], views["light"], views["intensity"], views["size"], views["falloff"]),
+            views=Views.of(views["camera"], views["light"], views["intensity"], views["size"],
+                           views["falloff"]),
             method=record.get("method"), estimated=known.get("estimated", False) is True,
             light_power_factor=float(known.get("power_told") or 1.0), path=folder, record=record)
         if fit.transfer not in get_args(color.Transfer):
@@ -191,7 +201,7 @@ def _read(folder: Path) -> SavedFit:
         if record.get("bsdf", "roughconductor") not in CHANNELS:
             raise ValueError("unknown bsdf")
     except (OSError, ValueError, KeyError, TypeError, MitsvbrdfError) as reason:
-        raise MapsError(f"a {FILE} of this package", f"{folder / FILE}: {said(reason)}",
+        raise MapsError(f"a {FILE} of this package", f"{folder / FILE}: {error_text(reason)}",
                         "move it away to read the maps alone") from None
     return fit
 
@@ -200,7 +210,8 @@ def _missing(fit: SavedFit) -> str:
     """What the record lacks for a page; empty text where it is whole."""
     if fit.record.get("schema_version") != SCHEMA_VERSION:
         return "schema_version"
-    if wrong := misfit({"used": [], "calibrated_rmse": None, **fit.record}, _SHAPE):  # older records lack these
+    # older records lack these
+    if wrong := shape_error({"used": [], "calibrated_rmse": None, **fit.record}, _SHAPE):
         return wrong
     whole = (fit.names == [f"{number:02d}" for number in fit.seen]
              and fit.views is not None and len(fit.views) == len(fit.names) > 0
@@ -209,7 +220,8 @@ def _missing(fit: SavedFit) -> str:
 
 
 def write_record(folder: Path, result: FitResult, capture: Capture, command: dict) -> None:
-    """Write ``fit.json``: everything about a fit that fits into JSON; ``docs/formats.md`` explains each field.
+    """Write ``fit.json``: everything about a fit that fits into JSON; ``docs/formats.md`` explains each
+    field.
 
     Args:
         folder: of the fit.

@@ -23,30 +23,35 @@ class FitResult:
     Args:
         svbrdf: the recovered material: the state with the lowest re-rendering error over the photos used; of
             ``hierarchical`` the last.
-        views: the views it was fitted with (the flash offset found is in ``light``; ``hierarchical`` refines all of each view).
+        views: the views it was fitted with (the flash offset found is in ``light``; ``hierarchical`` refines
+            all of each view).
         guess: guessed diffuse map, R x R x 3 linear.
         rerendered: linear radiance N x R x R x 3 of the photos used.
         rerender_rmse: over these photos, in display values clipped to [0, 1].
         per_photo: the same for each photo.
-        calibrated_rmse: the same with the stated views and ``flash_offset`` instead; None where these are ``views``, or no
-            views were stated.
+        calibrated_rmse: the same with the stated views and ``flash_offset`` instead; None where these are
+            ``views``, or no views were stated.
         trace: one dict a measurement: seconds, iteration, each loss, rerender_rmse.
         config: the settings.
         renderer: the name of the renderer; ``variant`` its Mitsuba variant or None.
         left_out: (what, why) of each thing the scene or the method did not need.
         used: (what, how) of each network that was trained.
-        stopped: why the fit ended: "settled", "budget", "iterations", "interrupted" or "unstable" (too many steps undone).
+        stopped: why the fit ended: "settled", "budget", "iterations", "interrupted" or "unstable" (too many
+            steps undone).
         undone: ``iteration`` and ``reason`` of each step that made something non-finite and was taken back.
         restarts: the same of each return to the state of the lowest loss, from which the fit had diverged.
-        deviations: standard deviation of each fitted map, by name, r x r x C with r <= 64, in the numbers in which map
-            errors are counted; see :mod:`mitsvbrdf.fit.confidence`.
+        deviations: standard deviation of each fitted map, by name, r x r x C with r <= 64, in the numbers in
+            which map errors are counted; see :mod:`mitsvbrdf.fit.confidence`.
         warnings: in sentences; see :mod:`mitsvbrdf.fit.warnings`.
-        flash_offset: by how much (x, y) the fit moved the flash beside the lens, in the unit of the views, or None.
-        calibration: what is known of the views and how surely; see :func:`mitsvbrdf.fit.view_record.views_record`.
+        flash_offset: by how much (x, y) the fit moved the flash beside the lens, in the unit of the views, or
+            None.
+        calibration: what is known of the views and how surely; see
+            :func:`mitsvbrdf.fit.view_record.views_record`.
         look: one plausible draw of what no photo saw, for pictures; None without
             :func:`mitsvbrdf.fit.generator.finish.finished`.
         finish: settings, seconds and losses of that, and what it is, or None.
-        profile: where the time of the steps went, where :func:`mitsvbrdf.system.profile.profiling` was on, else None.
+        profile: where the time of the steps went, where :func:`mitsvbrdf.io.profile.profiling` was on,
+            else None.
     """
 
     svbrdf: SVBRDF
@@ -74,7 +79,8 @@ class FitResult:
     calibrated_rmse: float | None = None
 
     def __repr__(self) -> str:
-        return (f"FitResult({method_name(self.config)}, {self.svbrdf!r}, re-rendering RMSE {self.rerender_rmse:.4f}, "
+        return (f"FitResult({method_name(self.config)}, {self.svbrdf!r}, re-rendering RMSE "
+                f"{self.rerender_rmse:.4f}, "
                 f"{self.stopped})")
 
     def _repr_html_(self) -> str:
@@ -83,15 +89,21 @@ class FitResult:
 
 
 def result_html(result: FitResult) -> str:
-    """Error and why the fit ended, maps, guessed diffuse map, at most nine re-rendered photos, and warnings, as HTML."""
+    """Error and why the fit ended, maps, guessed diffuse map, at most nine re-rendered photos, and warnings,
+    as HTML.
+    """
     end = result.trace[-1] if result.trace else {}
-    took = f" after {end['seconds']:.1f} s, {end['iteration']} iterations" if {"seconds", "iteration"} <= set(end) else ""
-    stated = "" if result.calibrated_rmse is None else f" with views as fitted, {result.calibrated_rmse:.4f} as calibrated"
+    took = (f" after {end['seconds']:.1f} s, {end['iteration']} iterations"
+            if {"seconds", "iteration"} <= set(end) else "")
+    stated = ("" if result.calibrated_rmse is None
+              else f" with views as fitted, {result.calibrated_rmse:.4f} as calibrated")
     again = [(f"#{number} · {error:.4f}", uri_of(color.to_display(image, "srgb")))
              for number, (image, error) in enumerate(zip(result.rerendered[:SHOWN], result.per_photo), 1)]
     return html_of(f"FitResult · {method_name(result.config)} · {result.renderer} · {result.svbrdf.bsdf}",
-                 [("Maps", maps_html(result.svbrdf) + [("Guessed diffuse", uri_of(shown_map("diffuse", result.guess)))]),
+                 [("Maps", maps_html(result.svbrdf)
+                   + [("Guessed diffuse", uri_of(shown_map("diffuse", result.guess)))]),
                   ("Re-rendered, in sRGB, with the RMSE in display values", again)],
-                 [f"re-rendering RMSE {result.rerender_rmse:.4f} over {count_words(len(result.per_photo))}{stated}; "
+                 [f"re-rendering RMSE {result.rerender_rmse:.4f} over "
+                  f"{count_words(len(result.per_photo))}{stated}; "
                   f"stopped: {result.stopped}{took}", *filter(None, [about_views(result.calibration)])],
                  [f"warning: {warning}" for warning in result.warnings])

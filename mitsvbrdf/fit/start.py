@@ -1,4 +1,6 @@
-"""The robust start: guessed diffuse, one specular level and one roughness for all texels, flat normals, or the fixed maps."""
+"""The robust start: guessed diffuse, one specular level and one roughness for all texels, flat normals, or
+the fixed maps.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,10 @@ from ..render.analytic import AnalyticRenderer
 ROUGHNESS_GRID = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.7, 0.85)
 
 
-def robust_start(capture: Capture, guess: Tensor, bsdf: Bsdf, fixed: Mapping[str, Tensor] | None = None) -> SVBRDF:
-    """A material to start from: the guess, and the specular level and roughness whose lobe best explains what it leaves.
+def robust_start(capture: Capture, guess: Tensor, bsdf: Bsdf, fixed: Mapping[str, Tensor]
+                 | None = None) -> SVBRDF:
+    """A material to start from: the guess, and the specular level and roughness whose lobe best explains what
+    it leaves.
 
     For each roughness of a short grid the level is the least-squares one over unclipped pixels of all photos.
 
@@ -30,7 +34,8 @@ def robust_start(capture: Capture, guess: Tensor, bsdf: Bsdf, fixed: Mapping[str
     level, roughness = _lobe(capture, guess, fixed)
     size = capture.resolution
     if bsdf == "principled":
-        # The same two lobes: base colour (1 - metallic) is the guess, base colour metallic what F0 exceeds a dielectric's.
+        # The same two lobes: base colour (1 - metallic) is the guess, base colour metallic what F0 exceeds a
+        # dielectric's.
         metal = max(level - DIELECTRIC_F0, 0.0)
         base = (guess + metal).clamp(0.01, 1)
         metallic = (metal / base.mean(dim=2, keepdim=True)).clamp(0.05, 0.95)
@@ -45,7 +50,8 @@ def _lobe(capture: Capture, guess: Tensor, fixed: Mapping[str, Tensor]) -> tuple
     side = min(64, capture.resolution)
     shrink = torch.nn.AdaptiveAvgPool2d(side)
     radiance = shrink(capture.linear.permute(0, 3, 1, 2)).permute(0, 2, 3, 1)
-    usable = (shrink((capture.photos < CLIPPED).float().permute(0, 3, 1, 2)).permute(0, 2, 3, 1) > 0.99).float()
+    usable = (shrink((capture.photos < CLIPPED).float().permute(0, 3, 1, 2)).permute(0, 2, 3,
+                                                                                     1) > 0.99).float()
     small = shrink(guess.permute(2, 0, 1)[None])[0].permute(1, 2, 0)
     lobe_maps = {name: fixed[name] for name in ("specular", "roughness", "normal") if name in fixed}
     if lobe_maps:

@@ -1,4 +1,6 @@
-"""What a fit is given and what it may find, decided once for all methods: guess, fixed maps, and which views may move."""
+"""What a fit is given and what it may find, decided once for all methods: guess, fixed maps, and which views
+may move.
+"""
 
 from __future__ import annotations
 
@@ -22,14 +24,16 @@ Refined = Literal["never", "unless exact", "always"]
 
 @dataclass(frozen=True, eq=False)
 class FitTask(Generic[Config]):
-    """A capture to fit with a method's settings. What follows from them is found when first asked for, and kept.
+    """A capture to fit with a method's settings. What follows from them is found when first asked for, and
+    kept.
 
     Args:
         capture: photos and views.
         renderer: carries the gradients and draws the comparison.
         config: which method, and its settings.
         own_guess: guessed diffuse map, R x R x 3 linear; None makes it of the photos.
-        estimated: how the views were estimated from the photos; None where they were stated, or stay the default.
+        estimated: how the views were estimated from the photos; None where they were stated, or stay the
+            default.
     """
 
     capture: Capture
@@ -48,7 +52,8 @@ class FitTask(Generic[Config]):
         """The guessed diffuse map, R x R x 3 linear; or the diffuse map itself where it is fixed."""
         if self.own_guess is not None:
             return self.own_guess
-        return self.fixed["diffuse"].contiguous() if "diffuse" in self.fixed else guess_diffuse(self.capture, self.config.guess)
+        return (self.fixed["diffuse"].contiguous() if "diffuse" in self.fixed
+                else guess_diffuse(self.capture, self.config.guess))
 
     @cached_property
     def unused(self) -> dict[str, str]:
@@ -70,22 +75,31 @@ class FitTask(Generic[Config]):
             return "the views are a stated default, not a calibration"
         if config.holds_views:
             return "the views are held"
-        return "mitsuba-scene has no gradient to the lights" if self.renderer.name == "mitsuba-scene" else None
+        return ("mitsuba-scene has no gradient to the lights" if self.renderer.name == "mitsuba-scene"
+                else None)
 
     @property
     def refined(self) -> Refined:
-        """When the method refines camera, flash and exposure of each photo; exact are photos that follow the model."""
+        """When the method refines camera, flash and exposure of each photo; exact are photos that follow the
+        model.
+        """
         if self.config.holds_views or self.config.refines_views is False or not self.views_known:
             return "never"
-        return "always" if self.config.refines_views or self.capture.calibration in ("photos", "none") else "unless exact"
+        return ("always" if self.config.refines_views or self.capture.calibration in ("photos", "none")
+                else "unless exact")
 
     @property
     def light_power_unknown(self) -> bool:
-        """Whether the maps may tell the light power: it was estimated, or views come from features, which do not tell it."""
-        return self.estimated is not None or self.capture.calibration == "photos" and not self.config.holds_views
+        """Whether the maps may tell the light power: it was estimated, or views come from features, which do
+        not tell it.
+        """
+        return (self.estimated is not None
+                or self.capture.calibration == "photos" and not self.config.holds_views)
 
 
 def fit_task(capture: Capture, renderer: Renderer, config: Config) -> FitTask[Config]:
-    """The task of a fit, with views estimated where the capture has none, but for a method that holds them."""
+    """The task of a fit, with views estimated where the capture has none, but for a method that holds
+    them.
+    """
     capture, estimated = (capture, None) if config.holds_views else self_calibrated(capture)
     return FitTask(capture, renderer, config, estimated=estimated)

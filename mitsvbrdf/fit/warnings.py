@@ -18,29 +18,39 @@ from .fixed_maps import described
 from .gan_config import GanConfig
 from .result import FitResult
 
-# Behind each number, what twelve real captures of nine photos had, fitted with `hybrid` and `direct` at 64 px.
+# Behind each number, what twelve real captures of nine photos had, fitted with `hybrid` and `direct` at 64
+# px.
 MUCH_CLIPPED = 0.05  # of the pixels; eleven had up to 0.015, one 0.08
 ALIKE = 2 / 255  # display values, root mean square
 DARK = 8 / 255  # display values, median
 GAIN = 1.25  # photos over re-rendering, or the other way round; 0.93 to 1.01
 USABLE = 0.1  # share of the pixels that must be neither dark nor clipped, to speak of a gain
-WHITE, WHITE_SHARE = 0.97, 0.1  # diffuse albedo, and the share of texels that may have it; ten had 0, two 0.3 and more
+# diffuse albedo, and the share of texels that may have it; ten had 0, two 0.3 and more
+WHITE, WHITE_SHARE = 0.97, 0.1
 FAINT = 0.015  # F0, median; eleven had 0.0156 and more, one 0.013. Water has 0.02, and nothing known less
-# Median F0 beyond an ordinary non-metal's (0.02 to 0.08), and the share of it that must be determined to believe that; of
-# eighteen fits to seven photos one had 0.31 with a fifth of it determined, the others 0.1 and less, or were determined.
+# Median F0 beyond an ordinary non-metal's (0.02 to 0.08), and the share of it that must be determined to
+# believe that; of eighteen fits to seven photos one had 0.31 with a fifth of it determined, the others 0.1
+# and less, or were determined.
 STRONG, HARDLY = 0.1, 0.5
-MORE_SHARE = 0.1  # share of the texels that may reflect more than arrives; three of the eighteen had 0.28 to 0.55, the rest 0
+# share of the texels that may reflect more than arrives; three of the eighteen had 0.28 to 0.55, the rest 0
+MORE_SHARE = 0.1
 ASIDE = 0.05  # patch sides from the middle that count as beside it
-COARSE = 64  # pixels a side at which photos are compared with each other; the closest two of the eighteen are 4.6 / 255 apart
+# pixels a side at which photos are compared with each other; the closest two of the eighteen are 4.6 / 255
+# apart
+COARSE = 64
 WORSE = 2.5  # times the median error of a photo; 1.1 to 2.3
 POOR = 0.1  # re-rendering RMSE
-BURNT_IN = 0.3  # share of specular or roughness that lies as the highlights do; ten had up to 0.18, the two of wood 0.4 to 0.74
-OVALS = 0.2  # the same of single highlights; known materials under the views of six captures have 0.13 at most
-# Error with views as stated over that with views as refined: `inlay` at 48 px had 1.05 with true views, 1.09 with a flash
-# beside the lens, 1.7 with cameras 0.03 patch sides off.
+# share of specular or roughness that lies as the highlights do; ten had up to 0.18, the two of wood 0.4 to
+# 0.74
+BURNT_IN = 0.3
+# the same of single highlights; known materials under the views of six captures have 0.13 at most
+OVALS = 0.2
+# Error with views as stated over that with views as refined: `inlay` at 48 px had 1.05 with true views, 1.09
+# with a flash beside the lens, 1.7 with cameras 0.03 patch sides off.
 NO_BETTER = 1.2
-# Discriminator loss, median over the last fifth of the measurements, and how many measurements it takes to speak of one.
-# Runs that went well ended at 0.05 to 0.7, hinge 0.4 to 1; with photos that no rendering resembles, at 0.004 and less.
+# Discriminator loss, median over the last fifth of the measurements, and how many measurements it takes to
+# speak of one. Runs that went well ended at 0.05 to 0.7, hinge 0.4 to 1; with photos that no rendering
+# resembles, at 0.004 and less.
 SURE, MEASURED = 0.01, 5
 
 
@@ -87,13 +97,15 @@ def about_photos(capture: Capture) -> Iterator[str]:
 
 def _twice(capture: Capture) -> Iterator[str]:
     """Pairs of photos that are the same picture; of many copies of one, each beside the first."""
-    small = F.adaptive_avg_pool2d(capture.photos.permute(0, 3, 1, 2), min(COARSE, capture.resolution)).flatten(1)
+    small = F.adaptive_avg_pool2d(capture.photos.permute(0, 3, 1, 2),
+                                  min(COARSE, capture.resolution)).flatten(1)
     named: set[int] = set()
     for first in range(len(capture)):
         for second in range(first + 1, len(capture)):
             if second not in named and float((small[first] - small[second]).square().mean().sqrt()) < ALIKE:
                 named.add(second)
-                yield (f"photos {capture.names[first]} and {capture.names[second]} are the same picture: leave one out with "
+                yield (f"photos {capture.names[first]} and {capture.names[second]} are the same picture: "
+                       "leave one out with "
                        "--views, and take another from elsewhere")
 
 
@@ -122,19 +134,22 @@ def _implausible(result: FitResult) -> Iterator[str]:
         unsure = spread.square().mean(dim=-1).sqrt() >= DETERMINED
         level, share = float(material["specular"].median()), 1 - float(unsure.float().mean())
         if level > STRONG and share < HARDLY:
-            yield (f"median specular (F0) of {level:.2g}, {share:.0%} of it determined: a metal's, or a guess. Add a photo "
+            yield (f"median specular (F0) of {level:.2g}, {share:.0%} of it determined: a metal's, or a "
+                   "guess. Add a photo "
                    f"with its highlight {_place(unsure)}, or --fix specular=0.04 where it is no metal")
     if not {"diffuse", "specular"} & set(fixed):
         more = float(((material["diffuse"] + material["specular"]).amax(dim=-1) > 1).float().mean())
         if more > MORE_SHARE:
-            yield (f"{more:.0%} of the texels reflect more than arrives (diffuse + specular above 1): the light may be "
+            yield (f"{more:.0%} of the texels reflect more than arrives (diffuse + specular above 1): the "
+                   "light may be "
                    "stronger than stated, or try --fix specular=0.04 where it is no metal")
 
 
 def _place(mask: Tensor) -> str:
     """Where the centre of a mask (R x R, row 0 at the top) lies on the patch, in words."""
     down, right = ((mask.nonzero().double().mean(dim=0) + 0.5) / len(mask) - 0.5).tolist()
-    words = ["top" if down < 0 else "bottom"] * (abs(down) > ASIDE) + ["left" if right < 0 else "right"] * (abs(right) > ASIDE)
+    words = (["top" if down < 0 else "bottom"] * (abs(down) > ASIDE)
+             + ["left" if right < 0 else "right"] * (abs(right) > ASIDE))
     return f"at the {' '.join(words)} of the patch" if words else "where none is yet"
 
 
@@ -154,42 +169,57 @@ def _burnt_in(result: FitResult) -> Iterator[str]:
         if share > BURNT_IN and name not in fixed:
             yield f"{share:.0%} of the {name} map lies as the photos' highlights do: it may be theirs, not the material's"
     for name, share in local_burn_in(result.svbrdf, result.views).items():
-        if share > OVALS and name not in fixed and result.svbrdf.resolution >= LOCAL_SIDE:  # fewer texels have it by chance
-            yield (f"the {name} map has ovals where single photos had their highlights ({share:.0%} of it): they are "
-                   "hardly the material's; add photos from other places, with the highlights elsewhere, and fit again")
+        # fewer texels have it by chance
+        if share > OVALS and name not in fixed and result.svbrdf.resolution >= LOCAL_SIDE:
+            yield (f"the {name} map has ovals where single photos had their highlights ({share:.0%} of it): "
+                   "they are "
+                   "hardly the material's; add photos from other places, with the highlights elsewhere, and "
+                   "fit again")
 
 
 def _cut_short(result: FitResult) -> Iterator[str]:
-    """Whether the fit was still on its way when it ended; the schedules of other methods end when their budget does."""
+    """Whether the fit was still on its way when it ended; the schedules of other methods end when their
+    budget does.
+    """
     if result.trace[-1]["iteration"] == 0:
         yield "no step was made, so the maps are where the fit starts: give more seconds"
-    elif isinstance(result.config, HierarchicalConfig) and result.stopped in ("budget", "iterations", "interrupted"):
+    elif isinstance(result.config, HierarchicalConfig) and result.stopped in ("budget", "iterations",
+                                                                              "interrupted"):
         yield "the fit ended before it had settled: give more seconds or iterations"
 
 
 def _game(result: FitResult) -> Iterator[str]:
-    """Whether the discriminator was so sure that it learned no more; its verdict then says little about what to change."""
-    losses, config = [entry["discriminator"] for entry in result.trace if "discriminator" in entry], result.config
+    """Whether the discriminator was so sure that it learned no more; its verdict then says little about what
+    to change.
+    """
+    losses, config = [entry["discriminator"] for entry in result.trace
+                      if "discriminator" in entry], result.config
     if len(losses) < MEASURED:
         return
     loss = statistics.median(losses[-math.ceil(len(losses) / 5):])
     if loss < SURE and isinstance(config, (GanConfig, HybridConfig)):
         guess = 1.0 if isinstance(config, GanConfig) and config.game == "hinge" else math.log(2)
-        rate = f"--discriminator-rate, now {config.discriminator_rate:g}" if isinstance(config, GanConfig) else "--adversarial"
-        yield (f"the discriminator told renderings from photos almost surely (its loss in the end {loss:.2g}; {guess:.2g} is a "
+        rate = (f"--discriminator-rate, now {config.discriminator_rate:g}" if isinstance(config, GanConfig)
+                else "--adversarial")
+        yield ("the discriminator told renderings from photos almost surely (its loss in the end "
+               f"{loss:.2g}; {guess:.2g} is a "
                f"guess), so it hardly helped: lower {rate}")
 
 
 def _refined_for_nothing(result: FitResult, capture: Capture) -> Iterator[str]:
-    """Whether stated views were refined, as asked for, where exact photos said as much with the views as they were."""
+    """Whether stated views were refined, as asked for, where exact photos said as much with the views as they
+    were.
+    """
     from .hierarchical.moved_views import TILTED  # with OpenCV, which results alone do not need
     from .hierarchical.skipped import TIED
 
     stated, offset = result.calibrated_rmse, math.hypot(*(result.flash_offset or (0.0, 0.0)))
-    if not (result.config.refines_views and stated and TIED in dict(result.left_out)):  # only exact photos are not tied
+    # only exact photos are not tied
+    if not (result.config.refines_views and stated and TIED in dict(result.left_out)):
         return
     if stated < NO_BETTER * result.rerender_rmse and offset < TILTED * capture.views.size:
-        yield (f"the stated views explain the photos to {stated:.2g}, the refined ones to {result.rerender_rmse:.2g}: there "
+        yield (f"the stated views explain the photos to {stated:.2g}, the refined ones to "
+               f"{result.rerender_rmse:.2g}: there "
                "was nothing to mend, and new views may come out worse; leave --calibrate out")
 
 

@@ -1,7 +1,8 @@
-"""The maps of one BSDF as those of the other: base colour and metallic cannot say all that diffuse and specular can.
+"""The maps of one BSDF as those of the other: base colour and metallic cannot say all that diffuse and
+specular can.
 
-A metal/rough material has diffuse b (1 - m) and F0 = b m + 0.04 (1 - m): four numbers for six. The way back is
-:meth:`mitsvbrdf.material.maps.SVBRDF.as_roughconductor`.
+A metal/rough material has diffuse b (1 - m) and F0 = b m + 0.04 (1 - m): four numbers for six. The way back
+is :meth:`mitsvbrdf.material.maps.SVBRDF.as_roughconductor`.
 """
 
 from __future__ import annotations
@@ -11,28 +12,33 @@ from torch import Tensor
 
 from .maps import DIELECTRIC_F0, SVBRDF
 
-# Between what reflects most without being a metal (diamond, 0.17) and least being one (0.4 and more in the strongest channel).
+# Between what reflects most without being a metal (diamond, 0.17) and least being one (0.4 and more in the
+# strongest channel).
 METAL_F0 = 0.25
 DIELECTRICS = 0.02, 0.17  # F0 of water and of diamond
-METAL_DIFFUSE = 0.25  # largest diffuse colour of a metal, as a share of its F0: a bare metal has none, a fit leaves a little
+# largest diffuse colour of a metal, as a share of its F0: a bare metal has none, a fit leaves a little
+METAL_DIFFUSE = 0.25
 
 
 def is_metal(svbrdf: SVBRDF) -> Tensor:
-    """Which texels are clearly a metal: R x R x 1, bool. F0 alone does not tell; fits of wood and paper reach 0.3, too."""
+    """Which texels are clearly a metal: R x R x 1, bool. F0 alone does not tell; fits of wood and paper reach
+    0.3, too.
+    """
     maps = svbrdf.as_roughconductor()
     f0, diffuse = (maps[name].amax(dim=-1, keepdim=True) for name in ("specular", "diffuse"))
     return (f0 > METAL_F0) & (diffuse < METAL_DIFFUSE * f0)
 
 
 def as_principled(svbrdf: SVBRDF) -> SVBRDF:
-    """Base colour and metallic, which is 0 or 1: F0 of metals, the diffuse colour of all else; a principled one as it is.
+    """Base colour and metallic, which is 0 or 1: F0 of metals, the diffuse colour of all else; a principled
+    one as it is.
 
-    The metallic between 0 and 1 that is nearest to both maps would turn a red card with an F0 of 0.1 into three quarters of
-    a metal, whose colour is in the highlight: under oblique light it is black.
+    The metallic between 0 and 1 that is nearest to both maps would turn a red card with an F0 of 0.1 into
+    three quarters of a metal, whose colour is in the highlight: under oblique light it is black.
 
     Returns:
-        A ``principled`` material of the same dtype and normals. Lost are the F0 of what is no metal, which comes out as
-        0.04, and the diffuse light of metals.
+        A ``principled`` material of the same dtype and normals. Lost are the F0 of what is no metal, which
+        comes out as 0.04, and the diffuse light of metals.
     """
     if svbrdf.bsdf == "principled":
         return svbrdf
@@ -43,16 +49,19 @@ def as_principled(svbrdf: SVBRDF) -> SVBRDF:
 
 
 def layered(svbrdf: SVBRDF, f0: Tensor) -> SVBRDF:
-    """Base colour and metallic for clients that lay the highlight over the diffuse light, which they let through by 1 - F0.
+    """Base colour and metallic for clients that lay the highlight over the diffuse light, which they let
+    through by 1 - F0.
 
-    Of all but metals the base colour is the diffuse colour divided by that: seen from above, the diffuse light is ours.
+    Of all but metals the base colour is the diffuse colour divided by that: seen from above, the diffuse
+    light is ours.
 
     Args:
         svbrdf: a ``roughconductor`` material.
         f0: the F0 that the client knows of what is no metal, broadcast to R x R x 1.
 
     Returns:
-        A ``principled`` material. Cut are base colours above 1, of texels that reflect more light than arrives.
+        A ``principled`` material. Cut are base colours above 1, of texels that reflect more light than
+        arrives.
     """
     material = as_principled(svbrdf)
     base = (svbrdf["diffuse"] / (1 - f0).clamp_min(1e-6)).clamp_max(1.0)
@@ -61,7 +70,9 @@ def layered(svbrdf: SVBRDF, f0: Tensor) -> SVBRDF:
 
 
 def usual_f0(svbrdf: SVBRDF) -> float:
-    """One F0 for all that is no metal, where a format has no map of it: the median, from water's to diamond's."""
+    """One F0 for all that is no metal, where a format has no map of it: the median, from water's to
+    diamond's.
+    """
     others = svbrdf["specular"].mean(dim=-1)[~is_metal(svbrdf)[..., 0]]
     return float(others.median().clamp(*DIELECTRICS)) if len(others) else DIELECTRIC_F0
 
@@ -72,7 +83,8 @@ def relative_f0(svbrdf: SVBRDF, level: float) -> Tensor:
 
 
 def as_shown(material: SVBRDF, f0: Tensor, taken: Tensor) -> SVBRDF:
-    """What a client that lays the lobes shows from above, as diffuse and F0: the way back from :func:`layered`.
+    """What a client that lays the lobes shows from above, as diffuse and F0: the way back from
+    :func:`layered`.
 
     Args:
         material: a ``principled`` one.
@@ -81,5 +93,6 @@ def as_shown(material: SVBRDF, f0: Tensor, taken: Tensor) -> SVBRDF:
     """
     base, metallic = material["base_color"], material["metallic"]
     return SVBRDF("roughconductor", {
-        "diffuse": base * (1 - metallic) * (1 - taken), "specular": base * metallic + f0.clamp_max(1.0) * (1 - metallic),
+        "diffuse": base * (1 - metallic) * (1 - taken), "specular": base * metallic
+        + f0.clamp_max(1.0) * (1 - metallic),
         "roughness": material["roughness"], "normal": material["normal"]})

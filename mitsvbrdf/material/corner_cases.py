@@ -6,7 +6,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..system.entry import entry
+from ..io.entry import entry
 from ..views import texel_positions
 from .conversion import as_principled
 from .made import MATERIALS, make_material
@@ -14,8 +14,10 @@ from .maps import CHANNELS, SVBRDF, Bsdf, flat
 
 # How the maps of one BSDF become those of the other, as it stands in the output.
 CONVERSION: dict[str, str] = {
-    "roughconductor": "diffuse = base_color (1 - metallic), specular = base_color metallic + 0.04 (1 - metallic)",
-    "principled": "metallic 1 and base_color specular where it clearly is a metal, else 0 and diffuse; F0 is then 0.04",
+    "roughconductor": "diffuse = base_color (1 - metallic), specular = base_color metallic + 0.04 (1 - "
+                      "metallic)",
+    "principled": "metallic 1 and base_color specular where it clearly is a metal, else 0 and diffuse; F0 "
+                  "is then 0.04",
 }
 
 
@@ -27,9 +29,11 @@ def builtin_materials(resolution: int = 128) -> dict[str, SVBRDF]:
 
 @entry()
 def corner_materials(resolution: int = 128) -> dict[str, SVBRDF]:
-    """Materials at the ends of their ranges, ``roughconductor``, R x R x C, float32; the first is the only one without relief.
+    """Materials at the ends of their ranges, ``roughconductor``, R x R x C, float32; the first is the only
+    one without relief.
 
-    ``polished`` goes below roughness 0.1, where no tolerance is stated, down to the 0.02 that ``principled`` cuts.
+    ``polished`` goes below roughness 0.1, where no tolerance is stated, down to the 0.02 that ``principled``
+    cuts.
     """
     waves = _waves(resolution, 8.5)
     return {
@@ -38,22 +42,27 @@ def corner_materials(resolution: int = 128) -> dict[str, SVBRDF]:
         "polished": _material(waves, roughness=_ramp(resolution, 0.02, 0.1)),
         "black diffuse": _material(waves, diffuse=0.0, roughness=0.3),
         "white": _material(waves, diffuse=1.0, specular=1.0, roughness=1.0),
-        "coloured F0": _material(waves, diffuse=0.02, specular=(1.0, 0.6, 0.0), roughness=_ramp(resolution, 0.2, 0.8)),
+        "coloured F0": _material(waves, diffuse=0.02, specular=(1.0, 0.6, 0.0),
+                                 roughness=_ramp(resolution, 0.2, 0.8)),
         "steep normals": _material(_waves(resolution, 65.0), roughness=0.4),
     }
 
 
 def _material(normal: Tensor, **values: float | tuple[float, ...] | Tensor) -> SVBRDF:
     start = flat(normal.shape[0])
-    maps = {name: torch.as_tensor(value, dtype=torch.float32).expand_as(start[name]).clone() for name, value in values.items()}
+    maps = {name: torch.as_tensor(value, dtype=torch.float32).expand_as(start[name]).clone()
+            for name, value in values.items()}
     return SVBRDF("roughconductor", {**start.maps, "normal": normal, **maps})
 
 
 def _waves(resolution: int, degrees: float) -> Tensor:
-    """Normals of crossed waves, three and four over the patch, tilted by up to ``degrees`` along either axis."""
+    """Normals of crossed waves, three and four over the patch, tilted by up to ``degrees`` along either
+    axis.
+    """
     x, y, _ = texel_positions(resolution).unbind(-1)
     steep = torch.tan(torch.deg2rad(torch.tensor(degrees, dtype=torch.float64)))
-    normal = torch.stack((steep * torch.sin(6 * torch.pi * x), steep * torch.sin(8 * torch.pi * y + 1), torch.ones_like(x)), -1)
+    normal = torch.stack((steep * torch.sin(6 * torch.pi * x), steep * torch.sin(8 * torch.pi * y + 1),
+                          torch.ones_like(x)), -1)
     return F.normalize(normal, dim=-1).float()
 
 
@@ -69,9 +78,12 @@ def as_bsdf(svbrdf: SVBRDF, bsdf: Bsdf) -> SVBRDF:
 
 @entry()
 def random_material(bsdf: Bsdf, resolution: int = 48, seed: int = 0) -> SVBRDF:
-    """A material harder than any real one, float32: random colours, normals tilted by 0.15 a texel, roughness from 0.15."""
+    """A material harder than any real one, float32: random colours, normals tilted by 0.15 a texel, roughness
+    from 0.15.
+    """
     g = torch.Generator().manual_seed(seed)
-    maps = {name: torch.rand(resolution, resolution, channels, generator=g) for name, channels in CHANNELS[bsdf].items()}
+    maps = {name: torch.rand(resolution, resolution, channels, generator=g)
+            for name, channels in CHANNELS[bsdf].items()}
     slopes = 0.15 * torch.randn(resolution, resolution, 2, generator=g)
     maps["normal"] = F.normalize(torch.cat((slopes, torch.ones(resolution, resolution, 1)), -1), dim=-1)
     maps["roughness"] = 0.15 + 0.8 * maps["roughness"]

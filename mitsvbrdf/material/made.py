@@ -1,7 +1,8 @@
 """Materials made by code: for the demo, the tests and a newcomer's first fit. Nothing is downloaded.
 
-Each is a function of continuous patch coordinates and a random generator, so every resolution shows the same structure.
-It is drawn with two or more samples along a texel and area-averaged; relief is a height in patch sides.
+Each is a function of continuous patch coordinates and a random generator, so every resolution shows the same
+structure. It is drawn with two or more samples along a texel and area-averaged; relief is a height in patch
+sides.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import torch
 from torch import Generator, Tensor
 
 from ..errors import ConfigError
-from ..system.entry import entry
+from ..io.entry import entry
 from ..views import texel_positions
 from .maps import SVBRDF
 from .paint import Colour, Paint, bevel, cell_borders, inside, mix, noise, painted, star
@@ -25,8 +26,9 @@ GOLD, COPPER, STEEL = (0.91, 0.70, 0.34), (0.84, 0.50, 0.36), (0.56, 0.55, 0.53)
 def make_material(name: str, resolution: int = 256, seed: int = 0) -> SVBRDF:
     """A made material, as ``roughconductor`` maps R x R x C, float32, linear.
 
-    Diffuse is in [0, 0.95], specular in [0.02, 0.95], their sum at most 1, roughness in [0.08, 1]; normals are unit
-    vectors with z > 0. The same arguments give the same maps; another seed gives other grain, scratches and shades.
+    Diffuse is in [0, 0.95], specular in [0.02, 0.95], their sum at most 1, roughness in [0.08, 1]; normals
+    are unit vectors with z > 0. The same arguments give the same maps; another seed gives other grain,
+    scratches and shades.
 
     Args:
         name: a key of :data:`MATERIALS`.
@@ -46,7 +48,9 @@ def make_material(name: str, resolution: int = 256, seed: int = 0) -> SVBRDF:
 
 
 def inlay(x: Tensor, y: Tensor, rng: Generator) -> Paint:
-    """A walnut panel with a compass rose of brass and copper on enamel, a carved frame and one glazed medallion."""
+    """A walnut panel with a compass rose of brass and copper on enamel, a carved frame and one glazed
+    medallion.
+    """
     r, ax, ay = torch.hypot(x, y), x.abs(), y.abs()
     edge, wear, cloud = torch.maximum(ax, ay), noise(x, y, 6, rng, 5), noise(x, y, 5, rng, 5)
     bend = y + 0.07 * noise(0.35 * x, 0.8 * y, 4, rng, 3) + 0.25 * (x + 0.15) ** 2
@@ -55,11 +59,13 @@ def inlay(x: Tensor, y: Tensor, rng: Generator) -> Paint:
     grain = 0.3 + 0.5 * year + 0.3 * fibre + 0.25 * cloud + 0.4 * pores
     groove = bevel((edge - 0.455).abs() - 0.014, 0.014)
     wood = mix((0.23, 0.105, 0.045), (0.055, 0.022, 0.011), grain) * (1 - 0.5 * groove[..., None])
-    paint = Paint(x).add(1.0, wood, 0.04, 0.52 + 0.12 * grain, 0.0002 * fibre - 0.0007 * pores - 0.007 * groove)
+    paint = Paint(x).add(1.0, wood, 0.04, 0.52 + 0.12 * grain,
+                         0.0002 * fibre - 0.0007 * pores - 0.007 * groove)
 
     def metal(distance: Tensor, colour: Colour, height: Tensor) -> None:
         paint.add(inside(distance - 0.003), (0.012, 0.009, 0.007), 0.03, 0.8, -0.001)
-        paint.add(inside(distance), 0.012 + 0.01 * wear.abs(), mix(colour, (0.45, 0.30, 0.17), 0.5 * wear - 0.15),
+        paint.add(inside(distance), 0.012 + 0.01 * wear.abs(), mix(colour, (0.45, 0.30, 0.17),
+                                                                   0.5 * wear - 0.15),
                   0.22 + 0.1 * wear.abs(), height)
 
     def wire(distance: Tensor, width: float, colour: Colour = GOLD) -> None:
@@ -91,7 +97,8 @@ def inlay(x: Tensor, y: Tensor, rng: Generator) -> Paint:
     lines = inside(torch.minimum((m - 0.098).abs(), petal.abs()) - 0.003, 0.004)
     wash = inside(petal + 0.014, 0.012) * (0.75 + 0.4 * cloud).clamp(0, 1)
     glaze = mix((0.75, 0.72, 0.63), (0.02, 0.06, 0.3), torch.maximum(lines, wash) * inside(0.014 - m, 0.004))
-    paint.add(inside(m - 0.112), glaze, 0.045, 0.13 + 0.03 * wear.abs(), 0.004 + 1.1 * (0.112**2 - m**2).clamp_min(0))
+    paint.add(inside(m - 0.112), glaze, 0.045, 0.13 + 0.03 * wear.abs(),
+              0.004 + 1.1 * (0.112**2 - m**2).clamp_min(0))
     wire(m - 0.117, 0.014)
     return paint
 
@@ -103,12 +110,14 @@ def tiles(x: Tensor, y: Tensor, rng: Generator) -> Paint:
     fu, fv = u.frac() - 0.5, v.frac() - 0.5
     edge = (torch.hypot((fu.abs() - 0.36).clamp_min(0), (fv.abs() - 0.36).clamp_min(0)) - 0.1) / 5
     sand, cloud = noise(x, y, 64, rng, 3), noise(x, y + 0.3 * hue, 6, rng, 5)
-    glaze = torch.where((pale > 0.8)[..., None], mix((0.62, 0.52, 0.34), (0.75, 0.68, 0.52), 0.5 + 0.35 * cloud),
+    glaze = torch.where((pale > 0.8)[..., None], mix((0.62, 0.52, 0.34), (0.75, 0.68, 0.52),
+                                                     0.5 + 0.35 * cloud),
                         mix((0.012, 0.14, 0.19), (0.07, 0.36, 0.36), 0.05 + 0.9 * hue + 0.35 * cloud))
     grout = mix((0.30, 0.27, 0.23), (0.46, 0.42, 0.36), 0.5 + 0.4 * sand)
     return Paint(x).add(1.0, grout, 0.03, 0.85, 0.0008 * sand).add(
         inside(edge), glaze * (0.65 + 0.35 * bevel(edge, 0.02)[..., None]), 0.05, 0.14 + 0.08 * cloud.abs(),
-        0.006 + 0.006 * bevel(edge, 0.016).sqrt() + 0.04 * ((tilt_x - 0.5) * fu + (tilt_y - 0.5) * fv) + 0.0004 * cloud)
+        0.006 + 0.006 * bevel(edge, 0.016).sqrt() + 0.04 * ((tilt_x - 0.5) * fu + (tilt_y - 0.5) * fv)
+        + 0.0004 * cloud)
 
 
 def leather(x: Tensor, y: Tensor, rng: Generator) -> Paint:
@@ -125,14 +134,17 @@ def leather(x: Tensor, y: Tensor, rng: Generator) -> Paint:
 
 
 def plates(x: Tensor, y: Tensor, rng: Generator) -> Paint:
-    """Four riveted plates of painted steel: scratches down to the metal, rust along the seams, polished spots."""
+    """Four riveted plates of painted steel: scratches down to the metal, rust along the seams, polished
+    spots.
+    """
     large, fine, spots = noise(x, y, 3, rng, 6), noise(x, y, 48, rng, 3), noise(x, y, 7, rng, 2)
     qx, qy = 0.25 - (x.abs() - 0.25).abs(), 0.25 - (y.abs() - 0.25).abs()
     seam, rivet = torch.minimum(qx, qy), torch.hypot(qx - 0.035, qy - 0.035)
     height = 0.006 * bevel(0.002 - seam, 0.012) + 0.5 * (0.014**2 - rivet**2).clamp_min(0).sqrt()
     height, polished = height + 0.0003 * noise(x, y, 32, rng, 3), inside(0.8 - spots, 0.1)
     colour = mix((0.055, 0.12, 0.10), (0.10, 0.19, 0.15), 0.5 + 0.5 * large) * (1 - 0.3 * polished[..., None])
-    paint = Paint(x).add(1.0, colour, 0.045, torch.lerp(0.36 + 0.06 * large, torch.tensor(0.1), polished), height)
+    paint = Paint(x).add(1.0, colour, 0.045, torch.lerp(0.36 + 0.06 * large, torch.tensor(0.1), polished),
+                         height)
     for left, low, turn, long, wide in torch.rand(45, 5, generator=rng).tolist():
         angle, half = 0.5 + 7 * (turn - 0.5) ** 3, 0.02 + 0.15 * long**3
         along = (x - left + 0.5) * math.cos(angle) + (y - low + 0.5) * math.sin(angle)

@@ -14,22 +14,24 @@ from torch import Tensor
 
 from .. import color
 from ..errors import ConfigError, MapsError, MapsWarning
-from ..system import files, images
-from ..system.entry import entry
-from ..system.json_files import load, said
-from ..system.result_folder import settle
+from ..io import files, images
+from ..io.entry import entry
+from ..io.json_files import error_text, load
+from ..io.result_folder import settle
 from .maps import CHANNELS, COLOURS, LOWEST_Z, SVBRDF, Bsdf
 
 # How the fields' files are encoded, by the names that material.json and --encoding use.
 ENCODINGS: dict[str, dict[str, str]] = {
     "linear": dict.fromkeys(("diffuse", "specular", "roughness", "base_color", "metallic"), "linear"),
-    "gamma 2.2": dict.fromkeys(("diffuse", "specular", "roughness", "base_color"), "gamma 2.2") | {"metallic": "linear"},
+    "gamma 2.2": dict.fromkeys(("diffuse", "specular", "roughness", "base_color"), "gamma 2.2")
+    | {"metallic": "linear"},
     "srgb": dict.fromkeys(COLOURS, "srgb") | {"roughness": "linear", "metallic": "linear"},
 }
 MAP_FOLDERS = ("maps", "look")  # of a fit: the expected values, and one plausible draw of what no photo saw
 SHORT_NAMES = {"diffuse": "dif", "specular": "spe", "roughness": "rgh", "normal": "nom"}
 
-# Normals of published maps point into the surface at up to 0.2 % of the texels: noise of networks, empty corners.
+# Normals of published maps point into the surface at up to 0.2 % of the texels: noise of networks, empty
+# corners.
 FEW = 0.01  # share of the texels at which that is mended; a map with more is in another convention
 RAISED = 1 / 255  # their z: the lowest above 0 that an 8-bit file holds
 
@@ -38,32 +40,36 @@ RAISED = 1 / 255  # their z: the lowest above 0 that an 8-bit file holds
 def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None = None) -> SVBRDF:
     """Read a folder of maps.
 
-    Understood: our own (EXR preferred over PNG), four images named diffuse, specular, roughness, normal (png, jpg, exr)
-    or base_color, metallic, roughness, normal; the short names dif, spe, rgh, nom; and one strip ``tex.png`` of diffuse,
-    normal, roughness, specular side by side (MaterialGAN). A folder that has ``maps/`` inside stands for that.
+    Understood: our own (EXR preferred over PNG), four images named diffuse, specular, roughness, normal (png,
+    jpg, exr) or base_color, metallic, roughness, normal; the short names dif, spe, rgh, nom; and one strip
+    ``tex.png`` of diffuse, normal, roughness, specular side by side (MaterialGAN). A folder that has
+    ``maps/`` inside stands for that.
 
     Args:
         folder: the folder.
-        bsdf: which set to read where both are there; left out: what material.json says, else ``principled`` when
-            base_color and metallic are there.
-        encoding: ``linear``, ``gamma 2.2`` or ``srgb`` for 8- and 16-bit files; left out: what material.json says, else
-            gamma 2.2, the field's habit. EXR is linear; normals are (n + 1) / 2, +Y up.
+        bsdf: which set to read where both are there; left out: what material.json says, else ``principled``
+            when base_color and metallic are there.
+        encoding: ``linear``, ``gamma 2.2`` or ``srgb`` for 8- and 16-bit files; left out: what material.json
+            says, else gamma 2.2, the field's habit. EXR is linear; normals are (n + 1) / 2, +Y up.
 
     Warns:
         MapsWarning: normals that point into the surface, up to 1 % of them, were lifted just above it.
 
     Raises:
         MapsError: naming what is missing or wrong.
-        OutputError: a command that was killed left the folder with files of two results, and it cannot be written.
+        OutputError: a command that was killed left the folder with files of two results, and it cannot be
+            written.
     """
     folder = Path(folder)
     settle(folder.parent if folder.name in MAP_FOLDERS else folder)
     if (folder / "maps").is_dir():
         folder = folder / "maps"
     if not folder.is_dir():
-        raise MapsError("a folder of maps", f"no folder at {folder}", "give the folder that holds diffuse, specular, ...")
+        raise MapsError("a folder of maps", f"no folder at {folder}", "give the folder that holds diffuse, "
+                                                                      "specular, ...")
     stated, codes = read_material_json(folder), encodings(folder, encoding)
-    usual: Bsdf = "principled" if _find(folder, "base_color") and _find(folder, "metallic") else "roughconductor"
+    usual: Bsdf = ("principled" if _find(folder, "base_color") and _find(folder, "metallic")
+                   else "roughconductor")
     bsdf = bsdf or stated.get("bsdf") or usual
     if bsdf == "roughconductor" and not _find(folder, "diffuse") and (folder / "tex.png").is_file():
         return _from_strip(folder / "tex.png").check()
@@ -77,7 +83,8 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
         maps[name] = read_map(path, name, channels, codes)
     sizes = {tuple(m.shape[:2]) for m in maps.values()}
     if len(sizes) > 1 or len(set(*sizes)) > 1:
-        raise MapsError("square maps of one size", f"sizes {sorted(sizes)} in {folder}", "resize them to one square size")
+        raise MapsError("square maps of one size", f"sizes {sorted(sizes)} in {folder}",
+                        "resize them to one square size")
     return SVBRDF(bsdf, maps).check()
 
 
@@ -94,7 +101,8 @@ def read_material_json(folder: Path) -> dict:
         if not isinstance(codes, dict) or not all(isinstance(code, str) for code in codes.values()):
             raise ValueError("its encoding is no object of texts")
     except (OSError, ValueError) as reason:
-        raise MapsError("a valid material.json", f"{path}: {said(reason)}", "mend it, or delete it for gamma 2.2") from None
+        raise MapsError("a valid material.json", f"{path}: {error_text(reason)}",
+                        "mend it, or delete it for gamma 2.2") from None
     return stated
 
 
@@ -110,7 +118,8 @@ def encodings(folder: str | Path, encoding: str | None = None) -> dict[str, str]
 
 def _find(folder: Path, name: str) -> Path | None:
     there = {entry.name.lower(): entry for entry in folder.iterdir() if entry.is_file()}
-    wanted = [stem + suffix for stem in (name, SHORT_NAMES.get(name)) if stem for suffix in (".exr", ".png", ".jpg", ".jpeg")]
+    wanted = [stem + suffix for stem in (name, SHORT_NAMES.get(name)) if stem for suffix in (".exr", ".png",
+                                                                                             ".jpg", ".jpeg")]
     return next((there[file] for file in wanted if file in there), None)
 
 
@@ -148,12 +157,15 @@ def _from_strip(path: Path) -> SVBRDF:
 
 
 def _lifted(normal: Tensor, path: Path) -> Tensor:
-    """Unit normals, H x W x 3, those of a few texels that point into the surface turned just above it, and said."""
+    """Unit normals, H x W x 3, those of a few texels that point into the surface turned just above it, and
+    said.
+    """
     under = normal[..., 2:] < LOWEST_Z
     count, texels = int(under.sum()), under.numel()
     if not 0 < count <= FEW * texels:
         return normal
-    warnings.warn(f"{path}: {count} of {texels} normals ({count / texels:.2%}) point into the surface; lifted just above it",
+    warnings.warn(f"{path}: {count} of {texels} normals ({count / texels:.2%}) point into the surface; "
+                  "lifted just above it",
                   MapsWarning, stacklevel=2)
     raised = torch.cat((normal[..., :2], torch.full_like(normal[..., 2:], RAISED)), dim=-1)
     return torch.where(under, F.normalize(raised, dim=-1), normal)
@@ -161,10 +173,11 @@ def _lifted(normal: Tensor, path: Path) -> Tensor:
 
 @entry()
 def save_maps(svbrdf: SVBRDF, folder: str | Path, **about: object) -> None:
-    """Write a material: float32 EXR masters (linear), 16-bit PNGs (colours sRGB, the rest linear), material.json.
+    """Write a material: float32 EXR masters (linear), 16-bit PNGs (colours sRGB, the rest linear),
+    material.json.
 
-    Normals are (n + 1) / 2 in both. A principled material also gets its diffuse and specular maps, for tools that want
-    those.
+    Normals are (n + 1) / 2 in both. A principled material also gets its diffuse and specular maps, for tools
+    that want those.
 
     Args:
         about: more fields for material.json.
@@ -175,7 +188,8 @@ def save_maps(svbrdf: SVBRDF, folder: str | Path, **about: object) -> None:
     for name, value in both.items():
         linear = (value + 1) / 2 if name == "normal" else value
         images.write_exr(folder / f"{name}.exr", linear)
-        images.write_png(folder / f"{name}.png", color.encode(linear, "srgb") if name in COLOURS else linear, bits=16)
+        images.write_png(folder / f"{name}.png", color.encode(linear, "srgb") if name in COLOURS else linear,
+                         bits=16)
     encoding = {name: code for name, code in ENCODINGS["srgb"].items() if name in both}
     files.write_json(folder / "material.json", {
         "bsdf": svbrdf.bsdf, "size": svbrdf.resolution, "encoding": encoding | {"normal": "(n+1)/2, +Y up"},

@@ -1,7 +1,7 @@
 """The material value type: an SVBRDF as named maps, checked once.
 
-Maps are linear tensors of shape R x R x C, row 0 at the top. Two parameter sets exist, named after the Mitsuba
-plugins that shade them; :data:`CHANNELS` lists their maps.
+Maps are linear tensors of shape R x R x C, row 0 at the top. Two parameter sets exist, named after the
+Mitsuba plugins that shade them; :data:`CHANNELS` lists their maps.
 """
 
 from __future__ import annotations
@@ -38,12 +38,14 @@ CHANNELS = _ByBsdf({  # of each map; another name of a BSDF raises ConfigError
 COLOURS = ("diffuse", "specular", "base_color")
 
 UNIT = 1e-3  # how far a normal's length may be from 1
-LOWEST_Z = 1e-5  # 89.9994 degrees; 16-bit files reach 1.5e-5. Closer to the plane, float32 shading frames have no digits left
+# 89.9994 degrees; 16-bit files reach 1.5e-5. Closer to the plane, float32 shading frames have no digits left
+LOWEST_Z = 1e-5
 
 # F0 of Mitsuba's `principled` dielectric part with its default `specular` = 0.5 (eta = 1.5).
 DIELECTRIC_F0 = 0.04
 # Where nothing else tells how bright the light was: what materials are usually like.
-USUAL_ALBEDO = 0.12, 1.2  # median diffuse albedo, and the sd of its natural logarithm; of ten known materials 0.001 to 0.22
+# median diffuse albedo, and the sd of its natural logarithm; of ten known materials 0.001 to 0.22
+USUAL_ALBEDO = 0.12, 1.2
 WHITEST = 0.95  # diffuse albedo that 99 % of the texels stay below
 
 
@@ -53,8 +55,8 @@ class SVBRDF:
 
     Args:
         bsdf: ``roughconductor`` (diffuse + specular lobe) or ``principled`` (base colour, metallic).
-        maps: linear tensors R x R x C under the names of :data:`CHANNELS`: colours and metallic in [0, 1], roughness
-            in (0, 1] (GGX alpha = roughness^2), normal as unit vectors, +Y up, z > 0.
+        maps: linear tensors R x R x C under the names of :data:`CHANNELS`: colours and metallic in [0, 1],
+            roughness in (0, 1] (GGX alpha = roughness^2), normal as unit vectors, +Y up, z > 0.
     """
 
     bsdf: Bsdf
@@ -67,7 +69,8 @@ class SVBRDF:
         size = self.maps["normal"].shape[0]
         for name, channels in wanted.items():
             if tuple(self.maps[name].shape) != (size, size, channels):
-                raise MapsError(f"{name} of shape {(size, size, channels)}", str(tuple(self.maps[name].shape)),
+                raise MapsError(f"{name} of shape {(size, size, channels)}",
+                                str(tuple(self.maps[name].shape)),
                                 "all maps are square, of one size, height x width x channels")
 
     def __getitem__(self, name: str) -> Tensor:
@@ -99,27 +102,35 @@ class SVBRDF:
             bad = ~torch.isfinite(value)
             if bad.any():
                 raise MapsError("finite values", f"{int(bad.sum())} NaN or infinite in {name}, first at "
-                                f"(row, column, channel) {tuple(bad.nonzero()[0].tolist())}", "mend or re-export the map")
+                                f"(row, column, channel) {tuple(bad.nonzero()[0].tolist())}",
+                                "mend or re-export the map")
             if name == "normal":
                 under = int((value[..., 2] <= 0).sum())
                 if under:
-                    raise MapsError("normals with z > 0", f"{under} of {value[..., 2].numel()} that point into the surface",
+                    raise MapsError("normals with z > 0", f"{under} of {value[..., 2].numel()} that point "
+                                                          "into the surface",
                                     "check that blue is z and the map is +Y up, tangent space")
                 length = value.norm(dim=-1)
                 if not bool(((length - 1).abs() <= UNIT).all()):
-                    raise MapsError("unit normals", f"lengths from {float(length.min()):.4g} to {float(length.max()):.4g}",
+                    raise MapsError("unit normals", f"lengths from {float(length.min()):.4g} to "
+                                                    f"{float(length.max()):.4g}",
                                     "normalise them")
                 if value[..., 2].min() < LOWEST_Z:
-                    raise MapsError(f"normals with z >= {LOWEST_Z:g}", f"z = {float(value[..., 2].min()):.3g}",
+                    raise MapsError(f"normals with z >= {LOWEST_Z:g}",
+                                    f"z = {float(value[..., 2].min()):.3g}",
                                     "such a texel can hardly be seen: tilt it less, or leave it out")
             elif value.min() < 0 or value.max() > 1:
-                raise MapsError(f"{name} in [0, 1]", f"[{value.min():.4g}, {value.max():.4g}]", "check its encoding")
+                raise MapsError(f"{name} in [0, 1]", f"[{value.min():.4g}, {value.max():.4g}]",
+                                "check its encoding")
         if self.maps["roughness"].min() <= 0:
-            raise MapsError("roughness > 0", "0", "raise it to 0.01 or more: a perfect mirror shows no light at a point")
+            raise MapsError("roughness > 0", "0", "raise it to 0.01 or more: a perfect mirror shows no "
+                                                  "light at a point")
         return self
 
     def as_roughconductor(self) -> SVBRDF:
-        """Diffuse and specular maps of a principled material (exact at normal incidence but for Burley's diffuse)."""
+        """Diffuse and specular maps of a principled material (exact at normal incidence but for Burley's
+        diffuse).
+        """
         if self.bsdf == "roughconductor":
             return self
         base, metallic = self["base_color"], self["metallic"]
@@ -128,7 +139,9 @@ class SVBRDF:
             "roughness": self["roughness"], "normal": self["normal"]})
 
     def resized(self, resolution: int) -> SVBRDF:
-        """The material at another resolution: area average when shrinking, bilinear when growing; unit normals."""
+        """The material at another resolution: area average when shrinking, bilinear when growing; unit
+        normals.
+        """
         if resolution == self.resolution:
             return self
         maps = {name: resized(value, resolution) for name, value in self.maps.items()}
@@ -140,12 +153,13 @@ class SVBRDF:
         return svbrdf_html(self)
 
 
-def flat(resolution: int, bsdf: Bsdf = "roughconductor", dtype: torch.dtype = torch.float32, **values: float) -> SVBRDF:
+def flat(resolution: int, bsdf: Bsdf = "roughconductor", dtype: torch.dtype = torch.float32,
+         **values: float) -> SVBRDF:
     """A constant material with an up-pointing normal.
 
     Args:
-        values: a value for each map but the normal, e.g. ``diffuse=0.5``; left out: 0.5 for colours and roughness, 0.04
-            specular, 0 metallic.
+        values: a value for each map but the normal, e.g. ``diffuse=0.5``; left out: 0.5 for colours and
+            roughness, 0.04 specular, 0 metallic.
     """
     defaults = {"diffuse": 0.5, "specular": 0.04, "roughness": 0.5, "base_color": 0.5, "metallic": 0.0}
     maps = {}
@@ -153,7 +167,8 @@ def flat(resolution: int, bsdf: Bsdf = "roughconductor", dtype: torch.dtype = to
         if name == "normal":
             maps[name] = torch.tensor([0.0, 0.0, 1.0], dtype=dtype).expand(resolution, resolution, 3).clone()
         else:
-            maps[name] = torch.full((resolution, resolution, channels), values.get(name, defaults[name]), dtype=dtype)
+            maps[name] = torch.full((resolution, resolution, channels), values.get(name, defaults[name]),
+                                    dtype=dtype)
     return SVBRDF(bsdf, maps)
 
 

@@ -1,4 +1,5 @@
-"""The brushes of made materials: fractal noise, cell borders, bevels and masks on R x R grids, and layers of them.
+"""The brushes of made materials: fractal noise, cell borders, bevels and masks on R x R grids, and layers of
+them.
 
 Coordinates are patch sides around the centre; a :class:`Paint` becomes maps by :func:`painted`.
 """
@@ -20,7 +21,9 @@ STEEPEST = math.tan(math.radians(30))
 
 
 def painted(paint: Paint) -> SVBRDF:
-    """The maps of a painted material, as fine as it was painted; values and slopes cut as :func:`make_material` says."""
+    """The maps of a painted material, as fine as it was painted; values and slopes cut as
+    :func:`make_material` says.
+    """
     down, right = torch.gradient(paint.height, spacing=1 / len(paint.height))
     slope = torch.stack((right, -down), dim=-1)
     slope = slope * (STEEPEST / slope.norm(dim=-1, keepdim=True).clamp_min(STEEPEST))
@@ -36,14 +39,19 @@ Value = Tensor | float | tuple[float, ...]
 
 
 class Paint:
-    """A material while it is painted, layer over layer; starts as a flat black ground of the size of ``x``."""
+    """A material while it is painted, layer over layer; starts as a flat black ground of the size of
+    ``x``.
+    """
 
     def __init__(self, x: Tensor) -> None:
         self.height, self.roughness = torch.zeros_like(x), torch.zeros_like(x)[..., None]
         self.diffuse = self.specular = self.roughness.expand(*x.shape, 3)
 
-    def add(self, mask: Tensor | float, diffuse: Value, specular: Value, roughness: Value, height: Tensor | float) -> Paint:
-        """Cover with a layer as far as ``mask`` (R x R) is 1; values are numbers, colours, R x R or R x R x 3."""
+    def add(self, mask: Tensor | float, diffuse: Value, specular: Value, roughness: Value,
+            height: Tensor | float) -> Paint:
+        """Cover with a layer as far as ``mask`` (R x R) is 1; values are numbers, colours, R x R or R x R x
+        3.
+        """
         mask = torch.as_tensor(mask).expand_as(self.height)
         for name, new in {"diffuse": diffuse, "specular": specular, "roughness": roughness}.items():
             new = torch.as_tensor(new)
@@ -56,7 +64,8 @@ class Paint:
 def noise(x: Tensor, y: Tensor, cells: int, rng: Generator, octaves: int = 4) -> Tensor:
     """Fractal value noise at x, y (patch sides): R x R, mean near 0, mostly within [-1, 1].
 
-    Each octave doubles the random values along a patch side (``cells`` in the first) and halves their strength.
+    Each octave doubles the random values along a patch side (``cells`` in the first) and halves their
+    strength.
     """
     grid = 2 * torch.stack((x, y), dim=-1)[None]
     values = [torch.rand(1, 1, cells << i, cells << i, generator=rng) * 2 - 1 for i in range(octaves)]
@@ -65,7 +74,9 @@ def noise(x: Tensor, y: Tensor, cells: int, rng: Generator, octaves: int = 4) ->
 
 
 def cell_borders(x: Tensor, y: Tensor, n: int, rng: Generator) -> Tensor:
-    """How far the border of a Worley cell is, of n x n cells: half the difference to the second seed, in cell sides."""
+    """How far the border of a Worley cell is, of n x n cells: half the difference to the second seed, in cell
+    sides.
+    """
     seeds = torch.rand(n + 2, n + 2, 2, generator=rng)
     u, v = (x.clamp(-0.499, 0.499) + 0.5) * n, (y.clamp(-0.499, 0.499) + 0.5) * n
     i, j = u.long(), v.long()

@@ -10,22 +10,25 @@ from torch import Tensor
 
 from .resample import enlarged
 
-STEEPEST = 10.0  # slope of a relief, 84 degrees: a texel whose normal lies down would stand hundreds of patch sides high
+# slope of a relief, 84 degrees: a texel whose normal lies down would stand hundreds of patch sides high
+STEEPEST = 10.0
 DIRECTIONS = 16  # around a texel, in which its horizon is looked for
 FINEST = 512  # texels a side that occlusion is computed of; larger ones are averaged, and it is enlarged
 FARTHEST = 0.25  # of what may hide the sky, in patch sides
 
 
 def heights(normal: Tensor, periodic: bool = False) -> Tensor:
-    """Heights whose slopes are nearest to those of the normals in least squares: R x R in patch sides, mean 0.
+    """Heights whose slopes are nearest to those of the normals in least squares: R x R in patch sides, mean
+    0.
 
-    Between neighbours the slope is the mean of theirs; at the border it is free. That is Poisson's equation with Neumann's
-    condition, solved exactly by a cosine transform (Simchony, Chellappa and Shao 1990, after Frankot and Chellappa 1988).
-    Slopes above :data:`STEEPEST` are cut.
+    Between neighbours the slope is the mean of theirs; at the border it is free. That is Poisson's equation
+    with Neumann's condition, solved exactly by a cosine transform (Simchony, Chellappa and Shao 1990, after
+    Frankot and Chellappa 1988). Slopes above :data:`STEEPEST` are cut.
 
     Args:
         normal: R x R x 3, unit vectors, +Y up, row 0 at the top.
-        periodic: whether the last texel goes on in the first, for a material that is repeated; the slope of the whole is lost.
+        periodic: whether the last texel goes on in the first, for a material that is repeated; the slope of
+            the whole is lost.
     """
     n = normal.double()
     size = len(n)
@@ -55,10 +58,12 @@ def _solved(source: Tensor) -> Tensor:
 
 
 def occlusion(height: Tensor, periodic: bool = False) -> Tensor:
-    """Share of an evenly bright sky's light that reaches each texel past the relief around it, R x R in [0, 1].
+    """Share of an evenly bright sky's light that reaches each texel past the relief around it, R x R in [0,
+    1].
 
-    The highest slope to what lies within :data:`FARTHEST` is the horizon of a direction; a flat texel gets cos^2 of its angle
-    of the light from there, averaged over :data:`DIRECTIONS`. Beyond the border the relief goes on as it ends.
+    The highest slope to what lies within :data:`FARTHEST` is the horizon of a direction; a flat texel gets
+    cos^2 of its angle of the light from there, averaged over :data:`DIRECTIONS`. Beyond the border the relief
+    goes on as it ends.
 
     Args:
         height: R x R in patch sides, row 0 at the top.

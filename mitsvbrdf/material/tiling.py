@@ -1,4 +1,5 @@
-"""A material whose edges meet: opposite borders are laid over one another and cut along the line where they differ least.
+"""A material whose edges meet: opposite borders are laid over one another and cut along the line where they
+differ least.
 
 Source: Efros and Freeman 2001, "Image quilting for texture synthesis and transfer".
 """
@@ -16,15 +17,16 @@ from .resample import area_averaged
 
 COARSE = 128  # texels a side at which overlaps are compared, at most
 NARROWEST, WIDEST = 8, 2  # overlaps that are tried: the side over these, and all between
-EDGES_MEET = 1.5  # times as different as neighbours, in the mean, opposite borders of a seamless material may be
+# times as different as neighbours, in the mean, opposite borders of a seamless material may be
+EDGES_MEET = 1.5
 FEATHER = 16  # the part of the overlap over which the two sides blend at the cut
 
 
 def seamless(svbrdf: SVBRDF) -> tuple[SVBRDF, float]:
     """The material with edges that meet left to right and top to bottom, all maps cut along the same lines.
 
-    The overlap is the one whose best cuts differ least, so that tiles and weaves end where they began; it is the same both
-    ways, and a square stays a square. What is seamless already comes back as it is.
+    The overlap is the one whose best cuts differ least, so that tiles and weaves end where they began; it is
+    the same both ways, and a square stays a square. What is seamless already comes back as it is.
 
     Args:
         svbrdf: of any resolution, which it keeps.
@@ -37,7 +39,8 @@ def seamless(svbrdf: SVBRDF) -> tuple[SVBRDF, float]:
     """
     size = svbrdf.resolution
     if size < 2 * NARROWEST:
-        raise MapsError(f"{2 * NARROWEST} texels a side or more, to make edges meet", str(size), "leave it as it is")
+        raise MapsError(f"{2 * NARROWEST} texels a side or more, to make edges meet", str(size),
+                        "leave it as it is")
     layers = torch.cat([value.double() for value in svbrdf.maps.values()], dim=-1)
     overlap = _overlap(_looks(layers, svbrdf))
     if not overlap:
@@ -89,22 +92,27 @@ def _joined(layers: Tensor, looks: Tensor, overlap: int) -> Tensor:
     """H x W x C, narrower by the overlap: the last column goes on in the first."""
     error = _difference(looks, overlap)
     coarser = -(-overlap // COARSE)
-    cut = coarser * _closed_cut(F.avg_pool2d(error[None, None], coarser, ceil_mode=True)[0, 0])[0].to(error.dtype)
+    cut = coarser * _closed_cut(F.avg_pool2d(error[None, None], coarser, ceil_mode=True)[0,
+                                                                                         0])[0].to(error.dtype)
     cut = F.interpolate(cut[None, None], scale_factor=coarser, mode="linear")[0, 0, :len(error), None]
-    first = (torch.arange(overlap) + 0.5 - cut) / max(1.0, overlap / FEATHER) + 0.5  # share of the left border's texels
+    # share of the left border's texels
+    first = (torch.arange(overlap) + 0.5 - cut) / max(1.0, overlap / FEATHER) + 0.5
     first = first.clamp(0, 1)[..., None]
     first[:, 0], first[:, -1] = 0, 1  # what the last column goes on in, and what the rest goes on from
-    return torch.cat((first * layers[:, :overlap] + (1 - first) * layers[:, -overlap:], layers[:, overlap:-overlap]), dim=1)
+    return torch.cat((first * layers[:, :overlap] + (1 - first) * layers[:, -overlap:],
+                      layers[:, overlap:-overlap]), dim=1)
 
 
 def _closed_cut(error: Tensor) -> tuple[Tensor, float]:
-    """The path of least error from top to bottom that moves by at most one column a row and ends where it began.
+    """The path of least error from top to bottom that moves by at most one column a row and ends where it
+    began.
 
     Returns:
         The column of each row, and the mean error.
     """
     width = error.shape[1]
-    cost = torch.where(torch.eye(width, dtype=torch.bool), error[0], float("inf"))  # by start and present column
+    # by start and present column
+    cost = torch.where(torch.eye(width, dtype=torch.bool), error[0], float("inf"))
     came = []
     for row in error[1:]:
         padded = F.pad(cost, (1, 1), value=float("inf"))

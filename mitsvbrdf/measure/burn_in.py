@@ -1,18 +1,21 @@
 """How much of a map is where the highlights were: burn-in, measured without ground truth.
 
-The coverage angle of a texel is the smallest angle, over the photos a fit used, between the flat normal (0, 0, 1) and the half
-vector there. Where it is small a photo showed the texel's highlight, where it is large none did. A material knows nothing of
-where the camera stood, so its maps should not follow that angle; a fit that hides highlights in its maps, or falls back to its
-start where it has no evidence, makes maps that do. Burn-in is the share R^2 of a map's variance that a cubic in the coverage
-angle explains: 0 for maps that do not follow it (3 / (n - 1) on average for n texels of pure noise), 1 for maps that are
-nothing else. A material whose own pattern lies like the highlights has some, too.
+The coverage angle of a texel is the smallest angle, over the photos a fit used, between the flat normal (0,
+0, 1) and the half vector there. Where it is small a photo showed the texel's highlight, where it is large
+none did. A material knows nothing of where the camera stood, so its maps should not follow that angle; a fit
+that hides highlights in its maps, or falls back to its start where it has no evidence, makes maps that do.
+Burn-in is the share R^2 of a map's variance that a cubic in the coverage angle explains: 0 for maps that do
+not follow it (3 / (n - 1) on average for n texels of pure noise), 1 for maps that are nothing else. A
+material whose own pattern lies like the highlights has some, too.
 
-The smallest angle blurs what single highlights leave: an oval for each photo, as wide as the lobe. ``local_burn_in`` looks for
-these. It explains a map by bumps where the photos had their highlights, and again with the map rolled sideways, which puts
-other pieces of the material there. What the bumps explain more where they were is burnt in.
+The smallest angle blurs what single highlights leave: an oval for each photo, as wide as the lobe.
+``local_burn_in`` looks for these. It explains a map by bumps where the photos had their highlights, and again
+with the map rolled sideways, which puts other pieces of the material there. What the bumps explain more where
+they were is burnt in.
 
-Measured at 128 px on the roughness that MaterialGAN published: `wood-bamboo` 0.67, `cards-blue` and `bathroomtile1` 0.01. Fine
-texture counts as variance, so the share falls a little with the resolution (`wood-bamboo` 0.69 at 64 px, 0.63 at 256 px).
+Measured at 128 px on the roughness that MaterialGAN published: `wood-bamboo` 0.67, `cards-blue` and
+`bathroomtile1` 0.01. Fine texture counts as variance, so the share falls a little with the resolution
+(`wood-bamboo` 0.69 at 64 px, 0.63 at 256 px).
 """
 
 from __future__ import annotations
@@ -24,19 +27,23 @@ from .. import color
 from ..material.maps import SVBRDF
 from ..views import Views, coverage_angle, cubic, half_angles
 
-CONSTANT_BELOW = 1e-6  # a map whose deviation is below this share of its size is constant: float32 and the encoding leave 1e-7
+# a map whose deviation is below this share of its size is constant: float32 and the encoding leave 1e-7
+CONSTANT_BELOW = 1e-6
 LOCAL_SIDE = 64  # texels a side that are looked at for ovals; of larger maps, area averages
 WIDTHS = 0.5, 1.0, 2.0  # of the bumps, in widths of the lobe
-ROLLS = 24  # offsets that fill the square evenly (Roberts 2018): 20 pieces of the material, and 4 that are too near
+# offsets that fill the square evenly (Roberts 2018): 20 pieces of the material, and 4 that are too near
+ROLLS = 24
 NEAR = 0.25  # sides in all by which a piece is moved at least
 SAME = 1e-3  # of the largest singular value: bumps that add less are others' sums
 
 
 def burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
-    """Share of the variance of the ``specular`` and ``roughness`` maps that the coverage angle explains, each 0 to 1.
+    """Share of the variance of the ``specular`` and ``roughness`` maps that the coverage angle explains, each
+    0 to 1.
 
     Args:
-        svbrdf: the material, at the resolution at which it is looked at; a principled one by its specular map.
+        svbrdf: the material, at the resolution at which it is looked at; a principled one by its specular
+            map.
         views: those of the photos that the fit used.
     """
     angle = coverage_angle(views, svbrdf.resolution)
@@ -44,14 +51,17 @@ def burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
 
 
 def local_burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
-    """How much of the ``specular`` and ``roughness`` maps lies as the ovals of single highlights do, at most 1.
+    """How much of the ``specular`` and ``roughness`` maps lies as the ovals of single highlights do, at most
+    1.
 
-    For each photo three Gaussian bumps in the tangent of the half vector's angle, 0.5, 1 and 2 times as wide as a lobe of the
-    map's median roughness. With R^2 the share of a map's variance that all bumps together explain, and R0^2 its mean for the
-    map rolled sideways by 20 offsets: (R^2 - R0^2) / (1 - R0^2). Around 0, and as often below, where nothing is burnt in.
+    For each photo three Gaussian bumps in the tangent of the half vector's angle, 0.5, 1 and 2 times as wide
+    as a lobe of the map's median roughness. With R^2 the share of a map's variance that all bumps together
+    explain, and R0^2 its mean for the map rolled sideways by 20 offsets: (R^2 - R0^2) / (1 - R0^2). Around 0,
+    and as often below, where nothing is burnt in.
 
     Args:
-        svbrdf: the material, of which 64 x 64 area averages are looked at; a principled one by its specular map.
+        svbrdf: the material, of which 64 x 64 area averages are looked at; a principled one by its specular
+            map.
         views: those of the photos that the fit used.
     """
     looks = _looks(svbrdf.detach().resized(min(LOCAL_SIDE, svbrdf.resolution)))
@@ -62,7 +72,8 @@ def local_burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
 
 
 def oval_patterns(views: Views, side: int, roughness: float) -> Tensor:
-    """Where single highlights lie: orthonormal sums of the bumps of :func:`local_burn_in`, without mean, P x side^2, float64.
+    """Where single highlights lie: orthonormal sums of the bumps of :func:`local_burn_in`, without mean, P x
+    side^2, float64.
 
     Args:
         views: N views; P is 3 N at most.
@@ -77,7 +88,9 @@ def oval_patterns(views: Views, side: int, roughness: float) -> Tensor:
 
 
 def oval_shares(maps: Tensor, patterns: Tensor) -> tuple[Tensor, Tensor]:
-    """Share of the variance of maps S x R x R that patterns explain: S as they are, K x S as rolled; 0 of constants."""
+    """Share of the variance of maps S x R x R that patterns explain: S as they are, K x S as rolled; 0 of
+    constants.
+    """
     side, off = maps.shape[-1], maps.double() - maps.double().mean(dim=(1, 2), keepdim=True)
     total, size = off.flatten(1).square().sum(dim=1), maps.double().flatten(1).square().sum(dim=1)
     constant = total <= CONSTANT_BELOW**2 * size
@@ -97,7 +110,9 @@ def _looks(svbrdf: SVBRDF) -> dict[str, Tensor]:
 
 
 def explained_share(values: Tensor, angle: Tensor) -> float:
-    """R^2 of the least-squares cubic in ``angle`` through ``values``, tensors of one shape; 0 where the values are constant."""
+    """R^2 of the least-squares cubic in ``angle`` through ``values``, tensors of one shape; 0 where the
+    values are constant.
+    """
     y, x = values.double().flatten(), angle.double().flatten()
     y, x, size = y - y.mean(), x - x.mean(), y.square().mean().sqrt()
     if y.square().mean().sqrt() <= CONSTANT_BELOW * size:

@@ -1,7 +1,8 @@
-"""An image with the gradients of every map, and the seconds of both: what all comparisons of renderers measure.
+"""An image with the gradients of every map, and the seconds of both: what all comparisons of renderers
+measure.
 
-The gradients are those of the product of the image with fixed random numbers, so that every renderer is asked the same
-question; :mod:`mitsvbrdf.measure.metrics` says how far two answers are apart.
+The gradients are those of the product of the image with fixed random numbers, so that every renderer is asked
+the same question; :mod:`mitsvbrdf.measure.metrics` says how far two answers are apart.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ import torch
 from torch import Tensor
 
 from ..errors import ConfigError
+from ..io.entry import entry
+from ..io.timing import timed
 from ..material.maps import SVBRDF
 from ..render import Renderer
-from ..system.entry import entry
-from ..system.timing import timed
 from ..views import Views
 
 
@@ -37,7 +38,9 @@ class Measured:
 
 
 def fixed_cotangent(shape: torch.Size, seed: int = 1) -> Tensor:
-    """The same normally distributed numbers in every run, float32, so that all renderers are asked the same question."""
+    """The same normally distributed numbers in every run, float32, so that all renderers are asked the same
+    question.
+    """
     return torch.randn(shape, generator=torch.Generator().manual_seed(seed))
 
 
@@ -59,8 +62,10 @@ def render_and_gradients(renderer: Renderer, svbrdf: SVBRDF, views: Views, cotan
     leaves = svbrdf.to(dtype).map(lambda t: t.detach().clone().requires_grad_())
     image, forward = timed(renderer.render, leaves, views)
     if not image.requires_grad:
-        raise ConfigError("an image that carries gradients to the maps", f"one of {renderer.name} without", "make the renderer "
-                          "differentiable, or compare the images alone (gradients=math.inf in assert_renderers_agree)")
+        raise ConfigError("an image that carries gradients to the maps", f"one of {renderer.name} without",
+                          "make the renderer "
+                          "differentiable, or compare the images alone (gradients=math.inf in "
+                          "assert_renderers_agree)")
     cotangent = (fixed_cotangent(image.shape) if cotangent is None else cotangent).to(image)
     gradients, backward = timed(torch.autograd.grad, image, list(leaves.maps.values()), cotangent)
     return Measured(image.detach(), dict(zip(leaves.maps, gradients)), forward, backward)

@@ -12,19 +12,21 @@ from ..errors import BackendError, CaptureError, ConfigError, MapsError
 from ..material.map_files import ENCODINGS
 from ..material.maps import SVBRDF
 
-# Pixels darker than this share of the reference's mean are compared against the share instead of their own value.
+# Pixels darker than this share of the reference's mean are compared against the share instead of their own
+# value.
 FLOOR = 1e-3
 
 
 def map_rmse(svbrdf: SVBRDF, reference: SVBRDF, encoding: str = "linear") -> dict[str, float]:
     """RMSE of the maps as the field prints it: over all texels and channels of maps encoded to [0, 1].
 
-    Diffuse and specular are compared as linear^(1/2.2) and normals as (n + 1) / 2; roughness as r, or as r^(1/2.2)
-    where the reference is stored with gamma. Principled materials are compared by their diffuse and specular maps.
-    Where the resolutions differ, the larger is area-averaged to the smaller first (:meth:`SVBRDF.resized`).
+    Diffuse and specular are compared as linear^(1/2.2) and normals as (n + 1) / 2; roughness as r, or as
+    r^(1/2.2) where the reference is stored with gamma. Principled materials are compared by their diffuse and
+    specular maps. Where the resolutions differ, the larger is area-averaged to the smaller first
+    (:meth:`SVBRDF.resized`).
 
-    Normals are compared as they are. Published numbers count the vectors in the files, off unit length by their 8 bits
-    or JPEG: the unit normals of ``load_maps`` give up to 0.001 less.
+    Normals are compared as they are. Published numbers count the vectors in the files, off unit length by
+    their 8 bits or JPEG: the unit normals of ``load_maps`` give up to 0.001 less.
 
     Args:
         svbrdf: the estimate.
@@ -55,7 +57,8 @@ def _encoded(svbrdf: SVBRDF, roughness: str) -> dict[str, Tensor]:
             "normal": (maps["normal"] + 1) / 2}
 
 
-def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "gamma2.2") -> tuple[float, list[float]]:
+def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "gamma2.2") -> tuple[float,
+                                                                                                   list[float]]:
     """RMSE of re-rendered photos, in display values clipped to [0, 1], over all pixels and channels.
 
     Args:
@@ -71,7 +74,8 @@ def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "g
     """
     if rerendered.shape != photos.shape or photos.ndim != 4 or not len(photos):
         shapes = f"{tuple(rerendered.shape)} and {tuple(photos.shape)}"
-        raise CaptureError("re-rendered and real photos of one shape N x R x R x 3", shapes, "render every view at the "
+        raise CaptureError("re-rendered and real photos of one shape N x R x R x 3", shapes,
+                           "render every view at the "
                            "photos' resolution")
     shown = color.to_display(rerendered.detach().double(), transfer)
     squares = (shown - color.clip(photos.double())).square().mean(dim=(1, 2, 3))
@@ -79,7 +83,8 @@ def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "g
 
 
 def image_error(image: Tensor, reference: Tensor, floor: float = FLOOR) -> dict[str, float]:
-    """How far an image is from a reference, value by value: :func:`relative_error` and :func:`error_statistics`.
+    """How far an image is from a reference, value by value: :func:`relative_error` and
+    :func:`error_statistics`.
 
     Args:
         image: any shape, linear.
@@ -93,7 +98,9 @@ def image_error(image: Tensor, reference: Tensor, floor: float = FLOOR) -> dict[
 
 
 def relative_error(image: Tensor, reference: Tensor, floor: float = FLOOR) -> Tensor:
-    """(image - reference) / max(|reference|, floor mean |reference|), of the same shape, float64; see :func:`image_error`."""
+    """(image - reference) / max(|reference|, floor mean |reference|), of the same shape, float64; see
+    :func:`image_error`.
+    """
     flat_image, flat_reference = _pair(image, reference)
     size = flat_reference.abs()
     least = max(floor * float(size.mean()), torch.finfo(torch.float64).tiny)  # not 0 where all is black
@@ -101,10 +108,13 @@ def relative_error(image: Tensor, reference: Tensor, floor: float = FLOOR) -> Te
 
 
 def error_statistics(signed: Tensor) -> dict[str, float]:
-    """Of signed errors, any shape: ``mean`` size, ``p99.9`` (99.9 % are no larger), ``worst``, ``bias`` (the signed mean)."""
+    """Of signed errors, any shape: ``mean`` size, ``p99.9`` (99.9 % are no larger), ``worst``, ``bias`` (the
+    signed mean).
+    """
     size = signed.abs().flatten()
     rank = math.ceil(0.999 * size.numel())
-    return {"mean": float(size.mean()), "p99.9": float(size.kthvalue(rank).values), "worst": float(size.max()),
+    return {"mean": float(size.mean()), "p99.9": float(size.kthvalue(rank).values),
+            "worst": float(size.max()),
             "bias": float(signed.mean())}
 
 
@@ -112,7 +122,8 @@ def flip(image: Tensor, reference: Tensor, transfer: color.Transfer = "gamma2.2"
     """How different two pictures look: FLIP error in [0, 1] of each pixel, at 67 pixels a degree.
 
     Args:
-        image: H x W x 3, linear radiance; both are encoded by ``transfer`` and clipped, as a screen shows them.
+        image: H x W x 3, linear radiance; both are encoded by ``transfer`` and clipped, as a screen shows
+            them.
         reference: the same shape.
         transfer: how the screen encodes light.
 
@@ -128,12 +139,15 @@ def flip(image: Tensor, reference: Tensor, transfer: color.Transfer = "gamma2.2"
     try:
         import flip_evaluator
     except ImportError:
-        raise BackendError("flip-evaluator, which computes FLIP", "none", 'pip install "mitsvbrdf[flip]"') from None
+        raise BackendError("flip-evaluator, which computes FLIP", "none",
+                           'pip install "mitsvbrdf[flip]"') from None
     if image.shape != reference.shape or image.ndim != 3 or image.shape[2] != 3:
-        raise MapsError("two pictures of one shape H x W x 3", f"{tuple(image.shape)} and {tuple(reference.shape)}",
+        raise MapsError("two pictures of one shape H x W x 3",
+                        f"{tuple(image.shape)} and {tuple(reference.shape)}",
                         "compare one view at a time")
     shown = (color.to_display(x.detach().float(), transfer).contiguous().numpy() for x in (reference, image))
-    return torch.as_tensor(flip_evaluator.evaluate(*shown, "LDR", applyMagma=False, computeMeanError=False)[0])[..., 0]
+    return torch.as_tensor(flip_evaluator.evaluate(*shown, "LDR", applyMagma=False,
+                                                   computeMeanError=False)[0])[..., 0]
 
 
 def gradient_error(gradient: Tensor, reference: Tensor) -> dict[str, float]:
@@ -144,9 +158,10 @@ def gradient_error(gradient: Tensor, reference: Tensor) -> dict[str, float]:
         reference: the same shape, not all 0; best in float64.
 
     Returns:
-        ``relative_l2``: |g - r| / |r|; ``cosine`` of the angle between them; ``worst``: the largest difference of one
-        entry over the largest entry of the reference; ``bias``: (g - r) r / |r|^2, by how much the gradient is too long
-        along the reference. Where the reference is 0 everywhere they are infinite or NaN.
+        ``relative_l2``: |g - r| / |r|; ``cosine`` of the angle between them; ``worst``: the largest
+        difference of one entry over the largest entry of the reference; ``bias``: (g - r) r / |r|^2, by how
+        much the gradient is too long along the reference. Where the reference is 0 everywhere they are
+        infinite or NaN.
 
     Raises:
         MapsError: shapes that differ.
@@ -155,11 +170,13 @@ def gradient_error(gradient: Tensor, reference: Tensor) -> dict[str, float]:
     off, length = gradient - reference, reference.norm()
     cosine = gradient @ reference / (gradient.norm() * length)
     return {"relative_l2": float(off.norm() / length), "cosine": float(cosine),
-            "worst": float(off.abs().max() / reference.abs().max()), "bias": float(off @ reference / length**2)}
+            "worst": float(off.abs().max() / reference.abs().max()),
+            "bias": float(off @ reference / length**2)}
 
 
 def _pair(first: Tensor, second: Tensor) -> tuple[Tensor, Tensor]:
     if first.shape != second.shape or not first.numel():
-        raise MapsError("two tensors of one shape, not empty", f"{tuple(first.shape)} and {tuple(second.shape)}",
+        raise MapsError("two tensors of one shape, not empty",
+                        f"{tuple(first.shape)} and {tuple(second.shape)}",
                         "compare the same maps, views and resolution")
     return first.detach().double().flatten(), second.detach().double().flatten()

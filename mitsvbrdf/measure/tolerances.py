@@ -3,9 +3,10 @@
 Three checks hold renderers against float64, and each asks another question:
 
 - :data:`LIMITS`: a test that renders one material (:mod:`mitsvbrdf.testing`), by renderer.
-- :data:`TOLERANCES`: the cross-check, over texels of roughness :data:`ROUGH_FROM` and more of any material, for all renderers.
-- :data:`SWEEP_TOLERANCES`: the sweeps to extremes, where a figure that keeps within is called exact; beyond it conditioning
-  has to explain the error.
+- :data:`TOLERANCES`: the cross-check, over texels of roughness :data:`ROUGH_FROM` and more of any material,
+  for all renderers.
+- :data:`SWEEP_TOLERANCES`: the sweeps to extremes, where a figure that keeps within is called exact; beyond
+  it conditioning has to explain the error.
 
 :data:`UNIT_ROUNDOFF` is what float32 itself is off by.
 """
@@ -32,9 +33,9 @@ class Limits:
     gradients: float
 
 
-# Measured on random materials of both BSDFs (co-located, apart, without falloff) and the made ones, worst of all: analytic
-# 1.2e-7, 7.2e-7 and 9.6e-7; mitsuba 1.1e-7, 6.9e-7 and 2.2e-6; mitsuba-scene 1.6e-7, 1.1e-6 and 2.5e-6. About a factor of
-# two is left for other processors.
+# Measured on random materials of both BSDFs (co-located, apart, without falloff) and the made ones, worst of
+# all: analytic 1.2e-7, 7.2e-7 and 9.6e-7; mitsuba 1.1e-7, 6.9e-7 and 2.2e-6; mitsuba-scene 1.6e-7, 1.1e-6 and
+# 2.5e-6. About a factor of two is left for other processors.
 LIMITS: dict[str, Limits] = {
     "analytic": Limits(2.5e-7, 1.5e-6, 2e-6),
     "mitsuba": Limits(2.5e-7, 1.5e-6, 5e-6),
@@ -42,11 +43,12 @@ LIMITS: dict[str, Limits] = {
 }
 
 ROUGH_FROM = 0.1  # below, highlights are so narrow that float32's own limit lies above any one number
-# The largest errors allowed over texels of at least that roughness, all views together; gradients for each map. A view
-# alone rests on the few texels of its highlight: it is held to the same or, where that is more, to float32's limit.
+# The largest errors allowed over texels of at least that roughness, all views together; gradients for each
+# map. A view alone rests on the few texels of its highlight: it is held to the same or, where that is more,
+# to float32's limit.
 TOLERANCES = {"image": {"mean": 5e-7, "p99.9": 5e-6}, "gradients": {"relative_l2": 2e-6, "1 - cosine": 1e-9}}
 
-# Relative L2 errors that count as float32's own. Measured where nothing is extreme: images up to 6e-7, gradients up to
-# 1e-6; near the horizon 6e-6. ``float64`` is what float64 has to keep within itself, against fifty digits, to be the truth
-# that the others are held against.
+# Relative L2 errors that count as float32's own. Measured where nothing is extreme: images up to 6e-7,
+# gradients up to 1e-6; near the horizon 6e-6. ``float64`` is what float64 has to keep within itself, against
+# fifty digits, to be the truth that the others are held against.
 SWEEP_TOLERANCES = {"image": 1e-6, "gradient": 1e-5, "float64": 1e-6}

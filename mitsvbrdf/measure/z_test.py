@@ -1,6 +1,8 @@
-"""Whether two noisy pictures differ by more than their noise: a two-sided Z-test of every value and of the means.
+"""Whether two noisy pictures differ by more than their noise: a two-sided Z-test of every value and of the
+means.
 
-What is assumed, and what was measured of it, stands at :func:`mitsvbrdf.testing.assert_z_test` (``testing/noise.py``).
+What is assumed, and what was measured of it, stands at :func:`mitsvbrdf.testing.assert_z_test`
+(``testing/noise.py``).
 """
 
 from __future__ import annotations
@@ -13,7 +15,8 @@ from torch import Tensor
 
 from ..errors import ConfigError, MapsError
 
-FEWEST_PASSES = 8  # with fewer, Wallace's score of a far-out value is 25 % or more off, and the test misses everything
+# with fewer, Wallace's score of a far-out value is 25 % or more off, and the test misses everything
+FEWEST_PASSES = 8
 SUM_ROUNDING = 1e-5  # float32 sums are off by as much, relative: no standard deviation counts as less
 
 
@@ -43,41 +46,46 @@ class ZTest:
         return self.outside <= self.outliers and bool((self.bias.abs() <= self.bias_limit).all())
 
 
-def z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, *, reference_variance: Tensor | float = 0.0,
-           significance: float = 0.01, outliers: float = 0.0) -> ZTest:
+def z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, *, reference_variance: Tensor
+           | float = 0.0, significance: float = 0.01, outliers: float = 0.0) -> ZTest:
     """Test a noisy picture against a reference; ``testing/noise.py`` says what is assumed.
 
     Args:
         image: H x W x C, linear, the mean of many samples a pixel.
-        variance_or_passes: the variance of the values of ``image`` (that of one sample over their number), H x W x C; or the
-            independent pictures, K x H x W x C with K >= 8, whose mean ``image`` is.
+        variance_or_passes: the variance of the values of ``image`` (that of one sample over their number), H
+            x W x C; or the independent pictures, K x H x W x C with K >= 8, whose mean ``image`` is.
         reference: H x W x C, what it should be.
         reference_variance: of the values of ``reference``, which then must not share samples with ``image``.
         significance: how often a correct picture fails, at most: one in a hundred by default.
         outliers: share of the values that may lie outside.
 
     Raises:
-        MapsError: shapes that differ, too few passes, an image that is not their mean, or a variance that is none.
+        MapsError: shapes that differ, too few passes, an image that is not their mean, or a variance that is
+            none.
         ConfigError: a significance outside of (0, 1), or outliers outside of [0, 1).
     """
     if not 0 < significance < 1:
         raise ConfigError("a significance between 0 and 1", str(significance), "give 0.01")
     if not 0 <= outliers < 1:
-        raise ConfigError("outliers from 0 to less than 1", str(outliers), "give the share of the values, e.g. 0.0025")
+        raise ConfigError("outliers from 0 to less than 1", str(outliers),
+                          "give the share of the values, e.g. 0.0025")
     image, reference, spread = image.double(), reference.double(), variance_or_passes.double()
     degrees = math.inf
     if spread.ndim == image.ndim + 1:
         passes, degrees = spread, len(spread) - 1
         if len(passes) < FEWEST_PASSES or not torch.allclose(passes.mean(dim=0), image, rtol=1e-4, atol=1e-6):
-            raise MapsError(f"{FEWEST_PASSES} passes or more, whose mean the image is", f"{len(passes)} passes", "render "
+            raise MapsError(f"{FEWEST_PASSES} passes or more, whose mean the image is",
+                            f"{len(passes)} passes", "render "
                             "with that many seeds and give the mean of all as the image")
         spread = passes.var(dim=0) / len(passes)
     if image.ndim != 3 or not image.shape == reference.shape == spread.shape:
         shapes = " and ".join(str(tuple(each.shape)) for each in (image, spread, reference))
-        raise MapsError("image, variance and reference of one shape H x W x C", shapes, "compare one view at a time")
+        raise MapsError("image, variance and reference of one shape H x W x C", shapes,
+                        "compare one view at a time")
     for each in (spread, torch.as_tensor(reference_variance)):
         if not (torch.isfinite(each) & (each >= 0)).all():
-            raise MapsError("variances that are finite and not below 0", f"{float(each.min()):.3g} to {float(each.max()):.3g}",
+            raise MapsError("variances that are finite and not below 0",
+                            f"{float(each.min()):.3g} to {float(each.max()):.3g}",
                             "look at the samples they come from")
     off = image - reference
     variance = (spread + reference_variance).clamp_min((SUM_ROUNDING * float(reference.abs().mean())) ** 2)
@@ -91,11 +99,13 @@ def z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, *, refe
 def _normal_score(t: Tensor, degrees: float) -> Tensor:
     """A t statistic as the standard normal value of nearly the same tail probability.
 
-    Source: D. L. Wallace, "Bounds on normal approximations to Student's and the chi-square distributions", 1959.
+    Source: D. L. Wallace, "Bounds on normal approximations to Student's and the chi-square distributions",
+    1959.
     """
     if math.isinf(degrees):
         return t
-    return t.sign() * (8 * degrees + 1) / (8 * degrees + 3) * torch.sqrt(degrees * torch.log1p(t**2 / degrees))
+    return (t.sign() * (8 * degrees + 1) / (8 * degrees + 3)
+            * torch.sqrt(degrees * torch.log1p(t**2 / degrees)))
 
 
 def _two_sided(p: float) -> float:

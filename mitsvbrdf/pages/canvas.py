@@ -19,7 +19,7 @@ from matplotlib.transforms import Bbox
 from torch import Tensor
 
 from .. import color
-from ..system import files
+from ..io import files
 from .colours import SHEET_BACK
 
 # In pixels of the sheet. Between the margins 9, 5 and 4 squares with their gaps fit without a remainder.
@@ -40,13 +40,18 @@ class Canvas:
 
     def text(self, x: int, y: int, text: str, points: float, colour: str, **how: Any) -> None:
         """Write text whose baseline starts at (x, y) pixels; ``how`` goes to matplotlib's ``Figure.text``."""
-        self.figure.text(x / SHEET_WIDTH, 1 - y / self.height, text, fontsize=points, color=colour, parse_math=False, **how)
+        self.figure.text(x / SHEET_WIDTH, 1 - y / self.height, text, fontsize=points, color=colour,
+                         parse_math=False, **how)
 
     def image(self, x: int, y: int, side: int, image: Tensor) -> None:
-        """Place a picture, H x W x 3 or x 1 display values, into the square of this side whose top left corner is (x, y)."""
+        """Place a picture, H x W x 3 or x 1 display values, into the square of this side whose top left
+        corner is (x, y).
+        """
         pixels = color.clip(image.detach().cpu().float()).numpy()
-        square = Bbox.from_bounds(x, self.height - y - side, side, side)  # without axes, each of which takes 20 ms
-        shown = BboxImage(square, interpolation="antialiased", data=np.broadcast_to(pixels, (*pixels.shape[:2], 3)))
+        # without axes, each of which takes 20 ms
+        square = Bbox.from_bounds(x, self.height - y - side, side, side)
+        shown = BboxImage(square, interpolation="antialiased",
+                          data=np.broadcast_to(pixels, (*pixels.shape[:2], 3)))
         self.figure.add_artist(shown)
 
     def write(self, path: Path) -> None:
@@ -56,7 +61,9 @@ class Canvas:
         files.write_bytes(path, data.getvalue())
 
     def write_jpeg(self, path: Path, qualities: Sequence[int], most: int) -> None:
-        """Write the page as a JPEG of the first of these qualities (1 to 95) of at most ``most`` bytes, else the last."""
+        """Write the page as a JPEG of the first of these qualities (1 to 95) of at most ``most`` bytes, else
+        the last.
+        """
         canvas, data = FigureCanvasAgg(self.figure), b""
         for quality in qualities:
             buffer = io.BytesIO()

@@ -1,4 +1,6 @@
-"""Curves on logarithmic axes as what an inline SVG needs: a template draws them in the colours of its page, light or dark."""
+"""Curves on logarithmic axes as what an inline SVG needs: a template draws them in the colours of its page,
+light or dark.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,8 @@ from collections.abc import Mapping, Sequence
 from .colours import PAGE_LINES
 
 CHART_WIDTH, CHART_HEIGHT = 460, 270
-FRAME = (58, 10, CHART_WIDTH - 12, CHART_HEIGHT - 38)  # left, top, right, bottom; ticks and their numbers stand outside
+# left, top, right, bottom; ticks and their numbers stand outside
+FRAME = (58, 10, CHART_WIDTH - 12, CHART_HEIGHT - 38)
 MOST_MARKED = 40  # points a line may have to show each
 MOST_POINTS = 1000  # of a line; of a longer trace only every so many are shown
 
@@ -16,19 +19,22 @@ MOST_POINTS = 1000  # of a line; of a longer trace only every so many are shown
 def curves(trace: Sequence[Mapping], names: Sequence[str]) -> dict | None:
     """The named columns of a trace against its seconds, both logarithmic.
 
-    Points at 0 seconds and values that are not positive or not finite have no place on such axes and are left out.
+    Points at 0 seconds and values that are not positive or not finite have no place on such axes and are left
+    out.
 
     Args:
         trace: one dict a measurement, with ``seconds``.
         names: which columns.
 
     Returns:
-        ``width`` and ``height``, the ``frame`` (left, top, right, bottom), ``x`` and ``y`` as (place, label) of each tick, and
-        ``lines``: ``name``, ``colour``, ``points`` (x, y, seconds, value), ``marked``; None without a point.
+        ``width`` and ``height``, the ``frame`` (left, top, right, bottom), ``x`` and ``y`` as (place, label)
+        of each tick, and ``lines``: ``name``, ``colour``, ``points`` (x, y, seconds, value), ``marked``; None
+        without a point.
     """
     rows = list(trace[::max(1, math.ceil(len(trace) / MOST_POINTS))])
     rows += [trace[-1]] if trace and rows[-1] is not trace[-1] else []
-    lines = {name: [(row["seconds"], row[name]) for row in rows if _positive(row["seconds"]) and _positive(row.get(name))]
+    lines = {name: [(row["seconds"], row[name]) for row in rows if _positive(row["seconds"])
+                    and _positive(row.get(name))]
              for name in names}
     lines = {name: points for name, points in lines.items() if points}
     if not lines:
@@ -37,8 +43,10 @@ def curves(trace: Sequence[Mapping], names: Sequence[str]) -> dict | None:
     y = _Axis([v for points in lines.values() for _, v in points], FRAME[3], FRAME[1])
     return {"width": CHART_WIDTH, "height": CHART_HEIGHT, "frame": FRAME,
             "x": x.ticks(), "y": y.ticks(),
-            "lines": [{"name": name, "colour": PAGE_LINES[i % len(PAGE_LINES)], "marked": len(points) <= MOST_MARKED,
-                       "points": [(x(s), y(v), s, v) for s, v in points]} for i, (name, points) in enumerate(lines.items())]}
+            "lines": [{"name": name, "colour": PAGE_LINES[i % len(PAGE_LINES)],
+                       "marked": len(points) <= MOST_MARKED,
+                       "points": [(x(s), y(v), s, v) for s, v in points]} for i, (name,
+                                                                                  points) in enumerate(lines.items())]}
 
 
 def _positive(value: float | None) -> bool:
@@ -46,7 +54,9 @@ def _positive(value: float | None) -> bool:
 
 
 class _Axis:
-    """Where a value lies between two places of the picture, on a logarithmic scale with a little room at both ends."""
+    """Where a value lies between two places of the picture, on a logarithmic scale with a little room at both
+    ends.
+    """
 
     def __init__(self, values: Sequence[float], start: float, end: float) -> None:
         low, high = math.log10(min(values)), math.log10(max(values))
@@ -58,7 +68,9 @@ class _Axis:
         return round(self.start + share * (self.end - self.start), 1)
 
     def ticks(self) -> list[tuple[float, str]]:
-        """Powers of ten, at most about eight; where fewer than three lie on the axis, steps between them or even ones."""
+        """Powers of ten, at most about eight; where fewer than three lie on the axis, steps between them or
+        even ones.
+        """
         decades = range(math.floor(self.low), math.ceil(self.high) + 1)
         every = math.ceil(len(decades) / 8)
         for steps in ((1,), (1, 2, 5)):

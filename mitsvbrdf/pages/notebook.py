@@ -1,4 +1,6 @@
-"""How materials, captures and results show themselves in a notebook: small pictures, at most 14 of 128 px, below 1 MB."""
+"""How materials, captures and results show themselves in a notebook: small pictures, at most 14 of 128 px,
+below 1 MB.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +29,8 @@ def html_of(title: str, groups: Sequence[tuple[str, list[Picture]]], facts: Sequ
         facts: one line each, below the heading.
         notes: notes and warnings; the first :data:`NOTES_SHOWN` are shown.
     """
-    return page_text("pages/notebook.html", title=title, groups=groups, facts=facts, notes=notes[:NOTES_SHOWN],
-                     side=PICTURE_SIDE)
+    return page_text("pages/notebook.html", title=title, groups=groups, facts=facts,
+                     notes=notes[:NOTES_SHOWN], side=PICTURE_SIDE)
 
 
 def uri_of(display: Tensor) -> str:

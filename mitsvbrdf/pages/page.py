@@ -1,8 +1,8 @@
 """Self-contained HTML pages: one file that opens from disk, in light and dark, with no network request.
 
-A page computes nothing: it gets numbers that stand in a JSON, and pictures that are made here from tensors or by
-matplotlib. Its template stands beside the module that fills it; ``pages/base.html`` holds the look they share. Jinja2
-and matplotlib are loaded with the first page.
+A page computes nothing: it gets numbers that stand in a JSON, and pictures that are made here from tensors or
+by matplotlib. Its template stands beside the module that fills it; ``pages/base.html`` holds the look they
+share. Jinja2 and matplotlib are loaded with the first page.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..system import files
+from ..io import files
 
 if TYPE_CHECKING:
     import jinja2
     from matplotlib.figure import Figure
 
-SVG_FONTS = ["DejaVu Sans", "Verdana", "sans-serif"]  # of one width; GitHub shows an SVG without fonts from elsewhere
+# of one width; GitHub shows an SVG without fonts from elsewhere
+SVG_FONTS = ["DejaVu Sans", "Verdana", "sans-serif"]
 SVG_PLACES = re.compile(r' (?:d|x|y|transform)="[^"]*"')
 LONG_NUMBER = re.compile(r"-?\d+\.\d{3,}(?:e-\d+)?")
 
@@ -34,7 +35,7 @@ def write_page(path: str | Path, template: str, **context: object) -> None:
         context: what the template asks for; text is escaped.
     """
     text = page_text(template, **context)
-    with files.beside(Path(path)) as temporary:
+    with files.atomic_write(Path(path)) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
@@ -74,7 +75,9 @@ def svg(drawing: Figure) -> str:
 
 
 def svg_file(drawing: Figure) -> bytes:
-    """A matplotlib figure as the content of an SVG file: white ground, text as text, the same bytes for the same figure."""
+    """A matplotlib figure as the content of an SVG file: white ground, text as text, the same bytes for the
+    same figure.
+    """
     return _svg_text(drawing, facecolor="white")
 
 
@@ -82,11 +85,13 @@ def _svg_text(drawing: Figure, **look: Any) -> bytes:
     import matplotlib
 
     data = io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": "mitsvbrdf", "svg.fonttype": "none", "font.sans-serif": SVG_FONTS}):
+    with matplotlib.rc_context({"svg.hashsalt": "mitsvbrdf", "svg.fonttype": "none",
+                                "font.sans-serif": SVG_FONTS}):
         drawing.savefig(data, format="svg", metadata={"Date": None}, **look)
     return _shortened(data.getvalue().decode()).encode()
 
 
 def _shortened(text: str) -> str:
     """An SVG whose places and paths have two decimals: hundredths of a pixel."""
-    return SVG_PLACES.sub(lambda places: LONG_NUMBER.sub(lambda number: f"{float(number[0]):.2f}", places[0]), text)
+    return SVG_PLACES.sub(lambda places: LONG_NUMBER.sub(lambda number: f"{float(number[0]):.2f}", places[0]),
+                          text)

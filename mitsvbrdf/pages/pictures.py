@@ -1,7 +1,8 @@
-"""Pictures inside a page: tensors as ``data:`` addresses for ``<img src>``, shrunk, or as colours of an error.
+"""Pictures inside a page: tensors as ``data:`` addresses for ``<img src>``, shrunk, or as colours of an
+error.
 
-Everything here takes display values (encoded, 0 to 1), never linear radiance. OpenCV and matplotlib are loaded with the first
-picture.
+Everything here takes display values (encoded, 0 to 1), never linear radiance. OpenCV and matplotlib are
+loaded with the first picture.
 """
 
 from __future__ import annotations
@@ -18,10 +19,13 @@ from .. import color
 
 
 def magma(share: Tensor) -> Tensor:
-    """Shares 0 to 1 of any shape in the colours of matplotlib's ``magma``: the same shape x 3, display values."""
+    """Shares 0 to 1 of any shape in the colours of matplotlib's ``magma``: the same shape x 3, display
+    values.
+    """
     import matplotlib
 
-    return torch.as_tensor(matplotlib.colormaps["magma"](share.clamp(0, 1).numpy())[..., :3], dtype=torch.float32)
+    return torch.as_tensor(matplotlib.colormaps["magma"](share.clamp(0, 1).numpy())[..., :3],
+                           dtype=torch.float32)
 
 
 def png_uri(display: Tensor) -> str:
@@ -38,7 +42,8 @@ def png_uri(display: Tensor) -> str:
 
 
 def picture_uri(display: Tensor, exact_up_to: int = 64 * 1024) -> str:
-    """A picture for ``<img src>``, exact as :func:`png_uri` makes it while that is small, else a JPEG of quality 85.
+    """A picture for ``<img src>``, exact as :func:`png_uri` makes it while that is small, else a JPEG of
+    quality 85.
 
     Args:
         display: H x W x 3 (or x 1), display values; clipped to [0, 1].
@@ -49,7 +54,8 @@ def picture_uri(display: Tensor, exact_up_to: int = 64 * 1024) -> str:
     exact = png_uri(display)
     if len(exact) < 4 / 3 * exact_up_to:
         return exact
-    pixels = np.rint(color.clip(display.detach().float()).expand(*display.shape[:2], 3).numpy() * 255).astype(np.uint8)
+    pixels = np.rint(color.clip(display.detach().float()).expand(*display.shape[:2],
+                                                                 3).numpy() * 255).astype(np.uint8)
     ok, data = cv2.imencode(".jpg", np.ascontiguousarray(pixels[..., ::-1]), [
         cv2.IMWRITE_JPEG_QUALITY, 85, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444])
     assert ok

@@ -1,4 +1,6 @@
-"""Whether the path tracer shows what the maps say: ``novel`` frames against the analytic renderer in float64."""
+"""Whether the path tracer shows what the maps say: ``novel`` frames against the analytic renderer in
+float64.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +9,10 @@ from types import ModuleType
 import torch
 from torch import Tensor
 
+from ..io.entry import entry
 from ..material.maps import SVBRDF
 from ..measure.z_test import ZTest, z_test
 from ..render.analytic import AnalyticRenderer
-from ..system.entry import entry
 from ..views import Views
 from .stage import Stage, make_stage
 
@@ -20,12 +22,13 @@ POINTS_ALONG_TEXEL, POINTS_ALONG_PATCH = 8, 2048
 
 
 @entry()
-def check_novel(mi: ModuleType, svbrdf: SVBRDF, views: Views | None = None, *, frame: int = 0, frames: int = 1, seed: int = 0,
-                reference: AnalyticRenderer | None = None) -> ZTest:
+def check_novel(mi: ModuleType, svbrdf: SVBRDF, views: Views | None = None, *, frame: int = 0,
+                frames: int = 1, seed: int = 0, reference: AnalyticRenderer | None = None) -> ZTest:
     """Path trace a frame of ``novel``, a pixel for each texel, and test it against the analytic renderer.
 
-    A pixel averages over its texel, across which the maps are constant but directions and distances change; the reference is
-    averaged over a grid of points in each texel. Both have the Fresnel curve of a real refractive index.
+    A pixel averages over its texel, across which the maps are constant but directions and distances change;
+    the reference is averaged over a grid of points in each texel. Both have the Fresnel curve of a real
+    refractive index.
 
     Args:
         mi: the ``mitsuba`` module.
@@ -41,8 +44,10 @@ def check_novel(mi: ModuleType, svbrdf: SVBRDF, views: Views | None = None, *, f
     side = svbrdf.resolution
     stage = make_stage(mi, svbrdf, "novel", environment="none", size=(side, side), frames=frames, views=views)
     scene = stage.at(mi, frame)
-    passes = torch.stack([torch.from_numpy(mi.render(scene, seed=seed + k, spp=PASS_SAMPLES).numpy()) for k in range(PASSES)])
-    return z_test(passes.mean(dim=0), passes, _reference(svbrdf, stage, frame, reference or AnalyticRenderer(torch.float64)))
+    passes = torch.stack([torch.from_numpy(mi.render(scene, seed=seed + k, spp=PASS_SAMPLES).numpy())
+                          for k in range(PASSES)])
+    return z_test(passes.mean(dim=0), passes, _reference(svbrdf, stage, frame,
+                                                         reference or AnalyticRenderer(torch.float64)))
 
 
 def _reference(svbrdf: SVBRDF, stage: Stage, frame: int, renderer: AnalyticRenderer) -> Tensor:

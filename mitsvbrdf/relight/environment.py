@@ -1,7 +1,7 @@
 """What surrounds a preview. Up is z, and a white diffuse surface that faces up has luminance 0.8.
 
-In a picture of an environment (longitude and latitude) the top row is up, the middle column is +y, which is straight ahead of
-a camera that looks along +y, and +x is right of it.
+In a picture of an environment (longitude and latitude) the top row is up, the middle column is +y, which is
+straight ahead of a camera that looks along +y, and +x is right of it.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..errors import ConfigError
-from ..system import images
+from ..io import images
 from .scene_file import read_scene
 
-ENVIRONMENTS = {"studio": "three softboxes in a grey room, made by code", "sunsky": "a clear afternoon (Hosek and Wilkie)",
+ENVIRONMENTS = {"studio": "three softboxes in a grey room, made by code",
+                "sunsky": "a clear afternoon (Hosek and Wilkie)",
                 "none": "a single light"}
 WHITE_LUMINANCE = 0.8  # luminance of a white diffuse surface that faces up, or the single light
 LAMP = (-2.6, -2.0, 3.2)  # left and behind the camera
@@ -37,7 +38,8 @@ class Environment:
 
     Args:
         emitters: plugin dictionaries by name.
-        turned: angle in degrees (counter-clockwise, seen from above) -> values by key of ``mi.traverse(scene)``.
+        turned: angle in degrees (counter-clockwise, seen from above) -> values by key of
+            ``mi.traverse(scene)``.
         dark_below: nothing shines below the horizon.
         left_out: (what, why).
     """
@@ -52,13 +54,14 @@ def make_environment(mi: ModuleType, name: str) -> Environment:
     """An environment by its name in :data:`ENVIRONMENTS`, or from an .exr or .hdr file.
 
     Raises:
-        ConfigError: no such name; a file that is missing, unreadable, too small, not finite, negative, or black above the
-            horizon.
+        ConfigError: no such name; a file that is missing, unreadable, too small, not finite, negative, or
+            black above the horizon.
     """
     if name == "none":
         lamp = {"type": "point", "position": LAMP,
                 "intensity": {"type": "rgb", "value": WHITE_LUMINANCE * math.pi * math.hypot(*LAMP) ** 2}}
-        return Environment({"light": lamp}, lambda angle: {"light.position": mi.Point3f(*_about_z(LAMP, angle))},
+        return Environment({"light": lamp},
+                           lambda angle: {"light.position": mi.Point3f(*_about_z(LAMP, angle))},
                            left_out=(("environment", "a single light is asked for"),))
     if name == "sunsky":
         emitter = read_scene(mi, "sunsky.xml")["environment"]
@@ -68,10 +71,12 @@ def make_environment(mi: ModuleType, name: str) -> Environment:
     image = studio() if name == "studio" else read_environment(name)
     white = white_luminance(image)
     if white <= 0:
-        raise ConfigError("an environment with light above the horizon", f"{name}, black there", "turn it upside down")
+        raise ConfigError("an environment with light above the horizon", f"{name}, black there",
+                          "turn it upside down")
 
     def orientation(angle: float, transform: Any = mi.ScalarTransform4f) -> Any:
-        return transform().rotate([0, 0, 1], 180 + angle).rotate([1, 0, 0], 90)  # Mitsuba's up is y, its middle +z
+        # Mitsuba's up is y, its middle +z
+        return transform().rotate([0, 0, 1], 180 + angle).rotate([1, 0, 0], 90)
 
     pixels = np.ascontiguousarray((image * (WHITE_LUMINANCE / white)).to(torch.float32).numpy())
     emitter = {"type": "envmap", "bitmap": mi.Bitmap(pixels), "to_world": orientation(0)}
@@ -87,20 +92,26 @@ def _about_z(vector: tuple[float, ...], angle: float) -> tuple[float, ...]:
 
 
 def read_environment(path: str | Path) -> Tensor:
-    """An environment's picture, H x W x 3, linear radiance, float32; errors as :func:`make_environment` has them."""
+    """An environment's picture, H x W x 3, linear radiance, float32; errors as :func:`make_environment` has
+    them.
+    """
     path = Path(path)
     if path.suffix.lower() not in (".exr", ".hdr"):
-        raise ConfigError(f"an environment of {', '.join(ENVIRONMENTS)}, or an .exr or .hdr file", repr(str(path)),
+        raise ConfigError(f"an environment of {', '.join(ENVIRONMENTS)}, or an .exr or .hdr file",
+                          repr(str(path)),
                           "choose one of these")
     image = images.read_image(path, ConfigError) if path.suffix.lower() == ".exr" else _read_hdr(path)
     image = image.expand(*image.shape[:2], 3)
     if image.shape[0] < 3 or image.shape[1] < 2:
-        raise ConfigError("an environment of 2 x 3 pixels or more", f"{path} with {image.shape[1]} x {image.shape[0]}",
+        raise ConfigError("an environment of 2 x 3 pixels or more",
+                          f"{path} with {image.shape[1]} x {image.shape[0]}",
                           "give a larger one")
     if not torch.isfinite(image).all():
-        raise ConfigError("an environment of finite values", f"NaN or infinity in {path}", "mend or re-export it")
+        raise ConfigError("an environment of finite values", f"NaN or infinity in {path}",
+                          "mend or re-export it")
     if image.min() < 0:
-        raise ConfigError("an environment without negative light", f"{float(image.min()):.3g} in {path}", "clip it at 0")
+        raise ConfigError("an environment without negative light", f"{float(image.min()):.3g} in {path}",
+                          "clip it at 0")
     return image
 
 
@@ -113,7 +124,8 @@ def _read_hdr(path: Path) -> Tensor:
     if size := re.search(rb"^-Y (\d{1,12}) \+X (\d{1,12})$", data[:HDR_HEADER], re.MULTILINE):
         images.check_size(path, (int(size[2]), int(size[1])), ConfigError)
     # OpenCV would read other formats as well.
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR) if size else None
+    image = (cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR) if size
+             else None)
     if image is None or image.dtype != np.float32:
         raise ConfigError("a readable .hdr file", f"{path}, which is none", "export it again")
     return torch.from_numpy(np.ascontiguousarray(image[..., ::-1]))
@@ -135,13 +147,15 @@ def directions(height: int, width: int) -> Tensor:
     """Unit vectors that the pixels of an environment's picture stand for: H x W x 3, float64."""
     theta = torch.linspace(0, math.pi, height, dtype=torch.float64)[:, None]
     phi = ((torch.arange(width, dtype=torch.float64) + 0.5) / width - 0.5)[None] * 2 * math.pi
-    return torch.stack(torch.broadcast_tensors(theta.sin() * phi.sin(), theta.sin() * phi.cos(), theta.cos()), dim=-1)
+    return torch.stack(torch.broadcast_tensors(theta.sin() * phi.sin(), theta.sin() * phi.cos(), theta.cos()),
+                       dim=-1)
 
 
 # Where a softbox hangs, how wide and high it is at distance 1 (half sides), its radiance and colour.
 SOFTBOXES = (((-0.62, -0.75, 0.72), (0.34, 0.34), 26.0, (1.0, 0.97, 0.93)),  # key: left, behind the camera
              ((1.0, -0.25, 0.30), (0.14, 0.55), 9.0, (0.92, 0.96, 1.0)),     # fill: a strip at the right
-             ((0.15, 0.9, 0.80), (0.24, 0.16), 20.0, (1.0, 1.0, 1.0)))       # rim: overhead, behind the object
+             # rim: overhead, behind the object
+             ((0.15, 0.9, 0.80), (0.24, 0.16), 20.0, (1.0, 1.0, 1.0)))
 
 
 def studio(height: int = 256) -> Tensor:
@@ -153,7 +167,8 @@ def studio(height: int = 256) -> Tensor:
     image = (room + wall)[..., None].expand(*d.shape)
     for place, (wide, high), radiance, colour in SOFTBOXES:
         axis = F.normalize(torch.tensor(place, dtype=torch.float64), dim=0)
-        right = F.normalize(torch.linalg.cross(axis, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)), dim=0)
+        right = F.normalize(torch.linalg.cross(axis, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)),
+                            dim=0)
         up = torch.linalg.cross(right, axis)
         ahead = (d @ axis).clamp_min(1e-6)
         inside = _soft(wide - (d @ right / ahead).abs()) * _soft(high - (d @ up / ahead).abs())

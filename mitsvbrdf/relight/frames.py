@@ -1,4 +1,6 @@
-"""The frames of presets rendered into a folder, each one recorded as soon as it is done, so that a later run can go on."""
+"""The frames of presets rendered into a folder, each one recorded as soon as it is done, so that a later run
+can go on.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +14,10 @@ from types import ModuleType
 from torch import Tensor
 
 from ..errors import ConfigError, MapsError, MitsvbrdfError
-from ..system import files, images, result_folder
-from ..system.entry import entry
-from ..system.json_files import load
-from ..system.provenance import machine, versions
+from ..io import files, images, result_folder
+from ..io.entry import entry
+from ..io.json_files import load
+from ..io.provenance import machine, versions
 from .passes import Rendered, Stop, render_frame, shown
 from .stage import Stage
 
@@ -31,8 +33,8 @@ class Record:
 
     Args:
         settings: all that the pictures depend on, as JSON has it; a run that goes on has the same.
-        presets: by preset ``fps``, ``left_out``, and ``frames``: one dict each with ``frame``, ``file``, ``samples``,
-            ``seconds``, ``error``, ``stopped`` and ``curve``.
+        presets: by preset ``fps``, ``left_out``, and ``frames``: one dict each with ``frame``, ``file``,
+            ``samples``, ``seconds``, ``error``, ``stopped`` and ``curve``.
     """
 
     settings: dict
@@ -50,13 +52,15 @@ class Record:
 
     def write(self, folder: Path) -> None:
         """Replace the record in the folder."""
-        files.write_json(folder / RECORD, {"schema_version": SCHEMA_VERSION, "settings": self.settings, "presets": self.presets,
+        files.write_json(folder / RECORD, {"schema_version": SCHEMA_VERSION, "settings": self.settings,
+                                           "presets": self.presets,
                                            "versions": versions(), "machine": machine()})
 
 
 def kept_names(presets: Iterable[str]) -> tuple[str, ...]:
     """Files and folders of a run that another one can go on from."""
-    return (RECORD, *(name + ending for name in presets for ending in ("", ".exr", *(f".{kind}" for kind in BESIDE))))
+    return (RECORD, *(name + ending for name in presets for ending in ("", ".exr",
+                                                                       *(f".{kind}" for kind in BESIDE))))
 
 
 def begin(settings: Mapping) -> Record:
@@ -70,8 +74,8 @@ def go_on(settings: Mapping, out: Path, folder: Path) -> Record:
     Args:
         settings: of this run.
         out: the folder of results, finished or interrupted.
-        folder: where results are made; of a run that was killed it still holds the frames. One with other settings is
-            given up for a finished run in ``out`` that has these.
+        folder: where results are made; of a run that was killed it still holds the frames. One with other
+            settings is given up for a finished run in ``out`` that has these.
 
     Raises:
         ConfigError: there is no earlier run, it had other settings, or it names files outside of its folder.
@@ -97,7 +101,9 @@ def go_on(settings: Mapping, out: Path, folder: Path) -> Record:
 
 
 def _found(place: Path, settings: Mapping) -> tuple[Record, list[str]]:
-    """The record in a folder and the names of its files, all of them inside; ConfigError unless it has these settings."""
+    """The record in a folder and the names of its files, all of them inside; ConfigError unless it has these
+    settings.
+    """
     try:
         found = load(place / RECORD, links=False)
         record, new = Record(found["settings"], found["presets"]), begin(settings).settings
@@ -107,27 +113,30 @@ def _found(place: Path, settings: Mapping) -> tuple[Record, list[str]]:
         frames = [frame["file"] for preset in record.presets.values() for frame in preset["frames"]]
         lost = [str(name) for name in frames if not files.is_regular(files.inside(place, name))]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as reason:
-        raise ConfigError(f"a {RECORD} of this command", f"{place}: {reason!r}", "--overwrite starts anew") from None
+        raise ConfigError(f"a {RECORD} of this command", f"{place}: {reason!r}",
+                          "--overwrite starts anew") from None
     if other:
         raise ConfigError("the settings of the run to go on with", f"another {', '.join(other)}",
                           "give the same, or --overwrite to start anew")
     if lost:
-        raise ConfigError(f"the frames that {RECORD} names", f"{place} without {', '.join(lost)}", "--overwrite starts anew")
+        raise ConfigError(f"the frames that {RECORD} names", f"{place} without {', '.join(lost)}",
+                          "--overwrite starts anew")
     beside = [f"{name}.{kind}" for name in record.presets for kind in BESIDE]
     return record, [*frames, *(name for name in beside if files.is_regular(files.inside(place, name)))]
 
 
 @entry()
-def render_stages(mi: ModuleType, stages: Sequence[Stage], stop: Stop, record: Record, folder: Path, *, seed: int = 0,
-                  exposure: float = 0.0,
-                  report: Callable[[str, float], object] = lambda text, share: None, done: Callable[[Stage], object],
-                  interrupted: Sequence = ()) -> bool:
+def render_stages(mi: ModuleType, stages: Sequence[Stage], stop: Stop, record: Record, folder: Path, *,
+                  seed: int = 0, exposure: float = 0.0,
+                  report: Callable[[str, float], object] = lambda text, share: None,
+                  done: Callable[[Stage], object], interrupted: Sequence = ()) -> bool:
     """Render the frames that the record lacks, in order; frames are EXR files, stills have a PNG beside.
 
     Args:
         mi: the ``mitsuba`` module.
         stages: the presets.
-        stop: when a frame is done; a budget is that of all frames together, and those to come share what is left.
+        stop: when a frame is done; a budget is that of all frames together, and those to come share what is
+            left.
         record: gets an entry for each frame, and is written after each.
         folder: to write to.
         seed: of all random numbers.
@@ -161,8 +170,10 @@ def render_stages(mi: ModuleType, stages: Sequence[Stage], stop: Stop, record: R
             left = (stop.budget - record.seconds) / (total - at) if stop.budget else None
             limit = stop if left is None else replace(stop, budget=max(left, 1e-3))
             try:
-                rendered = render_frame(mi, scene, limit, seed=seed, name=f"{stage.name} {number}", exposure=exposure,
-                                        report=lambda text, share: report(f"{title}: {text}", (at + share) / total),  # noqa: B023
+                rendered = render_frame(mi, scene, limit, seed=seed, name=f"{stage.name} {number}",
+                                        exposure=exposure,
+                                        report=lambda text, share: report(
+                                            f"{title}: {text}", (at + share) / total),  # noqa: B023
                                         interrupted=interrupted)
             except MapsError as error:
                 raise MapsError(error.expected, f"{error.got} in {title}", error.fix) from None

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from ..errors import BackendError, MapsError
-from ..system import files
+from ..io import files
 
 CRF = "14"  # below what an eye sees; 18 is the usual "visually lossless"
 BT709 = 1  # as matrix, primaries and transfer in ITU-T H.264, tables E-3 to E-5
@@ -23,8 +23,8 @@ PALETTE_SIZE = 256  # of a GIF's palette
 def write_mp4(path: str | Path, frames: Iterable[Tensor], fps: float) -> None:
     """An MP4 that every player and browser shows: H.264, yuv420p, tagged as BT.709, limited range.
 
-    yuv420p has half as many chroma as luma samples on either axis, so an odd size gets one column or row more, a copy of its
-    neighbour: so nothing of the picture is lost.
+    yuv420p has half as many chroma as luma samples on either axis, so an odd size gets one column or row
+    more, a copy of its neighbour: so nothing of the picture is lost.
 
     Args:
         path: the file to write or replace.
@@ -39,7 +39,7 @@ def write_mp4(path: str | Path, frames: Iterable[Tensor], fps: float) -> None:
     av = av_module()
     from av.video.reformatter import ColorRange, Colorspace
 
-    with files.beside(Path(path)) as temporary, av.open(str(temporary), "w", format="mp4",
+    with files.atomic_write(Path(path)) as temporary, av.open(str(temporary), "w", format="mp4",
                                                         options={"movflags": "+faststart"}) as container:
         stream = None
         for pixels in map(_even, _eight_bits(frames)):
@@ -53,7 +53,8 @@ def write_mp4(path: str | Path, frames: Iterable[Tensor], fps: float) -> None:
                 context.colorspace = context.color_primaries = context.color_trc = BT709
                 context.thread_count = 1  # the same file in every run
             frame = av.VideoFrame.from_ndarray(pixels, format="rgb24")
-            frame = frame.reformat(format="yuv420p", src_colorspace=Colorspace.DEFAULT, dst_colorspace=Colorspace.ITU709,
+            frame = frame.reformat(format="yuv420p", src_colorspace=Colorspace.DEFAULT,
+                                   dst_colorspace=Colorspace.ITU709,
                                    src_color_range=ColorRange.JPEG, dst_color_range=ColorRange.MPEG)
             container.mux(stream.encode(frame))
         if stream is None:
@@ -64,8 +65,8 @@ def write_mp4(path: str | Path, frames: Iterable[Tensor], fps: float) -> None:
 def write_gif(path: str | Path, frames: Iterable[Tensor], fps: float) -> None:
     """A GIF that loops, with a palette for each frame and errors diffused.
 
-    GIF counts in hundredths of a second: frames last as many as keep the whole in step with ``fps``, at least two each, since
-    browsers slow down shorter ones.
+    GIF counts in hundredths of a second: frames last as many as keep the whole in step with ``fps``, at least
+    two each, since browsers slow down shorter ones.
 
     Args:
         path: the file to write or replace.
@@ -81,9 +82,9 @@ def write_gif(path: str | Path, frames: Iterable[Tensor], fps: float) -> None:
     images = [_palette_image(Image, pixels) for pixels in _eight_bits(frames)]
     if not images:
         raise _no_frames()
-    with files.beside(Path(path)) as temporary:
-        images[0].save(temporary, save_all=True, append_images=images[1:], loop=0, duration=durations(len(images), fps),
-                       optimize=False, disposal=1)
+    with files.atomic_write(Path(path)) as temporary:
+        images[0].save(temporary, save_all=True, append_images=images[1:], loop=0,
+                       duration=durations(len(images), fps), optimize=False, disposal=1)
 
 
 def _palette_image(Image: ModuleType, pixels: np.ndarray) -> Any:
@@ -102,7 +103,8 @@ def _eight_bits(frames: Iterable[Tensor]) -> Iterable[np.ndarray]:
     for frame in frames:
         size = size or frame.shape
         if frame.shape != size or len(size) != 3 or size[2] != 3:
-            raise MapsError(f"frames of H x W x 3, all alike, here {tuple(size)}", str(tuple(frame.shape)), "render them anew")
+            raise MapsError(f"frames of H x W x 3, all alike, here {tuple(size)}", str(tuple(frame.shape)),
+                            "render them anew")
         yield np.rint(frame.detach().clamp(0, 1).to(torch.float64).numpy() * 255).astype(np.uint8)
 
 

@@ -1,11 +1,13 @@
-"""A scene rendered until its error is small enough: independent passes, their mean, and how far off that mean is.
+"""A scene rendered until its error is small enough: independent passes, their mean, and how far off that mean
+is.
 
-The error is what the project reports everywhere: RMSE in display values, here sRGB, exposed and clipped to [0, 1], over the
-whole frame, of the picture as it would be kept. It is estimated by the jackknife (Tukey 1958; unequal groups as Busing et al.
-1999): samples go to up to eight groups in turn, and of each group it is asked how the kept picture would change without it.
-All comparisons are between display values of pictures that hold nearly all samples, so the bend of the sRGB curve and the
-clipping of highlights count as they do in the picture itself. Where rare bright samples are clipped the difference of two
-halves is only 0.57 of the true error, the jackknife 0.97 of it.
+The error is what the project reports everywhere: RMSE in display values, here sRGB, exposed and clipped to
+[0, 1], over the whole frame, of the picture as it would be kept. It is estimated by the jackknife (Tukey
+1958; unequal groups as Busing et al. 1999): samples go to up to eight groups in turn, and of each group it is
+asked how the kept picture would change without it. All comparisons are between display values of pictures
+that hold nearly all samples, so the bend of the sRGB curve and the clipping of highlights count as they do in
+the picture itself. Where rare bright samples are clipped the difference of two halves is only 0.57 of the
+true error, the jackknife 0.97 of it.
 
 Dr.Jit compiles one kernel for all numbers of samples that are powers of two, so every pass is made of those.
 """
@@ -27,7 +29,8 @@ from .. import color
 from ..errors import ConfigError, MapsError
 
 JACKKNIFE_GROUPS = 8
-SAMPLES_AT_ONCE = 2**22  # samples of one call of the renderer: a second or so, after which Ctrl-C and a budget are looked at
+# samples of one call of the renderer: a second or so, after which Ctrl-C and a budget are looked at
+SAMPLES_AT_ONCE = 2**22
 DOUBLED_UP_TO = 16  # up to here samples are only doubled: too little is known to plan farther ahead
 TRUSTED_FACTOR = 8  # times the samples so far that a prediction is trusted
 TARGET_ERROR = 0.01
@@ -48,9 +51,11 @@ class Stop:
     samples: int | None = None
 
     def __post_init__(self) -> None:
-        given = [name.replace("_", " ") for name in ("target_error", "budget", "samples") if getattr(self, name) is not None]
+        given = [name.replace("_", " ") for name in ("target_error", "budget", "samples") if getattr(self,
+                                                                                                     name) is not None]
         if len(given) > 1:
-            raise ConfigError("one of target error, budget and samples", " and ".join(given), "give one of them")
+            raise ConfigError("one of target error, budget and samples", " and ".join(given),
+                              "give one of them")
         if not given:
             object.__setattr__(self, "target_error", TARGET_ERROR)
         if self.target_error is not None and not 0 < self.target_error < 1:
@@ -83,7 +88,9 @@ class Rendered:
 
 
 def one_sample(curve: Sequence[dict]) -> float | None:
-    """The error that a single sample of a frame would have, by the start of its curve; None where that is empty."""
+    """The error that a single sample of a frame would have, by the start of its curve; None where that is
+    empty.
+    """
     return curve[0]["error"] * math.sqrt(curve[0]["samples"]) if curve else None
 
 
@@ -98,10 +105,12 @@ def render_passes(draw: Callable[[int, int], Tensor], stop: Stop, *, pixels: int
     """Add passes until the frame is done.
 
     Args:
-        draw: (number of the call, samples a pixel, a power of two) -> linear H x W x 3, independent from call to call.
+        draw: (number of the call, samples a pixel, a power of two) -> linear H x W x 3, independent from call
+            to call.
         stop: when.
         pixels: of the frame.
-        exposure: stops by which the picture is shown brighter than it is; the error is that of the picture shown.
+        exposure: stops by which the picture is shown brighter than it is; the error is that of the picture
+            shown.
         report: told a line and the share done.
         interrupted: not empty once somebody wants an end now; one call is made in any case.
 
@@ -132,15 +141,16 @@ def render_passes(draw: Callable[[int, int], Tensor], stop: Stop, *, pixels: int
         looking = now - began
         if error is not None:
             curve.append({"seconds": now - started, "samples": mean.samples, "error": error})
-        if why or stop.samples == mean.samples or (stop.target_error and error is not None and error <= stop.target_error):
+        if why or stop.samples == mean.samples or (stop.target_error and error is not None
+                                                   and error <= stop.target_error):
             break
         aim = _next(mean.samples, error, stop.target_error)
     why = why or ("samples" if stop.samples else "target")
     return Rendered(mean.image, mean.samples, time.perf_counter() - started, error, tuple(curve), why)
 
 
-def render_frame(mi: ModuleType, scene: Any, stop: Stop, *, seed: int = 0, name: str = "", exposure: float = 0.0,
-                 report: Callable[[str, float], object] = lambda text, share: None,
+def render_frame(mi: ModuleType, scene: Any, stop: Stop, *, seed: int = 0, name: str = "",
+                 exposure: float = 0.0, report: Callable[[str, float], object] = lambda text, share: None,
                  interrupted: Sequence = ()) -> Rendered:
     """Render a loaded Mitsuba scene with its own sensor and integrator; see :func:`render_passes`.
 
@@ -156,11 +166,14 @@ def render_frame(mi: ModuleType, scene: Any, stop: Stop, *, seed: int = 0, name:
         return torch.from_numpy(mi.render(scene, seed=(first + call) % 2**32, spp=samples).numpy())
 
     width, height = scene.sensors()[0].film().size()
-    return render_passes(draw, stop, pixels=width * height, exposure=exposure, report=report, interrupted=interrupted)
+    return render_passes(draw, stop, pixels=width * height, exposure=exposure, report=report,
+                         interrupted=interrupted)
 
 
 class GroupedMean:
-    """The mean of all samples, kept in groups, so that it can be asked how it would be without each of them."""
+    """The mean of all samples, kept in groups, so that it can be asked how it would be without each of
+    them.
+    """
 
     def __init__(self) -> None:
         self.sums: list[Tensor] = []
@@ -177,9 +190,12 @@ class GroupedMean:
         return torch.stack(self.sums).sum(dim=0) / self.samples
 
     def add(self, image: Tensor, samples: int) -> None:
-        """Take the mean of so many new samples: a group of its own as long as there are few, else to the smallest one."""
+        """Take the mean of so many new samples: a group of its own as long as there are few, else to the
+        smallest one.
+        """
         if not bool(torch.isfinite(image).all()):
-            raise MapsError("radiance that is finite", "pixels that are not", "check maps and environment for NaN or infinity")
+            raise MapsError("radiance that is finite", "pixels that are not",
+                            "check maps and environment for NaN or infinity")
         if len(self.sums) < JACKKNIFE_GROUPS:
             self.sums.append(image * samples)
             self.counts.append(samples)
@@ -203,7 +219,8 @@ class GroupedMean:
         variance = 0.0
         for one, count in zip(self.sums, self.counts):
             without = shown((whole - one) / (self.samples - count), exposure)
-            variance += (self.samples / count - 1) * float((without - kept).square().mean(dtype=torch.float64))
+            variance += ((self.samples / count - 1)
+                         * float((without - kept).square().mean(dtype=torch.float64)))
         return math.sqrt(variance / len(self.sums))
 
 
@@ -219,7 +236,8 @@ def _next(samples: int, error: float | None, target: float | None) -> int:
     if samples < DOUBLED_UP_TO:
         return min(needed, 2 * samples)
     # The law is not exact where highlights are clipped; a long way is not gone to its end.
-    return max(min(needed if needed < 2 * samples else int(0.8 * needed), TRUSTED_FACTOR * samples), samples + 1)
+    return max(min(needed if needed < 2 * samples else int(0.8 * needed), TRUSTED_FACTOR * samples),
+               samples + 1)
 
 
 def _share(stop: Stop, seconds: float, samples: int, curve: list[dict]) -> float:

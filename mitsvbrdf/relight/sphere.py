@@ -7,9 +7,9 @@ from types import ModuleType
 import torch
 from torch import Tensor
 
+from ..io.entry import entry
 from ..material.maps import SVBRDF
 from ..render.exclusive import using_mitsuba
-from ..system.entry import entry
 from .passes import shown
 from .stage import make_stage
 
@@ -24,12 +24,14 @@ def mirrored(svbrdf: SVBRDF) -> SVBRDF:
             image = image * (1 - 2 * torch.eye(3, dtype=value.dtype)[turned])
         return torch.cat((value, image), dim=axis)
 
-    return SVBRDF(svbrdf.bsdf, {name: both(name, both(name, value, 1, 0), 0, 1) for name, value in svbrdf.maps.items()})
+    return SVBRDF(svbrdf.bsdf, {name: both(name, both(name, value, 1, 0), 0, 1)
+                                for name, value in svbrdf.maps.items()})
 
 
 @entry()
 def sphere(svbrdf: SVBRDF, size: int = 512, variant: str = "llvm_ad_rgb") -> Tensor:
-    """The sphere as display values, size x size x 3; the maps and their mirror images cover it, without a seam.
+    """The sphere as display values, size x size x 3; the maps and their mirror images cover it, without a
+    seam.
 
     Args:
         svbrdf: the material.

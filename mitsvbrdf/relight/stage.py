@@ -1,4 +1,6 @@
-"""Stages of previews: a scene of ``scenes/`` with the material, an environment and a film filled in, and what moves in it."""
+"""Stages of previews: a scene of ``scenes/`` with the material, an environment and a film filled in, and what
+moves in it.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +14,11 @@ import torch
 
 from ..errors import ConfigError
 from ..export.mitsuba import view_parameters
+from ..io.entry import entry
 from ..material.maps import SVBRDF
 from ..material.relief import heights
 from ..render.bsdf import needed_maps, plugin, slot_values
 from ..render.needs import Needs, material_needs
-from ..system.entry import entry
 from ..views import Views, nine_view_grid
 from .environment import WHITE_LUMINANCE, Environment, make_environment
 from .scene_file import read_scene
@@ -29,9 +31,11 @@ PRESETS = {
     "turntable": "the patch turning under an environment; a movie",
     "sphere": "a sphere under an environment, which turns where there are more frames",
     "shaderball": "a turned body with a groove and a dish, likewise",
-    "novel": "the first photo's camera, with the light moved off the lens; with more frames it circles the lens",
+    "novel": "the first photo's camera, with the light moved off the lens; with more frames it circles the "
+             "lens",
 }
-DEFAULTS = {"sweep": ("none", 48), "turntable": ("studio", 72), "sphere": ("studio", 1), "shaderball": ("studio", 1),
+DEFAULTS = {"sweep": ("none", 48), "turntable": ("studio", 72), "sphere": ("studio", 1),
+            "shaderball": ("studio", 1),
             "novel": ("none", 1)}
 OWN_LIGHT = ("sweep", "novel")
 ROUND = ("sphere", "shaderball")  # shapes without relief
@@ -81,8 +85,8 @@ class Stage:
 
 @entry()
 def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str | None = None,
-               size: tuple[int, int] = (512, 512), frames: int | None = None, tiling: int = 1, displacement: float = 0.0,
-               views: Views | None = None) -> Stage:
+               size: tuple[int, int] = (512, 512), frames: int | None = None, tiling: int = 1,
+               displacement: float = 0.0, views: Views | None = None) -> Stage:
     """The stage of a preview.
 
     Args:
@@ -94,7 +98,8 @@ def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str 
         frames: how many; left out: what suits the preset.
         tiling: how often the maps are repeated along a side.
         displacement: height of the relief; 0: flat, 1: as high as the normals say.
-        views: of ``novel``: the first one is shown; left out: the first of :func:`mitsvbrdf.views.nine_view_grid`.
+        views: of ``novel``: the first one is shown; left out: the first of
+            :func:`mitsvbrdf.views.nine_view_grid`.
 
     Raises:
         ConfigError: an option that is unknown, out of range, or does not go with the preset.
@@ -118,7 +123,8 @@ def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str 
     svbrdf = svbrdf.detach().to(torch.float32)
     needs = material_needs(svbrdf)
     scene["material"] = _material(mi, svbrdf, needs, tiling, preset)
-    left_out = [*needs.left_out, *(around.left_out if around else [("environment", "the preset has a light of its own")])]
+    left_out = [*needs.left_out,
+                *(around.left_out if around else [("environment", "the preset has a light of its own")])]
     if displacement:
         _displace(mi, scene, svbrdf, tiling, displacement)
     elif preset not in ROUND:
@@ -161,19 +167,23 @@ def _material(mi: ModuleType, svbrdf: SVBRDF, needs: Needs, tiling: int, preset:
     def texture(slot: str) -> dict[str, Any]:
         return {"type": "bitmap", "bitmap": mi.Bitmap(slots[slot].flip(0).contiguous().numpy()), "raw": True,
                 "filter_type": "nearest" if preset == "novel" else "bilinear",
-                "wrap_mode": "clamp" if tiling == 1 and preset not in ROUND else "repeat",  # edges do not blend across
+                # edges do not blend across
+                "wrap_mode": "clamp" if tiling == 1 and preset not in ROUND else "repeat",
                 "to_uv": mi.ScalarTransform4f().scale(scale)}
 
     material = plugin(svbrdf.bsdf, needs, texture, stock=True)
     if needs.normal_map and preset != "novel":
-        # Where a shape turns away, normals that lean further would be black; the surface they stand for would be hidden.
+        # Where a shape turns away, normals that lean further would be black; the surface they stand for would
+        # be hidden.
         material["flip_invalid_normals"] = True
     return material
 
 
-def _displace(mi: ModuleType, scene: dict[str, Any], svbrdf: SVBRDF, tiling: int, displacement: float) -> None:
+def _displace(mi: ModuleType, scene: dict[str, Any], svbrdf: SVBRDF, tiling: int,
+              displacement: float) -> None:
     """The patch of a scene as a mesh with relief; a table stays below it."""
-    height = displacement / tiling * heights(svbrdf.resized(min(svbrdf.resolution, RELIEF_QUADS // tiling))["normal"])
+    height = (displacement / tiling
+              * heights(svbrdf.resized(min(svbrdf.resolution, RELIEF_QUADS // tiling))["normal"]))
     material = mi.load_dict(scene.pop("material"))
     scene["patch"] = mitsuba_mesh(mi, relief(height.repeat(tiling, tiling)), "patch", material)
     if "table" in scene:
@@ -192,7 +202,8 @@ def _reflections(svbrdf: SVBRDF) -> tuple[int, str]:
 def _sweep(mi: ModuleType, scene: dict[str, Any], frames: int) -> Place:
     x, behind, z = scene["light"]["position"]
     radius = math.hypot(x, z)
-    scene["light"]["intensity"] = {"type": "rgb", "value": WHITE_LUMINANCE * math.pi * math.hypot(x, behind, z) ** 2}
+    scene["light"]["intensity"] = {"type": "rgb", "value": WHITE_LUMINANCE * math.pi * math.hypot(x, behind,
+                                                                                                  z) ** 2}
 
     def place(frame: int) -> dict[str, Any]:
         angle = math.radians(90 + 42 * math.sin(2 * math.pi * frame / frames + math.pi / 6))
@@ -215,11 +226,13 @@ def _turned(mi: ModuleType, scene: dict[str, Any], frames: int, around: Environm
     return lambda frame: around.turned(360 * frame / frames)
 
 
-def _novel(mi: ModuleType, side: int, frames: int, views: Views | None) -> tuple[dict[str, Any], Place, Views]:
+def _novel(mi: ModuleType, side: int, frames: int, views: Views | None) -> tuple[dict[str, Any], Place,
+                                                                                 Views]:
     seen = (views or nine_view_grid()).pick([0]).in_patch_sides().to(torch.float64)
     scene = read_scene(mi, "patch.xml", **view_parameters(seen, side))
     scene["sensor"]["sampler"] = {"type": "independent"}
     angle = torch.arange(frames, dtype=torch.float64) / frames * 2 * math.pi + 0.75 * math.pi
-    circle = torch.stack((angle.cos(), angle.sin(), torch.zeros_like(angle)), dim=1) * seen.camera[:, 2:] * OFF_LENS
+    circle = (torch.stack((angle.cos(), angle.sin(), torch.zeros_like(angle)), dim=1) * seen.camera[:, 2:]
+              * OFF_LENS)
     shown = Views(seen.camera.expand(frames, 3), seen.camera + circle, seen.intensity.expand(frames, 3))
     return scene, lambda frame: {"light.position": mi.Point3f(*shown.light[frame].tolist())}, shown

@@ -21,7 +21,8 @@ from ..views import Views
 from .needs import Needs
 
 RendererName = Literal["mitsuba", "mitsuba-scene", "analytic", "analytic64"]
-RENDERERS: tuple[RendererName, ...] = ("mitsuba", "mitsuba-scene", "analytic")  # those held against the float64 twin
+# those held against the float64 twin
+RENDERERS: tuple[RendererName, ...] = ("mitsuba", "mitsuba-scene", "analytic")
 
 
 class Renderer(Protocol):
@@ -40,13 +41,14 @@ class Renderer(Protocol):
     def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
         """Linear radiance of the patch as each view sees it, rectified: N x R x R x 3, row 0 at the top.
 
-        Differentiable with respect to the maps; ``analytic`` and ``mitsuba`` also with respect to camera, light and
-        intensity, for which ``mitsuba-scene`` refuses a gradient.
+        Differentiable with respect to the maps; ``analytic`` and ``mitsuba`` also with respect to camera,
+        light and intensity, for which ``mitsuba-scene`` refuses a gradient.
         """
         ...
 
 
-def make_renderer(name: str = "mitsuba", variant: str = "llvm_ad_rgb", needs: Needs | None = None) -> Renderer:
+def make_renderer(name: str = "mitsuba", variant: str = "llvm_ad_rgb",
+                  needs: Needs | None = None) -> Renderer:
     """A renderer by name; Mitsuba is loaded only for the two that need it.
 
     Args:

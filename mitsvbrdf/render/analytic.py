@@ -1,12 +1,13 @@
-"""The readable twin: the same two BSDFs in plain torch, in any float dtype. It illustrates, checks and needs no Mitsuba.
+"""The readable twin: the same two BSDFs in plain torch, in any float dtype. It illustrates, checks and needs
+no Mitsuba.
 
-Cook-Torrance as the paper (III.E): f = rho_d / pi + D(alpha, n.h) G(n.l, n.v) F / (4 n.l n.v), GGX D, separable Smith
-G. Radiance L = f (n.l) I / d^2. F is F0 where camera and light coincide (h = l, so it is exact); elsewhere the
-unpolarised Fresnel reflectance of the refractive index that has F0 at normal incidence, which is what Mitsuba's
-``roughconductor`` computes (the paper's Schlick curve is not among its options).
+Cook-Torrance as the paper (III.E): f = rho_d / pi + D(alpha, n.h) G(n.l, n.v) F / (4 n.l n.v), GGX D,
+separable Smith G. Radiance L = f (n.l) I / d^2. F is F0 where camera and light coincide (h = l, so it is
+exact); elsewhere the unpolarised Fresnel reflectance of the refractive index that has F0 at normal incidence,
+which is what Mitsuba's ``roughconductor`` computes (the paper's Schlick curve is not among its options).
 
-Each formula is written so that nothing cancels, overflows or divides by zero on valid input, in float32 and in its
-derivatives; docs/stability.md lists what each form mended and by how much.
+Each formula is written so that nothing cancels, overflows or divides by zero on valid input, in float32 and
+in its derivatives; docs/stability.md lists what each form mended and by how much.
 """
 
 from __future__ import annotations
@@ -17,13 +18,14 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ..io.entry import entry
 from ..material.maps import DIELECTRIC_F0, SVBRDF
-from ..system.entry import entry
 from ..views import Views, texel_positions
 from .bsdf import F0_RANGE, MIN_ALPHA_PRINCIPLED, needed_maps
 from .needs import Needs, scene_needs
 
-MIN_ALPHA = {"roughconductor": 1e-4, "principled": MIN_ALPHA_PRINCIPLED}  # Mitsuba's microfacets are never smoother
+# Mitsuba's microfacets are never smoother
+MIN_ALPHA = {"roughconductor": 1e-4, "principled": MIN_ALPHA_PRINCIPLED}
 
 
 class AnalyticRenderer:
@@ -42,13 +44,16 @@ class AnalyticRenderer:
 
     @entry()
     def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
-        """Linear radiance N x R x R x 3 of this renderer's dtype; gradients to maps, camera, light and intensity."""
+        """Linear radiance N x R x R x 3 of this renderer's dtype; gradients to maps, camera, light and
+        intensity.
+        """
         needs = self.needs or scene_needs(svbrdf, views, self.name)
         maps = {name: value.to(self.dtype) for name, value in needed_maps(svbrdf, needs).items()}
         cosines, irradiance = _geometry(maps.get("normal"), views, svbrdf.resolution)
         lit = (cosines.n_l > 0) & (cosines.n_v > 0)
         # Where the surface turns away the result is 0; a harmless 1 keeps the gradient of the rest finite.
-        cosines = cosines._replace(n_l=torch.where(lit, cosines.n_l, 1.0), n_v=torch.where(lit, cosines.n_v, 1.0))
+        cosines = cosines._replace(n_l=torch.where(lit, cosines.n_l, 1.0), n_v=torch.where(lit, cosines.n_v,
+                                                                                           1.0))
         c = Cosines(*(x.to(self.dtype) for x in cosines))
 
         if svbrdf.bsdf == "roughconductor":
@@ -64,7 +69,8 @@ class AnalyticRenderer:
 
 
 class Cosines(NamedTuple):
-    """What the lobes know of directions: cosines between normal n, light l, camera v and half vector h, N x R x R x 1.
+    """What the lobes know of directions: cosines between normal n, light l, camera v and half vector h, N x R
+    x R x 1.
 
     ``across2`` is |n x h|^2, the square of the sine that goes with ``n_h``.
     """
@@ -79,13 +85,14 @@ class Cosines(NamedTuple):
 def _geometry(normal: Tensor | None, views: Views, resolution: int) -> tuple[Cosines, Tensor]:
     """Cosines, and I / d^2; in float64, whatever comes after. Without normals the plane's own.
 
-    l + v cancels where light and camera stand low on opposite sides: from 100 sides away at 0.01 above the plane, float32
-    lost all but one digit of h. n x h cancels near every highlight: at roughness 0.1 it cost float32 gradients 3e-6. And
-    d^2 of a light 1e20 units away is no float32.
+    l + v cancels where light and camera stand low on opposite sides: from 100 sides away at 0.01 above the
+    plane, float32 lost all but one digit of h. n x h cancels near every highlight: at roughness 0.1 it cost
+    float32 gradients 3e-6. And d^2 of a light 1e20 units away is no float32.
     """
     views = views.in_patch_sides().to(torch.float64)
     position = texel_positions(resolution)
-    n = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64) if normal is None else F.normalize(normal.double(), dim=-1)
+    n = (torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64) if normal is None
+         else F.normalize(normal.double(), dim=-1))
     to_camera = views.camera[:, None, None] - position
     to_light = views.light[:, None, None] - position
     v, l = F.normalize(to_camera, dim=-1), F.normalize(to_light, dim=-1)  # noqa: E741  (as in the field)
@@ -101,7 +108,9 @@ def _dot(a: Tensor, b: Tensor) -> Tensor:
 
 
 def _alpha(bsdf: str, roughness: Tensor) -> Tensor:
-    """GGX alpha, never below :data:`MIN_ALPHA`, with gradient 0 there and at the limit itself, as in Mitsuba."""
+    """GGX alpha, never below :data:`MIN_ALPHA`, with gradient 0 there and at the limit itself, as in
+    Mitsuba.
+    """
     alpha, least = roughness**2, MIN_ALPHA[bsdf]
     return torch.where(alpha > least, alpha, least)
 
@@ -124,12 +133,13 @@ def _fresnel(f0: Tensor, cosine: Tensor) -> Tensor:
     """Unpolarised reflectance at this cosine of the real refractive index (1 + s) / (1 - s), s = sqrt F0.
 
     With a = 1 - s, b = 1 + s and g = sqrt(4 s + a^2 c^2) the two amplitudes r_s = (a c - g) / (a c + g) and
-    r_p = (b^2 c - a g) / (b^2 c + a g) both carry a factor 4 s, taken out here: what is left has no difference of equal
-    numbers, at F0 = 0 or at 1. By the index itself F lost 6e-8 / F0 of its digits. Beyond F0_RANGE F is proportional to
-    F0, as it is for Mitsuba, which needs the index.
+    r_p = (b^2 c - a g) / (b^2 c + a g) both carry a factor 4 s, taken out here: what is left has no
+    difference of equal numbers, at F0 = 0 or at 1. By the index itself F lost 6e-8 / F0 of its digits. Beyond
+    F0_RANGE F is proportional to F0, as it is for Mitsuba, which needs the index.
     """
     low, high = F0_RANGE
-    cut = torch.where(f0 > low, torch.where(f0 < high, f0, high), low)  # slope 0 at the ends themselves, in any precision
+    # slope 0 at the ends themselves, in any precision
+    cut = torch.where(f0 > low, torch.where(f0 < high, f0, high), low)
     s = cut.sqrt()
     a, b2 = (1 - cut) / (1 + s), (1 + s) ** 2
     ac = a * cosine

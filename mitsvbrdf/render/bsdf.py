@@ -19,13 +19,15 @@ FRESNEL = "exact_fresnel"  # the plugin of plugins.py that stands for roughcondu
 
 BELOW_ONE = 2.0**-24  # from 1 to the next float32 below
 
-# The refractive index grows without bound as F0 -> 1, and its slope in F0 as F0 -> 0; both ends are cut. Beyond them the
-# reflectance is proportional to F0: it still ends in 0, and keeps a slope.
+# The refractive index grows without bound as F0 -> 1, and its slope in F0 as F0 -> 0; both ends are cut.
+# Beyond them the reflectance is proportional to F0: it still ends in 0, and keeps a slope.
 F0_RANGE = (1e-6, 0.999)
 
 
 def index_from_f0(f0: Any) -> Any:
-    """Real refractive index with reflectance F0 at normal incidence, (1 + sqrt F0) / (1 - sqrt F0), F0 within its range."""
+    """Real refractive index with reflectance F0 at normal incidence, (1 + sqrt F0) / (1 - sqrt F0), F0 within
+    its range.
+    """
     root = f0**0.5
     return (1 + root) / (1 - root)
 
@@ -40,8 +42,10 @@ def _in_range(f0: Any) -> Any:
 
 def needed_maps(svbrdf: SVBRDF, needs: Needs) -> dict[str, Tensor]:
     """The maps that are read at all, by name; a specular map that needs no colour as its first channel."""
-    unread = {"diffuse": not needs.diffuse_lobe, "specular": not needs.specular_lobe, "metallic": not needs.metallic,
-              "roughness": svbrdf.bsdf == "roughconductor" and not needs.specular_lobe, "normal": not needs.normal_map}
+    unread = {"diffuse": not needs.diffuse_lobe, "specular": not needs.specular_lobe,
+              "metallic": not needs.metallic,
+              "roughness": svbrdf.bsdf == "roughconductor" and not needs.specular_lobe,
+              "normal": not needs.normal_map}
     maps = {name: svbrdf[name] for name in CHANNELS[svbrdf.bsdf] if not unread.get(name)}
     if "specular" in maps and not needs.coloured_specular:
         maps["specular"] = maps["specular"][..., :1]
@@ -51,9 +55,9 @@ def needed_maps(svbrdf: SVBRDF, needs: Needs) -> dict[str, Tensor]:
 def _with_slope(metallic: Any) -> Any:
     """Metallic as it is, but where it is exactly 1 and wants a gradient one rounding below.
 
-    Mitsuba's ``principled`` skips its diffuse lobe where metallic is 1, and with it the lobe's slope in metallic: the gradient
-    was 161 instead of 70.6 for a base colour of 0.5. The image then holds 6e-8 of the diffuse lobe, as long as the map wants
-    a gradient.
+    Mitsuba's ``principled`` skips its diffuse lobe where metallic is 1, and with it the lobe's slope in
+    metallic: the gradient was 161 instead of 70.6 for a base colour of 0.5. The image then holds 6e-8 of the
+    diffuse lobe, as long as the map wants a gradient.
     """
     if hasattr(metallic, "clamp"):  # a torch tensor, to be written to a file
         return metallic
@@ -91,33 +95,39 @@ def plugin(bsdf: str, needs: Needs, texture: Callable[[str], Any], stock: bool =
 
     Args:
         bsdf: ``roughconductor`` or ``principled``.
-        needs: which lobes to sum, whether there is a normal map, and whether reflectance follows the angle (real Fresnel
-            reflectance, needed away from co-located views) or is constant.
+        needs: which lobes to sum, whether there is a normal map, and whether reflectance follows the angle
+            (real Fresnel reflectance, needed away from co-located views) or is constant.
         texture: makes the texture of a slot, by its name in :func:`slot_values`.
         stock: of plugins that every Mitsuba has, to be written to a file.
     """
     if bsdf == "principled":
-        shading = {"type": "principled", "base_color": texture("base_color"), "roughness": texture("roughness")}
+        shading = {"type": "principled", "base_color": texture("base_color"),
+                   "roughness": texture("roughness")}
         if needs.metallic:
             shading["metallic"] = texture("metallic")
     else:
         shading = _lobes(needs, texture, stock)
     if not needs.normal_map:
         return shading
-    # Both flags default to true and would change the image: the model has no normal flipping and no extra shadowing.
+    # Both flags default to true and would change the image: the model has no normal flipping and no extra
+    # shadowing.
     return {"type": "normalmap", "flip_invalid_normals": False, "use_shadowing_function": False,
             "normalmap": texture("normal"), "bsdf": shading}
 
 
 def _lobes(needs: Needs, texture: Callable[[str], Any], stock: bool) -> dict:
-    diffuse = {"type": "diffuse", "reflectance": texture(f"diffuse_x{needs.lobes}")} if needs.diffuse_lobe else {}
+    diffuse = ({"type": "diffuse", "reflectance": texture(f"diffuse_x{needs.lobes}")} if needs.diffuse_lobe
+               else {})
     if not needs.specular_lobe:
         return diffuse
-    lobe = {"type": "roughconductor", "distribution": "ggx", "alpha": texture("alpha")}  # the default is Beckmann
+    # the default is Beckmann
+    lobe = {"type": "roughconductor", "distribution": "ggx", "alpha": texture("alpha")}
     if needs.fresnel_curve and not stock:
         every = {"type": "uniform", "value": float(needs.lobes)}
-        lobe = {"type": FRESNEL, "f0": texture("f0"), "lobe": lobe | {"material": "none", "specular_reflectance": every}}
+        lobe = {"type": FRESNEL, "f0": texture("f0"), "lobe": lobe | {"material": "none",
+                                                                      "specular_reflectance": every}}
     else:
         lobe |= {"specular_reflectance": texture(f"specular_x{needs.lobes}")}
-        lobe |= {"eta": texture("eta"), "k": {"type": "uniform", "value": 0.0}} if needs.fresnel_curve else {"material": "none"}
+        lobe |= ({"eta": texture("eta"), "k": {"type": "uniform", "value": 0.0}} if needs.fresnel_curve
+                 else {"material": "none"})
     return {"type": "blendbsdf", "weight": 0.5, "diffuse": diffuse, "specular": lobe} if diffuse else lobe

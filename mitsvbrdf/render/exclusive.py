@@ -1,15 +1,17 @@
 """Mitsuba and Dr.Jit for one thread at a time, and pictures whose gradient belongs to them.
 
-Neither bears two threads: two that trace at once draw wrong pictures or end the process, and ``dr.wrap`` keeps the description
-of its latest result in a global variable. So whoever needs Mitsuba holds :func:`using_mitsuba` meanwhile: to import it, to make
-a scene, to draw, and, in whatever thread autograd works, to go backward. In between other threads may draw. What Mitsuba made
-is freed under the lock too, whichever thread forgets it (:class:`Kept`), and tensors that leave are copies.
+Neither bears two threads: two that trace at once draw wrong pictures or end the process, and ``dr.wrap``
+keeps the description of its latest result in a global variable. So whoever needs Mitsuba holds
+:func:`using_mitsuba` meanwhile: to import it, to make a scene, to draw, and, in whatever thread autograd
+works, to go backward. In between other threads may draw. What Mitsuba made is freed under the lock too,
+whichever thread forgets it (:class:`Kept`), and tensors that leave are copies.
 
-The replay trap: a Mitsuba scene is one mutable object, and the calls it makes per ray are traced again *as the scene is
-at backward time*. Moving the camera, or drawing a preview, between forward and backward then silently gives gradients of
-the wrong picture; and since Dr.Jit traces such calls through every scene there is, a backward pass of one scene leaves none
-but zeros to a picture of another that was drawn before. :class:`Drawing` is the guard: a backward pass after any other
-picture of any scene draws its own again first, from the maps and views it kept.
+The replay trap: a Mitsuba scene is one mutable object, and the calls it makes per ray are traced again *as
+the scene is at backward time*. Moving the camera, or drawing a preview, between forward and backward then
+silently gives gradients of the wrong picture; and since Dr.Jit traces such calls through every scene there
+is, a backward pass of one scene leaves none but zeros to a picture of another that was drawn before.
+:class:`Drawing` is the guard: a backward pass after any other picture of any scene draws its own again first,
+from the maps and views it kept.
 """
 
 from __future__ import annotations
@@ -30,8 +32,8 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ..system.entry import put_back
-from ..system.lock import PROCESS
+from ..io.entry import put_back
+from ..io.lock import PROCESS
 from .llvm import mitsuba_module
 
 T = TypeVar("T")
@@ -41,11 +43,12 @@ _alive: WeakSet[Kept] = WeakSet()
 
 
 class Kept(Generic[T]):
-    """What Mitsuba or Dr.Jit made, kept by an object that any thread may forget: freed by a thread that holds the lock.
+    """What Mitsuba or Dr.Jit made, kept by an object that any thread may forget: freed by a thread that holds
+    the lock.
 
-    An array freed while another thread traces ends the process; and a thread that waits for Dr.Jit to free it does so with
-    Python's own lock, for which the thread that is at work in Dr.Jit may be waiting. So what was forgotten waits for the next
-    :func:`using_mitsuba`, or for the end of the process.
+    An array freed while another thread traces ends the process; and a thread that waits for Dr.Jit to free it
+    does so with Python's own lock, for which the thread that is at work in Dr.Jit may be waiting. So what was
+    forgotten waits for the next :func:`using_mitsuba`, or for the end of the process.
 
     Args:
         content: must not refer to the object that keeps it.
@@ -69,11 +72,13 @@ def _free_all() -> None:
 
 @contextlib.contextmanager
 def using_mitsuba(variant: str = "llvm_ad_rgb") -> Iterator[ModuleType]:
-    """The ``mitsuba`` module with this variant set, for this thread alone; afterwards one set before is set again.
+    """The ``mitsuba`` module with this variant set, for this thread alone; afterwards one set before is set
+    again.
 
-    Threads that call the package need none of this; those that use Mitsuba or Dr.Jit by themselves beside it hold it too. It
-    may be entered again inside itself. Not to be held around a backward pass of tensors on a GPU, which autograd makes in a
-    thread of its own. Arrays and scenes should be gone when it ends: make them in a function that is called inside.
+    Threads that call the package need none of this; those that use Mitsuba or Dr.Jit by themselves beside it
+    hold it too. It may be entered again inside itself. Not to be held around a backward pass of tensors on a
+    GPU, which autograd makes in a thread of its own. Arrays and scenes should be gone when it ends: make them
+    in a function that is called inside.
 
     Raises:
         BackendError: Mitsuba, the variant, a GPU or libLLVM is missing.
@@ -89,10 +94,12 @@ def using_mitsuba(variant: str = "llvm_ad_rgb") -> Iterator[ModuleType]:
             raise
         finally:
             _forgotten.clear()
-            if hasattr(signal, "siginterrupt"):  # Mitsuba's render leaves a Ctrl-C that wakes no waiting thread
+            # Mitsuba's render leaves a Ctrl-C that wakes no waiting thread
+            if hasattr(signal, "siginterrupt"):
                 signal.siginterrupt(signal.SIGINT, True)
             if mi.variant() != before:
-                put_back("the Mitsuba variant", partial(_set_again, mi, before))  # later, since it takes some 80 ms
+                # later, since it takes some 80 ms
+                put_back("the Mitsuba variant", partial(_set_again, mi, before))
 
 
 def _set_again(mi: ModuleType, variant: str) -> None:
@@ -117,7 +124,8 @@ def _in_order() -> Iterator[None]:
 
 
 class Drawing:
-    """A function of torch tensors that Mitsuba computes, differentiable once; any thread may call it and go backward.
+    """A function of torch tensors that Mitsuba computes, differentiable once; any thread may call it and go
+    backward.
 
     Args:
         variant: of Mitsuba.
@@ -142,7 +150,9 @@ class Drawing:
         return _Recorded.apply(self, wanted, *inputs) if any(wanted) else self.draw(inputs, wanted)[1]
 
     def draw(self, inputs: Sequence[Tensor], wanted: Sequence[bool]) -> tuple[list[Tensor], Tensor]:
-        """Leaves that stand for the inputs, and the pictures with a graph to those whose gradient is wanted."""
+        """Leaves that stand for the inputs, and the pictures with a graph to those whose gradient is
+        wanted.
+        """
         leaves = [tensor.detach().requires_grad_(want) for tensor, want in zip(inputs, wanted)]
         with self.in_mitsuba(), torch.set_grad_enabled(any(wanted)):
             Drawing.drawn += self.replayed
@@ -164,7 +174,8 @@ class _Recorded(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor | None, ...]:
         with ctx.drawing.in_mitsuba():
-            gradients = iter(_gradients(ctx, ctx.saved_tensors, cotangent))  # raises where an input was changed in place since
+            # raises where an input was changed in place since
+            gradients = iter(_gradients(ctx, ctx.saved_tensors, cotangent))
         return None, None, *(next(gradients) if want else None for want in ctx.wanted)
 
 
@@ -174,4 +185,6 @@ def _gradients(ctx: Any, inputs: Sequence[Tensor], cotangent: Tensor) -> list[Te
     if record is None or ctx.drawing.replayed and ctx.drawn != Drawing.drawn:
         record = Kept(ctx.drawing.draw(inputs, ctx.wanted))
     leaves, images = record.content
-    return [each.clone() for each in torch.autograd.grad(images, [leaf for leaf in leaves if leaf.requires_grad], cotangent)]
+    return [each.clone() for each in torch.autograd.grad(images,
+                                                         [leaf for leaf in leaves if leaf.requires_grad],
+                                                         cotangent)]

@@ -1,10 +1,10 @@
 """Find a libLLVM that Dr.Jit works with, prove it in a child process, and load Mitsuba with it.
 
-Dr.Jit takes any libLLVM it comes across, fixes its choice when it is first imported, and an unsuitable one (15 or 16 on
-a CPU with AVX-512, say) aborts the whole process at the first kernel. So a small kernel is tried in a child process
-first, a good answer is remembered in a cache file, and ``DRJIT_LIBLLVM_PATH`` is set before Dr.Jit loads. Importing
-this module loads neither Dr.Jit nor Mitsuba; ``python -m mitsvbrdf.render.llvm`` prints the library's path or, with
-exit code 1, what to install.
+Dr.Jit takes any libLLVM it comes across, fixes its choice when it is first imported, and an unsuitable one
+(15 or 16 on a CPU with AVX-512, say) aborts the whole process at the first kernel. So a small kernel is tried
+in a child process first, a good answer is remembered in a cache file, and ``DRJIT_LIBLLVM_PATH`` is set
+before Dr.Jit loads. Importing this module loads neither Dr.Jit nor Mitsuba; ``python -m
+mitsvbrdf.render.llvm`` prints the library's path or, with exit code 1, what to install.
 """
 
 from __future__ import annotations
@@ -27,15 +27,16 @@ from pathlib import Path
 from types import ModuleType
 
 from ..errors import BackendError
-from ..system.json_files import load
-from ..system.lock import PROCESS
+from ..io.json_files import load
+from ..io.lock import PROCESS
 
 VARIABLE = "DRJIT_LIBLLVM_PATH"
 STATED = os.environ.get(VARIABLE)  # the user's, before :func:`use_llvm` sets its own
 OLDEST = 19
 MEASURED = (19, 22)  # versions this package was developed with; the first to be tried
 
-# fmaximum (what LLVM 15 and 16 cannot select), gather, scatter_reduce, a loop and a gradient, each with a known result.
+# fmaximum (what LLVM 15 and 16 cannot select), gather, scatter_reduce, a loop and a gradient, each with a
+# known result.
 PROOF = """
 import drjit as dr
 from drjit.llvm.ad import Float, UInt32
@@ -61,7 +62,8 @@ class LLVM:
 
     Args:
         path: the library file; empty for the one Dr.Jit found by itself.
-        version: as the library tells it, e.g. ``19.1.7``; the major number alone, or nothing, when it was not loaded.
+        version: as the library tells it, e.g. ``19.1.7``; the major number alone, or nothing, when it was not
+            loaded.
         proved: whether Dr.Jit's kernels gave the right numbers with it.
         message: why it was refused; empty when proved.
     """
@@ -101,7 +103,9 @@ def find_llvm() -> LLVM | None:
 
 
 def examine() -> Iterator[LLVM]:
-    """The verdict on each libLLVM, in the order of preference; on the user's alone where the variable is set."""
+    """The verdict on each libLLVM, in the order of preference; on the user's alone where the variable is
+    set.
+    """
     if os.environ.get(VARIABLE):
         yield prove(os.environ[VARIABLE])
         return
@@ -117,7 +121,9 @@ def examine() -> Iterator[LLVM]:
 
 
 def candidates() -> list[str]:
-    """Real paths of the libLLVM files here: measured versions first, then the newest, unnamed versions last."""
+    """Real paths of the libLLVM files here: measured versions first, then the newest, unnamed versions
+    last.
+    """
     found = {os.path.realpath(path) for folder in _folders() for path in glob(f"{folder}/*LLVM[-.]*")
              if re.fullmatch(r"libLLVM([-.][\w.-]+)?\.(so[\d.]*|dylib)|LLVM-C\.dll", os.path.basename(path))}
 
@@ -129,7 +135,9 @@ def candidates() -> list[str]:
 
 
 def named_version(path: str) -> int:
-    """The major version that a path tells (libLLVM-19.so, libLLVM.so.19.1, llvm@19/..., llvm/19.1.7/...), else 0."""
+    """The major version that a path tells (libLLVM-19.so, libLLVM.so.19.1, llvm@19/..., llvm/19.1.7/...),
+    else 0.
+    """
     name = re.search(r"LLVM(?:-|\.so\.)(\d+)", os.path.basename(path))
     folder = re.search(r"llvm[@/-]?(\d+)", os.path.dirname(path))
     match = name or folder
@@ -142,7 +150,8 @@ def _folders() -> list[str]:
     return [*filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep)),
             *(f"{prefix}/{lib}" for prefix in sorted(prefixes) for lib in ("lib", "Library/bin")),
             "/usr/lib/*-linux-gnu", "/usr/lib/llvm-*/lib", "/usr/lib/llvm*/lib", "/usr/lib", "/usr/lib64",
-            "/usr/lib64/llvm*/lib*", "/usr/local/lib", "/opt/homebrew/opt/llvm*/lib", "/usr/local/opt/llvm*/lib",
+            "/usr/lib64/llvm*/lib*", "/usr/local/lib", "/opt/homebrew/opt/llvm*/lib",
+            "/usr/local/opt/llvm*/lib",
             "C:/Program Files/LLVM/bin"]
 
 
@@ -158,10 +167,12 @@ def prove(path: str) -> LLVM:
     if key in known:
         return LLVM(path, known[key], True)
     environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
-    with tempfile.TemporaryDirectory() as kernels:  # no kernel compiled earlier may stand in for this library's
+    # no kernel compiled earlier may stand in for this library's
+    with tempfile.TemporaryDirectory() as kernels:
         environment |= {"DRJIT_CACHE_DIR": kernels} | ({VARIABLE: path} if path else {})
         try:
-            child = subprocess.run([sys.executable, "-P", "-c", PROOF], env=environment, stdin=subprocess.DEVNULL,
+            child = subprocess.run([sys.executable, "-P", "-c", PROOF], env=environment,
+                                   stdin=subprocess.DEVNULL,
                                    capture_output=True, text=True, errors="replace", timeout=120)
         except (OSError, subprocess.TimeoutExpired) as reason:
             return LLVM(path, "", False, f"the trial did not run: {reason}")
@@ -182,7 +193,9 @@ def _reason(child: subprocess.CompletedProcess[str]) -> str:
 
 
 def _key(path: str) -> str:
-    """What the verdict depends on: the file, Dr.Jit, the CPU. Empty where it is not known which file will be loaded."""
+    """What the verdict depends on: the file, Dr.Jit, the CPU. Empty where it is not known which file will be
+    loaded.
+    """
     if not os.path.isfile(path):
         return ""
     real, stat = os.path.realpath(path), os.stat(path)
@@ -196,7 +209,8 @@ def _key(path: str) -> str:
 
 
 def _cache() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "mitsvbrdf" / "llvm.json"
+    return (Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "mitsvbrdf"
+            / "llvm.json")
 
 
 def _read_cache() -> dict[str, str]:
@@ -214,7 +228,9 @@ def _write_cache(known: dict[str, str]) -> None:
 
 
 def _loaded() -> LLVM:
-    """The libLLVM of a Dr.Jit that somebody imported before: too late to choose another, so it is taken if it works."""
+    """The libLLVM of a Dr.Jit that somebody imported before: too late to choose another, so it is taken if it
+    works.
+    """
     import drjit
 
     version = drjit.detail.llvm_version()
@@ -223,7 +239,8 @@ def _loaded() -> LLVM:
         return LLVM(path, ".".join(map(str, version)), True)
     llvm = prove(path)
     if not llvm.proved or version[0] < 0:
-        raise BackendError("Dr.Jit with a libLLVM that works", f"drjit imported earlier, without ({llvm.message})",
+        raise BackendError("Dr.Jit with a libLLVM that works",
+                           f"drjit imported earlier, without ({llvm.message})",
                            f"call mitsvbrdf before importing drjit or mitsuba, or set {VARIABLE}; "
                            f"where no LLVM of version {OLDEST} or newer is installed: {install_hint()}")
     return llvm
@@ -245,7 +262,8 @@ def install_hint() -> str:
 
 
 def mitsuba_module(variant: str = "llvm_ad_rgb") -> ModuleType:
-    """The ``mitsuba`` module with this variant set; :func:`mitsvbrdf.render.exclusive.using_mitsuba` also sets it back.
+    """The ``mitsuba`` module with this variant set; :func:`mitsvbrdf.render.exclusive.using_mitsuba` also
+    sets it back.
 
     Raises:
         BackendError: Mitsuba, the variant, a GPU or libLLVM is missing.
@@ -253,7 +271,8 @@ def mitsuba_module(variant: str = "llvm_ad_rgb") -> ModuleType:
     with PROCESS:  # the first import does not bear a second thread
         try:
             use_llvm()
-        except BackendError:  # a CUDA variant does without, yet an LLVM variant may be wanted later in the same process
+        # a CUDA variant does without, yet an LLVM variant may be wanted later in the same process
+        except BackendError:
             if not variant.startswith("cuda"):
                 raise
         try:
@@ -267,8 +286,10 @@ def mitsuba_module(variant: str = "llvm_ad_rgb") -> ModuleType:
             try:
                 mi.set_variant(variant)
             except (ImportError, RuntimeError) as reason:
-                raise BackendError(f"{variant} to work here", str(reason), "use llvm_ad_rgb, which needs no GPU"
-                                   if variant.startswith("cuda") else f"install libLLVM: {install_hint()}") from None
+                raise BackendError(f"{variant} to work here", str(reason),
+                                   "use llvm_ad_rgb, which needs no GPU"
+                                   if variant.startswith("cuda")
+                                   else f"install libLLVM: {install_hint()}") from None
         return mi
 
 

@@ -11,14 +11,16 @@ from ..errors import ConfigError
 from ..material.maps import SVBRDF
 from ..views import Views
 
-# Up to this half angle between camera and light the unpolarised Fresnel reflectance stays within 4e-7 of F0, relative:
-# it grows with the fourth power, by 0.5 theta^4 for F0 = 0.04 (2.3e-7) and at most by 0.85 theta^4 for F0 -> 0 (4e-7).
+# Up to this half angle between camera and light the unpolarised Fresnel reflectance stays within 4e-7 of F0,
+# relative: it grows with the fourth power, by 0.5 theta^4 for F0 = 0.04 (2.3e-7) and at most by 0.85 theta^4
+# for F0 -> 0 (4e-7).
 CONSTANT_FRESNEL_DEGREES = 1.5
 
 
 @dataclass(frozen=True)
 class Needs:
-    """What to compute. As it stands, everything; :func:`scene_needs` takes away what changes no pixel and no gradient.
+    """What to compute. As it stands, everything; :func:`scene_needs` takes away what changes no pixel and no
+    gradient.
 
     Args:
         diffuse_lobe: of ``roughconductor`` materials.
@@ -46,7 +48,8 @@ class Needs:
 
     def __post_init__(self) -> None:
         if not self.lobes:
-            raise ConfigError("a lobe", "neither the diffuse nor the specular one", "keep the diffuse lobe: it may be black")
+            raise ConfigError("a lobe", "neither the diffuse nor the specular one",
+                              "keep the diffuse lobe: it may be black")
 
     @property
     def lobes(self) -> int:
@@ -57,11 +60,12 @@ class Needs:
 def scene_needs(svbrdf: SVBRDF, views: Views, renderer: str) -> Needs:
     """Decide from material, views and renderer what a point-lit plane does not need.
 
-    A lobe, a colour or a normal map is left out where the map's values say that it changes nothing, unless the map wants a
-    gradient: one at 0 has a slope. A grey specular map may want one if it is a single channel expanded to three
-    (``Tensor.expand``); that gradient belongs to the channel, not to the expanded tensor.
+    A lobe, a colour or a normal map is left out where the map's values say that it changes nothing, unless
+    the map wants a gradient: one at 0 has a slope. A grey specular map may want one if it is a single channel
+    expanded to three (``Tensor.expand``); that gradient belongs to the channel, not to the expanded tensor.
 
-    ``analytic64``, the truth of comparisons, leaves the Fresnel curve out only where camera and light are in one place.
+    ``analytic64``, the truth of comparisons, leaves the Fresnel curve out only where camera and light are in
+    one place.
 
     Args:
         svbrdf: the material.
@@ -70,7 +74,8 @@ def scene_needs(svbrdf: SVBRDF, views: Views, renderer: str) -> Needs:
     """
     of_material = material_needs(svbrdf)
     angle = half_angle_bound(views)
-    curve = svbrdf.bsdf == "roughconductor" and angle > (0 if renderer == "analytic64" else CONSTANT_FRESNEL_DEGREES)
+    curve = (svbrdf.bsdf == "roughconductor"
+             and angle > (0 if renderer == "analytic64" else CONSTANT_FRESNEL_DEGREES))
     left_out = list(of_material.left_out)
     if svbrdf.bsdf == "roughconductor" and of_material.specular_lobe and not curve:
         together = "in one place: F = F0"
@@ -82,15 +87,18 @@ def scene_needs(svbrdf: SVBRDF, views: Views, renderer: str) -> Needs:
     if renderer != "mitsuba-scene":
         left_out.append(("ray tracing", "the texel behind each pixel of a rectified photo is known"))
     if renderer == "mitsuba":
-        left_out.append(("texture look-ups", "pixel = texel: each thread has its own texel's maps in registers"))
+        left_out.append(("texture look-ups", "pixel = texel: each thread has its own texel's maps in "
+                                             "registers"))
     if views.falloff == "none":
         left_out.append(("light falloff", "asked for by --falloff none"))
-    return replace(of_material, fresnel_curve=curve and of_material.specular_lobe, shadow_rays=False, path_depth=False,
-                   environment=False, left_out=tuple(left_out))
+    return replace(of_material, fresnel_curve=curve and of_material.specular_lobe, shadow_rays=False,
+                   path_depth=False, environment=False, left_out=tuple(left_out))
 
 
 def material_needs(svbrdf: SVBRDF) -> Needs:
-    """What the maps alone do not need, wherever cameras and lights stand; the rest as :class:`Needs` has it."""
+    """What the maps alone do not need, wherever cameras and lights stand; the rest as :class:`Needs` has
+    it.
+    """
     diffuse = specular = coloured = metallic = True
     left_out = []
     if svbrdf.bsdf == "roughconductor":
@@ -111,16 +119,17 @@ def material_needs(svbrdf: SVBRDF) -> Needs:
     normal_map = not _is_flat(svbrdf["normal"])
     if not normal_map:
         left_out.append(("normal map", "it is flat and held fixed"))
-    return Needs(diffuse, specular, coloured, metallic, normal_map, specular and svbrdf.bsdf == "roughconductor",
-                 left_out=tuple(left_out))
+    return Needs(diffuse, specular, coloured, metallic, normal_map,
+                 specular and svbrdf.bsdf == "roughconductor", left_out=tuple(left_out))
 
 
 def half_angle_bound(views: Views) -> float:
-    """An upper bound, in degrees, of the angle between half vector and light, over all views and points of the patch.
+    """An upper bound, in degrees, of the angle between half vector and light, over all views and points of
+    the patch.
 
-    A segment of length d, here from camera to light, looks largest from the side: at distance r it spans at most
-    2 atan(d / (2 r)). No point of the segment is nearer to the patch than its middle by more than d / 2, or than its lower end
-    is high.
+    A segment of length d, here from camera to light, looks largest from the side: at distance r it spans at
+    most 2 atan(d / (2 r)). No point of the segment is nearer to the patch than its middle by more than d / 2,
+    or than its lower end is high.
     """
     v = views.in_patch_sides().to(torch.float64)
     camera, light = v.camera.detach(), v.light.detach()

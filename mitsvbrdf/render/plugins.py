@@ -1,7 +1,8 @@
 """Mitsuba plugins for rectified photos; the rest is Mitsuba's own.
 
-They are the camera that takes such photos exactly, a normal map and a Fresnel reflectance that keep their digits, and an
-integrator that asks no more than a scene needs. Each is made for the variant in use, whose classes it derives from.
+They are the camera that takes such photos exactly, a normal map and a Fresnel reflectance that keep their
+digits, and an integrator that asks no more than a scene needs. Each is made for the variant in use, whose
+classes it derives from.
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ def shading_axes(normal: Any) -> tuple[Any, Any, Any]:
     import drjit as dr
 
     n = dr.normalize(normal)
-    # From the axis, x or y, that n is further away from: beside the x axis the tangents' slope in the normal would multiply
-    # the rounding of what the plugin returns. Gradients of normals at 89.9 degrees: 5e-6 -> 1e-6.
+    # From the axis, x or y, that n is further away from: beside the x axis the tangents' slope in the normal
+    # would multiply the rounding of what the plugin returns. Gradients of normals at 89.9 degrees: 5e-6 ->
+    # 1e-6.
     axis = dr.select(dr.abs(n.x) < dr.abs(n.y), type(n)(1, 0, 0), type(n)(0, 1, 0))
     s = dr.normalize(axis - n * dr.dot(n, axis))
     return s, dr.cross(n, s), n
@@ -37,7 +39,8 @@ def to_shading(axes: tuple[Any, Any, Any], direction: Any) -> Any:
     import drjit as dr
 
     x, y, z = (dr.dot(axis, direction) for axis in axes)
-    # Mitsuba divides by z and z^2. Nearer to the horizon than one float32 rounding counts as below it: black, gradient 0.
+    # Mitsuba divides by z and z^2. Nearer to the horizon than one float32 rounding counts as below it: black,
+    # gradient 0.
     return type(axes[0])(x, y, dr.select(dr.abs(z) < ROUNDING, -ROUNDING, z))
 
 
@@ -65,23 +68,26 @@ def _rectified_camera() -> type:
     class RectifiedCamera(mi.Sensor):
         """Sends each pixel's ray to its texel: film position (u, v) sees (u - 1/2, 1/2 - v, 0) of the patch.
 
-        Mitsuba's ``perspective`` with a shifted principal point sees the same, but its angle of view is rounded to
-        float32: that put the hits off by 5e-7 of their distance from the axis, and with them the highlights' flanks,
-        which fall with its fourth power, by 2e-6.
+        Mitsuba's ``perspective`` with a shifted principal point sees the same, but its angle of view is
+        rounded to float32: that put the hits off by 5e-7 of their distance from the axis, and with them the
+        highlights' flanks, which fall with its fourth power, by 2e-6.
         """
 
         def __init__(self, props):
             super().__init__(props)
-            self.position = Vector64(0, 0, 1)  # in patch sides; may change between pictures without a new kernel
+            # in patch sides; may change between pictures without a new kernel
+            self.position = Vector64(0, 0, 1)
 
         def sample_ray(self, time, wavelength_sample, position_sample, aperture_sample, active=True):
             ray = dr.zeros(mi.Ray3f)
             ray.o = mi.Point3f(self.position)
-            ray.d = mi.Vector3f(dr.normalize(Vector64(position_sample.x - 0.5, 0.5 - position_sample.y, 0) - self.position))
+            ray.d = mi.Vector3f(dr.normalize(Vector64(position_sample.x - 0.5, 0.5 - position_sample.y,
+                                                      0) - self.position))
             ray.time, ray.maxt = time, dr.largest(mi.Float)
             return ray, mi.Color3f(1)
 
-        def sample_ray_differential(self, time, wavelength_sample, position_sample, aperture_sample, active=True):
+        def sample_ray_differential(self, time, wavelength_sample, position_sample, aperture_sample,
+                                    active=True):
             ray, weight = self.sample_ray(time, wavelength_sample, position_sample, aperture_sample, active)
             return mi.RayDifferential3f(ray.o, ray.d, ray.time), weight
 
@@ -98,12 +104,13 @@ def _exact_normal_map() -> type:
     Vector64 = dr.float64_array_t(mi.Vector3f)
 
     class ExactNormalMap(mi.BSDF):
-        """Mitsuba's ``normalmap``, but for the precision: the texture holds the normal as it is, and directions enter its
-        frame in float64.
+        """Mitsuba's ``normalmap``, but for the precision: the texture holds the normal as it is, and
+        directions enter its frame in float64.
 
-        ``normalmap`` reads (n + 1) / 2, where the 1 pushes digits of a small x or y out, and multiplies in float32, where
-        what remains near the highlight is the difference of larger numbers. Measured on gradients at roughness 0.1 with
-        waves of normals, with camera and hits in float64 as well: 2.4e-6 -> 1.0e-6.
+        ``normalmap`` reads (n + 1) / 2, where the 1 pushes digits of a small x or y out, and multiplies in
+        float32, where what remains near the highlight is the difference of larger numbers. Measured on
+        gradients at roughness 0.1 with waves of normals, with camera and hits in float64 as well: 2.4e-6 ->
+        1.0e-6.
         """
 
         def __init__(self, props):
@@ -147,11 +154,13 @@ def _exact_fresnel() -> type:
     import mitsuba as mi
 
     class ExactFresnel(mi.BSDF):
-        """A specular lobe times the Fresnel reflectance of the refractive index that has F0 at normal incidence.
+        """A specular lobe times the Fresnel reflectance of the refractive index that has F0 at normal
+        incidence.
 
-        Mitsuba's ``roughconductor`` takes that index and subtracts numbers that agree as F0 goes to 0 or 1: it loses
-        8e-8 / F0, which on maps fitted to photos (F0 down to 1e-3) made images differ by 5e-5. Here both amplitudes have
-        their common factor taken out on paper, as in :func:`mitsvbrdf.render.analytic._fresnel`.
+        Mitsuba's ``roughconductor`` takes that index and subtracts numbers that agree as F0 goes to 0 or 1:
+        it loses 8e-8 / F0, which on maps fitted to photos (F0 down to 1e-3) made images differ by 5e-5. Here
+        both amplitudes have their common factor taken out on paper, as in
+        :func:`mitsvbrdf.render.analytic._fresnel`.
         """
 
         def __init__(self, props):
@@ -196,16 +205,18 @@ def _point_lit() -> type:
     Vector64 = dr.float64_array_t(mi.Vector3f)
 
     def hit(ray, si):
-        """Where the ray meets the surface, in float64: the tangent plane at the point found, which is rounded."""
+        """Where the ray meets the surface, in float64: the tangent plane at the point found, which is
+        rounded.
+        """
         origin, direction, normal = Vector64(ray.o), Vector64(ray.d), Vector64(si.n)
         return origin + direction * (dr.dot(normal, Vector64(si.p) - origin) / dr.dot(normal, direction))
 
     class PointLit(mi.SamplingIntegrator):
-        """Light straight from the emitters, and after one bounce where that is asked for; no loop, so that its picture
-        can be differentiated as it is.
+        """Light straight from the emitters, and after one bounce where that is asked for; no loop, so that
+        its picture can be differentiated as it is.
 
-        ``shadow_rays``: ask whether the light is visible. ``bounces``: 0 or 1. ``environment``: add what a ray sees that
-        leaves the scene. With all of these it draws what Mitsuba's ``path`` draws (tested).
+        ``shadow_rays``: ask whether the light is visible. ``bounces``: 0 or 1. ``environment``: add what a
+        ray sees that leaves the scene. With all of these it draws what Mitsuba's ``path`` draws (tested).
         """
 
         def __init__(self, props):
@@ -220,16 +231,19 @@ def _point_lit() -> type:
             for depth in range(self.bounces + 1):
                 si = scene.ray_intersect(ray, mi.RayFlags.All, True, active)
                 if self.environment:
-                    radiance += dr.select(active & ~si.is_valid(), weight * scene.environment().eval(si, active), 0)
+                    radiance += dr.select(active & ~si.is_valid(), weight * scene.environment().eval(si,
+                                                                                                     active), 0)
                 active &= si.is_valid()
                 seen = active if seen is None else seen
                 bsdf = si.bsdf(ray)
-                towards, power = scene.sample_emitter_direction(si, sampler.next_2d(active), self.shadow_rays, active)
+                towards, power = scene.sample_emitter_direction(si, sampler.next_2d(active), self.shadow_rays,
+                                                                active)
                 to_light = mi.Vector3f(dr.normalize(Vector64(towards.p) - hit(ray, si)))
                 value = bsdf.eval(context, si, si.to_local(to_light), active)
                 radiance += dr.select(active, weight * value * power, 0)
                 if depth < self.bounces:
-                    sample, value = bsdf.sample(context, si, sampler.next_1d(active), sampler.next_2d(active), active)
+                    sample, value = bsdf.sample(context, si, sampler.next_1d(active), sampler.next_2d(active),
+                                                active)
                     ray, weight = si.spawn_ray(si.to_world(sample.wo)), weight * value
             return radiance, seen, []
 

@@ -1,7 +1,7 @@
 """The traced Mitsuba scene through ``dr.wrap``: rectangle, point light, and the camera of a rectified photo.
 
-With one unjittered sample a pixel and a box filter every ray hits its texel's centre, so the image has no noise. More
-samples are jittered over the pixel: they estimate its average, as a sensor sees it, with noise.
+With one unjittered sample a pixel and a box filter every ray hits its texel's centre, so the image has no
+noise. More samples are jittered over the pixel: they estimate its average, as a sensor sees it, with noise.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ import torch
 from torch import Tensor
 
 from ..errors import ConfigError
+from ..io.entry import entry
 from ..material.maps import SVBRDF
-from ..system.entry import entry
 from ..views import Views
 from .bsdf import needed_maps, plugin, slot_values
 from .exclusive import Drawing, using_mitsuba
@@ -33,8 +33,8 @@ class SceneRenderer:
     Args:
         variant: ``llvm_ad_rgb`` or ``cuda_ad_rgb``.
         needs: what to compute; left out: what the scene needs.
-        samples: rays a pixel, 1, 4, 16, 64, ...; one goes to the texel's centre, more are stratified and jittered, the same
-            in every picture.
+        samples: rays a pixel, 1, 4, 16, 64, ...; one goes to the texel's centre, more are stratified and
+            jittered, the same in every picture.
 
     Raises:
         BackendError: Mitsuba, the variant or libLLVM is missing.
@@ -57,7 +57,8 @@ class SceneRenderer:
         """Linear radiance N x R x R x 3, float32; gradients to the maps.
 
         Raises:
-            ConfigError: camera or light asks for a gradient, which emitters and sensors called by a ray do not carry.
+            ConfigError: camera or light asks for a gradient, which emitters and sensors called by a ray do
+                not carry.
         """
         if any(t.requires_grad for t in (views.camera, views.light, views.intensity)):
             raise ConfigError("views held fixed", "a gradient asked of camera, light or intensity",
@@ -69,13 +70,16 @@ class SceneRenderer:
             if key not in self._drawings:
                 self._drawings[key] = Drawing(self.variant, self._wrap(*key), replayed=True)
         views = views.in_patch_sides()
-        geometry = [t.to(torch.float64).to(self.device).contiguous() for t in (views.camera, views.light, views.intensity)]
-        images = self._drawings[key](*geometry, *(t.to(self.device, torch.float32).contiguous() for t in maps.values()))
+        geometry = [t.to(torch.float64).to(self.device).contiguous() for t in (views.camera, views.light,
+                                                                               views.intensity)]
+        images = self._drawings[key](*geometry, *(t.to(self.device, torch.float32).contiguous()
+                                                  for t in maps.values()))
         if views.falloff == "none":
             images = images * _falloff_undone(views, svbrdf.resolution).to(images)
         return images.to(svbrdf["normal"].device)
 
-    def _wrap(self, bsdf: str, needs: Needs, resolution: int, names: tuple[str, ...]) -> Callable[..., list[Tensor]]:
+    def _wrap(self, bsdf: str, needs: Needs, resolution: int, names: tuple[str, ...]) -> Callable[...,
+                                                                                                  list[Tensor]]:
         import drjit as dr
 
         mi = self.mi
@@ -122,19 +126,25 @@ def _blank_texture(mi: ModuleType, resolution: int, channels: int) -> Any:
     """A bitmap texture to be filled, read at texel centres without filtering."""
     import drjit as dr
 
-    data = mi.TensorXf(dr.full(mi.Float, 0.5, resolution * resolution * channels), (resolution, resolution, channels))
-    return mi.load_dict({"type": "bitmap", "data": data, "raw": True, "filter_type": "nearest", "wrap_mode": "clamp"})
+    data = mi.TensorXf(dr.full(mi.Float, 0.5, resolution * resolution * channels),
+                       (resolution, resolution, channels))
+    return mi.load_dict({"type": "bitmap", "data": data, "raw": True, "filter_type": "nearest",
+                         "wrap_mode": "clamp"})
 
 
 def patch_scene(mi: ModuleType, resolution: int, needs: Needs, bsdf: dict, samples: int = 1) -> dict:
-    """The Mitsuba scene dictionary of a patch of side 1 under one point light, seen in R x R pixels of so many samples."""
-    environment = {"environment": {"type": "constant", "radiance": {"type": "rgb", "value": 0.0}, "sampling_weight": 0.0}}
+    """The Mitsuba scene dictionary of a patch of side 1 under one point light, seen in R x R pixels of so
+    many samples.
+    """
+    environment = {"environment": {"type": "constant", "radiance": {"type": "rgb", "value": 0.0},
+                                   "sampling_weight": 0.0}}
     return {
         "type": "scene",
         "integrator": {"type": INTEGRATOR, "shadow_rays": needs.shadow_rays, "bounces": int(needs.path_depth),
                        "environment": needs.environment},
         "sensor": {"type": CAMERA,
-                   "film": {"type": "hdrfilm", "width": resolution, "height": resolution, "pixel_format": "rgb",
+                   "film": {"type": "hdrfilm", "width": resolution, "height": resolution,
+                            "pixel_format": "rgb",
                             "component_format": "float32", "rfilter": {"type": "box"}},
                    "sampler": {"type": "stratified", "sample_count": samples, "jitter": samples > 1}},
         "light": {"type": "point", "position": [0.0, 0.0, 1.0], "intensity": {"type": "rgb", "value": 1.0}},
@@ -144,7 +154,9 @@ def patch_scene(mi: ModuleType, resolution: int, needs: Needs, bsdf: dict, sampl
 
 
 def _falloff_undone(views: Views, resolution: int) -> Tensor:
-    """d^2 of each texel over d^2 of the patch centre, N x R x R x 1: turns 1/d^2 into the paper's constant light."""
+    """d^2 of each texel over d^2 of the patch centre, N x R x R x 1: turns 1/d^2 into the paper's constant
+    light.
+    """
     from ..views import texel_positions
 
     to_light = views.light[:, None, None] - texel_positions(resolution).to(views.light)

@@ -1,8 +1,8 @@
 """One thread, one texel: a Mitsuba plugin that shades what a thread holds, and what is worked out around it.
 
-Directions are worked out in float64, in the texel's own shading frame, and rounded once, to what the plugin takes. In
-float32 the half vector of a narrow highlight keeps few of its digits across the normal; measured at roughness 0.1 with random
-normals, gradients against float64: 8e-6 -> 3e-7, for a sixth more time.
+Directions are worked out in float64, in the texel's own shading frame, and rounded once, to what the plugin
+takes. In float32 the half vector of a narrow highlight keeps few of its digits across the normal; measured at
+roughness 0.1 with random normals, gradients against float64: 8e-6 -> 3e-7, for a sixth more time.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ class HeldPlugin:
                 super().__init__(props)
                 self.slot = props["slot"]
 
-            # Nothing is held while another renderer is at work: Dr.Jit may then trace this texture along with its own.
+            # Nothing is held while another renderer is at work: Dr.Jit may then trace this texture along with
+            # its own.
             def eval(self, si: Any, active: Any = True) -> Any:
                 return mi.Color3f(held.get(self.slot, 0))
 
@@ -67,7 +68,9 @@ class HeldPlugin:
         self._context = mi.BSDFContext()
 
     def hold(self, maps: dict) -> None:
-        """Take these maps (Dr.Jit values, linear) for the evaluations to come; the plugin keeps them until released."""
+        """Take these maps (Dr.Jit values, linear) for the evaluations to come; the plugin keeps them until
+        released.
+        """
         self._held.update(slot_values(self.bsdf, maps, self.needs))
 
     def release(self) -> None:
@@ -96,7 +99,8 @@ def texel_position(mi: ModuleType, index: Any, side: int) -> Any:
 
 
 def along(value: Any, directions: list) -> list:
-    """Slopes of a Dr.Jit value along directions, each a list of (variable, tangent); inside symbolic loops too.
+    """Slopes of a Dr.Jit value along directions, each a list of (variable, tangent); inside symbolic loops
+    too.
 
     The variables have gradients enabled; they are left as they were.
     """
@@ -114,8 +118,8 @@ def along(value: Any, directions: list) -> list:
 def frozen(function: Callable, shader: HeldPlugin) -> Callable:
     """A function of Dr.Jit arrays that is traced once; it may evaluate the plugin.
 
-    Python's garbage collector waits meanwhile: where it frees an array in torch's memory while Dr.Jit 1.5.0 records, the
-    process aborts ("enqueue_host_func(): this function cannot be recorded").
+    Python's garbage collector waits meanwhile: where it frees an array in torch's memory while Dr.Jit 1.5.0
+    records, the process aborts ("enqueue_host_func(): this function cannot be recorded").
     """
     import drjit as dr
 
@@ -135,7 +139,9 @@ def frozen(function: Callable, shader: HeldPlugin) -> Callable:
 
 
 def from_torch(mi: ModuleType, tensor: Tensor) -> Any:
-    """A flat Dr.Jit array of the variant in use, Float or its float64 kin; in the same memory where that can be."""
+    """A flat Dr.Jit array of the variant in use, Float or its float64 kin; in the same memory where that can
+    be.
+    """
     import drjit as dr
 
     kind = dr.float64_array_t(mi.Float) if tensor.dtype == torch.float64 else mi.Float
@@ -161,7 +167,8 @@ def to_torch(values: list) -> Tensor:
 
 def view_geometry(mi: ModuleType, place: Any, axes: Any, camera: Any, light: Any, intensity: Any,
                   falloff: str) -> tuple[Any, Any, Any]:
-    """How a view sees texels: Vector3f to the camera and to the light in the shading frame, and the irradiance factor I / d^2.
+    """How a view sees texels: Vector3f to the camera and to the light in the shading frame, and the
+    irradiance factor I / d^2.
 
     Args:
         mi: the ``mitsuba`` module.
@@ -189,5 +196,6 @@ def row(mi: ModuleType, array: Any, k: Any) -> Any:
     """Row k of N x 3 float64 numbers, as values that may change without compiling a new kernel."""
     import drjit as dr
 
-    return dr.float64_array_t(mi.Vector3f)(*(dr.gather(dr.float64_array_t(mi.Float), array, mi.UInt32(3 * k + axis))
+    return dr.float64_array_t(mi.Vector3f)(*(dr.gather(dr.float64_array_t(mi.Float), array,
+                                                       mi.UInt32(3 * k + axis))
                                              for axis in range(3)))

@@ -1,8 +1,8 @@
 """Mitsuba's BSDF plugins at known texels, through ``dr.wrap``: no rays, no film, no texture look-ups.
 
-The pixel of a rectified photo and the texel it shows are the same, so one thread serves one texel: it holds the
-texel's maps in registers, evaluates the plugin for each view, and adds up its own gradient. There is no scatter between
-threads, so gradients are the same bits in every run.
+The pixel of a rectified photo and the texel it shows are the same, so one thread serves one texel: it holds
+the texel's maps in registers, evaluates the plugin for each view, and adds up its own gradient. There is no
+scatter between threads, so gradients are the same bits in every run.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..io.entry import entry
 from ..material.maps import SVBRDF
-from ..system.entry import entry
 from ..views import Views
 from .bsdf import needed_maps
 from .exclusive import Drawing, using_mitsuba
@@ -23,7 +23,8 @@ from .needs import Needs, scene_needs
 from .plugins import register, shading_axes
 from .texel_plugin import HeldPlugin, row, texel_position, view_geometry
 
-VIEWS_PER_KERNEL = 9  # evaluations unrolled in one kernel; more views take several launches of at most this many
+# evaluations unrolled in one kernel; more views take several launches of at most this many
+VIEWS_PER_KERNEL = 9
 
 
 class TexelRenderer:
@@ -60,10 +61,12 @@ class TexelRenderer:
         # Plain tensors, so that they cross dr.wrap, each with its gradient if it wants one.
         geometry = [t.to(torch.float64).to(self.device).split(VIEWS_PER_KERNEL)
                     for t in (views.camera, views.light, views.intensity)]
-        images = [self._drawings[key](*(part.contiguous() for part in parts), *tensors) for parts in zip(*geometry)]
+        images = [self._drawings[key](*(part.contiguous() for part in parts), *tensors)
+                  for parts in zip(*geometry)]
         return (images[0] if len(images) == 1 else torch.cat(images)).to(svbrdf["normal"].device)
 
-    def _wrap(self, bsdf: str, needs: Needs, side: int, falloff: str, names: tuple[str, ...]) -> Callable[..., list[Tensor]]:
+    def _wrap(self, bsdf: str, needs: Needs, side: int, falloff: str, names: tuple[str, ...]) -> Callable[...,
+                                                                                                          list[Tensor]]:
         import drjit as dr
 
         mi = self.mi
@@ -79,7 +82,8 @@ class TexelRenderer:
             images = []
             for k in range(cameras.shape[0]):
                 camera, light, intensity = (row(mi, rows.array, k) for rows in (cameras, lights, intensities))
-                to_camera, to_light, irradiance = view_geometry(mi, place, axes, camera, light, intensity, falloff)
+                to_camera, to_light, irradiance = view_geometry(mi, place, axes, camera, light, intensity,
+                                                                falloff)
                 radiance = shader.eval(to_camera, to_light) * irradiance
                 images.append(mi.TensorXf(dr.ravel(radiance), (side, side, 3)))
             shader.release()

@@ -1,4 +1,6 @@
-"""What a fit's page says beyond ``fit.json``: photos left out, checks of the renderer on this very material, what was saved."""
+"""What a fit's page says beyond ``fit.json``: photos left out, checks of the renderer on this very material,
+what was saved.
+"""
 
 from __future__ import annotations
 
@@ -11,26 +13,28 @@ from torch import Tensor
 
 from .. import color
 from ..errors import BackendError
+from ..io.provenance import machine, versions
+from ..io.timing import side_by_side
 from ..material.maps import SVBRDF
 from ..measure.gradients import fixed_cotangent
 from ..measure.metrics import image_error
 from ..render import RENDERERS, Renderer, make_renderer
 from ..render.needs import Needs
-from ..system.provenance import machine, versions
-from ..system.timing import side_by_side
 from ..verify.crosscheck import crosscheck
 from ..verify.stability.conditioning import condition, jacobian
 from ..views import Views
 
 SCHEMA_VERSION = 1
 QUICK_SIDE, QUICK_VIEWS = 64, 2  # what a fit checks beside its own work: below half a second
-LARGEST, MOST_VIEWS = 256, 25  # texels a side; errors and ratios hardly hang on it. Float64 takes 50 MB a view
+# texels a side; errors and ratios hardly hang on it. Float64 takes 50 MB a view
+LARGEST, MOST_VIEWS = 256, 25
 CONDITION_SIDE = 16
 
 Report = Callable[[str, float], object]
 
 
-def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names: Sequence[str], transfer: color.Transfer,
+def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names: Sequence[str],
+               transfer: color.Transfer,
                fixed: Sequence[str] = (), grey_specular: bool = False, quick: bool = False,
                report: Report = lambda text, share: None) -> dict:
     """Measure renderers on fitted maps, in the views of the fit.
@@ -43,13 +47,13 @@ def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names
         transfer: how display values encode light.
         fixed: names of the fixed maps.
         grey_specular: whether the fit had one specular level instead of three channels.
-        quick: check the fit's renderer alone, at 64 px in two views, and time nothing; else at 256 px at most, in 25 views at
-            most, evenly chosen.
+        quick: check the fit's renderer alone, at 64 px in two views, and time nothing; else at 256 px at
+            most, in 25 views at most, evenly chosen.
         report: told what is going on and the share done.
 
     Returns:
-        A record for JSON: ``quick``, ``maps`` (``low``, ``high``, ``mean`` of each), ``condition``, ``crosscheck``, ``saved``,
-        ``machine``, ``versions``; docs/formats.md explains them.
+        A record for JSON: ``quick``, ``maps`` (``low``, ``high``, ``mean`` of each), ``condition``,
+        ``crosscheck``, ``saved``, ``machine``, ``versions``; docs/formats.md explains them.
     """
     engines = [] if renderer is None else [renderer]
     if not quick:
@@ -59,14 +63,19 @@ def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names
     every = 1 if quick else math.ceil(len(views) / MOST_VIEWS)
     chosen = range(0, len(views), every)[:QUICK_VIEWS if quick else None]
     shown = views.pick(chosen)
-    maps = {name: {"low": float(t.min()), "high": float(t.max()), "mean": float(t.mean())} for name, t in svbrdf.maps.items()}
+    maps = {name: {"low": float(t.min()), "high": float(t.max()), "mean": float(t.mean())}
+            for name, t in svbrdf.maps.items()}
     checked = None if not engines else crosscheck(
-        {"fit": svbrdf.resized(side)}, shown, [svbrdf.bsdf], engines, 1 if quick else 5, names=[names[k] for k in chosen],
+        {"fit": svbrdf.resized(side)}, shown, [svbrdf.bsdf], engines, 1 if quick else 5,
+        names=[names[k] for k in chosen],
         transfer=transfer, report=lambda text, share: report("renderers against float64", 0.7 * share))
     saved = None if quick or renderer is None else _saved(
-        svbrdf.resized(side), shown, renderer, fixed, grey_specular, lambda share: report("what was saved", 0.7 + 0.3 * share))
-    return {"schema_version": SCHEMA_VERSION, "quick": quick, "maps": maps, "condition": _condition(svbrdf, views, transfer),
-            "crosscheck": checked and _figures(checked, timed=not quick), "saved": saved, "machine": machine(),
+        svbrdf.resized(side), shown, renderer, fixed, grey_specular, lambda share: report("what was saved",
+                                                                                          0.7 + 0.3 * share))
+    return {"schema_version": SCHEMA_VERSION, "quick": quick, "maps": maps, "condition": _condition(svbrdf,
+                                                                                                    views, transfer),
+            "crosscheck": checked and _figures(checked, timed=not quick), "saved": saved,
+            "machine": machine(),
             "versions": versions()}
 
 
@@ -92,11 +101,13 @@ def _figures(record: dict, timed: bool) -> dict:
         for texels in ("rough", "smooth"):
             if found[texels]:
                 part = found[texels]
-                rows.append({"renderer": found["renderer"], "texels": texels, "count": part["texels"], "image": part["image"],
+                rows.append({"renderer": found["renderer"], "texels": texels, "count": part["texels"],
+                             "image": part["image"],
                              "gradients": {name: {"relative_l2": g["relative_l2"], "cosine": g["cosine"]}
                                            for name, g in part["gradients"].items()},
                              "limit": part["limit"], "seconds": found["seconds"] if timed else None})
-    return {"reference": record["reference"], "resolution": about["resolution"], "views": record["views"]["names"],
+    return {"reference": record["reference"], "resolution": about["resolution"],
+            "views": record["views"]["names"],
             "rough_from": record["rough_from"], "tolerances": record["tolerances"], "rows": rows,
             "violations": [{name: v[name] for name in ("renderer", "what", "value", "tolerance", "limit")}
                            for v in record["violations"]]}
@@ -106,7 +117,8 @@ def _saved(svbrdf: SVBRDF, views: Views, renderer: Renderer, fixed: Sequence[str
            report: Callable[[float], object], repeats: int = 5) -> dict:
     """Forward and backward with everything computed, and with what the fit's material needs, in turn.
 
-    ``difference`` is the worst relative one between the picture of a row and that of the last row, the leanest.
+    ``difference`` is the worst relative one between the picture of a row and that of the last row, the
+    leanest.
     """
     every = tuple(svbrdf.maps)
     wanted = tuple(name for name in every if name not in fixed)
@@ -115,7 +127,8 @@ def _saved(svbrdf: SVBRDF, views: Views, renderer: Renderer, fixed: Sequence[str
         rows = [("everything, traced", "mitsuba-scene", every, Needs(), False)]
     rows += [("everything", renderer.name, every, Needs(), False)] if renderer.name != "mitsuba-scene" else []
     rows += [("what this fit needs", renderer.name, wanted, None, grey_specular)]
-    jobs = {what: _pass(make_renderer(name, renderer.variant or "llvm_ad_rgb", needs), svbrdf, views, maps, grey)
+    jobs = {what: _pass(make_renderer(name, renderer.variant or "llvm_ad_rgb", needs), svbrdf, views, maps,
+                        grey)
             for what, name, maps, needs, grey in rows}
     images = {what: job() for what, job in jobs.items()}
     lean = rows[-1][0]
@@ -128,7 +141,8 @@ def _saved(svbrdf: SVBRDF, views: Views, renderer: Renderer, fixed: Sequence[str
         for what, name, *_ in rows]}
 
 
-def _pass(engine: Renderer, svbrdf: SVBRDF, views: Views, wanted: Sequence[str], grey_specular: bool) -> Callable[[], Tensor]:
+def _pass(engine: Renderer, svbrdf: SVBRDF, views: Views, wanted: Sequence[str],
+          grey_specular: bool) -> Callable[[], Tensor]:
     def forward_and_backward() -> Tensor:
         leaves: Mapping[str, Tensor] = {name: value.detach().clone().requires_grad_(name in wanted)
                                         for name, value in svbrdf.maps.items()}

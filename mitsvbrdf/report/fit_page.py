@@ -18,24 +18,26 @@ from ..evaluate.placement import predict
 from ..fit.confidence import UNKNOWN
 from ..fit.record import SavedFit, read_whole_fit
 from ..fit.view_record import about_views
+from ..io import files, images
+from ..io.json_files import NUMBER, load, shape_error
 from ..material.maps import CHANNELS, TITLES, shown_map
 from ..measure.metrics import photo_rmse
 from ..pages.curves import curves
 from ..pages.page import write_page
 from ..pages.pictures import at_most, magma, picture_uri
 from ..render import Renderer
-from ..system import files, images
-from ..system.json_files import NUMBER, load, misfit
 from .checks import fit_report
 from .front import front
 from .look_page import write_look_page
 from .viewer import viewer_html
 
 LARGEST_MAP = 512  # pixels a side on the page
-EXACT_MAP = 256 * 1024  # bytes of a map's PNG; any of 256 px has less, and looked at closely it shows its texels
+# bytes of a map's PNG; any of 256 px has less, and looked at closely it shows its texels
+EXACT_MAP = 256 * 1024
 LARGEST_PHOTO, SMALLEST_PHOTO, PHOTOS_WIDE = 512, 96, 768  # nine photos get 256 px, a hundred 96
 ROWS = 200  # of the table of measurements
-SAME_PHOTO = 1e-4  # how far the error of a photo may be from what fit.json says; the same photos agree to float32, 1e-7
+# how far the error of a photo may be from what fit.json says; the same photos agree to float32, 1e-7
+SAME_PHOTO = 1e-4
 
 Report = Callable[[str, float], object]
 
@@ -44,7 +46,8 @@ def check_apart(folder: Path, capture: Capture) -> None:
     """Raise OutputError for a folder where :func:`keep_photos` would replace the capture's own files."""
     source = capture.source and os.path.realpath(capture.source)
     if source in (os.path.realpath(folder), os.path.realpath(folder / "photos")):
-        raise OutputError("an output folder of its own", f"{folder}, where the capture's own photos would be replaced",
+        raise OutputError("an output folder of its own", f"{folder}, where the capture's own photos would "
+                                                         "be replaced",
                           "choose another folder")
 
 
@@ -61,13 +64,14 @@ def keep_photos(folder: Path, capture: Capture) -> None:
 
 def write_report(folder: str | Path, quick: bool = False, left_out: Capture | None = None,
                  report: Report = lambda text, share: None, into: Path | None = None) -> dict:
-    """Measure what a page shows beside ``fit.json``, and write ``report.json`` and ``report.html`` into a fit's folder.
+    """Measure what a page shows beside ``fit.json``, and write ``report.json`` and ``report.html`` into a
+    fit's folder.
 
     Args:
         folder: of the fit, with the photos it used in ``photos/`` where they are to be shown.
         quick: check the fit's renderer alone, on small maps and few views, and time nothing.
-        left_out: photos that the fit did not use, to predict and keep; None: those that an earlier page had. Where the capture
-            states no views, also those that it used: all help to place the others.
+        left_out: photos that the fit did not use, to predict and keep; None: those that an earlier page had.
+            Where the capture states no views, also those that it used: all help to place the others.
         report: told what is going on and the share done.
         into: the folder to write to, whose photos come before those of the fit's; left out: the fit's.
 
@@ -81,12 +85,15 @@ def write_report(folder: str | Path, quick: bool = False, left_out: Capture | No
     """
     found = read_whole_fit(folder)
     engine, into = found.renderer(), into or found.path
-    predicted, error = _earlier(found) if left_out is None or engine is None else _predicted(found, left_out, engine, into)
-    photos = [{"name": name, "left_out": False, "rmse": rmse, "photo": _there(f"photos/{name}.png", into, found.path),
+    predicted, error = (_earlier(found) if left_out is None or engine is None
+                        else _predicted(found, left_out, engine, into))
+    photos = [{"name": name, "left_out": False, "rmse": rmse, "photo": _there(f"photos/{name}.png", into,
+                                                                              found.path),
                "rerendered": f"rerendered/{name}.png"} for name, rmse in found.record["per_photo"].items()]
     transfer = found.record["capture"]["transfer"]
     assert found.views is not None  # a whole fit has them
-    measured = fit_report(found.svbrdf, found.views, engine, names=found.names, transfer=transfer, fixed=found.fixed,
+    measured = fit_report(found.svbrdf, found.views, engine, names=found.names, transfer=transfer,
+                          fixed=found.fixed,
                           grey_specular=found.record["config"]["grey_specular"], quick=quick, report=report)
     if not found.unchanged():
         raise OutputError("the same fit as a moment ago", f"another one in {found.path}", "run it again")
@@ -97,20 +104,27 @@ def write_report(folder: str | Path, quick: bool = False, left_out: Capture | No
 
 
 def check_photos(found: SavedFit, capture: Capture) -> None:
-    """Raise CaptureError unless these are the photos of the fit, as their errors and whether they are calibrated tell."""
+    """Raise CaptureError unless these are the photos of the fit, as their errors and whether they are
+    calibrated tell.
+    """
     if capture.calibrated != found.record["capture"]["calibrated"]:
-        raise CaptureError(f"a capture {'without' if capture.calibrated else 'with'} calibration, as that of this fit",
+        raise CaptureError(f"a capture {'without' if capture.calibrated else 'with'} calibration, as that "
+                           "of this fit",
                            f"{capture.source}, which has {'one' if capture.calibrated else 'none'}",
                            "give the capture that was fitted")
-    rendered = torch.stack([images.read_image(found.path / "rerendered" / f"{name}.exr", MapsError) for name in found.names])
+    rendered = torch.stack([images.read_image(found.path / "rerendered" / f"{name}.exr", MapsError)
+                            for name in found.names])
     if rendered.shape != capture.photos.shape:
-        raise CaptureError(f"photos of {rendered.shape[1]} px", f"{capture.resolution} px in {capture.source}",
+        raise CaptureError(f"photos of {rendered.shape[1]} px",
+                           f"{capture.resolution} px in {capture.source}",
                            "give the capture that was fitted")
     errors = photo_rmse(rendered, capture.photos, found.record["capture"]["transfer"])[1]
     for name, error in zip(found.names, errors):
         if abs(error - found.record["per_photo"][name]) > SAME_PHOTO:
-            raise CaptureError("the photos of this fit", f"{capture.source}, whose photo {name} is another (error {error:.4f} "
-                               f"instead of {found.record['per_photo'][name]:.4f})", "give the capture that was fitted")
+            raise CaptureError("the photos of this fit", f"{capture.source}, whose photo {name} is another "
+                                                         f"(error {error:.4f} "
+                               f"instead of {found.record['per_photo'][name]:.4f})",
+                               "give the capture that was fitted")
 
 
 def _there(name: str, *folders: Path) -> str | None:
@@ -124,7 +138,8 @@ def _predicted(found: SavedFit, capture: Capture, engine: Renderer, into: Path) 
     keep_photos(into, capture)
     for name, image in zip(capture.names, predicted):
         images.write_png(into / "predicted" / f"{name}.png", color.to_display(image, capture.transfer))
-    return [{"name": name, "left_out": True, "rmse": rmse, "photo": f"photos/{name}.png", "rerendered": f"predicted/{name}.png"}
+    return [{"name": name, "left_out": True, "rmse": rmse, "photo": f"photos/{name}.png",
+             "rerendered": f"predicted/{name}.png"}
             for name, rmse in zip(capture.names, each)], error
 
 
@@ -132,13 +147,15 @@ def _earlier(found: SavedFit) -> tuple[list[dict], float | None]:
     """Photos left out that an earlier page of this folder had."""
     try:
         record = load(found.path / "report.json")
-        photos, error = [photo for photo in record["photos"] if photo["left_out"] is True], record["left_out_rmse"]
+        photos, error = [photo for photo in record["photos"]
+                         if photo["left_out"] is True], record["left_out_rmse"]
         numbers = [int(photo["name"]) for photo in photos]
     except (OSError, ValueError, KeyError, TypeError):
         return [], None
     shape = {"name": str, "rmse": NUMBER, "photo": str, "rerendered": str}
-    if (not photos or misfit(photos, [shape], "photos") or not isinstance(error, NUMBER)
-            or not all(photo["photo"] == f"photos/{n:02d}.png" and photo["rerendered"] == f"predicted/{n:02d}.png"
+    if (not photos or shape_error(photos, [shape], "photos") or not isinstance(error, NUMBER)
+            or not all(photo["photo"] == f"photos/{n:02d}.png"
+                       and photo["rerendered"] == f"predicted/{n:02d}.png"
                        and _there(photo["photo"], found.path) and _there(photo["rerendered"], found.path)
                        for photo, n in zip(photos, numbers))):
         return [], None
@@ -149,11 +166,14 @@ def _write_page(found: SavedFit, record: dict, into: Path) -> None:
     fit = found.record
     side = int(max(SMALLEST_PHOTO, min(LARGEST_PHOTO, PHOTOS_WIDE / len(record["photos"])**0.5)))
     title = f"{fit['capture'].get('name') or 'Capture'}: recovered material"
-    write_page(into / "report.html", "report/report.html", title=title, fit=fit, record=record, maps=_maps(found),
-               front=front(found, record["quick"]),
-               photos=[_photo(photo, side, into, found.path) for photo in record["photos"]], viewer=viewer_html(found.svbrdf),
-               curves=_curves(fit["trace"]), measured=_thinned(fit["trace"]), unknown=UNKNOWN, ramp=_ramp(), titles=TITLES,
-               look=write_look_page(found, into), scalar=_scalar, from_where=about_views(fit.get("calibration") or {}))
+    write_page(into / "report.html", "report/report.html", title=title, fit=fit, record=record,
+               maps=_maps(found), front=front(found, record["quick"]),
+               photos=[_photo(photo, side, into, found.path) for photo in record["photos"]],
+               viewer=viewer_html(found.svbrdf),
+               curves=_curves(fit["trace"]), measured=_thinned(fit["trace"]), unknown=UNKNOWN, ramp=_ramp(),
+               titles=TITLES,
+               look=write_look_page(found, into), scalar=_scalar,
+               from_where=about_views(fit.get("calibration") or {}))
 
 
 def _maps(found: SavedFit) -> list[dict]:
@@ -181,7 +201,9 @@ def _ramp() -> str:
 
 
 def _photo(photo: dict, side: int, *folders: Path) -> dict:
-    """Pictures of a photo, its re-rendering, and four times their difference; without the photo, the re-rendering alone."""
+    """Pictures of a photo, its re-rendering, and four times their difference; without the photo, the
+    re-rendering alone.
+    """
     def read(name: str) -> Tensor:
         folder = next((each for each in folders if (each / name).is_file()), folders[-1])
         return images.read_image(folder / name, MapsError)
@@ -200,7 +222,9 @@ def _photo(photo: dict, side: int, *folders: Path) -> dict:
 
 
 def _curves(trace: Sequence[Mapping]) -> list[tuple[str, dict]]:
-    """Title and drawing of the error, and of the losses, against seconds; without those that have no point."""
+    """Title and drawing of the error, and of the losses, against seconds; without those that have no
+    point.
+    """
     losses = [name for name in dict.fromkeys(name for row in trace for name in row)
               if name not in ("seconds", "iteration", "rerender_rmse", "stage")]
     drawn = (("Re-rendering RMSE", curves(trace, ["rerender_rmse"])), ("Losses", curves(trace, losses)))

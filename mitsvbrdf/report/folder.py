@@ -12,12 +12,12 @@ from ..fit.confidence import confidence
 from ..fit.methods import method_name
 from ..fit.record import write_record
 from ..fit.result import FitResult
+from ..io import images
+from ..io.entry import entry
+from ..io.images import write_linear
+from ..io.progress import say
+from ..io.result_folder import output_folder
 from ..material.map_files import save_maps
-from ..system import images
-from ..system.entry import entry
-from ..system.images import write_linear
-from ..system.progress import say
-from ..system.result_folder import output_folder
 from .fit_page import check_apart, keep_photos, write_report
 from .sheet import loss_curve, write_sheet
 
@@ -25,21 +25,24 @@ from .sheet import loss_curve, write_sheet
 @entry()
 def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dict | None = None,
               left_out: Capture | None = None, pages: bool = True) -> None:
-    """Write a fit: maps, look, uncertainty, guess, photos and re-renderings, sheet, curve, Mitsuba scene, ``fit.json``, page.
+    """Write a fit: maps, look, uncertainty, guess, photos and re-renderings, sheet, curve, Mitsuba scene,
+    ``fit.json``, page.
 
-    It appears whole or not at all. It takes the place of a fit that is there, finished or not; files of anybody else stay, one
-    that is in the way with ``.old`` behind its name.
+    It appears whole or not at all. It takes the place of a fit that is there, finished or not; files of
+    anybody else stay, one that is in the way with ``.old`` behind its name.
 
     Args:
         result: what :func:`mitsvbrdf.fit.fit_svbrdf` gave.
         capture: the photos it was fitted to.
         out: the folder, made when missing.
         command: options of the command line, kept in ``fit.json``.
-        left_out: photos that the fit did not use, for the page to predict; see :func:`.fit_page.write_report`.
+        left_out: photos that the fit did not use, for the page to predict; see
+            :func:`.fit_page.write_report`.
         pages: whether all of that is written; else maps, look, uncertainty and ``fit.json`` alone.
 
     Raises:
-        OutputError: ``out`` cannot be written or is in use, or its ``photos/`` is where the capture came from.
+        OutputError: ``out`` cannot be written or is in use, or its ``photos/`` is where the capture came
+            from.
     """
     for shots in (capture, left_out) if pages else ():
         if shots is not None:
@@ -50,14 +53,17 @@ def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dic
 
 def write_fit_files(result: FitResult, capture: Capture, out: Path, command: dict | None = None,
                     left_out: Capture | None = None, pages: bool = True) -> None:
-    """Write a fit, file by file, into a folder that will take its place later; see :func:`write_fit` for the arguments."""
+    """Write a fit, file by file, into a folder that will take its place later; see :func:`write_fit` for the
+    arguments.
+    """
     if pages:
         keep_photos(out, capture)
     save_maps(result.svbrdf, out / "maps")
     if result.look:
         save_maps(result.look, out / "look")
     for name, spread in result.deviations.items():
-        images.write_exr(out / "uncertainty" / f"{name}.exr", spread.square().mean(dim=-1, keepdim=True).sqrt())
+        images.write_exr(out / "uncertainty" / f"{name}.exr",
+                         spread.square().mean(dim=-1, keepdim=True).sqrt())
     write_record(out, result, capture, command or {})
     if pages:
         _write_pages(result, capture, out, left_out)
@@ -79,10 +85,12 @@ def _write_pages(result: FitResult, capture: Capture, out: Path, left_out: Captu
                 remarks=remarks)
     loss_curve(out / "curve.svg", result.trace)
     write_scene(out, result.svbrdf, result.views)
-    (out / "report.json").unlink(missing_ok=True)  # photos that an earlier fit left out are none of this one's
+    # photos that an earlier fit left out are none of this one's
+    (out / "report.json").unlink(missing_ok=True)
     try:
         write_report(out, quick=True, left_out=left_out)
     except OutputError:
         raise
     except Exception as reason:  # whatever it is: the result of a long fit is worth more than its page
-        say(f"report.html could not be made ({type(reason).__name__}: {reason}); `mitsvbrdf report` tries again")
+        say(f"report.html could not be made ({type(reason).__name__}: {reason}); `mitsvbrdf report` tries "
+            "again")

@@ -1,4 +1,6 @@
-"""What a page begins with: the material on a sphere, whether it can be trusted, and its textures to take along."""
+"""What a page begins with: the material on a sphere, whether it can be trusted, and its textures to take
+along.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ from ..material.maps import SVBRDF
 from ..pages.pictures import picture_uri
 from ..relight.sphere import sphere
 
-SIDES, HEAVIEST = (512, 256), 2 * 2**20  # texels a side of the textures: the first whose zip has at most so many bytes
+# texels a side of the textures: the first whose zip has at most so many bytes
+SIDES, HEAVIEST = (512, 256), 2 * 2**20
 QUICK, FULL = 256, 512  # pixels of the sphere
 
 
@@ -28,8 +31,9 @@ def front(found: SavedFit, quick: bool) -> dict:
         quick: a smaller picture.
 
     Returns:
-        ``picture`` (an address, or None where Mitsuba cannot run), ``good`` and ``verdict``; ``file`` and ``archive``, name and
-        address of a zip of textures, and the ``side`` of these in texels; ``metres``, side of the patch or None.
+        ``picture`` (an address, or None where Mitsuba cannot run), ``good`` and ``verdict``; ``file`` and
+        ``archive``, name and address of a zip of textures, and the ``side`` of these in texels; ``metres``,
+        side of the patch or None.
     """
     name = found.record["capture"].get("name") or "material"
     try:
@@ -43,7 +47,8 @@ def front(found: SavedFit, quick: bool) -> dict:
         if len(archive) <= HEAVIEST:
             break
     return {"picture": picture, "good": good, "verdict": verdict, "file": file, "side": textures.resolution,
-            "archive": "data:application/zip;base64," + base64.b64encode(archive).decode(), "metres": found.side_metres}
+            "archive": "data:application/zip;base64," + base64.b64encode(archive).decode(),
+            "metres": found.side_metres}
 
 
 def judged(record: dict) -> tuple[bool, str]:
@@ -66,7 +71,8 @@ def packed(svbrdf: SVBRDF, name: str) -> tuple[str, bytes]:
         data = io.BytesIO()
         with zipfile.ZipFile(data, "w", zipfile.ZIP_STORED) as archive:  # PNG is compressed already
             for texture in written.textures:
-                if not texture.holds.startswith("height"):  # Node Wrangler would add it to the relief of the normals
+                # Node Wrangler would add it to the relief of the normals
+                if not texture.holds.startswith("height"):
                     content = (Path(folder) / texture.file).read_bytes()
                     archive.writestr(zipfile.ZipInfo(texture.file), content)  # without the time
     return f"{written.files[0].removesuffix('.png').rsplit('_', 1)[0]}.zip", data.getvalue()

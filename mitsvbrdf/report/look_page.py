@@ -40,7 +40,8 @@ def write_look_page(found: SavedFit, into: Path) -> str | None:
     view, finish = unseen_view(found.views), found.record["finish"]
     engine, transfer = found.renderer() or AnalyticRenderer(), found.transfer
     with torch.no_grad():
-        relit = [(title, picture_uri(at_most(color.to_display(engine.render(svbrdf, view)[0], transfer), LARGEST)))
+        relit = [(title, picture_uri(at_most(color.to_display(engine.render(svbrdf, view)[0], transfer),
+                                             LARGEST)))
                  for title, svbrdf in (("maps/", found.svbrdf), ("look/", found.look))]
     maps = [(TITLES[name], picture_uri(at_most(shown_map(name, found.look[name]), LARGEST)))
             for name in CHANNELS[found.look.bsdf]]
@@ -51,7 +52,8 @@ def write_look_page(found: SavedFit, into: Path) -> str | None:
 
 
 def unseen_view(views: Views) -> Views:
-    """A view between those of the photos: half way between two of them, as far from every camera as that can be.
+    """A view between those of the photos: half way between two of them, as far from every camera as that can
+    be.
 
     Args:
         views: of the photos.

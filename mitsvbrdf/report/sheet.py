@@ -1,4 +1,6 @@
-"""Pictures of a result: the sheet of maps and photos, and the error over time. They show numbers and compute none."""
+"""Pictures of a result: the sheet of maps and photos, and the error over time. They show numbers and compute
+none.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +15,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from ..errors import CaptureError
+from ..io import files
 from ..material.maps import CHANNELS, SVBRDF, TITLES, shown_map
 from ..pages.canvas import (
     HEADER_HEIGHT,
@@ -26,17 +29,19 @@ from ..pages.canvas import (
 )
 from ..pages.colours import SHEET_ACCENT, SHEET_QUIET, SHEET_TEXT
 from ..pages.notebook import SHOWN
-from ..system import files
 
 LARGEST_MAP, LARGEST_PHOTO = 397, 264
 
 
 def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Tensor, *, rmse: float,
                 per_photo: Sequence[float], guess: Tensor | None = None, names: Sequence[str] | None = None,
-                title: str = "Recovered material", note: str = "", remarks: Mapping[str, str] | None = None) -> None:
-    """One PNG, 1680 pixels wide: the maps, and under them each photo over its re-rendering over their difference.
+                title: str = "Recovered material", note: str = "", remarks: Mapping[str, str]
+                | None = None) -> None:
+    """One PNG, 1680 pixels wide: the maps, and under them each photo over its re-rendering over their
+    difference.
 
-    Colour maps are shown in sRGB, the others as they are, normals as (n + 1) / 2. At most nine photos are shown.
+    Colour maps are shown in sRGB, the others as they are, normals as (n + 1) / 2. At most nine photos are
+    shown.
 
     Args:
         path: the PNG to write or replace.
@@ -59,11 +64,13 @@ def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Te
     names = [f"{i:02d}" for i in range(count)] if names is None else names
     if not count or photos.shape != rerendered.shape or not count == len(per_photo) == len(names):
         raise CaptureError("a re-rendering, an error and a name for each photo",
-                           f"photos {tuple(photos.shape)}, re-rendered {tuple(rerendered.shape)}, {len(per_photo)} "
+                           f"photos {tuple(photos.shape)}, re-rendered {tuple(rerendered.shape)}, "
+                           f"{len(per_photo)} "
                            f"errors, {len(names)} names", "give all of them for the same photos")
     shown = min(count, SHOWN)
     behind = {name: f"  ·  {remark}" for name, remark in (remarks or {}).items()}
-    tiles = [(TITLES[name] + behind.get(name, ""), shown_map(name, svbrdf[name])) for name in CHANNELS[svbrdf.bsdf]]
+    tiles = [(TITLES[name] + behind.get(name, ""), shown_map(name, svbrdf[name]))
+             for name in CHANNELS[svbrdf.bsdf]]
     tiles += [] if guess is None else [("Guessed diffuse", shown_map("diffuse", guess))]
     large, small = square_side(len(tiles), LARGEST_MAP), square_side(shown, LARGEST_PHOTO)
     photo_top = HEADER_HEIGHT + LABEL_HEIGHT + large
@@ -72,7 +79,8 @@ def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Te
     sheet.text(SHEET_MARGIN, 52, title, 22, SHEET_TEXT, weight="bold")
     sheet.text(SHEET_MARGIN, 80, note, 11, SHEET_QUIET)
     sheet.text(SHEET_WIDTH - SHEET_MARGIN, 52, f"{rmse:.4f}", 24, SHEET_ACCENT, weight="bold", ha="right")
-    which = "1 photo" if count == 1 else f"{count} photos" + (f", {shown} of them shown" if shown < count else "")
+    which = ("1 photo" if count == 1
+             else f"{count} photos" + (f", {shown} of them shown" if shown < count else ""))
     sheet.text(SHEET_WIDTH - SHEET_MARGIN, 80, f"re-rendering RMSE, {which}", 11, SHEET_QUIET, ha="right")
 
     for i, (label, image) in enumerate(tiles):
@@ -109,7 +117,8 @@ def loss_curve(path: str | Path, trace: Sequence[dict]) -> None:
     losses = [name for name in losses if name not in ("seconds", "iteration", "rerender_rmse")]
     figure = Figure(figsize=(6.4, 4.6 if losses else 2.8))  # its margins have room for what is written there
     panels = figure.subplots(2 if losses else 1, 1, sharex=True, squeeze=False, gridspec_kw={
-        "left": 0.1, "right": 0.8 if losses else 0.97, "top": 0.93, "bottom": 0.09 if losses else 0.15, "hspace": 0.16})[:, 0]
+        "left": 0.1, "right": 0.8 if losses else 0.97, "top": 0.93, "bottom": 0.09 if losses else 0.15,
+        "hspace": 0.16})[:, 0]
     _curves(panels[0], trace, {"rerender_rmse": "#c2571a"}, 1.8)
     panels[0].set_title("Re-rendering RMSE", loc="left", fontsize=9)
     if losses:

@@ -1,10 +1,12 @@
-"""The studio of the live viewer, made ready for one look-up a pixel (split sum: Karis 2013, "Real Shading in Unreal Engine 4").
+"""The studio of the live viewer, made ready for one look-up a pixel (split sum: Karis 2013, "Real Shading in
+Unreal Engine 4").
 
-What a lobe gathers from all directions is split into the light that a lobe of that roughness gathers around the mirrored
-direction, as if seen from there (:func:`lobes`), and the share that it reflects (:func:`shares`). Measured against the sum over
-all directions: facing the viewer within 4 % on average; seen aslant, where real lobes are longer, metals are off by up to 30 %
-at 48 degrees and 45 % at 60 to 75, single texels by 75 %. Diffuse light is the irradiance of the normal (:func:`diffuse`),
-Lambert's in both BSDFs. Directions lie in pictures as ``relight/environment.py`` says.
+What a lobe gathers from all directions is split into the light that a lobe of that roughness gathers around
+the mirrored direction, as if seen from there (:func:`lobes`), and the share that it reflects
+(:func:`shares`). Measured against the sum over all directions: facing the viewer within 4 % on average; seen
+aslant, where real lobes are longer, metals are off by up to 30 % at 48 degrees and 45 % at 60 to 75, single
+texels by 75 %. Diffuse light is the irradiance of the normal (:func:`diffuse`), Lambert's in both BSDFs.
+Directions lie in pictures as ``relight/environment.py`` says.
 """
 
 from __future__ import annotations
@@ -28,30 +30,37 @@ FINE = 2 * ROWS  # rows of what is summed over; a multiple of the others
 
 @functools.cache
 def lobes() -> np.ndarray:
-    """Radiance that mirror lobes of rising roughness gather, one picture below the other: 9 H x 2 H x 3 with H = 48."""
+    """Radiance that mirror lobes of rising roughness gather, one picture below the other: 9 H x 2 H x 3 with
+    H = 48.
+    """
     sharp = (environment.studio(ROWS) * _scale()).numpy()
-    rough = [_gathered(ROWS, functools.partial(_lobe, alpha=(k / (LEVELS - 1)) ** 2)) for k in range(1, LEVELS)]
+    rough = [_gathered(ROWS, functools.partial(_lobe, alpha=(k / (LEVELS - 1)) ** 2)) for k in range(1,
+                                                                                                     LEVELS)]
     return np.concatenate([sharp, *rough])
 
 
 @functools.cache
 def diffuse() -> np.ndarray:
-    """Irradiance over pi by the direction of the normal: 16 x 32 x 3, float64. Its luminance is 0.8 facing the camera."""
+    """Irradiance over pi by the direction of the normal: 16 x 32 x 3, float64. Its luminance is 0.8 facing
+    the camera.
+    """
     return _gathered(DIFFUSE_ROWS, lambda cosine: cosine.clamp_min(0))
 
 
 @functools.cache
 def shares(min_alpha: float) -> np.ndarray:
-    """Of a lobe without Fresnel reflectance, the share that is reflected, and that of it times (1 - v.h)^5: 32 x 32 x 2.
+    """Of a lobe without Fresnel reflectance, the share that is reflected, and that of it times (1 - v.h)^5:
+    32 x 32 x 2.
 
-    Rows: roughness from 0 to 1, columns: n.v from 0 to 1, in the middles of the pixels. The share of a lobe with Schlick's
-    reflectance of F0 is F0 times the first plus (1 - F0) times the second.
+    Rows: roughness from 0 to 1, columns: n.v from 0 to 1, in the middles of the pixels. The share of a lobe
+    with Schlick's reflectance of F0 is F0 times the first plus (1 - F0) times the second.
     """
     middles = (np.arange(SHARES) + 0.5) / SHARES
     u, w = (axis.ravel() for axis in np.meshgrid(middles, middles))
     alpha = np.maximum(middles**2, min_alpha)[:, None, None]
     n_v = middles[None, :, None]
-    # Half vectors as the camera sees them (Dupuy and Benyoub 2023); the weight of each is the masking of its light.
+    # Half vectors as the camera sees them (Dupuy and Benyoub 2023); the weight of each is the masking of its
+    # light.
     v = _unit(np.stack(np.broadcast_arrays(alpha * np.sqrt(1 - n_v**2), 0 * n_v, n_v), axis=-1))
     z = (1 - u) * (1 + v[..., 2]) - v[..., 2]
     across = np.sqrt(np.clip(1 - z**2, 0, None))
@@ -82,11 +91,14 @@ def _gathered(rows: int, kernel: Callable[[Tensor], Tensor]) -> np.ndarray:
     columns, finer = 2 * FINE, FINE // rows
     out, theta = (torch.linspace(0, math.pi, count, dtype=torch.float64) for count in (rows, FINE))
     out = out[:, None, None]
-    # From a pixel of the finer picture to the middle of a coarser one: whole pixels and half of what the coarser has more.
+    # From a pixel of the finer picture to the middle of a coarser one: whole pixels and half of what the
+    # coarser has more.
     along = (torch.arange(columns, dtype=torch.float64) + (finer - 1) / 2) * (2 * math.pi / columns)
-    weights = kernel(out.cos() * theta.cos() + out.sin() * theta.sin() * along.cos()[:, None]) * solid  # rows, along, FINE
+    # rows, along, FINE
+    weights = kernel(out.cos() * theta.cos() + out.sin() * theta.sin() * along.cos()[:, None]) * solid
     series = torch.fft.rfft(torch.cat((light, torch.ones_like(light[..., :1])), dim=-1), dim=1)
-    found = torch.fft.irfft(torch.einsum("rpf,fpc->rpc", torch.fft.rfft(weights, dim=1), series), columns, dim=1)[:, ::finer]
+    found = torch.fft.irfft(torch.einsum("rpf,fpc->rpc", torch.fft.rfft(weights, dim=1), series), columns,
+                            dim=1)[:, ::finer]
     return (found[..., :3] / found[..., 3:] * _scale()).numpy()
 
 
@@ -101,7 +113,10 @@ def _fine() -> tuple[Tensor, Tensor]:
 
 @functools.cache
 def _scale() -> float:
-    """By which the studio is brightened: white and diffuse, looking back along its direction ahead, has luminance 0.8."""
+    """By which the studio is brightened: white and diffuse, looking back along its direction ahead, has
+    luminance 0.8.
+    """
     light, solid = _fine()
     facing = -environment.directions(FINE, 2 * FINE)[..., 1].clamp_max(0)
-    return environment.WHITE_LUMINANCE * math.pi / float((light @ environment.LUMINANCE * facing * solid[:, None]).sum())
+    return (environment.WHITE_LUMINANCE * math.pi
+            / float((light @ environment.LUMINANCE * facing * solid[:, None]).sum()))

@@ -1,9 +1,10 @@
-"""The live viewer of a material: an HTML fragment that shades the maps in WebGL2 with the formulas of ``render/analytic.py``.
+"""The live viewer of a material: an HTML fragment that shades the maps in WebGL2 with the formulas of
+``render/analytic.py``.
 
 A point light or the studio of previews lights them.
 
-Maps travel as integers of 12 or 16 bits, high and low bytes apart, deflated, in base64. Eight bits would not do: a highlight of
-roughness 0.1 is 0.01 wide, as wide as 2.5 steps of an 8-bit normal map.
+Maps travel as integers of 12 or 16 bits, high and low bytes apart, deflated, in base64. Eight bits would not
+do: a highlight of roughness 0.1 is 0.01 wide, as wide as 2.5 steps of an 8-bit normal map.
 """
 
 from __future__ import annotations
@@ -24,9 +25,11 @@ TOP_LEVELS = {"square": 4095, "plain": 65535, "octahedral": 65535}  # highest in
 
 
 def viewer_html(svbrdf: SVBRDF, *, largest: int = VIEWER_SIDE) -> str:
-    """The viewer as an HTML fragment, to be put once into a page that extends ``pages/base.html``, marked ``|safe``.
+    """The viewer as an HTML fragment, to be put once into a page that extends ``pages/base.html``, marked
+    ``|safe``.
 
-    It asks nothing of the network, opens from disk, and puts ``window.mitsvbrdfViewer`` into the page (``viewer.js``).
+    It asks nothing of the network, opens from disk, and puts ``window.mitsvbrdfViewer`` into the page
+    (``viewer.js``).
 
     Args:
         svbrdf: either BSDF.
@@ -44,7 +47,8 @@ def viewer_html(svbrdf: SVBRDF, *, largest: int = VIEWER_SIDE) -> str:
              encode("shares", shares, "plain")]
     about["studio"] = [entry for entry, _ in coded]
     planes += [plane for _, each in coded for plane in each]
-    about |= {"bsdf": svbrdf.bsdf, "resolution": svbrdf.resolution, "f0_range": F0_RANGE, "dielectric_f0": DIELECTRIC_F0,
+    about |= {"bsdf": svbrdf.bsdf, "resolution": svbrdf.resolution, "f0_range": F0_RANGE,
+              "dielectric_f0": DIELECTRIC_F0,
               "min_alpha": MIN_ALPHA[svbrdf.bsdf], "lobe_levels": studio.LEVELS,
               "titles": {name: TITLES[name] for name in CHANNELS[svbrdf.bsdf]}}
     payload = base64.b64encode(zlib.compress(b"".join(planes), 9)).decode()
@@ -52,7 +56,9 @@ def viewer_html(svbrdf: SVBRDF, *, largest: int = VIEWER_SIDE) -> str:
 
 
 def encode_maps(svbrdf: SVBRDF) -> tuple[dict, list[bytes]]:
-    """Maps as bytes, and what a reader must know of them: ``{"maps": [...]}`` and the planes, as :func:`encode` has them."""
+    """Maps as bytes, and what a reader must know of them: ``{"maps": [...]}`` and the planes, as
+    :func:`encode` has them.
+    """
     described, planes = [], []
     for name in CHANNELS[svbrdf.bsdf]:
         coding = "octahedral" if name == "normal" else "square" if name in COLOURS else "plain"
@@ -65,15 +71,16 @@ def encode_maps(svbrdf: SVBRDF) -> tuple[dict, list[bytes]]:
 def encode(name: str, value: np.ndarray, coding: str) -> tuple[dict, list[bytes]]:
     """A picture, H x W x C, as bytes, and what a reader must know to decode it.
 
-    Each channel holds integers q in [0, top] that stand for x = low + q (high - low) / top, with its own low and high, so a
-    constant channel is exact. Of x the value is, by coding, ``square``: x^2 (colours: even steps for the eye), ``plain``: x,
-    ``octahedral``: the unit vector z > 0 of two channels, s = x + y, t = x - y over |x| + |y| + |z| (Cigolle et al. 2014,
-    hemi-octahedral), off by at most 3.8e-5 rad wherever it points.
+    Each channel holds integers q in [0, top] that stand for x = low + q (high - low) / top, with its own low
+    and high, so a constant channel is exact. Of x the value is, by coding, ``square``: x^2 (colours: even
+    steps for the eye), ``plain``: x, ``octahedral``: the unit vector z > 0 of two channels, s = x + y, t = x
+    - y over |x| + |y| + |z| (Cigolle et al. 2014, hemi-octahedral), off by at most 3.8e-5 rad wherever it
+      points.
 
     Returns:
-        ``{"name", "coding", "top", "height", "width", "low": [...], "high": [...]}``, and of each channel H x W high bytes,
-        then H x W low bytes, row 0 at the top. In the page all planes follow one another, deflated in zlib's format: those of
-        the maps, in their order, then those of the studio.
+        ``{"name", "coding", "top", "height", "width", "low": [...], "high": [...]}``, and of each channel H x
+        W high bytes, then H x W low bytes, row 0 at the top. In the page all planes follow one another,
+        deflated in zlib's format: those of the maps, in their order, then those of the studio.
     """
     if coding == "octahedral":
         x, y = np.moveaxis(value[..., :2], -1, 0) / np.abs(value).sum(-1)

@@ -11,13 +11,25 @@ import numpy as np
 from ..capture import read_capture
 from ..capture.lens import rays
 from ..capture.rig import Rig
-from .truth import Array, Similarity, Truth, grid_of, photo_names, photos_of_both, rig_of, rms_of, shown_points, similarity
+from .truth import (
+    Array,
+    Similarity,
+    Truth,
+    grid_of,
+    photo_names,
+    photos_of_both,
+    rig_of,
+    rms_of,
+    shown_points,
+    similarity,
+)
 
 PIXELS = 512  # of the rectified photo that its errors are counted in
 
 
 def compare_with_truth(capture: str | Path | Rig, truth: str | Path | Truth) -> dict[str, Any]:
-    """How far a rig, or a written capture, is from the truth. Lengths are in cm, ratios over 1, pixels of rectified 512.
+    """How far a rig, or a written capture, is from the truth. Lengths are in cm, ratios over 1, pixels of
+    rectified 512.
 
     Args:
         capture: a folder with a capture.json, or a rig.
@@ -25,16 +37,16 @@ def compare_with_truth(capture: str | Path | Rig, truth: str | Path | Truth) -> 
 
     Returns:
         ``similarity``: scale (cm a unit of the rig), degrees, shift; of a sheet's rig 1, 0, 0.
-        ``cameras``, ``lights``: distance from the truth over that from the patch's middle: ``rms``, ``worst``, ``photos`` by
-        name; without a sheet after the similarity that fits the cameras best. ``cameras_by_patch``: after ``similarity``.
-        ``rectification``: where the photos' content lies, against where it should: ``rms``, ``worst`` (of a photo),
-        ``photos``; its part ``common`` to all, which deforms the patch, and the ``mutual`` rest, which blurs it.
-        ``lens``: ``focal`` (ratio), ``pixels`` (RMS over the photo at equal rays), ``distortion`` (k1, k2: found less true),
-        ``vignetting`` (largest difference of the transmission), ``flash`` (cm, found less true, three axes).
-        ``power``: of the lights (a folder's only): ``ratio`` (geometric mean of found over true), ``spread`` (RMS of each
-        photo's logarithm around that).
-        ``photos``: ``used``; ``wrongly_used`` with what is odd about them, ``wrongly_left_out`` and ``rightly_left_out``
-        with the reasons given.
+        ``cameras``, ``lights``: distance from the truth over that from the patch's middle: ``rms``,
+        ``worst``, ``photos`` by name; without a sheet after the similarity that fits the cameras best.
+        ``cameras_by_patch``: after ``similarity``. ``rectification``: where the photos' content lies, against
+        where it should: ``rms``, ``worst`` (of a photo), ``photos``; its part ``common`` to all, which
+        deforms the patch, and the ``mutual`` rest, which blurs it. ``lens``: ``focal`` (ratio), ``pixels``
+        (RMS over the photo at equal rays), ``distortion`` (k1, k2: found less true), ``vignetting`` (largest
+        difference of the transmission), ``flash`` (cm, found less true, three axes). ``power``: of the lights
+        (a folder's only): ``ratio`` (geometric mean of found over true), ``spread`` (RMS of each photo's
+        logarithm around that). ``photos``: ``used``; ``wrongly_used`` with what is odd about them,
+        ``wrongly_left_out`` and ``rightly_left_out`` with the reasons given.
 
     Raises:
         CaptureError: no photo of the rig is among the true ones, or the photos have another size.
@@ -49,7 +61,8 @@ def compare_with_truth(capture: str | Path | Rig, truth: str | Path | Truth) -> 
     lights = np.stack([rig.poses[name].flash(rig.lens) for name in names])
     true_lights = np.stack([truth.rig.poses[name].flash(truth.rig.lens) for name in names])
     return {
-        "similarity": {"scale": placed.scale, "degrees": math.degrees(placed.angle), "shift": list(placed.shift)},
+        "similarity": {"scale": placed.scale, "degrees": math.degrees(placed.angle),
+                       "shift": list(placed.shift)},
         "cameras": _distances(names, freed(found), true, middle),
         "cameras_by_patch": _distances(names, placed(found), true, middle),
         "lights": _distances(names, freed(lights), true_lights, middle),
@@ -72,7 +85,8 @@ def _rectification(rig: Rig, truth: Truth, names: list[str], placed: Similarity)
     common = np.median(error, axis=0)
     lengths = {name: rms_of(np.linalg.norm(e, axis=-1)) for name, e in zip(names, error)}
     return {"rms": rms_of(np.linalg.norm(error, axis=-1)), "worst": max(lengths.values()), "photos": lengths,
-            "common": rms_of(np.linalg.norm(common, axis=-1)), "mutual": rms_of(np.linalg.norm(error - common, axis=-1))}
+            "common": rms_of(np.linalg.norm(common, axis=-1)),
+            "mutual": rms_of(np.linalg.norm(error - common, axis=-1))}
 
 
 def _lens(rig: Rig, truth: Truth, scale: float) -> dict[str, Any]:

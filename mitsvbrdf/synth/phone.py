@@ -1,9 +1,11 @@
-"""A simulated phone: raw photos of known maps, taken by hand, to test on what the road from a phone to maps brings back.
+"""A simulated phone: raw photos of known maps, taken by hand, to test on what the road from a phone to maps
+brings back.
 
-What it has of a phone: a lens with distortion, vignetting and a principal point off the middle, a flash beside it, one
-manual exposure, noise, 8 bits, JPEG and EXIF. What it has not: a mosaic of colours, sharpening, noise reduction, local
-tone curves, a focus that changes the lens, a lens that follows another model than :mod:`mitsvbrdf.capture.lens`. Errors
-measured on it are therefore those of noise, resolution and method, not of a model that does not fit.
+What it has of a phone: a lens with distortion, vignetting and a principal point off the middle, a flash
+beside it, one manual exposure, noise, 8 bits, JPEG and EXIF. What it has not: a mosaic of colours,
+sharpening, noise reduction, local tone curves, a focus that changes the lens, a lens that follows another
+model than :mod:`mitsvbrdf.capture.lens`. Errors measured on it are therefore those of noise, resolution and
+method, not of a model that does not fit.
 """
 
 from __future__ import annotations
@@ -62,16 +64,20 @@ class HandheldPhone:
 
     def check(self) -> None:
         """Raise ConfigError for an option out of range."""
-        numbers = [("megapixels from 0.05 to 100", self.megapixels, 0.05, 100), ("1 to 999 photos", self.photos, 1, 999),
+        numbers = [("megapixels from 0.05 to 100", self.megapixels, 0.05, 100),
+                   ("1 to 999 photos", self.photos, 1, 999),
                    ("a sheet of 5 to 100 cm", self.sheet, 5, 100), ("a depth of 0 to 5 cm", self.depth, 0, 5),
-                   ("a side of 5 to 200 cm", self.side, 5, 200), ("a focal length of 10 to 200 mm", self.focal_35mm, 10, 200),
-                   ("a tilt of 1 to 40 degrees", self.tilt, 1, 40), ("grain from 0 to 100", self.grain, 0, 100),
+                   ("a side of 5 to 200 cm", self.side, 5, 200), ("a focal length of 10 to 200 mm",
+                                                                  self.focal_35mm, 10, 200),
+                   ("a tilt of 1 to 40 degrees", self.tilt, 1, 40), ("grain from 0 to 100", self.grain, 0,
+                                                                     100),
                    ("a JPEG quality of 0 to 100", self.jpeg, 0, 100)]
         for wanted, value, low, high in numbers:
             if value is not None and not low <= value <= high:
                 raise ConfigError(wanted, str(value), "choose a value in this range")
         if self.sheet and self.side and self.side < Sheet(self.sheet).hole:
-            raise ConfigError(f"a side of {Sheet(self.sheet).hole:g} cm or more, the sheet's hole", f"{self.side:g}",
+            raise ConfigError(f"a side of {Sheet(self.sheet).hole:g} cm or more, the sheet's hole",
+                              f"{self.side:g}",
                               "leave it out")
 
     @property
@@ -96,7 +102,9 @@ class HandheldPhone:
 
 @dataclass(frozen=True)
 class Shot:
-    """What one photo is to be: its file, where the phone is, what is wrong with it, and its EXIF orientation."""
+    """What one photo is to be: its file, where the phone is, what is wrong with it, and its EXIF
+    orientation.
+    """
 
     name: str
     pose: Pose
@@ -105,7 +113,8 @@ class Shot:
     of: str | None = field(default=None)
 
 
-def shots(phone: HandheldPhone, poses: Sequence[Pose] | None = None, spoil: Sequence[Spoil] = ()) -> list[Shot]:
+def shots(phone: HandheldPhone, poses: Sequence[Pose] | None = None,
+          spoil: Sequence[Spoil] = ()) -> list[Shot]:
     """The photos to take: good ones first, then one for each way to spoil one; file names tell nothing.
 
     Args:
@@ -118,7 +127,8 @@ def shots(phone: HandheldPhone, poses: Sequence[Pose] | None = None, spoil: Sequ
     """
     unknown = [kind for kind in spoil if kind not in get_args(Spoil)]
     if unknown or len(set(spoil)) < len(spoil):
-        raise ConfigError(f"kinds of {get_args(Spoil)}, each once", ", ".join(unknown or spoil), "choose from these")
+        raise ConfigError(f"kinds of {get_args(Spoil)}, each once", ", ".join(unknown or spoil),
+                          "choose from these")
     suffix = "jpg" if phone.jpeg else "png"
     drawn = handheld_poses(phone, (phone.photos if poses is None else 0) + len(spoil))
     good = drawn[: phone.photos] if poses is None else list(poses)
@@ -137,9 +147,11 @@ def shots(phone: HandheldPhone, poses: Sequence[Pose] | None = None, spoil: Sequ
 
 
 def handheld_poses(phone: HandheldPhone, count: int) -> list[Pose]:
-    """Where a hand would hold the phone: near the nine-view grid, aimed roughly at the middle, a little turned.
+    """Where a hand would hold the phone: near the nine-view grid, aimed roughly at the middle, a little
+    turned.
 
-    The patch, and all of the sheet where there is one, is within each photo; the phone is held higher where it would not be.
+    The patch, and all of the sheet where there is one, is within each photo; the phone is held higher where
+    it would not be.
     """
     rng, lens = np.random.default_rng([phone.seed, 1]), phone.lens
     half = (Sheet(phone.sheet).outer if phone.sheet else phone.patch) / 2
@@ -152,7 +164,8 @@ def handheld_poses(phone: HandheldPhone, count: int) -> list[Pose]:
             aim = np.append(position[:2] * rng.uniform(0, 1) + rng.normal(0, 0.06, 2) * phone.patch, 0.0)
             pose = Pose.looking_at(position, aim, math.radians(rng.normal(0, 4)))
             seen = project(lens, pose, square) / lens.size
-            if -pose.rotation[2, 2] >= math.cos(math.radians(phone.tilt)) and seen.min() > 0.01 and seen.max() < 0.99:
+            if -pose.rotation[2, 2] >= math.cos(
+                math.radians(phone.tilt)) and seen.min() > 0.01 and seen.max() < 0.99:
                 break
             higher += 0.005
         found.append(pose)

@@ -6,9 +6,9 @@ import torch
 
 from .. import color
 from ..capture.capture import Capture
+from ..io.entry import entry
 from ..material.maps import SVBRDF
 from ..render import Renderer
-from ..system.entry import entry
 from ..views import Views
 
 

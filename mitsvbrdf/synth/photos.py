@@ -1,6 +1,7 @@
 """Photos of a simulated phone, developed: metered, vignetted, noisy, 8 bits; some of them spoiled on purpose.
 
-:func:`handheld_photos` takes them one at a time with the truth about them; both are written beside each other for tests.
+:func:`handheld_photos` takes them one at a time with the truth about them; both are written beside each other
+for tests.
 """
 
 from __future__ import annotations
@@ -19,25 +20,29 @@ from .. import color
 from ..capture.align.sheet import Sheet
 from ..capture.lens import Lens, Pose
 from ..capture.rig import Rig, rig_to_json
+from ..io import files
 from ..material.made import make_material
 from ..material.map_files import save_maps
 from ..material.maps import SVBRDF
-from ..system import files
 from .phone import DIAGONAL_35MM, HandheldPhone, Shot, Spoil, shots
 from .truth import PATCH, SAMPLE, patch_of
 
 USABLE = ("rotated",)  # an odd photo that nothing is wrong with
 SENSOR_DIAGONAL = 9.5  # mm
 FROM_METER = 0.1  # megapixels of the photo that the exposure is measured on
-BRIGHTNESS, MOST_CLIPPED = 0.25, 0.02  # mean radiance of the first photo, and share of its values that may be clipped
-READ, SHOT = 0.001, 2e-4  # noise: standard deviation at black, and variance over radiance (5000 electrons are white)
+# mean radiance of the first photo, and share of its values that may be clipped
+BRIGHTNESS, MOST_CLIPPED = 0.25, 0.02
+# noise: standard deviation at black, and variance over radiance (5000 electrons are white)
+READ, SHOT = 0.001, 2e-4
 AMBIENT = 0.35  # radiance of the room in a photo without flash
 FINGER = (0.05, 0.012, 0.008)  # radiance of a finger on the lens
 OTHER, OTHER_SEED = "leather", 7  # what an unrelated photo shows
 
 
-def handheld_photos(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[..., Any], poses: Sequence[Pose] | None = None,
-                    spoil: Sequence[Spoil] = ()) -> tuple[Iterator[tuple[Shot, NDArray[np.uint8]]], dict[str, Any]]:
+def handheld_photos(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[..., Any], poses: Sequence[Pose]
+                    | None = None,
+                    spoil: Sequence[Spoil] = ()) -> tuple[Iterator[tuple[Shot, NDArray[np.uint8]]],
+                                                          dict[str, Any]]:
     """Photos of a material, each taken when it is asked for, and the truth about them.
 
     Args:
@@ -49,9 +54,10 @@ def handheld_photos(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[...
 
     Returns:
         The photos, H x W x 3 display values (sRGB, 8 bits), and what ``truth.json`` says: ``rig`` (see
-        :func:`mitsvbrdf.capture.rig.rig_to_json`, of all photos, in cm), ``intensity`` of the flash (a white diffuse texel
-        has the radiance I cos / (pi d^2), d in cm, where radiance 1 is display value 1), ``falloff``, ``transfer``,
-        ``sample_cm``, ``sheet_cm``, ``depth_cm``, ``spoiled`` by name of the photo, and the ``phone``.
+        :func:`mitsvbrdf.capture.rig.rig_to_json`, of all photos, in cm), ``intensity`` of the flash (a white
+        diffuse texel has the radiance I cos / (pi d^2), d in cm, where radiance 1 is display value 1),
+        ``falloff``, ``transfer``, ``sample_cm``, ``sheet_cm``, ``depth_cm``, ``spoiled`` by name of the
+        photo, and the ``phone``.
 
     Raises:
         ConfigError: an option out of range.
@@ -71,16 +77,22 @@ def handheld_photos(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[...
             radiance = spoiled(here.render(lens, shot.pose, seed=number, **light), shot.kind)
             yield shot, developed(radiance, lens, phone.grain, [phone.seed, 2, number])
 
-    rig = Rig(lens, {shot.name: shot.pose for shot in plan}, phone.patch, "cm", "sheet" if sheet else "photos")
-    odd = {shot.name: {"kind": shot.kind, "usable": shot.kind in USABLE} | ({"of": shot.of} if shot.of else {})
+    rig = Rig(lens, {shot.name: shot.pose for shot in plan}, phone.patch, "cm",
+              "sheet" if sheet else "photos")
+    odd = {shot.name: {"kind": shot.kind, "usable": shot.kind in USABLE} | ({"of": shot.of} if shot.of
+                                                                            else {})
            for shot in plan if shot.kind}
-    return take(), {"rig": rig_to_json(rig), "intensity": [power] * 3, "falloff": "inverse-square", "transfer": "srgb",
-                    "sample_cm": phone.sample, "sheet_cm": phone.sheet, "depth_cm": phone.depth if sheet else 0.0,
+    return take(), {"rig": rig_to_json(rig), "intensity": [power] * 3, "falloff": "inverse-square",
+                    "transfer": "srgb",
+                    "sample_cm": phone.sample, "sheet_cm": phone.sheet, "depth_cm": phone.depth if sheet
+                    else 0.0,
                     "spoiled": odd, "phone": asdict(phone)}
 
 
 def _metered(scene: Any, phone: HandheldPhone, pose: Pose) -> float:
-    """Intensity of the flash, in display values: the mean of the first photo is right, or fewer of its values are clipped."""
+    """Intensity of the flash, in display values: the mean of the first photo is right, or fewer of its values
+    are clipped.
+    """
     lens = replace(phone, megapixels=FROM_METER).lens
     radiance = scene.render(lens, pose, intensity=1.0) * _transmission(lens, 0, lens.size[1])
     return float(min(BRIGHTNESS / radiance.mean(), 1 / np.quantile(radiance, 1 - MOST_CLIPPED)))
@@ -103,7 +115,8 @@ def spoiled(radiance: NDArray[np.float32], kind: Spoil | None) -> NDArray[np.flo
         line = np.zeros((length, length), dtype=np.float32)
         line[length // 2] = 1
         line = cv2.warpAffine(line, along, (length, length))
-        return np.asarray(cv2.GaussianBlur(cv2.filter2D(radiance, -1, line / line.sum()), (0, 0), 0.002 * width), np.float32)
+        return np.asarray(cv2.GaussianBlur(cv2.filter2D(radiance, -1, line / line.sum()), (0, 0),
+                                           0.002 * width), np.float32)
     if kind == "finger":  # an ellipse over the left half with a soft edge
         y, x = np.mgrid[:height, :width].astype(np.float32) / width
         middle = height / width / 2
@@ -115,7 +128,8 @@ def spoiled(radiance: NDArray[np.float32], kind: Spoil | None) -> NDArray[np.flo
 
 def developed(radiance: NDArray[np.float32], lens: Lens, noise: float = 1.0, seed: int | Sequence[int] = 0
               ) -> NDArray[np.uint8]:
-    """Radiance at the lens as the phone stores it: vignetting, noise of light and sensor, clipping, sRGB, 8 bits.
+    """Radiance at the lens as the phone stores it: vignetting, noise of light and sensor, clipping, sRGB, 8
+    bits.
 
     Args:
         radiance: H x W x 3, where 1 is white.
@@ -143,7 +157,8 @@ def write_photo(path: Path, pixels: NDArray[np.uint8], phone: HandheldPhone, sho
     exif = Image.Exif()
     exif[0x0112] = shot.orientation
     focal = IFDRational(round(phone.focal_35mm / DIAGONAL_35MM * SENSOR_DIAGONAL * 100), 100)
-    exif.get_ifd(0x8769).update({0x829A: IFDRational(1, 60), 0x8827: 100, 0x9209: 0x10 if shot.kind == "noflash" else 0x09,
+    exif.get_ifd(0x8769).update({0x829A: IFDRational(1, 60), 0x8827: 100,
+                                 0x9209: 0x10 if shot.kind == "noflash" else 0x09,
                                  0x920A: focal, 0xA405: round(phone.focal_35mm)})
     data = io.BytesIO()
     options = {"format": "JPEG", "quality": phone.jpeg} if phone.jpeg else {"format": "PNG"}
@@ -154,10 +169,11 @@ def write_photo(path: Path, pixels: NDArray[np.uint8], phone: HandheldPhone, sho
 def write_handheld(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[..., Any], folder: Path,
                    spoil: Sequence[Spoil] = (), poses: Sequence[Pose] | None = None,
                    report: Callable[[int, int], object] | None = None, **about: object) -> dict[str, Any]:
-    """Take the photos of :func:`handheld_photos` and write them, ``truth/truth.json`` and the sample's maps ``truth/sample``.
+    """Take the photos of :func:`handheld_photos` and write them, ``truth/truth.json`` and the sample's maps
+    ``truth/sample``.
 
-    With a sheet also ``truth/maps``, of just the patch within it, as a fit finds them. Without one the photos say where the
-    patch is: :func:`mitsvbrdf.synth.truth.truth_maps` cuts it out.
+    With a sheet also ``truth/maps``, of just the patch within it, as a fit finds them. Without one the photos
+    say where the patch is: :func:`mitsvbrdf.synth.truth.truth_maps` cuts it out.
 
     Args:
         folder: for the photos.

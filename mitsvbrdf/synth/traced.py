@@ -1,5 +1,5 @@
-"""What a phone's camera sees of a flat material on a table, traced by Mitsuba: no photo is warped, each ray goes where the
-lens bends it.
+"""What a phone's camera sees of a flat material on a table, traced by Mitsuba: no photo is warped, each ray
+goes where the lens bends it.
 """
 
 from __future__ import annotations
@@ -31,9 +31,11 @@ AMBIENT_SAMPLES = 16  # samples a pixel where light comes from everywhere
 
 
 class HandheldRenderer:
-    """Photos of a square sample in z = 0, centred at the origin, on a grey table, lit by a flash or from everywhere.
+    """Photos of a square sample in z = 0, centred at the origin, on a grey table, lit by a flash or from
+    everywhere.
 
-    The maps are read bilinearly. Light arrives straight from the flash, with shadows; light reflected twice is left out.
+    The maps are read bilinearly. Light arrives straight from the flash, with shadows; light reflected twice
+    is left out.
 
     Args:
         svbrdf: the material.
@@ -47,8 +49,8 @@ class HandheldRenderer:
         BackendError: Mitsuba, the variant or libLLVM is missing.
     """
 
-    def __init__(self, svbrdf: SVBRDF, side: float, sheet: Sheet | None = None, depth: float = 0.0, samples: int = 4,
-                 variant: str = "llvm_ad_rgb") -> None:
+    def __init__(self, svbrdf: SVBRDF, side: float, sheet: Sheet | None = None, depth: float = 0.0,
+                 samples: int = 4, variant: str = "llvm_ad_rgb") -> None:
         self.variant, self.samples = variant, samples
         with using_mitsuba(variant) as mi:
             register(mi)
@@ -63,7 +65,8 @@ class HandheldRenderer:
         Args:
             lens: a :class:`mitsvbrdf.capture.lens.Lens`, lengths in cm.
             pose: a :class:`mitsvbrdf.capture.lens.Pose`.
-            intensity: radiant intensity of the flash: a white diffuse texel has radiance I cos / (pi d^2), d in cm.
+            intensity: radiant intensity of the flash: a white diffuse texel has radiance I cos / (pi d^2), d
+                in cm.
             ambient: radiance of surroundings that are everywhere the same, instead of the flash.
             seed: of the jitter.
         """
@@ -79,7 +82,9 @@ class HandheldRenderer:
         rows = min(height, max(1, MOST_RAYS // (width * samples)))
         scene, held = self._scene(mi, width, rows, bool(ambient), samples)
         sensor = scene.sensors()[0]
-        opaque = lambda value: dr.opaque(mi.Float, float(value))  # noqa: E731 - a number that is not compiled in
+        def opaque(value: float) -> Any:  # a number that is not compiled in
+            return dr.opaque(mi.Float, float(value))
+
         sensor.set(lens, pose, opaque)
         if ambient:
             held["ambient.radiance.value"] = dr.opaque(mi.Color3f, ambient)
@@ -101,14 +106,18 @@ class HandheldRenderer:
             rgb = {"type": "rgb", "value": 1.0}
             light = ({"ambient": {"type": "constant", "radiance": rgb}} if ambient else
                      {"flash": {"type": "point", "position": [0.0, 0.0, 1.0], "intensity": rgb}})
-            # Surroundings that are everywhere the same are found without noise by the rays that a diffuse texel sends out.
+            # Surroundings that are everywhere the same are found without noise by the rays that a diffuse
+            # texel sends out.
             integrator = ({"type": "direct", "emitter_samples": 0, "bsdf_samples": 1} if ambient else
                           {"type": INTEGRATOR, "shadow_rays": True, "bounces": 0, "environment": False})
             scene = mi.load_dict({
                 "type": "scene", "integrator": integrator, **light, **self._shapes.content,
-                "sensor": {"type": CAMERA, "film": {"type": "hdrfilm", "width": width, "height": rows, "pixel_format": "rgb",
-                                                    "component_format": "float32", "rfilter": {"type": "box"}},
-                           "sampler": {"type": "stratified", "sample_count": samples, "jitter": samples > 1}}})
+                "sensor": {"type": CAMERA, "film": {"type": "hdrfilm", "width": width, "height": rows,
+                                                    "pixel_format": "rgb",
+                                                    "component_format": "float32",
+                                                    "rfilter": {"type": "box"}},
+                           "sampler": {"type": "stratified", "sample_count": samples,
+                                       "jitter": samples > 1}}})
             self._scenes[key] = Kept((scene, mi.traverse(scene)))
         return self._scenes[key].content
 
@@ -122,7 +131,8 @@ def _shapes(mi: ModuleType, svbrdf: SVBRDF, side: float, sheet: Sheet | None, de
 def _texture(mi: ModuleType, value: NDArray) -> Any:
     """A float bitmap, read bilinearly; row 0 of ``value`` (H x W x C) is the top."""
     pixels = np.ascontiguousarray(np.asarray(value, dtype=np.float32)[::-1])  # texture row 0 is v = 0
-    return mi.load_dict({"type": "bitmap", "data": mi.TensorXf(pixels), "raw": True, "filter_type": "bilinear",
+    return mi.load_dict({"type": "bitmap", "data": mi.TensorXf(pixels), "raw": True,
+                         "filter_type": "bilinear",
                          "wrap_mode": "clamp"})
 
 
@@ -148,17 +158,21 @@ def _surroundings(mi: ModuleType, side: float) -> dict:
 
 
 def _paper(mi: ModuleType, sheet: Sheet, depth: float) -> dict:
-    """Four rectangles around the hole, each with its part of the picture; a mask would cast the hole's shadow too."""
+    """Four rectangles around the hole, each with its part of the picture; a mask would cast the hole's shadow
+    too.
+    """
     picture, _ = sheet.picture(PICTURE / sheet.outer)
     albedo = INK + (PAPER - INK) * picture.astype(np.float32)[..., None] / 255
     n, edge = len(albedo), round(len(albedo) * (1 - sheet.hole / sheet.outer) / 2)
     shapes = {}
     for name, (left, top, right, bottom) in {"top": (0, 0, n, edge), "bottom": (0, n - edge, n, n),
-                                             "left": (0, edge, edge, n - edge), "right": (n - edge, edge, n, n - edge)}.items():
+                                             "left": (0, edge, edge, n - edge),
+                                             "right": (n - edge, edge, n, n - edge)}.items():
         x, y = (np.array([left + right, -top - bottom]) / n + (-1, 1)) * sheet.outer / 2
         across, up = (np.array([right - left, bottom - top]) / n) * sheet.outer / 2
         shapes[f"paper_{name}"] = {
-            "type": "rectangle", "to_world": mi.ScalarTransform4f().translate([x, y, depth]).scale([across, up, 1]),
+            "type": "rectangle", "to_world": mi.ScalarTransform4f().translate([x, y, depth]).scale([across,
+                                                                                                    up, 1]),
             "bsdf": {"type": "diffuse", "reflectance": _texture(mi, albedo[top:bottom, left:right])}}
     return shapes
 
@@ -169,8 +183,8 @@ def _register(variant: str) -> None:
     import mitsuba as mi
 
     class LensCamera(mi.Sensor):
-        """A :class:`mitsvbrdf.capture.lens.Lens` at a pose: film position (u, v) of a block of rows to the ray that
-        ``lens.rays`` says, whatever the distortion.
+        """A :class:`mitsvbrdf.capture.lens.Lens` at a pose: film position (u, v) of a block of rows to the
+        ray that ``lens.rays`` says, whatever the distortion.
         """
 
         def __init__(self, props: Any) -> None:
@@ -204,8 +218,8 @@ def _register(variant: str) -> None:
             ray.time, ray.maxt = time, dr.largest(mi.Float)
             return ray, mi.Color3f(1)
 
-        def sample_ray_differential(self, time: Any, wavelength_sample: Any, position_sample: Any, aperture_sample: Any,
-                                    active: Any = True) -> tuple[Any, Any]:
+        def sample_ray_differential(self, time: Any, wavelength_sample: Any, position_sample: Any,
+                                    aperture_sample: Any, active: Any = True) -> tuple[Any, Any]:
             ray, weight = self.sample_ray(time, wavelength_sample, position_sample, aperture_sample, active)
             return mi.RayDifferential3f(ray.o, ray.d, ray.time), weight
 

@@ -1,7 +1,8 @@
 """A capture made of a simulated phone's photos, against what is true of them.
 
-A rig that was found without a sheet lies somewhere on the material, in patch sides: it is compared after the similarity of
-the plane (scale, turn, shift) that best takes what its photos show to where that truly is. One with a sheet is not moved.
+A rig that was found without a sheet lies somewhere on the material, in patch sides: it is compared after the
+similarity of the plane (scale, turn, shift) that best takes what its photos show to where that truly is. One
+with a sheet is not moved.
 """
 
 from __future__ import annotations
@@ -20,15 +21,17 @@ from ..capture import Capture, read_capture
 from ..capture.lens import on_plane, project
 from ..capture.rig import Rig, rig_from_json
 from ..errors import CaptureError
+from ..io.json_files import NUMBER, load, shape_error
 from ..material.map_files import load_maps
 from ..material.maps import SVBRDF
-from ..system.json_files import NUMBER, load, misfit
 from ..views import Views, texel_positions
 
 Array = NDArray[np.float64]
 
-_SHAPE = {"rig": dict, "sample_cm": NUMBER, "intensity": [NUMBER], "spoiled": {str: {"kind": str, "usable": bool}}}
-SAMPLE, PATCH = "sample", "maps"  # folders beside truth.json: the maps of the whole sample, and of the patch within a sheet
+_SHAPE = {"rig": dict, "sample_cm": NUMBER, "intensity": [NUMBER],
+          "spoiled": {str: {"kind": str, "usable": bool}}}
+# folders beside truth.json: the maps of the whole sample, and of the patch within a sheet
+SAMPLE, PATCH = "sample", "maps"
 POINTS = 17  # along a side of the patch, at which rectification is compared
 
 
@@ -86,7 +89,7 @@ class Truth:
         path = path if path.suffix == ".json" else path / "truth" / "truth.json"
         try:
             value = load(path)
-            if wrong := misfit(value, _SHAPE):
+            if wrong := shape_error(value, _SHAPE):
                 raise ValueError(f"{wrong} is missing or of another kind")
             return cls(value, rig_from_json(value["rig"]), path.parent)
         except (OSError, ValueError, KeyError, TypeError) as reason:
@@ -116,7 +119,9 @@ def rig_of(capture: str | Path | Rig) -> Rig:
 
 
 def similarity(rig: Rig, truth: Truth) -> Similarity:
-    """Where the rig's world lies in the true one: by the patch's points, each where the median of the photos shows it."""
+    """Where the rig's world lies in the true one: by the patch's points, each where the median of the photos
+    shows it.
+    """
     if rig.unit == "cm":
         return Similarity()
     points = grid_of(rig.size)
@@ -127,11 +132,13 @@ def similarity(rig: Rig, truth: Truth) -> Similarity:
 def photos_of_both(rig: Rig, truth: Truth) -> list[str]:
     """Names of the rig's photos that the truth knows, those of another material left out."""
     if tuple(rig.lens.size) != tuple(truth.rig.lens.size):
-        raise CaptureError(f"photos of {truth.rig.lens.size}", f"a rig of {rig.lens.size}", "give the truth of these photos")
+        raise CaptureError(f"photos of {truth.rig.lens.size}", f"a rig of {rig.lens.size}",
+                           "give the truth of these photos")
     names = [name for name in rig.poses if name in truth.rig.poses
              and truth.spoiled.get(name, {}).get("kind") != "unrelated"]
     if not names:
-        raise CaptureError("photos that the truth tells of", ", ".join(rig.poses) or "none", "give the truth of these photos")
+        raise CaptureError("photos that the truth tells of", ", ".join(rig.poses) or "none",
+                           "give the truth of these photos")
     return names
 
 
@@ -146,10 +153,13 @@ def shown_points(rig: Rig, truth: Truth, name: str, points: Array) -> Array:
 
 
 def photo_names(shots: Capture, rig: Rig) -> list[str]:
-    """Of each photo of a written capture, the raw photo it was: they stand in the order of the rig's poses."""
+    """Of each photo of a written capture, the raw photo it was: they stand in the order of the rig's
+    poses.
+    """
     names = list(rig.poses)
     if max(shots.index) >= len(names):
-        raise CaptureError("a pose for each photo of the capture", f"{len(names)} poses and photo {max(shots.index)}",
+        raise CaptureError("a pose for each photo of the capture",
+                           f"{len(names)} poses and photo {max(shots.index)}",
                            "make the capture again")
     return [names[i] for i in shots.index]
 
@@ -172,7 +182,8 @@ def truth_maps(truth: str | Path | Truth, rig: Rig, resolution: int) -> SVBRDF:
     return patch_of(sample, truth.value["sample_cm"], rig.size, resolution, placed)
 
 
-def patch_of(sample: SVBRDF, side: float, size: float, resolution: int, placed: Similarity = Similarity()) -> SVBRDF:
+def patch_of(sample: SVBRDF, side: float, size: float, resolution: int,
+             placed: Similarity = Similarity()) -> SVBRDF:
     """The maps of a square patch of a sample: averaged over each texel, normals turned with the patch.
 
     Args:
@@ -197,7 +208,8 @@ def patch_of(sample: SVBRDF, side: float, size: float, resolution: int, placed: 
 
 
 def true_capture(folder: str | Path, truth: str | Path | Truth, **options: Any) -> Capture:
-    """The rectified photos of a written capture with the true cameras, lights and powers, in the frame of its patch.
+    """The rectified photos of a written capture with the true cameras, lights and powers, in the frame of its
+    patch.
 
     Args:
         folder: with a capture.json.

@@ -10,19 +10,21 @@ import torch
 from torch import Tensor
 
 from ..errors import ConfigError
+from ..io.entry import entry
 from ..material.maps import SVBRDF
 from ..measure.gradients import Measured, render_and_gradients
 from ..measure.metrics import gradient_error, image_error
 from ..measure.tolerances import LIMITS, Limits
 from ..render import Renderer, RendererName, make_renderer
-from ..system.entry import entry
 from ..views import Views
 from .page import Figure, Row, failure, gradient_row, view_rows
 
 
 @entry(gradients=True)
-def assert_renderers_agree(maps: SVBRDF, views: Views, renderers: Sequence[RendererName | Renderer] = ("mitsuba",), *,
-                           image_mean: float | None = None, image_p999: float | None = None, gradients: float | None = None,
+def assert_renderers_agree(maps: SVBRDF, views: Views,
+                           renderers: Sequence[RendererName | Renderer] = ("mitsuba",), *,
+                           image_mean: float | None = None, image_p999: float | None = None,
+                           gradients: float | None = None,
                            reference: RendererName | Renderer = "analytic64") -> None:
     """Fail unless renderers draw the same picture, with the same gradients, as a reference.
 
@@ -32,15 +34,18 @@ def assert_renderers_agree(maps: SVBRDF, views: Views, renderers: Sequence[Rende
     Args:
         maps: the material, float32; :func:`random_material` is a hard one.
         views: camera and light positions.
-        renderers: names, or objects with ``name`` and ``render(svbrdf, views)`` like :class:`mitsvbrdf.render.Renderer`.
-        image_mean: see :class:`Limits`; left out: what :data:`LIMITS` says of the renderer, as for the next two.
+        renderers: names, or objects with ``name`` and ``render(svbrdf, views)`` like
+            :class:`mitsvbrdf.render.Renderer`.
+        image_mean: see :class:`Limits`; left out: what :data:`LIMITS` says of the renderer, as for the next
+            two.
         image_p999: see :class:`Limits`.
         gradients: see :class:`Limits`.
         reference: what to compare with.
 
     Raises:
         AssertionError: naming renderer, image or map, figure, limit, and a page that shows where.
-        ConfigError: limits left out for a renderer that is not ours; an image without the gradients asked for.
+        ConfigError: limits left out for a renderer that is not ours; an image without the gradients asked
+            for.
     """
     __tracebackhide__ = True
     engines = [make_renderer(r) if isinstance(r, str) else r for r in (reference, *renderers)]
@@ -56,8 +61,8 @@ def assert_renderers_agree(maps: SVBRDF, views: Views, renderers: Sequence[Rende
             rows.append(lambda name=renderer.name, found=found: _rows(name, found, truth))
     if rows:
         names = sorted({f.name.split(":")[0] for f in figures if f.missed})
-        raise failure(f"{' and '.join(names)} differ{'s' * (len(names) == 1)} from {engines[0].name}", figures,
-                      lambda: [row for each in rows for row in each()])
+        raise failure(f"{' and '.join(names)} differ{'s' * (len(names) == 1)} from {engines[0].name}",
+                      figures, lambda: [row for each in rows for row in each()])
 
 
 def _limits(name: str, *given: float | None) -> Limits:
@@ -65,7 +70,8 @@ def _limits(name: str, *given: float | None) -> Limits:
         known = astuple(LIMITS[name])
         return Limits(*(usual if value is None else value for usual, value in zip(known, given)))
     if None in given:
-        raise ConfigError(f"limits for the renderer {name!r}, which is none of {list(LIMITS)}", "some left out",
+        raise ConfigError(f"limits for the renderer {name!r}, which is none of {list(LIMITS)}",
+                          "some left out",
                           "give image_mean, image_p999 and gradients")
     return Limits(*given)  # type: ignore[arg-type]
 
@@ -81,7 +87,8 @@ def _figures(name: str, found: Measured, truth: Measured, limit: Limits) -> list
     image = image_error(found.image, truth.image)
     figures = [Figure(f"{name}: image, mean relative error", image["mean"], limit.image_mean),
                Figure(f"{name}: image, 99.9 % of the values within", image["p99.9"], limit.image_p999)]
-    return figures + [Figure(f"{name}: gradient of {map_}, relative L2", _off(gradient, truth.gradients[map_]), limit.gradients)
+    return figures + [Figure(f"{name}: gradient of {map_}, relative L2",
+                             _off(gradient, truth.gradients[map_]), limit.gradients)
                       for map_, gradient in found.gradients.items()]
 
 

@@ -1,7 +1,7 @@
 """Golden files: a result accepted once, kept beside the test, and compared with ever after.
 
-``tests/test_a.py`` keeps its golden files in ``tests/golden/test_a/NAME.exr``: float32, ZIP-compressed, one EXR file for a
-picture, a stack of views or all maps of a material (as layers). They are linear.
+``tests/test_a.py`` keeps its golden files in ``tests/golden/test_a/NAME.exr``: float32, ZIP-compressed, one
+EXR file for a picture, a stack of views or all maps of a material (as layers). They are linear.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from torch import Tensor
 
 from .. import color
 from ..errors import ConfigError, MapsError
+from ..io import files
 from ..material.maps import SVBRDF
 from ..measure.metrics import flip as flip_error
-from ..system import files
 from .page import Figure, Row, failure, left_behind, row
 from .running import Caller, current
 
@@ -31,21 +31,22 @@ def assert_matches_golden(result: Tensor | SVBRDF, name: str, *, rtol: float = 1
                           flip: float = 1.0) -> None:
     """Fail unless a result is what it was when ``pytest --mitsvbrdf-update`` accepted it.
 
-    With that option a missing golden file is written and one that no longer matches, or cannot be read, is replaced; one
-    that matches stays as it is. Without it no golden file is ever touched.
+    With that option a missing golden file is written and one that no longer matches, or cannot be read, is
+    replaced; one that matches stays as it is. Without it no golden file is ever touched.
 
     Args:
         result: a linear picture H x W x 3, views N x H x W x 3, or a material.
-        name: of the golden file, without suffix: letters, digits, ``-``, ``_`` and ``.``, 100 at most; unique within the
-            test file.
-        rtol: a value may be off by ``atol + rtol |golden value|``. The defaults fit float32 renderers on one machine or
-            another; ``math.inf`` leaves the decision to ``flip``.
+        name: of the golden file, without suffix: letters, digits, ``-``, ``_`` and ``.``, 100 at most; unique
+            within the test file.
+        rtol: a value may be off by ``atol + rtol |golden value|``. The defaults fit float32 renderers on one
+            machine or another; ``math.inf`` leaves the decision to ``flip``.
         atol: see ``rtol``; linear units.
-        flip: largest mean FLIP error (:func:`mitsvbrdf.measure.metrics.flip`) of a view or map as a screen shows it.
+        flip: largest mean FLIP error (:func:`mitsvbrdf.measure.metrics.flip`) of a view or map as a screen
+            shows it.
 
     Raises:
-        AssertionError: it differs, has another shape, is not finite, or there is no golden file; the message names the
-            page, the new EXR file and the way to accept it.
+        AssertionError: it differs, has another shape, is not finite, or there is no golden file; the message
+            names the page, the new EXR file and the way to accept it.
         MapsError: a result of another kind, or a golden file that cannot be read.
         ConfigError: a bad name, one used twice in this run, or a call outside a test.
     """
@@ -67,7 +68,8 @@ def assert_matches_golden(result: Tensor | SVBRDF, name: str, *, rtol: float = 1
         _write(path, layers)
         caller.run.written.append(path)
         return
-    notes += [f"golden file: {path}", f"new result: {left_behind(f'-{name}.exr', lambda file: _write(file, layers))}",
+    notes += [f"golden file: {path}",
+              f"new result: {left_behind(f'-{name}.exr', lambda file: _write(file, layers))}",
               f"to accept it: pytest --mitsvbrdf-update {shlex.quote(caller.id)}"]
     raise failure(title, figures, lambda: _rows(layers, golden), notes, f"-{name}.html")
 
@@ -77,7 +79,8 @@ def _golden_path(caller: Caller, name: str) -> Path:
         raise ConfigError("a running test", "a call outside of one, or without the pytest plugin",
                           "install mitsvbrdf, or run pytest -p mitsvbrdf.testing.plugin")
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", name):
-        raise ConfigError("a name of letters, digits, '-', '_' and '.', 100 at most", repr(name), "it becomes a file name")
+        raise ConfigError("a name of letters, digits, '-', '_' and '.', 100 at most", repr(name),
+                          "it becomes a file name")
     path = caller.file.parent / "golden" / caller.file.stem / f"{name}.exr"
     user = caller.run.names.get(str(path).lower())
     if user:
@@ -92,7 +95,8 @@ def _layers(result: Tensor | SVBRDF) -> Layers:
         return {name: value.detach().float() for name, value in result.maps.items()}
     result = torch.as_tensor(result).detach().float()
     if result.ndim not in (3, 4) or result.shape[-1] != 3 or not result.numel():
-        raise MapsError("H x W x 3, N x H x W x 3, or an SVBRDF", f"shape {tuple(result.shape)}", "give linear colours")
+        raise MapsError("H x W x 3, N x H x W x 3, or an SVBRDF", f"shape {tuple(result.shape)}",
+                        "give linear colours")
     return {"": result} if result.ndim == 3 else {f"view{k:03d}": view for k, view in enumerate(result)}
 
 
@@ -111,8 +115,10 @@ def _compared(name: str, layers: Layers, golden: Layers, rtol: float, atol: floa
             figures.append(Figure(f"{label}largest difference, in tolerances", float(excess.max()), 1.0))
             if figures[-1].missed:
                 worst = torch.unravel_index(excess.argmax(), excess.shape)
-                notes.append(f"{label}{int((excess > 1).sum())} of {excess.numel()} values are off, worst at (row, column, "
-                             f"channel) {tuple(map(int, worst))}: {value[worst]:.7g}, golden {golden[layer][worst]:.7g}")
+                notes.append(f"{label}{int((excess > 1).sum())} of {excess.numel()} values are off, worst "
+                             "at (row, column, "
+                             f"channel) {tuple(map(int, worst))}: {value[worst]:.7g}, golden "
+                             f"{golden[layer][worst]:.7g}")
         if flip < 1:
             look = flip_error(_shown(layer, value), _shown(layer, golden[layer]), "linear")
             figures.append(Figure(f"{label}mean FLIP error", float(look.mean()), flip))
@@ -130,7 +136,8 @@ def _shapes(layers: Layers) -> dict[str, tuple[int, ...]]:
 
 
 def _told(layers: Layers) -> str:
-    return ", ".join(f"{layer} {' x '.join(map(str, shape))}".strip() for layer, shape in _shapes(layers).items())
+    return ", ".join(f"{layer} {' x '.join(map(str, shape))}".strip()
+                     for layer, shape in _shapes(layers).items())
 
 
 def _shown(layer: str, value: Tensor) -> Tensor:
@@ -145,7 +152,8 @@ def _shown(layer: str, value: Tensor) -> Tensor:
 def _rows(layers: Layers, golden: Layers) -> list[Row]:
     if _shapes(layers) != _shapes(golden):
         golden = {}
-    return [row(layer or "picture", value, golden.get(layer), partial(_shown, layer)) for layer, value in layers.items()]
+    return [row(layer or "picture", value, golden.get(layer), partial(_shown, layer))
+            for layer, value in layers.items()]
 
 
 def _read(path: Path) -> Layers:
@@ -160,7 +168,8 @@ def _read(path: Path) -> Layers:
         layer, _, letter = name.rpartition(".")
         layers.setdefault(layer, {})[letter] = channel.pixels
     try:
-        return {layer: torch.from_numpy(np.stack([parts[c] for c in ("RGB" if "R" in parts else "Y")], axis=-1))
+        return {layer: torch.from_numpy(np.stack([parts[c] for c in ("RGB" if "R" in parts else "Y")],
+                                                 axis=-1))
                 for layer, parts in layers.items()}
     except (KeyError, ValueError):  # a channel is missing, or of another size
         raise _no_golden(path, f"channels {sorted(channels)}") from None
@@ -174,9 +183,10 @@ def _write(path: Path, layers: Layers) -> None:
     import OpenEXR
 
     channels = {f"{layer}.{letter}".lstrip("."): value[..., k].contiguous().numpy()
-                for layer, value in layers.items() for k, letter in enumerate("RGB" if value.shape[-1] == 3 else "Y")}
+                for layer, value in layers.items() for k, letter in enumerate("RGB" if value.shape[-1] == 3
+                                                                              else "Y")}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with files.beside(path) as temporary:
+    with files.atomic_write(path) as temporary:
         try:
             OpenEXR.File(header, channels).write(str(temporary))
         except RuntimeError as reason:  # what OpenEXR makes of a full disk

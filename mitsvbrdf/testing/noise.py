@@ -1,21 +1,23 @@
 """A Z-test for pictures with noise: is a path-traced picture off by more than its own noise explains?
 
-As in Mitsuba's own test suite (``src/render/tests/test_renders.py``): a two-sided test of every value, and Sidak's
-correction because there are many. One thing is added. A small bias hides in the noise of every single pixel but not in that
-of all together, so the mean of each channel is tested too; pixels and means share the significance level evenly.
+As in Mitsuba's own test suite (``src/render/tests/test_renders.py``): a two-sided test of every value, and
+Sidak's correction because there are many. One thing is added. A small bias hides in the noise of every single
+pixel but not in that of all together, so the mean of each channel is tested too; pixels and means share the
+significance level evenly.
 
 Assumed:
 
-- Pixels are independent: a box filter, one sample stream each. (Channels of a pixel may depend on each other: Sidak's
-  correction holds for two-sided tests of jointly normal values, however correlated.)
-- The picture is the mean of so many samples that its values are near normal even 4 to 5 standard deviations out. Fireflies
-  are not; ``outliers`` lets a share of the values off, 0.0025 in Mitsuba's suite.
-- The variance is that of the picture under test, or is estimated from independent passes of it, best 16 or more with
-  several samples each. Student's t, turned into a normal score (Wallace 1959), allows for the estimate.
+- Pixels are independent: a box filter, one sample stream each. (Channels of a pixel may depend on each other:
+  Sidak's correction holds for two-sided tests of jointly normal values, however correlated.)
+- The picture is the mean of so many samples that its values are near normal even 4 to 5 standard deviations
+  out. Fireflies are not; ``outliers`` lets a share of the values off, 0.0025 in Mitsuba's suite.
+- The variance is that of the picture under test, or is estimated from independent passes of it, best 16 or
+  more with several samples each. Student's t, turned into a normal score (Wallace 1959), allows for the
+  estimate.
 
-Measured on made materials under an area light, 24 px, 16 passes of 4 samples, 200 seeds, significance 0.01: leather fails
-1 % of the time; glazed tiles, whose sharp highlights few samples find, 12.5 %, and 0.5 % with ``outliers=0.0025`` or with 16
-samples a pass. Made 2 % brighter, all fail.
+Measured on made materials under an area light, 24 px, 16 passes of 4 samples, 200 seeds, significance 0.01:
+leather fails 1 % of the time; glazed tiles, whose sharp highlights few samples find, 12.5 %, and 0.5 % with
+``outliers=0.0025`` or with 16 samples a pass. Made 2 % brighter, all fail.
 """
 
 from __future__ import annotations
@@ -26,19 +28,20 @@ from ..measure.z_test import z_test
 from .page import Figure, Row, failure, heat, view_rows
 
 
-def assert_z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, *, reference_variance: Tensor | float = 0.0,
-                  significance: float = 0.01, outliers: float = 0.0) -> None:
+def assert_z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, *, reference_variance: Tensor
+                  | float = 0.0, significance: float = 0.01, outliers: float = 0.0) -> None:
     """Fail unless :func:`z_test` passes; arguments and errors as there.
 
     Raises:
         AssertionError: how many values are outside or which channel is biased, and a page that shows where.
     """
     __tracebackhide__ = True
-    found = z_test(image, variance_or_passes, reference, reference_variance=reference_variance, significance=significance,
-                   outliers=outliers)
+    found = z_test(image, variance_or_passes, reference, reference_variance=reference_variance,
+                   significance=significance, outliers=outliers)
     if found.passed:
         return
-    figures = [Figure(f"share of the values beyond {found.z_limit:.2f} standard deviations", found.outside, outliers)]
+    figures = [Figure(f"share of the values beyond {found.z_limit:.2f} standard deviations", found.outside,
+                      outliers)]
     figures += [Figure(f"mean of channel {k}, standard deviations off", abs(score), found.bias_limit)
                 for k, score in enumerate(found.bias.tolist())]
     more = f"mean of the image {float(image.double().mean()):.6g}, of the reference {float(reference.double().mean()):.6g}"

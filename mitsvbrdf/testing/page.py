@@ -1,4 +1,6 @@
-"""What a failed comparison leaves behind: a message that says what is off by how much, and a page that shows where."""
+"""What a failed comparison leaves behind: a message that says what is off by how much, and a page that shows
+where.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +17,10 @@ from torch import Tensor
 
 from .. import color
 from ..errors import BackendError, OutputError
+from ..io import files
 from ..measure.metrics import flip, relative_error
 from ..pages.page import write_page
 from ..pages.pictures import at_most, error_picture, magma, png_uri, shrunk
-from ..system import files
 from .running import current
 
 PICTURE_SIDE = 256  # pixels along a side of the pictures in a page
@@ -66,13 +68,16 @@ def failure(title: str, figures: Sequence[Figure], rows: Callable[[], list[Row]]
     """
     lines = [title, *(f"  {f.name}: {f.value:.3g}, limit {f.limit:.3g}" for f in figures if f.missed),
              *(f"  {note}" for note in notes)]
-    page = left_behind(suffix, lambda path: write_page(path, "testing/comparison.html", title=title, test=current().id,
+    page = left_behind(suffix, lambda path: write_page(path, "testing/comparison.html", title=title,
+                                                       test=current().id,
                                                        figures=figures, rows=rows(), notes=notes))
     return AssertionError("\n".join([*lines, f"  page: {page}"]))
 
 
 def left_behind(suffix: str, write: Callable[[Path], None]) -> str:
-    """Write a file of the running test, e.g. ``DIR/tests-test_a.py-test_b-1a2b3c4d.html``; its path, or why there is none."""
+    """Write a file of the running test, e.g. ``DIR/tests-test_a.py-test_b-1a2b3c4d.html``; its path, or why
+    there is none.
+    """
     caller = current()
     name = re.sub(r"[^\w.]+", "-", caller.id)[-100:].strip("-.")
     folder = caller.run.report.resolve()
@@ -87,10 +92,13 @@ def left_behind(suffix: str, write: Callable[[Path], None]) -> str:
 
 
 def view_rows(new: Tensor, reference: Tensor, whose: str) -> list[Row]:
-    """The views N x H x W x 3 (linear) that differ most, the worst first; ``whose`` they are stands in the title."""
+    """The views N x H x W x 3 (linear) that differ most, the worst first; ``whose`` they are stands in the
+    title.
+    """
     error = relative_difference(new, reference).flatten(1).mean(1)
     worst = error.nan_to_num(nan=torch.inf).argsort(descending=True)[:VIEWS_SHOWN].tolist()
-    return [row(f"{whose}, view {k}" if len(new) > 1 else whose, new[k], reference[k], color.to_display) for k in worst]
+    return [row(f"{whose}, view {k}" if len(new) > 1 else whose, new[k], reference[k], color.to_display)
+            for k in worst]
 
 
 def row(title: str, new: Tensor, reference: Tensor | None, show: Callable[[Tensor], Tensor]) -> Row:
@@ -105,7 +113,8 @@ def row(title: str, new: Tensor, reference: Tensor | None, show: Callable[[Tenso
     if reference is None:
         return Row(title, [("new", png_uri(at_most(_marked(show(new), new), PICTURE_SIDE)))])
     first, second = (_marked(show(x.float()), x) for x in (new, reference))
-    pictures = [("new", png_uri(at_most(first, PICTURE_SIDE))), ("reference", png_uri(at_most(second, PICTURE_SIDE))),
+    pictures = [("new", png_uri(at_most(first, PICTURE_SIDE))),
+                ("reference", png_uri(at_most(second, PICTURE_SIDE))),
                 heat("relative difference", relative_difference(new[None], reference[None])[0])]
     with contextlib.suppress(BackendError):  # without the extra there are three pictures
         look = flip(first, second, "linear")
@@ -121,19 +130,25 @@ def gradient_row(title: str, new: Tensor, reference: Tensor) -> Row:
 
 
 def heat(name: str, size: Tensor) -> tuple[str, str]:
-    """Caption and picture of sizes H x W: log scale over four decades up to the largest; not finite is brightest."""
+    """Caption and picture of sizes H x W: log scale over four decades up to the largest; not finite is
+    brightest.
+    """
     high = float(size[torch.isfinite(size)].max()) if torch.isfinite(size).any() else 1.0
-    return f"{name}, bright {high:.2g}, black {high / 1e4:.1g}", png_uri(error_picture(_peaks(size), high or 1.0))
+    return f"{name}, bright {high:.2g}, black {high / 1e4:.1g}", png_uri(error_picture(_peaks(size),
+                                                                                       high or 1.0))
 
 
 def relative_difference(new: Tensor, reference: Tensor) -> Tensor:
-    """N x H x W: size of the relative error (:func:`mitsvbrdf.measure.metrics.relative_error`) of the worst channel."""
+    """N x H x W: size of the relative error (:func:`mitsvbrdf.measure.metrics.relative_error`) of the worst
+    channel.
+    """
     return relative_error(new, reference).abs().amax(dim=-1)
 
 
 def _marked(display: Tensor, linear: Tensor) -> Tensor:
     """Display values with magenta where the linear ones are not finite."""
-    return torch.where(torch.isfinite(linear).all(dim=-1, keepdim=True), display, torch.tensor([1.0, 0.0, 1.0]))
+    return torch.where(torch.isfinite(linear).all(dim=-1, keepdim=True), display,
+                       torch.tensor([1.0, 0.0, 1.0]))
 
 
 def _peaks(size: Tensor) -> Tensor:

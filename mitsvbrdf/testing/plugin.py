@@ -1,7 +1,8 @@
 """The pytest plugin: two options, and the calling test's file for golden images.
 
-pytest loads it in every project of an environment where this package is installed, so it imports nothing heavy. Its entry
-point has the module's name: pytest then loads it once, whether through the entry point, ``-p`` or ``pytest_plugins``.
+pytest loads it in every project of an environment where this package is installed, so it imports nothing
+heavy. Its entry point has the module's name: pytest then loads it once, whether through the entry point,
+``-p`` or ``pytest_plugins``.
 """
 
 from __future__ import annotations
@@ -22,13 +23,15 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--mitsvbrdf-update", action="store_true",
                     help="Write new results over golden files that are missing or no longer match.")
     group.addoption("--mitsvbrdf-report", metavar="DIR", type=Path,
-                    help="Folder for the pages of failed comparisons; left out: .mitsvbrdf-report in pytest's rootdir.")
+                    help="Folder for the pages of failed comparisons; left out: .mitsvbrdf-report in "
+                         "pytest's rootdir.")
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Resolve the options."""
     report = config.getoption("mitsvbrdf_report")
-    folder = config.rootpath / ".mitsvbrdf-report" if report is None else config.invocation_params.dir / report
+    folder = (config.rootpath / ".mitsvbrdf-report" if report is None
+              else config.invocation_params.dir / report)
     config.stash[RUN] = running.Run(config.getoption("mitsvbrdf_update"), folder)
 
 

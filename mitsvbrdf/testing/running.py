@@ -1,4 +1,6 @@
-"""Which test is running, and what the command line asked for; the plugin fills it in, the assertions read it."""
+"""Which test is running, and what the command line asked for; the plugin fills it in, the assertions read
+it.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""What the charts of errors share: a mark for each BSDF, and panels with a line that errors should stay below."""
+"""What the charts of errors share: a mark for each BSDF, and panels with a line that errors should stay
+below.
+"""
 
 from __future__ import annotations
 

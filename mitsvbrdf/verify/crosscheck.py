@@ -1,8 +1,9 @@
-"""Every renderer and BSDF against the float64 twin: images, gradients and run time of the same maps in one run.
+"""Every renderer and BSDF against the float64 twin: images, gradients and run time of the same maps in one
+run.
 
 Figures are counted over the texels of roughness 0.1 and more (``rough``), where
-:data:`~mitsvbrdf.measure.tolerances.TOLERANCES` hold, and over those below (``smooth``), each beside what float32 allows there
-(:mod:`mitsvbrdf.verify.float32_limits`).
+:data:`~mitsvbrdf.measure.tolerances.TOLERANCES` hold, and over those below (``smooth``), each beside what
+float32 allows there (:mod:`mitsvbrdf.verify.float32_limits`).
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ from torch import Tensor
 
 from .. import color
 from ..errors import BackendError
+from ..io.entry import entry
+from ..io.provenance import machine, versions
+from ..io.timing import in_turns, spread
 from ..material.corner_cases import CONVERSION, as_bsdf
 from ..material.maps import SVBRDF, Bsdf
 from ..measure.gradients import Measured, fixed_cotangent, render_and_gradients
@@ -25,9 +29,6 @@ from ..measure.metrics import error_statistics, flip, gradient_error, relative_e
 from ..measure.tolerances import ROUGH_FROM, TOLERANCES, UNIT_ROUNDOFF
 from ..render import Renderer, make_renderer
 from ..render.needs import scene_needs
-from ..system.entry import entry
-from ..system.provenance import machine, versions
-from ..system.timing import in_turns, spread
 from ..views import Views
 from .float32_limits import Limit, Truth, diffuse_radiance, float32_limit, worst_texels
 
@@ -37,7 +38,8 @@ Report = Callable[[str, float], object]
 
 
 @entry(gradients=True)
-def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequence[Bsdf], renderers: Sequence[Renderer],
+def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequence[Bsdf],
+               renderers: Sequence[Renderer],
                repeats: int = 5, *, names: Sequence[str] | None = None, transfer: color.Transfer = "gamma2.2",
                error_maps: MutableMapping[tuple[str, str, str], Tensor] | None = None,
                command: dict | None = None, report: Report = lambda text, share: None) -> dict:
@@ -52,8 +54,8 @@ def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequen
         repeats: timed passes of each configuration, in turn with all others.
         names: of the views; left out: 00, 01, ...
         transfer: how display values and FLIP encode light.
-        error_maps: filled with the relative error of each configuration's worst view, R x R, largest channel, by
-            (material, BSDF, renderer).
+        error_maps: filled with the relative error of each configuration's worst view, R x R, largest channel,
+            by (material, BSDF, renderer).
         command: options of the command line, kept in the record.
         report: told what is going on and the share done.
 
@@ -78,9 +80,11 @@ def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequen
         forward, backward = zip(*passes)
         found[number]["seconds"] = {"forward": spread(forward), "backward": spread(backward)}
     record = {
-        "schema_version": SCHEMA_VERSION, "reference": twin.name, "tolerances": TOLERANCES, "rough_from": ROUGH_FROM,
+        "schema_version": SCHEMA_VERSION, "reference": twin.name, "tolerances": TOLERANCES,
+        "rough_from": ROUGH_FROM,
         "transfer": transfer, "command": command or {},
-        "views": {"names": names, "size": views.size, "falloff": views.falloff, "camera": views.camera.tolist(),
+        "views": {"names": names, "size": views.size, "falloff": views.falloff,
+                  "camera": views.camera.tolist(),
                   "light": views.light.tolist(), "intensity": views.intensity.tolist()},
         "materials": {name: {"resolution": m.resolution, "bsdf": m.bsdf,
                              "converted": {bsdf: CONVERSION[bsdf] for bsdf in bsdfs if bsdf != m.bsdf}}
@@ -90,16 +94,20 @@ def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequen
 
 
 class _Case:
-    """One material as one BSDF: what the float64 twin and float32's limit say, and how far a renderer is from it."""
+    """One material as one BSDF: what the float64 twin and float32's limit say, and how far a renderer is from
+    it.
+    """
 
-    def __init__(self, twin: Renderer, svbrdf: SVBRDF, views: Views, names: list[str], transfer: color.Transfer) -> None:
+    def __init__(self, twin: Renderer, svbrdf: SVBRDF, views: Views, names: list[str],
+                 transfer: color.Transfer) -> None:
         self.svbrdf, self.transfer = svbrdf, transfer
         everything = fixed_cotangent(torch.Size((len(views), svbrdf.resolution, svbrdf.resolution, 3)))
         # All views together, then each alone.
         self.views = [views, *(views.pick([k]) for k in range(len(views)))]
         self.cotangents = [everything, *everything.split(1)]
         self.exact = [render_and_gradients(twin, svbrdf, v, c) for v, c in zip(self.views, self.cotangents)]
-        self.limits = [float32_limit(twin, svbrdf, *each) for each in zip(self.views, self.exact, self.cotangents)]
+        self.limits = [float32_limit(twin, svbrdf, *each) for each in zip(self.views, self.exact,
+                                                                          self.cotangents)]
         image = self.exact[0].image
         limit = UNIT_ROUNDOFF + relative_error(image + self.limits[0].image, image)
         self.truth = Truth(svbrdf, views, names, image, diffuse_radiance(twin, svbrdf, views), limit)
@@ -109,22 +117,26 @@ class _Case:
     def compare(self, renderer: Renderer) -> tuple[dict, Tensor]:
         """A renderer's part of the record but for run times, and the error map of its worst view."""
         got = [render_and_gradients(renderer, self.svbrdf, v, c) for v, c in zip(self.views, self.cotangents)]
-        with torch.no_grad():  # as it is shown: a metallic map that wants its slope at 1 adds a rounding to dark texels
+        # as it is shown: a metallic map that wants its slope at 1 adds a rounding to dark texels
+        with torch.no_grad():
             image, exact = renderer.render(self.svbrdf, self.views[0]), self.truth.image
         off = relative_error(image, exact)
         try:
             looks = [flip(torch.nan_to_num(a), b, self.transfer) for a, b in zip(image, exact)]
         except BackendError:  # it decides nothing here
             looks = []
-        shown = (color.to_display(image.double(), self.transfer) - color.to_display(exact, self.transfer)).abs()
-        per_view = [{"view": name, "flip": _flip(looks[k:k + 1])} | self._figures(off[k:k + 1], k + 1, got[k + 1])
+        shown = (color.to_display(image.double(), self.transfer) - color.to_display(exact,
+                                                                                    self.transfer)).abs()
+        per_view = [{"view": name, "flip": _flip(looks[k:k + 1])} | self._figures(off[k:k + 1], k + 1,
+                                                                                  got[k + 1])
                     for k, name in enumerate(self.truth.names)]
         figures = {
             "left_out": self._left_out(renderer.name),
             **self._figures(off, 0, got[0]),
             "display": _finite({"mean": float(shown.mean()), "worst": float(shown.max())}),
             "flip": _flip(looks), "per_view": per_view,
-            "worst_texels": [texel for texels in self.classes.values() for texel in worst_texels(self.truth, image, texels)],
+            "worst_texels": [texel for texels in self.classes.values() for texel in worst_texels(self.truth,
+                                                                                                 image, texels)],
         }
         error_map = torch.nan_to_num(off.abs(), nan=torch.inf).amax(dim=-1)
         worst = int(error_map.flatten(1).mean(dim=1).argmax())
@@ -144,13 +156,15 @@ class _Case:
             "image": _image_figures(off[:, texels]),
             "gradients": {n: _gradient_figures(got.gradients[n][texels], g[texels])
                           for n, g in self.exact[which].gradients.items()},
-            "limit": {"image": {n: value for n, value in error_statistics(limit[:, texels]).items() if n != "bias"},
+            "limit": {"image": {n: value for n, value in error_statistics(limit[:, texels]).items()
+                                if n != "bias"},
                       "gradients": _gradient_limits(self.limits[which], self.exact[which], texels)},
         } for name, texels in self.classes.items()}
 
     def _left_out(self, renderer: str) -> list[dict[str, str]]:
         """As :func:`render_and_gradients` asks for it: every map wants a gradient."""
-        needs = scene_needs(self.svbrdf.map(lambda t: t.detach().clone().requires_grad_()), self.views[0], renderer)
+        needs = scene_needs(self.svbrdf.map(lambda t: t.detach().clone().requires_grad_()), self.views[0],
+                            renderer)
         return [{"what": what, "why": reason} for what, reason in needs.left_out]
 
 
@@ -168,7 +182,8 @@ def _finite(figures: dict) -> dict:
 def _flip(looks: Sequence[Tensor]) -> dict:
     """Of pixels of all views; None where FLIP cannot be computed here."""
     whole = torch.stack(list(looks)) if looks else None
-    return {"mean": None if whole is None else float(whole.mean()), "worst": None if whole is None else float(whole.max())}
+    return {"mean": None if whole is None else float(whole.mean()), "worst": None if whole is None
+            else float(whole.max())}
 
 
 def _image_figures(off: Tensor) -> dict:
@@ -178,26 +193,31 @@ def _image_figures(off: Tensor) -> dict:
 def _gradient_figures(gradient: Tensor, reference: Tensor) -> dict:
     """:func:`gradient_error`, None where the reference is 0, with the lengths of reference and difference."""
     difference = (gradient.double() - reference).norm()
-    figures = gradient_error(gradient, reference) | {"reference": float(reference.norm()), "difference": float(difference)}
+    figures = (gradient_error(gradient, reference)
+               | {"reference": float(reference.norm()), "difference": float(difference)})
     return _finite(figures) | {"not_finite": int((~torch.isfinite(gradient)).sum())}
 
 
 def _gradient_limits(limit: Limit, exact: Measured, texels: Tensor) -> dict[str, float | None]:
     lengths = {name: (float(limit.gradients[name][texels].norm()), float(value[texels].norm()))
                for name, value in exact.gradients.items()}
-    return {name: UNIT_ROUNDOFF + change / length if length else None for name, (change, length) in lengths.items()}
+    return {name: UNIT_ROUNDOFF + change / length if length else None for name, (change,
+                                                                                 length) in lengths.items()}
 
 
 def summary(configurations: Sequence[dict]) -> list[dict]:
-    """The worst figures over all materials of each BSDF and renderer, ``rough`` and ``smooth`` apart; run times: medians."""
+    """The worst figures over all materials of each BSDF and renderer, ``rough`` and ``smooth`` apart; run
+    times: medians.
+    """
     rows = []
     for texels in ("rough", "smooth"):
         groups: dict[tuple[str, str], list[dict]] = {}
         for configuration in configurations:
             if configuration[texels]:
-                groups.setdefault((configuration["bsdf"], configuration["renderer"]), []).append(configuration)
-        rows += [{"texels": texels, "bsdf": bsdf, "renderer": renderer, "materials": len(group)} | _summary_row(group, texels)
-                 for (bsdf, renderer), group in groups.items()]
+                groups.setdefault((configuration["bsdf"], configuration["renderer"]),
+                                  []).append(configuration)
+        rows += [{"texels": texels, "bsdf": bsdf, "renderer": renderer, "materials": len(group)}
+                 | _summary_row(group, texels) for (bsdf, renderer), group in groups.items()]
     return rows
 
 
@@ -211,12 +231,16 @@ def _summary_row(group: list[dict], texels: str) -> dict:
 
     return {"image": {name: largest(i[name] for i in images) for name in ("mean", "p99.9", "worst", "bias")},
             "gradients": {"relative_l2": largest(g["relative_l2"] for g in gradients),
-                          "cosine": min((g["cosine"] for g in gradients if g["cosine"] is not None), default=None)},
+                          "cosine": min((g["cosine"] for g in gradients if g["cosine"] is not None),
+                                        default=None)},
             "limit": {"mean": largest(limit["image"]["mean"] for limit in limits),
                       "p99.9": largest(limit["image"]["p99.9"] for limit in limits),
-                      "relative_l2": largest(value for limit in limits for value in limit["gradients"].values())},
-            "display": largest(c["display"]["worst"] for c in group), "flip": largest(c["flip"]["worst"] for c in group),
-            "seconds": {way: statistics.median(c["seconds"][way]["median"] for c in group) for way in ("forward", "backward")}}
+                      "relative_l2": largest(value for limit in limits
+                                             for value in limit["gradients"].values())},
+            "display": largest(c["display"]["worst"] for c in group),
+            "flip": largest(c["flip"]["worst"] for c in group),
+            "seconds": {way: statistics.median(c["seconds"][way]["median"] for c in group)
+                        for way in ("forward", "backward")}}
 
 
 def left_out(record: dict) -> list[dict]:
@@ -231,15 +255,17 @@ def left_out(record: dict) -> list[dict]:
         names, kinds = (list(dict.fromkeys(c[key] for c in configurations)) for key in ("renderer", "bsdf"))
         return ", ".join(names) + ("" if len(kinds) == bsdfs else f" ({', '.join(kinds)})")
 
-    return [{"what": what, "why": why, "by": by(configurations)} for (what, why), configurations in found.items()]
+    return [{"what": what, "why": why, "by": by(configurations)}
+            for (what, why), configurations in found.items()]
 
 
 def violations(record: dict) -> list[dict]:
     """What exceeds the stated tolerances.
 
     Returns:
-        One dict each with ``material``, ``bsdf``, ``renderer``, ``what``, ``value``, ``tolerance``, and ``limit``: what
-        float32 allows there, None where that is not known. Of the views alone only the worst is named for each map.
+        One dict each with ``material``, ``bsdf``, ``renderer``, ``what``, ``value``, ``tolerance``, and
+        ``limit``: what float32 allows there, None where that is not known. Of the views alone only the worst
+        is named for each map.
     """
     found = []
     for configuration in record["configurations"]:
@@ -256,11 +282,13 @@ def _exceeded(configuration: dict) -> list[dict]:
     if rough is None:
         return found
     for name, tolerance in TOLERANCES["image"].items():
-        found += _over(f"{name} relative image error", rough["image"][name], tolerance, rough["limit"]["image"][name])
+        found += _over(f"{name} relative image error", rough["image"][name], tolerance,
+                       rough["limit"]["image"][name])
     for name in rough["gradients"]:
         found += _gradient_exceeded(f"gradient of {name}", rough, name)
         alone = [each for view in configuration["per_view"]
-                 for each in _gradient_exceeded(f"gradient of {name}, view {view['view']} alone", view["rough"], name, True)]
+                 for each in _gradient_exceeded(f"gradient of {name}, view {view['view']} alone",
+                                                view["rough"], name, True)]
         found += [max(alone, key=lambda each: each["value"] / (each["tolerance"] or 1e-300))] if alone else []
     return found
 
@@ -277,7 +305,9 @@ def _gradient_exceeded(what: str, figures: dict, name: str, alone: bool = False)
 
 
 def _over(what: str, value: float | None, tolerance: float, limit: float | None) -> list[dict[str, Any]]:
-    """One violation, or none; a figure that is missing stands for values that are not finite, which are counted apart."""
+    """One violation, or none; a figure that is missing stands for values that are not finite, which are
+    counted apart.
+    """
     exceeded = value is not None and value > tolerance
     return [{"what": what, "value": value, "tolerance": tolerance, "limit": limit}] if exceeded else []
 

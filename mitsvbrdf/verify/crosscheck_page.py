@@ -21,7 +21,8 @@ from .crosscheck import left_out
 LEAST_SHOWN, MOST_SHOWN = 1e-8, 1e-4
 
 
-def write_crosscheck_page(path: str | Path, record: dict, error_maps: Mapping[tuple[str, str, str], Tensor]) -> None:
+def write_crosscheck_page(path: str | Path, record: dict, error_maps: Mapping[tuple[str, str, str],
+                                                                              Tensor]) -> None:
     """One self-contained HTML file: figures, error against run time, error maps, worst texels.
 
     Args:
@@ -34,19 +35,24 @@ def write_crosscheck_page(path: str | Path, record: dict, error_maps: Mapping[tu
     """
     maps = {key: png_uri(error_picture(error, MOST_SHOWN, LEAST_SHOWN)) for key, error in error_maps.items()}
     ramp = torch.logspace(-8, -4, 256, dtype=torch.float64).expand(16, 256)
-    converted = {bsdf: how for material in record["materials"].values() for bsdf, how in material["converted"].items()}
-    materials = {name: [c for c in record["configurations"] if c["material"] == name] for name in record["materials"]}
-    write_page(path, "verify/crosscheck.html", title="Renderers against float64", record=record, materials=materials,
-               error_maps=maps, ramp=png_uri(error_picture(ramp, MOST_SHOWN, LEAST_SHOWN)), darkest=LEAST_SHOWN,
-               brightest=MOST_SHOWN, plot=svg(error_against_time(record)), left_out=left_out(record), converted=converted,
-               cosine=_cosine, digits=_digits)
+    converted = {bsdf: how for material in record["materials"].values()
+                 for bsdf, how in material["converted"].items()}
+    materials = {name: [c for c in record["configurations"] if c["material"] == name]
+                 for name in record["materials"]}
+    write_page(path, "verify/crosscheck.html", title="Renderers against float64", record=record,
+               materials=materials,
+               error_maps=maps, ramp=png_uri(error_picture(ramp, MOST_SHOWN, LEAST_SHOWN)),
+               darkest=LEAST_SHOWN,
+               brightest=MOST_SHOWN, plot=svg(error_against_time(record)), left_out=left_out(record),
+               converted=converted, cosine=_cosine, digits=_digits)
 
 
 def error_against_time(record: dict) -> Figure:
     """Image error, and gradient error of the worst map, against the seconds of a forward and a backward pass.
 
-    One point for each configuration, over all texels of roughness 0.1 and more; hollow over those below, for a material
-    without such. Bars reach from the first to the third quartile of the run times. An error of 0 has no place on such axes.
+    One point for each configuration, over all texels of roughness 0.1 and more; hollow over those below, for
+    a material without such. Bars reach from the first to the third quartile of the run times. An error of 0
+    has no place on such axes.
     """
     drawing = Figure(figsize=(9, 4), layout="constrained")
     panels = drawing.subplots(1, 2, sharex=True)
@@ -55,9 +61,12 @@ def error_against_time(record: dict) -> Figure:
     named = set()
     for c in record["configurations"]:
         texels, label = c["rough"] or c["smooth"], f"{c['renderer']}, {c['bsdf']}"
-        low, median, high = (sum(way[name] for way in c["seconds"].values()) for name in ("low", "median", "high"))
-        worst = max((g["relative_l2"] for g in texels["gradients"].values() if g["relative_l2"] is not None), default=None)
-        look = {"fmt": BSDF_MARKS[c["bsdf"]], "color": colours[c["renderer"]], "markersize": 4, "elinewidth": 0.8, "alpha": 0.8,
+        low, median, high = (sum(way[name] for way in c["seconds"].values()) for name in ("low", "median",
+                                                                                          "high"))
+        worst = max((g["relative_l2"] for g in texels["gradients"].values() if g["relative_l2"] is not None),
+                    default=None)
+        look = {"fmt": BSDF_MARKS[c["bsdf"]], "color": colours[c["renderer"]], "markersize": 4,
+                "elinewidth": 0.8, "alpha": 0.8,
                 "markerfacecolor": None if c["rough"] else "none"}
         for panel, error in zip(panels, (texels["image"]["mean"], worst)):
             if error:

@@ -1,20 +1,21 @@
 """How accurate float32 can be at a texel, and why the worst texels of a comparison are the worst.
 
-**The limit.** A renderer in float32 knows every direction only to about one rounding, u = 2^-24 rad: a normal stored as
-(n + 1) / 2 is rounded by up to 2^-25 a component and doubled when it is read. What one such rounding does to a number L
-is its condition: the change of L when the normal turns by u. To first order in u the normal map changes L by u |dL/dn|,
-where dL/dn is the derivative in the tangent plane; its two components are found by turning the normals of the float64
-twin by u about two perpendicular axes, so |dL/dn| u is the root of the summed squares of the two changes. Step and
-rounding are the same 6e-8, large for float64 and small beside any lobe, so the second order does not count. The limit
-of the relative error is
+**The limit.** A renderer in float32 knows every direction only to about one rounding, u = 2^-24 rad: a normal
+stored as (n + 1) / 2 is rounded by up to 2^-25 a component and doubled when it is read. What one such
+rounding does to a number L is its condition: the change of L when the normal turns by u. To first order in u
+the normal map changes L by u |dL/dn|, where dL/dn is the derivative in the tangent plane; its two components
+are found by turning the normals of the float64 twin by u about two perpendicular axes, so |dL/dn| u is the
+root of the summed squares of the two changes. Step and rounding are the same 6e-8, large for float64 and
+small beside any lobe, so the second order does not count. The limit of the relative error is
 
     u + u |dL/dn| / |L|
 
 with the first u for the rounding of L itself. Close to a mirror direction L goes like GGX's D, whose slope
 |d log D / d angle| is 2 (1 - alpha^2) / alpha at its steepest, at about alpha beside the highlight: the limit is then
-u + 2 u / alpha, that is 1.2e-5 at roughness 0.1 and 6e-8 where the material is rough. The same changes of a gradient
-give its limit. It is an order of magnitude and no bound: view and light directions are rounded too, in several steps;
-and a renderer that has its directions in float64, or works with their differences, stays below it.
+u + 2 u / alpha, that is 1.2e-5 at roughness 0.1 and 6e-8 where the material is rough. The same changes of a
+gradient give its limit. It is an order of magnitude and no bound: view and light directions are rounded too,
+in several steps; and a renderer that has its directions in float64, or works with their differences, stays
+below it.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ from ..measure.tolerances import UNIT_ROUNDOFF
 from ..render import Renderer
 from ..views import Views, texel_positions
 
-# An error up to this many times the limit counts as explained by float32: directions of normal, view, light and half
-# vector are all rounded. Measured on the made and corner materials in co-located views: 8 at most.
+# An error up to this many times the limit counts as explained by float32: directions of normal, view, light
+# and half vector are all rounded. Measured on the made and corner materials in co-located views: 8 at most.
 EXPLAINED = 10.0
 
 
@@ -62,11 +63,14 @@ def float32_limit(twin: Renderer, svbrdf: SVBRDF, views: Views, exact: Measured,
     """
     turned = [render_and_gradients(twin, m, views, cotangent) for m in turned_normals(svbrdf, UNIT_ROUNDOFF)]
     return Limit(_length([t.image - exact.image for t in turned]),
-                 {name: _length([t.gradients[name] - value for t in turned]) for name, value in exact.gradients.items()})
+                 {name: _length([t.gradients[name] - value for t in turned])
+                  for name, value in exact.gradients.items()})
 
 
 def turned_normals(svbrdf: SVBRDF, angle: float) -> tuple[SVBRDF, SVBRDF]:
-    """The material, in float64, with every normal turned by ``angle`` (rad, small) about two axes at right angles to it."""
+    """The material, in float64, with every normal turned by ``angle`` (rad, small) about two axes at right
+    angles to it.
+    """
     maps = svbrdf.to(torch.float64).maps
     normal = maps["normal"]  # its length stays as it is: a gradient hangs on that too
     x = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64).expand_as(normal)
@@ -104,8 +108,8 @@ class Truth:
 def diffuse_radiance(twin: Renderer, svbrdf: SVBRDF, views: Views) -> Tensor:
     """What the diffuse lobe alone reflects, N x R x R x 3, of a float64 twin.
 
-    ``principled``: its diffuse lobe is (1 - metallic) times that of the dielectric, which alone depends on the base
-    colour where metallic is 0.
+    ``principled``: its diffuse lobe is (1 - metallic) times that of the dielectric, which alone depends on
+    the base colour where metallic is 0.
     """
     def drawn(**maps: Tensor) -> Tensor:
         return twin.render(SVBRDF(svbrdf.bsdf, {**svbrdf.maps, **maps}).detach(), views)
@@ -113,7 +117,8 @@ def diffuse_radiance(twin: Renderer, svbrdf: SVBRDF, views: Views) -> Tensor:
     if svbrdf.bsdf == "roughconductor":
         return drawn() - drawn(diffuse=torch.zeros_like(svbrdf["diffuse"]))
     plastic = torch.zeros_like(svbrdf["metallic"])
-    both, lobe = drawn(metallic=plastic), drawn(metallic=plastic, base_color=torch.zeros_like(svbrdf["base_color"]))
+    both, lobe = drawn(metallic=plastic), drawn(metallic=plastic,
+                                                base_color=torch.zeros_like(svbrdf["base_color"]))
     return (1 - svbrdf["metallic"].double()) * (both - lobe)
 
 
@@ -142,13 +147,14 @@ def _texel(truth: Truth, image: Tensor, error: Tensor, at: tuple[int, int, int, 
     reference, mean = float(truth.image[at]), float(truth.image.abs().mean())
     value = float(image[at])
     finite = abs(value) != float("inf") and value == value
-    angles = {name: float(angle[row, column]) for name, angle in _angles(truth.svbrdf, truth.views.pick([view])).items()}
+    angles = {name: float(angle[row, column]) for name, angle in _angles(truth.svbrdf,
+                                                                         truth.views.pick([view])).items()}
     texel = {
         "view": truth.names[view], "row": row, "column": column, "channel": "rgb"[channel],
         "value": value if finite else None, "reference": reference,
         "relative_error": float(error[at]) if finite else None,
-        "share_of_mean": reference / mean if mean else 0.0, "roughness": float(truth.svbrdf["roughness"][row, column]),
-        **angles,
+        "share_of_mean": reference / mean if mean else 0.0,
+        "roughness": float(truth.svbrdf["roughness"][row, column]), **angles,
         "specular_share": 1 - float(truth.diffuse[at]) / reference if reference else 0.0,
         "limit": float(truth.limit[at]),
     }
@@ -159,10 +165,12 @@ def _angles(svbrdf: SVBRDF, views: Views) -> dict[str, Tensor]:
     """Degrees from the normal to the half vector, the light and the camera of the first view, each R x R."""
     views = views.in_patch_sides()
     position, normal = texel_positions(svbrdf.resolution), F.normalize(svbrdf["normal"].double(), dim=-1)
-    light, camera = (F.normalize(place[0].double() - position, dim=-1) for place in (views.light, views.camera))
+    light, camera = (F.normalize(place[0].double() - position, dim=-1) for place in (views.light,
+                                                                                     views.camera))
 
     def angle(direction: Tensor) -> Tensor:
-        across = torch.linalg.cross(normal, direction).norm(dim=-1)  # with the sine, small angles keep their digits
+        # with the sine, small angles keep their digits
+        across = torch.linalg.cross(normal, direction).norm(dim=-1)
         return torch.rad2deg(torch.atan2(across, (normal * direction).sum(dim=-1)))
 
     return {"half_vector_angle": angle(F.normalize(light + camera, dim=-1)), "incidence_angle": angle(light),

@@ -1,7 +1,8 @@
 """Gradients of a generator's weights through the whole method, of every renderer against the float64 twin.
 
-``python -m mitsvbrdf.verify.generator_gradients`` trains ``gan`` and ``hybrid`` for a few steps, asks every renderer for the
-gradient of the same state, prints a table and keeps the record as JSON. The networks compute in float32 with all of them.
+``python -m mitsvbrdf.verify.generator_gradients`` trains ``gan`` and ``hybrid`` for a few steps, asks every
+renderer for the gradient of the same state, prints a table and keeps the record as JSON. The networks compute
+in float32 with all of them.
 """
 
 from __future__ import annotations
@@ -20,20 +21,22 @@ from torch import Tensor
 
 from ..capture import Capture
 from ..fit import FitConfig, FitTask, GanConfig, HybridConfig, make_method
+from ..io import files
+from ..io.progress import say
+from ..io.provenance import machine, versions
+from ..io.tool import run_tool
 from ..material.made import make_material
 from ..material.maps import CHANNELS, SVBRDF, Bsdf
 from ..measure.metrics import gradient_error
 from ..render import RENDERERS, Renderer, make_renderer
 from ..synth import photograph
-from ..system import files
-from ..system.progress import say
-from ..system.provenance import machine, versions
-from ..system.tool import run_tool
 from ..views import Views, nine_view_grid
 
 SCHEMA_VERSION = 1
-AFTER = (3, 4, 5, 6, 7)  # steps; at the start the last layers are zero, and no weight below them has a gradient
-# The traced scene has no gradient to the light, and a fitted flash offset changes the loss: it is left out for all.
+# steps; at the start the last layers are zero, and no weight below them has a gradient
+AFTER = (3, 4, 5, 6, 7)
+# The traced scene has no gradient to the light, and a fitted flash offset changes the loss: it is left out
+# for all.
 METHODS: dict[str, Callable[..., FitConfig]] = {
     "gan": lambda **given: GanConfig(precision="float32", grow=False, flash_offset=False, **given),
     "hybrid": lambda **given: HybridConfig(flash_offset=False, **given)}
@@ -79,7 +82,8 @@ def trained_states(task: FitTask, after: Sequence[int] = AFTER) -> Iterator[tupl
 def weight_gradient(method: Any, state: dict[str, Tensor], progress: float) -> Tensor:
     """Gradient of all losses together with respect to the generator's weights, as one vector in float64.
 
-    The step draws the same random numbers with every renderer; the discriminator stands still, so that it is the same too.
+    The step draws the same random numbers with every renderer; the discriminator stands still, so that it is
+    the same too.
 
     Args:
         method: ``gan`` or ``hybrid``, of any renderer; its state is lost.
@@ -92,7 +96,8 @@ def weight_gradient(method: Any, state: dict[str, Tensor], progress: float) -> T
     return torch.cat([weight.grad.double().flatten() for weight in method.generator.parameters()])
 
 
-def differences(task: FitTask, others: Mapping[str, Renderer], after: Sequence[int] = AFTER) -> dict[str, list[float]]:
+def differences(task: FitTask, others: Mapping[str, Renderer], after: Sequence[int] = AFTER) -> dict[str,
+                                                                                                     list[float]]:
     """How far each renderer's gradient is from the float64 twin's, |g - r| / |r|, in each trained state.
 
     Args:
@@ -110,8 +115,8 @@ def differences(task: FitTask, others: Mapping[str, Renderer], after: Sequence[i
     return found
 
 
-def measured(capture: Capture, methods: Sequence[str] = tuple(METHODS), bsdfs: Sequence[Bsdf] = tuple(CHANNELS),
-             **settings: Any) -> list[dict]:
+def measured(capture: Capture, methods: Sequence[str] = tuple(METHODS),
+             bsdfs: Sequence[Bsdf] = tuple(CHANNELS), **settings: Any) -> list[dict]:
     """One row for each method, BSDF, and renderer or fault: median and largest difference over the states."""
     others = {name: make_renderer(name) for name in RENDERERS} | {fault: Faulty(fault) for fault in FAULTS}
     rows = []
@@ -126,33 +131,45 @@ def measured(capture: Capture, methods: Sequence[str] = tuple(METHODS), bsdfs: S
 
 def page(record: dict) -> str:
     """The record as a Markdown page."""
-    rows = [f"| `{row['method']}` | {row['bsdf']} | {row['through'] if row['fault'] else '`' + row['through'] + '`'} "
+    rows = [f"| `{row['method']}` | {row['bsdf']} | "
+            f"{row['through'] if row['fault'] else '`' + row['through'] + '`'} "
             f"| {row['median']:.1e} | {row['largest']:.1e} |" for row in record["rows"]]
     on, with_ = record["machine"], record["versions"]
     return "\n".join([
         "# Gradients of the generator's weights", "",
         "Written by `python -m mitsvbrdf.verify.generator_gradients`, nothing by hand. Machine: "
-        f"{on['cpu']}. Versions: mitsuba {with_['mitsuba']}, drjit {with_['drjit']}, torch {with_['torch']}.", "",
-        f"Photos of `{record['material']}` at {record['resolution']} px; networks of the default width, in float32. "
-        "Compared with the float64 twin: the gradient of the whole loss with respect to all weights of the generator, relative "
-        f"L2, after {', '.join(map(str, AFTER[:-1]))} and {AFTER[-1]} steps. Where a rounding carries an activation, an error "
-        "or a clipped pixel across a kink of its function, a single state differs more: hence the median. The last two rows of "
+        f"{on['cpu']}. Versions: mitsuba {with_['mitsuba']}, drjit {with_['drjit']}, torch {with_['torch']}.",
+        "",
+        f"Photos of `{record['material']}` at {record['resolution']} px; networks of the default width, in "
+        "float32. "
+        "Compared with the float64 twin: the gradient of the whole loss with respect to all weights of the "
+        "generator, relative "
+        f"L2, after {', '.join(map(str, AFTER[:-1]))} and {AFTER[-1]} steps. Where a rounding carries an "
+        "activation, an error "
+        "or a clipped pixel across a kink of its function, a single state differs more: hence the median. "
+        "The last two rows of "
         "each group are the float64 twin with one thing wrong.", "",
         "| method | BSDF | through | median | largest |", "|---|---|---|---:|---:|", *rows, ""])
 
 
-def main(json: Annotated[Path, tyro.conf.arg(metavar="FILE", help="Where the record goes.")] = Path("out/gradients.json"),
-         markdown: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help="Where the page goes; left out: nowhere.")] = None,
+def main(json: Annotated[Path, tyro.conf.arg(metavar="FILE",
+                                             help="Where the record goes.")] = Path("out/gradients.json"),
+         markdown: Annotated[Path | None, tyro.conf.arg(metavar="FILE",
+                                                        help="Where the page goes; left out: nowhere.")] = None,
          material: Annotated[str, tyro.conf.arg(help="The made material that is photographed.")] = "inlay",
          resolution: Annotated[int, tyro.conf.arg(help="Side of the maps in texels.")] = 64) -> int:
-    """Compare the gradients of a generator's weights through every renderer with those through the float64 twin."""
+    """Compare the gradients of a generator's weights through every renderer with those through the float64
+    twin.
+    """
     files.check_output(json, markdown)
     capture = photograph(make_material(material, resolution), nine_view_grid(), make_renderer("analytic"))
-    record: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "material": material, "resolution": resolution,
+    record: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "material": material,
+                              "resolution": resolution,
                               "rows": measured(capture), "machine": machine(), "versions": versions()}
     files.write_json(json, record)
     for row in record["rows"]:
-        say(f"{row['method']:7} {row['bsdf']:15} {row['through']:24} {row['median']:.1e}  {row['largest']:.1e}")
+        say(f"{row['method']:7} {row['bsdf']:15} {row['through']:24} {row['median']:.1e}  "
+            f"{row['largest']:.1e}")
     if markdown:
         files.write_bytes(markdown, page(record).encode())
     say(f"wrote {json}")

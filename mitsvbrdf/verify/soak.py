@@ -1,7 +1,8 @@
 """Thousands of steps in one process: does memory grow, is anything compiled again, do steps get slower?
 
-``python -m mitsvbrdf.verify.soak`` (``./run soak``) renders small moving views with every renderer, BSDF and kind of
-work, prints a table and keeps the record as JSON. A fit of an hour depends on what no short test shows.
+``python -m mitsvbrdf.verify.soak`` (``./run soak``) renders small moving views with every renderer, BSDF and
+kind of work, prints a table and keeps the record as JSON. A fit of an hour depends on what no short test
+shows.
 """
 
 from __future__ import annotations
@@ -22,14 +23,14 @@ import tyro
 from rich.table import Table
 
 from ..errors import ConfigError
+from ..io import entry as edge
+from ..io import files
+from ..io.progress import print_rich, say
+from ..io.timing import timed
+from ..io.tool import run_tool
 from ..material.corner_cases import random_material
 from ..material.maps import SVBRDF, Bsdf
 from ..render import Renderer, RendererName, make_renderer
-from ..system import entry as edge
-from ..system import files
-from ..system.progress import print_rich, say
-from ..system.timing import timed
-from ..system.tool import run_tool
 from ..views import Views
 
 SLOPE_LIMIT = 0.5  # MiB of resident memory per 100 steps
@@ -41,8 +42,8 @@ SAMPLES_KEPT = 100  # memory samples kept in the record of a case
 def soak(renderers: Sequence[Renderer], bsdf: Bsdf, work: str, steps: int, resolution: int = 64) -> dict:
     """Run many steps and measure what they leave behind.
 
-    Renderers take turns, and each draws three views that move at every step, co-located and apart in turn (two kernels
-    for ``roughconductor``).
+    Renderers take turns, and each draws three views that move at every step, co-located and apart in turn
+    (two kernels for ``roughconductor``).
 
     Args:
         renderers: one, or several that share the process.
@@ -52,14 +53,15 @@ def soak(renderers: Sequence[Renderer], bsdf: Bsdf, work: str, steps: int, resol
         resolution: side of the maps in texels.
 
     Returns:
-        What ran, and ``memory`` (MiB), ``kernels`` (new ones after each was asked for twice), ``drjit`` (growth after
-        warm-up; None where it is not loaded), ``step`` (milliseconds of a mean step of a turn, medians over the first and the
-        last tenth) and ``failures`` (limits missed).
+        What ran, and ``memory`` (MiB), ``kernels`` (new ones after each was asked for twice), ``drjit``
+        (growth after warm-up; None where it is not loaded), ``step`` (milliseconds of a mean step of a turn,
+        medians over the first and the last tenth) and ``failures`` (limits missed).
 
     Raises:
         ConfigError: too few steps, or no ``/proc`` to read the memory from.
     """
-    gc.collect()  # kernels call every BSDF that lives: scenes of before, freed on the way, would have them made again
+    # kernels call every BSDF that lives: scenes of before, freed on the way, would have them made again
+    gc.collect()
     turn = 2 * len(renderers)  # steps until every renderer has drawn both kinds of views
     if steps < max(20, 4 * turn):
         raise ConfigError(f"{max(20, 4 * turn)} steps or more", str(steps), "give --steps 2000")
@@ -82,7 +84,8 @@ def soak(renderers: Sequence[Renderer], bsdf: Bsdf, work: str, steps: int, resol
         "resolution": resolution, "warm_up": warm,
         "memory": {"slope": slope(memory[warm:]) * 100, "first": memory[0], "last": memory[-1],
                    "samples": [[step, memory[step]] for step in range(0, steps, -(-steps // SAMPLES_KEPT))]},
-        "kernels": {"first": kernels[2 * turn] - kernels[0], "late": kernels[-1] - kernels[2 * turn], "late_steps": late[:20]},
+        "kernels": {"first": kernels[2 * turn] - kernels[0], "late": kernels[-1] - kernels[2 * turn],
+                    "late_steps": late[:20]},
         "drjit": growth or None,
         "step": {"first": first, "last": last, "drift": last / first - 1},
     }
@@ -93,14 +96,16 @@ def failures(record: dict) -> list[str]:
     """Which limits a record misses, in words."""
     missed = []
     if not record["memory"]["slope"] <= SLOPE_LIMIT:
-        missed.append(f"memory grows by {record['memory']['slope']:.2f} MiB per 100 steps, limit {SLOPE_LIMIT}")
+        missed.append(f"memory grows by {record['memory']['slope']:.2f} MiB per 100 steps, limit "
+                      f"{SLOPE_LIMIT}")
     if record["kernels"]["late"]:
         missed.append(f"{record['kernels']['late']} kernels made after the second turn, at steps "
                       f"{', '.join(map(str, record['kernels']['late_steps']))}")
     return missed
 
 
-def with_gradients(renderer: Renderer, material: SVBRDF, views: Views, between: Callable[[], object] = lambda: None) -> None:
+def with_gradients(renderer: Renderer, material: SVBRDF, views: Views,
+                   between: Callable[[], object] = lambda: None) -> None:
     """A step of a fit: forward, backward."""
     leaves = material.map(lambda t: t.clone().requires_grad_())
     image = renderer.render(leaves, views)
@@ -124,7 +129,9 @@ WORK: dict[str, Callable[[Renderer, SVBRDF, Views], None]] = {
 
 
 def moving_views(rng: torch.Generator, apart: bool) -> Views:
-    """Three views at random places two patch sides above the patch; the light at the camera or apart from it."""
+    """Three views at random places two patch sides above the patch; the light at the camera or apart from
+    it.
+    """
     camera = torch.rand(3, 3, generator=rng, dtype=torch.float64) - 0.5 + torch.tensor([0.0, 0.0, 2.0])
     views = Views.of(camera, intensity=10.0)
     return replace(views, light=camera + torch.tensor([0.5, -0.3, 0.1])) if apart else views
@@ -135,22 +142,29 @@ def resident() -> float:
     try:
         return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
     except OSError:
-        raise ConfigError("Linux, whose /proc tells a process its memory", sys.platform, "soak there") from None
+        raise ConfigError("Linux, whose /proc tells a process its memory", sys.platform,
+                          "soak there") from None
 
 
 def kernels_made() -> int:
-    """Kernels this process compiled or took from Dr.Jit's cache on disk so far; a kernel met again does not count."""
+    """Kernels this process compiled or took from Dr.Jit's cache on disk so far; a kernel met again does not
+    count.
+    """
     drjit = sys.modules.get("drjit")
     return sum(drjit.detail.launch_stats()[1:]) if drjit else 0
 
 
 def drjit_state() -> dict[str, float]:
-    """Dr.Jit's own figures: MiB of its pools at their largest, and live variables; empty where it is not loaded."""
+    """Dr.Jit's own figures: MiB of its pools at their largest, and live variables; empty where it is not
+    loaded.
+    """
     drjit = sys.modules.get("drjit")
     if not drjit:
         return {}
-    pools = sum(drjit.detail.malloc_watermark(backend) for backend in (drjit.JitBackend.LLVM, drjit.JitBackend.CUDA))
-    return {"pools": pools / 2**20, "variables": len(re.findall(r"^ +\d+ +(?:LLVM|CUDA) ", drjit.whos(True), re.M))}
+    pools = sum(drjit.detail.malloc_watermark(backend) for backend in (drjit.JitBackend.LLVM,
+                                                                       drjit.JitBackend.CUDA))
+    return {"pools": pools / 2**20, "variables": len(re.findall(r"^ +\d+ +(?:LLVM|CUDA) ", drjit.whos(True),
+                                                                re.M))}
 
 
 def slope(values: Sequence[float]) -> float:
@@ -172,15 +186,18 @@ def show(records: Sequence[dict]) -> None:
         table.add_column(column, justify="right", no_wrap=True)
     for record in records:
         memory, step, drjit = record["memory"], record["step"], record["drjit"]
-        table.add_row(label(record), f"{memory['slope']:+.3f}", f"{memory['last']:.0f}", str(record["kernels"]["late"]),
-                      f"{drjit['pools']:+.2f}" if drjit else "–", f"{step['last']:.1f}", f"{step['drift']:+.0%}",
-                      style="red" if record["failures"] else None)
+        table.add_row(label(record), f"{memory['slope']:+.3f}", f"{memory['last']:.0f}",
+                      str(record["kernels"]["late"]),
+                      f"{drjit['pools']:+.2f}" if drjit else "–", f"{step['last']:.1f}",
+                      f"{step['drift']:+.0%}", style="red" if record["failures"] else None)
     print_rich(table)
     for record in records:
         for text in record["failures"]:
             say(f"{label(record)}: {text}")
-    say("MiB/100: growth of resident memory per 100 steps; MiB: at the end; late: kernels made after each was asked for\n"
-        "twice; pools: growth of Dr.Jit's memory, MiB; ms: median step of the last tenth; drift: against the first tenth")
+    say("MiB/100: growth of resident memory per 100 steps; MiB: at the end; late: kernels made after each "
+        "was asked for\n"
+        "twice; pools: growth of Dr.Jit's memory, MiB; ms: median step of the last tenth; drift: against "
+        "the first tenth")
 
 
 def label(record: dict) -> str:
@@ -189,7 +206,8 @@ def label(record: dict) -> str:
     return f"{names[0] if len(names) == 1 else 'all in turn'}, {record['bsdf']}, {record['work']}"
 
 
-def main(steps: Annotated[int, tyro.conf.arg(help="Steps of each case; below some 500, warm-up counts as growth.")] = 2000,
+def main(steps: Annotated[int, tyro.conf.arg(help="Steps of each case; below some 500, warm-up counts as "
+                                                  "growth.")] = 2000,
          renderer: Annotated[tuple[RendererName, ...], tyro.conf.arg(
              help="Each alone, then all in turn.")] = ("mitsuba", "mitsuba-scene", "analytic"),
          bsdf: tuple[Bsdf, ...] = ("roughconductor", "principled"),

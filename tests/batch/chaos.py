@@ -2,9 +2,9 @@
 
     python tests/batch/chaos.py FOLDER --captures 10000 --side 16 --worker-every 20 --heads 2 --commands 3
 
-makes captures in FOLDER/captures, fits them into FOLDER/library while it kills, and counts. With ``--quiet`` it fits them again
-undisturbed into FOLDER/quiet, holds every map against it, and with ``--results docs/results`` writes batch-chaos.json and .md.
-A slow test runs the same with few captures.
+makes captures in FOLDER/captures, fits them into FOLDER/library while it kills, and counts. With ``--quiet``
+it fits them again deferred_signals into FOLDER/quiet, holds every map against it, and with ``--results
+docs/results`` writes batch-chaos.json and .md. A slow test runs the same with few captures.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ import torch
 
 from mitsvbrdf import color, make_material
 from mitsvbrdf.capture import Capture, write_capture
+from mitsvbrdf.io.files import file_hash
 from mitsvbrdf.material.made import MATERIALS
 from mitsvbrdf.material.maps import SVBRDF
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.system.files import file_hash
 from mitsvbrdf.views import nine_view_grid
 
 NOISE = 0.004  # of the made photos, in display values
@@ -57,7 +57,8 @@ def make_captures(folder: Path, count: int, side: int) -> None:
 
 def command(captures: Path, library: Path, side: int, workers: int) -> list[str]:
     """The batch that is disturbed."""
-    return [sys.executable, "-m", "mitsvbrdf", "batch", str(captures), "-o", str(library), "--resolution", str(side),
+    return [sys.executable, "-m", "mitsvbrdf", "batch", str(captures), "-o", str(library), "--resolution",
+            str(side),
             "--workers", str(workers), *QUICKEST]
 
 
@@ -71,7 +72,8 @@ class Family:
                 try:
                     status = (entry / "stat").read_text().rpartition(")")[2].split()
                     parents[int(entry.name)] = int(status[1])
-                    self.words[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+                    self.words[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0",
+                                                                                           b" ").decode(errors="replace")
                 except OSError:
                     continue
         self.pids = {root}
@@ -92,13 +94,16 @@ def resident(pid: int) -> int:
         return 0
 
 
-def disturbed(start: list[str], library: Path, log: Path, *, worker_every: float, heads: int, commands: int, total: int,
-              seed: int = 0) -> dict:
-    """Run a batch to its end while its processes are killed; what was killed, and the memory of the command over time."""
+def disturbed(start: list[str], library: Path, log: Path, *, worker_every: float, heads: int, commands: int,
+              total: int, seed: int = 0) -> dict:
+    """Run a batch to its end while its processes are killed; what was killed, and the memory of the command
+    over time.
+    """
     rng, killed, memory, runs = random.Random(seed), Counter[str](), [], 0
     # Deaths of the head and of the command, by how much is done.
     plan = [("head", share) for share in np.linspace(0.2, 0.7, heads)]
-    plan = sorted(plan + [("command", share) for share in np.linspace(0.1, 0.8, commands)], key=lambda each: each[1])
+    plan = sorted(plan + [("command", share) for share in np.linspace(0.1, 0.8, commands)],
+                  key=lambda each: each[1])
     began = time.monotonic()
     with log.open("ab") as words:
         while True:
@@ -147,55 +152,70 @@ def counted(library: Path) -> dict:
     for folder in library.iterdir():
         if folder.is_dir() and folder.name not in (".work", "quarantine"):
             record = json.loads((folder / "batch.json").read_text())
-            torn = [name for name, stated in record["files"].items() if file_hash(folder / name) != stated["sha256"]]
-            extra = {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()} - {*record["files"], "batch.json"}
+            torn = [name for name, stated in record["files"].items()
+                    if file_hash(folder / name) != stated["sha256"]]
+            extra = ({str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
+                     - {*record["files"], "batch.json"})
             found["folders"] += 1
             found["torn"] += bool(torn or extra)
             found["of the attempt that the manifest names"] += published[record["attempt"]]
             found[f"identity {record['identity']}"] += 1
     identities = [count for name, count in found.items() if name.startswith("identity ")]
     return {
-        "folders": found["folders"], "identities": len(identities), "twice": sum(count > 1 for count in identities),
+        "folders": found["folders"], "identities": len(identities),
+        "twice": sum(count > 1 for count in identities),
         "torn": found["torn"], "same attempt": found["of the attempt that the manifest names"],
         "states": dict(db.execute("select state, count(*) from materials group by state")),
         "published": len(published), "published twice": sum(count > 1 for count in published.values()),
         "attempts": dict(db.execute("select state, count(*) from attempts group by state")),
-        "done twice": db.execute("select count(*) from (select identity from attempts where state = 'done' group by identity "
+        "done twice": db.execute("select count(*) from (select identity from attempts where state = 'done' "
+                                 "group by identity "
                                  "having count(*) > 1)").fetchone()[0],
-        "left over": sorted(p.name for p in (library / ".work").iterdir()) if (library / ".work").is_dir() else []}
+        "left over": sorted(p.name for p in (library / ".work").iterdir()) if (library / ".work").is_dir()
+        else []}
 
 
 def different_maps(one: Path, other: Path) -> list[str]:
     """Maps of a library that are not the same to the byte in another one, or are missing there."""
     return [str(path.relative_to(one)) for path in sorted(one.glob("*/maps/*"))
-            if not (twin := other / path.relative_to(one)).is_file() or path.read_bytes() != twin.read_bytes()]
+            if not (twin := other / path.relative_to(one)).is_file()
+            or path.read_bytes() != twin.read_bytes()]
 
 
 def page(noisy: dict, quiet: dict, captures: int, side: int) -> str:
     """What was killed and what was counted, as Markdown."""
     killed = {what: noisy["killed"].get(what, 0) for what in ("worker", "head", "command")}
     lines = [
-        "# A batch in which everything dies", "", "Written by `python tests/batch/chaos.py` from `batch-chaos.json`: "
+        "# A batch in which everything dies", "", "Written by `python tests/batch/chaos.py` from "
+                                                  "`batch-chaos.json`: "
         f"{captures:,} made captures of {side} px, `{' '.join(QUICKEST)}`, two workers.", "",
-        f"Killed with SIGKILL: {killed['worker']} workers (the actor or its child), {killed['head']} times Ray's head, "
-        f"{killed['command']} times the command itself, which was then typed again. It took {noisy['seconds'] / 60:.0f} "
-        "minutes, other work beside it.", "", "| counted | disturbed | undisturbed |", "|---|---:|---:|"]
-    for name in ("folders", "identities", "twice", "torn", "same attempt", "published", "published twice", "done twice"):
+        f"Killed with SIGKILL: {killed['worker']} workers (the actor or its child), {killed['head']} times "
+        "Ray's head, "
+        f"{killed['command']} times the command itself, which was then typed again. It took "
+        f"{noisy['seconds'] / 60:.0f} "
+        "minutes, other work beside it.", "", "| counted | disturbed | deferred_signals |", "|---|---:|---:|"]
+    for name in ("folders", "identities", "twice", "torn", "same attempt", "published", "published twice",
+                 "done twice"):
         lines.append(f"| {name} | {noisy[name]:,} | {quiet[name]:,} |")
-    attempts = ({state: run["attempts"].get(state, 0) for state in ("done", "crashed", "lost")} for run in (noisy, quiet))
+    attempts = ({state: run["attempts"].get(state, 0) for state in ("done", "crashed", "lost")}
+                for run in (noisy, quiet))
     rows = [", ".join(f"{count:,} {state}" for state, count in each.items()) for each in attempts]
     return "\n".join([
         *lines, f"| attempts | {' | '.join(rows)} |", "",
-        "*Folders* and *identities* are counted from the files, *torn* by their hashes; *same attempt*: files and manifest "
+        "*Folders* and *identities* are counted from the files, *torn* by their hashes; *same attempt*: "
+        "files and manifest "
         "name the same one; *published* is counted from the manifest, *done twice* from its attempts.", "",
-        f"Maps that differ from those of the undisturbed library by a byte: {len(quiet['different maps'])} of "
-        f"{quiet['maps']:,}.", "", "Memory after a tenth, a half and nine tenths of each run of the command, MB: "
+        f"Maps that differ from those of the deferred_signals library by a byte: {len(quiet['different maps'])} "
+        "of "
+        f"{quiet['maps']:,}.", "", "Memory after a tenth, a half and nine tenths of each run of the "
+                                   "command, MB: "
         f"{_memory(noisy, 3)}; of the gateway: {_memory(noisy, 4)}.", ""])
 
 
 def _memory(found: dict, column: int) -> str:
     runs = [[row[column] for row in found["memory"] if row[1] == run] for run in range(1, found["runs"] + 1)]
-    return "; ".join(", ".join(f"{run[int(len(run) * share)] / 1e6:.0f}" for share in (0.1, 0.5, 0.9)) for run in runs)
+    return "; ".join(", ".join(f"{run[int(len(run) * share)] / 1e6:.0f}" for share in (0.1, 0.5, 0.9))
+                     for run in runs)
 
 
 def write_results(folder: Path, out: Path, captures: int, side: int) -> None:
@@ -204,7 +224,8 @@ def write_results(folder: Path, out: Path, captures: int, side: int) -> None:
     (out / "batch-chaos.md").write_text(page(noisy, quiet, captures, side))
     noisy["memory"], quiet["memory"] = noisy["memory"][::max(1, len(noisy["memory"]) // 200)], []
     (out / "batch-chaos.json").write_text(json.dumps({"schema_version": 1, "captures": captures, "side": side,
-                                                      "disturbed": noisy, "undisturbed": quiet}, indent=1) + "\n")
+                                                      "disturbed": noisy, "deferred_signals": quiet}, indent=1)
+                                          + "\n")
 
 
 def main() -> None:

@@ -1,8 +1,9 @@
 """A child for the guard's tests: it does what the task's capture says, and imports nothing that is slow.
 
-A capture is words that are run one after the other: ``print:TEXT``, ``sleep:S``, ``take:MIB``, ``free``, ``below:S`` (a process
-of its own that sleeps), ``abort``, ``exit:CODE``, ``kill:NUMBER``, ``close`` (its pipe, and sleep), ``say:TEXT`` (not JSON),
-``environment:NAME``, ``fail:REASON``. The row says the pid, how many tasks it had, and what ``below`` started.
+A capture is words that are run one after the other: ``print:TEXT``, ``sleep:S``, ``take:MIB``, ``free``,
+``below:S`` (a process of its own that sleeps), ``abort``, ``exit:CODE``, ``kill:NUMBER``, ``close`` (its
+pipe, and sleep), ``say:TEXT`` (not JSON), ``environment:NAME``, ``fail:REASON``. The row says the pid, how
+many tasks it had, and what ``below`` started.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """A gateway for the pool's tests, without Ray: two workers whose tasks' captures say what happens.
 
-``done``; ``lose`` (that worker, and a new one comes); ``die`` (the gateway, as if killed); ``half`` (dies in the midst of a
-line); ``never`` (nothing happens). Behind the name of a file, the ways in which the starts go, one a line: ``up``, ``failed``,
-``die``, ``stuck`` (deaf to orders and to SIGTERM); the last one is for all later starts.
+``done``; ``lose`` (that worker, and a new one comes); ``die`` (the gateway, as if killed); ``half`` (dies in
+the midst of a line); ``never`` (nothing happens). Behind the name of a file, the ways in which the starts go,
+one a line: ``up``, ``failed``, ``die``, ``stuck`` (deaf to orders and to SIGTERM); the last one is for all
+later starts.
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ def main() -> None:
                 signal.signal(signal.SIGTERM, signal.SIG_IGN)
                 time.sleep(600)
             continue
-        capture, told = order["task"]["capture"], {"worker": order["worker"], "attempt": order["task"]["attempt"]}
+        capture, told = order["task"]["capture"], {"worker": order["worker"],
+                                                   "attempt": order["task"]["attempt"]}
         if capture == "done":
             say(what="done", outcome={"state": "done"}, **told)
         elif capture == "lose":

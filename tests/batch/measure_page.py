@@ -1,7 +1,7 @@
 """How quick the page of a large library is, in Chromium without a window.
 
-``PYTHONPATH=.:tests python tests/batch/measure_page.py 10000 FOLDER`` prints medians of three openings, on a desktop and at a
-phone's width with the processor slowed down four times. Asserted nowhere.
+``PYTHONPATH=.:tests python tests/batch/measure_page.py 10000 FOLDER`` prints medians of three openings, on a
+desktop and at a phone's width with the processor slowed down four times. Asserted nowhere.
 """
 
 from __future__ import annotations
@@ -43,17 +43,20 @@ SCROLL = """async ([distance, seconds]) => {
   }
   return {longest, frames, nodes, long: Math.max(0, ...seen.long)};
 }"""
-FORMS = {"desktop": ({"width": 1280, "height": 900}, 1), "phone, 4x slower": ({"width": 390, "height": 844}, 4)}
+FORMS = {"desktop": ({"width": 1280, "height": 900}, 1), "phone, 4x slower": ({"width": 390, "height": 844},
+                                                                              4)}
 
 
 def measured(browser, file: Path, window: dict, slower: int) -> dict:
     phone = slower > 1
-    page = browser.new_page(viewport=window, has_touch=phone, is_mobile=phone, device_scale_factor=2 if phone else 1)
+    page = browser.new_page(viewport=window, has_touch=phone, is_mobile=phone, device_scale_factor=2 if phone
+                            else 1)
     asked: list[str] = []
     page.on("request", lambda request: asked.append(request.url))
     page.add_init_script(WATCH)
     session = page.context.new_cdp_session(page)
-    session.send("Performance.enable", {"timeDomain": "threadTicks"})  # of the page's main thread, whatever else runs here
+    # of the page's main thread, whatever else runs here
+    session.send("Performance.enable", {"timeDomain": "threadTicks"})
     session.send("Emulation.setCPUThrottlingRate", {"rate": slower})
     page.goto(file.as_uri())
     while page.evaluate("seen.first") is None:
@@ -63,7 +66,8 @@ def measured(browser, file: Path, window: dict, slower: int) -> dict:
              "pictures asked for at first": pictures(asked)}
     asked.clear()
     for name, act in {"first letter": ("where", "input", "w"), "next letter": ("where", "input", "wo"),
-                      "expression": ("where", "input", "error<0.03 tag:wood"), "no filter": ("where", "input", ""),
+                      "expression": ("where", "input", "error<0.03 tag:wood"), "no filter": ("where", "input",
+                                                                                             ""),
                       "sort by error": ("sort", "change", "error"), "by date": ("sort", "change", "date"),
                       "back to name": ("sort", "change", "name")}.items():
         before = metric(session, "TaskDuration")
@@ -82,7 +86,8 @@ def measured(browser, file: Path, window: dict, slower: int) -> dict:
 
 
 def metric(session, name: str) -> float:
-    return next(each["value"] for each in session.send("Performance.getMetrics")["metrics"] if each["name"] == name)
+    return next(each["value"] for each in session.send("Performance.getMetrics")["metrics"]
+                if each["name"] == name)
 
 
 def pictures(asked: list[str]) -> int:
@@ -101,10 +106,12 @@ def main() -> None:
         for name, (window, slower) in FORMS.items():
             runs = []
             for _ in range(TIMES):
-                browser = playwright.chromium.launch(executable_path=chromium(), args=[FLAGS[0]])  # no WebGL in software
+                # no WebGL in software
+                browser = playwright.chromium.launch(executable_path=chromium(), args=[FLAGS[0]])
                 runs.append(measured(browser, file, window, slower))
                 browser.close()
-            print(name, json.dumps({key: round(statistics.median(run[key] for run in runs), 1) for key in runs[0]}, indent=1))
+            print(name, json.dumps({key: round(statistics.median(run[key] for run in runs), 1)
+                                    for key in runs[0]}, indent=1))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,6 @@
-"""The child of a batch, of which some captures make it do terrible things: those that hold a file ``poison.txt``."""
+"""The child of a batch, of which some captures make it do terrible things: those that hold a file
+``poison.txt``.
+"""
 
 import ctypes
 import os

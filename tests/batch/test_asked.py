@@ -25,7 +25,8 @@ USUAL = Asked(Entry("/shots/wood"), HierarchicalConfig(), FitOptions(), True, ()
 
 @pytest.mark.parametrize("each, words", [
     (USUAL, ""),
-    (replace(USUAL, config=HierarchicalConfig(seed=3, budget=7.5), tags=("old", "wood")), "--budget 7.5 --seed 3"),
+    (replace(USUAL, config=HierarchicalConfig(seed=3, budget=7.5), tags=("old", "wood")),
+     "--budget 7.5 --seed 3"),
     (replace(USUAL, config=HierarchicalConfig(independent=False, grey_specular=True, calibrate=False)),
      "--grey-specular --no-independent --no-calibrate"),
     (replace(USUAL, config=HierarchicalConfig(calibrate=True, fix=("normal=flat", "diffuse=a b.png"))),
@@ -45,11 +46,12 @@ def test_options_in_words_are_those_that_differ_and_mean_the_same_on_a_line(each
 
 
 @pytest.mark.parametrize("line, told", [
-    ("--budget foo", "--budget foo (Error parsing --budget: "), ("--bugdet 3", "--bugdet"), ("--views x", "photo numbers"),
-    ("--resolution 2", "--resolution of 8 or more"), ("--help", "--help")])
+    ("--budget foo", "--budget foo (Error parsing --budget: "), ("--bugdet 3", "--bugdet"),
+    ("--views x", "photo numbers"), ("--resolution 2", "--resolution of 8 or more"), ("--help", "--help")])
 @pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
 def test_a_mistake_on_a_line_is_one_plain_error(line, told, encoding, monkeypatch, capsys):
-    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding))  # by it tyro chooses how to draw
+    # by it tyro chooses how to draw
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding))
     with pytest.raises(ConfigError) as error:
         with_own_options(Entry("/shots/wood", tuple(line.split()), "line 3 of list.txt"), USUAL)
     assert told in str(error.value)
@@ -83,7 +85,8 @@ def test_a_limit_grows_with_what_there_is_to_do(tmp_path):
 
     usual = limit(few)
     assert usual == 180 + 300 and asked(few, HierarchicalConfig(iterations=4)).limit is None
-    assert [limit(few, budget=200.0), limit(many), limit(few, resolution=512), limit(raw), limit(few, finish="gan")] == [
+    assert [limit(few, budget=200.0), limit(many), limit(few, resolution=512), limit(raw),
+            limit(few, finish="gan")] == [
         usual + 300, usual + 180, usual + 3 * 180, usual + 600, usual + 600]
 
 

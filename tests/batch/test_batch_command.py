@@ -57,7 +57,9 @@ def names_in(folder):
 
 
 def rows(*tags):
-    """By name; a capture that was also fitted with options of its own has a row for each, told apart here by tags."""
+    """By name; a capture that was also fitted with options of its own has a row for each, told apart here by
+    tags.
+    """
     return {row["name"]: row for row in json.loads(Path("library/library.json").read_text())["materials"]
             if row["tags"] == list(tags)}
 
@@ -68,7 +70,8 @@ def test_a_whole_round(shots, capfd):
     assert code == 0 and said[-1] == "6 done; library/index.html shows them", said
     assert {row["state"] for row in rows().values()} == {"done"} and len(rows()) == 6
     assert all(Path("library", row["folder"], "maps/diffuse.png").is_file() for row in rows().values())
-    assert set(names_in("library")) >= {"index.html", "library.json", "manifest.sqlite"} and ".work" not in names_in("library")
+    assert set(names_in("library")) >= {"index.html", "library.json",
+                                        "manifest.sqlite"} and ".work" not in names_in("library")
     before = {path: path.stat().st_mtime_ns for path in Path("library").glob("*/maps/*")}
 
     code, said = run(capfd, "shots")
@@ -95,7 +98,8 @@ def test_a_whole_round(shots, capfd):
     assert code == 1 and rows()[first]["state"] == "failed" and "00.png" in rows()[first]["reason"]
     assert [name.rpartition("-")[0] for name in names_in("library/quarantine")] == [first]
     code, said = run(capfd, "shots")
-    assert code == 1 and any("0 to fit" in line and "1 failed before (--retry-failed)" in line for line in said)
+    assert code == 1 and any("0 to fit" in line and "1 failed before (--retry-failed)" in line
+                             for line in said)
     code, said = run(capfd, "shots", "--retry-failed")
     assert code == 1 and any("1 to fit" in line for line in said)
     shutil.copy(shots / first / "target/02.png", photo)
@@ -106,12 +110,14 @@ def test_a_whole_round(shots, capfd):
 def test_mistakes_are_told_before_anything_is_made(shots, capfd):
     Path("list.txt").write_text("shots\nshots --seed minus\n")
     for words, told in ((["nowhere"], "nothing at nowhere"), (["list.txt"], "line 2 of list.txt"),
-                        (["shots", "--timeout", "0"], "--timeout > 0"), (["shots", "--views", "x"], "photo numbers")):
+                        (["shots", "--timeout", "0"], "--timeout > 0"),
+                        (["shots", "--views", "x"], "photo numbers")):
         code, said = run(capfd, *words)
         assert code == 2 and any(told in line for line in said), (words, said)
     assert not Path("library").exists()
     code, said = run(capfd, "shots", library="shots")
-    assert code == 2 and "which is neither" in said[-1] and names_in("shots") == sorted(path.name for path in shots.iterdir())
+    assert code == 2 and "which is neither" in said[-1] and names_in("shots") == sorted(path.name
+                                                                                        for path in shots.iterdir())
 
 
 def test_a_library_beside_its_captures_behind_a_link_is_none_of_them(shots, capfd):
@@ -141,7 +147,8 @@ def test_captures_that_kill_their_worker_are_named_and_the_others_are_done(shots
 
 def test_two_batches_at_once_into_one_library(shots):
     start = [*chaos.command(shots, Path("library"), SIDE, 1)]
-    both = [subprocess.Popen(start, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) for _ in range(2)]
+    both = [subprocess.Popen(start, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+            for _ in range(2)]
     said = [each.communicate()[0] for each in both]
     codes = sorted(each.returncode for each in both)
     assert codes == [0, 2], said
@@ -172,11 +179,13 @@ def test_a_reader_that_has_seen_enough_stops_nothing(shots):
     assert batch.wait(300) == 0 and chaos.done_in(Path("library")) == 6
 
 
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root may mount a small disk")
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0,
+                    reason="only root may mount a small disk")
 def test_a_full_disk_loses_nothing_and_what_it_had_begun_is_done_when_there_is_space(shots, capfd):
     disk = Path("library")
     disk.mkdir()
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=512k", "none", "library"], capture_output=True).returncode:
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=512k", "none", "library"],
+                      capture_output=True).returncode:
         pytest.skip("may not mount here")
     try:
         code, said = run(capfd, "shots")
@@ -195,13 +204,18 @@ def test_everything_dies_and_every_capture_is_done_once(tmp_path, monkeypatch):
     count, captures, library = 40, tmp_path / "captures", tmp_path / "library"
     chaos.make_captures(captures, count, SIDE)
     start = chaos.command(captures, library, SIDE, 2)
-    found = chaos.disturbed(start, library, tmp_path / "log", worker_every=8.0, heads=1, commands=2, total=count)
+    found = chaos.disturbed(start, library, tmp_path / "log", worker_every=8.0, heads=1, commands=2,
+                            total=count)
     said = (tmp_path / "log").read_text()[-3000:]
-    assert found["exit"] == 0 and found["killed"]["command"] == 2 and found["killed"]["head"] == 1, (found, said)
+    assert found["exit"] == 0 and found["killed"]["command"] == 2 and found["killed"]["head"] == 1, (found,
+                                                                                                     said)
     counts = chaos.counted(library)
-    assert counts["folders"] == counts["identities"] == counts["same attempt"] == counts["published"] == count, counts
-    assert counts["states"] == {"done": count} and counts["attempts"]["done"] == count and counts["left over"] == []
-    assert [counts[name] for name in ("twice", "torn", "published twice", "done twice")] == [0, 0, 0, 0], counts
+    assert counts["folders"] == counts["identities"] == counts["same attempt"] == counts[
+        "published"] == count, counts
+    assert counts["states"] == {"done": count} and counts["attempts"]["done"] == count and counts[
+        "left over"] == []
+    assert [counts[name] for name in ("twice", "torn", "published twice", "done twice")] == [0, 0, 0,
+                                                                                             0], counts
     quiet = chaos.command(captures, tmp_path / "quiet", SIDE, 2)
     assert subprocess.run(quiet, stdout=subprocess.DEVNULL).returncode == 0
     assert chaos.different_maps(tmp_path / "quiet", library) == []

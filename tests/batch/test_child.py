@@ -24,7 +24,7 @@ from mitsvbrdf.batch.places.place import LocalPlace
 from mitsvbrdf.errors import CaptureError, InputWarning, MitsvbrdfError, OutputError
 from mitsvbrdf.fit.config import HierarchicalConfig
 from mitsvbrdf.fit.options import FitOptions, config_record
-from mitsvbrdf.system.files import write_bytes
+from mitsvbrdf.io.files import write_bytes
 
 SIDE = 16
 
@@ -59,7 +59,8 @@ def raising(error):
 @pytest.mark.parametrize("strict", [False, True])
 def test_strict_is_told_to_the_process_that_fits(strict, tmp_path, monkeypatch, recwarn):
     asked = Asked(Entry(str(tmp_path)), HierarchicalConfig(), FitOptions(), False, (), strict=strict).record
-    assert asked.get("strict", False) == strict and ("strict" in asked) == strict  # else all would be done anew
+    # else all would be done anew
+    assert asked.get("strict", False) == strict and ("strict" in asked) == strict
 
     def damaged(*_):
         warnings.warn("00.jpg is damaged", InputWarning, stacklevel=2)
@@ -89,7 +90,8 @@ def test_a_mistake_of_the_caller_is_its_words(capsys):
 
 
 @pytest.mark.parametrize("error, reason", [(ZeroDivisionError("by zero"), "ZeroDivisionError: by zero"),
-                                           (OSError(errno.EACCES, "Permission denied"), "[Errno 13] Permission denied")])
+                                           (OSError(errno.EACCES, "Permission denied"),
+                                            "[Errno 13] Permission denied")])
 def test_a_fault_is_named_and_its_place_goes_to_the_log_and_the_next_task_is_done(capsys, error, reason):
     def perform(task):
         if task["bad"]:
@@ -120,15 +122,17 @@ def test_no_space_is_told_apart(number, tmp_path, monkeypatch):
     assert [each["state"] for each in answers(raising(OutputError("a", "b", "c")), {})] == ["failed"]
 
 
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root may mount a small disk")
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0,
+                    reason="only root may mount a small disk")
 def test_a_full_disk_is_told_apart_whatever_meets_it_first(tmp_path):
     import torch
 
-    from mitsvbrdf.system.images import write_exr
+    from mitsvbrdf.io.images import write_exr
 
     disk = tmp_path / "disk"
     disk.mkdir()
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "none", str(disk)], capture_output=True).returncode:
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "none", str(disk)],
+                      capture_output=True).returncode:
         pytest.skip("may not mount here")
     try:
         (answer,) = answers(lambda task: write_exr(disk / "x.exr", torch.rand(256, 256, 3)), {})
@@ -146,7 +150,8 @@ def captures(tmp_path_factory):
 
 
 def task_of(capture, library, number=1, **more):
-    return {"attempt": f"{number:08d}-1", "name": capture.name, "identity": f"{number:064d}", "capture": str(capture),
+    return {"attempt": f"{number:08d}-1", "name": capture.name, "identity": f"{number:064d}",
+            "capture": str(capture),
             "library": str(library), "folder": os.getcwd(), "options": options(**more)}
 
 
@@ -163,7 +168,9 @@ def maps_of(folder):
 
 @pytest.fixture(scope="module")
 def made_elsewhere(captures, tmp_path_factory):
-    """The second capture fitted by a child of its own: the library, its answer, and signals that it listened to meanwhile."""
+    """The second capture fitted by a child of its own: the library, its answer, and signals that it listened
+    to meanwhile.
+    """
     library, heard = tmp_path_factory.mktemp("library"), 0
     theirs, to = os.pipe()
     back, out = os.pipe()
@@ -209,14 +216,16 @@ def test_sigterm_ends_a_child_so_that_no_half_fit_counts(made_elsewhere):
 
 
 def test_pages_change_neither_maps_nor_figures_also_of_photos_left_out(captures, tmp_path):
-    (bare, row), (full, shown) = (fitted(captures[0], tmp_path / str(pages), pages=pages, views="0,1,2,3,4,5,6")
+    (bare, row), (full, shown) = (fitted(captures[0], tmp_path / str(pages), pages=pages,
+                                         views="0,1,2,3,4,5,6")
                                   for pages in (False, True))
     assert maps_of(bare) and maps_of(full) == maps_of(bare)
     for name in ("error", "burn_in", "warnings", "method", "resolution", "photos"):
         assert row[name] == shown[name], name
     assert row["photos"] == 7 and 0 < row["left_out_error"] < 0.5
     assert row["left_out_error"] == pytest.approx(shown["left_out_error"], rel=1e-3)
-    assert {path.name for path in bare.iterdir()} == {"maps", "uncertainty", "fit.json", "preview.jpg", "batch.json"}
+    assert {path.name for path in bare.iterdir()} == {"maps", "uncertainty", "fit.json", "preview.jpg",
+                                                      "batch.json"}
     assert (row["report"], shown["report"], row["preview"]) == (None, "report.html", "preview.jpg")
     assert (full / "report.html").is_file() and (full / "scene.xml").is_file()
 
@@ -230,7 +239,8 @@ def test_a_result_says_what_it_is_and_leaves_nothing_behind(captures, tmp_path):
     assert set(record["files"]) == there - {"batch.json"}
     assert LocalPlace(tmp_path).damage(folder.name, record, hashes=True) == ""
     assert not [path for path in (tmp_path / ".work").iterdir() if path.is_dir()]
-    again = fit_into_library(task_of(captures[0], tmp_path) | {"attempt": "00000001-2"})  # of one that was thought lost
+    # of one that was thought lost
+    again = fit_into_library(task_of(captures[0], tmp_path) | {"attempt": "00000001-2"})
     assert again["error"] == row["error"] and LocalPlace(tmp_path).record(folder.name) == record
     assert not [path for path in (tmp_path / ".work").iterdir() if path.is_dir()]
 

@@ -16,14 +16,18 @@ yaml = pytest.importorskip("yaml")
 FOLDER = ROOT / "docs/cluster"
 
 # Names that KubeRay's ray.io/v1 takes, from ray-operator/apis/ray/v1/rayjob_types.go and raycluster_types.go.
-JOB = {"activeDeadlineSeconds", "backoffLimit", "rayClusterSpec", "submitterPodTemplate", "metadata", "clusterSelector",
-       "submitterConfig", "managedBy", "deletionStrategy", "entrypoint", "runtimeEnvYAML", "jobId", "submissionMode",
-       "entrypointResources", "entrypointNumCpus", "entrypointNumGpus", "ttlSecondsAfterFinished", "shutdownAfterJobFinishes",
+JOB = {"activeDeadlineSeconds", "backoffLimit", "rayClusterSpec", "submitterPodTemplate", "metadata",
+       "clusterSelector",
+       "submitterConfig", "managedBy", "deletionStrategy", "entrypoint", "runtimeEnvYAML", "jobId",
+       "submissionMode",
+       "entrypointResources", "entrypointNumCpus", "entrypointNumGpus", "ttlSecondsAfterFinished",
+       "shutdownAfterJobFinishes",
        "suspend"}
 CLUSTER = {"headGroupSpec", "workerGroupSpecs", "rayVersion", "enableInTreeAutoscaling", "autoscalerOptions",
            "headServiceAnnotations", "suspend"}
 HEAD = {"serviceType", "headService", "enableIngress", "rayStartParams", "template"}
-WORKERS = {"groupName", "replicas", "minReplicas", "maxReplicas", "numOfHosts", "rayStartParams", "template", "scaleStrategy"}
+WORKERS = {"groupName", "replicas", "minReplicas", "maxReplicas", "numOfHosts", "rayStartParams", "template",
+           "scaleStrategy"}
 
 
 def read(name: str) -> dict:
@@ -39,7 +43,8 @@ def test_ray_accepts_the_launcher_file():
     config = prepare_config(read("ray-autoscaler.yaml"))
     validate_config(config)
     types = config["available_node_types"]
-    assert types[config["head_node_type"]]["resources"] == {"CPU": 0} and types["worker"]["resources"] == {"CPU": 16}
+    assert types[config["head_node_type"]]["resources"] == {"CPU": 0} and types["worker"]["resources"] == {
+        "CPU": 16}
     assert config["max_workers"] * 16 >= 1000
     with pytest.raises(Exception, match="Additional properties"):
         validate_config(config | {"workers": 3})  # the check is not vacuous
@@ -62,7 +67,8 @@ def test_the_ray_job_has_only_names_that_kuberay_knows():
         assert all(isinstance(value, str) for value in group["rayStartParams"].values())
         pod = group["template"]["spec"]
         (container,) = pod["containers"]
-        assert {each["name"] for each in container["volumeMounts"]} == {each["name"] for each in pod["volumes"]}
+        assert {each["name"] for each in container["volumeMounts"]} == {each["name"]
+                                                                        for each in pod["volumes"]}
         assert container["resources"]["requests"] == container["resources"]["limits"]
     assert workers["replicas"] * int(workers["rayStartParams"]["num-cpus"]) >= 1000
     (memory,) = re.findall(r"--memory ([\d.]+)", job["spec"]["entrypoint"])
@@ -85,7 +91,8 @@ def test_their_command_is_understood(monkeypatch):
 
     def parsed(name, arguments):
         function = of(name, arguments)
-        return functools.wraps(function)(lambda *given, **options: called.append((name, options["running"])) or 0)
+        return functools.wraps(function)(lambda *given, **options: called.append((name, options["running"]))
+                                         or 0)
 
     monkeypatch.setattr(cli, "command", parsed)
     assert cli.main(shlex.split(launched)[1:]) == 0

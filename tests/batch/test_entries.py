@@ -18,7 +18,8 @@ from mitsvbrdf.errors import CaptureError, ConfigError, MitsvbrdfError
 def shots(tmp_path, monkeypatch):
     """Four captures in shots/, beside what is none; the test is in the folder above."""
     monkeypatch.chdir(tmp_path)
-    for name, file in (("wood", "00.png"), ("brick", "IMG_1.JPG"), ("a b", "capture.json"), ("text", "camera_pos.txt")):
+    for name, file in (("wood", "00.png"), ("brick", "IMG_1.JPG"), ("a b", "capture.json"),
+                       ("text", "camera_pos.txt")):
         (tmp_path / "shots" / name).mkdir(parents=True)
         (tmp_path / "shots" / name / file).touch()
     for name in ("empty", ".hidden", "fit"):
@@ -90,7 +91,8 @@ def test_a_list_has_a_capture_and_its_own_options_a_line(shots):
     (shots / "brick#1").mkdir()
     (shots / "brick#1/00.png").touch()
     assert found("shots/list.txt") == [("wood", "--seed", "3", "--tag", "old wood"), ("a b",),
-                                       ("brick#1", "--fix", "diffuse=#fff"), ("text", "--seed", "4"), ("wood", "--seed", "4")]
+                                       ("brick#1", "--fix", "diffuse=#fff"), ("text", "--seed", "4"),
+                                       ("wood", "--seed", "4")]
     assert entries(["shots/list.txt"])[1].where == "line 4 of shots/list.txt"
 
 
@@ -109,7 +111,8 @@ def test_a_dash_is_a_list_on_standard_input(shots, monkeypatch):
 
 
 @pytest.mark.parametrize("names, said", [
-    ([], "none"), (["nowhere"], "nothing at nowhere"), (["shots/empty"], "no photos"), (["shots/fit"], "no photos"),
+    ([], "none"), (["nowhere"], "nothing at nowhere"), (["shots/empty"], "no photos"),
+    (["shots/fit"], "no photos"),
     (["shots/zz*"], "none like shots/zz"), (["shots/wood/00.png/x"], "nothing at")])
 def test_what_stands_for_no_capture_is_refused(shots, names, said):
     with pytest.raises(CaptureError, match=said):
@@ -134,7 +137,8 @@ def test_all_mistakes_of_all_lists_are_told_at_once(shots):
         entries(["one.txt", "lost", "many.txt"])
     lines = str(error.value).splitlines()
     assert "got 33" in lines[0] and len(lines) == 22 and lines[-1].strip() == "and 13 more"
-    for line, told in zip(lines[1:], ("nowhere (line 1 of one.txt)", "line 3 of one.txt: No closing", "nothing at lost;",
+    for line, told in zip(lines[1:], ("nowhere (line 1 of one.txt)", "line 3 of one.txt: No closing",
+                                      "nothing at lost;",
                                       "gone-0 (line 1 of many.txt)")):
         assert told in line
 

@@ -17,7 +17,8 @@ from mitsvbrdf.batch.workers.guard import LOG_CHARACTERS, Guard
 
 FAKE = (sys.executable, "-P", str(Path(__file__).with_name("fake_child.py")))
 MIB = 1 << 20
-needs_proc = pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="no /proc: no peak of memory")
+needs_proc = pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(),
+                                reason="no /proc: no peak of memory")
 
 
 @pytest.fixture
@@ -107,14 +108,16 @@ def test_what_the_child_started_dies_with_it_and_does_not_hide_its_death(make_gu
 
 def test_a_child_that_cannot_start_is_a_crash_with_its_words(make_guard):
     stillborn = make_guard(command=(*FAKE, "--stillborn")).run(task(""))
-    assert stillborn["state"] == "crashed" and "exit code 1" in stillborn["reason"] and "no luck" in stillborn["log"]
+    assert stillborn["state"] == "crashed" and "exit code 1" in stillborn[
+        "reason"] and "no luck" in stillborn["log"]
     missing = make_guard(command=("/no/such/python",)).run(task(""))
     assert missing["state"] == "crashed" and "/no/such/python" in missing["reason"]
 
 
 def test_a_start_that_takes_too_long_ends(make_guard, monkeypatch):
     monkeypatch.setattr(guard_module, "START_SECONDS", 0.2)
-    slow = make_guard(command=(sys.executable, "-c", "import time; time.sleep(600)"), timeout=None).run(task(""))
+    slow = make_guard(command=(sys.executable, "-c", "import time; time.sleep(600)"),
+                      timeout=None).run(task(""))
     assert slow["state"] == "crashed" and "not ready" in slow["reason"]
 
 
@@ -123,7 +126,8 @@ def test_memory_over_the_limit_kills_and_the_peak_is_each_tasks_own(make_guard):
     guard = make_guard(memory=0.25)
     small, large, after, over, last = (guard.run(task(words)) for words in (
         "", "take:100 free", "", "take:400 sleep:600", ""))
-    assert [found["state"] for found in (small, large, after, over, last)] == ["done", "done", "done", "memory", "done"]
+    assert [found["state"] for found in (small, large, after, over, last)] == ["done", "done", "done",
+                                                                               "memory", "done"]
     assert large["peak_bytes"] > small["peak_bytes"] + 90 * MIB
     assert after["peak_bytes"] < small["peak_bytes"] + 30 * MIB  # what malloc keeps
     assert over["peak_bytes"] > 256 * MIB and "the limit is 0.25 GiB" in over["reason"]
@@ -147,7 +151,8 @@ def test_a_long_log_is_cut_to_its_tail(make_guard):
 
 def test_the_child_dies_when_its_guard_is_killed():
     program = ("import sys; from mitsvbrdf.batch.workers.guard import Guard\n"
-               f"guard = Guard(1, None, None, {FAKE!r}); print(guard.run({task('')!r})['row']['pid'], flush=True)\n"
+               f"guard = Guard(1, None, None, {FAKE!r}); print(guard.run({task('')!r})['row']['pid'], "
+               "flush=True)\n"
                f"guard.run({task('sleep:600')!r})")
     holder = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
     pid = int(holder.stdout.readline())
@@ -169,4 +174,5 @@ def test_nothing_stays_of_many_children(make_guard):
     guard.close()
     with pytest.raises(ChildProcessError):
         os.waitpid(-1, os.WNOHANG)  # no child of this process is left, not even a zombie
-    assert not [name for name in set(os.listdir(tempfile.gettempdir())) - set(folder) if name.startswith("tmp")]
+    assert not [name for name in set(os.listdir(tempfile.gettempdir())) - set(folder)
+                if name.startswith("tmp")]

@@ -15,7 +15,7 @@ from mitsvbrdf.batch.identity import capture_files, identity
 from mitsvbrdf.batch.manifest import FILE, Manifest
 from mitsvbrdf.batch.prepare import register
 from mitsvbrdf.fit import GanConfig, HierarchicalConfig
-from mitsvbrdf.system.files import file_hash
+from mitsvbrdf.io.files import file_hash
 
 
 @pytest.fixture
@@ -112,7 +112,8 @@ def test_a_json_file_in_the_place_of_a_folder_is_read_with_its_photos(capture):
     assert capture / "other.json" not in capture_files(capture)
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{", '{"target_dir": 3}', '{"target_dir": "nowhere"}', '{"target_dir": "\\u0000"}',
+@pytest.mark.parametrize("text", ["", "[]", "{", '{"target_dir": 3}', '{"target_dir": "nowhere"}',
+                                  '{"target_dir": "\\u0000"}',
                                   "[" * 100_000])
 def test_a_broken_calibration_has_an_identity_and_the_fit_says_what_is_wrong(capture, text):
     (capture / "capture.json").write_text(text)

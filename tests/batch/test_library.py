@@ -31,7 +31,8 @@ def made(tmp_path_factory):
 
     def fit(captures, iterations, tags):
         config = HierarchicalConfig(guess="min", iterations=iterations)
-        asked = [Asked(Entry(str(capture)), config, FitOptions(resolution=SIDE), False, tags) for capture in captures]
+        asked = [Asked(Entry(str(capture)), config, FitOptions(resolution=SIDE), False, tags)
+                 for capture in captures]
         register(asked, manifest, lambda *_: None)
         for work in take_stock(manifest, LocalPlace(home), home, False).work:
             attempt = manifest.begin(work.identity, "w1", "here")
@@ -40,7 +41,8 @@ def made(tmp_path_factory):
                 manifest.end(attempt, "failed", {"state": "crashed", "reason": "killed"})
                 quarantine(home, manifest.material(work.identity), "crashed", "killed", "a log")
             else:
-                manifest.end(attempt, "done", {"state": "done", "row": fit_into_library(task), "seconds": 1.0})
+                manifest.end(attempt, "done", {"state": "done", "row": fit_into_library(task),
+                                               "seconds": 1.0})
 
     fit(captures[:1], 4, ("old",))
     with (captures[0] / "capture.json").open("a") as calibration:
@@ -80,9 +82,11 @@ def test_rows(library, ask):
     for row in (first, second):
         record = json.loads((library / row["folder"] / "fit.json").read_text())
         assert row["state"] == "done" and row["error"] == record["rerender_rmse"] > 0
-        assert (row["resolution"], row["photos"], row["tags"]) == (SIDE, len(record["capture"]["photos"]), ["wood"])
+        assert (row["resolution"], row["photos"], row["tags"]) == (SIDE, len(record["capture"]["photos"]),
+                                                                   ["wood"])
         assert (library / row["preview"]).is_file() and row["report"] is None  # no pages were asked for
-    assert failed["state"] == "failed" and failed["reason"] == "killed" and failed["error"] is failed["preview"] is None
+    assert failed["state"] == "failed" and failed["reason"] == "killed" and failed["error"] is failed[
+        "preview"] is None
     assert (library / failed["log"]).read_text() == "a log" and first["log"] is None
     (library / failed["log"]).write_text("")
     assert json.loads(ask("--json")[1][2])["log"] is None  # nobody is sent to an empty log
@@ -120,7 +124,8 @@ def test_verify_finds_what_changed(library, ask):
     assert f"changed: {second}: preview.jpg is missing" in lines
     (library / second / RECORD).unlink()
     code, lines, _ = ask("--verify", "--where", "shot-1")
-    assert code == 1 and f"changed: {second}: its record is missing" in lines and lines[-1] == "unchanged: 0 of 1 result"
+    assert code == 1 and f"changed: {second}: its record is missing" in lines and lines[
+        -1] == "unchanged: 0 of 1 result"
 
 
 def test_prune_deletes_what_was_superseded_and_nothing_else(library, ask):
@@ -133,20 +138,25 @@ def test_prune_deletes_what_was_superseded_and_nothing_else(library, ask):
         (library / folder / "maps").mkdir(parents=True)
     with contextlib.closing(Manifest(library / FILE)) as manifest:
         failed, = manifest.materials("failed")
-        manifest.want([dict(failed) | {"identity": "f" * 64, "asked": json.loads(failed["asked"]), "tags": []}])  # new photos
+        # new photos
+        manifest.want([dict(failed) | {"identity": "f" * 64, "asked": json.loads(failed["asked"]),
+                                       "tags": []}])
     wanted = ask("--json")[1]
     there = sorted(library.rglob("*"))
-    told = [f"{old} (a newer result took its place)", *(f"{folder} (damaged, and made anew)" for folder in aside),
+    told = [f"{old} (a newer result took its place)",
+            *(f"{folder} (damaged, and made anew)" for folder in aside),
             f"quarantine/{failed['folder']} (its capture has changed)"]
     code, lines, _ = ask("--prune", "--dry-run")
-    assert code == 0 and lines[:-1] == [f"would delete: {each}" for each in told] and sorted(library.rglob("*")) == there
+    assert code == 0 and lines[:-1] == [f"would delete: {each}"
+                                        for each in told] and sorted(library.rglob("*")) == there
     code, lines, _ = ask("--prune")
     assert code == 0 and lines[:-1] == [f"deleted: {each}" for each in told]
     assert lines[-1] == "deleted 3 results, and the reasons of 1 failure"
     assert results(library) == sorted(keep) and not (library / old).exists() and ask("--json")[1] == wanted
     assert not list(library.glob(f"{keep[0]}.*")) and (library / "mine.damaged").is_dir()
     assert not list((library / "quarantine").iterdir()) and ask("--verify")[0] == 0
-    assert ask("--prune")[1] == ["deleted 0 results, and the reasons of 0 failures"] and results(library) == sorted(keep)
+    assert ask("--prune")[1] == ["deleted 0 results, and the reasons of 0 failures"] and results(
+        library) == sorted(keep)
     code, _, error = ask("--dry-run")
     assert code == 2 and "--prune beside --dry-run" in error
 
@@ -159,7 +169,8 @@ def test_export_goes_on_after_one_that_fails(library, ask, tmp_path):
     code, lines, _ = ask("--export", "maps", "-o", tmp_path / "out")
     assert code == 1 and lines[-1] == f"exported 1 of 2 to {tmp_path / 'out'}"
     assert any(line.startswith(f"not exported: {first}: ") for line in lines)
-    assert list((tmp_path / "out" / second / "maps").glob("*.png")) and not list((tmp_path / "out").glob(f"{first}/maps/*"))
+    assert list((tmp_path / "out" / second / "maps").glob("*.png")) and not list(
+        (tmp_path / "out").glob(f"{first}/maps/*"))
     for options in (["--export", "maps"], ["-o", tmp_path / "out"]):
         code, _, error = ask(*options)
         assert code == 2 and "give both, or neither" in error

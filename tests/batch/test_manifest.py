@@ -13,7 +13,7 @@ from mitsvbrdf.batch import manifest as manifest_module
 from mitsvbrdf.batch.library.rows import rows
 from mitsvbrdf.batch.manifest import Manifest
 from mitsvbrdf.errors import OutputError
-from mitsvbrdf.system.files import file_hash
+from mitsvbrdf.io.files import file_hash
 
 
 @pytest.fixture
@@ -24,7 +24,8 @@ def manifest(tmp_path):
 
 
 def material(letter, name="wood", source=None, **more):
-    return {"identity": letter * 64, "name": name, "source": source or f"/shots/{name}", "asked": {"folder": "/", "a": 1},
+    return {"identity": letter * 64, "name": name, "source": source or f"/shots/{name}",
+            "asked": {"folder": "/", "a": 1},
             "own": "", "tags": [], "cost": 1.0} | more
 
 
@@ -73,10 +74,12 @@ def test_an_attempt_from_its_begin_to_its_end(manifest):
     manifest.want([material("a")])
     first = manifest.begin("a" * 64, "w1", "here")
     assert states(manifest) == {"wood-aaaaaaaa": "running"}
-    manifest.end(first, "pending", {"state": "crashed", "reason": "boom", "seconds": 1.0, "peak_bytes": 5, "row": None})
+    manifest.end(first, "pending", {"state": "crashed", "reason": "boom", "seconds": 1.0, "peak_bytes": 5,
+                                    "row": None})
     second = manifest.begin("a" * 64, "w2", "there")
     manifest.end(second, "done", {"state": "done", "reason": "", "row": {"error": 0.5}})
-    row, attempts = manifest.material("a" * 64), manifest.db.execute("select * from attempts order by attempt").fetchall()
+    row, attempts = manifest.material("a" * 64), manifest.db.execute(
+        "select * from attempts order by attempt").fetchall()
     assert [row[name] for name in ("state", "attempts", "published", "worker", "host", "row", "reason")] == [
         "done", 2, second, "w2", "there", '{"error": 0.5}', ""]
     assert [(each["attempt"], each["state"], each["reason"], each["worker"]) for each in attempts] == [
@@ -88,7 +91,8 @@ def test_what_ran_when_a_batch_died_waits_again(manifest):
     attempt = manifest.begin("a" * 64, "w1", "here")
     manifest.interrupted()
     assert states(manifest) == {"wood-aaaaaaaa": "pending", "brick-bbbbbbbb": "pending"}
-    assert manifest.db.execute("select state from attempts where attempt = ?", (attempt,)).fetchone()[0] == "lost"
+    assert manifest.db.execute("select state from attempts where attempt = ?",
+                               (attempt,)).fetchone()[0] == "lost"
 
 
 def test_an_adopted_result_counts_with_the_attempt_that_made_it(manifest):
@@ -225,15 +229,17 @@ def test_a_place_without_rights_is_told_as_such(tmp_path):
 
 
 @pytest.mark.parametrize("column, value", [
-    ("name", b"wood"), ("folder", None), ("attempts", "many"), ("cost", "x"), ("seconds", "x"), ("row", 7), ("host", b"\xff"),
-    ("asked", "{"), ("asked", "[]"), ("asked", '{"config": 1}'), ("tags", "maps"), ("tags", "{}"), ("row", "[" * 100_000),
-    ("row", '{"error": "none"}'), ("row", '{"warnings": 3}'), ("row", "[1]")])
+    ("name", b"wood"), ("folder", None), ("attempts", "many"), ("cost", "x"), ("seconds", "x"), ("row", 7),
+    ("host", b"\xff"),
+    ("asked", "{"), ("asked", "[]"), ("asked", '{"config": 1}'), ("tags", "maps"), ("tags", "{}"),
+    ("row", "[" * 100_000), ("row", '{"error": "none"}'), ("row", '{"warnings": 3}'), ("row", "[1]")])
 def test_rows_that_somebody_tampered_with_are_one_error(column, value, tmp_path):
     manifest = Manifest(tmp_path / "manifest.sqlite")
     asked = {"folder": "/", "config": {"method": "gan"}, "options": {"resolution": 64}}
     manifest.want([material("a", asked=asked)])
     assert [row["method"] for row in rows(manifest)] == ["gan"]
-    manifest.db.executescript("create table other as select * from materials; drop table materials; "  # takes null too
+    # takes null too
+    manifest.db.executescript("create table other as select * from materials; drop table materials; "
                               "alter table other rename to materials")
     with manifest.db:
         manifest.db.execute(f"update materials set {column} = ?", (value,))

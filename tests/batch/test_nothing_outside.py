@@ -1,4 +1,6 @@
-"""Links, pipes and names that lead elsewhere in a library: nothing outside of it is read, written or deleted."""
+"""Links, pipes and names that lead elsewhere in a library: nothing outside of it is read, written or
+deleted.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ from mitsvbrdf.batch.manifest import FILE, Manifest
 from mitsvbrdf.batch.places.place import clear_work
 from mitsvbrdf.batch.prepare import library_lock, register
 from mitsvbrdf.errors import OutputError
-from mitsvbrdf.system.files import file_hash
+from mitsvbrdf.io.files import file_hash
 
 
 def files_in(folder):
@@ -67,7 +69,8 @@ def test_a_pipe_in_place_of_a_file_is_damage_and_not_waited_for(place, result):
 
 
 @pytest.mark.parametrize("name, target", [
-    *((name, target) for name in (".lock", ".token", "index.html", FILE, "quarantine/wood") for target in ("file", "missing")),
+    *((name, target) for name in (".lock", ".token", "index.html", FILE, "quarantine/wood")
+      for target in ("file", "missing")),
     (".lock", "folder"), ("quarantine", "folder"), ("quarantine/wood", "folder"), (".work", "folder")])
 def test_nothing_is_written_through_a_link_in_a_library(tmp_path, name, target):
     home, outside = tmp_path / "library", tmp_path / "outside"
@@ -81,4 +84,6 @@ def test_nothing_is_written_through_a_link_in_a_library(tmp_path, name, target):
     (home / name).symlink_to(outside / target)
     with pytest.raises(OutputError):
         library_lock(home)
-    assert (outside / "file").read_text() == "theirs" and sorted(path.name for path in outside.iterdir()) == ["file", "folder"]
+    assert (outside / "file").read_text() == "theirs" and sorted(path.name
+                                                                 for path in outside.iterdir()) == ["file",
+                                                                                                    "folder"]

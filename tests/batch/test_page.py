@@ -17,10 +17,12 @@ def data_of(script: str) -> dict:
 
 
 @pytest.mark.parametrize("path, expected", [
-    ("wood-1a2b3c4d/preview.jpg", "wood-1a2b3c4d/preview.jpg"), ("quarantine/a b/log.txt", "quarantine/a%20b/log.txt"),
+    ("wood-1a2b3c4d/preview.jpg", "wood-1a2b3c4d/preview.jpg"),
+    ("quarantine/a b/log.txt", "quarantine/a%20b/log.txt"),
     ("50%?#&\"'<é/x", "50%25%3F%23%26%22%27%3C%C3%A9/x"), ("a/b:c", "a/b%3Ac"), ("%2e%2e/x", "%252e%252e/x"),
     ("\udcff/x", "%FF/x"), ("...", "..."), *((path, None) for path in (
-        None, "", "/etc/passwd", "//host/x", "../x", "a/../../x", "a/..", "./a", "a//b", "javascript:alert(1)", "http://host/x",
+        None, "", "/etc/passwd", "//host/x", "../x", "a/../../x", "a/..", "./a", "a//b",
+        "javascript:alert(1)", "http://host/x",
         "file:///etc", "C:x", "..\\x", "\\\\host\\x", "\ud800"))])
 def test_addresses(path, expected):
     assert address(path) == expected
@@ -28,11 +30,13 @@ def test_addresses(path, expected):
 
 def test_the_data_file_is_json_in_an_assignment():
     rows = random_rows(20)
-    rows[0] |= {"name": "</script><!-- \u2028 \u2029 \ud800", "error": math.nan, "seconds": math.inf, "surplus": object()}
+    rows[0] |= {"name": "</script><!-- \u2028 \u2029 \ud800", "error": math.nan, "seconds": math.inf,
+                "surplus": object()}
     script = data_script(library_of(rows))
     assert script.isascii() and "<" not in script and script.count("\n") == 1
     columns = data_of(script)["columns"]
-    assert set(columns) == {*COLUMNS, "preview", "report", "log"} and {len(column) for column in columns.values()} == {20}
+    assert set(columns) == {*COLUMNS, "preview", "report", "log"} and {len(column)
+                                                                       for column in columns.values()} == {20}
     at = columns["name"].index(rows[0]["name"])
     assert columns["error"][at] is columns["seconds"][at] is None
 
@@ -40,7 +44,8 @@ def test_the_data_file_is_json_in_an_assignment():
 def test_rows_are_in_the_order_of_their_names():
     names = ["oak-10", "Oak-2", "oak-2b", "oak", "ash", "oak-002", "10", "9"]
     rows = [random_rows(1)[0] | {"name": name} for name in names]
-    assert data_of(data_script(library_of(rows)))["columns"]["name"] == ["9", "10", "ash", "oak", "Oak-2", "oak-002", "oak-2b",
+    assert data_of(data_script(library_of(rows)))["columns"]["name"] == ["9", "10", "ash", "oak", "Oak-2",
+                                                                         "oak-002", "oak-2b",
                                                                          "oak-10"]
 
 

@@ -18,7 +18,8 @@ from mitsvbrdf.batch.manifest import now
 
 COUNT = 600
 NAMES = "[...document.querySelectorAll('#cards .name')].map(name => name.textContent)"
-HOSTILE = ['<img src=x onerror="hit()">', "</script><script>hit()</script>", '"><svg onload=hit()>', "javascript:hit()",
+HOSTILE = ['<img src=x onerror="hit()">', "</script><script>hit()</script>", '"><svg onload=hit()>',
+           "javascript:hit()",
            "'-hit()-'", "{{ 7 * 7 }}", "\u2028\u2029\u202e", "__proto__", "${hit()}"]
 
 
@@ -52,7 +53,8 @@ def write(page, text: str) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("how", [{}, {"width": 390, "height": 844, "phone": True, "scheme": "dark"}], ids=["desktop", "phone"])
+@pytest.mark.parametrize("how", [{}, {"width": 390, "height": 844, "phone": True, "scheme": "dark"}],
+                         ids=["desktop", "phone"])
 def test_few_cards_stand_for_all(library, how):
     rows, file = library
     with opened(file, beside=True, **how) as page:
@@ -78,7 +80,8 @@ def test_few_cards_stand_for_all(library, how):
 def test_a_filter_shows_the_right_rows(library):
     rows, file = library
     with opened(file, beside=True) as page:
-        for text in ("error<0.03 tag:wood", "state:failed", "warnings>0 date>2026-11-01T00:20", "cork old", "method:gan"):
+        for text in ("error<0.03 tag:wood", "state:failed", "warnings>0 date>2026-11-01T00:20", "cork old",
+                     "method:gan"):
             meant = {row["name"] for row in rows if matcher(text)(row)}
             assert write(page, text) == f"{len(meant)} of {COUNT} materials" and 0 < len(meant) < COUNT
             assert first_names(page) and meant.issuperset(first_names(page, 50))
@@ -93,7 +96,8 @@ def test_a_filter_shows_the_right_rows(library):
           sort.dispatchEvent(new Event("change"));  // before the frame that would have shown what was typed
         }""")
         two_frames(page)
-        assert page.locator("#where").input_value() == "cork" and " of " in page.locator("#shown").text_content()
+        assert page.locator("#where").input_value() == "cork" and " of " in page.locator(
+            "#shown").text_content()
 
 
 @pytest.mark.slow
@@ -109,7 +113,8 @@ def test_sorting_puts_missing_values_last(library, field):
         assert [by_name[name] for name in first_names(page)] == there[::-1][:5]
         page.evaluate("scrollTo(0, document.documentElement.scrollHeight)")
         until(page, f"document.querySelector('#cards li:last-child').getAttribute('aria-posinset') == {COUNT}")
-        assert by_name[page.locator("#cards .name").last.text_content()] == (None if len(there) < COUNT else there[0])
+        assert by_name[page.locator("#cards .name").last.text_content()] == (None if len(there) < COUNT
+                                                                             else there[0])
 
 
 @pytest.mark.slow
@@ -145,7 +150,8 @@ def test_reload_and_link_show_the_same(library):
         page.wait_for_url("**/report.html")
         page.go_back()
         until(page, "document.querySelector('#cards li')")
-        assert abs(page.evaluate("scrollY") - top) < 400 and page.locator("#where").input_value() == "tag:wood,brick,cork"
+        assert abs(page.evaluate("scrollY") - top) < 400 and page.locator(
+            "#where").input_value() == "tag:wood,brick,cork"
     with opened(file, beside=True, at=link) as page:
         assert abs(page.evaluate("scrollY") - top) <= 1 and first_names(page) == names
 
@@ -181,17 +187,20 @@ def test_materials_of_one_name_say_what_differs(tmp_path):
     with opened(write_library(tmp_path, [*rows, random_rows(5)[4]]), beside=True) as page:
         assert sorted(page.locator("#cards .apart").all_text_contents()) == sorted(
             f"day-{k} · {options}" for k in (0, 1) for options in ("default options", "--budget 60"))
-        bottoms = page.evaluate("[...document.querySelectorAll('#cards .under')].map(e => e.getBoundingClientRect().bottom)")
+        bottoms = page.evaluate("[...document.querySelectorAll('#cards .under')].map(e => "
+                                "e.getBoundingClientRect().bottom)")
         assert len(set(bottoms)) == 1
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [0, 1, 3, 40])
-@pytest.mark.parametrize("window", [{}, {"width": 390, "height": 844, "phone": True}], ids=["desktop", "phone"])
+@pytest.mark.parametrize("window", [{}, {"width": 390, "height": 844, "phone": True}],
+                         ids=["desktop", "phone"])
 def test_a_library_of_any_size_and_state_keeps_inside_the_window(tmp_path, count, window):
     rows = random_rows(count, unfinished=count == 40)
     for row in rows[:2]:
-        row |= {"state": "failed", "reason": "expected a capture, got /a/very/long/" + 30 * "path" + "; " + "mend it " * 40,
+        row |= {"state": "failed", "reason": "expected a capture, got /a/very/long/" + 30 * "path" + "; "
+                + "mend it " * 40,
                 "preview": None, "report": None, "error": None, "name": "oak" * 40}
     file = write_library(tmp_path, rows, stopped=True, command="mitsvbrdf batch " + "shots/" * 40)
     with opened(file, beside=True, **window) as page:
@@ -200,7 +209,8 @@ def test_a_library_of_any_size_and_state_keeps_inside_the_window(tmp_path, count
         errors = sum(row["error"] is not None for row in rows)
         assert page.locator(".histogram").is_visible() == (errors >= 10)
         assert (f"Error of the {errors} material" in page.locator("#errors").text_content()) == (errors > 0)
-        assert page.locator("#tools").is_visible() == (count > 0) and page.locator("#none").is_visible() == (count == 0)
+        assert page.locator("#tools").is_visible() == (count > 0) and page.locator("#none").is_visible() == (
+            count == 0)
         assert page.locator("#progress code").is_visible() == (count == 40)
         lowest = page.evaluate("""[...document.querySelectorAll('#cards li')].map(card =>
             Math.max(...[...card.querySelectorAll('*')].map(part => part.getBoundingClientRect().bottom))
@@ -225,10 +235,12 @@ def test_the_keyboard_walks_through_all(library):
 def test_strangers_names_are_text(tmp_path):
     rows = []
     for k, text in enumerate(HOSTILE):
-        texts = ("name", "source", "host", "worker", "options", "method", "reason", "id", "report", "log", "folder")
+        texts = ("name", "source", "host", "worker", "options", "method", "reason", "id", "report", "log",
+                 "folder")
         rows.append(random_rows(1, seed=k)[0] | dict.fromkeys(texts, text) | {
             "tags": [text], "warnings": [text], "state": "failed" if k % 2 else "done", "preview": None})
-    write_library_page(tmp_path, library_of(rows, title="</title><script>hit()</script><img src=x onerror=hit()>"))
+    write_library_page(tmp_path,
+                       library_of(rows, title="</title><script>hit()</script><img src=x onerror=hit()>"))
     with opened(tmp_path / "index.html", beside=True) as page:
         page.evaluate("() => { window.hits = 0; window.hit = () => hits++; }")
         assert sorted(page.locator("#cards .name").all_text_contents()) == sorted(HOSTILE)
@@ -238,12 +250,14 @@ def test_strangers_names_are_text(tmp_path):
         page.locator("#tags button", has_text="more tags").click()
         for chip in range(page.locator("#tags button").count()):
             page.locator("#tags button").nth(chip).click()
-            shown = f"{len(rows)} materials" if chip == 0 else f"1 of {len(rows)} materials"  # the first: with warnings
+            # the first: with warnings
+            shown = f"{len(rows)} materials" if chip == 0 else f"1 of {len(rows)} materials"
             assert page.locator("#shown").text_content() == shown
             page.locator("#tags button").nth(chip).click()
         tags = "#cards img, #cards svg, #cards script, #details script, #details svg, #tags img, h1 img"
         assert page.evaluate("tags => [hits, document.querySelectorAll(tags).length]", tags) == [0, 0]
-        assert set(page.evaluate("[...document.querySelectorAll('a')].map(link => link.protocol)")) <= {"file:"}
+        assert set(page.evaluate("[...document.querySelectorAll('a')].map(link => link.protocol)")) <= {
+            "file:"}
 
 
 @contextmanager
@@ -253,7 +267,8 @@ def served(folder):
         def log_message(self, *args):
             pass
 
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Quiet, directory=folder)) as server:
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0),
+                                         functools.partial(Quiet, directory=folder)) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         yield f"http://127.0.0.1:{server.server_address[1]}/index.html"
         server.shutdown()
@@ -287,5 +302,6 @@ def test_a_batch_at_work_is_followed(tmp_path):
                 row["state"] = "failed" if row["state"] == "failed" else "done"
             write_library_page(tmp_path, library_of(rows, title="At work"))
             until(followed, "document.title == 'At work'", 120)
-            assert followed.locator("#where").input_value() == "resolution:256" and first_names(followed) == before[1]
+            assert followed.locator("#where").input_value() == "resolution:256" and first_names(
+                followed) == before[1]
             assert not followed.locator("#progress").is_visible() and not said

@@ -50,7 +50,8 @@ def test_what_is_no_result_goes_aside(place, what):
     assert place.record(FOLDER)
     aside = place.root / f"{FOLDER}.damaged"
     assert aside.exists() == (what != "empty")
-    assert what == "empty" or (aside.read_text() if what == "file" else files_in(aside)) in ("mine", {"fit.json": b"{"})
+    assert what == "empty" or (aside.read_text() if what == "file" else files_in(aside)) in ("mine",
+                                                                                             {"fit.json": b"{"})
 
 
 def test_another_mistake_of_the_disk_is_told(place, monkeypatch):

@@ -20,7 +20,9 @@ HANG = 60.0  # seconds after which a test gives up
 
 @pytest.fixture
 def make_pool(tmp_path, monkeypatch):
-    """A pool before a fake gateway whose starts go as planned; pauses between starts are short, and Ray need not be there."""
+    """A pool before a fake gateway whose starts go as planned; pauses between starts are short, and Ray need
+    not be there.
+    """
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *more: True)
     monkeypatch.setattr(pool_module, "LONGEST_PAUSE", 0.05)
     made = []
@@ -70,7 +72,8 @@ def test_when_the_gateway_dies_all_workers_are_lost_and_new_ones_come(make_pool,
     collect(pool, 2)
     pool.run("w1", task("a1", "never"))
     pool.run("w2", task("a2", death))
-    assert collect(pool, 4) == [("lost", "w1", "a1"), ("lost", "w2", "a2"), ("worker", "w3", None), ("worker", "w4", None)]
+    assert collect(pool, 4) == [("lost", "w1", "a1"), ("lost", "w2", "a2"), ("worker", "w3", None),
+                                ("worker", "w4", None)]
 
 
 def test_a_task_for_a_worker_that_is_gone_comes_back_as_lost(make_pool):
@@ -137,6 +140,7 @@ def test_closing_leaves_no_process_and_no_open_file(make_pool, monkeypatch, way)
 
 def test_without_ray_it_says_what_to_install(monkeypatch):
     find = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *more: None if name == "ray" else find(name, *more))
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *more: None if name == "ray" else find(name,
+                                                                                                         *more))
     with pytest.raises(BackendError, match=r"no module ray; pip install 'mitsvbrdf\[batch\]'"):
         RayPool("library")

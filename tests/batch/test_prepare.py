@@ -1,4 +1,6 @@
-"""What a batch finds in its library before it begins: files are the truth, and nothing whole is fitted twice."""
+"""What a batch finds in its library before it begins: files are the truth, and nothing whole is fitted
+twice.
+"""
 
 from __future__ import annotations
 
@@ -117,7 +119,8 @@ def test_an_adopted_result_leaves_the_quarantine(library):
 def test_one_that_failed_and_whose_result_appeared_after_all_is_adopted(library):
     library.want("wood")
     library.finish("wood", "failed")
-    publish_result(library.place, {"name": "wood", "identity": library.row("wood")["identity"], "attempt": "late-1"})
+    publish_result(library.place, {"name": "wood", "identity": library.row("wood")["identity"],
+                                   "attempt": "late-1"})
     assert library.stock().adopted == 1 and library.row("wood")["state"] == "done"
 
 
@@ -126,7 +129,8 @@ def test_one_that_failed_and_whose_result_appeared_after_all_is_adopted(library)
     (lambda folder: (folder / "fit.json").write_text("{ }"), "fit.json has changed"),
     (lambda folder: (folder / "batch.json").write_text("{"), "its record is missing"),
     (lambda folder: (folder / "batch.json").write_text(
-        (folder / "batch.json").read_text().replace('"identity": "', '"identity": "0')), "its record is missing"),
+        (folder / "batch.json").read_text().replace('"identity": "', '"identity": "0')),
+     "its record is missing"),
     (lambda folder: folder.rename(folder.with_name("away")), "its record is missing")])
 def test_damage_is_noticed_kept_aside_and_done_anew(library, harm, said):
     library.want("wood")
@@ -155,7 +159,8 @@ def test_results_of_former_photos_stay_and_are_wanted_no_more(library):
     before = library.finish("wood")
     library.want("wood", photo=b"another")
     stock = library.stock()
-    assert left(library, stock) == ["wood"] and before.is_dir() and before != library.home / library.row("wood")["folder"]
+    assert left(library, stock) == ["wood"] and before.is_dir() and before != library.home / library.row(
+        "wood")["folder"]
     assert [row["wanted"] for row in library.manifest.materials(wanted=False)] in ([0, 1], [1, 0])
 
 
@@ -234,10 +239,12 @@ def test_a_name_that_is_not_utf_8_is_left_out_with_its_reason(library):
 def test_a_task_says_all_that_a_worker_must_know(library, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     library.want("wood", resolution=64)
-    monkeypatch.chdir("/")  # the next batch is begun elsewhere; paths in options still start where they were written
+    # the next batch is begun elsewhere; paths in options still start where they were written
+    monkeypatch.chdir("/")
     task, row = library.begin("wood"), library.row("wood")
     assert task == {"attempt": f"{row['identity'][:16]}-1", "name": "wood", "identity": row["identity"],
-                    "capture": str(library.shots / "wood"), "library": str(library.home), "folder": str(tmp_path),
+                    "capture": str(library.shots / "wood"), "library": str(library.home),
+                    "folder": str(tmp_path),
                     "limit": 210.0, "options": asked(library.shots / "wood", resolution=64).record | {
                         "config": asked(library.shots / "wood").record["config"] | {"fix": []}}}
 

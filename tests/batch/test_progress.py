@@ -11,7 +11,8 @@ BEFORE = {"done": 6, "failed": 1, "running": 0, "pending": 9}
 
 
 def stands(done=0, failed=0, running=0, pending=0, seconds=60.0, ended=0, before=BEFORE) -> Progress:
-    return Progress({"done": done, "failed": failed, "running": running, "pending": pending}, seconds, ended, [], before)
+    return Progress({"done": done, "failed": failed, "running": running, "pending": pending}, seconds, ended,
+                    [], before)
 
 
 @pytest.mark.parametrize("now, expected", [

@@ -66,7 +66,8 @@ def processes(session):
 def await_end(pids):
     """Wait until these processes are gone."""
     deadline = time.monotonic() + HANG
-    while left := [pid for pid in pids if Path(f"/proc/{pid}/cmdline").exists() and Path(f"/proc/{pid}/cmdline").read_text()]:
+    while left := [pid for pid in pids if Path(f"/proc/{pid}/cmdline").exists()
+                   and Path(f"/proc/{pid}/cmdline").read_text()]:
         assert time.monotonic() < deadline, left
         time.sleep(0.05)
 
@@ -82,7 +83,8 @@ class Household:
 
     def find(self, victim):
         if victim in ("gateway", "driver"):  # it is the first's child
-            return self.session if victim == "gateway" else min(pid for pid in self.all if pid != self.session)
+            return (self.session if victim == "gateway"
+                    else min(pid for pid in self.all if pid != self.session))
         return next(pid for pid, words in self.all.items() if victim in words.split(" --")[0])
 
 
@@ -115,7 +117,8 @@ def listening(pids):
         for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
             words = line.split()
             if words[3] == "0A" and f"socket:[{words[9]}]" in inodes:
-                last = bytes.fromhex(words[1].split(":")[0])[-4:][::-1]  # also of an address of version 4 in one of version 6
+                # also of an address of version 4 in one of version 6
+                last = bytes.fromhex(words[1].split(":")[0])[-4:][::-1]
                 found.add(".".join(map(str, last)))
     return found
 
@@ -157,7 +160,8 @@ def test_all_ends_when_the_supervisor_is_killed(tmp_path):
     (tmp_path / ".token").write_text("3f2a")
     program = ("from mitsvbrdf.batch.workers.pool import RayPool\n"
                f"pool = RayPool({str(tmp_path)!r}, workers=1, child={CHILD!r})\n"
-               "while not pool.events(1.0): pass\nprint(pool._gateway._process.pid, flush=True)\npool.events(600.0)")
+               "while not pool.events(1.0): pass\nprint(pool._gateway._process.pid, "
+               "flush=True)\npool.events(600.0)")
     supervisor = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
     home = Household(int(supervisor.stdout.readline()))
     supervisor.kill()
@@ -204,7 +208,8 @@ def test_workers_of_a_cluster_come_and_go_with_its_nodes(make_pool, monkeypatch)
 
     with tempfile.TemporaryDirectory(prefix="ray", dir="/tmp") as folder:
         node = {"num_cpus": 1, "object_store_memory": 80 << 20}
-        cluster = Cluster(initialize_head=True, head_node_args=node | {"include_dashboard": False, "temp_dir": folder})
+        cluster = Cluster(initialize_head=True, head_node_args=node | {"include_dashboard": False,
+                                                                       "temp_dir": folder})
         try:
             second = cluster.add_node(**node)
             pool = make_pool(None, address=cluster.address)

@@ -16,7 +16,7 @@ from mitsvbrdf.batch.places.address import check_address, download, home_of, loc
 from mitsvbrdf.batch.places.place import RECORD
 from mitsvbrdf.batch.places.remote import RemotePlace, file_system, remote_captures, remote_contents
 from mitsvbrdf.errors import BackendError, CaptureError, OutputError
-from mitsvbrdf.system.files import file_hash
+from mitsvbrdf.io.files import file_hash
 
 
 @pytest.fixture(params=["memory", "file"])
@@ -44,12 +44,15 @@ def made(folder, **content):
 
 
 def test_captures_are_found_as_in_a_folder(url):
-    for name in ("a/capture.json", "a/target/00.png", "b/camera_pos.txt", "c/00.JPG", "fit/fit.json", "fit/sheet.png",
+    for name in ("a/capture.json", "a/target/00.png", "b/camera_pos.txt", "c/00.JPG", "fit/fit.json",
+                 "fit/sheet.png",
                  "empty/x.txt", ".hidden/00.png", "deep/er/capture.json"):
         put(f"{url}/{name}")
     found = remote_captures(url)
-    assert [each.rsplit("/", 1)[-1] for each in found] == ["a", "b", "c"] and remote_captures(url + "/") == found
-    assert remote_captures(f"{url}/[bc]") == found[1:] and remote_captures(f"{url}/a/capture.json") == found[:1]
+    assert [each.rsplit("/", 1)[-1] for each in found] == ["a", "b", "c"] and remote_captures(url
+                                                                                              + "/") == found
+    assert remote_captures(f"{url}/[bc]") == found[1:] and remote_captures(f"{url}/a/capture.json") == found[
+        :1]
     assert [entry.source for entry in entries([url])] == found
     assert remote_captures(found[0]) == found[:1] and remote_captures(f"{url}/c") == found[2:]
     for wrong in ("fit", "empty", "nowhere", "no*"):
@@ -127,7 +130,8 @@ def test_a_name_that_leads_elsewhere_is_none_of_a_result(url, name, tmp_path):
         place.fs.pipe_file(f"{place.root}/{folder}/{RECORD}", b"{}")
     result = made(tmp_path / "made", a="one")
     before = place.fs.find(place.root.rpartition("/")[0])
-    for work in (place.record, place.remove, place.set_aside, lambda name: place.damage(name, {"files": {}}, False),
+    for work in (place.record, place.remove, place.set_aside, lambda name: place.damage(name, {"files": {}},
+                                                                                        False),
                  lambda name: place.publish(result, name)):
         with pytest.raises(OutputError, match="the name of a result"):
             work(name)
@@ -170,7 +174,8 @@ def test_the_manifest_goes_where_the_library_goes(url, tmp_path, monkeypatch):
     assert not (home("one") / "manifest.sqlite").exists()
     end("one", "first")
     fs, root = file_system(url)
-    assert sorted(path[len(root) + 1:] for path in fs.find(root)) == ["manifest.sqlite", "quarantine/m-1/log.txt"]
+    assert sorted(path[len(root) + 1:] for path in fs.find(root)) == ["manifest.sqlite",
+                                                                      "quarantine/m-1/log.txt"]
     assert manifest("two") == "first"
     end("two", "second by two")
     assert manifest("one") == "second by two"

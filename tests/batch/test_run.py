@@ -1,4 +1,6 @@
-"""The loop of a batch: whatever becomes of workers, each capture ends once, and what the library says is what lies in it."""
+"""The loop of a batch: whatever becomes of workers, each capture ends once, and what the library says is what
+lies in it.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ TURNS = 200  # after which a batch counts as hanging
 
 
 class Round:
-    """A batch of captures called a, b, c on workers that do as they are told; what it said, and what lies there."""
+    """A batch of captures called a, b, c on workers that do as they are told; what it said, and what lies
+    there.
+    """
 
     def __init__(self, folder: Path, names: str = "abc") -> None:
         self.home, self.place, self.said = folder / "library", LocalPlace(folder / "library"), []
@@ -46,7 +50,8 @@ class Round:
             meanwhile()
 
         self.pool = pool or FakePool(self.place, deeds, workers, turn)
-        self.batch = Batch(self.home, str(self.home), self.place, self.manifest, Scheduler(self.stock.work, **limits),
+        self.batch = Batch(self.home, str(self.home), self.place, self.manifest,
+                           Scheduler(self.stock.work, **limits),
                            lambda stands, line: self.said.append(line) if line else None)
         return self.batch.run(self.pool)
 
@@ -55,13 +60,15 @@ class Round:
 
     def attempts(self, name):
         return [row[0] for row in self.manifest.db.execute(
-            "select a.state from attempts a join materials m using (identity) where m.name = ? order by a.attempt", (name,))]
+            "select a.state from attempts a join materials m using (identity) where m.name = ? order by "
+            "a.attempt", (name,))]
 
     def published(self):
         return sorted(path.name[0] for path in self.home.iterdir() if (path / "batch.json").is_file())
 
     def listed(self):
-        return {row["name"]: row["state"] for row in json.loads((self.home / "library.json").read_text())["materials"]}
+        return {row["name"]: row["state"]
+                for row in json.loads((self.home / "library.json").read_text())["materials"]}
 
 
 @pytest.fixture
@@ -82,7 +89,8 @@ def test_all_are_done_once_and_listed(batch, workers):
     assert sorted(batch.pool.names()) == ["a", "b", "c"]
     assert sorted(batch.said) == [f"{name}: done, RMSE 0.2500, 2.0 s" for name in "abc"]
     row = batch.manifest.materials()[0]
-    assert (row["seconds"], row["peak_bytes"], row["host"], json.loads(row["row"])["error"]) == (2.0, 7, "here", 0.25)
+    assert (row["seconds"], row["peak_bytes"], row["host"], json.loads(row["row"])["error"]) == (2.0, 7,
+                                                                                                 "here", 0.25)
     assert batch.run() is False and batch.pool.tasks == []  # again: nothing is left
 
 
@@ -92,7 +100,8 @@ def test_what_is_refused_goes_to_the_quarantine_and_the_others_go_on(batch):
     (folder,) = (batch.home / "quarantine").iterdir()
     assert (folder / "log.txt").read_text() == "the log"
     reason = json.loads((folder / "reason.json").read_text())
-    assert (reason["name"], reason["state"], reason["reason"], reason["attempts"]) == ("b", "failed", "it failed", 1)
+    assert (reason["name"], reason["state"], reason["reason"], reason["attempts"]) == ("b", "failed",
+                                                                                       "it failed", 1)
     assert "b: failed: it failed" in batch.said
     assert batch.pool.names() == ["a", "b", "c"]
 
@@ -125,7 +134,8 @@ def test_what_was_lost_before_its_result_appeared_is_fitted_again_first(batch):
 
 @pytest.mark.parametrize("deed", ["published, lost", "published, crashed"])
 def test_what_was_lost_after_its_result_appeared_is_adopted_and_not_fitted_again(batch, deed):
-    (batch.home / "quarantine" / batch.manifest.materials()[0]["folder"]).mkdir(parents=True)  # of an earlier failure
+    # of an earlier failure
+    (batch.home / "quarantine" / batch.manifest.materials()[0]["folder"]).mkdir(parents=True)
     batch.run({"a": [deed]})
     assert sorted(batch.pool.names()) == ["a", "b", "c"] and batch.states() == done()
     assert batch.attempts("a") == ["done"] and any(line.startswith("a: done") for line in batch.said)
@@ -133,8 +143,8 @@ def test_what_was_lost_after_its_result_appeared_is_adopted_and_not_fitted_again
     assert not list((batch.home / "quarantine").iterdir())
 
 
-@pytest.mark.parametrize("deed, limits", [("published, crashed", {"retries": 0}), ("published, lost", {"most_lost": 0}),
-                                          ("published, failed", {})])
+@pytest.mark.parametrize("deed, limits", [("published, crashed", {"retries": 0}),
+                                          ("published, lost", {"most_lost": 0}), ("published, failed", {})])
 def test_a_result_that_lies_there_counts_even_where_nothing_is_tried_again(batch, deed, limits):
     batch.run({"a": [deed]}, **limits)
     assert batch.states() == done() and not (batch.home / "quarantine").exists()
@@ -166,17 +176,20 @@ def test_what_is_lost_again_and_again_failed(batch):
 
 
 def test_a_full_disk_ends_it_in_order_and_the_same_goes_on(batch):
-    assert batch.run({"a": ["held"], "b": ["full"]}, workers=2, meanwhile=lambda: batch.batch.trouble and batch.pool.release()
+    assert batch.run({"a": ["held"], "b": ["full"]}, workers=2, meanwhile=lambda: batch.batch.trouble
+                     and batch.pool.release()
                      ) is False
     assert batch.batch.trouble == "no space is left for results: it full; free space"
-    assert batch.states() == {"a": "done", "b": "pending", "c": "pending"} and batch.pool.names() == ["a", "b"]
+    assert batch.states() == {"a": "done", "b": "pending", "c": "pending"} and batch.pool.names() == ["a",
+                                                                                                      "b"]
     assert not (batch.home / "quarantine").exists()
     batch.run()
     assert batch.states() == done() and batch.pool.names() == ["b", "c"]
 
 
 @pytest.mark.parametrize("module, name", [(run_module, "write_library"), (run_module, "quarantine"),
-                                          (manifest_module.Manifest, "begin"), (manifest_module.Manifest, "end"),
+                                          (manifest_module.Manifest, "begin"),
+                                          (manifest_module.Manifest, "end"),
                                           (manifest_module.Manifest, "adopt")])
 def test_a_manifest_or_page_that_cannot_be_written_ends_it_in_order(batch, monkeypatch, module, name):
     def full(*_, **__):
@@ -196,17 +209,20 @@ def test_ctrl_c_waits_for_what_runs_and_says_once_how_to_end_that(batch):
                     lambda: batch.pool.release()])
     assert batch.run({"a": ["held"]}, meanwhile=lambda: next(pressed, lambda: None)()) is True
     assert batch.states() == batch.listed() == {"a": "done", "b": "pending", "c": "pending"}
-    assert batch.said == ["stopping: waiting for 1 fit (Ctrl-C again ends at once)", "a: done, RMSE 0.2500, 2.0 s"]
+    assert batch.said == ["stopping: waiting for 1 fit (Ctrl-C again ends at once)",
+                          "a: done, RMSE 0.2500, 2.0 s"]
 
 
 def test_ctrl_c_twice_waits_for_nothing_and_the_page_tells_what_is_left(batch):
-    assert batch.run({"a": ["held"]}, meanwhile=lambda: batch.pool.held and os.kill(os.getpid(), signal.SIGINT)) is True
+    assert batch.run({"a": ["held"]}, meanwhile=lambda: batch.pool.held and os.kill(os.getpid(),
+                                                                                    signal.SIGINT)) is True
     assert batch.pool.names() == ["a"] and batch.states() == batch.listed() == dict.fromkeys("abc", "pending")
     listed = json.loads((batch.home / "library.json").read_text())
     assert "progress" not in listed and listed["stopped"] is True  # nobody works on it any more
     assert signal.getsignal(signal.SIGINT) == signal.default_int_handler
     batch.run()
-    assert batch.states() == done() and json.loads((batch.home / "library.json").read_text())["stopped"] is False
+    assert batch.states() == done() and json.loads((batch.home / "library.json").read_text())[
+        "stopped"] is False
 
 
 def test_when_no_worker_comes_up_any_more_it_says_why_and_the_same_goes_on(batch):
@@ -241,7 +257,8 @@ def test_a_loss_told_twice_and_an_end_told_after_a_loss_count_once(batch):
         def events(self, seconds):
             found = super().events(seconds)
             losses = [event for event in found if event["is"] == "lost"]
-            ends = [event | {"is": "done", "outcome": {"state": "done", "row": None, "reason": ""}} for event in losses]
+            ends = [event | {"is": "done", "outcome": {"state": "done", "row": None, "reason": ""}}
+                    for event in losses]
             return [*found, *losses, *ends]
 
     batch.run(pool=Echo(batch.place, {"a": ["lost", "done"]}))
@@ -272,13 +289,16 @@ def test_how_fast_it_goes_stands_on_the_page_while_it_runs(batch):
 def test_what_is_left_is_told_by_what_ended():
     stands = Progress({"done": 6, "failed": 2, "running": 2, "pending": 10}, 60.0, 3, [])
     assert (stands.per_hour, stands.left_seconds) == (180.0, 240.0)
-    for ended, seconds in ((0, 60.0), (1, 60.0), (2, 0.0)):  # as many as run at a time have to end before it is known
-        assert Progress({"done": 6, "failed": 0, "running": 2, "pending": 10}, seconds, ended, []).left_seconds is None
+    # as many as run at a time have to end before it is known
+    for ended, seconds in ((0, 60.0), (1, 60.0), (2, 0.0)):
+        assert Progress({"done": 6, "failed": 0, "running": 2, "pending": 10}, seconds, ended,
+                        []).left_seconds is None
 
 
 def test_numbers_that_json_cannot_hold_do_not_stop_the_page(batch):
     batch.run()
     batch.manifest.db.execute("update materials set row = '{\"error\": NaN}' where name = 'a'")
     library_module.write_library(batch.home, batch.manifest, "library")
-    rows = json.loads((batch.home / "library.json").read_text(), parse_constant=lambda name: pytest.fail(name))
+    rows = json.loads((batch.home / "library.json").read_text(),
+                      parse_constant=lambda name: pytest.fail(name))
     assert rows["materials"][0]["error"] is None

@@ -1,4 +1,6 @@
-"""A batch on a real S3 interface, served by moto on this machine: captures read from it, a library written to it."""
+"""A batch on a real S3 interface, served by moto on this machine: captures read from it, a library written to
+it.
+"""
 
 import json
 import os
@@ -26,7 +28,8 @@ def store(tmp_path, monkeypatch):
     server = moto.ThreadedMotoServer("127.0.0.1", 0)
     server.start()
     url = "http://{}:{}".format(*server.get_host_and_port())
-    urllib.request.urlopen(urllib.request.Request(f"{url}/moto-api/reset", method="POST")).close()  # it outlives its server
+    # it outlives its server
+    urllib.request.urlopen(urllib.request.Request(f"{url}/moto-api/reset", method="POST")).close()
     for name, value in {"AWS_ENDPOINT_URL": url, "AWS_ACCESS_KEY_ID": "a", "AWS_SECRET_ACCESS_KEY": "b",
                         "AWS_DEFAULT_REGION": "us-east-1", "XDG_CACHE_HOME": str(tmp_path / "cache")}.items():
         monkeypatch.setenv(name, value)
@@ -57,13 +60,15 @@ def batch(capsys):
 
 def test_a_library_in_a_store_from_its_first_fit_to_its_export(store, tmp_path, capsys, monkeypatch):
     store.mkdir("library")
-    store.call_s3("put_object", Bucket="shots", Key="shot-0/", Body=b"")  # a folder, as Amazon's console makes it
+    # a folder, as Amazon's console makes it
+    store.call_s3("put_object", Bucket="shots", Key="shot-0/", Body=b"")
     assert "2 to fit" in batch(capsys)
     first = listed(capsys)
     assert sorted(first) == ["shot-0", "shot-1"] and all(row["state"] == "done" for row in first.values())
     assert {"index.html", "library.js", "library.json", "manifest.sqlite"} < {
         path.removeprefix("library/") for path in store.find("library")}
-    assert not [path for path in store.find("library") if ".probe" in path or ".lock" in path or ".token" in path]
+    assert not [path for path in store.find("library") if ".probe" in path or ".lock" in path
+                or ".token" in path]
 
     assert "0 to fit" in (said := batch(capsys)) and "2 done already" in said
 
@@ -100,7 +105,8 @@ def test_what_is_wrong_with_a_store_is_said_before_any_fit(store, tmp_path, caps
     monkeypatch.setattr("mitsvbrdf.cli.batch.RayPool", lambda *_, **__: pytest.fail("it begins"))
     command = ["batch", str(tmp_path / "shots"), "-o", "s3://nowhere", *FIT]
     assert cli.main(command) == 2
-    assert "s3://nowhere" in (said := capsys.readouterr().err) and "make the bucket" in said and "Traceback" not in said
+    assert "s3://nowhere" in (
+        said := capsys.readouterr().err) and "make the bucket" in said and "Traceback" not in said
     assert cli.main(["batch", "s3://nowhere/", "-o", str(tmp_path / "library"), *FIT]) == 2
     assert "none at s3://nowhere" in capsys.readouterr().err
     for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
@@ -108,7 +114,8 @@ def test_what_is_wrong_with_a_store_is_said_before_any_fit(store, tmp_path, caps
     monkeypatch.setenv("AWS_EC2_METADATA_DISABLED", "true")
     monkeypatch.setenv("AWS_SHARED_CREDENTIALS_FILE", str(tmp_path / "none"))
     type(store).clear_instance_cache()
-    for words in (command, ["batch", "s3://shots/", "-o", str(tmp_path / "library"), *FIT], ["library", "s3://nowhere"]):
+    for words in (command, ["batch", "s3://shots/", "-o", str(tmp_path / "library"), *FIT],
+                  ["library", "s3://nowhere"]):
         assert cli.main(words) == 2
         assert "credentials" in (said := capsys.readouterr().err) and said.count("error:") == 1
     assert not (tmp_path / "library").exists()

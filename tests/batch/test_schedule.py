@@ -93,7 +93,8 @@ class AnyBatch(RuleBasedStateMachine):
                 most_lost=st.integers(0, 3))
     def start(self, costs, retries, most_lost):
         self.all = {str(number) for number in range(len(costs))}
-        self.scheduler = Scheduler([Work(str(number), cost) for number, cost in enumerate(costs)], retries, most_lost)
+        self.scheduler = Scheduler([Work(str(number), cost) for number, cost in enumerate(costs)], retries,
+                                   most_lost)
         self.retries, self.most_lost = retries, most_lost
         self.waiting, self.running, self.ended = set(self.all), {}, []
         self.crashes, self.losses = dict.fromkeys(self.all, 0), dict.fromkeys(self.all, 0)

@@ -8,7 +8,8 @@ import pytest
 from mitsvbrdf.batch.planning import ways
 from mitsvbrdf.errors import OutputError
 
-ROWS = [{"way": way, "captures": 2, "seconds": seconds, "per_hour": 7200 / seconds, "peak_bytes": 1 << 30, "error": 0.01,
+ROWS = [{"way": way, "captures": 2, "seconds": seconds, "per_hour": 7200 / seconds, "peak_bytes": 1 << 30,
+         "error": 0.01,
          "group": g}
         for g in (0, 1) for way, seconds in zip(ways.WAYS, (20.0, 25.0, 40.0 + 20 * g))]
 
@@ -22,10 +23,12 @@ def test_the_page_has_ratios_within_each_group():
 
 def test_every_way_fits_every_capture_and_the_order_turns(monkeypatch):
     asked = []
-    monkeypatch.setattr(ways, "run_in_a_way", lambda way, chosen, folder, side: asked.append((way, tuple(chosen))) or {})
+    monkeypatch.setattr(ways, "run_in_a_way", lambda way, chosen, folder,
+                        side: asked.append((way, tuple(chosen))) or {})
     assert [row["group"] for row in ways.measured(["a", "b", "c"], 2, 16)] == [0, 0, 0, 1, 1, 1]
     assert [way for way, _ in asked] == [*ways.WAYS, *list(ways.WAYS)[1:], list(ways.WAYS)[0]]
-    assert {way: [each for w, chosen in asked if w == way for each in chosen] for way in ways.WAYS} == dict.fromkeys(
+    assert {way: [each for w, chosen in asked if w == way for each in chosen]
+            for way in ways.WAYS} == dict.fromkeys(
         ways.WAYS, ["a", "c", "b"])
 
 

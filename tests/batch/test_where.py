@@ -15,26 +15,39 @@ from mitsvbrdf.batch.library.page import COLUMNS
 from mitsvbrdf.batch.library.where import FIELDS, SEARCHED, STATES, described, matcher, number_of
 from mitsvbrdf.errors import ConfigError
 
-ROW = {"name": "Old Oak", "id": "1a2b3c4d", "state": "done", "error": 0.03, "left_out_error": None, "burn_in": 0.0,
-       "warnings": ["one", "two"], "seconds": 61.5, "peak_bytes": 3 * 2**29, "attempts": 1, "date": "2026-11-02T10:00:00",
-       "tags": ["wood", "old wood", 'sa"w'], "method": "hierarchical", "resolution": 256, "photos": 9, "worker": "w1",
+ROW = {"name": "Old Oak", "id": "1a2b3c4d", "state": "done", "error": 0.03, "left_out_error": None,
+       "burn_in": 0.0,
+       "warnings": ["one", "two"], "seconds": 61.5, "peak_bytes": 3 * 2**29, "attempts": 1,
+       "date": "2026-11-02T10:00:00",
+       "tags": ["wood", "old wood", 'sa"w'], "method": "hierarchical", "resolution": 256, "photos": 9,
+       "worker": "w1",
        "host": "node-1", "source": "captures/Phone/oak", "options": "--budget 60", "reason": ""}
 
-TRUE = ["", "  ", "oak", "OAK phone", "error<0.05 tag:wood", "error<=.03 error>=3e-2 error=0.03 error:0.03", 'tag:"old wood"',
-        "tag:stone,Wood", 'tag:"sa""w"', '"old oak"', "warnings>1 warnings:2", "memory:1.5 seconds>60 attempts=1",
-        "burn_in<0.1", "date>2026-11-01 date<2026-11-03 date:2026-11 date>=2026-11-02T10", "method:hierarchical",
+TRUE = ["", "  ", "oak", "OAK phone", "error<0.05 tag:wood", "error<=.03 error>=3e-2 error=0.03 error:0.03",
+        'tag:"old wood"',
+        "tag:stone,Wood", 'tag:"sa""w"', '"old oak"', "warnings>1 warnings:2",
+        "memory:1.5 seconds>60 attempts=1",
+        "burn_in<0.1", "date>2026-11-01 date<2026-11-03 date:2026-11 date>=2026-11-02T10",
+        "method:hierarchical",
         "method:gan,hierarchical",
-        "resolution:256 photos>=9", "state:done,failed STATE=DONE", "source:phone/oak", "host=NODE-1", "id:1a2b", 'd" o"ak',
+        "resolution:256 photos>=9", "state:done,failed STATE=DONE", "source:phone/oak", "host=NODE-1",
+        "id:1a2b", 'd" o"ak',
         "old\u00a0wood", "worker=w1 options:budget", 'name="old oak"',
-        "name:old_oak tag:old_wood", "name:pine,oak", 'name:pine,"old oak",ash', "host=node-2,node-1", "old_oak"]
-FALSE = ["pine", "oak pine", "error<0.03", "error>0.03", "left_out_error<1", "left_out_error>0", "tag:woo", 'tag:"wood,stone"',
-         "state:failed,running,pending", "host=node", "date>2026-11-02", "date<2026-11-02", "reason:x", '"oak old"',
+        "name:old_oak tag:old_wood", "name:pine,oak", 'name:pine,"old oak",ash', "host=node-2,node-1",
+        "old_oak"]
+FALSE = ["pine", "oak pine", "error<0.03", "error>0.03", "left_out_error<1", "left_out_error>0", "tag:woo",
+         'tag:"wood,stone"',
+         "state:failed,running,pending", "host=node", "date>2026-11-02", "date<2026-11-02", "reason:x",
+         '"oak old"',
          "method:hier", 'name:"pine,oak"', "host=node,1", 'name:"",pine']
-WRONG = {'tag:"old wood': 'a " at the end', "eror<1": "one of error, left_out_error", "error<": "a value after error<",
-         "error<five": "a number after error<", "error<1e": "a number", "error<0x1": "a number", "error<∞": "a number",
+WRONG = {'tag:"old wood': 'a " at the end', "eror<1": "one of error, left_out_error",
+         "error<": "a value after error<",
+         "error<five": "a number after error<", "error<1e": "a number", "error<0x1": "a number",
+         "error<∞": "a number",
          "tag<wood": "tag: or tag=", "date>yesterday": "a date after date>",
          "date>2026-1": "a date", "state:faild": "done, failed",
-         "http://x": "one of error", 'name:""': "a value after name:", "error<nan": "a number", "seconds>١": "a number"}
+         "http://x": "one of error", 'name:""': "a value after name:", "error<nan": "a number",
+         "seconds>١": "a number"}
 
 
 @pytest.mark.parametrize("text", TRUE)
@@ -58,8 +71,8 @@ def test_examples_are_understood(field):
     matcher(FIELDS[field].example)
 
 
-@pytest.mark.parametrize("word, nearest", [("eror", "error"), ("tags", "tag"), ("eatd", "date"), ("sekonds", "seconds"),
-                                           ("left_error", "left_out_error")])
+@pytest.mark.parametrize("word, nearest", [("eror", "error"), ("tags", "tag"), ("eatd", "date"),
+                                           ("sekonds", "seconds"), ("left_error", "left_out_error")])
 def test_an_unknown_key_is_told_the_nearest_one(word, nearest):
     with pytest.raises(ConfigError, match=f"got {word}; {nearest} is the nearest; "):
         matcher(f"{word}<.1")
@@ -73,7 +86,8 @@ def test_a_name_is_found_as_its_folder_was_called():
 
 def test_a_row_may_lack_anything():
     everything = ["word", "name:x", *(field.example for field in FIELDS.values())]
-    for row in ({}, {"name": None, "warnings": None, "tags": None, "error": math.nan, "peak_bytes": math.inf}):
+    for row in ({}, {"name": None, "warnings": None, "tags": None, "error": math.nan,
+                     "peak_bytes": math.inf}):
         assert not any(matcher(text)(row) for text in everything)
         assert number_of(row, "error") is number_of(row, "memory") is None and number_of(row, "warnings") == 0
 
@@ -101,7 +115,8 @@ def answers_of_script(asked: dict, folder) -> list[str]:
     if node := shutil.which("node"):
         (folder / "where.js").write_text(script + DRIVER)
         (folder / "asked.json").write_text(json.dumps(asked))
-        done = subprocess.run([node, folder / "where.js", folder / "asked.json"], capture_output=True, text=True, check=True)
+        done = subprocess.run([node, folder / "where.js", folder / "asked.json"], capture_output=True,
+                              text=True, check=True)
         return json.loads(done.stdout)
     from browser import opened
 
@@ -126,12 +141,15 @@ def answers_of_package(asked: dict) -> list[str]:
 def test_the_page_agrees_with_the_command_line(tmp_path):
     rows = [ROW, *random_rows(300, seed=3, unfinished=True)]
     assert set(rows[1]) - {"preview", "report", "log"} == set(COLUMNS)
-    some = ["error<0.03", "error>=0.02 left_out_error>0.05", "seconds>40 memory<0.85", "burn_in>0.1", "attempts>1",
+    some = ["error<0.03", "error>=0.02 left_out_error>0.05", "seconds>40 memory<0.85", "burn_in>0.1",
+            "attempts>1",
             "warnings=1", "date>2026-11-01T00:10", "date:2026-11-01T00:05", "tag:wood", 'tag:"OLD WOOD"',
             "tag:wood,brick method:gan",
-            "state:failed,running", "reason:signal", "façade", "FAÇADE resolution:512", "木目", "host=node-1 photos<5", "id:1a"]
+            "state:failed,running", "reason:signal", "façade", "FAÇADE resolution:512", "木目",
+            "host=node-1 photos<5", "id:1a"]
     asked = {"where": {"fields": described(), "states": STATES, "searched": SEARCHED}, "rows": rows,
              "texts": [*TRUE, *FALSE, *WRONG, *some, *(field.example for field in FIELDS.values())]}
     expected = answers_of_package(asked)
     assert answers_of_script(asked, tmp_path) == expected
-    assert sum("1" in answer and "0" in answer for answer in expected[-len(some) - len(FIELDS):]) > 20  # not all or none
+    # not all or none
+    assert sum("1" in answer and "0" in answer for answer in expected[-len(some) - len(FIELDS):]) > 20

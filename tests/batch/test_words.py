@@ -1,4 +1,6 @@
-"""What the page of a library says of times, errors, a batch at work and materials of one name; in node, without a browser."""
+"""What the page of a library says of times, errors, a batch at work and materials of one name; in node,
+without a browser.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +13,11 @@ from helpers.page_scripts import called
 from mitsvbrdf.batch import progress
 
 called = functools.partial(called, ["batch/library/words.js"])
-TIMES = {0.84: "0.8 s", 9.94: "9.9 s", 34.2: "34 s", 89: "89 s", 90: "2 min", 725: "12 min", 5370: "1 h 30 min", 7200: "2 h",
+TIMES = {0.84: "0.8 s", 9.94: "9.9 s", 34.2: "34 s", 89: "89 s", 90: "2 min", 725: "12 min",
+         5370: "1 h 30 min", 7200: "2 h",
          12000: "3 h 20 min", 86000: "23 h 53 min", 172800: "2 days", 190000: "2 days 5 h"}
-RATES = {0.4: "one in 2 h 30 min", 1: "1.0 an hour", 9.94: "9.9 an hour", 12.3: "12 an hour", 12345.6: "12,346 an hour"}
+RATES = {0.4: "one in 2 h 30 min", 1: "1.0 an hour", 9.94: "9.9 an hour", 12.3: "12 an hour",
+         12345.6: "12,346 an hour"}
 
 
 def given(name: str, *each: object) -> list:
@@ -35,7 +39,8 @@ def test_a_time_is_told_on_the_clock_of_whoever_looks():
     assert called([("moment", [date])], timezone="America/New_York") == ["23 Nov 2026, 15:05"]
 
 
-@pytest.mark.parametrize("low, high", [(0.003, 0.003), (0.01, 0.01), (0.011, 0.012), (0.0042, 0.31), (1e-6, 0.9), (0.2, 2.0)])
+@pytest.mark.parametrize("low, high", [(0.003, 0.003), (0.01, 0.01), (0.011, 0.012), (0.0042, 0.31),
+                                       (1e-6, 0.9), (0.2, 2.0)])
 def test_an_axis_begins_and_ends_at_round_numbers_around_all_errors(low, high):
     (marks,) = called([("ticks", [low, high])])
     assert 2 <= len(marks) <= 8 and marks[0] <= low <= high <= marks[-1] and marks == sorted(set(marks))
@@ -48,8 +53,10 @@ def test_few_errors_are_told_one_by_one_and_many_by_shares():
         "Error of the 2 materials shown: 0.01, 0.0235."]
     for count in (10, 11, 37):
         errors = [k / 100 for k in range(1, count + 1)]
-        half, most = (next(e for e in errors if sum(x <= e for x in errors) >= part * count) for part in (0.5, 0.9))
-        assert given("spread", errors) == [f"Error of the {count} materials shown: half have {half:g} or less, "
+        half, most = (next(e for e in errors if sum(x <= e for x in errors) >= part * count) for part in (0.5,
+                                                                                                          0.9))
+        assert given("spread", errors) == [f"Error of the {count} materials shown: half have {half:g} or "
+                                           "less, "
                                            f"9 of 10 have {most:g} or less."]
 
 
@@ -59,7 +66,8 @@ AT = 1795428000000  # ms, the same moment
 
 @pytest.mark.parametrize("states, library, minutes, expected", [
     ([3, 0, 0, 0], {}, 0, None),
-    ([0, 0, 0, 7], {"progress": {"per_hour": 0, "left_seconds": None}}, 0, ["0 of 7 ended, 0 % · workers are starting", None]),
+    ([0, 0, 0, 7], {"progress": {"per_hour": 0, "left_seconds": None}}, 0,
+     ["0 of 7 ended, 0 % · workers are starting", None]),
     ([0, 0, 1, 6], {"progress": {"per_hour": 0, "left_seconds": None}}, 0,
      ["0 of 7 ended, 0 % · the first fit is running", None]),
     ([6, 0, 2, 1], {"progress": {"per_hour": 0, "left_seconds": None}}, 0,
@@ -68,20 +76,24 @@ AT = 1795428000000  # ms, the same moment
     ([900, 100, 4, 996], {"progress": {"per_hour": 120.4, "left_seconds": 30000}}, 14,
      ["1,000 of 2,000 ended, 50 % · this run: 120 an hour, about 8 h 20 min left", None]),
     ([3, 0, 0, 4], {"stopped": True, "command": "mitsvbrdf batch 'my shots' -o lib"}, 1000,
-     ["3 of 7 ended, 42 % · stopped, 4 left; run the same command to go on:", "mitsvbrdf batch 'my shots' -o lib"]),
+     ["3 of 7 ended, 42 % · stopped, 4 left; run the same command to go on:",
+      "mitsvbrdf batch 'my shots' -o lib"]),
     ([3, 0, 0, 4], {}, 0,
      ["3 of 7 ended, 42 % · stopped, 4 left; run the same command to go on:", "mitsvbrdf batch … -o lib"]),
     ([3, 0, 1, 3], {"progress": {"per_hour": 60, "left_seconds": 240}, "command": "again"}, 150,
-     ["3 of 7 ended, 42 % · no sign of life for 2 h 30 min; if it died, the same command goes on:", "again"])])
+     ["3 of 7 ended, 42 % · no sign of life for 2 h 30 min; if it died, the same command goes on:",
+      "again"])])
 def test_how_a_batch_stands(states, library, minutes, expected):
     counts = dict(zip(("done", "failed", "running", "pending"), states))
-    (found,) = called([("standing", [counts, {"made": MADE, "title": "lib"} | library, AT + 60_000 * minutes])])
+    (found,) = called([("standing", [counts, {"made": MADE, "title": "lib"} | library,
+                                     AT + 60_000 * minutes])])
     assert (found and [found["words"], found["command"]]) == expected
 
 
 def alike(**values: list) -> list[dict]:
     """Rows of one name that differ in these."""
-    usual = {"source": "/shots/oak", "options": "", "method": "hierarchical", "resolution": 256, "date": MADE, "id": "1a2b3c4d"}
+    usual = {"source": "/shots/oak", "options": "", "method": "hierarchical", "resolution": 256, "date": MADE,
+             "id": "1a2b3c4d"}
     return [usual | dict(zip(values, each)) for each in zip(*values.values())]
 
 

@@ -1,4 +1,6 @@
-"""What the plan takes for granted of methods: which depend on their seed, and which fits a longer budget repeats."""
+"""What the plan takes for granted of methods: which depend on their seed, and which fits a longer budget
+repeats.
+"""
 
 from dataclasses import replace
 
@@ -39,7 +41,8 @@ def test_the_baseline_ends_alike_whatever_its_budget():
 
 @pytest.mark.parametrize("config, stopped, seconds, budget, good", [
     (PeersConfig(), "iterations", 84.0, 100.0, True), (PeersConfig(), "budget", 100.0, 100.0, False),
-    (HierarchicalConfig(), "settled", 14.9, 100.0, True), (HierarchicalConfig(), "settled", 38.0, 100.0, False),
+    (HierarchicalConfig(), "settled", 14.9, 100.0, True), (HierarchicalConfig(), "settled", 38.0, 100.0,
+                                                           False),
     (HierarchicalConfig(), "budget", 10.0, 100.0, False), (HybridConfig(), "settled", 1.0, 100.0, False),
     (GanConfig(), "iterations", 1.0, 100.0, False)])
 def test_only_an_early_end_by_itself_is_for_good(config, stopped, seconds, budget, good):

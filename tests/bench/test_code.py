@@ -1,4 +1,6 @@
-"""The digits of code: all that shapes records changes them, one method's code its own alone, and words none."""
+"""The digits of code: all that shapes records changes them, one method's code its own alone, and words
+none.
+"""
 
 import functools
 import inspect
@@ -9,7 +11,17 @@ from typing import get_args
 import pytest
 
 from mitsvbrdf.bench import code, jobs
-from mitsvbrdf.bench.code import OWN, PACKAGE, SAID, SHARED, method_module, own_code, own_files, shared_code, syntax_of
+from mitsvbrdf.bench.code import (
+    OWN,
+    PACKAGE,
+    SAID,
+    SHARED,
+    method_module,
+    own_code,
+    own_files,
+    shared_code,
+    syntax_of,
+)
 from mitsvbrdf.bench.leave_out import fits, plan, renders
 from mitsvbrdf.bench.methods import method_table, settings_of
 from mitsvbrdf.bench.stiff.fits import SHAPING, StiffFit
@@ -25,13 +37,14 @@ def test_the_digits_of_the_code_change_with_what_it_does_and_not_with_its_words(
 
 
 # What the modules of jobs import and what shapes no record: words, drawings, how files are read and written.
-SHAPELESS = {"__init__.py", "bench/__init__.py", "errors.py", "system/__init__.py",
+SHAPELESS = {"__init__.py", "bench/__init__.py", "errors.py", "io/__init__.py",
              *(f"pages/{name}.py" for name in ("canvas", "colours", "notebook", "page", "pictures")),
-             *(f"system/{name}.py" for name in ("files", "interrupts", "journal", "json_files", "lock", "profile", "progress",
+             *(f"system/{name}.py" for name in ("files", "interrupts", "journal", "json_files", "lock",
+                                                "profile", "progress",
                                                 "provenance", "result_folder", "shared_file")),
              *(f"bench/{name}.py" for name in ("code", "earlier", "published", "records", "store"))}
-# What all records share and what imports code of one method or suite nevertheless: jobs in their union, the baseline as a
-# method, what follows deadlines or a warning of `hierarchical`, and of its records alone.
+# What all records share and what imports code of one method or suite nevertheless: jobs in their union, the
+# baseline as a method, what follows deadlines or a warning of `hierarchical`, and of its records alone.
 REGISTRIES = {
     "bench/methods.py": {"bench/peers_baseline.py"},
     "bench/behaviour.py": {"bench/peers_baseline.py", "fit/hierarchical/stages.py"},
@@ -66,10 +79,12 @@ def test_all_code_that_shapes_records_changes_the_digits(kinds, more):
 
 def test_what_all_share_knows_no_code_of_one_method_but_by_name():
     own = there(OWN)
-    assert {method_module(name).removeprefix("mitsvbrdf.").replace(".", "/") + ".py" for name in METHODS} | of_jobs() <= own
+    assert {method_module(name).removeprefix("mitsvbrdf.").replace(".", "/") + ".py"
+            for name in METHODS} | of_jobs() <= own
     shared = there(SHARED) - own - set(SAID)
     found = {name: own & named(code.imported(PACKAGE / name)) for name in shared}
-    assert {name: files for name, files in found.items() if files} == REGISTRIES | {"bench/jobs.py": of_jobs()}
+    assert {name: files for name, files in found.items()
+            if files} == REGISTRIES | {"bench/jobs.py": of_jobs()}
 
 
 def test_methods_know_no_code_of_each_other_but_the_two_by_a_generator():
@@ -84,7 +99,8 @@ def copied(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(code, "syntax_of", functools.cache(syntax_of))  # of each file once
         yield shutil.copytree(PACKAGE, tmp_path_factory.mktemp("copy") / PACKAGE.name,
-                              ignore=lambda folder, names: [n for n in names if "." in n and not n.endswith(".py")])
+                              ignore=lambda folder, names: [n for n in names if "." in n
+                                                            and not n.endswith(".py")])
 
 
 def digits(package):
@@ -96,9 +112,12 @@ def digits(package):
 
 
 @pytest.mark.parametrize("file, void", [
-    ("fit/hierarchical/sharing.py", {"hierarchical"}), ("fit/generator/hybrid.py", {"hybrid"}), ("fit/direct.py", {"direct"}),
-    ("fit/generator/networks.py", {"hybrid", "gan", "paper.steps"}), ("bench/peers_baseline.py", {"peers_baseline"}),
-    ("bench/renderers.py", {"renderers"}), ("fit/loop.py", {"shared"}), ("capture/align/pairs.py", {"shared"}),
+    ("fit/hierarchical/sharing.py", {"hierarchical"}), ("fit/generator/hybrid.py", {"hybrid"}),
+    ("fit/direct.py", {"direct"}),
+    ("fit/generator/networks.py", {"hybrid", "gan", "paper.steps"}),
+    ("bench/peers_baseline.py", {"peers_baseline"}),
+    ("bench/renderers.py", {"renderers"}), ("fit/loop.py", {"shared"}),
+    ("capture/align/pairs.py", {"shared"}),
     ("fit/generator/finish.py", set()), ("fit/result.py", set()), ("report/sheet.py", set())])
 def test_a_change_voids_the_records_that_it_shapes_and_no_others(file, void, copied):
     before, source = digits(copied), (copied / file).read_text(encoding="utf-8")

@@ -1,4 +1,6 @@
-"""The pages in the docs, one for each machine, are made from their records, and these are of the code that is there."""
+"""The pages in the docs, one for each machine, are made from their records, and these are of the code that is
+there.
+"""
 
 import pytest
 from helpers import ROOT
@@ -39,6 +41,7 @@ def test_the_pictures_in_the_docs_are_what_their_records_make(shown, records, tm
 @pytest.mark.parametrize("records", PAGES.values(), ids=[path.stem for path in PAGES])
 def test_the_records_in_the_docs_are_of_this_code(records):
     record = store.read_benchmark(records)
-    assert record["settings"]["code"] == shared_code(), "the code that shapes all records has changed: run the benchmark anew"
+    assert record["settings"][
+        "code"] == shared_code(), "the code that shapes all records has changed: run the benchmark anew"
     changed = stale(record)
     assert not changed, f"the code of {changed} has changed since its records were made: run the benchmark, which goes on"

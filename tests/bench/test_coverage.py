@@ -25,11 +25,14 @@ def test_errors_are_counted_in_the_numbers_of_map_errors(fitted):
     off = dict(truth.maps) | {"roughness": truth["roughness"] + 0.05, "specular": brighter}
     spread = {"roughness": torch.full((16, 16, 1), 0.04), "specular": torch.full((16, 16, 3), 0.2)}
     spread["specular"][:4] = 0.02
-    found = figures(dataclasses.replace(result, svbrdf=SVBRDF("roughconductor", off), deviations=spread), truth)
+    found = figures(dataclasses.replace(result, svbrdf=SVBRDF("roughconductor", off), deviations=spread),
+                    truth)
     rough, specular = found["roughness"], found["specular"]
-    assert rough["rmse"] == pytest.approx(0.05, rel=1e-4) and (rough["within_68"], rough["within_95"]) == (0, 1)
+    assert rough["rmse"] == pytest.approx(0.05, rel=1e-4) and (rough["within_68"], rough["within_95"]) == (0,
+                                                                                                           1)
     assert specular["rmse"] == pytest.approx(0.03, rel=1e-4) and specular["within_68"] == 0.75
-    assert (rough["determined"], rough["right"]) == (1, 1) and (specular["determined"], specular["right"]) == (0.25, 1)
+    assert (rough["determined"], rough["right"]) == (1, 1) and (specular["determined"],
+                                                                specular["right"]) == (0.25, 1)
     for sure in (0.3, 0.05):  # errors of 0.05 and more are right up to 0.196
         material = SVBRDF("roughconductor", off | {"roughness": truth["roughness"] - 0.25})
         stated = {"roughness": torch.full((16, 16, 1), sure)}
@@ -43,5 +46,6 @@ def test_the_page_says_what_the_record_says(tmp_path):
     (row,) = record["fits"]
     text = (tmp_path / "coverage.md").read_text()
     assert text == page(record) and f"| diffuse | {row['maps']['diffuse']['rmse']:.4f} |" in text
-    shares = " | ".join(f"{row['maps'][name]['within_68']:.0%}" for name in ("diffuse", "specular", "roughness", "normal"))
+    shares = " | ".join(f"{row['maps'][name]['within_68']:.0%}" for name in ("diffuse", "specular",
+                                                                             "roughness", "normal"))
     assert f"| tiles | 0.01 | {shares} |" in text

@@ -23,5 +23,6 @@ def test_those_that_say_nothing_left_out_the_usual_ones():
     first = benchmark([record(kind="capture", seen=0.1)]) | {"schema_version": 1}
     del first["records"][0]["left_out"]
     assert upgraded(first)["records"][0]["left_out"] == [4, 7]
-    for other in ({"schema_version": 1}, [], {"schema_version": 1, "settings": {}, "records": 3, "published": {}}):
+    for other in ({"schema_version": 1}, [], {"schema_version": 1, "settings": {}, "records": 3,
+                                              "published": {}}):
         assert upgraded(other) is other  # for the schema to refuse

@@ -24,7 +24,8 @@ def row():
     kept = shots.pick((0, 1, 2, 3))
     solved = fit_svbrdf(kept, ANALYTIC, HierarchicalConfig(iterations=3))
     # A look that is the truth: its photos are the photos but for 8 bits.
-    look = dataclasses.replace(solved, look=truth, flash_offset=None, finish={"rerender_rmse": 0.0, "seconds": 1.0})
+    look = dataclasses.replace(solved, look=truth, flash_offset=None, finish={"rerender_rmse": 0.0,
+                                                                              "seconds": 1.0})
     left = shots.pick((4, 7))
     by_hand = photo_rmse(ANALYTIC.render(solved.svbrdf, left.views), left.photos, left.transfer)[0]
     return figures(look, left, ANALYTIC), by_hand
@@ -33,8 +34,10 @@ def row():
 def test_figures_tell_the_truth_from_a_short_fit(row):
     found, by_hand = row
     assert found["maps"]["rmse"] == pytest.approx(by_hand, rel=1e-6)
-    assert found["look"]["rmse"] < 0.002 and found["look"]["patches"] < 0.002  # rounding to 8 bits: 0.0011 rms
-    assert found["look"]["patches"] < 0.5 * found["maps"]["patches"] and found["look"]["flip"] < found["maps"]["flip"]
+    # rounding to 8 bits: 0.0011 rms
+    assert found["look"]["rmse"] < 0.002 and found["look"]["patches"] < 0.002
+    assert found["look"]["patches"] < 0.5 * found["maps"]["patches"] and found["look"]["flip"] < found[
+        "maps"]["flip"]
     assert 0 < found["highlights"] < 1 and passes(found)
 
 

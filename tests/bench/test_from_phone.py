@@ -1,4 +1,6 @@
-"""The benchmark's suite ``capture``: a tiny case of each kind from end to end, figures against closed forms; no times."""
+"""The benchmark's suite ``capture``: a tiny case of each kind from end to end, figures against closed forms;
+no times.
+"""
 
 import json
 from dataclasses import replace
@@ -20,7 +22,8 @@ from mitsvbrdf.material.maps import SVBRDF
 from mitsvbrdf.measure.metrics import map_rmse
 from mitsvbrdf.synth.phone import HandheldPhone
 
-TINY = ["bench", "--suite", "capture", "--renderer", "analytic", "--resolution", "16", "--budgets", "0.2", "--seeds", "0",
+TINY = ["bench", "--suite", "capture", "--renderer", "analytic", "--resolution", "16", "--budgets", "0.2",
+        "--seeds", "0",
         "--megapixels", "0.2"]
 
 
@@ -30,7 +33,8 @@ def test_recovered_cameras_are_compared_after_scale_and_shift():
     found = recovered(moved, given)
     assert found["lateral"] < 1e-12 and found["depth"] < 1e-12 and found["scale"] == pytest.approx(1.3)
     aside = given.camera.clone()
-    aside[:, 0] += torch.tensor([0.1, -0.1, 0.1, -0.1, 0.0, 0.1, -0.1, 0.1, -0.1])  # their mean is 0: no shift takes it away
+    # their mean is 0: no shift takes it away
+    aside[:, 0] += torch.tensor([0.1, -0.1, 0.1, -0.1, 0.0, 0.1, -0.1, 0.1, -0.1])
     worse = recovered(replace(given, camera=aside), given)
     assert 0.09 < worse["lateral"] < 0.11 and worse["depth"] < 0.01
 
@@ -58,17 +62,22 @@ def test_a_phone_with_a_sheet_from_end_to_end(monkeypatch):
     made = job.run()
     errors = made["errors"]
     assert made["stopped"] == "done", made["why"]
-    assert errors["photos"] == 4 and errors["cameras"] < 0.01 and errors["power"] == pytest.approx(1, abs=0.05)
+    assert errors["photos"] == 4 and errors["cameras"] < 0.01 and errors["power"] == pytest.approx(1,
+                                                                                                   abs=0.05)
     assert errors["ratio"] == pytest.approx(errors["found mean"] / errors["true mean"])
-    assert errors["found scaled diffuse"] <= errors["found diffuse"] + 1e-4  # encoded below 0.01 or so, a factor is not exact
+    # encoded below 0.01 or so, a factor is not exact
+    assert errors["found scaled diffuse"] <= errors["found diffuse"] + 1e-4
     assert {"taking", "fit, found views", "fit, true views"} < set(made["seconds"])
-    check_benchmark({"schema_version": 2, "settings": {}, "machine": {}, "versions": {}, "seeds": [], "published": {},
+    check_benchmark({"schema_version": 2, "settings": {}, "machine": {}, "versions": {}, "seeds": [],
+                     "published": {},
                      "records": [job.key | {"config": job.settings} | made]}, "here")
 
 
 def test_each_material_has_a_sheet_and_none():
-    jobs = capture_jobs(["builtin:inlay"], ["/there/book"], HandheldPhone(), HierarchicalConfig(), 16, None, "")
-    assert [tuple(job.key.values())[1:] for job in jobs] == [("material", "inlay", True), ("material", "inlay", False),
+    jobs = capture_jobs(["builtin:inlay"], ["/there/book"], HandheldPhone(), HierarchicalConfig(), 16, None,
+                        "")
+    assert [tuple(job.key.values())[1:] for job in jobs] == [("material", "inlay", True),
+                                                             ("material", "inlay", False),
                                                              ("capture", "book", False)]
 
 
@@ -80,7 +89,8 @@ def test_a_real_capture_by_the_command_which_goes_on(tmp_path, capsys):
     assert cli.main([*arguments, "--page", str(page)]) == 0
     record, = json.loads(out.read_text())["records"]
     assert record["stopped"] == "done", record["why"]
-    assert {"fitted lateral", "estimated depth", "ratio", "refined left out", "held left out"} < set(record["errors"])
+    assert {"fitted lateral", "estimated depth", "ratio", "refined left out",
+            "held left out"} < set(record["errors"])
     assert "nothing to do" not in capsys.readouterr().out
     before = out.read_bytes()
     assert cli.main(arguments) == 0 and "nothing to do" in capsys.readouterr().out and out.read_bytes() == before
@@ -97,14 +107,16 @@ def test_what_cannot_be_done_is_a_record_and_a_note(tmp_path):
     table = capture_tables({"records": [made]})[0]
     assert table.rows == [["nowhere", *["failed"] * 7]] and "nowhere" in table.note
     with pytest.raises(ConfigError):
-        check_benchmark({"schema_version": 2, "settings": {}, "machine": {}, "versions": {}, "seeds": [], "published": {},
+        check_benchmark({"schema_version": 2, "settings": {}, "machine": {}, "versions": {}, "seeds": [],
+                         "published": {},
                          "records": [made | {"sheet": "yes"}]}, "x")
 
 
 def test_tables_show_the_median():
     def record(name, cameras):
         errors = {"cameras": cameras, "found mean": 0.1, "true mean": 0.08, "ratio": 1.25}
-        return {"suite": "capture", "kind": "material", "name": name, "sheet": True, "config": {}, "errors": errors,
+        return {"suite": "capture", "kind": "material", "name": name, "sheet": True, "config": {},
+                "errors": errors,
                 "seconds": {"taking": cameras}, "stopped": "done", "why": None}
 
     failed = record("d", 0) | {"errors": {}, "seconds": {}, "stopped": "failed", "why": "too few"}

@@ -25,12 +25,14 @@ from mitsvbrdf.material.map_files import save_maps
 
 
 @pytest.mark.parametrize("config", [
-    DirectConfig(iterations=2), GanConfig(iterations=1, width=8, preset="paper-one-stage"), PeersConfig(iterations=2)])
+    DirectConfig(iterations=2), GanConfig(iterations=1, width=8, preset="paper-one-stage"),
+    PeersConfig(iterations=2)])
 def test_one_fit_of_each_kind(config):
     shots = photos_of(make_material("inlay", 16))
     found = fit(shots, ANALYTIC, config)
     assert found.iterations == config.iterations and found.stopped == "iterations" and 0 < found.seconds <= found.wall
-    # What it predicts for the photos it saw is the error of the fit, whatever light the method takes for granted.
+    # What it predicts for the photos it saw is the error of the fit, whatever light the method takes for
+    # granted.
     assert found.predict(shots)[1] == pytest.approx(found.rmse, rel=1e-6)
     falloff = "none" if isinstance(config, GanConfig) and config.of_paper else "inverse-square"
     assert methods.as_lit(shots, config).views.falloff == falloff
@@ -71,7 +73,8 @@ def test_errors_that_are_not_finite_make_a_record_of_a_fit_that_failed(value, mo
 
 def test_what_ends_a_warm_up_or_a_job_ends_no_other(monkeypatch, tmp_path):
     task, other = (known_material(f"builtin:{name}", 16, GRID, ANALYTIC) for name in ("inlay", "leather"))
-    figures = {"seconds": 0.1, "wall": 0.2, "iterations": 3, "stopped": "budget", "why": None, "errors": {"mean": 0.1}}
+    figures = {"seconds": 0.1, "wall": 0.2, "iterations": 3, "stopped": "budget", "why": None,
+               "errors": {"mean": 0.1}}
 
     def broken(job, *_):
         if job.task is task:
@@ -80,7 +83,8 @@ def test_what_ends_a_warm_up_or_a_job_ends_no_other(monkeypatch, tmp_path):
 
     monkeypatch.setattr(jobs.FitJob, "warm_up", lambda job: broken(replace(job, task=task)))
     monkeypatch.setattr(jobs.FitJob, "run", broken)
-    todo = [jobs.FitJob("methods", "direct", DirectConfig(), each, 0.1, 0, ANALYTIC) for each in (task, other)]
+    todo = [jobs.FitJob("methods", "direct", DirectConfig(), each, 0.1, 0, ANALYTIC) for each in (task,
+                                                                                                  other)]
     store = Store(tmp_path / "b.json", SETTINGS)
     assert jobs.run(todo, store) == {todo[0].title: "RuntimeError: out of memory"}
     assert [r["name"] for r in store.records] == ["leather"]
@@ -89,7 +93,8 @@ def test_what_ends_a_warm_up_or_a_job_ends_no_other(monkeypatch, tmp_path):
 def test_novel_light_stands_where_no_photo_had_it():
     views = replace(GRID, size=2.0, camera=GRID.camera * 2, light=GRID.light * 2)
     lit = novel_views(views)
-    assert lit.size == 1.0 and torch.equal(lit.camera, torch.tensor([[0.0, 0.0, 2.0]], dtype=torch.float64).expand(8, 3))
+    assert lit.size == 1.0 and torch.equal(lit.camera, torch.tensor([[0.0, 0.0, 2.0]],
+                                                                    dtype=torch.float64).expand(8, 3))
     tilt = torch.rad2deg(torch.acos(lit.light[:, 2] / lit.light.norm(dim=1)))
     assert torch.allclose(tilt, torch.tensor([25.0] * 4 + [50.0] * 4, dtype=torch.float64))
     assert float(torch.rad2deg(torch.acos(views.light[:, 2] / views.light.norm(dim=1))).max()) < 20
@@ -109,7 +114,8 @@ def test_novel_light_error_of_two_flat_greys_is_that_of_their_lambert_shading():
                 d2 = (light[0] - x) ** 2 + (light[1] - y) ** 2 + light[2] ** 2
                 shown = [(rho / math.pi * power * light[2] / d2**1.5) ** (1 / 2.2) for rho in (0.2, 0.5)]
                 squares.append((shown[0] - shown[1]) ** 2)
-    assert error == pytest.approx(math.sqrt(sum(squares) / len(squares)), rel=1e-5)  # float32 rendering; measured 1e-7
+    # float32 rendering; measured 1e-7
+    assert error == pytest.approx(math.sqrt(sum(squares) / len(squares)), rel=1e-5)
 
 
 def test_photos_4_and_7_are_left_out(tmp_path):
@@ -139,7 +145,8 @@ def test_flip_of_pictures_is_that_of_each_beside_its_own(tmp_path):
     shown = images.clamp(0, 1) ** (1 / 2.2)
     each = [flip_evaluator.evaluate(photo.numpy(), image.contiguous().numpy(), "LDR")[1]
             for photo, image in zip(task.unseen.photos, shown)]
-    assert looks["flip_left_out"] == pytest.approx(sum(each) / len(each), abs=1e-4)  # photos there and back; measured 3e-7
+    # photos there and back; measured 3e-7
+    assert looks["flip_left_out"] == pytest.approx(sum(each) / len(each), abs=1e-4)
     known = known_material("builtin:inlay", 16, GRID, ANALYTIC)
     exact = known.looks(replace(fit(known.photos, ANALYTIC, DirectConfig(iterations=1)), svbrdf=known.truth))
     assert exact["flip_novel_light"] == 0 < exact["flip_photos"]
@@ -154,7 +161,8 @@ def test_known_materials_are_judged_as_evaluate_judges_them(tmp_path):
     found = fit(task.photos, ANALYTIC, DirectConfig(iterations=2))
     errors = task.errors(found)
     assert {k: errors[k] for k in ("diffuse", "roughness", "mean")} == {
-        k: v for k, v in evaluate_maps(found.svbrdf, tmp_path / "leather").items() if k in ("diffuse", "roughness", "mean")}
+        k: v for k, v in evaluate_maps(found.svbrdf, tmp_path / "leather").items() if k in ("diffuse",
+                                                                                            "roughness", "mean")}
     assert errors["photos"] == found.rmse and errors["novel_light"] > 0
 
 
@@ -162,21 +170,25 @@ def test_published_numbers_are_those_of_the_same_photos(tmp_path):
     shots = photos_of(make_material("inlay", 16))
     write_capture(shots, tmp_path / "cards")
     save_maps(make_material("leather", 16), tmp_path / "leather")
-    tasks = [real_capture(tmp_path / "cards", 16), known_material(str(tmp_path / "leather"), 16, GRID, ANALYTIC),
+    tasks = [real_capture(tmp_path / "cards", 16), known_material(str(tmp_path / "leather"), 16, GRID,
+                                                                  ANALYTIC),
              known_material("builtin:inlay", 16, GRID, ANALYTIC)]
     maps = {"diffuse": 0.01, "specular": 0.02, "roughness": 0.03, "normal": 0.06}
     stated = {"materials": {"leather": {"materialgan": maps}, "inlay": {"materialgan": maps}},
               "captures": {"cards": {"per_view": [0.1, 0.2, 0.1, 0.1, 0.3, 0.1, 0.1, 0.4, 0.2]}}}
     (tmp_path / "peers.json").write_text(json.dumps(stated))
     found = published(tmp_path / "peers.json", tasks, 256)
-    assert found["material"] == {"leather": {"MaterialGAN": maps | {"mean": pytest.approx(0.03)}}}  # a made inlay is another
+    # a made inlay is another
+    assert found["material"] == {"leather": {"MaterialGAN": maps | {"mean": pytest.approx(0.03)}}}
     assert found["capture 4,7"]["cards"]["MaterialGAN"] == {"seen": pytest.approx(math.sqrt(0.13 / 7)),
                                                         "left_out": pytest.approx(math.sqrt(0.25 / 2))}
     assert set(found["capture 4,7"]["cards"]) == {"MaterialGAN"}
     stated["captures"]["cards"]["left_out_7_8_rmse_256"] = {"gao2019": 0.5}
     (tmp_path / "peers.json").write_text(json.dumps(stated))
-    blind = published(tmp_path / "peers.json", [real_capture(tmp_path / "cards", 16, (7, 8))], 256)["capture 7,8"]["cards"]
-    assert blind["Gao 2019 without them"] == {"left_out": 0.5}  # fitted to photos 0 to 6, as fits here are then
+    blind = published(tmp_path / "peers.json", [real_capture(tmp_path / "cards", 16, (7, 8))],
+                      256)["capture 7,8"]["cards"]
+    # fitted to photos 0 to 6, as fits here are then
+    assert blind["Gao 2019 without them"] == {"left_out": 0.5}
     assert blind["MaterialGAN"]["left_out"] == pytest.approx(math.sqrt((0.16 + 0.04) / 2))
     assert published(tmp_path / "peers.json", tasks, 128) == {"material": {}}  # numbers of another size
     assert published(tmp_path / "none.json", tasks, 256) == {"material": {}}

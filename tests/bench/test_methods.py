@@ -28,7 +28,8 @@ def test_the_table_has_every_method_and_preset():
 
 def test_a_record_says_what_differs_from_the_settings_of_the_method():
     code = {"code": own_code("mitsvbrdf.fit.generator.hybrid")}
-    assert settings_of(HybridConfig(seed=3, budget=2.0)) == {"class": "HybridConfig", "guess": "robust"} | code
+    assert settings_of(HybridConfig(seed=3, budget=2.0)) == {"class": "HybridConfig",
+                                                             "guess": "robust"} | code
     found = settings_of(HybridConfig(width=8, fix=("normal=flat",), guess="min"))
     assert found == {"class": "HybridConfig", "guess": "min", "fix": ["normal=flat"], "width": 8} | code
     assert found == json.loads(json.dumps(found))
@@ -69,13 +70,15 @@ def test_every_variant_of_the_gan_fits(name):
 
 @pytest.mark.slow
 def test_every_ingredient_changes_real_fits_and_three_of_them_exact_ones(monkeypatch):
-    # What VARIANTS of variants.py says. The largest change of a map's value was 0.01 or more, and exactly 0 where it must be.
+    # What VARIANTS of variants.py says. The largest change of a map's value was 0.01 or more, and exactly 0
+    # where it must be.
     monkeypatch.setattr("mitsvbrdf.fit.hierarchical.highlights.CHANCE", 0.0)  # they hold hardly any burn-in
 
     def maps(shots, config):
         return torch.cat(list(fit_svbrdf(shots, ANALYTIC, config).svbrdf.maps.values()), dim=-1)
 
-    # Only after all rounds of the stage before it is asked how far detail is to be believed; other photos have answered this.
+    # Only after all rounds of the stage before it is asked how far detail is to be believed; other photos
+    # have answered this.
     monkeypatch.setitem(ROUNDS, Stage.TOGETHER, 4)
     monkeypatch.setattr(Hierarchical, "_noise_of_detail", lambda self, fine: self.config.noise or 0.08)
     off = StiffTask("case", "", CASES["camera positions 5 % off"], 16).photos
@@ -84,7 +87,9 @@ def test_every_ingredient_changes_real_fits_and_three_of_them_exact_ones(monkeyp
     for name, changes in VARIANTS.items():
         assert (maps(off, replace(full, **changes)) - whole).abs().max() > 1e-3, name
     all_fits = {"materials", "integrated", "neighbours"}
-    assert [set(changes) <= all_fits for changes in VARIANTS.values()] == [True, True, True] + [False] * (len(VARIANTS) - 3)
+    assert [set(changes) <= all_fits for changes in VARIANTS.values()] == [True, True,
+                                                                           True] + [False] * (len(VARIANTS) - 3)
     exact = photos_of(make_material("inlay", 16))
-    others = {key: value for changes in VARIANTS.values() for key, value in changes.items() if key not in all_fits}
+    others = {key: value for changes in VARIANTS.values() for key, value in changes.items()
+              if key not in all_fits}
     assert torch.equal(maps(exact, replace(full, **others)), maps(exact, full))

@@ -1,4 +1,6 @@
-"""A benchmark on many workers: the same jobs in every process, each record kept once, whatever becomes of the workers."""
+"""A benchmark on many workers: the same jobs in every process, each record kept once, whatever becomes of the
+workers.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ from mitsvbrdf.bench.plan import QUICK, WHOLE, Plan
 from mitsvbrdf.bench.store import Store, read_benchmark
 from mitsvbrdf.errors import ConfigError, MitsvbrdfError
 
-FIGURES = {"seconds": 0.1, "wall": 0.2, "iterations": 3, "stopped": "budget", "why": None, "errors": {"mean": 0.1}}
+FIGURES = {"seconds": 0.1, "wall": 0.2, "iterations": 3, "stopped": "budget", "why": None,
+           "errors": {"mean": 0.1}}
 
 
 def make_plan(tmp_path, suites=("methods",), methods="hybrid,gan", **chosen):
@@ -31,17 +34,21 @@ def make_plan(tmp_path, suites=("methods",), methods="hybrid,gan", **chosen):
 
 def test_the_jobs_are_every_method_on_every_material_with_every_budget_and_seed(tmp_path):
     jobs, settings, _ = make_plan(tmp_path).jobs()
-    expected = [(method, budget, seed) for seed in (0, 1) for budget in (0.1, 0.2) for method in ("hybrid", "gan")]
+    expected = [(method, budget, seed) for seed in (0, 1) for budget in (0.1, 0.2) for method in ("hybrid",
+                                                                                                  "gan")]
     assert [(job.method, job.budget, job.seed) for job in jobs] == expected
-    assert {(job.suite, job.task.name, job.task.photos.resolution) for job in jobs} == {("methods", "inlay", 16)}
-    assert settings == {"resolution": 16, "views": "builtin:grid", "renderer": "analytic", "variant": "llvm_ad_rgb",
+    assert {(job.suite, job.task.name, job.task.photos.resolution) for job in jobs} == {("methods", "inlay",
+                                                                                         16)}
+    assert settings == {"resolution": 16, "views": "builtin:grid", "renderer": "analytic",
+                        "variant": "llvm_ad_rgb",
                         "quick": True}
-    assert len(make_plan(tmp_path, methods=None).jobs()[0]) == 4 * len(method_table()) - 2 * 2  # two know no seed
+    # two know no seed
+    assert len(make_plan(tmp_path, methods=None).jobs()[0]) == 4 * len(method_table()) - 2 * 2
 
 
 @pytest.mark.parametrize("suites, methods", [(("methods",), None), (("ablation",), None), (("gan",), None),
-                                             (("capture", "steps"), None), (("schedule",), "gan"), (("sheets",), None),
-                                             (("renderers",), None)])
+                                             (("capture", "steps"), None), (("schedule",), "gan"),
+                                             (("sheets",), None), (("renderers",), None)])
 def test_another_process_makes_the_same_jobs_of_a_plan(tmp_path, suites, methods):
     plan = make_plan(tmp_path, suites, methods)
     told = Plan(**json.loads(json.dumps(asdict(plan))))
@@ -56,8 +63,8 @@ def test_making_jobs_leaves_the_plan_as_it_is(tmp_path):
     assert json.dumps(asdict(plan)) == before
 
 
-@pytest.mark.parametrize("wrong", [{"budgets": "0"}, {"seeds": "-1"}, {"resolution": 4}, {"repeats": 0}, {"left-out": "x"},
-                                   {"materials": "nowhere"}])
+@pytest.mark.parametrize("wrong", [{"budgets": "0"}, {"seeds": "-1"}, {"resolution": 4}, {"repeats": 0},
+                                   {"left-out": "x"}, {"materials": "nowhere"}])
 def test_a_plan_out_of_range_is_refused(tmp_path, wrong):
     with pytest.raises(ConfigError):
         make_plan(tmp_path, **wrong).jobs()
@@ -81,11 +88,13 @@ class FakePool:
         deed = deeds[min(tries, len(deeds) - 1)]
         if deed == "lost":
             self._named += 1
-            self._events += [{"is": "lost", "worker": worker, "attempt": task["attempt"], "reason": "the node died"},
+            self._events += [{"is": "lost", "worker": worker, "attempt": task["attempt"],
+                              "reason": "the node died"},
                              {"is": "worker", "worker": f"w{self._named}", "host": "here"}]
             return
         self._events.append({"is": "done", "worker": worker, "attempt": task["attempt"], "outcome": {
-            "state": deed, "reason": "" if deed == "done" else f"it {deed}", "row": FIGURES if deed == "done" else None}})
+            "state": deed, "reason": "" if deed == "done" else f"it {deed}", "row": FIGURES if deed == "done"
+            else None}})
 
     def events(self, seconds):
         self.meanwhile()
@@ -100,10 +109,12 @@ def measured(tmp_path, monkeypatch, deeds, meanwhile=lambda: None, **settings):
     """What could not be measured, the pool and the store after a benchmark of 4 + 4 jobs."""
     plan, pool = make_plan(tmp_path), FakePool(deeds, meanwhile)
     started = []
-    monkeypatch.setattr(parallel, "RayPool", lambda library, **words: started.append((library, words)) or pool)
+    monkeypatch.setattr(parallel, "RayPool", lambda library, **words: started.append((library, words))
+                        or pool)
     store, shares = Store(tmp_path / "b.json", SETTINGS), []
     try:
-        failed = parallel.run_parallel(plan, plan.jobs()[0], store, BatchSettings(workers=2, memory=1.0, **settings),
+        failed = parallel.run_parallel(plan, plan.jobs()[0], store, BatchSettings(workers=2, memory=1.0,
+                                                                                  **settings),
                                        lambda text, share: shares.append(share))
     finally:
         assert pool.closed
@@ -119,7 +130,8 @@ def test_every_job_has_its_record_and_a_second_time_nothing_is_left(tmp_path, mo
     assert store.pending(make_plan(tmp_path).jobs()[0]) == []
     assert all(record["errors"] == FIGURES["errors"] and record["workers"] == 2 for record in store.records)
     assert "8 of 8 records were made 2 at a time (`--workers`)" in made_on(read_benchmark(store.path))
-    assert [task["key"] for task in pool.tasks] == list(map(key_of, make_plan(tmp_path).jobs()[0]))  # in their own order
+    # in their own order
+    assert [task["key"] for task in pool.tasks] == list(map(key_of, make_plan(tmp_path).jobs()[0]))
 
 
 def test_a_worker_that_is_alone_is_not_written(tmp_path, monkeypatch):
@@ -165,13 +177,15 @@ def test_a_child_makes_the_jobs_of_a_plan_once_and_warms_each_shape_up_once(tmp_
     made, warmed = [], []
     real = Plan.jobs
     monkeypatch.setattr(Plan, "jobs", lambda self: made.append(1) or real(self))
-    monkeypatch.setattr(type(jobs[0]), "warm_up", lambda self: warmed.append(self.method) or 1 / 0)  # no matter
+    # no matter
+    monkeypatch.setattr(type(jobs[0]), "warm_up", lambda self: warmed.append(self.method) or 1 / 0)
     monkeypatch.setattr(type(jobs[0]), "run", lambda self: {"ran": self.title})
     monkeypatch.setattr(child, "_made", [])
     monkeypatch.setattr(child, "_warm", set())
     monkeypatch.chdir(tmp_path)
     for job in jobs:
-        assert child.measure({"folder": str(tmp_path), "plan": plan, "key": key_of(job)}) == {"ran": job.title}
+        assert child.measure({"folder": str(tmp_path), "plan": plan,
+                              "key": key_of(job)}) == {"ran": job.title}
     assert made == [1] and warmed == ["hybrid", "gan"]
     with pytest.raises(MitsvbrdfError, match="same version and data on all nodes"):
         child.measure({"folder": str(tmp_path), "plan": plan, "key": "another"})

@@ -17,8 +17,8 @@ def test_peers_baseline_is_plain_adam_on_clamped_gamma_values():
     losses = [method.step(k / 6)["l2"] for k in range(6)]
 
     # The same by hand: gamma-encoded maps on [-1, 1], 9 channels in one tensor, and torch's Adam.
-    start = torch.cat((torch.full((8, 8, 3), 0.0), torch.full((8, 8, 3), 2 * 0.04 - 1), torch.full((8, 8, 1), 2 * 0.2 - 1),
-                       torch.zeros(8, 8, 2)), dim=-1)
+    start = torch.cat((torch.full((8, 8, 3), 0.0), torch.full((8, 8, 3), 2 * 0.04 - 1),
+                       torch.full((8, 8, 1), 2 * 0.2 - 1), torch.zeros(8, 8, 2)), dim=-1)
     textures = start.clone().requires_grad_()
     adam, expected = torch.optim.Adam([textures], lr=0.01), []
     for _ in range(6):
@@ -36,12 +36,14 @@ def test_peers_baseline_is_plain_adam_on_clamped_gamma_values():
     assert losses == pytest.approx(expected, rel=1e-5)  # measured: the same bits
     assert losses[-1] < 0.99 * losses[0]
     found = method.estimate()[0]
-    assert float((found["diffuse"] - diffuse.detach()).abs().max()) < 0.01  # one step apart, 0.005 encoded; measured 0.0051
+    # one step apart, 0.005 encoded; measured 0.0051
+    assert float((found["diffuse"] - diffuse.detach()).abs().max()) < 0.01
 
 
 def test_peers_baseline_goes_on_bit_by_bit_and_stays_in_range():
     capture = photos_of(make_material("tiles", 8))
-    method = PeersBaseline(FitTask(capture, ANALYTIC, PeersConfig(learning_rate=0.7)))  # large steps meet every bound
+    # large steps meet every bound
+    method = PeersBaseline(FitTask(capture, ANALYTIC, PeersConfig(learning_rate=0.7)))
     for _ in range(5):
         method.step(0.0)
     state = method.state()

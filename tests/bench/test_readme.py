@@ -11,10 +11,12 @@ from mitsvbrdf.bench.readme import BEGIN, END, results, write_readme
 from mitsvbrdf.errors import ConfigError
 
 RECORDS = ROOT / "docs/results/benchmark.json"
-BLIND = {"capture 7,8": {"a": {"MaterialGAN": {"left_out": 0.01}, "MaterialGAN without them": {"left_out": 0.06},
+BLIND = {"capture 7,8": {"a": {"MaterialGAN": {"left_out": 0.01},
+                               "MaterialGAN without them": {"left_out": 0.06},
                                "Gao 2019 without them": {"left_out": 0.03}},
                          "b": {"MaterialGAN without them": {"left_out": 0.02}}},
-         "material": {"a": {"MaterialGAN": dict.fromkeys(("diffuse", "specular", "roughness", "normal", "mean"), 0.25)}}}
+         "material": {"a": {"MaterialGAN": dict.fromkeys(("diffuse", "specular", "roughness", "normal",
+                                                          "mean"), 0.25)}}}
 
 
 def fit(name, kind, budget=10.0, method="hierarchical", **errors):
@@ -23,14 +25,16 @@ def fit(name, kind, budget=10.0, method="hierarchical", **errors):
 
 
 MAPS = {"diffuse": 0.1, "specular": 0.2, "roughness": 0.3, "normal": 0.4, "mean": 0.25}
-FITS = [fit("a", "capture", left_out=0.09), fit("a", "capture", 30.0, left_out=0.05), fit("b", "capture", left_out=0.03),
+FITS = [fit("a", "capture", left_out=0.09), fit("a", "capture", 30.0, left_out=0.05),
+        fit("b", "capture", left_out=0.03),
         fit("b", "capture", 30.0, left_out=0.03), fit("a", "material", **MAPS)]
 RECORD = {"records": FITS, "published": BLIND}
 
 
 def test_photos_that_nobody_saw_stand_beside_those_who_did_not_see_them_either():
     text = results(RECORD)
-    assert "| `a` | 0.050 | 0.060 | **0.030** |" in text  # of the longest budget; the lowest is marked, whosever it is
+    # of the longest budget; the lowest is marked, whosever it is
+    assert "| `a` | 0.050 | 0.060 | **0.030** |" in text
     assert "| `b` | 0.030 | **0.020** | not published |" in text
     assert "lower than MaterialGAN on 1 of 2 (median ratio 1.17); Gao 2019 on 0 of 1 (median ratio 1.67)" in text
     assert "budget was 30 s; its loop took 30 s" in text
@@ -46,7 +50,8 @@ def test_known_materials_stand_beside_what_was_published():
 
 
 def test_all_rows_are_of_the_longest_budget_and_say_where_they_lack_it():
-    short = [fit("c", "capture", left_out=0.01), fit("b", "material", 20.0, **MAPS), fit("a", "material", 20.0, "gan", **MAPS),
+    short = [fit("c", "capture", left_out=0.01), fit("b", "material", 20.0, **MAPS),
+             fit("a", "material", 20.0, "gan", **MAPS),
              fit("b", "material", 20.0, "gan", **MAPS), fit("a", "material", 99.0, "direct", **MAPS)]
     blind = {"capture 7,8": BLIND["capture 7,8"] | {"c": {"MaterialGAN without them": {"left_out": 0.07}}}}
     text = results({"records": FITS + short, "published": BLIND | blind})
@@ -66,7 +71,8 @@ def test_all_else_in_the_file_stays(tmp_path):
     page.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n", encoding="utf-8")
     write_readme(page, RECORD)
     once = page.read_text(encoding="utf-8")
-    assert once.startswith(f"before\n{BEGIN}\n\n### Real photos") and once.endswith(f"\n{END}\nafter\n") and "old" not in once
+    assert once.startswith(f"before\n{BEGIN}\n\n### Real photos") and once.endswith(
+        f"\n{END}\nafter\n") and "old" not in once
     write_readme(page, RECORD)
     assert page.read_text(encoding="utf-8") == once
 

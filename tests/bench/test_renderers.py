@@ -20,7 +20,8 @@ def test_the_truth_of_whole_pixels_is_their_average():
     brute = twin.render(fine, views).reshape(2, 8, k, 8, k, 3).mean(dim=(2, 4))
     centres = twin.render(svbrdf, views)
     off = float(((image - brute) / brute).abs().mean())
-    # Measured: texel centres 9.5e-3 off, so 48 x 48 points, of second order, 9.5e-3 / 48^2 = 4.1e-6 themselves; found 4.2e-6.
+    # Measured: texel centres 9.5e-3 off, so 48 x 48 points, of second order, 9.5e-3 / 48^2 = 4.1e-6
+    # themselves; found 4.2e-6.
     assert off < 1e-5 and float(((centres - brute) / brute).abs().mean()) > 1000 * off
     assert gradients["roughness"].shape == (8, 8, 1) and float(gradients["roughness"].abs().max()) > 0
 
@@ -40,8 +41,10 @@ def test_jittered_rays_come_closer_to_whole_pixels():
     image, _ = renderers.exact(svbrdf, views, renderers.POINTS_A_SIDE)
     drawn = [SceneRenderer(samples=n).render(svbrdf, views) for n in (1, 4, 64)]
     one, few, many = (float(((picture - image) / image).abs().mean()) for picture in drawn)
-    assert many < few / 8  # stratified: the error goes down as the number of rays goes up, 16 times; measured 18
-    assert few > one  # noise: four rays in a grid would be four times better than the centre alone; measured 4 times worse
+    # stratified: the error goes down as the number of rays goes up, 16 times; measured 18
+    assert many < few / 8
+    # noise: four rays in a grid would be four times better than the centre alone; measured 4 times worse
+    assert few > one
     with pytest.raises(ConfigError, match="samples"):
         SceneRenderer(samples=10)
 
@@ -51,14 +54,16 @@ def test_a_case_has_every_renderer_and_says_who_sat_out(monkeypatch):
     found = job.key | {"config": job.settings} | job.run()
     check_benchmark(benchmark([found]), "here")
     names = [(row["renderer"], row["samples"]) for row in found["rows"]]
-    assert names == [("analytic64", 1), ("analytic", 1), ("mitsuba", 1), ("mitsuba-scene", 1), ("mitsuba-scene", 4)]
+    assert names == [("analytic64", 1), ("analytic", 1), ("mitsuba", 1), ("mitsuba-scene", 1),
+                     ("mitsuba-scene", 4)]
     centres = {row["image"] for row in found["rows"] if row["samples"] == 1}
     assert max(centres) / min(centres) < 1.01  # against whole pixels all centres are off alike
     job = renderers.RenderJob("principled", 16, 2, repeats=1)
     rows = {row["renderer"]: row for row in job.run()["rows"]}
     # The twin is itself but for the order of its sums; float32 within the tolerances of the cross-check.
     assert rows["analytic64"]["image"] == 0 and rows["analytic64"]["gradient"] < 1e-14
-    assert all(0 < rows[name]["image"] < 5e-7 and rows[name]["gradient"] < 2e-6 for name in rows if name != "analytic64")
+    assert all(0 < rows[name]["image"] < 5e-7 and rows[name]["gradient"] < 2e-6 for name in rows
+               if name != "analytic64")
     monkeypatch.setattr(renderers, "memory_available", lambda: 150 * 16 * 16 * 2)
     assert [s["renderer"] for s in job.run()["skipped"]] == ["analytic64", "analytic", "mitsuba-scene"]
 

@@ -22,7 +22,8 @@ from mitsvbrdf.errors import ConfigError
     (lambda b: b["records"].append(b["records"][0]), "twice"),
     (lambda b: b["records"].append({"suite": "other"}), "records.2"),
     (lambda b: b["records"][0].update(left_out=[4, 7]), "left_out of a capture"),
-    (lambda b: b["records"].append(record(kind="capture")) or b["records"][-1].pop("left_out"), "left_out of a capture"),
+    (lambda b: b["records"].append(record(kind="capture")) or b["records"][-1].pop("left_out"),
+     "left_out of a capture"),
     (lambda b: b.update(records={}), "a list"),
     (lambda b: b.update(seeds=[0.5]), "seeds.0"),
 ])

@@ -52,7 +52,8 @@ def test_the_process_has_the_environment_and_the_renderer_that_a_user_has(stated
     monkeypatch.setattr(start, "STATED", stated)
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", "/found/here.so")  # as make_renderer leaves it
     for given, expected in ((None, "PASSIVE"), ("ACTIVE", "ACTIVE")):
-        monkeypatch.delenv("OMP_WAIT_POLICY") if given is None else monkeypatch.setenv("OMP_WAIT_POLICY", given)
+        monkeypatch.delenv("OMP_WAIT_POLICY") if given is None else monkeypatch.setenv("OMP_WAIT_POLICY",
+                                                                                       given)
         job = StartJob("/somewhere/cards", "hybrid", 16, 2.0, 1, "analytic", "scalar_rgb")
         job._process(tmp_path, "out")
         noted = json.loads((tmp_path / "noted.json").read_text())
@@ -66,8 +67,10 @@ def test_a_plan_tells_its_renderer_and_a_method_that_fails_ends_no_other(monkeyp
     bad = STANDS_IN + 'if "direct" in sys.argv: sys.exit("no such photos")\n'
     monkeypatch.setattr(start, "CHILD", (sys.executable, "-c", bad))
     (tmp_path / "cards").mkdir()
-    chosen = WHOLE | QUICK | {"captures": str(tmp_path / "cards"), "repeats": 1, "folder": "", "schedule": (16, 8, 5)}
-    todo, settings, _ = Plan(("start",), chosen, "direct,hybrid", None, None, "analytic", "llvm_ad_rgb", True).jobs()
+    chosen = WHOLE | QUICK | {"captures": str(tmp_path / "cards"), "repeats": 1, "folder": "",
+                              "schedule": (16, 8, 5)}
+    todo, settings, _ = Plan(("start",), chosen, "direct,hybrid", None, None, "analytic", "llvm_ad_rgb",
+                             True).jobs()
     assert {job.renderer for job in todo} == {"analytic"}
     store = Store(tmp_path / "b.json", settings)
     failed = jobs.run(todo, store)
@@ -101,5 +104,6 @@ def test_a_command_in_a_process_of_its_own(tmp_path):
     job = StartJob(str(tmp_path / "shots"), "direct", 16, 0.5, repeats=1)
     empty, full = job.run()["rows"]
     assert 0 < full["preparation"]["median"] < full["wall"]["median"] and full["iterations"]["median"] > 0
-    assert empty["iterations"]["median"] < full["iterations"]["median"]  # kernels are compiled inside the loop
+    # kernels are compiled inside the loop
+    assert empty["iterations"]["median"] < full["iterations"]["median"]
     assert before is None or set(before) <= set(os.listdir(usual))

@@ -13,8 +13,8 @@ from mitsvbrdf.bench import jobs
 from mitsvbrdf.bench.schema import check_benchmark
 from mitsvbrdf.bench.store import Store, read_benchmark
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.system import files
-from mitsvbrdf.system.shared_file import held
+from mitsvbrdf.io import files
+from mitsvbrdf.io.shared_file import held
 
 EACH = 75
 
@@ -72,7 +72,9 @@ def test_what_another_run_has_measured_meanwhile_stays(tmp_path):
     other.add(record("direct", seed=1, mean=0.3))
     one.write()
     found = read_benchmark(tmp_path / "b.json")
-    assert [(r["seed"], r["errors"]["mean"]) for r in found["records"]] == [(0, 0.1), (1, 0.3)] and found["seeds"] == [0, 1]
+    assert [(r["seed"], r["errors"]["mean"]) for r in found["records"]] == [(0, 0.1),
+                                                                            (1, 0.3)] and found["seeds"] == [
+                                                                                0, 1]
     assert set(found["published"]["material"]) == {"a", "b"} and one.records == found["records"]
 
 
@@ -157,9 +159,12 @@ def test_another_version_of_mitsvbrdf_alone_goes_on(tmp_path):
 
 
 def test_fifteen_hundred_records_take_less_than_a_megabyte(tmp_path):
-    names = ("diffuse", "specular", "roughness", "normal", "mean", "novel_light", "photos", "flip_novel_light", "flip_photos")
-    many = [record("peers-baseline", 300.0, seed, "brick-uneven-stones", **{name: 0.123456789 for name in names})
-            | {"config": {"class": "HierarchicalConfig", "guess": "robust"}, "seconds": 123.4567891} for seed in range(1500)]
+    names = ("diffuse", "specular", "roughness", "normal", "mean", "novel_light", "photos",
+             "flip_novel_light", "flip_photos")
+    many = [record("peers-baseline", 300.0, seed, "brick-uneven-stones",
+                   **{name: 0.123456789 for name in names})
+            | {"config": {"class": "HierarchicalConfig", "guess": "robust"}, "seconds": 123.4567891}
+            for seed in range(1500)]
     store = Store(tmp_path / "b.json", SETTINGS)
     store.add(many[0])
     assert store.records[0]["errors"]["mean"] == 0.123457 and store.records[0]["seconds"] == 123.457
@@ -167,7 +172,8 @@ def test_fifteen_hundred_records_take_less_than_a_megabyte(tmp_path):
     exact = many[1] | {"method": "another", "budget": 0.123456789, "config": {"width": 0.123456789}}
     store.add(exact)
     kept = read_benchmark(tmp_path / "b.json")["records"][1]
-    assert (kept["budget"], kept["config"]) == (exact["budget"], exact["config"])  # what jobs are compared with
+    # what jobs are compared with
+    assert (kept["budget"], kept["config"]) == (exact["budget"], exact["config"])
 
 
 def ended(budget, seconds, stopped="iterations", kind="PeersConfig", **more):

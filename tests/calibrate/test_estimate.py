@@ -1,4 +1,6 @@
-"""Views estimated from photos against those they were taken from, closed forms, and photos that tell nothing."""
+"""Views estimated from photos against those they were taken from, closed forms, and photos that tell
+nothing.
+"""
 
 import json
 import math
@@ -30,7 +32,8 @@ def handheld(seed=0, height=2.0):
     """Nine views as by hand: spread over 0.15 of their height, heights and exposures a few percent unlike."""
     draw = np.random.default_rng(seed)
     grid = np.array([[0, 0], [1, 1], [-1, -1], [-1, 1], [1, -1], [0, 1], [0, -1], [-1, 0], [1, 0]])
-    camera = np.c_[grid * 0.18 * height + draw.normal(0, 0.04, (9, 2)), height * np.exp(draw.normal(0, 0.04, 9))]
+    camera = np.c_[grid * 0.18 * height + draw.normal(0, 0.04, (9, 2)),
+                   height * np.exp(draw.normal(0, 0.04, 9))]
     power = math.pi * height**2 * np.exp(draw.normal(0, 0.03, 9))
     return Views.of(camera, intensity=torch.from_numpy(power)[:, None].repeat(1, 3))
 
@@ -42,9 +45,12 @@ def photos(material, views, noise=0.003):
 
 
 def compared(found, truth):
-    """Best common scale of ``found``, and what is left sideways and in depth, by photo, after it and one lateral offset."""
+    """Best common scale of ``found``, and what is left sideways and in depth, by photo, after it and one
+    lateral offset.
+    """
     found, truth = found.in_patch_sides().camera.numpy(), truth.in_patch_sides().camera.numpy()
-    columns = np.concatenate((found[..., None], np.broadcast_to(np.eye(3)[:, :2], (*found.shape, 2))), axis=-1)
+    columns = np.concatenate((found[..., None], np.broadcast_to(np.eye(3)[:, :2], (*found.shape, 2))),
+                             axis=-1)
     scale, *offset = np.linalg.lstsq(columns.reshape(-1, 3), truth.ravel(), rcond=None)[0]
     left = scale * found + np.array([*offset, 0]) - truth
     return scale, np.hypot(*left[:, :2].T), np.abs(left[:, 2]) / truth[:, 2]
@@ -53,10 +59,12 @@ def compared(found, truth):
 @pytest.mark.parametrize("name", ["inlay", "leather"])
 def test_matt_material_is_placed_by_its_shading(name):
     material, views = make_material(name, 48), handheld(0)
-    found = estimate_views(photos(SVBRDF(material.bsdf, {**material.maps, "specular": torch.zeros(48, 48, 3)}), views))
+    found = estimate_views(photos(SVBRDF(material.bsdf,
+                                         {**material.maps, "specular": torch.zeros(48, 48, 3)}), views))
     scale, sideways, depth = compared(found.views, views)
-    # Measured: scale 0.95 and 0.97, sideways 0.09 and 0.11 in the median and 0.18 at most where the places are 0.45 apart
-    # from their centre, depth 0.046 at most. That it is less sure than of a highlight, it says: 0.19 and 0.28.
+    # Measured: scale 0.95 and 0.97, sideways 0.09 and 0.11 in the median and 0.18 at most where the places
+    # are 0.45 apart from their centre, depth 0.046 at most. That it is less sure than of a highlight, it
+    # says: 0.19 and 0.28.
     assert 0.8 < scale < 1.25 and np.median(sideways) < 0.16 and sideways.max() < 0.27 and depth.max() < 0.08
     assert float(found.deviation[:, :2].mean()) > 0.1
     assert float((found.views.camera - views.camera).norm(dim=1).max()) < 0.6
@@ -71,8 +79,8 @@ def glossy():
 
 def test_highlights_are_below_the_flash(glossy):
     shots, views, found = glossy
-    # A mirror under a flash at the lens shows it straight below: measured 0.008 in the median, 0.042 where the border cuts it
-    # (texels are 0.031 wide there), and after the fit of all photos 0.018 at most.
+    # A mirror under a flash at the lens shows it straight below: measured 0.008 in the median, 0.042 where
+    # the border cuts it (texels are 0.031 wide there), and after the fit of all photos 0.018 at most.
     off = np.abs(Problem(shots).mirror_points() - views.camera[:, :2].numpy())
     assert np.median(off) < 0.02 and off.max() < 0.08
     assert float((found.views.camera - views.camera)[:, :2].abs().max()) < 0.04
@@ -86,12 +94,13 @@ def test_highlights_are_below_the_flash(glossy):
 def test_it_says_how_sure_it_is(glossy):
     material, views = make_material("inlay", 48), handheld(0)
     for truth, found in ((views, estimate_views(photos(material, views))), glossy[1:]):
-        # Of these the priors are sure of less than there was to find: measured 0.61 and 0.5 of the deviations stated, 1.3 at
-        # worst.
+        # Of these the priors are sure of less than there was to find: measured 0.61 and 0.5 of the deviations
+        # stated, 1.3 at worst.
         z = (found.views.camera - truth.camera) / found.deviation[:, :3]
         assert 0.1 < float(z.square().mean().sqrt()) < 1.5 and float(z.abs().max()) < 3.5
         assert bool((found.deviation > 0).all()) and 0 < found.power_deviation < 0.5
-        assert float(found.deviation[:, 2].mean()) > 3 * float(found.deviation[:, 0].mean())  # height is the unsure one
+        # height is the unsure one
+        assert float(found.deviation[:, 2].mean()) > 3 * float(found.deviation[:, 0].mean())
 
 
 def test_slopes_of_the_places(glossy):
@@ -104,7 +113,8 @@ def test_slopes_of_the_places(glossy):
 
 
 def test_shading_is_that_of_the_renderer(glossy):
-    # With b = 0 and the lobe's F constant the model is the analytic renderer's, whose light and camera are together.
+    # With b = 0 and the lobe's F constant the model is the analytic renderer's, whose light and camera are
+    # together.
     problem, u = Problem(glossy[0]), np.zeros(40)
     u[-3] = -2.5 / 1.5
     u[:36] = np.random.default_rng(0).normal(size=36)
@@ -122,21 +132,26 @@ def test_the_unit_is_kept_and_nothing_is_drawn_by_chance(glossy):
     shots, _, found = glossy
     inches = replace(shots, views=Views.of([[0.0, 0.0, 14.0]] * 9, size=7.0))
     again, scaled = estimate_views(shots), estimate_views(inches)
-    assert torch.equal(again.views.camera, found.views.camera) and torch.equal(again.deviation, found.deviation)
-    assert scaled.views.size == 7.0 and torch.allclose(scaled.views.camera / 7, found.views.camera, rtol=1e-12)
+    assert torch.equal(again.views.camera, found.views.camera) and torch.equal(again.deviation,
+                                                                               found.deviation)
+    assert scaled.views.size == 7.0 and torch.allclose(scaled.views.camera / 7, found.views.camera,
+                                                       rtol=1e-12)
     assert torch.allclose(scaled.views.intensity / 49, found.views.intensity, rtol=1e-12)
 
 
 def of_one_picture(value, count=9):
     picture = torch.as_tensor(value, dtype=torch.float32).expand(16, 16, 3)
-    return Capture(picture.expand(count, -1, -1, -1).contiguous(), DEFAULT.pick(range(count)), calibration="none")
+    return Capture(picture.expand(count, -1, -1, -1).contiguous(), DEFAULT.pick(range(count)),
+                   calibration="none")
 
 
 TEXTURE = torch.rand(16, 16, 3, generator=torch.Generator().manual_seed(0))
 LIKE_IT = of_one_picture(TEXTURE)
-NOTHING = {"black": (of_one_picture(0.0), "dark"), "white": (of_one_picture(1.0), "alike"), "one picture": (LIKE_IT, "alike"),
+NOTHING = {"black": (of_one_picture(0.0), "dark"), "white": (of_one_picture(1.0), "alike"),
+           "one picture": (LIKE_IT, "alike"),
            "two": (of_one_picture(TEXTURE, 2), "3 photos"), "one": (of_one_picture(TEXTURE, 1), "3 photos"),
-           "one black": (replace(LIKE_IT, photos=LIKE_IT.photos * (torch.arange(9) > 0).reshape(9, 1, 1, 1)), "dark"),
+           "one black": (replace(LIKE_IT, photos=LIKE_IT.photos * (torch.arange(9) > 0).reshape(9, 1, 1, 1)),
+                         "dark"),
            "paper's light": (replace(LIKE_IT, views=replace(DEFAULT, falloff="none")), "falloff")}
 
 
@@ -169,15 +184,18 @@ def test_a_fit_estimates_views_and_says_so(glossy):
     result = fit_svbrdf(shots, MITSUBA, HierarchicalConfig(iterations=14))
     alone = fit_svbrdf(shots, MITSUBA, HierarchicalConfig(iterations=14, calibrate=False))
     assert result.rerender_rmse < 0.2 * alone.rerender_rmse  # measured 0.0086 and 0.150
-    assert evaluate_fit(result, shots)["rerender_rmse"] < 0.3 * alone.rerender_rmse  # of views without the fit's refinement
+    # of views without the fit's refinement
+    assert evaluate_fit(result, shots)["rerender_rmse"] < 0.3 * alone.rerender_rmse
     assert torch.equal(alone.views.camera, shots.views.camera) and alone.flash_offset is None
     assert any("estimated from the photos" in warning for warning in result.warnings)
     assert not any("estimated" in warning for warning in alone.warnings)
     said = result.calibration
-    assert said["from"] == "none" and said["estimated"] and said["refined"] and not alone.calibration["estimated"]
+    assert said["from"] == "none" and said["estimated"] and said["refined"] and not alone.calibration[
+        "estimated"]
     assert said["camera"]["03"] == result.views.camera[3].tolist() and len(said["camera_sd"]) == 9
     assert all(sd > 0 for row in said["camera_sd"].values() for sd in row) and said["log_power_sd"] > 0.1
-    assert said["camera_sd"]["00"][2] > 0.1  # of the height estimated; the refinement alone claims 0.06 at most
+    # of the height estimated; the refinement alone claims 0.06 at most
+    assert said["camera_sd"]["00"][2] > 0.1
     assert said["flash_offset"] == pytest.approx(result.flash_offset) and min(said["flash_offset_sd"]) > 0
 
 
@@ -186,11 +204,14 @@ def test_photos_left_out_are_predicted_from_views_estimated_from_all(glossy, tmp
     # All through the commands, from a capture.json that says nothing of views.
     write_capture(photos(make_material("inlay", 24), glossy[1]), tmp_path / "photos")
     stated = json.loads((tmp_path / "photos/capture.json").read_text())
-    left = {key: value for key, value in stated.items() if key not in ("camera_pos", "light_pos", "light_pow", "calibration")}
+    left = {key: value for key, value in stated.items() if key not in ("camera_pos", "light_pos", "light_pow",
+                                                                       "calibration")}
     (tmp_path / "photos/capture.json").write_text(json.dumps(left))
     out, capture = str(tmp_path / "out"), str(tmp_path / "photos")
-    assert cli.main(["fit", capture, "-o", out, "--resolution", "24", "--iterations", "14", "--views", "0,1,2,3,5,6,8"]) == 0
-    assert cli.main(["evaluate", out, "--capture", capture, "--views", "4,7", "--json", str(tmp_path / "e.json")]) == 0
+    assert cli.main(["fit", capture, "-o", out, "--resolution", "24", "--iterations", "14", "--views",
+                     "0,1,2,3,5,6,8"]) == 0
+    assert cli.main(["evaluate", out, "--capture", capture, "--views", "4,7", "--json",
+                     str(tmp_path / "e.json")]) == 0
     assert "views estimated from the photos" in capsys.readouterr().out
     error = json.loads((tmp_path / "e.json").read_text())["rerender_rmse"]
     assert error < 0.07  # measured 0.046, and 0.23 in the default geometry, which is the same for all photos
@@ -209,10 +230,12 @@ def test_photos_left_out_are_predicted_from_views_estimated_from_all(glossy, tmp
     assert placed(given, fit) is given and placed(shots, replace(fit, estimated=False)) is shots
 
 
-@pytest.mark.parametrize("flags", [[], ["--calibrate"], ["--calibrate", "True"], ["--no-calibrate"], ["--calibrate", "False"]])
+@pytest.mark.parametrize("flags", [[], ["--calibrate"], ["--calibrate", "True"], ["--no-calibrate"],
+                                   ["--calibrate", "False"]])
 def test_flags_of_the_command(flags, glossy, tmp_path, capsys):
     write_capture(glossy[0], tmp_path / "photos")
-    arguments = ["--resolution", "16", *flags, "--explain", str(tmp_path / "photos"), "-o", str(tmp_path / "out")]
+    arguments = ["--resolution", "16", *flags, "--explain", str(tmp_path / "photos"), "-o",
+                 str(tmp_path / "out")]
     assert cli.main(["fit", *arguments]) == 0
     held = flags in (["--no-calibrate"], ["--calibrate", "False"])
     assert ("flash offset (the views are a stated default" in capsys.readouterr().out) == held
@@ -227,15 +250,18 @@ def test_methods_without_the_flag_say_so(tmp_path, capsys):
 @pytest.mark.parametrize("kind", ["given", "sheet", "photos", "none"])
 def test_views_are_called_what_they_are(kind, glossy):
     shots = replace(glossy[0], calibration=kind)
-    assert ("as calibrated" in shots._repr_html_()) == (kind == "given") and "default geometry" not in shots._repr_html_()
+    assert ("as calibrated" in shots._repr_html_()) == (
+        kind == "given") and "default geometry" not in shots._repr_html_()
     said = about_views(views_record(shots, shots.views, None, None, None))
-    assert {"given": "calibration", "sheet": "sheet", "photos": "features", "none": "default geometry"}[kind] in said
+    assert {"given": "calibration", "sheet": "sheet", "photos": "features",
+            "none": "default geometry"}[kind] in said
     assert ("light power" in said) == (kind == "photos") and "deviation" not in said
 
 
 @pytest.mark.slow
 def test_a_small_flash_offset_of_exact_photos_is_found():
-    # Normals that lean explain it as well. Measured: off by 0.009, and the error of the normals 0.0087 instead of 0.0193.
+    # Normals that lean explain it as well. Measured: off by 0.009, and the error of the normals 0.0087
+    # instead of 0.0193.
     material, views, offset = make_material("inlay", 32), handheld(2), torch.tensor([-0.1, 0.03, 0.0])
     shots = photos_of(material, replace(views, light=views.light + offset), 0.003)
     found = [fit_svbrdf(replace(shots, views=views, calibration=kind), MITSUBA,
@@ -249,7 +275,8 @@ def test_a_small_flash_offset_of_exact_photos_is_found():
 
 @pytest.mark.slow
 def test_resuming_is_bit_equal(glossy, tmp_path):
-    shots, config, path = glossy[0].averaged(16), HierarchicalConfig(iterations=100), tmp_path / "c.safetensors"
+    shots, config, path = glossy[0].averaged(16), HierarchicalConfig(
+        iterations=100), tmp_path / "c.safetensors"
     whole = fit_svbrdf(shots, MITSUBA, config)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     first = fit_svbrdf(shots, MITSUBA, config, checkpoint=path, report=lambda entry, _: (
@@ -263,7 +290,8 @@ def test_resuming_is_bit_equal(glossy, tmp_path):
 
 def test_record_of_stated_views(glossy):
     shots = replace(glossy[0], calibration="given")
-    said = views_record(shots, replace(shots.views, light=shots.views.light + torch.tensor([0.1, 0.0, 0.0])), None, None, None)
+    said = views_record(shots, replace(shots.views, light=shots.views.light + torch.tensor([0.1, 0.0, 0.0])),
+                        None, None, None)
     assert not said["estimated"] and said["camera_sd"] is None and said["flash_offset_sd"] is None
     assert said["flash_offset"] == pytest.approx([0.1, 0.0]) and said["log_power_sd"] is None
 

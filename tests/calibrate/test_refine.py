@@ -1,4 +1,6 @@
-"""Refined views against the truth they were moved from, priors where nothing is seen, and differences of the cost."""
+"""Refined views against the truth they were moved from, priors where nothing is seen, and differences of the
+cost.
+"""
 
 import json
 from dataclasses import replace
@@ -25,8 +27,8 @@ SPREAD = torch.tensor([0.03, 0.03, 0.05, 0.03, 0.03, 0.03, 0.1], dtype=torch.flo
 def moved(views, change):
     """Views off by N x 7 changes in patch sides: the camera with its flash, the flash alone, light."""
     camera, flash, light = (change[:, part] for part in (slice(0, 3), slice(3, 6), slice(6, 7)))
-    return replace(views, camera=views.camera + camera * views.size, light=views.light + (camera + flash) * views.size,
-                   intensity=views.intensity * light.exp())
+    return replace(views, camera=views.camera + camera * views.size, light=views.light
+                   + (camera + flash) * views.size, intensity=views.intensity * light.exp())
 
 
 def drawn(count, seed, spread=SPREAD):
@@ -43,24 +45,27 @@ def test_perturbed_calibration_is_found_within_the_stated_errors(name, seed):
     material, views, truth = make_material(name, 64), GRID, drawn(9, seed)
     shots = photos_from(material, views, truth, seed)
     found = refine_views(material, views, shots)
-    # 63 numbers, normal where the model is linear: 1 +- 0.09 and about 2.5 at worst, the three of a photo's camera and flash
-    # hanging together. Measured: 1.04, 0.84, 1.38 and 2.2, 2.0, 3.0.
+    # 63 numbers, normal where the model is linear: 1 +- 0.09 and about 2.5 at worst, the three of a photo's
+    # camera and flash hanging together. Measured: 1.04, 0.84, 1.38 and 2.2, 2.0, 3.0.
     z = (found.change - truth) / found.deviation
     assert 0.6 < float(z.square().mean().sqrt()) < 1.6 and float(z.abs().max()) < 4
     # The middle between camera and flash moves the highlight: priors leave 0.034, measured 0.0002 to 0.002.
     middle = (found.change - truth)[:, :2] + (found.change - truth)[:, 3:5] / 2
     assert float(middle.square().mean().sqrt()) < 0.005
     # The photos are then met as well as with the true views: measured 0.9997 to 0.9999 of their error.
-    with_truth = evaluate_capture(material, replace(shots, views=moved(views, truth)), ANALYTIC)["per_photo"].values()
+    with_truth = evaluate_capture(material, replace(shots, views=moved(views, truth)),
+                                  ANALYTIC)["per_photo"].values()
     assert all(after < 1.005 * best for after, best in zip(found.after, with_truth))
     assert sum(found.before) > 1.1 * sum(found.after)
     assert torch.allclose(found.views.camera, moved(views, found.change).camera, atol=1e-14)
     assert torch.allclose(found.views.light, moved(views, found.change).light, atol=1e-14)
     assert torch.allclose(found.views.intensity, moved(views, found.change).intensity, rtol=1e-14)
-    # From there the search is where it ends, and from the truth it ends there too, by the deviations that it states.
+    # From there the search is where it ends, and from the truth it ends there too, by the deviations that it
+    # states.
     again, other = (refine_views(material, views, shots, start=start) for start in (found.change, truth))
     assert again.iterations <= 2 < found.iterations
-    assert all(((there.change - found.change) / found.deviation).abs().max() < 0.05 for there in (again, other))
+    assert all(((there.change - found.change) / found.deviation).abs().max() < 0.05 for there in (again,
+                                                                                                  other))
 
 
 def test_photos_do_not_depend_on_each_other_nor_on_the_unit():
@@ -70,17 +75,21 @@ def test_photos_do_not_depend_on_each_other_nor_on_the_unit():
     alone = refine_views(material, views.pick([7]), shots.pick([7]))
     # One damping for all, and steps end at 0.01 prior deviations; measured 2e-10.
     assert float(((both.change[1] - alone.change[0]) / SPREAD).abs().max()) < 0.02
-    inches = replace(views, camera=views.camera * 7, light=views.light * 7, intensity=views.intensity * 49, size=7.0)
+    inches = replace(views, camera=views.camera * 7, light=views.light * 7, intensity=views.intensity * 49,
+                     size=7.0)
     scaled = refine_views(material, inches.pick([7]), shots.pick([7]))
     assert torch.allclose(scaled.change, alone.change, atol=1e-6)
     assert torch.allclose(scaled.views.light / 7, alone.views.light, atol=1e-6)
 
 
 def test_wrong_maps_make_it_less_sure():
-    # Specks that are in no map hang together over blocks of pixels: they must not count as evidence, pixel by pixel.
+    # Specks that are in no map hang together over blocks of pixels: they must not count as evidence, pixel by
+    # pixel.
     material, views = make_material("inlay", 64), GRID.pick([0, 3])
     shots = photos_from(material, views, drawn(2, 0))
-    specks = torch.nn.functional.interpolate(0.1 * torch.randn(2, 3, 8, 8, generator=torch.Generator().manual_seed(0)), 64)
+    specks = torch.nn.functional.interpolate(0.1 * torch.randn(2, 3, 8, 8,
+                                                               generator=torch.Generator().manual_seed(0)),
+                                             64)
     spoilt = replace(shots, photos=(shots.photos + specks.permute(0, 2, 3, 1)).clamp(0, 1))
     right, wrong = (refine_views(material, views, s) for s in (shots, spoilt))
     assert bool((wrong.deviation > right.deviation).all())
@@ -97,21 +106,25 @@ def test_priors_hold_where_nothing_is_seen(expected):
     wide = SPREAD.clone()
     wide[3:5] = (wide[3:5].square() + torch.tensor([0.15, 0.2]).square()).sqrt()
     assert torch.allclose(found.deviation, wide.expand(2, 7), rtol=1e-12)
-    assert torch.allclose(found.common_covariance, torch.diag(torch.tensor([0.15, 0.2]).double() ** 2), rtol=1e-6)
+    assert torch.allclose(found.common_covariance, torch.diag(torch.tensor([0.15, 0.2]).double() ** 2),
+                          rtol=1e-6)
 
 
 def test_what_is_held_does_not_move():
     material, views = make_material("inlay", 32), GRID.pick([0, 5])
-    shots = photos_from(material, views, torch.tensor([[0, 0, 0, 0, 0.02, 0, 0], [0, 0, 0, 0, -0.03, 0, 0]]).double())
+    shots = photos_from(material, views,
+                        torch.tensor([[0, 0, 0, 0, 0.02, 0, 0], [0, 0, 0, 0, -0.03, 0, 0]]).double())
     found = refine_views(material, views, shots, Priors(camera=(0, 0, 0), flash=(0, 0.03, 0), exposure=0))
     held = [i for i, name in enumerate(UNKNOWNS) if name != "flash_y"]
     assert torch.equal(found.change[:, held], torch.zeros(2, 6, dtype=torch.float64))
     assert torch.equal(found.deviation[:, held], torch.zeros(2, 6, dtype=torch.float64))
-    assert torch.allclose(found.change[:, 4], torch.tensor([0.02, -0.03]).double(), atol=2e-3)  # measured 6e-4: the noise
+    # measured 6e-4: the noise
+    assert torch.allclose(found.change[:, 4], torch.tensor([0.02, -0.03]).double(), atol=2e-3)
 
 
 def test_one_flash_offset_for_all_photos():
-    # Lit from (-0.1, 0.04) beside the lens, +-0.005: far beyond the default prior of a photo, little for an offset of all.
+    # Lit from (-0.1, 0.04) beside the lens, +-0.005: far beyond the default prior of a photo, little for an
+    # offset of all.
     material, views = make_material("leather", 48), GRID
     own = torch.tensor([0, 0, 0, 0.005, 0.005, 0, 0], dtype=torch.float64)
     truth = drawn(9, 0, own)
@@ -136,8 +149,9 @@ def problem_of(material, views, change, exact=False):
 
 
 def test_gradient_is_that_of_the_cost():
-    # A bright material: clipped highlights, robust residuals. Against central differences of the cost itself, in u; the cost's
-    # second derivative jumps where a residual passes from one branch to the other. Measured 3e-10.
+    # A bright material: clipped highlights, robust residuals. Against central differences of the cost itself,
+    # in u; the cost's second derivative jumps where a residual passes from one branch to the other. Measured
+    # 3e-10.
     material = flat(24, diffuse=0.5, specular=0.3, roughness=0.4)
     problem = problem_of(material, GRID.pick([0, 3]), drawn(2, 0))
     assert 0.01 < float((problem.photos >= CLIPPED).double().mean()) < 0.5
@@ -152,8 +166,8 @@ def test_gradient_is_that_of_the_cost():
 
 
 def test_matrix_is_the_curvature_where_the_model_is_right():
-    # Residuals of 0, so that what Gauss-Newton leaves out of the second derivative is 0 too; differences of the gradient, with
-    # the evidence held. Measured 6e-11.
+    # Residuals of 0, so that what Gauss-Newton leaves out of the second derivative is 0 too; differences of
+    # the gradient, with the evidence held. Measured 6e-11.
     problem = problem_of(make_material("leather", 24), GRID.pick([0, 3]), torch.zeros(2, 7), exact=True)
     here = problem.linear(torch.zeros(16, dtype=torch.float64))
     columns = []

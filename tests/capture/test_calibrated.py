@@ -19,10 +19,12 @@ from mitsvbrdf.errors import CaptureError, InputWarning, MitsvbrdfError, strict
 def test_photos_in_turn_are_what_photos_all_at_once_would_be(make, side, tmp_path):
     images = photos(3, 48)
     found = read_capture(make(tmp_path, images), resolution=side).photos.numpy()
-    stacked = [cv2.resize(image.astype(np.float32) / np.float32(255), (side, side), interpolation=cv2.INTER_AREA)
+    stacked = [cv2.resize(image.astype(np.float32) / np.float32(255), (side, side),
+                          interpolation=cv2.INTER_AREA)
                for image in images]
     assert np.array_equal(found, stacked)
-    assert np.abs(found - [area_means(image, side) for image in images]).max() < 1e-6  # float32 sums of nine at most
+    # float32 sums of nine at most
+    assert np.abs(found - [area_means(image, side) for image in images]).max() < 1e-6
 
 
 def test_one_photo_at_a_time_is_in_memory(tmp_path):
@@ -43,7 +45,8 @@ def test_photos_kept_together_have_a_limit(tmp_path, monkeypatch):
     monkeypatch.setattr(calibrated, "MOST_HELD", 3 * 8 * 8)
     json_capture(tmp_path)
     assert read_capture(tmp_path, resolution=8).resolution == 8
-    with pytest.raises(CaptureError, match=f"megapixels together, .* in {tmp_path}; read them at a lower resolution"):
+    with pytest.raises(CaptureError, match=f"megapixels together, .* in {tmp_path}; read them at a lower "
+                                           "resolution"):
         read_capture(tmp_path, resolution=9)
 
 

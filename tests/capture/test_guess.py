@@ -23,13 +23,16 @@ def colours(seed=0, low=0.1, high=0.6):
 
 
 def shot(diffuse, f0=0.0, roughness=0.3, views=None, levels=255):
-    """A capture of a flat material under co-located light: Lambert plus a GGX lobe, clipped, gamma 2.2, 8 bit."""
+    """A capture of a flat material under co-located light: Lambert plus a GGX lobe, clipped, gamma 2.2, 8
+    bit.
+    """
     views = views or GRID
     photos = []
     for view in views:
         to = (torch.tensor(view.light) - texel_positions(diffuse.shape[0]))
         cosine = to[..., 2:] / to.norm(dim=-1, keepdim=True)
-        square = to.square().sum(dim=-1, keepdim=True) if views.falloff != "none" else np.dot(view.light, view.light)
+        square = (to.square().sum(dim=-1, keepdim=True) if views.falloff != "none"
+                  else np.dot(view.light, view.light))
         a2 = roughness**4
         d = a2 / (math.pi * (a2 * cosine**2 + 1 - cosine**2) ** 2)
         g = 2 * cosine / (cosine + (a2 + (1 - a2) * cosine**2).sqrt())
@@ -50,13 +53,15 @@ def test_min_is_the_minimum_radiance_times_one_constant():
     intensity, light = capture.views.intensity.numpy(), capture.views.light.numpy()
     irradiance = np.mean(intensity * light[:, 2:] / (light**2).sum(1, keepdims=True) ** 1.5, axis=0)
     wanted = np.clip(np.min(capture.photos.numpy() ** 2.2, axis=0) * math.pi / irradiance, 0, 1)
-    assert np.abs(guess_diffuse(capture, "min").numpy() - wanted).max() < 2e-6  # below the toe of the transfer curve
+    # below the toe of the transfer curve
+    assert np.abs(guess_diffuse(capture, "min").numpy() - wanted).max() < 2e-6
 
 
 def test_mean_blur_keeps_a_constant_and_blurs_the_rest():
     views = nine_view_grid(spread=0)
     level = torch.tensor([0.2, 0.4, 0.6])
-    capture = Capture(color.encode(level).expand(9, SIDE, SIDE, 3), views)  # white has radiance 1 at the centre
+    # white has radiance 1 at the centre
+    capture = Capture(color.encode(level).expand(9, SIDE, SIDE, 3), views)
     assert torch.allclose(guess_diffuse(capture, "mean-blur"), level.expand(SIDE, SIDE, 3), atol=1e-6)
     noisy = shot(colours())
     assert guess_diffuse(noisy, "mean-blur").std() < 0.5 * guess_diffuse(noisy, "min").std()
@@ -68,8 +73,8 @@ def test_robust_undoes_falloff_where_min_does_not(falloff):
     views = Views.of(near.camera, intensity=near.intensity, falloff=falloff)
     diffuse = colours()
     capture = shot(diffuse, views=views)
-    # Measured: 0.0013 and 0.0012, the rounding of 8 bits (1 / (255 sqrt 12) = 0.0011); `min`: 0.157, and 0.079 without
-    # falloff, for the cosine that is left.
+    # Measured: 0.0013 and 0.0012, the rounding of 8 bits (1 / (255 sqrt 12) = 0.0011); `min`: 0.157, and
+    # 0.079 without falloff, for the cosine that is left.
     assert rms(guess_diffuse(capture), diffuse) < 0.002
     assert rms(guess_diffuse(capture, "min"), diffuse) > 0.05
 
@@ -143,7 +148,8 @@ def test_robust_on_known_materials(data_folder):
 
 def shot_of(maps, views):
     """As :func:`shot`, for a material with maps and co-located light."""
-    diffuse, f0, roughness, normal = (maps[k].double() for k in ("diffuse", "specular", "roughness", "normal"))
+    diffuse, f0, roughness, normal = (maps[k].double() for k in ("diffuse", "specular", "roughness",
+                                                                 "normal"))
     photos = []
     for view in views:
         to = torch.tensor(view.light) - texel_positions(maps.resolution) * views.size
@@ -152,6 +158,7 @@ def shot_of(maps, views):
         a2 = roughness**4
         d = a2 / (math.pi * (a2 * c**2 + 1 - c**2) ** 2)
         g = 2 * c / (c + (a2 + (1 - a2) * c**2).sqrt())
-        radiance = (diffuse / math.pi + d * g**2 * f0 / (4 * c**2)) * c / square * torch.tensor(view.intensity)
+        radiance = ((diffuse / math.pi + d * g**2 * f0 / (4 * c**2)) * c / square
+                    * torch.tensor(view.intensity))
         photos.append((color.to_display(radiance) * 255).round() / 255)
     return Capture(torch.stack(photos).float(), views)

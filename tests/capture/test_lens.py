@@ -25,7 +25,8 @@ def points(count=200, seed=0):
 @pytest.mark.parametrize("pose", POSES)
 def test_pixels_are_opencvs(lens, pose):
     shift = -pose.rotation @ pose.position
-    theirs = cv2.projectPoints(points(), cv2.Rodrigues(pose.rotation)[0], shift, lens.matrix, lens.coefficients)[0][:, 0]
+    theirs = cv2.projectPoints(points(), cv2.Rodrigues(pose.rotation)[0], shift, lens.matrix,
+                               lens.coefficients)[0][:, 0]
     # Both in float64; the way through a rotation vector costs some digits. 1e-13 was seen.
     np.testing.assert_allclose(project(lens, pose, points()), theirs, atol=1e-9)
 
@@ -60,17 +61,20 @@ def test_looking_at():
     pose = Pose.looking_at((0.4, -0.3, 2.0), (0.1, 0.2, 0.0))
     np.testing.assert_allclose(pose.rotation @ pose.rotation.T, np.eye(3), atol=1e-15)
     assert np.linalg.det(pose.rotation) == pytest.approx(1)
-    np.testing.assert_allclose(project(LENSES[0], pose, np.array([[0.1, 0.2, 0.0]]))[0], (299.5, 224.5), atol=1e-9)
+    np.testing.assert_allclose(project(LENSES[0], pose, np.array([[0.1, 0.2, 0.0]]))[0], (299.5, 224.5),
+                               atol=1e-9)
     straight, turned = Pose.looking_at((0, 0, 2), (0, 0, 0)), Pose.looking_at((0, 0, 2), (0, 0, 0), np.pi / 2)
     right, up = np.array([[0.1, 0, 0]]), np.array([[0, 0.1, 0]])
     np.testing.assert_allclose(project(LENSES[0], straight, right)[0], (324.5, 224.5))
     np.testing.assert_allclose(project(LENSES[0], straight, up)[0], (299.5, 199.5))  # rows count downward
-    np.testing.assert_allclose(project(LENSES[0], turned, right)[0], (299.5, 199.5))  # the world's x now points up
+    # the world's x now points up
+    np.testing.assert_allclose(project(LENSES[0], turned, right)[0], (299.5, 199.5))
 
 
 def test_the_flash_turns_with_the_phone():
     lens = Lens((1200, 900), 1000.0, flash=(1.0, 0.5, 0.0))
-    straight, turned = Pose.looking_at((0, 0, 20), (0, 0, 0)), Pose.looking_at((0, 0, 20), (0, 0, 0), np.pi / 2)
+    straight, turned = Pose.looking_at((0, 0, 20), (0, 0, 0)), Pose.looking_at((0, 0, 20), (0, 0, 0),
+                                                                               np.pi / 2)
     np.testing.assert_allclose(straight.flash(lens), (1, -0.5, 20), atol=1e-12)  # y of the camera points down
     np.testing.assert_allclose(turned.flash(lens), (-0.5, -1, 20), atol=1e-12)
     pose = Pose.looking_at((5, -3, 20), (1, 0, 0), 0.4)
@@ -101,8 +105,8 @@ def coordinates(lens, pose, kind):
     return (np.rint(photo * whole) if whole > 1 else photo).clip(0, whole).astype(kind)
 
 
-# Half a step of 8 bits is 3.9e-3. Floats were off by 3e-6 and 16 bits by 1.3e-5 with OpenCV 5; OpenCV 4 rounds places to 1/32
-# pixel, which may come to 9e-5 here. A pixel is 4e-3 to 6e-3 wide.
+# Half a step of 8 bits is 3.9e-3. Floats were off by 3e-6 and 16 bits by 1.3e-5 with OpenCV 5; OpenCV 4
+# rounds places to 1/32 pixel, which may come to 9e-5 here. A pixel is 4e-3 to 6e-3 wide.
 @pytest.mark.parametrize("kind, limit", [(np.float32, 1.5e-4), (np.uint16, 1.5e-4), (np.uint8, 4e-3)])
 @pytest.mark.parametrize("lens, pose", list(zip(LENSES, POSES)))
 def test_rectified_photos_show_each_place_where_it_is(lens, pose, kind, limit):
@@ -128,7 +132,9 @@ def test_photos_divided_by_a_whole_number(tmp_path):
 
 @pytest.mark.parametrize("times", [1, 4, 7])
 def test_pixels_are_averages_over_their_area(times):
-    """Straight above and aligned, the answer is the block average of noise: nothing is skipped, nothing counted twice."""
+    """Straight above and aligned, the answer is the block average of noise: nothing is skipped, nothing
+    counted twice.
+    """
     lens = Lens((32 * times, 32 * times), 100.0)
     pose = Pose.looking_at((0, 0, 100.0 * SIZE / (32 * times)), (0, 0, 0))
     photo = np.random.default_rng(0).random((*lens.size, 3)).astype(np.float32)
@@ -138,9 +144,12 @@ def test_pixels_are_averages_over_their_area(times):
 
 
 def test_a_photo_reaches_to_the_rim_of_its_pixels():
-    """A patch that fills the photo, at twice its resolution: the outermost samples lie outside the outermost pixel centres."""
+    """A patch that fills the photo, at twice its resolution: the outermost samples lie outside the outermost
+    pixel centres.
+    """
     lens, pose = Lens((32, 32), 100.0), Pose.looking_at((0, 0, 100.0 * SIZE / 32), (0, 0, 0))
-    np.testing.assert_array_equal(rectified(np.full((32, 32, 3), 0.5, dtype=np.float32), lens, pose, SIZE, 64), 0.5)
+    np.testing.assert_array_equal(rectified(np.full((32, 32, 3), 0.5, dtype=np.float32), lens, pose, SIZE,
+                                            64), 0.5)
 
 
 def test_what_a_photo_does_not_reach_is_nan():

@@ -40,10 +40,12 @@ def made(truth, tmp_path_factory):
     photo = taken(what, LENS, aside, seed=10)
     stored(raw / "blurred.jpg", cv2.GaussianBlur(photo, (0, 0), 8))
     rows, columns = np.mgrid[:900, :1200]
-    mask = cv2.GaussianBlur(((columns - 250) ** 2 + (rows - 450) ** 2 < 370**2).astype(np.float32), (0, 0), 10)[..., None]
+    mask = cv2.GaussianBlur(((columns - 250) ** 2 + (rows - 450) ** 2 < 370**2).astype(np.float32), (0, 0),
+                            10)[..., None]
     stored(raw / "finger.jpg", photo * (1 - mask) + mask * np.array((0.06, 0.012, 0.01)))
     stored(raw / "dark.jpg", taken(what, LENS, aside, flash=False, seed=12), flash=0x10)
-    stored(raw / "room.jpg", taken(what, LENS, Pose.looking_at((-2.5, 1, 25), (0, 0, 0)), flash=False, seed=13), flash=None)
+    stored(raw / "room.jpg", taken(what, LENS, Pose.looking_at((-2.5, 1, 25), (0, 0, 0)), flash=False,
+                                   seed=13), flash=None)
     stored(raw / "two.jpg", taken(what, LENS, truth["IMG_1.jpg"], seed=14))
     stored(raw / "other.jpg", taken(ground(False, seed=5), LENS, aside, seed=15))
     stored(raw / "size.jpg", photo[:, :1000])
@@ -60,28 +62,34 @@ def test_right_photos_are_used_and_wrong_ones_named_with_the_reason(made):
     assert [name for name, row in rows.items() if row["used"]] == [f"IMG_{i}.jpg" for i in range(7)]
     expected = {"blurred": "blurred: 0.", "finger": "covered: ", "dark": "without flash .says its EXIF",
                 "room": "does not fall off", "two": "the same photo as IMG_1.jpg", "other": "of 16 tags seen",
-                "aside": "partly outside: it shows only 7.%", "size": "1000 x 900 pixels, the others have 1200 x 900: cropped",
+                "aside": "partly outside: it shows only 7.%", "size": "1000 x 900 pixels, the others have "
+                                                                      "1200 x 900: cropped",
                 "turned": "900 x 1200 pixels.*: its pixels were turned when it was stored"}
     for name, word in expected.items():
         assert re.search(word, rows[f"{name}.jpg"]["reason"]), (name, rows[f"{name}.jpg"]["reason"])
     assert len(rows) == 16
-    at = (np.stack(np.meshgrid(*[(np.arange(200) + 0.5) / 200 - 0.5] * 2), axis=-1).reshape(-1, 2)) * 0.64 * 18
+    at = ((np.stack(np.meshgrid(*[(np.arange(200) + 0.5) / 200 - 0.5] * 2), axis=-1).reshape(-1, 2)) * 0.64
+          * 18)
     seen = project(LENS, Pose.looking_at((6, 0, 20), (9, 0, 0)), np.column_stack((at, np.zeros(len(at)))))
     inside = ((seen > -0.5) & (seen < np.array(LENS.size) - 0.5)).all(axis=1)
-    assert rows["aside.jpg"]["overlap"] == pytest.approx(inside.mean(), abs=0.01)  # a texel in 256 along one edge is 0.004
+    # a texel in 256 along one edge is 0.004
+    assert rows["aside.jpg"]["overlap"] == pytest.approx(inside.mean(), abs=0.01)
 
 
 def test_the_capture_is_where_the_phone_was(made, truth):
     capture = read_capture(made[1])
-    assert (capture.calibration, capture.transfer, len(capture), capture.resolution) == ("sheet", "srgb", 7, 256)
+    assert (capture.calibration, capture.transfer, len(capture), capture.resolution) == ("sheet", "srgb", 7,
+                                                                                         256)
     assert capture.views.size == pytest.approx(0.64 * 18)
     camera = np.stack([pose.position for pose in truth.values()])
     light = np.stack([pose.flash(LENS) for pose in truth.values()])
     # Measured, in cm at 24 cm: cameras 0.005, lights 0.036; the bar is 0.5 % of the distance, 0.12.
     assert np.abs(capture.views.camera.numpy() - camera).max() < 0.06
     assert np.abs(capture.views.light.numpy() - light).max() < 0.12
-    assert capture.views.intensity.numpy() == pytest.approx(np.full((7, 3), POWER), rel=0.02)  # measured 0.4 %
-    # A texel's radiance over its irradiance is its albedo: of the photo with the least gloss there, within noise and JPEG.
+    # measured 0.4 %
+    assert capture.views.intensity.numpy() == pytest.approx(np.full((7, 3), POWER), rel=0.02)
+    # A texel's radiance over its irradiance is its albedo: of the photo with the least gloss there, within
+    # noise and JPEG.
     albedo = cv2.resize(ground()[0][..., :3], (1200, 1200))
     low, high = (int(1200 * (0.5 + s * 0.32 * 18 / SHEET.outer)) for s in (-1, 1))
     expected = cv2.resize(albedo[low:high, low:high], (16, 16), interpolation=cv2.INTER_AREA)
@@ -99,23 +107,28 @@ def _albedo(photo, view):
 
 def test_what_capture_json_says(made, truth):
     stated = json.loads((made[1] / "capture.json").read_text())
-    assert {"camera_pos", "light_pos", "light_pow", "im_size", "idx", "target_dir"} <= set(stated)  # svbrdf-diff-renderer's
+    # svbrdf-diff-renderer's
+    assert {"camera_pos", "light_pos", "light_pow", "im_size", "idx", "target_dir"} <= set(stated)
     assert (stated["unit"], stated["calibration"], stated["photos"]) == ("cm", "sheet", list(truth))
     assert len(stated["left_out"]) == 9 and stated["uncertainty"]["flash_x"] < 0.1
     rig = rig_from_json(stated["rig"])
     pixel = project(rig.lens, rig.poses["IMG_3.jpg"], np.zeros((1, 3)))
-    assert pixel == pytest.approx(project(LENS, truth["IMG_3.jpg"], np.zeros((1, 3))), abs=0.1)  # measured 0.01
+    # measured 0.01
+    assert pixel == pytest.approx(project(LENS, truth["IMG_3.jpg"], np.zeros((1, 3))), abs=0.1)
     assert rig.lens.vignetting[0] == pytest.approx(-0.2, abs=0.02)  # measured -0.204
 
 
 def test_quality_page_and_pictures(made):
     out = made[1]
-    record, page = json.loads((out / "quality.json").read_text()), html.unescape((out / "quality.html").read_text())
+    record, page = json.loads((out / "quality.json").read_text()), html.unescape(
+        (out / "quality.html").read_text())
     for row in record["photos"]:
         assert row["name"] in page and (row["used"] or row["reason"].split(" (")[0] in page)
-    assert page.count("<img") == 16 and "http://" not in page.replace("http://www.w3.org", "") and len(page) < 2e6
+    assert page.count("<img") == 16 and "http://" not in page.replace("http://www.w3.org",
+                                                                      "") and len(page) < 2e6
     assert {"reading", "rectifying", "flash", "quality", "tags"} <= set(record["seconds"])
-    assert 0.3 < record["coverage"]["share"] <= 1 and (record["stand"] is None or record["stand"]["words"] in page)
+    assert 0.3 < record["coverage"]["share"] <= 1 and (record["stand"] is None
+                                                       or record["stand"]["words"] in page)
     assert cv2.imread(str(out / "contact.jpg")).shape[1] == 1680
     assert any("flash differs" in warning for warning in record["warnings"])
     assert "<td" in page and not words_at_the_right(page)
@@ -124,7 +137,8 @@ def test_quality_page_and_pictures(made):
 def test_formats_page_names_every_key(made):
     page = (ROOT / "docs/formats.md").read_text()
     stated, record = (json.loads((made[1] / name).read_text()) for name in ("capture.json", "quality.json"))
-    for key in [*stated, *stated["rig"]["lens"], *stated["uncertainty"], *record, *record["photos"][0], *record["coverage"]]:
+    for key in [*stated, *stated["rig"]["lens"], *stated["uncertainty"], *record, *record["photos"][0],
+                *record["coverage"]]:
         assert f"`{key}`" in page, key
 
 
@@ -158,7 +172,8 @@ def test_mistakes_on_the_command_line(made, truth, tmp_path, capsys):
     Image.fromarray(np.zeros((60, 80, 3), np.uint8)).save(empty / "3.jpg")
     text = said(empty, "-o", tmp_path / "a", "--sheet", 18)
     assert "show the sheet, got 0 of 3" in text and "none of 16 tags" in text
-    Image.fromarray(np.random.default_rng(0).integers(0, 255, (60, 80, 3), dtype=np.uint8)).save(empty / "4.jpg")
+    Image.fromarray(np.random.default_rng(0).integers(0, 255, (60, 80, 3),
+                                                      dtype=np.uint8)).save(empty / "4.jpg")
     (empty / "4.jpg").write_bytes((empty / "4.jpg").read_bytes()[:3000])  # cut off while it was copied
     assert "4.jpg: image file is truncated" in said(empty, "-o", tmp_path / "a")
     (empty / "5.dng").touch()
@@ -176,7 +191,8 @@ def test_options_out_of_range(made):
 
 def test_too_few_are_left(made):
     """Two good ones, and one that is not: the error names it and the reason."""
-    photos = [Photo.open(made[0] / name) for name in ("IMG_0.jpg", "IMG_1.jpg", "IMG_2.jpg", "size.jpg", "two.jpg")]
+    photos = [Photo.open(made[0] / name) for name in ("IMG_0.jpg", "IMG_1.jpg", "IMG_2.jpg", "size.jpg",
+                                                      "two.jpg")]
     with pytest.raises(CaptureError, match="size.jpg: 1000 x 900"):
         make_capture(photos[1:4], 18.0)
     with pytest.raises(CaptureError, match="two.jpg: the same photo as IMG_1.jpg"):

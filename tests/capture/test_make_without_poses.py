@@ -47,7 +47,8 @@ def window(photo, side):
 
 def save(folder, **images):
     for name, image in images.items():
-        cv2.imwrite(str(folder / f"{name}.png"), (np.asarray(image)[..., ::-1] * 255).round().astype(np.uint8))
+        cv2.imwrite(str(folder / f"{name}.png"),
+                    (np.asarray(image)[..., ::-1] * 255).round().astype(np.uint8))
 
 
 def test_default_views():
@@ -97,14 +98,16 @@ def test_exif_gives_the_field_of_view_and_warnings(tmp_path):
 
 def test_exif_orientation_is_honoured(tmp_path):
     photo = seen(texture(), STRAIGHT)
-    with_exif(tmp_path / "a.jpg", np.rot90(photo.numpy()), orientation=6)  # stored turned left: show turned right
+    # stored turned left: show turned right
+    with_exif(tmp_path / "a.jpg", np.rot90(photo.numpy()), orientation=6)
     square = read_capture(tmp_path).photos[0]
     assert (square - window(photo, 300)).abs().mean() < 0.02  # JPEG at quality 98: 0.005
 
 
 def test_photos_that_show_everything_in_the_same_place_are_taken_for_rectified(tmp_path):
     y, x = np.mgrid[:HEIGHT, :WIDTH]
-    lit = [seen(texture(), STRAIGHT) * torch.from_numpy(np.exp(-((x - u) ** 2 + (y - v) ** 2) / 3e5)[..., None]).float()
+    lit = [seen(texture(), STRAIGHT) * torch.from_numpy(np.exp(-((x - u) ** 2 + (y - v) ** 2) / 3e5)[...,
+                                                                                                     None]).float()
            for u, v in ((100, 80), (300, 60), (200, 250))]
     save(tmp_path, a=lit[0], b=lit[1], c=lit[2])
     heard = []

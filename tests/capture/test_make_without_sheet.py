@@ -15,9 +15,12 @@ from mitsvbrdf.errors import CaptureError
 
 def test_plain_photos_are_made_a_capture_of(plain):
     heard, told = [], []
-    capture = read_capture(plain, resolution=64, falloff="none", log=heard.append, report=lambda *what: told.append(what))
-    assert [share for _, share in told] == sorted(share for _, share in told) and any("rectifying" in text for text, _ in told)
-    assert (capture.calibration, capture.calibrated, len(capture), capture.index) == ("photos", True, 6, tuple(range(6)))
+    capture = read_capture(plain, resolution=64, falloff="none", log=heard.append,
+                           report=lambda *what: told.append(what))
+    assert [share for _, share in told] == sorted(share for _, share in told) and any("rectifying" in text
+                                                                                      for text, _ in told)
+    assert (capture.calibration, capture.calibrated, len(capture), capture.index) == ("photos", True, 6,
+                                                                                      tuple(range(6)))
     assert capture.photos.shape == (6, 64, 64, 3) and capture.transfer == "srgb" and capture.views.size == 1
     assert capture.views.falloff == "none"
     assert any("ISO differs: 100" in note and "200 in IMG_0.jpg" in note for note in heard)
@@ -37,9 +40,11 @@ def test_few_photos_are_read_without_geometry(plain, tmp_path):
     assert one.calibration == "none" and one.photos.shape == (1, 450, 450, 3) and one.index == (0,)
     expected = np.asarray(Image.open(plain / "IMG_0.jpg"))[:, 75:525] / np.float32(255)
     assert np.array_equal(one.photos[0].numpy(), expected.astype(np.float32))
-    stated = round(LENS.focal / math.hypot(*LENS.size) * math.hypot(36, 24))  # 35 mm equivalent, equal diagonals
+    # 35 mm equivalent, equal diagonals
+    stated = round(LENS.focal / math.hypot(*LENS.size) * math.hypot(36, 24))
     assert one.views.camera[0].tolist() == pytest.approx([0, 0, stated / math.hypot(36, 24) * 750 / 450])
-    assert one.views.intensity[0, 0] / one.views.camera[0, 2] ** 2 == pytest.approx(math.pi)  # white has radiance 1
+    # white has radiance 1
+    assert one.views.intensity[0, 0] / one.views.camera[0, 2] ** 2 == pytest.approx(math.pi)
     assert len(one.notes) == 1 and "no calibration" in one.notes[0] and "from EXIF" in one.notes[0]
     Image.fromarray(np.full((450, 600, 3), 90, np.uint8)).save(tmp_path / "b.jpg")
     two = read_capture(tmp_path)

@@ -20,11 +20,12 @@ def picture(height=40, width=60):
     return cv2.resize(corners, (width, height), interpolation=cv2.INTER_LINEAR)
 
 
-def exif(orientation=1, iso=100, exposure=0.01, focal=4.2, focal_35mm=26, balance=1, flash=1, model="Phone 1"):
+def exif(orientation=1, iso=100, exposure=0.01, focal=4.2, focal_35mm=26, balance=1, flash=1,
+         model="Phone 1"):
     block = Image.Exif()
     block[0x0112], block[271], block[272] = orientation, "Maker", model
-    block.get_ifd(0x8769).update({34855: iso, 33434: exposure, 37386: focal, 41989: focal_35mm, 41987: balance,
-                                  37385: flash, 36867: "2024:05:06 07:08:09"})
+    block.get_ifd(0x8769).update({34855: iso, 33434: exposure, 37386: focal, 41989: focal_35mm,
+                                  41987: balance, 37385: flash, 36867: "2024:05:06 07:08:09"})
     return block
 
 
@@ -36,11 +37,15 @@ def saved(path, pixels=None, **settings):
 def test_header(tmp_path):
     photo = saved(tmp_path / "a.jpg", orientation=6, flash=0x19)
     assert (photo.name, photo.size, photo.orientation, photo.linear) == ("a.jpg", (60, 40), 6, False)
-    assert photo.exif == {"ISO": 100, "exposure time": pytest.approx(0.01), "focal length": pytest.approx(4.2),
-                          "35 mm focal length": 26, "white balance": "manual", "flash": "fired", "camera": "Maker Phone 1",
+    assert photo.exif == {"ISO": 100, "exposure time": pytest.approx(0.01),
+                          "focal length": pytest.approx(4.2),
+                          "35 mm focal length": 26, "white balance": "manual", "flash": "fired",
+                          "camera": "Maker Phone 1",
                           "date": "2024:05:06 07:08:09"}
-    assert saved(tmp_path / "b.jpg", flash=0x10).exif["flash"] == "off"  # a flash that was switched off, says the standard
-    # A turned photo is given as the sensor stored it; JPEG at quality 95 changes this picture by 7 steps at most.
+    # a flash that was switched off, says the standard
+    assert saved(tmp_path / "b.jpg", flash=0x10).exif["flash"] == "off"
+    # A turned photo is given as the sensor stored it; JPEG at quality 95 changes this picture by 7 steps at
+    # most.
     assert np.abs(photo.pixels().astype(int) - picture()).max() <= 8
 
 
@@ -49,7 +54,8 @@ def test_settings_that_differ_are_named(tmp_path):
     assert differences(same) == []
     other = saved(tmp_path / "c.jpg", iso=400, exposure=0.02, focal=2.1, balance=0, flash=0, model="Phone 2")
     found = differences([*same, other])
-    assert [line.split(" differs")[0] for line in found] == ["ISO", "exposure time", "focal length", "white balance", "flash",
+    assert [line.split(" differs")[0] for line in found] == ["ISO", "exposure time", "focal length",
+                                                             "white balance", "flash",
                                                               "camera"]
     assert found[0].startswith("ISO differs: 100 in a.jpg and others, 400 in c.jpg")
     assert "fired in a.jpg and others, off in c.jpg" in found[4]
@@ -64,8 +70,10 @@ def test_rubbish_in_exif_costs_no_photo(tmp_path):
     assert photo.exif == {} and photo.orientation == 1 and photo.pixels().shape == (40, 60, 3)
     assert not {"ISO", "35 mm focal length"} & read_exif(tmp_path / "b.jpg").keys()  # 0 stands for unknown
     assert saved(tmp_path / "c.jpg", orientation=77).orientation == 1
-    assert not {"ISO", "35 mm focal length"} & saved(tmp_path / "d.jpg", iso=65535, focal_35mm=65535).exif.keys()
-    (tmp_path / "e.jpg").write_bytes(good.replace(b"\x01\x12\x00\x03\x00\x00\x00\x01", b"\x01\x12\x00\x03\x00\x00\x00\x02"))
+    assert not {"ISO", "35 mm focal length"} & saved(tmp_path / "d.jpg", iso=65535,
+                                                     focal_35mm=65535).exif.keys()
+    (tmp_path / "e.jpg").write_bytes(good.replace(b"\x01\x12\x00\x03\x00\x00\x00\x01",
+                                                  b"\x01\x12\x00\x03\x00\x00\x00\x02"))
     with warnings.catch_warnings(action="error"):  # two orientations are no concern of the user's
         assert Photo.open(tmp_path / "e.jpg").size == (60, 40)
 
@@ -138,7 +146,8 @@ def test_photos_in_a_folder(tmp_path):
         photos_in(tmp_path / "none")
 
 
-@pytest.mark.parametrize(("name", "extra", "package"), [("a.heic", "heic", "pillow_heif"), ("a.dng", "raw", "rawpy")])
+@pytest.mark.parametrize(("name", "extra", "package"), [("a.heic", "heic", "pillow_heif"),
+                                                        ("a.dng", "raw", "rawpy")])
 def test_a_missing_extra_is_named(name, extra, package, tmp_path, monkeypatch):
     (tmp_path / name).write_bytes(b"anything")
     monkeypatch.setitem(__import__("sys").modules, package, None)  # as if it were not installed
@@ -150,26 +159,34 @@ def test_a_missing_extra_is_named(name, extra, package, tmp_path, monkeypatch):
 def test_heic_is_given_as_the_sensor_saw_it(orientation, tmp_path):
     heif = pytest.importorskip("pillow_heif", reason='needs pip install "mitsvbrdf[heic]"')
     heif.register_heif_opener()
-    shown = np.rot90(picture(), {1: 0, 3: 2, 6: -1, 8: 1}[orientation])  # what the phone shows of the sensor's picture()
+    # what the phone shows of the sensor's picture()
+    shown = np.rot90(picture(), {1: 0, 3: 2, 6: -1, 8: 1}[orientation])
     Image.fromarray(shown).save(tmp_path / "a.heic", quality=95, exif=exif(orientation))
     photo = Photo.open(tmp_path / "a.heic")
     assert photo.orientation == orientation and photo.size == (60, 40) and photo.exif["ISO"] == 100
-    assert np.abs(photo.pixels().astype(int) - picture()).max() <= 20  # measured: 12; a turned picture: above 200
+    # measured: 12; a turned picture: above 200
+    assert np.abs(photo.pixels().astype(int) - picture()).max() <= 20
     (tmp_path / "b.heic").write_bytes((tmp_path / "a.heic").read_bytes()[:300])
     with pytest.raises(CaptureError, match="b.heic"):
         Photo.open(tmp_path / "b.heic").pixels()
 
 
 def dng(path, mosaic, flip=1, white=4000, neutral=(1, 1, 1)):
-    """The least of a DNG: one strip of a Bayer mosaic RGGB, 16 bits, uncompressed, white balance and linear values stated."""
+    """The least of a DNG: one strip of a Bayer mosaic RGGB, 16 bits, uncompressed, white balance and linear
+    values stated.
+    """
     height, width = mosaic.shape
-    matrix = [3.2406, -1.5372, -0.4986, -0.9689, 1.8758, 0.0415, 0.0557, -0.2040, 1.0570]  # XYZ to linear sRGB
-    entries = [(254, 4, [0]), (256, 4, [width]), (257, 4, [height]), (258, 3, [16]), (259, 3, [1]), (262, 3, [32803]),
-               (271, 2, b"Maker\0"), (272, 2, b"Phone\0"), (273, 4, None), (274, 3, [flip]), (277, 3, [1]), (278, 4, [height]),
+    # XYZ to linear sRGB
+    matrix = [3.2406, -1.5372, -0.4986, -0.9689, 1.8758, 0.0415, 0.0557, -0.2040, 1.0570]
+    entries = [(254, 4, [0]), (256, 4, [width]), (257, 4, [height]), (258, 3, [16]), (259, 3, [1]),
+               (262, 3, [32803]),
+               (271, 2, b"Maker\0"), (272, 2, b"Phone\0"), (273, 4, None), (274, 3, [flip]), (277, 3, [1]),
+               (278, 4, [height]),
                (279, 4, [mosaic.size * 2]), (33421, 3, [2, 2]), (33422, 1, bytes([0, 1, 1, 2])),
-               (50706, 1, bytes([1, 4, 0, 0])), (50708, 2, b"Maker Phone\0"), (50714, 3, [0]), (50717, 3, [white]),
-               (50721, 10, [round(x * 10000) for x in matrix]), (50728, 5, [round(x * 10000) for x in neutral]),
-               (50778, 3, [21])]
+               (50706, 1, bytes([1, 4, 0, 0])), (50708, 2, b"Maker Phone\0"), (50714, 3, [0]),
+               (50717, 3, [white]),
+               (50721, 10, [round(x * 10000) for x in matrix]),
+               (50728, 5, [round(x * 10000) for x in neutral]), (50778, 3, [21])]
     start = 8 + 2 + 12 * len(entries) + 4
     table, beyond = b"", b""
     for tag, kind, values in entries:
@@ -217,7 +234,8 @@ def test_postscript_is_handed_to_no_program(name, tmp_path, monkeypatch):
     if name.endswith("heic"):
         pytest.importorskip("pillow_heif", reason='needs pip install "mitsvbrdf[heic]"')
     monkeypatch.setattr("PIL.EpsImagePlugin.Ghostscript", lambda *_, **__: pytest.fail("ran Ghostscript"))
-    (tmp_path / name).write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 64 64\n%%EndComments\nshowpage\n%%EOF\n")
+    (tmp_path / name).write_bytes(
+        b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 64 64\n%%EndComments\nshowpage\n%%EOF\n")
     Image.init()  # all formats
     with pytest.raises(CaptureError, match=name):
         Photo.open(tmp_path / name).pixels()

@@ -13,7 +13,7 @@ from helpers.stated_captures import CAMERA, LIGHT, json_capture, photos, save, t
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture, read_capture, write_capture
 from mitsvbrdf.errors import CaptureError, ConfigError, MitsvbrdfError
-from mitsvbrdf.system import images
+from mitsvbrdf.io import images
 from mitsvbrdf.views import Views
 
 
@@ -39,7 +39,8 @@ def test_json_capture(tmp_path):
     assert capture.views.camera.tolist() == CAMERA and capture.views.light.tolist() == LIGHT
     assert capture.views.intensity.tolist() == [[1500.0, 1400.0, 1300.0]] * 3
     assert (capture.views.size, capture.views.falloff, capture.transfer) == (6.848, "none", "gamma2.2")
-    assert (capture.index, capture.calibrated, capture.source, capture.notes) == ((0, 1, 2), True, tmp_path, ())
+    assert (capture.index, capture.calibrated, capture.source, capture.notes) == ((0, 1, 2), True, tmp_path,
+                                                                                  ())
     assert same_views(read_capture(tmp_path / "capture.json", falloff="none").views, capture.views)
 
 
@@ -122,7 +123,8 @@ def test_round_trip_of_equal_lights_and_of_the_default_geometry(tmp_path):
     plain = read_capture(tmp_path / "c")
     write_capture(plain, tmp_path / "d")
     back = read_capture(tmp_path / "d")
-    assert not back.calibrated and torch.equal(back.photos, plain.photos) and same_views(back.views, plain.views)
+    assert not back.calibrated and torch.equal(back.photos, plain.photos) and same_views(back.views,
+                                                                                         plain.views)
 
 
 def test_real_capture(data_folder):
@@ -157,7 +159,8 @@ def test_photos_that_are_not_square(tmp_path):
     fails(json_capture(tmp_path, photos()[:, :12]), "00.png", "16 x 12")
 
 
-@pytest.mark.parametrize("make", [json_capture, text_capture, lambda path, images: save(path, images) or path])
+@pytest.mark.parametrize("make", [json_capture, text_capture, lambda path, images: save(path, images)
+                                  or path])
 def test_one_pixel_photo(tmp_path, make):
     fails(make(tmp_path, photos(3, 1)), "00.png", "1 x 1")
 
@@ -166,9 +169,11 @@ def test_counts_of_rows_and_photos(tmp_path):
     images = photos(9)
     rows = [[0.0, 0.0, 9.0]] * 8
     text = "\n".join("0,0,9" for _ in range(8))
-    fails(json_capture(tmp_path / "a", images, camera_pos=rows, light_pos=..., idx=list(range(9))), "9", "8 rows")
+    fails(json_capture(tmp_path / "a", images, camera_pos=rows, light_pos=..., idx=list(range(9))), "9",
+          "8 rows")
     fails(json_capture(tmp_path / "b", images, camera_pos=rows, light_pos=..., idx=...), "9 photos", "8 rows")
-    fails(text_capture(tmp_path / "c", images, camera_pos=text, light_pos=None), "9 photos", "8 rows", "camera_pos.txt")
+    fails(text_capture(tmp_path / "c", images, camera_pos=text, light_pos=None), "9 photos", "8 rows",
+          "camera_pos.txt")
     fails(text_capture(tmp_path / "d", photos(4)), "4 photos", "3 rows")
     fails(json_capture(tmp_path / "e", light_pos=LIGHT[:2]), "light_pos", "3 rows", "2 rows")
     fails(text_capture(tmp_path / "f", light_pos="0 0 1"), "light_pos", "1 rows")
@@ -193,7 +198,8 @@ def test_one_number_twice(tmp_path):
 
 def test_nan_and_camera_below_the_plane(tmp_path):
     nan = [0, 0, float("nan")]
-    fails(json_capture(tmp_path / "a", camera_pos=[nan, *CAMERA[1:]]), "camera_pos[0][2]", "no finite number", "capture.json")
+    fails(json_capture(tmp_path / "a", camera_pos=[nan, *CAMERA[1:]]), "camera_pos[0][2]", "no finite number",
+          "capture.json")
     fails(text_capture(tmp_path / "b", camera_pos="0,0,9\n0,nan,9\n0,0,9"), "camera 1", "nan")
     fails(json_capture(tmp_path / "c", camera_pos=[*CAMERA[:2], [0, 0, -17]]), "camera 2", "-17")
     fails(text_capture(tmp_path / "d", light_pos="0,0,9\n0,0,0\n0,0,9"), "light 1")
@@ -214,11 +220,13 @@ def test_missing_key(tmp_path, key):
 
 
 @pytest.mark.parametrize(("key", "value"), [
-    ("target_dir", 3), ("im_size", "6"), ("im_size", None), ("im_size", [1]), ("idx", "0"), ("idx", []), ("idx", [0.5]),
+    ("target_dir", 3), ("im_size", "6"), ("im_size", None), ("im_size", [1]), ("idx", "0"), ("idx", []),
+    ("idx", [0.5]),
     ("idx", [-1]), ("idx", [True]), ("camera_pos", 3), ("camera_pos", []), ("camera_pos", [[1, 2]] * 3),
-    ("camera_pos", [[1, 2, "3"]] * 3), ("camera_pos", {"0": [1, 2, 3]}), ("light_pos", None), ("light_pow", [1, 2]),
-    ("light_pow", [[1, 2]]), ("light_pow", "bright"), ("light_pow", []), ("light_pow", 10**400), ("transfer", "log"),
-    ("transfer", ["srgb"])])
+    ("camera_pos", [[1, 2, "3"]] * 3), ("camera_pos", {"0": [1, 2, 3]}), ("light_pos", None),
+    ("light_pow", [1, 2]),
+    ("light_pow", [[1, 2]]), ("light_pow", "bright"), ("light_pow", []), ("light_pow", 10**400),
+    ("transfer", "log"), ("transfer", ["srgb"])])
 def test_value_of_the_wrong_type(tmp_path, key, value):
     fails(json_capture(tmp_path, **{key: value}), key, "capture.json")
 
@@ -231,7 +239,8 @@ def test_broken_json(tmp_path, data):
 
 @pytest.mark.parametrize(("name", "text"), [
     ("camera_pos", "a,b,c"), ("camera_pos", ""), ("camera_pos", "1,2\n3,4\n5,6"), ("light_pos", "x"),
-    ("image_size", "1 2"), ("image_size", "wide"), ("image_size", None), ("light_power", None), ("light_power", "1,2")])
+    ("image_size", "1 2"), ("image_size", "wide"), ("image_size", None), ("light_power", None),
+    ("light_power", "1,2")])
 def test_broken_text(tmp_path, name, text):
     folder = text_capture(tmp_path, **{name: text})
     fails(folder, str(tmp_path), {"light_power": "light_pow"}.get(name, name))

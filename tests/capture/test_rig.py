@@ -12,7 +12,8 @@ from mitsvbrdf.errors import CaptureError
 
 def test_a_rig_survives_json():
     lens = Lens((4032, 3024), 3000.5, (2010.0, 1500.25), (0.06, -0.04), (-0.25, 0.05), (1.5, 0.4, 0.0))
-    poses = {"IMG_0001.jpg": Pose.looking_at((3, -2, 25), (0.4, 0.1, 0), 0.2), "b.png": Pose.looking_at((0, 1, 30), (0, 0, 0))}
+    poses = {"IMG_0001.jpg": Pose.looking_at((3, -2, 25), (0.4, 0.1, 0), 0.2),
+             "b.png": Pose.looking_at((0, 1, 30), (0, 0, 0))}
     rig = Rig(lens, poses, 11.52, "cm", "sheet", {"b.png": 0.25}, {"c.jpg": "blurred"})
     back = rig_from_json(json.loads(json.dumps(rig_to_json(rig))))
     assert (back.lens, back.size, back.unit, back.source) == (rig.lens, rig.size, rig.unit, rig.source)
@@ -23,7 +24,8 @@ def test_a_rig_survives_json():
 
 
 @pytest.mark.parametrize("wrong", [{}, {"lens": {"size": [4, 3], "focal": 2, "aperture": 1}, "poses": {}},
-                                   {"lens": {"size": [4, 3], "focal": 2}, "poses": {"a": {"position": [1, 2]}}}])
+                                   {"lens": {"size": [4, 3], "focal": 2},
+                                    "poses": {"a": {"position": [1, 2]}}}])
 def test_a_rig_that_is_none_says_so(wrong):
     with pytest.raises(CaptureError, match="a rig of lens and poses"):
         rig_from_json(wrong)

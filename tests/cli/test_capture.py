@@ -11,8 +11,8 @@ def result(resolution, photos=("IMG_1.jpg", "blurred[red].jpg", "IMG_2.jpg"), le
     """Three photos, the second of them left out, rectified to so many pixels."""
     used = [name for name in photos if name != left_out]
     rig = SimpleNamespace(left_out={left_out: "blurred: 0.2"}, errors=dict.fromkeys(used, 0.25))
-    return SimpleNamespace(used=used, photos=[SimpleNamespace(name=name) for name in photos], rig=rig, qualities={},
-                           warnings=("the photos are small",), covered=0.5, next_view=None,
+    return SimpleNamespace(used=used, photos=[SimpleNamespace(name=name) for name in photos], rig=rig,
+                           qualities={}, warnings=("the photos are small",), covered=0.5, next_view=None,
                            capture=SimpleNamespace(resolution=resolution))
 
 
@@ -23,9 +23,10 @@ def test_the_table_says_by_which_number_a_fit_calls_each_photo(capsys):
     assert rows == {"IMG_1.jpg": "used as 00", "blurred[red].jpg": "blurred: 0.2", "IMG_2.jpg": "used as 01"}
 
 
-@pytest.mark.parametrize("shown, words", [(727, "727 pixels are enough: a fit takes 256"), (200, "200 pixels are few"),
-                                          (1024, None)])
+@pytest.mark.parametrize("shown, words", [(727, "727 pixels are enough: a fit takes 256"),
+                                          (200, "200 pixels are few"), (1024, None)])
 def test_whether_fewer_pixels_than_asked_for_are_enough(shown, words, capsys):
     _print(result(shown), 1024)
     said = capsys.readouterr().out
-    assert (words or "the photos are small") in said and ("photos from closer by" in said) == (words is not None)
+    assert (words or "the photos are small") in said and ("photos from closer by" in said) == (
+        words is not None)

@@ -1,4 +1,6 @@
-"""The table of commands: it says what each command says of itself, and words about commands load nothing heavy."""
+"""The table of commands: it says what each command says of itself, and words about commands load nothing
+heavy.
+"""
 
 import subprocess
 import sys
@@ -11,12 +13,15 @@ HEAVY = ("torch", "scipy", "mitsuba", "matplotlib", "cv2")
 
 
 @pytest.mark.parametrize("name", cli.COMMANDS)
-def test_the_table_has_the_first_line_of_each_command(name):
-    assert cli.command(name).__doc__.splitlines()[0] == cli.COMMANDS[name]
+def test_the_table_has_the_first_sentence_of_each_command(name):
+    first, _, _ = cli.command(name).__doc__.partition("\n\n")
+    assert " ".join(first.split()) == cli.COMMANDS[name]
 
 
 def loaded_by(arguments, folder):
-    """What a process of its own prints for these arguments, its exit code, and which of the heavy packages it loaded."""
+    """What a process of its own prints for these arguments, its exit code, and which of the heavy packages it
+    loaded.
+    """
     code = f"""
 import sys
 from mitsvbrdf.__main__ import main
@@ -63,7 +68,8 @@ def test_the_shell_completes_options_of_every_command(tmp_path):
 COMP_WORDS=(mitsvbrdf "$1" "$2"); COMP_CWORD=2; COMP_LINE="mitsvbrdf $1 $2"; COMP_POINT=${{#COMP_LINE}}
 _tyro_mitsvbrdf mitsvbrdf "$2" "$1"; echo "${{COMPREPLY[@]}}"
 """
-    for command, begun, whole in (("export", "--nam", "--naming"), ("fit", "--bud", "--budget"), ("sheet", "--pap", "--paper")):
+    for command, begun, whole in (("export", "--nam", "--naming"), ("fit", "--bud", "--budget"),
+                                  ("sheet", "--pap", "--paper")):
         done = subprocess.run(["bash", "-c", code, "bash", command, begun], capture_output=True, text=True)
         assert done.stdout.split() == [whole], (command, done)
 

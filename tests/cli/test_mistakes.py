@@ -14,9 +14,9 @@ from helpers.commands import FAST, fails
 
 from mitsvbrdf import cli
 from mitsvbrdf.errors import InputWarning, plain_warnings, strict
+from mitsvbrdf.io import images
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import flat
-from mitsvbrdf.system import images
 
 
 @pytest.fixture
@@ -34,7 +34,8 @@ def copy(shots, tmp_path):
 @pytest.mark.parametrize("place", ["", "maps"])
 @pytest.mark.parametrize("stated", [None, "gamma 2.2", "gamma2.2", "linear"])
 def test_roughness_is_counted_as_the_reference_stores_it(place, stated, tmp_path):
-    # 8-bit 128 is r = 0.2195 under gamma 2.2 and 0.502 as it is; against r = 0.5 stored values differ by the same 0.2278 or 0.
+    # 8-bit 128 is r = 0.2195 under gamma 2.2 and 0.502 as it is; against r = 0.5 stored values differ by the
+    # same 0.2278 or 0.
     folder = tmp_path / "reference" / place
     folder.mkdir(parents=True)
     for name in ("diffuse", "specular", "roughness"):
@@ -50,7 +51,8 @@ def test_roughness_is_counted_as_the_reference_stores_it(place, stated, tmp_path
     assert json.loads(figures.read_text())["roughness"] == pytest.approx(expected, abs=1e-4)
 
 
-@pytest.mark.parametrize("text", ['{"bsdf": "gold"}', '{"bsdf": ["x"]}', '{"encoding": {"diffuse": 5}}', "[]", "{"])
+@pytest.mark.parametrize("text", ['{"bsdf": "gold"}', '{"bsdf": ["x"]}', '{"encoding": {"diffuse": 5}}', "[]",
+                                  "{"])
 def test_bad_material_json(text, tmp_path, capsys):
     save_maps(flat(8), tmp_path / "maps")
     (tmp_path / "maps/material.json").write_text(text)
@@ -62,7 +64,8 @@ def test_damaged_photos_are_named_and_refused_when_strict(copy, tmp_path, capsys
     pixels = cv2.imread(str(folder / "target/02.png"))
     (folder / "target/02.png").unlink()
     data = cv2.imencode(".jpg", pixels)[1].tobytes()
-    (folder / "target/02.jpg").write_bytes(data[: 2 * len(data) // 3] + b"\xff\xd9")  # too little before its end
+    # too little before its end
+    (folder / "target/02.jpg").write_bytes(data[: 2 * len(data) // 3] + b"\xff\xd9")
     command = ["guess", folder, "--resolution", "16", "--method", "min", "-o", tmp_path / "out"]
     fails(capsys, tmp_path, [*command, "--strict"], "02.jpg is damaged", "--strict")
     assert cli.main([str(word) for word in command]) == 0
@@ -71,12 +74,15 @@ def test_damaged_photos_are_named_and_refused_when_strict(copy, tmp_path, capsys
 
 
 @pytest.mark.parametrize("options, word", [
-    (["fit", "PHOTOS", "--likeness", "1e300"], "likeness"), (["fit", "PHOTOS", "--resolution", "1000000"], "resolution"),
+    (["fit", "PHOTOS", "--likeness", "1e300"], "likeness"), (["fit", "PHOTOS", "--resolution", "1000000"],
+                                                             "resolution"),
     (["fit", "PHOTOS", "--method", "hybrid", "--width", "999999"], "width"),
-    (["capture", "PHOTOS", "--sheet", "1e300"], "sheet"), (["capture", "PHOTOS", "--sheet", "18", "--depth", "nan"], "depth"),
-    (["synth", "builtin:tiles", "--noise", "1e300"], "noise"), (["guess", "PHOTOS", "--resolution", "9" * 30], "resolution"),
-    (["relight", "builtin:tiles", "--frames", "9999999999"], "frames"), (["crosscheck", "--repeats", "9999999999"], "repeats"),
-    (["demo", "--budget", "nan"], "budget")])
+    (["capture", "PHOTOS", "--sheet", "1e300"], "sheet"),
+    (["capture", "PHOTOS", "--sheet", "18", "--depth", "nan"], "depth"),
+    (["synth", "builtin:tiles", "--noise", "1e300"], "noise"), (["guess", "PHOTOS", "--resolution", "9" * 30],
+                                                                "resolution"),
+    (["relight", "builtin:tiles", "--frames", "9999999999"], "frames"),
+    (["crosscheck", "--repeats", "9999999999"], "repeats"), (["demo", "--budget", "nan"], "budget")])
 def test_absurd_numbers(options, word, shots, tmp_path, capsys):
     command = [shots if each == "PHOTOS" else each for each in options]
     out = [] if options[0] == "crosscheck" else ["-o", tmp_path / "out"]
@@ -95,14 +101,16 @@ def test_too_little_memory_is_one_error(tmp_path, monkeypatch, capsys):
     # What torch says is asked of it; 2^50 bytes are more than any machine has.
     for full in (lambda *_: torch.empty(2**50, dtype=torch.uint8), lambda *_: np.empty(2**60, np.uint8)):
         monkeypatch.setattr("mitsvbrdf.material.made.make_material", full)
-        fails(capsys, tmp_path, ["render", "builtin:tiles", "-o", tmp_path / "out", "--renderer", "analytic"], "enough memory")
+        fails(capsys, tmp_path, ["render", "builtin:tiles", "-o", tmp_path / "out", "--renderer", "analytic"],
+              "enough memory")
 
 
 @pytest.mark.parametrize("text", ["[1]", '{"views": []}', "{"])
 def test_bad_fit_json(text, shots, tmp_path, capsys):
     save_maps(flat(8), tmp_path / "maps")
     (tmp_path / "fit.json").write_text(text)
-    fails(capsys, tmp_path, ["evaluate", tmp_path / "maps", "--capture", shots, "--renderer", "analytic"], "fit.json")
+    fails(capsys, tmp_path, ["evaluate", tmp_path / "maps", "--capture", shots, "--renderer", "analytic"],
+          "fit.json")
 
 
 def spoil_text(folder, stated):
@@ -175,7 +183,8 @@ def test_bad_maps(tmp_path, capsys):
 @pytest.mark.parametrize("wrong, word", [
     (["--views", "0,1,77"], "77"), (["--views", "0,0,1"], "once"), (["--seed", "99999999999999"], "seed"),
     (["--views", "one"], "one"), (["--resolution", "2"], "2"),
-    (["--iterations", "0"], "iterations"), (["--budget", "-5"], "budget"), (["--learning-rate", "-1"], "learning_rate"),
+    (["--iterations", "0"], "iterations"), (["--budget", "-5"], "budget"),
+    (["--learning-rate", "-1"], "learning_rate"),
 ])
 def test_bad_options(shots, wrong, word, tmp_path, capsys):
     command = ["fit", shots, "-o", tmp_path / "out", "--method", "direct", "--renderer", "analytic", *wrong]
@@ -190,7 +199,8 @@ def test_noise_that_is_no_number(tmp_path, capsys):
 def test_names_the_system_refuses(shots, tmp_path, capsys):
     fails(capsys, tmp_path, ["fit", shots, "-o", tmp_path / ("n" * 300), *FAST], "nnn")
     fails(capsys, tmp_path, ["fit", tmp_path / ("n" * 300), "-o", tmp_path / "out", *FAST], "nnn")
-    fails(capsys, tmp_path, ["fit", shots, "-o", tmp_path / "out", *FAST, "--fix", "diffuse=" + "n" * 300], "diffuse", "nnn")
+    fails(capsys, tmp_path, ["fit", shots, "-o", tmp_path / "out", *FAST, "--fix", "diffuse=" + "n" * 300],
+          "diffuse", "nnn")
 
 
 def test_unknown_builtin_and_neither_reference_nor_capture(tmp_path, capsys):

@@ -6,9 +6,9 @@ import pytest
 from helpers.commands import FAST, fails
 
 from mitsvbrdf import cli
+from mitsvbrdf.io import files, result_folder
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import flat
-from mitsvbrdf.system import files, result_folder
 
 
 def test_output_that_cannot_be_written(shots, tmp_path, capsys):
@@ -31,7 +31,8 @@ WRITING = [
 @pytest.fixture
 def lazy(tmp_path, monkeypatch):
     """No command may begin its work; one file that is the user's own."""
-    for name in ("verify.crosscheck.crosscheck", "bench.leave_out.plan.LeaveOutPlan.jobs", "verify.stability.stability",
+    for name in ("verify.crosscheck.crosscheck", "bench.leave_out.plan.LeaveOutPlan.jobs",
+                 "verify.stability.stability",
                  "material.made.make_material", "capture.read_capture", "bench.plan.Plan.jobs",
                  "capture.align.sheet.write_sheet", "cli.fit.read_photos"):
         monkeypatch.setattr(f"mitsvbrdf.{name}", lambda *_, **__: pytest.fail("worked first"))
@@ -40,7 +41,8 @@ def lazy(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("command", [*WRITING, ["stability", "--md"], ["bench", "--json"], ["leave-out", "--json"]])
+@pytest.mark.parametrize("command", [*WRITING, ["stability", "--md"], ["bench", "--json"],
+                                     ["leave-out", "--json"]])
 def test_bad_outputs_are_found_before_the_work(command, lazy, capsys):
     fails(capsys, lazy, [*command, lazy], "a file to write")
     fails(capsys, lazy, [*command, lazy / "file/record"], "file/record")
@@ -64,8 +66,8 @@ def test_pictures_beside_a_page_are_no_less(name, lazy, capsys):
 @pytest.mark.parametrize("command", [
     ["crosscheck", "--json", "a", "--html", "./a"], ["crosscheck", "--json", "a", "--html", "a/b"],
     ["crosscheck", "--json", "a/b", "--html", "a"], ["crosscheck", "--json", "a", "--html", "b/../a"],
-    ["compare", "builtin:tiles", "--capture", "shots", "-o", "a", "--json", "a"], ["bench", "--page", "a", "--gan-page", "a"],
-    ["bench", "--page", "a-schedule.svg", "--gan-page", "a"]])
+    ["compare", "builtin:tiles", "--capture", "shots", "-o", "a", "--json", "a"],
+    ["bench", "--page", "a", "--gan-page", "a"], ["bench", "--page", "a-schedule.svg", "--gan-page", "a"]])
 def test_two_outputs_are_two_files(command, lazy, capsys):
     fails(capsys, lazy, command, "a file of its own")
 
@@ -78,7 +80,8 @@ def test_two_outputs_are_two_files(command, lazy, capsys):
     (["compare", "a=b", "tiles=fit", "--capture", "shots", "-o"], "fit/fit.json"),
     (["compare", "builtin:tiles", "--capture", "shots/capture.json", "-o"], "shots/target/04.html"),
     (["crosscheck", "fit", "--views", "shots", "--html"], "shots/target/00.png"),
-    (["bench", "--json", "b.json", "--page"], "b.json"), (["pretrain", "shots/target/00.png", "-o"], "shots/target/00.png"),
+    (["bench", "--json", "b.json", "--page"], "b.json"), (["pretrain", "shots/target/00.png", "-o"],
+                                                          "shots/target/00.png"),
     (["stability", "--md", "a.md", "--html"], "a.md")])
 def test_what_is_read_or_part_of_a_result_is_not_written(command, name, lazy, capsys):
     for file in ("shots/capture.json", "shots/target/00.png"):
@@ -107,7 +110,8 @@ def test_results_among_maps_would_take_their_place(command, tmp_path, capsys):
 def test_a_fit_reads_no_photo_for_a_place_that_is_taken(lazy, capsys):
     with result_folder.output_folder(lazy / "done", overwrite=False) as folder:
         (folder / "fit.json").touch()
-    with pytest.raises(ZeroDivisionError), result_folder.output_folder(lazy / "begun", overwrite=False) as folder:
+    with pytest.raises(ZeroDivisionError), result_folder.output_folder(lazy / "begun",
+                                                                       overwrite=False) as folder:
         (folder / result_folder.CHECKPOINT).touch()
         raise ZeroDivisionError
     for out, words in (("done", "which has results"), ("begun", "no unfinished run"), ("file", "the file"),

@@ -17,19 +17,22 @@ from mitsvbrdf.cli.fit import _from_first_of
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit.checkpoint import save_tensors
 from mitsvbrdf.fit.record import read_whole_fit
+from mitsvbrdf.io import images, result_folder
+from mitsvbrdf.io.journal import JOURNAL
 from mitsvbrdf.material.map_files import load_maps
-from mitsvbrdf.system import images, result_folder
-from mitsvbrdf.system.journal import JOURNAL
 
 
 @pytest.mark.parametrize("options, losses", [([], {"cost"}), pytest.param(
-    ["--method", "hybrid", "--width", "8"], {"photometric", "diffuse", "adversarial"}, marks=pytest.mark.slow)])
+    ["--method", "hybrid", "--width", "8"], {"photometric", "diffuse", "adversarial"},
+    marks=pytest.mark.slow)])
 def test_a_whole_round(options, losses, shots, tmp_path, capsys):
     out = tmp_path / "out"
-    assert cli.main(["fit", str(shots), "-o", str(out), "--iterations", "12", "--resolution", "48", *options]) == 0
+    assert cli.main(["fit", str(shots), "-o", str(out), "--iterations", "12", "--resolution", "48",
+                     *options]) == 0
     (wrote,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith(f"wrote {out}/"))
     named = wrote.removeprefix(f"wrote {out}/").split(", ")
-    assert {"report.html", "maps/", "uncertainty/"} <= set(named) and all((out / name).exists() for name in named)
+    assert {"report.html", "maps/", "uncertainty/"} <= set(named) and all((out / name).exists()
+                                                                          for name in named)
     written = {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file()}
     for stem in ("maps/diffuse", "maps/specular", "maps/roughness", "maps/normal", "guess/diffuse",
                  *(f"rerendered/{i:02d}" for i in range(9))):
@@ -38,7 +41,8 @@ def test_a_whole_round(options, losses, shots, tmp_path, capsys):
     assert not result_folder.partial_folder(out).exists()
     record = json.loads((out / "fit.json").read_text())
     assert record["schema_version"] == 1 and record["stopped"] == "iterations" and record["seed"] == 0
-    assert record["renderer"] == "mitsuba" and record["variant"] == "llvm_ad_rgb" and record["bsdf"] == "roughconductor"
+    assert record["renderer"] == "mitsuba" and record["variant"] == "llvm_ad_rgb" and record[
+        "bsdf"] == "roughconductor"
     assert record["versions"]["mitsuba"] and record["machine"]["libllvm"] and record["left_out"]
     assert set(record["per_photo"]) == {f"{i:02d}" for i in range(9)}
     for entry in record["trace"][1:]:
@@ -51,7 +55,8 @@ def test_a_whole_round(options, losses, shots, tmp_path, capsys):
     assert found["rerender_rmse"] == pytest.approx(record["rerender_rmse"], rel=1e-4)
     assert set(found["per_photo"]) == set(record["per_photo"])
 
-    assert cli.main(["evaluate", str(out), "--reference", "builtin:inlay", "--json", str(figures), "--overwrite"]) == 0
+    assert cli.main(["evaluate", str(out), "--reference", "builtin:inlay", "--json", str(figures),
+                     "--overwrite"]) == 0
     assert set(json.loads(figures.read_text())) == {"diffuse", "specular", "roughness", "normal", "mean"}
 
     for extra in ([], ["--diffuse", "guessed"]):
@@ -59,7 +64,8 @@ def test_a_whole_round(options, losses, shots, tmp_path, capsys):
         assert cli.main(["render", str(out), "--views", str(shots), "-o", str(folder), *extra]) == 0
         assert len(list(folder.glob("*.exr"))) == 9
 
-    # Rendering the fitted maps for the views of the fit gives the files of `rerendered` but for the flash offset.
+    # Rendering the fitted maps for the views of the fit gives the files of `rerendered` but for the flash
+    # offset.
     a = images.read_image(tmp_path / "relit0/00.exr", ValueError)
     b = images.read_image(out / "rerendered/00.exr", ValueError)
     assert (a - b).abs().mean() < 0.1 * b.mean()
@@ -67,7 +73,8 @@ def test_a_whole_round(options, losses, shots, tmp_path, capsys):
 
 def test_principled_writes_its_own_maps_too(shots, tmp_path):
     out = tmp_path / "out"
-    assert cli.main(["fit", str(shots), "-o", str(out), "--bsdf", "principled", *FAST, "--views", "0,3,5"]) == 0
+    assert cli.main(["fit", str(shots), "-o", str(out), "--bsdf", "principled", *FAST, "--views",
+                     "0,3,5"]) == 0
     for name in ("base_color", "metallic", "roughness", "normal", "diffuse", "specular"):
         assert (out / "maps" / f"{name}.exr").is_file() and (out / "maps" / f"{name}.png").is_file()
     assert load_maps(out).bsdf == "principled" and load_maps(out, "roughconductor").bsdf == "roughconductor"
@@ -76,8 +83,8 @@ def test_principled_writes_its_own_maps_too(shots, tmp_path):
 
 @pytest.mark.parametrize("bsdf", mostly_slow(["roughconductor", "principled"], "roughconductor"))
 def test_plain_mitsuba_renders_the_exported_scene(bsdf, shots, tmp_path):
-    # Nothing of this package in that process; a photo from off centre, or a shift of wrong sign would not show. Measured:
-    # 3e-6 on average.
+    # Nothing of this package in that process; a photo from off centre, or a shift of wrong sign would not
+    # show. Measured: 3e-6 on average.
     out = tmp_path / "out"
     assert cli.main(["fit", str(shots), "-o", str(out), "--bsdf", bsdf, *FAST, "--views", "1,3"]) == 0
     code = f"""
@@ -94,8 +101,10 @@ for variant in "llvm_ad_rgb", "scalar_rgb":
 
 def test_resume_goes_on_and_needs_a_checkpoint(shots, tmp_path, capsys):
     out, whole = tmp_path / "out", tmp_path / "whole"
-    # Nothing here hangs on how much of the run is done: more iterations go on as if they had been asked for at once.
-    gan = ["--method", "gan", "--width", "4", "--no-decay", "--head-start", "0", "--renderer", "analytic", "--views", "0,3",
+    # Nothing here hangs on how much of the run is done: more iterations go on as if they had been asked for
+    # at once.
+    gan = ["--method", "gan", "--width", "4", "--no-decay", "--head-start", "0", "--renderer", "analytic",
+           "--views", "0,3",
            "--resolution", "32"]
     fails(capsys, tmp_path, ["fit", shots, "-o", out, "--resume", *FAST], "checkpoint")
     assert cli.main(["fit", str(shots), "-o", str(out), *gan, "--iterations", "2"]) == 0
@@ -110,7 +119,8 @@ def test_crops_of_one_photo_are_enough(shots, tmp_path, generator):
     # Stationary materials: patches of the one photo stand for the many; the maps are as large as the photo.
     out = tmp_path / "out"
     gan = ["--method", "gan", "--width", "4", "--generator", generator, "--iterations", "6"]
-    assert cli.main(["fit", str(shots), "-o", str(out), *gan, "--views", "0", "--crop", "32", "--resolution", "48"]) == 0
+    assert cli.main(["fit", str(shots), "-o", str(out), *gan, "--views", "0", "--crop", "32", "--resolution",
+                     "48"]) == 0
     record = json.loads((out / "fit.json").read_text())
     assert record["config"]["crop"] == 32 and list(record["per_photo"]) == ["00"]
     maps = load_maps(out)
@@ -165,7 +175,8 @@ def test_an_unfinished_fit_does_not_hide_the_finished_one(shots, tmp_path, capsy
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("moves, point", [(False, 3), (True, 1), (True, 40), (True, 70)])  # of some hundred moves
+# of some hundred moves
+@pytest.mark.parametrize("moves, point", [(False, 3), (True, 1), (True, 40), (True, 70)])
 def test_a_fit_killed_at_any_moment_leaves_one_whole_result(shots, tmp_path, capsys, moves, point):
     out = tmp_path / "out"
     refit = ["fit", str(shots), "-o", str(out), *FAST, "--views", "0,3", "--overwrite"]
@@ -193,8 +204,8 @@ cli.main({refit!r})
 def test_results_are_only_replaced_when_asked(shots, tmp_path, capsys):
     out = tmp_path / "out"
     assert cli.main(["guess", str(shots), "-o", str(out), "--method", "min"]) == 0
-    for command in (["fit", shots, "-o", out, *FAST], ["guess", shots, "-o", out], ["render", "builtin:tiles", "-o", out],
-                    ["synth", "builtin:tiles", "-o", out]):
+    for command in (["fit", shots, "-o", out, *FAST], ["guess", shots, "-o", out],
+                    ["render", "builtin:tiles", "-o", out], ["synth", "builtin:tiles", "-o", out]):
         fails(capsys, tmp_path, command, "--overwrite")
     assert cli.main(["guess", str(shots), "-o", str(out), "--overwrite"]) == 0
 
@@ -213,18 +224,22 @@ def test_the_last_method_counts(shots, tmp_path):
 
 def test_evaluate_and_render_remember_how_the_fit_saw_its_photos(shots, tmp_path):
     out, relit, figures = tmp_path / "out", tmp_path / "relit", tmp_path / "e.json"
-    command = ["fit", str(shots), "-o", str(out), *FAST, "--falloff", "none", "--transfer", "srgb", "--resolution", "48"]
+    command = ["fit", str(shots), "-o", str(out), *FAST, "--falloff", "none", "--transfer", "srgb",
+               "--resolution", "48"]
     assert cli.main(command) == 0
-    assert cli.main(["render", str(out / "maps"), "--views", str(shots), "-o", str(relit), "--renderer", "analytic"]) == 0
+    assert cli.main(["render", str(out / "maps"), "--views", str(shots), "-o", str(relit), "--renderer",
+                     "analytic"]) == 0
     for kind in ("exr", "png"):
-        a, b = (images.read_image(folder / f"05.{kind}", ValueError) for folder in (relit, out / "rerendered"))
+        a, b = (images.read_image(folder / f"05.{kind}", ValueError) for folder in (relit,
+                                                                                    out / "rerendered"))
         assert (a - b).abs().max() < (1e-4 * b.max() if kind == "exr" else 1.5 / 255)
     assert cli.main(["evaluate", str(out), "--capture", str(shots), "--json", str(figures)]) == 0
     expected = json.loads((out / "fit.json").read_text())["rerender_rmse"]
     assert json.loads(figures.read_text())["rerender_rmse"] == pytest.approx(expected, rel=1e-5)
 
 
-@pytest.mark.parametrize("command", ["fit", "guess", "render", "evaluate", "synth", "pretrain", "doctor", "demo"])
+@pytest.mark.parametrize("command", ["fit", "guess", "render", "evaluate", "synth", "pretrain", "doctor",
+                                     "demo"])
 def test_help(command, capsys):
     with pytest.raises(SystemExit) as stop:
         cli.main([command, "--help"])
@@ -238,7 +253,8 @@ def test_help_shows_the_options_of_the_method(capsys):
     assert "--preset" in text and "--flash-offset" not in text
 
 
-@pytest.mark.parametrize("command, resumes", [("fit", True), ("crosscheck", False), ("leave-out", False), ("stability", False)])
+@pytest.mark.parametrize("command, resumes", [("fit", True), ("crosscheck", False), ("leave-out", False),
+                                              ("stability", False)])
 def test_only_a_fit_goes_on_after_ctrl_c(command, resumes, monkeypatch, capsys):
     def interrupted(*_, **__):
         raise KeyboardInterrupt

@@ -1,7 +1,7 @@
 """Run by a Python that has ``bpy``: import a file, light it and write pictures. Arguments: one JSON object.
 
-``file``: a GLB or USD file, or a folder of maps named as Poly Haven does; ``out``: PREFIX, for PREFIX0.exr, ...; ``size``;
-``camera``; ``lights`` and ``powers`` (radiant intensity), in the patch's axes.
+``file``: a GLB or USD file, or a folder of maps named as Poly Haven does; ``out``: PREFIX, for PREFIX0.exr,
+...; ``size``; ``camera``; ``lights`` and ``powers`` (radiant intensity), in the patch's axes.
 """
 
 import json
@@ -18,8 +18,8 @@ path = Path(job["file"])
 
 
 def principled_of_maps(folder):
-    """A square with the material that Node Wrangler's Principled Texture Setup makes of these files, but for two things: no
-    displacement, which repeats the relief of the normals, and nothing beyond the edges.
+    """A square with the material that Node Wrangler's Principled Texture Setup makes of these files, but for
+    two things: no displacement, which repeats the relief of the normals, and nothing beyond the edges.
     """
     bpy.ops.mesh.primitive_plane_add(size=1)
     material = bpy.data.materials.new("maps")
@@ -36,7 +36,8 @@ def principled_of_maps(folder):
             links.new(node.outputs["Color"], normal.inputs["Color"])
             links.new(normal.outputs["Normal"], shader.inputs["Normal"])
         else:
-            names = {"_diff": "Base Color", "_metal": "Metallic", "_rough": "Roughness", "_spec": "Specular IOR Level"}
+            names = {"_diff": "Base Color", "_metal": "Metallic", "_rough": "Roughness",
+                     "_spec": "Specular IOR Level"}
             into = next((socket for end, socket in names.items() if end in file.stem), None)
             if into:
                 links.new(node.outputs["Color"], shader.inputs[into])

@@ -1,8 +1,9 @@
-"""Exported materials in the programs that people open them in, under three lights: pictures of linear radiance.
+"""Exported materials in the programs that people open them in, under three lights: pictures of linear
+radiance.
 
-Each client draws the patch from :data:`mitsvbrdf.export.residual.HEIGHT` above its centre, one pixel a texel, with a point
-light and nothing else. What is compared with our analytic renderer is all that a client does: its importer, its model, its
-textures.
+Each client draws the patch from :data:`mitsvbrdf.export.residual.HEIGHT` above its centre, one pixel a texel,
+with a point light and nothing else. What is compared with our analytic renderer is all that a client does:
+its importer, its model, its textures.
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ from torch import Tensor
 from mitsvbrdf.color import to_display
 from mitsvbrdf.export import ExportSettings, export_material
 from mitsvbrdf.export.residual import three_lights
+from mitsvbrdf.io import images
 from mitsvbrdf.material.maps import SVBRDF
 from mitsvbrdf.measure.metrics import photo_rmse
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.system import images
 
 HERE, ROOT = Path(__file__).parent, Path(__file__).resolve().parents[2]
 BLENDER = ROOT / ".venv/blender/bin/python"
@@ -33,7 +34,8 @@ TYPES = {".js": "text/javascript", ".html": "text/html", ".png": "image/png", ".
 
 # What a client reads of the export -> why it cannot show all of a material, where that is so.
 LIMITS = {
-    "three.js, USD": "it doubles normals (takes the texture's scale for normalScale) and reads no texture of the index",
+    "three.js, USD": "it doubles normals (takes the texture's scale for normalScale) and reads no texture "
+                     "of the index",
     "Blender, USD": "its importer reads no coloured F0",
     "Blender, maps": "no F0 above 0.08, and no coloured one: Specular IOR Level ends at 1",
 }
@@ -54,9 +56,11 @@ def blender(file: str) -> Callable[[Path, int], Tensor]:
         out = folder / "pictures"
         out.mkdir(exist_ok=True)
         job = _job(folder, resolution) | {"file": str(folder / file), "out": str(out / "blender")}
-        done = subprocess.run([str(python), str(HERE / "in_blender.py"), json.dumps(job)], capture_output=True, text=True)
+        done = subprocess.run([str(python), str(HERE / "in_blender.py"), json.dumps(job)],
+                              capture_output=True, text=True)
         assert done.returncode == 0, done.stderr[-2000:]
-        return torch.stack([images.read_image(out / f"blender{k}.exr", ValueError) for k in range(len(job["lights"]))])
+        return torch.stack([images.read_image(out / f"blender{k}.exr", ValueError)
+                            for k in range(len(job["lights"]))])
     return draw
 
 
@@ -66,7 +70,8 @@ def node_modules() -> Path:
     for root in [*os.environ.get("NODE_PATH", "").split(os.pathsep), str(ROOT / ".venv/node_modules")]:
         if root and (Path(root) / "three/build/three.module.js").is_file():
             return Path(root)
-    pytest.skip("needs the npm packages three and @google/model-viewer on NODE_PATH, as ./run slow installs them")
+    pytest.skip("needs the npm packages three and @google/model-viewer on NODE_PATH, as ./run slow installs "
+                "them")
 
 
 def browser(function: str, file: str) -> Callable[[Path, int], Tensor]:
@@ -80,7 +85,8 @@ def browser(function: str, file: str) -> Callable[[Path, int], Tensor]:
             root, _, rest = route.request.url.split("/", 3)[3].partition("/")
             path = roots.get(root, HERE / "none") / rest.split("?")[0]
             if path.is_file():
-                route.fulfill(body=path.read_bytes(), content_type=TYPES.get(path.suffix, "application/octet-stream"))
+                route.fulfill(body=path.read_bytes(), content_type=TYPES.get(path.suffix,
+                                                                             "application/octet-stream"))
             else:
                 unknown.append(route.request.url)
                 route.fulfill(status=404)
@@ -94,7 +100,8 @@ def browser(function: str, file: str) -> Callable[[Path, int], Tensor]:
                 page.goto("http://clients.test/page/in_three.html")
                 page.wait_for_function("window.ready")
                 kind = "usd" if file.endswith(".usda") else "gltf"
-                job = _job(folder, resolution) | {"kind": kind, "url": f"/out/{file}", "patch": "/out/gltf/material.glb"}
+                job = (_job(folder, resolution)
+                       | {"kind": kind, "url": f"/out/{file}", "patch": "/out/gltf/material.glb"})
                 found = page.evaluate(f"job => window.{function}(job)", job)
             finally:
                 window.close()
@@ -143,7 +150,9 @@ def exported(svbrdf: SVBRDF, folder: Path) -> Path:
 
 
 def compared(shown: Tensor, wanted: Tensor) -> dict[str, list]:
-    """By light: RMSE in sRGB display values, and the mean of each channel over what it should be (linear, clipped at 1)."""
+    """By light: RMSE in sRGB display values, and the mean of each channel over what it should be (linear,
+    clipped at 1).
+    """
     _, errors = photo_rmse(shown, to_display(wanted, "srgb"), "srgb")
     means = [picture.clamp(0, 1).mean(dim=(1, 2)) for picture in (shown.double(), wanted.double())]
     return {"rmse": errors, "means": (means[0] / means[1]).tolist()}

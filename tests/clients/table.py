@@ -1,4 +1,5 @@
-"""``python -m clients.table``: the table and the pictures of docs/results/clients.md, from exports in real programs.
+"""``python -m clients.table``: the table and the pictures of docs/results/clients.md, from exports in real
+programs.
 
 Run in ``tests``; folders of fits are further materials beside the made ones.
 """
@@ -18,10 +19,10 @@ from PIL import Image
 
 from mitsvbrdf.color import to_display
 from mitsvbrdf.export.residual import LIGHTS
+from mitsvbrdf.io import files
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import load_maps
 from mitsvbrdf.material.maps import SVBRDF
-from mitsvbrdf.system import files
 
 PICTURED = 160  # pixels a side
 
@@ -39,7 +40,8 @@ def measured(materials: dict[str, SVBRDF], pictured: tuple[str, ...], pictures: 
                 rows[client] = shown
                 print(name, client, found[name][client], flush=True)
         if name in pictured:
-            sheet = [torch.cat([images_of(light) for light in each], dim=1) for each in (wanted, *rows.values())]
+            sheet = [torch.cat([images_of(light) for light in each], dim=1) for each in (wanted,
+                                                                                         *rows.values())]
             levels = (255 * torch.cat(sheet, dim=0)).round().to(torch.uint8).numpy()
             Image.fromarray(levels).save(pictures / f"clients-{name}.jpg", quality=90)
     return found
@@ -48,7 +50,8 @@ def measured(materials: dict[str, SVBRDF], pictured: tuple[str, ...], pictures: 
 def images_of(picture: torch.Tensor) -> torch.Tensor:
     """Display values at the size of the sheet."""
     shown = to_display(picture.float(), "srgb").clamp(0, 1)
-    return torch.nn.functional.interpolate(shown.movedim(-1, 0)[None], (PICTURED, PICTURED), mode="area")[0].movedim(0, -1)
+    return torch.nn.functional.interpolate(shown.movedim(-1, 0)[None], (PICTURED, PICTURED),
+                                           mode="area")[0].movedim(0, -1)
 
 
 def page(record: dict) -> str:
@@ -60,16 +63,19 @@ def page(record: dict) -> str:
     for client in CLIENTS:
         cells = [" / ".join(f"{x:.3f}" for x in record["materials"][name][client]["rmse"]) for name in names]
         lines.append(f"| {client} | " + " | ".join(cells) + " |")
-    lines += ["", "## Means of the channels", "", "Over what they should be: the one that is farthest off, by light.", "",
+    lines += ["", "## Means of the channels", "", "Over what they should be: the one that is farthest off, "
+                                                  "by light.", "",
               "| client | " + " | ".join(names) + " |", "|---" * (len(names) + 1) + "|"]
     for client in CLIENTS:
         means = [record["materials"][name][client]["means"] for name in names]
-        cells = [" / ".join(f"{max(light, key=lambda x: abs(x - 1)):.2f}" for light in each) for each in means]
+        cells = [" / ".join(f"{max(light, key=lambda x: abs(x - 1)):.2f}" for light in each)
+                 for each in means]
         lines.append(f"| {client} | " + " | ".join(cells) + " |")
     lines += ["", "Clients that cannot show all of a material:", ""]
     lines += [f"- {client}: {why}." for client, why in LIMITS.items()]
     for name in record["pictured"]:
-        lines += ["", f"## {name}", "", "From above: our renderer, then the clients in the order of the table; from left to "
+        lines += ["", f"## {name}", "", "From above: our renderer, then the clients in the order of the "
+                                        "table; from left to "
                   f"right: {', '.join(LIGHTS)}.", "", f"![{name} in all clients](clients-{name}.jpg)"]
     return "\n".join(lines) + "\n"
 
@@ -78,15 +84,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("fits", nargs="*", type=Path, help="folders of fits")
     parser.add_argument("--pictured", default="", help="names of materials that get a sheet, by commas")
-    parser.add_argument("-o", "--out", type=Path, required=True, help="folder for clients.json, clients.md and pictures")
+    parser.add_argument("-o", "--out", type=Path, required=True, help="folder for clients.json, clients.md "
+                                                                      "and pictures")
     given = parser.parse_args()
     materials = {"gilt plates": gilt_plates(256), "inlay": make_material("inlay", 256)}
     materials |= {folder.name: load_maps(folder) for folder in given.fits}
     pictured = tuple(name for name in given.pictured.split(",") if name in materials)
     record = {"materials": measured(materials, pictured, given.out), "pictured": pictured, "about": (
-        f"Written by `python -m clients.table`, nothing by hand. Blender 4.5 (Cycles), three.js r187 and model-viewer 4.4 in "
-        f"headless Chromium, Mitsuba 3.9, each through its own importer, at 256 px: camera above, one point light, against the "
-        f"analytic renderer. Machine: {platform.machine()}. `gilt plates` and `inlay` are made: metals, coloured dielectrics, "
+        "Written by `python -m clients.table`, nothing by hand. Blender 4.5 (Cycles), three.js r187 and "
+        "model-viewer 4.4 in "
+        "headless Chromium, Mitsuba 3.9, each through its own importer, at 256 px: camera above, one point "
+        "light, against the "
+        f"analytic renderer. Machine: {platform.machine()}. `gilt plates` and `inlay` are made: metals, "
+        "coloured dielectrics, "
         f"F0 below 0.04; the others are fits of captures.")}
     files.write_bytes(given.out / "clients.json", (json.dumps(record, indent=1) + "\n").encode())
     files.write_bytes(given.out / "clients.md", page(record).encode())

@@ -1,4 +1,6 @@
-"""The comparison of methods: figures that `evaluate` finds too, pictures of what was measured, one page without network."""
+"""The comparison of methods: figures that `evaluate` finds too, pictures of what was measured, one page
+without network.
+"""
 
 import base64
 import io
@@ -18,11 +20,11 @@ from mitsvbrdf.capture import read_capture, write_capture
 from mitsvbrdf.evaluate.compare import Entry, compare
 from mitsvbrdf.evaluate.photos import fitted_views
 from mitsvbrdf.fit.record import SavedFit
+from mitsvbrdf.io import images
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.synth.photograph import photograph
-from mitsvbrdf.system import images
 from mitsvbrdf.views import nine_view_grid
 
 SIDE = 32
@@ -40,7 +42,8 @@ class Page(HTMLParser):
 
     def handle_starttag(self, tag, attributes):
         attributes = dict(attributes)
-        self.addresses += [attributes[name] for name in ("src", "href", "srcset", "data", "action") if name in attributes]
+        self.addresses += [attributes[name] for name in ("src", "href", "srcset", "data", "action")
+                           if name in attributes]
         if tag == "img":
             self.pictures[attributes["alt"]] = attributes["src"]
         if tag not in ("img", "meta", "link", "br"):
@@ -68,7 +71,9 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def shots(tmp_path_factory):
-    """Three photos of the inlay, whose flash stands 0.1 patch sides to the right of the camera; calibrated as if it did not."""
+    """Three photos of the inlay, whose flash stands 0.1 patch sides to the right of the camera; calibrated as
+    if it did not.
+    """
     views = GRID.pick([0, 1, 3])
     beside = replace(views, light=views.light + torch.tensor([0.1, 0.0, 0.0], dtype=torch.float64))
     capture = photos_of(make_material("inlay", SIDE), beside)
@@ -82,21 +87,26 @@ def made_fit(folder, views, seen=(0, 1), **more):
     save_maps(make_material("inlay", SIDE), folder / "maps")
     views = views.pick(list(range(len(seen))))
     (folder / "fit.json").write_text(json.dumps({
-        "method": "hierarchical", "flash_offset": None, "capture": {"name": "photos", "transfer": "gamma2.2", "photos": seen},
-        "views": {"size": 1.0, "falloff": "inverse-square", "camera": views.camera.tolist(), "light": views.light.tolist(),
+        "method": "hierarchical", "flash_offset": None, "capture": {"name": "photos", "transfer": "gamma2.2",
+                                                                    "photos": seen},
+        "views": {"size": 1.0, "falloff": "inverse-square", "camera": views.camera.tolist(),
+                  "light": views.light.tolist(),
                   "intensity": views.intensity.tolist()}} | more))
     return folder
 
 
 @pytest.fixture(scope="module")
 def compared(shots, tmp_path_factory):
-    """One run of the command: a fit that saw photos 00 and 01, and maps of another size with a hostile name."""
+    """One run of the command: a fit that saw photos 00 and 01, and maps of another size with a hostile
+    name.
+    """
     folder = tmp_path_factory.mktemp("page")
     fit = made_fit(folder / "fit", shots[1])
     images.write_exr(fit / "guess" / "diffuse.exr", torch.tensor([1.0, 0.0, 0.0]).expand(SIDE, SIDE, 3))
     save_maps(flat(64, diffuse=0.2, roughness=0.6), folder / "a&b <i>")
     page, figures = folder / "page.html", folder / "figures.json"
-    arguments = [str(fit), f"flat<script>={folder}/a&b <i>", "--capture", str(shots[0].source), "-o", str(page), "--json",
+    arguments = [str(fit), f"flat<script>={folder}/a&b <i>", "--capture", str(shots[0].source), "-o",
+                 str(page), "--json",
                  str(figures), "--reference", "builtin:inlay", "--renderer", "analytic", "--refine-views"]
     assert cli.main(["compare", *arguments]) == 0
     return folder, json.loads(figures.read_text()), Page(page), arguments
@@ -109,15 +119,19 @@ def test_fitted_views_are_those_of_the_fit_for_the_photos_it_saw(shots):
     fit = SavedFit(flash_offset=(0.05, -0.02), capture="photos", seen=(2, 1), views=stored)
     views, names = fitted_views(fit, capture)
     assert names == ["01", "02"] and views.size == 1
-    assert torch.equal(views.camera, capture.views.camera) and torch.allclose(views.intensity, true.intensity, atol=1e-12)
+    assert torch.equal(views.camera, capture.views.camera) and torch.allclose(views.intensity, true.intensity,
+                                                                              atol=1e-12)
     assert torch.allclose(views.light[1:], true.light[1:], atol=1e-12)
-    assert torch.allclose(views.light[0] - capture.views.light[0], torch.tensor([0.05, -0.02, 0.0], dtype=torch.float64))
+    assert torch.allclose(views.light[0] - capture.views.light[0], torch.tensor([0.05, -0.02, 0.0],
+                                                                                dtype=torch.float64))
     elsewhere, names = fitted_views(replace(fit, capture="others"), capture)
-    assert not names and torch.allclose(elsewhere.light[:, 0] - capture.views.light[:, 0], torch.full((3,), 0.05).double())
+    assert not names and torch.allclose(elsewhere.light[:, 0] - capture.views.light[:, 0],
+                                        torch.full((3,), 0.05).double())
 
 
 def test_photos_are_seen_as_each_fit_saw_them():
-    # Photos under light without falloff, in sRGB, which their folder does not say; the bound is that of 8 bits, below.
+    # Photos under light without falloff, in sRGB, which their folder does not say; the bound is that of 8
+    # bits, below.
     maps, views = make_material("inlay", SIDE), nine_view_grid(distance=1.0).pick([1, 3])
     photos = photograph(maps, replace(views, falloff="none"), ANALYTIC, transfer="srgb")
     fits = SavedFit("none", "srgb"), SavedFit("inverse-square", "srgb"), SavedFit("none", "gamma2.2")
@@ -130,12 +144,15 @@ def test_photos_are_seen_as_each_fit_saw_them():
 def test_true_maps_with_true_views_leave_the_rounding_of_the_photos(compared):
     _, record, _, _ = compared
     fit, other = record["methods"]
-    # The photos have 8 bits: a uniform error of one step has a deviation of 1 / (255 sqrt 12) = 0.00113, 0 where clipped.
+    # The photos have 8 bits: a uniform error of one step has a deviation of 1 / (255 sqrt 12) = 0.00113, 0
+    # where clipped.
     assert all(0.0005 < fit["per_photo"][name] < 0.0013 for name in ("00", "01"))
     assert fit["per_photo"]["02"] > 0.004  # its view has the wrong light
     assert fit["fitted_views"] == ["00", "01"] and fit["left_out"] == ["02"]
-    assert fit["calibrated"]["per_photo"]["00"] > 0.004 and fit["refined"]["per_photo"]["02"] < fit["per_photo"]["02"]
-    assert other["fitted_views"] == [] == other["left_out"] and other["per_photo"] == other["calibrated"]["per_photo"]
+    assert fit["calibrated"]["per_photo"]["00"] > 0.004 and fit["refined"]["per_photo"]["02"] < fit[
+        "per_photo"]["02"]
+    assert other["fitted_views"] == [] == other["left_out"] and other["per_photo"] == other["calibrated"][
+        "per_photo"]
     assert max(fit["map_rmse"].values()) < 1e-6 and other["map_rmse"]["diffuse"] > 0.05  # EXR keeps float32
     squares = np.mean(np.square(list(other["per_photo"].values())))
     assert other["rerender_rmse"] == pytest.approx(np.sqrt(squares), rel=1e-9)
@@ -146,7 +163,8 @@ def test_evaluate_finds_the_same_figures(compared, shots):
     for path, method in ((folder / "fit", record["methods"][0]), (folder / "a&b <i>", record["methods"][1])):
         found = folder / "evaluate.json"
         common = ["evaluate", str(path), "--json", str(found), "--overwrite"]
-        assert cli.main([*common, "--capture", str(shots[0].source), "--renderer", "analytic", "--resolution", str(SIDE)]) == 0
+        assert cli.main([*common, "--capture", str(shots[0].source), "--renderer", "analytic", "--resolution",
+                         str(SIDE)]) == 0
         alone = json.loads(found.read_text())
         for name in ("rerender_rmse", "per_photo"):
             assert method[name] == pytest.approx(alone[name], rel=1e-6)
@@ -155,14 +173,17 @@ def test_evaluate_finds_the_same_figures(compared, shots):
 
 def test_evaluate_says_seen_and_left_out_apart_with_the_views_of_each(compared, shots, capsys):
     folder, record, _, _ = compared
-    assert cli.main(["evaluate", str(folder / "fit"), "--capture", str(shots[0].source), "--renderer", "analytic",
+    assert cli.main(["evaluate", str(folder / "fit"), "--capture", str(shots[0].source), "--renderer",
+                     "analytic",
                      "--resolution", str(SIDE)]) == 0
     said = capsys.readouterr().out.split("Burn-in")[0]
     fitted, stated = said.split("with calibrated views: ")
-    assert fitted.startswith("Re-rendering RMSE, views as fitted for 00, 01, the others with the calibration\n")
+    assert fitted.startswith("Re-rendering RMSE, views as fitted for 00, 01, the others with the "
+                             "calibration\n")
     *each, seen, left = (float(word) for word in re.findall(r"\d\.\d{4}", fitted))
     # Printed are 4 digits, so each number is off by 5e-5 at most.
-    assert seen == pytest.approx(np.sqrt(np.mean(np.square(each[:2]))), abs=1e-4) and left == each[2] and "all" not in fitted
+    assert seen == pytest.approx(np.sqrt(np.mean(np.square(each[:2]))),
+                                 abs=1e-4) and left == each[2] and "all" not in fitted
     (method, *_) = record["methods"]
     assert [float(word) for word in re.findall(r"\d\.\d{4}", stated)] == pytest.approx(
         [method["calibrated"]["rmse_seen"], method["rmse_left_out"]], abs=5e-5)
@@ -178,8 +199,10 @@ def test_the_page_shows_what_was_measured(compared, shots):
         error = np.sqrt(np.mean(np.square((by_fit - stored) / 255)))
         # Pictures are rounded to 8 bits, which adds at most half a step, 0.002, to the error.
         assert error == pytest.approx(record["methods"][0]["per_photo"][name], abs=0.002)
-    # 0.2 in sRGB is 1.055 * 0.2^(1 / 2.4) - 0.055 = 0.4845 = 124 / 255; 0.6 is 153 / 255; the normal points up.
-    for title, value in (("Diffuse", (124, 124, 124)), ("Roughness", (153, 153, 153)), ("Normal", (128, 128, 255))):
+    # 0.2 in sRGB is 1.055 * 0.2^(1 / 2.4) - 0.055 = 0.4845 = 124 / 255; 0.6 is 153 / 255; the normal points
+    # up.
+    for title, value in (("Diffuse", (124, 124, 124)), ("Roughness", (153, 153, 153)),
+                         ("Normal", (128, 128, 255))):
         pixels = page.pixels(f"flat<script>: {title}")
         assert pixels.shape == (SIDE, SIDE, 3) and np.abs(pixels.astype(int) - value).max() <= 1
     assert (page.pixels("hierarchical: Guessed diffuse, its own") == [255, 0, 0]).all()
@@ -190,17 +213,22 @@ def test_the_page_shows_what_was_measured(compared, shots):
 def test_the_table_has_every_figure(compared):
     _, record, page, _ = compared
     methods = record["methods"]
-    wanted = {"Diffuse": ("map_rmse", "diffuse"), "mean": ("map_rmse", "mean"), "all photos, as pictured": ("rerender_rmse",),
-              "all, calibration and flash offset": ("calibrated", "rerender_rmse"), "photo 02": ("per_photo", "02"),
+    wanted = {"Diffuse": ("map_rmse", "diffuse"), "mean": ("map_rmse", "mean"),
+              "all photos, as pictured": ("rerender_rmse",),
+              "all, calibration and flash offset": ("calibrated", "rerender_rmse"),
+              "photo 02": ("per_photo", "02"),
               "all, views refined for every method": ("refined", "rerender_rmse")}
     for row, path in wanted.items():
         values = methods
         for key in path:
             values = [value[key] for value in values]
         assert page.values(row) == [round(value, 4) for value in values]
-    seen, left = methods[0]["rmse_seen"], methods[0]["rmse_left_out"]  # of the fit; the maps beside it saw nothing
-    assert seen == pytest.approx(np.sqrt(np.mean([methods[0]["per_photo"][name] ** 2 for name in ("00", "01")])))
-    for title, value in (("those that the fit saw, as pictured", seen), ("those that the fit did not see", left)):
+    # of the fit; the maps beside it saw nothing
+    seen, left = methods[0]["rmse_seen"], methods[0]["rmse_left_out"]
+    assert seen == pytest.approx(np.sqrt(np.mean([methods[0]["per_photo"][name] ** 2 for name in ("00",
+                                                                                                  "01")])))
+    for title, value in (("those that the fit saw, as pictured", seen), ("those that the fit did not see",
+                                                                         left)):
         assert re.search(rf"{title}</th><td>{value:.4f}</td><td>–</td>", page.text)
     # Marked is the smallest where views were the same: four maps, their mean, and two rows over all photos.
     rows = [re.findall(r'<td( class="best")?>([0-9.]+)</td>', row) for row in page.text.split("<tr>")]
@@ -239,10 +267,12 @@ def test_names(shots, tmp_path, monkeypatch):
     stated = json.loads((tmp_path / "two/fit.json").read_text())
     stated["views"]["falloff"], stated["capture"]["transfer"] = "none", "srgb"
     (tmp_path / "two/fit.json").write_text(json.dumps(stated))
-    assert cli.main(["compare", "x=y", "a/maps", "b", "mine=b", "one", "two", "--capture", str(shots[0].source), "-o",
+    assert cli.main(["compare", "x=y", "a/maps", "b", "mine=b", "one", "two", "--capture",
+                     str(shots[0].source), "-o",
                      "page.html", "--json", "e.json", "--views", "1", "--renderer", "analytic"]) == 0
     record = json.loads((tmp_path / "e.json").read_text())
-    assert [m["name"] for m in record["methods"]] == ["x=y", "a", "b", "mine", "hierarchical (one)", "hierarchical (two)"]
+    assert [m["name"] for m in record["methods"]] == ["x=y", "a", "b", "mine", "hierarchical (one)",
+                                                      "hierarchical (two)"]
     assert record["resolution"] == 16 and record["photos"] == ["01"] and record["reference"] is None
     assert [m["resolution"] for m in record["methods"]] == [16, 16, 16, 16, 32, 32]
     one, two = record["methods"][4:]
@@ -276,7 +306,8 @@ def test_mistakes_are_one_error(arguments, words, shots, tmp_path, monkeypatch, 
     images.write_exr(tmp_path / "uneven/normal.exr", torch.full((4, 4, 3), 0.9))
     before = sorted(tmp_path.rglob("*"))
     output = [] if "-o" in arguments else ["-o", "page.html"]
-    assert cli.main(["compare", *(str(shots[0].source) if a == "PHOTOS" else a for a in arguments), *output, "--renderer",
+    assert cli.main(["compare", *(str(shots[0].source) if a == "PHOTOS" else a for a in arguments), *output,
+                     "--renderer",
                      "analytic"]) == 2
     message = capsys.readouterr().err
     assert message.count("error:") == 1 and all(word in message for word in words), message

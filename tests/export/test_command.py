@@ -12,12 +12,12 @@ from mitsvbrdf.cli import export as export_command
 from mitsvbrdf.errors import BackendError, ConfigError
 from mitsvbrdf.export import ExportSettings, export_material
 from mitsvbrdf.export.textures import Export
+from mitsvbrdf.io import files, images, result_folder
 from mitsvbrdf.material.conversion import as_principled
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.relight import sphere
-from mitsvbrdf.system import files, images, result_folder
 
 
 def test_what_is_lost_is_told_with_the_folder(tmp_path, capsys):
@@ -47,11 +47,13 @@ def test_a_principled_material_loses_nothing(tmp_path):
 
 def test_export_command(tmp_path, capsys):
     save_maps(make_material("plates", 16), tmp_path / "brick/maps")
-    assert cli.main(["export", str(tmp_path / "brick"), "--to", "gltf,maps", "--naming", "polyhaven", "--normal", "dx"]) == 0
+    assert cli.main(["export", str(tmp_path / "brick"), "--to", "gltf,maps", "--naming", "polyhaven",
+                     "--normal", "dx"]) == 0
     said = capsys.readouterr().out
     folder = tmp_path / "brick/export"
     assert (folder / "gltf/material.glb").is_file() and (folder / "maps/brick_nor_dx.png").is_file()
-    assert sorted(path.name for path in folder.iterdir()) == [".mitsvbrdf", "gltf", "maps", "preview.png", "thumbnail.png"]
+    assert sorted(path.name for path in folder.iterdir()) == [".mitsvbrdf", "gltf", "maps", "preview.png",
+                                                              "thumbnail.png"]
     lost = stated(folder / "maps")["conversion_rmse"]["with the specular level"]
     assert f"diffuse {lost['diffuse']:.4f}, specular {lost['specular']:.4f}" in said and lost["specular"] > 0
     assert cli.main(["export", "builtin:tiles", "--no-preview", "-o", str(tmp_path / "all")]) == 0
@@ -61,14 +63,17 @@ def test_export_command(tmp_path, capsys):
 
 def test_the_scene_shows_the_first_photo_of_the_fit(tmp_path):
     save_maps(flat(8), tmp_path / "maps")
-    views = {"size": 2.0, "falloff": "none", "camera": [[0.5, 0.25, 4.0]], "light": [[0.5, 0.0, 4.0]], "intensity": [[8, 8, 8]]}
+    views = {"size": 2.0, "falloff": "none", "camera": [[0.5, 0.25, 4.0]], "light": [[0.5, 0.0, 4.0]],
+             "intensity": [[8, 8, 8]]}
     fit = {"flash_offset": None, "views": views, "capture": {"transfer": "srgb", "name": "x", "photos": [2]}}
     (tmp_path / "fit.json").write_text(json.dumps(fit))
     assert cli.main(["export", str(tmp_path), "--to", "mitsuba", "--no-preview"]) == 0
     root = ElementTree.parse(tmp_path / "export/mitsuba/scene.xml").getroot()
     found = {entry.get("name"): entry.get("value") for entry in root.iter("default")}
-    in_sides = {"camera_x": 0.25, "camera_y": 0.125, "camera_z": 2.0, "light_x": 0.25, "light_y": 0.0, "light_z": 2.0}
-    assert {name: float(found[name]) for name in in_sides} == in_sides and found["intensity"] == "2.0, 2.0, 2.0"
+    in_sides = {"camera_x": 0.25, "camera_y": 0.125, "camera_z": 2.0, "light_x": 0.25, "light_y": 0.0,
+                "light_z": 2.0}
+    assert {name: float(found[name])
+            for name in in_sides} == in_sides and found["intensity"] == "2.0, 2.0, 2.0"
 
 
 def test_a_texture_as_libraries_have_them(tmp_path, capsys):
@@ -94,7 +99,8 @@ def test_a_texture_as_libraries_have_them(tmp_path, capsys):
 @pytest.mark.parametrize("told, side", [("sheet", 0.18), ("photos", None), ("given", None)])
 def test_a_sheet_in_the_photos_tells_the_side(told, side, tmp_path):
     save_maps(flat(8), tmp_path / "maps")
-    views = {"size": 18.0, "falloff": "inverse-square", "camera": [[0, 0, 40]], "light": [[0, 0, 40]], "intensity": [[8, 8, 8]]}
+    views = {"size": 18.0, "falloff": "inverse-square", "camera": [[0, 0, 40]], "light": [[0, 0, 40]],
+             "intensity": [[8, 8, 8]]}
     fit = {"flash_offset": None, "views": views, "capture": {"transfer": "srgb", "name": "x", "photos": [2]},
            "calibration": {"from": told}}
     (tmp_path / "fit.json").write_text(json.dumps(fit))
@@ -122,10 +128,12 @@ def test_export_is_replaced_when_asked_only(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("arguments, word", [
-    (["--to", "gltf,obj"], "obj"), (["--to", ""], "gltf"), (["--to", "gltf", "--naming", "polyhaven"], "maps"),
-    (["--to", "usd", "--normal", "dx"], "maps"), (["-o", "m"], "folder of its own"), (["-o", "m/maps"], "folder of its own"),
-    (["--side-cm", "0"], "0.001 to 1e+06 cm"), (["--side-cm", "nan"], "--side-cm of"), (["--side-cm", "1e45"], "--side-cm of"),
-    (["--tile"], "16 texels")])
+    (["--to", "gltf,obj"], "obj"), (["--to", ""], "gltf"), (["--to", "gltf", "--naming", "polyhaven"],
+                                                            "maps"),
+    (["--to", "usd", "--normal", "dx"], "maps"), (["-o", "m"], "folder of its own"),
+    (["-o", "m/maps"], "folder of its own"),
+    (["--side-cm", "0"], "0.001 to 1e+06 cm"), (["--side-cm", "nan"], "--side-cm of"),
+    (["--side-cm", "1e45"], "--side-cm of"), (["--tile"], "16 texels")])
 def test_mistakes_of_the_caller(arguments, word, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     save_maps(flat(8), tmp_path / "m/maps")

@@ -36,7 +36,8 @@ def view(document, binary, number):
 
 def picture(document, binary, texture):
     source = document["textures"][texture["index"]]["source"]
-    return np.array(Image.open(io.BytesIO(view(document, binary, document["images"][source]["bufferView"])))) / 255
+    return np.array(Image.open(io.BytesIO(view(document, binary,
+                                               document["images"][source]["bufferView"])))) / 255
 
 
 def numbers(document, binary, number):
@@ -57,7 +58,8 @@ def test_glb_holds_the_maps_to_half_a_step_of_8_bits(material, tmp_path):
     assert np.abs(packed[..., 0] - occlusion(heights(material["normal"])).numpy()).max() <= half
     assert np.abs(packed[..., 1:2] - material["roughness"].numpy()).max() <= half
     assert np.abs(packed[..., 2:] - metal["metallic"].numpy()).max() <= half
-    assert np.abs(picture(document, binary, found["normalTexture"]) * 2 - 1 - material["normal"].numpy()).max() <= 2 * half
+    assert np.abs(picture(document, binary,
+                          found["normalTexture"]) * 2 - 1 - material["normal"].numpy()).max() <= 2 * half
     base = srgb_to_linear(picture(document, binary, pbr["baseColorTexture"]))
     metallic = packed[..., 2:]
     wanted = material.as_roughconductor()
@@ -65,21 +67,26 @@ def test_glb_holds_the_maps_to_half_a_step_of_8_bits(material, tmp_path):
         assert "extensionsUsed" not in document
         diffuse, f0 = base * (1 - metallic), base * metallic + 0.04 * (1 - metallic)
     else:
-        # KHR_materials_specular: F0 of the dielectric part = min(0.04 * factor * texture, 1), and diffuse gets 1 - max(F0).
+        # KHR_materials_specular: F0 of the dielectric part = min(0.04 * factor * texture, 1), and diffuse
+        # gets 1 - max(F0).
         specular = found["extensions"]["KHR_materials_specular"]
-        colour = specular["specularColorFactor"] * srgb_to_linear(picture(document, binary, specular["specularColorTexture"]))
+        colour = (specular["specularColorFactor"]
+                  * srgb_to_linear(picture(document, binary, specular["specularColorTexture"])))
         f0 = np.minimum(0.04 * colour, 1)
         diffuse = base * (1 - metallic) * (1 - f0.max(axis=-1, keepdims=True))
         f0 = base * metallic + (1 - metallic) * f0
     # Linear; half a step of 8 bits in sRGB is 0.0045 at 1. Measured 0.003 and 0.004.
     assert np.abs(f0 - wanted["specular"].numpy()).max() < 0.005
-    plain = metallic[..., 0] == 0 if material.bsdf == "roughconductor" else np.ones_like(metallic[..., 0], bool)
+    plain = (metallic[..., 0] == 0 if material.bsdf == "roughconductor"
+             else np.ones_like(metallic[..., 0], bool))
     assert np.abs(diffuse - wanted["diffuse"].numpy())[plain].max() < 0.008
     assert material.bsdf == "principled" or 0.05 < plain.mean() < 0.95  # both kinds were looked at
 
 
 def test_the_top_of_the_patch_is_the_top_of_the_glb(tmp_path):
-    """Corner by corner: v = 0 is the first row of the image (glTF 3.8), y is up, the normal faces us, the bitangent is +y."""
+    """Corner by corner: v = 0 is the first row of the image (glTF 3.8), y is up, the normal faces us, the
+    bitangent is +y.
+    """
     maps = flat(4, diffuse=0.0, specular=0.0)  # with no F0 the base colour is the diffuse colour
     corners = {(-1, 1): (0, 0, 0.2), (1, 1): (0, 3, 0.4), (-1, -1): (3, 0, 0.6), (1, -1): (3, 3, 0.8)}
     for row, column, value in corners.values():
@@ -88,11 +95,13 @@ def test_the_top_of_the_patch_is_the_top_of_the_glb(tmp_path):
     document, binary = parsed(tmp_path / "material.glb")
     (primitive,) = document["meshes"][0]["primitives"]
     at = {name: numbers(document, binary, number) for name, number in primitive["attributes"].items()}
-    image = srgb_to_linear(picture(document, binary, document["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]))
+    image = srgb_to_linear(picture(document, binary,
+                                   document["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]))
     for position, (u, v) in zip(at["POSITION"], at["TEXCOORD_0"]):
         *_, value = corners[tuple(np.sign(position[:2]))]
         assert image[min(int(v * 4), 3), min(int(u * 4), 3)] == pytest.approx([value] * 3, abs=0.005)
-    triangles = np.frombuffer(view(document, binary, document["accessors"][primitive["indices"]]["bufferView"]), "<u2")
+    triangles = np.frombuffer(view(document, binary,
+                                   document["accessors"][primitive["indices"]]["bufferView"]), "<u2")
     for a, b, c in at["POSITION"][triangles].reshape(2, 3, 3):
         assert np.cross(b - a, c - a)[2] > 0  # counter-clockwise seen from +z
     bitangent = np.cross(at["NORMAL"], at["TANGENT"][:, :3]) * at["TANGENT"][:, 3:]
@@ -103,7 +112,8 @@ def test_another_reader_opens_the_glb(material, tmp_path):
     pygltflib = pytest.importorskip("pygltflib", reason="needs pygltflib, of the test extra")
     write_gltf(tmp_path, material)
     found = pygltflib.GLTF2().load(str(tmp_path / "material.glb"))
-    assert found.asset.version == "2.0" and len(found.images) == (4 if material.bsdf == "roughconductor" else 3)
+    assert found.asset.version == "2.0" and len(found.images) == (4 if material.bsdf == "roughconductor"
+                                                                  else 3)
     for image in found.images:
         place = found.bufferViews[image.bufferView]
         png = found.binary_blob()[place.byteOffset:place.byteOffset + place.byteLength]
@@ -112,14 +122,18 @@ def test_another_reader_opens_the_glb(material, tmp_path):
 
 @pytest.mark.slow
 def test_khronos_validator_has_nothing_to_say(material, tmp_path):
-    """Needs node and `npm install gltf-validator` where node looks (NODE_PATH), which `./run slow` does where npm is."""
+    """Needs node and `npm install gltf-validator` where node looks (NODE_PATH), which `./run slow` does where
+    npm is.
+    """
     node = shutil.which("node")
     if not node or subprocess.run([node, "-e", "require('gltf-validator')"], capture_output=True).returncode:
         pytest.skip("needs node and the npm package gltf-validator on NODE_PATH")
     write_gltf(tmp_path, material)
-    code = ("require('gltf-validator').validateBytes(new Uint8Array(require('fs').readFileSync(process.argv[1])))"
+    code = ("require('gltf-validator').validateBytes(new "
+            "Uint8Array(require('fs').readFileSync(process.argv[1])))"
             ".then(report => console.log(JSON.stringify(report.issues)))")
-    done = subprocess.run([node, "-e", code, str(tmp_path / "material.glb")], capture_output=True, text=True, check=True)
+    done = subprocess.run([node, "-e", code, str(tmp_path / "material.glb")], capture_output=True, text=True,
+                          check=True)
     assert json.loads(done.stdout)["messages"] == []
 
 

@@ -24,14 +24,17 @@ DERIVED = ("occlusion", "occlusion in R, roughness in G, metallic in B")
 
 
 def wanted_maps(material):
-    """What the files hold: both parameter sets; the specular level L of Blender, Unreal and Substance means F0 = 0.08 L."""
+    """What the files hold: both parameter sets; the specular level L of Blender, Unreal and Substance means
+    F0 = 0.08 L.
+    """
     both = dict(material.as_roughconductor().maps)
     if material.bsdf == "principled":
         return both | dict(material.maps)
     metallic = as_principled(material)["metallic"]
     level = (both["specular"].mean(dim=-1, keepdim=True) / 0.08).clamp(max=1)
     base = torch.where(metallic > 0, both["specular"], (both["diffuse"] / (1 - 0.08 * level)).clamp(max=1))
-    return both | {"metallic": metallic, "base_color": base, "specular_level": torch.where(metallic > 0, 0.5, level)}
+    return both | {"metallic": metallic, "base_color": base, "specular_level": torch.where(metallic > 0, 0.5,
+                                                                                           level)}
 
 
 @pytest.mark.parametrize("normal", ["gl", "dx"])
@@ -45,11 +48,14 @@ def test_maps_are_what_export_json_says(material, naming, bits, normal, tmp_path
     for texture in said["textures"]:
         name, pixels = texture["holds"], cv2.imread(str(folder / texture["file"]), cv2.IMREAD_UNCHANGED)
         assert pixels.dtype == {8: np.uint8, 16: np.uint16}[texture["bits"]]
-        assert texture["bits"] == (16 if name.startswith("height") else bits)  # 256 steps of height are stairs
-        assert texture["colour_space"] == ("sRGB" if name in ("diffuse", "specular", "base_color") else "linear")
+        # 256 steps of height are stairs
+        assert texture["bits"] == (16 if name.startswith("height") else bits)
+        assert texture["colour_space"] == ("sRGB" if name in ("diffuse", "specular", "base_color")
+                                           else "linear")
         if name in DERIVED or name.startswith("height"):
             continue
-        found, wanted = decoded(folder / texture["file"], texture["colour_space"]), wanted_maps(material)[name].numpy()
+        found, wanted = decoded(folder / texture["file"],
+                                texture["colour_space"]), wanted_maps(material)[name].numpy()
         if name == "normal":
             assert ("DirectX" if normal == "dx" else "OpenGL") in texture["normal"]
             found, wanted = found * 2 - 1, wanted * ([1, -1, 1] if normal == "dx" else [1, 1, 1])
@@ -59,14 +65,18 @@ def test_maps_are_what_export_json_says(material, naming, bits, normal, tmp_path
 
 def test_names_are_those_of_the_libraries(tmp_path):
     names = {
-        "polyhaven": {"Old_brick_diff", "Old_brick_metal", "Old_brick_rough", "Old_brick_nor_gl", "Old_brick_spec",
+        "polyhaven": {"Old_brick_diff", "Old_brick_metal", "Old_brick_rough", "Old_brick_nor_gl",
+                      "Old_brick_spec",
                       "Old_brick_disp", "Old_brick_ao", "Old_brick_arm"},
         "ambientcg": {"Old_brick_Color", "Old_brick_Metalness", "Old_brick_Roughness", "Old_brick_NormalGL",
                       "Old_brick_Specular", "Old_brick_Displacement", "Old_brick_AmbientOcclusion"},
-        "substance": {"Old_brick_BaseColor", "Old_brick_Metallic", "Old_brick_Roughness", "Old_brick_Normal_OpenGL",
-                      "Old_brick_SpecularLevel", "Old_brick_Height", "Old_brick_AmbientOcclusion", "Old_brick_ORM"},
+        "substance": {"Old_brick_BaseColor", "Old_brick_Metallic", "Old_brick_Roughness",
+                      "Old_brick_Normal_OpenGL",
+                      "Old_brick_SpecularLevel", "Old_brick_Height", "Old_brick_AmbientOcclusion",
+                      "Old_brick_ORM"},
         "materialgan": {"dif", "spe", "rgh", "nom"},
-        "own": {"diffuse", "specular", "base_color", "metallic", "roughness", "normal", "specular_level", "height", "occlusion",
+        "own": {"diffuse", "specular", "base_color", "metallic", "roughness", "normal", "specular_level",
+                "height", "occlusion",
                 "occlusion_roughness_metallic"}}
     for naming, expected in names.items():
         export_material(flat(4), tmp_path / naming, ["maps"], settings=ExportSettings("Old brick!", naming))
@@ -76,8 +86,10 @@ def test_names_are_those_of_the_libraries(tmp_path):
 
 # What Blender's Node Wrangler takes a file for, by the words of its name.
 BLENDER_WORDS = {"base_color": {"diffuse", "diff", "albedo", "base", "col", "color", "basecolor"},
-                 "metallic": {"metallic", "metalness", "metal", "mtl"}, "roughness": {"roughness", "rough", "rgh"},
-                 "normal": {"normal", "nor", "nrm", "nrml", "norm"}, "specular_level": {"specular", "spec", "spc"},
+                 "metallic": {"metallic", "metalness", "metal", "mtl"}, "roughness": {"roughness", "rough",
+                                                                                      "rgh"},
+                 "normal": {"normal", "nor", "nrm", "nrml", "norm"}, "specular_level": {"specular", "spec",
+                                                                                        "spc"},
                  "height": {"displacement", "displace", "disp", "dsp", "height", "heightmap"},
                  "occlusion": {"ao", "ambient", "occlusion"}}
 
@@ -86,7 +98,8 @@ BLENDER_WORDS = {"base_color": {"diffuse", "diff", "albedo", "base", "col", "col
 def test_blender_knows_the_files_by_their_names(naming, tmp_path):
     export_material(flat(4), tmp_path, ["maps"], settings=ExportSettings("brick", naming))
     for texture in stated(tmp_path / "maps")["textures"]:
-        words = {word.lower() for word in re.findall("[A-Z]?[a-z]+|[A-Z]+", texture["file"].removesuffix(".png"))}
+        words = {word.lower() for word in re.findall("[A-Z]?[a-z]+|[A-Z]+",
+                                                     texture["file"].removesuffix(".png"))}
         meanings = {meaning for meaning, known in BLENDER_WORDS.items() if words & known}
         if texture["file"].endswith(("_arm.png", "_ORM.png")):
             assert not meanings  # several maps in one: for engines, and passed by
@@ -113,11 +126,14 @@ def test_directx_normals_are_opengl_normals_with_green_turned_around(tmp_path):
     normal = torch.nn.functional.normalize(torch.cat((slopes, torch.ones(32, 32, 1)), dim=-1), dim=-1)
     maps = flat(32, diffuse=0.6, specular=0.02, roughness=0.8)
     maps = SVBRDF("roughconductor", dict(maps.maps) | {"normal": normal})
-    lamp = Views.of([[0.0, 0.0, 3.0]], light=[[0.0, 40.0, 40.0]], intensity=1e4)  # far away: all texels see it alike
+    # far away: all texels see it alike
+    lamp = Views.of([[0.0, 0.0, 3.0]], light=[[0.0, 40.0, 40.0]], intensity=1e4)
 
     def shown(normal):
-        decoded_maps = dict(maps.maps) | {"normal": torch.nn.functional.normalize(torch.from_numpy(normal), dim=-1)}
-        return AnalyticRenderer(torch.float64).render(SVBRDF("roughconductor", decoded_maps), lamp)[0].mean(dim=-1)
+        decoded_maps = dict(maps.maps) | {"normal": torch.nn.functional.normalize(torch.from_numpy(normal),
+                                                                                  dim=-1)}
+        return AnalyticRenderer(torch.float64).render(SVBRDF("roughconductor", decoded_maps),
+                                                      lamp)[0].mean(dim=-1)
 
     found = {}
     for convention, file in (("gl", "normal.png"), ("dx", "normal_dx.png")):
@@ -143,7 +159,8 @@ def test_the_height_is_right_at_a_displacements_scale_of_1(tmp_path):
     """On a square of side 1 with the middle at 0.5, as programs have it by default; nothing is stretched."""
     made = make_material("plates", 64)
     export_material(made, tmp_path, ["maps"], settings=ExportSettings(naming="polyhaven", side=0.5))
-    (said,) = (texture["holds"] for texture in stated(tmp_path / "maps")["textures"] if texture["holds"].startswith("height"))
+    (said,) = (texture["holds"] for texture in stated(tmp_path / "maps")["textures"]
+               if texture["holds"].startswith("height"))
     assert said == "height over the patch's side, 0.5 metres, plus 0.5"
     found = decoded(tmp_path / "maps/material_disp.png", "linear")[..., 0] - 0.5
     assert np.abs(found - heights(made["normal"]).numpy()).max() < 0.51 / 65535
@@ -157,6 +174,8 @@ def test_long_names_are_cut(tmp_path):
 
 
 def test_packed_maps_are_those_of_the_single_files(tmp_path):
-    export_material(make_material("plates", 32), tmp_path, ["maps"], settings=ExportSettings(naming="polyhaven"))
-    packed, *single = (decoded(tmp_path / f"maps/material_{name}.png", "linear") for name in ("arm", "ao", "rough", "metal"))
+    export_material(make_material("plates", 32), tmp_path, ["maps"],
+                    settings=ExportSettings(naming="polyhaven"))
+    packed, *single = (decoded(tmp_path / f"maps/material_{name}.png", "linear") for name in ("arm", "ao",
+                                                                                              "rough", "metal"))
     assert np.abs(packed - np.concatenate([each[..., :1] for each in single], axis=-1)).max() == 0

@@ -9,7 +9,8 @@ from helpers.exported import decoded, gilt_plates, stated
 from mitsvbrdf.export import ExportSettings, export_material
 
 
-@pytest.mark.parametrize("file, node", [("material.mtlx", "standard_surface"), ("openpbr.mtlx", "open_pbr_surface")])
+@pytest.mark.parametrize("file, node", [("material.mtlx", "standard_surface"),
+                                        ("openpbr.mtlx", "open_pbr_surface")])
 def test_materialx_validates_and_names_every_texture(material, file, node, tmp_path):
     mx = pytest.importorskip("MaterialX", reason="needs MaterialX, of the test extra")
     export_material(material, tmp_path, ["materialx"])
@@ -43,7 +44,8 @@ def test_materialx_has_f0_in_one_index_and_a_colour(tmp_path):
     metallic = decoded(folder / "textures/metallic.png", "linear")
     base = decoded(folder / "textures/base_color.png", "sRGB")
     wanted = maps["specular"].numpy()
-    assert np.abs(np.where(metallic > 0, base, f0) - wanted).max() < 3e-5  # half a step of 16 bits in sRGB is 1.8e-5 at 1
+    # half a step of 16 bits in sRGB is 1.8e-5 at 1
+    assert np.abs(np.where(metallic > 0, base, f0) - wanted).max() < 3e-5
     diffuse = (base * (1 - level))[metallic[..., 0] == 0]
     assert np.abs(diffuse - maps["diffuse"].numpy()[metallic[..., 0] == 0]).max() < 3e-5
     assert not list(folder.rglob("*.exr"))  # which viewers on the web do not read
@@ -51,6 +53,8 @@ def test_materialx_has_f0_in_one_index_and_a_colour(tmp_path):
 
 def test_addresses_repeat_where_edges_meet(tmp_path):
     for repeats, mode in ((False, "clamp"), (True, "periodic")):
-        export_material(gilt_plates(16), tmp_path / mode, ["materialx"], settings=ExportSettings(repeats=repeats))
+        export_material(gilt_plates(16), tmp_path / mode, ["materialx"],
+                        settings=ExportSettings(repeats=repeats))
         root = ElementTree.parse(tmp_path / mode / "materialx/openpbr.mtlx").getroot()
-        assert {entry.get("value") for entry in root.iter("input") if "addressmode" in entry.get("name")} == {mode}
+        assert {entry.get("value") for entry in root.iter("input")
+                if "addressmode" in entry.get("name")} == {mode}

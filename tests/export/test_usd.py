@@ -37,9 +37,11 @@ def test_usd_opens_and_names_every_texture(folder, file, prim):
             assert asset.resolvedPath, asset.path
             space = shader.GetInput("sourceColorSpace").Get() if shader.GetInput("sourceColorSpace") else (
                 "sRGB" if entry.GetAttr().GetColorSpace() == "srgb_texture" else "raw")
-            used.setdefault(asset.path.removeprefix("./"), set()).add({"sRGB": "sRGB", "raw": "linear"}[space])
+            used.setdefault(asset.path.removeprefix("./"),
+                            set()).add({"sRGB": "sRGB", "raw": "linear"}[space])
         for attribute in each.GetAttributes():
-            assert all(stage.GetAttributeAtPath(path).IsDefined() for path in attribute.GetConnections()), attribute
+            assert all(stage.GetAttributeAtPath(path).IsDefined()
+                       for path in attribute.GetConnections()), attribute
     assert used == {file: {texture["colour_space"]} for file, texture in said.items()}
 
 
@@ -62,7 +64,9 @@ def test_the_square_wears_the_metallic_workflow(folder, material):
 
 
 def test_diffuse_and_f0_come_back(tmp_path):
-    """By the specification: F0 of the dielectric by its refractive index, diffuse light what F0 leaves of diffuseColor."""
+    """By the specification: F0 of the dielectric by its refractive index, diffuse light what F0 leaves of
+    diffuseColor.
+    """
     made = gilt_plates(32)
     export_material(made, tmp_path, ["usd"])
     stage = Usd.Stage.Open(str(tmp_path / "usd/material.usda"))
@@ -94,7 +98,8 @@ def test_materialx_knows_the_shaders_inputs(folder):
             found += 1
             for entry in shader.GetInputs():
                 kind = str(entry.GetTypeName())
-                assert definition.getActiveInput(entry.GetBaseName()).getType() == kinds.get(kind, kind), entry.GetBaseName()
+                assert definition.getActiveInput(entry.GetBaseName()).getType() == kinds.get(kind,
+                                                                                             kind), entry.GetBaseName()
     assert found >= 6
     assert stage.GetPrimAtPath("/material").GetAttribute("config:mtlx:version").Get() == "1.39"
     assert stage.GetPrimAtPath("/material").GetAttribute("outputs:mtlx:surface").GetConnections()

@@ -24,10 +24,12 @@ def poison_parameters(loop, value=math.inf):
 
 
 def poison_averages(loop):
-    loop.method.optimizer.state[loop.method.raw["roughness"]]["exp_avg_sq"][0, 3, 3] = math.inf  # as a gradient of 1e20 does
+    # as a gradient of 1e20 does
+    loop.method.optimizer.state[loop.method.raw["roughness"]]["exp_avg_sq"][0, 3, 3] = math.inf
 
 
-@pytest.mark.parametrize("poison, word", [(poison_parameters, "raw.roughness"), (poison_averages, "exp_avg_sq")])
+@pytest.mark.parametrize("poison, word", [(poison_parameters, "raw.roughness"),
+                                          (poison_averages, "exp_avg_sq")])
 @pytest.mark.parametrize("at", [19, 23])  # seen where a measurement is due, and at the very end of the run
 def test_what_a_step_leaves_behind_is_checked(poison, word, at, leather):
     # The losses of this step are fine, and a raw number of infinity even renders: only the state shows it.
@@ -104,7 +106,8 @@ def test_restarts_are_bit_equal_after_resuming(leather, tmp_path):
     config, path = DirectConfig(learning_rate=20, iterations=120), tmp_path / "c.safetensors"
     whole = fit_svbrdf(leather, ANALYTIC, config)
     assert len(whole.restarts) == 2
-    fit_svbrdf(leather, ANALYTIC, dataclasses.replace(config, iterations=77), checkpoint=path)  # between the two restarts
+    # between the two restarts
+    fit_svbrdf(leather, ANALYTIC, dataclasses.replace(config, iterations=77), checkpoint=path)
 
     class Stop(Exception):
         pass

@@ -22,7 +22,8 @@ def test_what_is_saved_is_loaded(tmp_path):
     save_tensors(tmp_path / "c", STATE, note)
     tensors, found = load_tensors(tmp_path / "c")
     assert found == note and set(tensors) == set(STATE)
-    assert all(torch.equal(tensors[name], value) and tensors[name].dtype == value.dtype for name, value in STATE.items())
+    assert all(torch.equal(tensors[name], value) and tensors[name].dtype == value.dtype
+               for name, value in STATE.items())
 
 
 def test_every_bit_that_turns_over_is_seen(tmp_path):
@@ -45,7 +46,8 @@ def test_what_is_no_file_is_refused(tmp_path):
 
 def loop_of(capture):
     config = DirectConfig(iterations=2)
-    return Loop(make_method(FitTask(capture, ANALYTIC, config, torch.full((SIDE, SIDE, 3), 0.2))), capture, ANALYTIC, config)
+    return Loop(make_method(FitTask(capture, ANALYTIC, config, torch.full((SIDE, SIDE, 3), 0.2))), capture,
+                ANALYTIC, config)
 
 
 def test_a_state_of_another_fit_is_one_error(leather, tmp_path):
@@ -53,7 +55,8 @@ def test_a_state_of_another_fit_is_one_error(leather, tmp_path):
     loop.checkpoint = path
     loop.run()
     tensors, note = load_tensors(path)
-    wrong = [({}, {name: value}) for name in note.keys() - {"method", "bsdf", "task"} for value in (None, [1])]
+    wrong = [({}, {name: value}) for name in note.keys() - {"method", "bsdf", "task"} for value in (None,
+                                                                                                    [1])]
     for name in tensors:
         if not name.startswith("lowest."):  # looked at when a fit goes back
             wrong += [({name: other}, {}) for other in (torch.zeros(2, 2), None)]

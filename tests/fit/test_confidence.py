@@ -32,14 +32,16 @@ def test_slopes_are_those_of_reverse_mode(bsdf):
     shown = color.encode(make_renderer("analytic64").render(
         SVBRDF(bsdf, {name: map_of(name, value) for name, value in leaves.items()}), views), "srgb")
     weights = torch.randn(shown.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-    wanted = torch.cat([g.flatten(0, 1) for g in torch.autograd.grad(shown, list(leaves.values()), weights)], dim=1)
+    wanted = torch.cat([g.flatten(0, 1) for g in torch.autograd.grad(shown, list(leaves.values()), weights)],
+                       dim=1)
     found = (slopes * weights.permute(1, 2, 0, 3).reshape(SIDE**2, -1, 1)).sum(dim=1)
     assert (found - wanted).norm() < 1e-6 * wanted.norm()
 
 
 def test_deviation_of_a_matt_texel_in_closed_form():
-    # Only diffuse unknown: a display value is u (E / pi)^(1/2.2) with u = rho^(1/2.2), E the irradiance, so the deviation is
-    # (sum_k (E_k / pi)^(2/2.2) / s^2 + 12)^-1/2. Photos are off by 0.02 everywhere; of 27 values the fit took out 3.
+    # Only diffuse unknown: a display value is u (E / pi)^(1/2.2) with u = rho^(1/2.2), E the irradiance, so
+    # the deviation is (sum_k (E_k / pi)^(2/2.2) / s^2 + 12)^-1/2. Photos are off by 0.02 everywhere; of 27
+    # values the fit took out 3.
     views, truth = GRID, flat(SIDE, diffuse=0.3, specular=0.0, roughness=1.0)
     images = ANALYTIC.render(truth, views)
     capture = Capture(color.to_display(images) + 0.02, views)
@@ -60,17 +62,19 @@ def test_only_texels_that_saw_the_highlight_know_their_roughness():
     photos = photograph(truth, views, ANALYTIC, noise=0.01)
     found = deviations(truth, views, images, FitTask(photos, ANALYTIC, DirectConfig(fix=("normal=flat",))))
     roughness = found["roughness"][..., 0]
-    assert roughness[4:12, :4].median() < 0.1 and roughness[:, -4:].min() > 0.2  # measured 0.06, and 0.28 or more
+    # measured 0.06, and 0.28 or more
+    assert roughness[4:12, :4].median() < 0.1 and roughness[:, -4:].min() > 0.2
     assert (roughness <= UNKNOWN).all()
 
 
 def test_a_lobe_that_no_photo_met_may_be_any_that_looks_like_the_diffuse_colour():
-    # Where no photo shows its highlight, a mirror makes the photos of a matt surface that is a little darker: measured, they
-    # change by 0.6 of the noise (median) from roughness 0.06 to 0.92 and diffuse 0.35 to 0.335. Lobes in between would be seen,
-    # so curvature alone states a deviation of 0.03.
+    # Where no photo shows its highlight, a mirror makes the photos of a matt surface that is a little darker:
+    # measured, they change by 0.6 of the noise (median) from roughness 0.06 to 0.92 and diffuse 0.35 to
+    # 0.335. Lobes in between would be seen, so curvature alone states a deviation of 0.03.
     views, truth = GRID, flat(SIDE, diffuse=0.35, specular=0.04, roughness=0.06)
     images = ANALYTIC.render(truth, views)
-    found = deviations(truth, views, images, FitTask(photograph(truth, views, ANALYTIC, 0.003), ANALYTIC, DirectConfig()))
+    found = deviations(truth, views, images, FitTask(photograph(truth, views, ANALYTIC, 0.003), ANALYTIC,
+                                                     DirectConfig()))
     dull = images.amax(dim=(0, 3)) < 0.5
     assert found["roughness"][dull].median() > 0.2  # measured 0.29
     assert found["diffuse"][dull].median() < 0.02  # measured 0.005
@@ -78,18 +82,21 @@ def test_a_lobe_that_no_photo_met_may_be_any_that_looks_like_the_diffuse_colour(
 
 @pytest.mark.parametrize("noise", [0.01, 0.02, 0.04])
 def test_how_far_roughness_may_be_off_is_that_of_the_whole_posterior(noise):
-    # The numbers d, s and the roughness r of a texel explain its photos with probability exp(-sum of squares / 2 noise^2), and
-    # colours have a prior around those found; the mean square of r - r found is summed over a grid of all three. Where camera
-    # and light coincide radiance is d^2.2 a + s^2.2 b(r), with a and b rendered.
+    # The numbers d, s and the roughness r of a texel explain its photos with probability exp(-sum of squares
+    # / 2 noise^2), and colours have a prior around those found; the mean square of r - r found is summed over
+    # a grid of all three. Where camera and light coincide radiance is d^2.2 a + s^2.2 b(r), with a and b
+    # rendered.
     views, found = GRID, {"diffuse": 0.35, "specular": 0.04, "roughness": 0.06}
     truth = flat(SIDE, **found)
     images = TWIN.render(truth, views)
     photos = Capture((color.to_display(images) + noise).float(), views)
-    sure = deviations(truth, views, images, FitTask(photos, ANALYTIC, DirectConfig(fix=("normal=flat",))))["roughness"]
+    sure = deviations(truth, views, images,
+                      FitTask(photos, ANALYTIC, DirectConfig(fix=("normal=flat",))))["roughness"]
     scale = noise * ((27 + 7) / 27) ** 0.5
 
     def lit(**maps):
-        return TWIN.render(flat(SIDE, **({"diffuse": 0.0, "specular": 0.0, "roughness": 0.5} | maps)), views)[..., 0]
+        return TWIN.render(flat(SIDE, **({"diffuse": 0.0, "specular": 0.0, "roughness": 0.5} | maps)),
+                           views)[..., 0]
 
     widths = (torch.arange(100, dtype=torch.float64) + 0.5) / 100
     lobes = torch.stack([lit(specular=1.0, roughness=float(width)) for width in widths])
@@ -99,11 +106,13 @@ def test_how_far_roughness_may_be_off_is_that_of_the_whole_posterior(noise):
     for row, column in ((0, 0), (3, 5), (8, 8), (12, 2)):
         d, s, b = (colours**2.2)[:, None, None], (colours**2.2)[:, None], lobes[:, :, row, column]
         a, goal = diffuse[:, row, column], color.to_display(images[:, row, column, 0])
-        logs = torch.stack([-(color.to_display(d * a + s * each) - goal).square().sum(dim=-1) / (2 * scale**2) for each in b])
+        logs = torch.stack([-(color.to_display(d * a + s * each) - goal).square().sum(dim=-1) / (2 * scale**2)
+                            for each in b])
         logs += prior[0][:, None] + prior[1]
         of_width = 3 * logs.flatten(1).logsumexp(dim=1)  # three channels alike, each with colours of its own
         wanted = (of_width.softmax(dim=0) * (widths - found["roughness"]).square()).sum().sqrt()
-        # Measured: 0.36, 0.59 and 1.16 in the middle, where the highlight was met; elsewhere all is open, 0.97 to 1.
+        # Measured: 0.36, 0.59 and 1.16 in the middle, where the highlight was met; elsewhere all is open,
+        # 0.97 to 1.
         assert 1 / 3 < float(sure[row, column, 0] / wanted.clamp_max(UNKNOWN)) < 1.3
 
 
@@ -116,9 +125,10 @@ def test_a_lobe_whose_highlights_were_met_is_no_other():
 
 @pytest.mark.parametrize("name", ["diffuse", "specular"])
 def test_a_colour_near_zero_is_known_to_be_dark_as_it_is_counted(name):
-    # Its number u stands for u^2.2, which is what photos show: g u^2.2 in linear radiance. Where u = 0 the deviation is the u
-    # at which that reaches what the noise hides, however flat u^2.2 is there: (s / g)^(1/2.2) for linear photos with noise s
-    # and g the root of the sum of squares over photos. Solved with the prior for u here, by bisection.
+    # Its number u stands for u^2.2, which is what photos show: g u^2.2 in linear radiance. Where u = 0 the
+    # deviation is the u at which that reaches what the noise hides, however flat u^2.2 is there: (s /
+    # g)^(1/2.2) for linear photos with noise s and g the root of the sum of squares over photos. Solved with
+    # the prior for u here, by bisection.
     views, noise = GRID, 1e-3
     truth = flat(SIDE, **{"diffuse": 0.2, "specular": 0.04, "roughness": 0.9, name: 0.0})
     images = ANALYTIC.render(truth, views)
@@ -127,7 +137,8 @@ def test_a_colour_near_zero_is_known_to_be_dark_as_it_is_counted(name):
     fixed.pop(name)
     config = DirectConfig(fix=("normal=flat", "roughness=0.9", *fixed.values()))
     found = deviations(truth, views, images, FitTask(capture, ANALYTIC, config))[name][8, 8, 0]
-    one = (ANALYTIC.render(flat(SIDE, **{"diffuse": 0.2, "specular": 0.04, "roughness": 0.9, name: 1.0}), views) - images)
+    one = (ANALYTIC.render(flat(SIDE, **{"diffuse": 0.2, "specular": 0.04, "roughness": 0.9, name: 1.0}),
+                           views) - images)
     strength = one[:, 8, 8, 0].double().square().sum() / (noise**2 * (27 + 3) / 27)
     low, high = 0.0, UNKNOWN
     for _ in range(60):
@@ -155,8 +166,11 @@ def test_the_deviation_predicts_where_the_error_is():
     truth = make_material("plates", SIDE)
     result = fit_svbrdf(photos_of(truth), ANALYTIC, DirectConfig(iterations=150))
     for name, spread in result.deviations.items():
-        error = (numbers_of(name, result.svbrdf[name]) - numbers_of(name, truth[name])).square().mean(dim=-1).flatten()
-        ranks = torch.stack([x.argsort().argsort().double() for x in (error, spread.square().mean(dim=-1).flatten())])
+        error = (numbers_of(name, result.svbrdf[name]) - numbers_of(name,
+                                                                    truth[name])).square().mean(
+                                                                        dim=-1).flatten()
+        ranks = torch.stack([x.argsort().argsort().double() for x in (error,
+                                                                      spread.square().mean(dim=-1).flatten())])
         assert torch.corrcoef(ranks)[0, 1] > 0.5, name
         # And its size, over that of the error. Measured: 0.48, 1.0, 0.56, 0.56.
         assert 1 / 3 < float(spread.square().mean(dim=-1).sqrt().mean() / error.sqrt().mean()) < 3, name
@@ -173,6 +187,7 @@ def test_one_photo_determines_less_than_nine(leather):
 def test_large_maps_are_looked_at_small():
     truth, views = make_material("leather", 80), GRID.pick([0, 1])
     images = ANALYTIC.render(truth, views)
-    found = deviations(truth, views, images, FitTask(photos_of(truth, views), ANALYTIC, DirectConfig(grey_specular=True)))
+    found = deviations(truth, views, images, FitTask(photos_of(truth, views), ANALYTIC,
+                                                     DirectConfig(grey_specular=True)))
     assert {name: tuple(value.shape) for name, value in found.items()} == {
         "diffuse": (64, 64, 3), "specular": (64, 64, 1), "roughness": (64, 64, 1), "normal": (64, 64, 2)}

@@ -12,7 +12,16 @@ from helpers.variants import mostly_slow
 
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HybridConfig, fit_svbrdf, gan_config, make_method, pretrain
+from mitsvbrdf.fit import (
+    DirectConfig,
+    FitTask,
+    GanConfig,
+    HybridConfig,
+    fit_svbrdf,
+    gan_config,
+    make_method,
+    pretrain,
+)
 from mitsvbrdf.fit.checkpoint import load_tensors
 from mitsvbrdf.fit.loop import Loop
 from mitsvbrdf.fit.method import descend
@@ -25,8 +34,10 @@ from mitsvbrdf.render import make_renderer
 SMALL = {"hybrid": HybridConfig(width=8), "direct": DirectConfig(), "gan": GanConfig(width=8),
          "gan, one stage": GanConfig(width=8, preset="paper-one-stage"),
          "gan, two stages": GanConfig(width=8, preset="paper-two-stage"),
-         "gan, outlook": GanConfig(width=8, generator="variational", guessed_normal=True, highlight_aware=True)}
-# Of 64 px there are two phases; the second begins at iteration 10 of 24, the checkpoint is from iteration 5 or 13.
+         "gan, outlook": GanConfig(width=8, generator="variational", guessed_normal=True,
+                                   highlight_aware=True)}
+# Of 64 px there are two phases; the second begins at iteration 10 of 24, the checkpoint is from iteration 5
+# or 13.
 RESUMED = {name: (config, 32, 13) for name, config in SMALL.items()} | {
     "gan, averaged, bfloat16": (GanConfig(width=4, pictures=2, average=0.9, precision="bfloat16"), 64, 13),
     "gan, before it grows": (GanConfig(width=4, pictures=2, average=0.9), 64, 5),
@@ -41,7 +52,8 @@ def with_limits(config, **limits):
 @pytest.mark.parametrize("method", SMALL)
 @pytest.mark.parametrize("bsdf", CHANNELS)
 def test_every_method_through_mitsuba(method, bsdf, leather):
-    result = fit_svbrdf(leather, make_renderer("mitsuba"), with_limits(SMALL[method], iterations=12, bsdf=bsdf))
+    result = fit_svbrdf(leather, make_renderer("mitsuba"), with_limits(SMALL[method], iterations=12,
+                                                                       bsdf=bsdf))
     result.svbrdf.check()
     assert result.stopped == "iterations" and result.variant == "llvm_ad_rgb" and result.left_out
     assert [entry["iteration"] for entry in result.trace] == [0, 10, 12]
@@ -51,8 +63,8 @@ def test_every_method_through_mitsuba(method, bsdf, leather):
 
 
 def test_direct_recovers_what_its_photos_show():
-    # A rough material with relief, seen from nine sides: 150 steps take the diffuse error to 0.02 and the normals' to 0.01
-    # (measured 0.010 and 0.006); the start alone has 0.05 in the normals.
+    # A rough material with relief, seen from nine sides: 150 steps take the diffuse error to 0.02 and the
+    # normals' to 0.01 (measured 0.010 and 0.006); the start alone has 0.05 in the normals.
     truth = make_material("leather", 32)
     capture = photos_of(truth)
     result = fit_svbrdf(capture, make_renderer("mitsuba"), DirectConfig(iterations=150))
@@ -73,7 +85,8 @@ def test_hybrid_finds_the_flash_beside_the_lens():
     lit = type(views)(views.camera, views.light + torch.tensor([-0.1, 0.0, 0.0]), views.intensity)
     truth = flat(32, diffuse=0.2, specular=0.3, roughness=0.3)
     photos = photos_of(truth, lit).photos
-    result = fit_svbrdf(Capture(photos, views), make_renderer("mitsuba"), HybridConfig(width=8, iterations=150))
+    result = fit_svbrdf(Capture(photos, views), make_renderer("mitsuba"),
+                        HybridConfig(width=8, iterations=150))
     assert result.flash_offset[0] < -0.05 and abs(result.flash_offset[1]) < 0.03
 
 
@@ -81,7 +94,8 @@ def test_hybrid_finds_the_flash_beside_the_lens():
 def test_resume_is_bit_equal(method, tmp_path, monkeypatch):
     monkeypatch.setattr(gan_config, "SMALLEST", 32)
     config, side, saved_at = RESUMED[method]
-    capture, renderer, config = photos_of(make_material("inlay", side)), MITSUBA, with_limits(config, iterations=24)
+    capture, renderer, config = photos_of(make_material("inlay", side)), MITSUBA, with_limits(config,
+                                                                                              iterations=24)
     whole = fit_svbrdf(capture, renderer, config, checkpoint=tmp_path / "whole.safetensors")
 
     class Stop(Exception):
@@ -91,7 +105,8 @@ def test_resume_is_bit_equal(method, tmp_path, monkeypatch):
         if entry["iteration"] == 20:
             raise Stop
 
-    # A run that dies at iteration 20 with its last checkpoint from an earlier one, and one that goes on from there.
+    # A run that dies at iteration 20 with its last checkpoint from an earlier one, and one that goes on from
+    # there.
     method = make_method(FitTask(capture, renderer, config, whole.guess))
     loop = Loop(method, capture, renderer, config, tmp_path / "c.safetensors")
     step = loop.method.step
@@ -117,14 +132,15 @@ def test_resume_is_bit_equal(method, tmp_path, monkeypatch):
 
 
 def test_ctrl_c_keeps_the_best_result(capture, tmp_path):
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job has it ignored
+    # a shell's background job has it ignored
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def interrupt(entry, share):
         if entry["iteration"] == 10:
             signal.raise_signal(signal.SIGINT)
 
-    result = fit_svbrdf(capture, make_renderer("mitsuba"), HybridConfig(width=8, iterations=1000), report=interrupt,
-                        checkpoint=tmp_path / "c.safetensors")
+    result = fit_svbrdf(capture, make_renderer("mitsuba"), HybridConfig(width=8, iterations=1000),
+                        report=interrupt, checkpoint=tmp_path / "c.safetensors")
     assert result.stopped == "interrupted" and result.trace[-1]["iteration"] < 30
     assert load_tensors(tmp_path / "c.safetensors")[1]["iteration"] == result.trace[-1]["iteration"]
     assert signal.signal(signal.SIGINT, before) is signal.default_int_handler
@@ -132,14 +148,16 @@ def test_ctrl_c_keeps_the_best_result(capture, tmp_path):
 
 def test_budget_in_seconds(capture):
     renderer, config = ANALYTIC, DirectConfig(budget=1.0)
-    loop = Loop(make_method(FitTask(capture, renderer, config, torch.full((32, 32, 3), 0.3))), capture, renderer, config)
+    loop = Loop(make_method(FitTask(capture, renderer, config, torch.full((32, 32, 3), 0.3))), capture,
+                renderer, config)
     # The last measurement may be a moment older than the end of the budget.
     assert loop.run() == "budget" and loop.seconds >= 1.0 >= loop.trace[-2]["seconds"]
 
 
 def test_a_step_that_goes_wrong_is_undone(capture):
     renderer, config = ANALYTIC, DirectConfig(iterations=30)
-    loop = Loop(make_method(FitTask(capture, renderer, config, torch.full((32, 32, 3), 0.3))), capture, renderer, config)
+    loop = Loop(make_method(FitTask(capture, renderer, config, torch.full((32, 32, 3), 0.3))), capture,
+                renderer, config)
     step, failures = loop.method.step, iter([True])
 
     def poisoned(progress):
@@ -156,9 +174,11 @@ def test_a_step_that_goes_wrong_is_undone(capture):
 
 @pytest.mark.parametrize("method", ["hybrid", "direct", "gan"])
 def test_step_sizes_are_cut_until_the_fit_stays_finite(method, capture):
-    # Steps fail until the step size is below an eighth: it has to be cut four times, also when resumed off the beat.
+    # Steps fail until the step size is below an eighth: it has to be cut four times, also when resumed off
+    # the beat.
     renderer, config = ANALYTIC, with_limits(SMALL[method], iterations=3)
-    loop = Loop(make_method(FitTask(capture, renderer, config, torch.full((32, 32, 3), 0.3))), capture, renderer, config)
+    loop = Loop(make_method(FitTask(capture, renderer, config, torch.full((32, 32, 3), 0.3))), capture,
+                renderer, config)
     loop.iteration = 1
     step, cut, cuts = loop.method.step, loop.method.cut_step, []
     loop.method.cut_step = lambda: (cut(), cuts.append(1))
@@ -187,7 +207,8 @@ def test_no_step_is_made_along_a_gradient_that_is_not_finite():
 
 def test_a_fit_that_stays_broken_ends_with_one_error(capture):
     renderer, config = ANALYTIC, DirectConfig(iterations=30)
-    loop = Loop(make_method(FitTask(capture, renderer, config, torch.full((32, 32, 3), 0.3))), capture, renderer, config)
+    loop = Loop(make_method(FitTask(capture, renderer, config, torch.full((32, 32, 3), 0.3))), capture,
+                renderer, config)
     loop.method.step = lambda progress: {"photometric": math.nan}
     with pytest.raises(ConfigError, match="stays finite"):
         loop.run()
@@ -210,7 +231,8 @@ def test_checkpoints_hold_tensors_only(capture, tmp_path):
     path = tmp_path / "c.safetensors"
     fit_svbrdf(capture, ANALYTIC, DirectConfig(iterations=2), checkpoint=path)
     raw = path.read_bytes()
-    header = json.loads(raw[8:8 + int.from_bytes(raw[:8], "little")])  # the whole format: a JSON header and raw numbers
+    # the whole format: a JSON header and raw numbers
+    header = json.loads(raw[8:8 + int.from_bytes(raw[:8], "little")])
     assert all(set(v) == {"dtype", "shape", "data_offsets"} for k, v in header.items() if k != "__metadata__")
     for bad in (b"", b"not a checkpoint", raw[:100]):
         path.write_bytes(bad)
@@ -222,8 +244,8 @@ def test_resume_refuses_another_fit(capture, tmp_path):
     path, renderer = tmp_path / "c.safetensors", ANALYTIC
     fit_svbrdf(capture, renderer, DirectConfig(iterations=2), checkpoint=path)
     others = [(photos_of(make_material("tiles", 32)), {}), (capture.pick([1, 0, *range(2, 9)]), {}),
-              (capture.pick([0, 1]), {}), (dataclasses.replace(capture, transfer="srgb"), {}), (capture, {"seed": 1}),
-              (capture, {"smooth": 0.5})]
+              (capture.pick([0, 1]), {}), (dataclasses.replace(capture, transfer="srgb"), {}),
+              (capture, {"seed": 1}), (capture, {"smooth": 0.5})]
     for shots, change in others:
         with pytest.raises(ConfigError, match="resume with the same"):
             fit_svbrdf(shots, renderer, DirectConfig(iterations=4, **change), resume=path)
@@ -248,16 +270,19 @@ def test_presets_are_the_papers():
         assert (paper.normal_roughness_steps, paper.pictures, paper.game, paper.guess) == (5, 1, "bce", "min")
         assert paper.grey_specular and paper.falloff == "none" and paper.holds_views and not paper.flash_offset
         assert (paper.head_start, paper.smooth, paper.adversarial) == (0, 0, 1)
-        assert not any((paper.start, paper.decay, paper.level, paper.angles, paper.paired, paper.clipping, paper.grow,
-                        paper.average, paper.features, paper.crop))
+        assert not any((paper.start, paper.decay, paper.level, paper.angles, paper.paired, paper.clipping,
+                        paper.grow, paper.average, paper.features, paper.crop))
     assert [(round(p.share, 9), p.photos) for p in two.phases(256)] == [(0.4, 1), (0.6, None)]
     assert GanConfig(preset="paper-one-stage", width=8).width == 8  # what is given stays
 
 
 @pytest.mark.parametrize("settings, said", [
-    ({"game": "rpgan"}, "relativistic"), ({"generator": "unet"}, "two-stream"), ({"precision": "bf16"}, "bfloat16"),
-    ({"adversarial": 0.0, "features": 0.0, "diffuse": 0.0, "smooth": 0.0}, "a loss"), ({"head_start": 1.5}, "head start"),
-    ({"preset": "paper-two-stage", "generator": "all-photos", "normal_roughness_steps": 1}, "--generator two-stream"),
+    ({"game": "rpgan"}, "relativistic"), ({"generator": "unet"}, "two-stream"),
+    ({"precision": "bf16"}, "bfloat16"),
+    ({"adversarial": 0.0, "features": 0.0, "diffuse": 0.0, "smooth": 0.0}, "a loss"),
+    ({"head_start": 1.5}, "head start"),
+    ({"preset": "paper-two-stage", "generator": "all-photos", "normal_roughness_steps": 1},
+     "--generator two-stream"),
     ({"preset": "paper-two-stage", "grow": True}, "growing")])
 def test_settings_that_do_not_go_together_are_refused(settings, said):
     with pytest.raises(ConfigError, match=said):
@@ -265,7 +290,8 @@ def test_settings_that_do_not_go_together_are_refused(settings, said):
 
 
 def test_only_the_papers_first_stage_is_pretrained(capture, tmp_path):
-    for wrong, said in ((GanConfig(), "preset minutes"), (GanConfig(preset="paper-two-stage", pretrained="a.pt"), "a.pt")):
+    for wrong, said in ((GanConfig(), "preset minutes"),
+                        (GanConfig(preset="paper-two-stage", pretrained="a.pt"), "a.pt")):
         with pytest.raises(ConfigError, match=said):
             pretrain(capture, ANALYTIC, dataclasses.replace(wrong, iterations=1), tmp_path / "first.pt")
 

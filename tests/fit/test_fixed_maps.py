@@ -1,4 +1,6 @@
-"""Maps held fixed, one grey specular, losses of weight 0: given as asked, and nothing computed or allocated for them."""
+"""Maps held fixed, one grey specular, losses of weight 0: given as asked, and nothing computed or allocated
+for them.
+"""
 
 import json
 
@@ -10,13 +12,22 @@ from helpers.variants import mostly_slow
 from mitsvbrdf import cli, color
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.errors import ConfigError, MapsError
-from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HybridConfig, fit_svbrdf, left_out, losses, make_method
+from mitsvbrdf.fit import (
+    DirectConfig,
+    FitTask,
+    GanConfig,
+    HybridConfig,
+    fit_svbrdf,
+    left_out,
+    losses,
+    make_method,
+)
 from mitsvbrdf.fit.fixed_maps import fixed_maps
+from mitsvbrdf.io import images
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import CHANNELS, flat
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.system import images
 
 SIDE = 16
 METHODS = {"hybrid": HybridConfig, "direct": DirectConfig, "gan": GanConfig}
@@ -57,7 +68,8 @@ def test_what_is_held_comes_out_as_it_went_in(method, renderer, capture):
 def test_nothing_is_allocated_for_a_map_that_is_held(method, capture):
     renderer, guess = ANALYTIC, torch.full((SIDE, SIDE, 3), 0.2)
     everything = unknowns(make_method(FitTask(capture, renderer, config_of(method), guess)))
-    made = make_method(FitTask(capture, renderer, config_of(method, fix=("normal=flat", "specular=0.04")), guess))
+    made = make_method(FitTask(capture, renderer, config_of(method, fix=("normal=flat", "specular=0.04")),
+                               guess))
     channels = 3 if method == "gan" else 5  # two slopes and three specular levels, or one
     if method == "direct":
         assert everything - unknowns(made) == channels * SIDE**2
@@ -66,19 +78,22 @@ def test_nothing_is_allocated_for_a_map_that_is_held(method, capture):
     else:  # 4 x 4 deconvolutions of 2 x 4 channels, with a bias
         assert everything - unknowns(made) == channels * (8 * 16 + 1)
     # A whole stream held: its decoder is not there.
-    whole = make_method(FitTask(capture, renderer, config_of(method, fix=("normal=flat", "roughness=0.5")), guess))
+    whole = make_method(FitTask(capture, renderer, config_of(method, fix=("normal=flat", "roughness=0.5")),
+                                guess))
     if method == "hybrid":
         assert len(whole.generator.up) == 1
     if method == "gan":
         assert whole.generator.normal_roughness is None and set(whole.optimizers) == {"slow", "judge"}
         assert all(torch.isfinite(torch.tensor(list(whole.step(0.0).values()))))
-    assert all(value.untyped_storage().nbytes() <= 12 for value in whole.fixed.values())  # constants: one value or colour
+    # constants: one value or colour
+    assert all(value.untyped_storage().nbytes() <= 12 for value in whole.fixed.values())
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_one_grey_specular_level(method, capture):
     settings = config_of(method, grey_specular=True, iterations=3)
-    made = make_method(FitTask(capture, make_renderer("analytic"), settings, torch.full((SIDE, SIDE, 3), 0.2)))
+    made = make_method(FitTask(capture, make_renderer("analytic"), settings,
+                               torch.full((SIDE, SIDE, 3), 0.2)))
     seen = []
     render = made.renderer.render
     made.renderer.render = lambda svbrdf, views: (seen.append(svbrdf["specular"]), render(svbrdf, views))[1]
@@ -91,7 +106,8 @@ def test_one_grey_specular_level(method, capture):
 
 
 def test_the_search_for_a_start_keeps_to_what_is_held(capture):
-    # All is held at the truth but one map, of which the best constant is found: 0.4 on the grid; 0.2 by least squares.
+    # All is held at the truth but one map, of which the best constant is found: 0.4 on the grid; 0.2 by least
+    # squares.
     views = GRID
     truth = flat(SIDE, diffuse=0.3, specular=0.2, roughness=0.4)
     photos = color.to_display(ANALYTIC.render(truth, views))
@@ -103,7 +119,8 @@ def test_the_search_for_a_start_keeps_to_what_is_held(capture):
 
 
 def test_fixed_maps_from_files(tmp_path):
-    # A folder of ours says that its colours are sRGB; without material.json 8 bits mean gamma 2.2. 2 x 2 texels become one.
+    # A folder of ours says that its colours are sRGB; without material.json 8 bits mean gamma 2.2. 2 x 2
+    # texels become one.
     stripes = flat(SIDE, diffuse=0.2, roughness=0.3)
     stripes.maps["diffuse"][:, ::2] = 0.6
     save_maps(stripes, tmp_path / "maps")
@@ -116,13 +133,18 @@ def test_fixed_maps_from_files(tmp_path):
 
 
 @pytest.mark.parametrize("fix, bsdf, words", [
-    (["gloss=1"], "roughconductor", ["NAME=VALUE", "roughness"]), (["normal"], "roughconductor", ["NAME=VALUE"]),
+    (["gloss=1"], "roughconductor", ["NAME=VALUE", "roughness"]), (["normal"], "roughconductor",
+                                                                   ["NAME=VALUE"]),
     (["metallic=0"], "roughconductor", ["NAME=VALUE"]), (["diffuse=0.1"], "principled", ["base_color"]),
-    (["normal=0.5"], "roughconductor", ["normal=flat"]), (["diffuse=flat"], "roughconductor", ["only a normal"]),
+    (["normal=0.5"], "roughconductor", ["normal=flat"]), (["diffuse=flat"], "roughconductor",
+                                                          ["only a normal"]),
     (["specular=1.5"], "roughconductor", ["from 0 to 1"]), (["specular=nan"], "roughconductor", ["nan"]),
-    (["roughness=0"], "roughconductor", ["0.002"]), (["roughness=0.1,0.2,0.3"], "roughconductor", ["1 numbers"]),
-    (["specular=0.1,0.2"], "roughconductor", ["1 or 3"]), (["specular=0.1", "specular=0.2"], "roughconductor", ["once"]),
-    (["diffuse=none.exr"], "roughconductor", ["none.exr"]), (["specular=0"], "roughconductor", ["roughness=1"]),
+    (["roughness=0"], "roughconductor", ["0.002"]), (["roughness=0.1,0.2,0.3"], "roughconductor",
+                                                     ["1 numbers"]),
+    (["specular=0.1,0.2"], "roughconductor", ["1 or 3"]), (["specular=0.1", "specular=0.2"], "roughconductor",
+                                                           ["once"]),
+    (["diffuse=none.exr"], "roughconductor", ["none.exr"]), (["specular=0"], "roughconductor",
+                                                             ["roughness=1"]),
     (["normal=flat", "metallic=0", "roughness=0.5", "base_color=0.5"], "principled", ["at least one map"]),
 ])
 def test_what_cannot_be_held(fix, bsdf, words):
@@ -149,7 +171,8 @@ def test_grey_specular_needs_a_specular_map():
 
 
 @pytest.mark.parametrize("settings, unused", [
-    ({"smooth": 0.0, "flat": 0.0, "diffuse": 0.0, "adversarial": 0.0}, {"total_variation", "tilt", "diffuse", "discriminator"}),
+    ({"smooth": 0.0, "flat": 0.0, "diffuse": 0.0, "adversarial": 0.0}, {"total_variation", "tilt", "diffuse",
+                                                                        "discriminator"}),
     ({"fix": ("diffuse=0.2",)}, {"diffuse"}), ({"fix": ("normal=flat",)}, {"tilt"}),
     ({"fix": ("specular=0.04", "roughness=0.4")}, {"total_variation"}),
     ({"fix": ("base_color=0.2", "metallic=0.4"), "bsdf": "principled"}, {"diffuse"}), ({}, set()),
@@ -162,12 +185,14 @@ def test_losses_without_weight_or_subject_are_not_computed(settings, unused, cap
 
     for name in ("total_variation", "tilt", "diffuse", "discriminator", "photometric"):
         monkeypatch.setattr(losses, name, counted(name, getattr(losses, name)))
-    made = make_method(FitTask(capture, ANALYTIC, HybridConfig(width=4, **settings), torch.full((SIDE, SIDE, 3), 0.2)))
+    made = make_method(FitTask(capture, ANALYTIC, HybridConfig(width=4, **settings),
+                               torch.full((SIDE, SIDE, 3), 0.2)))
     made.step(0.0)
     assert called == {"total_variation", "tilt", "diffuse", "discriminator", "photometric"} - unused
     assert hasattr(made, "discriminator") == ("discriminator" not in unused)
     said = dict(left_out(FitTask(capture, ANALYTIC, made.config)))
-    names = {"total_variation": "smooth", "tilt": "flat", "discriminator": "adversarial", "diffuse": "diffuse"}
+    names = {"total_variation": "smooth", "tilt": "flat", "discriminator": "adversarial",
+             "diffuse": "diffuse"}
     assert {losses.NAMES[names[loss]] for loss in unused} == set(losses.NAMES.values()) & set(said)
 
 
@@ -193,7 +218,8 @@ def test_a_kept_state_does_not_move(method, capture):
 
 def test_smoothness_counts_only_what_is_fitted():
     svbrdf, edges = make_material("plates", SIDE), losses.edge_weights(torch.full((SIDE, SIDE, 3), 0.2))
-    roughness, specular = (float(losses.total_variation(svbrdf, edges, [held])) for held in ("specular", "roughness"))
+    roughness, specular = (float(losses.total_variation(svbrdf, edges, [held])) for held in ("specular",
+                                                                                             "roughness"))
     assert roughness > 0 and specular > 0
     assert float(losses.total_variation(svbrdf, edges)) == pytest.approx(roughness + specular)
 
@@ -223,8 +249,10 @@ def test_resume_asks_for_the_same_fixed_maps_not_the_same_names(capture, tmp_pat
 @pytest.mark.parametrize("bsdf", mostly_slow(CHANNELS, "roughconductor"))
 def test_fix_and_explain_on_the_command_line(bsdf, tmp_path, capsys):
     shots, out = tmp_path / "shots", tmp_path / "out"
-    assert cli.main(["synth", "builtin:leather", "-o", str(shots), "--resolution", "16", "--renderer", "analytic"]) == 0
-    command = ["fit", str(shots), "-o", str(out), "--method", "direct", "--renderer", "analytic", "--iterations", "2",
+    assert cli.main(["synth", "builtin:leather", "-o", str(shots), "--resolution", "16", "--renderer",
+                     "analytic"]) == 0
+    command = ["fit", str(shots), "-o", str(out), "--method", "direct", "--renderer", "analytic",
+               "--iterations", "2",
                "--bsdf", bsdf, "--fix", "normal=flat", "--fix", "roughness=0.5"]
     capsys.readouterr()
     assert cli.main([*command, "--explain"]) == 0 and not out.exists()

@@ -9,7 +9,16 @@ from helpers import ANALYTIC, MITSUBA, ROOT
 
 from mitsvbrdf import cli
 from mitsvbrdf.errors import MapsError
-from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HierarchicalConfig, HybridConfig, left_out, losses, make_method
+from mitsvbrdf.fit import (
+    DirectConfig,
+    FitTask,
+    GanConfig,
+    HierarchicalConfig,
+    HybridConfig,
+    left_out,
+    losses,
+    make_method,
+)
 from mitsvbrdf.fit.hierarchical import skipped
 from mitsvbrdf.fit.hierarchical.stages import ROUNDS, Stage, Stages
 from mitsvbrdf.fit.left_out import decided_later, known_before, used
@@ -20,7 +29,8 @@ NETWORKS = {"generator", "discriminator"}
 
 
 @pytest.mark.parametrize("config, trained", [
-    (HierarchicalConfig(), set()), (DirectConfig(), set()), (HybridConfig(), NETWORKS), (GanConfig(), NETWORKS),
+    (HierarchicalConfig(), set()), (DirectConfig(), set()), (HybridConfig(), NETWORKS),
+    (GanConfig(), NETWORKS),
     (GanConfig(preset="paper-one-stage"), NETWORKS), (HybridConfig(adversarial=0.0), {"generator"}),
     (GanConfig(adversarial=0.0, features=1.0), NETWORKS)])
 def test_networks_are_used_or_left_out(config, trained, leather):
@@ -34,22 +44,27 @@ def test_how_a_network_is_used(leather):
     told = dict(used(FitTask(leather, ANALYTIC, GanConfig(preset="paper-one-stage"))))
     assert told == {"generator": "sees the first of the pictures its maps are compared with; width 64",
                     "discriminator": "adversarial loss, weight 1; game bce"}
-    assert "all photos" in dict(used(FitTask(leather, ANALYTIC, GanConfig(generator="variational"))))["generator"]
+    assert "all photos" in dict(used(FitTask(leather, ANALYTIC, GanConfig(generator="variational"))))[
+        "generator"]
     told = dict(used(FitTask(leather, ANALYTIC, GanConfig(features=2.0, width=8))))
     assert told["generator"] == "sees all photos; width 8"
     assert told["discriminator"] == "adversarial loss, weight 1 and feature matching, weight 2; game relativistic"
 
 
 def claims(leather):
-    """Every name by which a fit says that it leaves something out, of settings, materials and photos that call for each."""
+    """Every name by which a fit says that it leaves something out, of settings, materials and photos that
+    call for each.
+    """
     said = {"adversarial finish"}  # of the command itself
     fixed = {"roughconductor": {"diffuse": "0.3", "specular": "0.04", "roughness": "0.5", "normal": "flat"},
              "principled": {"base_color": "0.3", "metallic": "0"}}
     configs = [kind(bsdf=bsdf, fix=(f"{name}={value}",)) for kind in (HierarchicalConfig, HybridConfig)
                for bsdf, values in fixed.items() for name, value in values.items()]
-    configs += [HierarchicalConfig(fix=("diffuse=0", "normal=flat")), HierarchicalConfig(fix=("specular=0", "roughness=1")),
+    configs += [HierarchicalConfig(fix=("diffuse=0", "normal=flat")),
+                HierarchicalConfig(fix=("specular=0", "roughness=1")),
                 HierarchicalConfig(grey_specular=True), DirectConfig(),
-                HierarchicalConfig(exact=True), HierarchicalConfig(exact=False, noise=0.1), HierarchicalConfig(rivals=False),
+                HierarchicalConfig(exact=True), HierarchicalConfig(exact=False, noise=0.1),
+                HierarchicalConfig(rivals=False),
                 HierarchicalConfig(flash_offset=False, calibrate=False), HybridConfig(photometric=0.0),
                 HybridConfig(adversarial=0.0, diffuse=0.0, smooth=0.0, flat=0.0), GanConfig(features=0.0),
                 GanConfig(adversarial=0.0, features=1.0)]
@@ -67,11 +82,15 @@ def test_every_claim_has_a_measured_row(leather):
     said = claims(leather)
     assert said <= measured
     # The claims are all that the sources can make: each of these names, and one for each map and each loss.
-    assert said >= {"Fresnel curve", "interreflection and path depth", "shadow rays", "environment", "ray tracing",
-                    "texture look-ups", "light falloff", "specular lobe", "diffuse lobe", "colour of the specular map",
-                    "metallic map", "normal map", "guessed diffuse map", "flash offset", "generator", "discriminator",
+    assert said >= {"Fresnel curve", "interreflection and path depth", "shadow rays", "environment",
+                    "ray tracing",
+                    "texture look-ups", "light falloff", "specular lobe", "diffuse lobe",
+                    "colour of the specular map",
+                    "metallic map", "normal map", "guessed diffuse map", "flash offset", "generator",
+                    "discriminator",
                     skipped.TIED, skipped.LOBE, skipped.RIVALS, skipped.VIEWS, skipped.IN_TURN}
-    assert said >= {f"gradient of {name}" for names in CHANNELS.values() for name in names} | set(losses.NAMES.values())
+    assert said >= {f"gradient of {name}" for names in CHANNELS.values()
+                    for name in names} | set(losses.NAMES.values())
 
 
 @pytest.mark.parametrize("structure, without", [
@@ -88,7 +107,8 @@ def test_what_the_free_stage_decides_is_said_with_its_figure(structure, without,
 
 def test_explain_and_the_record_say_so(tmp_path, capsys):
     photos, out = str(tmp_path / "photos"), tmp_path / "out"
-    assert cli.main(["synth", "builtin:leather", "-o", photos, "--resolution", "16", "--renderer", "analytic"]) == 0
+    assert cli.main(["synth", "builtin:leather", "-o", photos, "--resolution", "16", "--renderer",
+                     "analytic"]) == 0
     command = ["fit", photos, "-o", str(out), "--resolution", "16", "--renderer", "analytic"]
     capsys.readouterr()
     assert cli.main([*command, "--explain"]) == 0
@@ -111,9 +131,11 @@ def test_explain_and_the_record_say_so(tmp_path, capsys):
     record = json.loads((out / "fit.json").read_text())
     assert [item["what"] for item in record["used"]] == ["generator", "discriminator"]
     assert all(f"{item['what']} ({item['how']})" in said for item in record["used"])
-    assert "Networks used: generator (sees all photos; width 4), discriminator (" in (out / "report.html").read_text()
+    assert "Networks used: generator (sees all photos; width 4), discriminator (" in (
+        out / "report.html").read_text()
     # A record of before there was such a field is read, one whose field is something else is not.
-    (out / "fit.json").write_text(json.dumps({name: value for name, value in record.items() if name != "used"}))
+    (out / "fit.json").write_text(json.dumps({name: value for name, value in record.items()
+                                              if name != "used"}))
     read_whole_fit(out)
     (out / "fit.json").write_text(json.dumps(record | {"used": "a generator"}))
     with pytest.raises(MapsError, match="used"):

@@ -21,8 +21,8 @@ SURE = {"diffuse": torch.zeros(8, 8, 3), "specular": torch.zeros(8, 8, 3)}
 
 
 @pytest.mark.parametrize("specular, diffuse, sd, factor", [
-    (0.08, 0.3, 0.0, 2.0), (0.02, 0.3, 0.0, 0.5), (0.02, 0.76, 0.0, 0.8), (0.3, 0.3, 0.0, None), (0.08, 0.3, 0.15, None),
-    (0.0, 0.3, 0.0, None)],
+    (0.08, 0.3, 0.0, 2.0), (0.02, 0.3, 0.0, 0.5), (0.02, 0.76, 0.0, 0.8), (0.3, 0.3, 0.0, None),
+    (0.08, 0.3, 0.15, None), (0.0, 0.3, 0.0, None)],
     ids=["dark light", "bright light", "no whiter than white", "metal", "no highlight seen", "no lobe"])
 def test_power_by_closed_form(specular, diffuse, sd, factor):
     maps = flat(16, specular=specular, roughness=0.3, diffuse=diffuse)
@@ -55,7 +55,8 @@ def test_a_wrong_power_of_features_is_mended_and_that_of_a_sheet_kept(kind):
     stated = replace(views, intensity=views.intensity * 0.5)
     result = fit_svbrdf(replace(shots, views=stated, calibration=kind), make_renderer("mitsuba"),
                         HierarchicalConfig(iterations=100))
-    power, error = float(result.views.intensity.mean() / views.intensity.mean()), map_rmse(result.svbrdf, material)["mean"]
+    power, error = float(result.views.intensity.mean() / views.intensity.mean()), map_rmse(result.svbrdf,
+                                                                                           material)["mean"]
     told = result.calibration["power_told"]
     if kind == "sheet":
         assert told is None and 0.45 < power < 0.55

@@ -22,7 +22,8 @@ def test_parameters_invert_and_stay_in_range(bsdf):
 
 
 def test_start_finds_a_uniform_material():
-    # Every texel alike and flat: the search has to find roughness (on its grid) and specular level, the guess the rest.
+    # Every texel alike and flat: the search has to find roughness (on its grid) and specular level, the guess
+    # the rest.
     truth = flat(24, diffuse=0.3, specular=0.2, roughness=0.35)
     capture = photos_of(truth)
     start = robust_start(capture, truth["diffuse"], "roughconductor")
@@ -34,6 +35,7 @@ def test_clipped_pixels_only_ask_for_at_least_their_value():
     photo = torch.tensor([1.0, 1.0, 0.5]).reshape(1, 1, 1, 3)
     rendered = torch.tensor([4.0, 0.5**2.2, 0.5**2.2]).reshape(1, 1, 1, 3).requires_grad_()
     loss = losses.photometric(rendered, photo, "gamma2.2")
-    assert loss.item() == pytest.approx((0.5 + 5 * 0.5**2) / 3, abs=1e-5)  # only the second pixel is off, by 0.5
+    # only the second pixel is off, by 0.5
+    assert loss.item() == pytest.approx((0.5 + 5 * 0.5**2) / 3, abs=1e-5)
     (gradient,) = torch.autograd.grad(loss, rendered)
     assert gradient.flatten()[0] == 0 and gradient.flatten()[1] < 0

@@ -10,14 +10,20 @@ from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import flat
 
 RECORD = {
-    "schema_version": 1, "method": "direct", "renderer": "analytic", "variant": None, "bsdf": "roughconductor",
+    "schema_version": 1, "method": "direct", "renderer": "analytic", "variant": None,
+    "bsdf": "roughconductor",
     "rerender_rmse": 0.1, "per_photo": {"00": 0.1}, "calibrated_rmse": None,
-    "confidence": {"diffuse": {"median_sd": 0.1, "determined_share": 1.0}}, "burn_in": {"diffuse": 0.0}, "warnings": [],
-    "stopped": "iterations", "undone_steps": 0, "undone": [], "restarts": [], "seconds": 1.0, "iterations": 1, "seed": 0,
+    "confidence": {"diffuse": {"median_sd": 0.1, "determined_share": 1.0}}, "burn_in": {"diffuse": 0.0},
+    "warnings": [],
+    "stopped": "iterations", "undone_steps": 0, "undone": [], "restarts": [], "seconds": 1.0, "iterations": 1,
+    "seed": 0,
     "config": {"fix": [], "grey_specular": False}, "command": {}, "left_out": [], "used": [],
-    "capture": {"name": "shots", "photos": [0], "resolution": 8, "transfer": "srgb", "calibrated": True, "notes": []},
-    "views": {"size": 1.0, "falloff": "inverse-square", "camera": [[0, 0, 2]], "light": [[0, 0, 2]], "intensity": [[1, 1, 1]]},
-    "flash_offset": {"x": 0.1, "y": 0.0, "unit": "patch sides"}, "calibration": {"from": "given", "estimated": False,
+    "capture": {"name": "shots", "photos": [0], "resolution": 8, "transfer": "srgb", "calibrated": True,
+                "notes": []},
+    "views": {"size": 1.0, "falloff": "inverse-square", "camera": [[0, 0, 2]], "light": [[0, 0, 2]],
+              "intensity": [[1, 1, 1]]},
+    "flash_offset": {"x": 0.1, "y": 0.0, "unit": "patch sides"}, "calibration": {"from": "given",
+                                                                                 "estimated": False,
                                                                                    "refined": False, "power_told": None},
     "versions": {}, "machine": {}, "trace": [{"seconds": 1.0, "iteration": 1, "rerender_rmse": 0.1}]}
 OTHERS = (None, True, -1, 1.5, 10**400, "x", [], [1], ["x"], {}, {"a": None}, ...)
@@ -32,7 +38,8 @@ def folder(tmp_path_factory):
 
 def places(value, where=()):
     yield where
-    for key, part in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ():
+    for key, part in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value,
+                                                                                                  list) else ():
         yield from places(part, (*where, key))
 
 
@@ -52,7 +59,8 @@ def test_the_record_itself_is_whole(folder):
     assert read_whole_fit(folder).names == ["00"] and read_fit(folder).flash_offset == (0.1, 0.0)
 
 
-@pytest.mark.parametrize("place", [place for place in places(RECORD) if place], ids=lambda place: ".".join(map(str, place)))
+@pytest.mark.parametrize("place", [place for place in places(RECORD) if place],
+                         ids=lambda place: ".".join(map(str, place)))
 def test_any_value_of_another_kind_is_read_or_one_error(place, folder):
     for other in OTHERS:
         (folder / "fit.json").write_text(json.dumps(with_other(place, other)))
@@ -67,7 +75,8 @@ def test_any_value_of_another_kind_is_read_or_one_error(place, folder):
 
 
 @pytest.mark.parametrize("place, other, words", [
-    (("views",), [], "views"), (("views", "camera"), [["x"]], "views.camera"), (("capture", "photos"), "0", "capture.photos"),
+    (("views",), [], "views"), (("views", "camera"), [["x"]], "views.camera"),
+    (("capture", "photos"), "0", "capture.photos"),
     (("flash_offset",), {"x": "a", "y": 1}, "could not convert"), (("calibration",), [1], "calibration"),
     (("rerender_rmse",), 10**400, "rerender_rmse is no finite number")])
 def test_what_is_wrong_is_named(place, other, words, folder):

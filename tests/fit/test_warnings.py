@@ -27,17 +27,20 @@ def test_a_photo_from_elsewhere_is_named(leather):
     views = GRID
     wrong = views.camera.clone()
     wrong[4] = torch.tensor([1.2, -1.2, 3.5])
-    result = fit_svbrdf(dataclasses.replace(leather, views=Views.of(wrong, intensity=views.intensity)), ANALYTIC,
-                        DirectConfig(iterations=40))
+    result = fit_svbrdf(dataclasses.replace(leather, views=Views.of(wrong, intensity=views.intensity)),
+                        ANALYTIC, DirectConfig(iterations=40))
     assert any(warning.startswith("photo 04 fits worse") for warning in result.warnings)
 
 
 @pytest.mark.parametrize("change, words", [
-    ({"rerendered": 4.0}, "darker than the photos by 4x"), ({"rerendered": 0.25}, "brighter than the photos by 4x"),
+    ({"rerendered": 4.0}, "darker than the photos by 4x"),
+    ({"rerendered": 0.25}, "brighter than the photos by 4x"),
     ({"rerender_rmse": 0.2}, "only met to 0.2"), ({"stopped": "unstable"}, "ended early"),
-    ({"undone": ({"iteration": 30, "reason": "flat not finite"},)}, "1 step undone; the first at iteration 30: flat not"),
+    ({"undone": ({"iteration": 30, "reason": "flat not finite"},)}, "1 step undone; the first at iteration "
+                                                                    "30: flat not"),
     ({"trace": [{"iteration": 0, "seconds": 0.0, "rerender_rmse": 0.1}]}, "no step was made"),
-    ({"restarts": ({"iteration": 50, "reason": "x"},) * 2}, "diverged and went back to its lowest loss 2 times"),
+    ({"restarts": ({"iteration": 50, "reason": "x"},) * 2}, "diverged and went back to its lowest loss 2 "
+                                                            "times"),
 ])
 def test_each_doubt(change, words, fitted, leather):
     if "rerendered" in change:
@@ -52,19 +55,22 @@ def test_a_fit_that_had_not_settled(stopped, said, fitted, leather):
     assert sum("before it had settled" in warning for warning in fit_warnings(result, leather)) == said
 
 
-@pytest.mark.parametrize("fix, count", [((), 1), (("roughness=0.5",), 0)])  # a map that was given is the caller's own
+# a map that was given is the caller's own
+@pytest.mark.parametrize("fix, count", [((), 1), (("roughness=0.5",), 0)])
 def test_roughness_that_lies_as_the_highlights_do(fix, count, fitted, leather):
     follows = 0.2 + coverage_angle(fitted.views, SIDE)[..., None].float()
     burnt = SVBRDF("roughconductor", dict(fitted.svbrdf.maps) | {"roughness": follows})
     found = dataclasses.replace(fitted, svbrdf=burnt, config=dataclasses.replace(fitted.config, fix=fix))
     warnings = list(fit_warnings(found, leather))
-    assert len(warnings) == count and all("100% of the roughness map lies as" in warning for warning in warnings)
+    assert len(warnings) == count and all("100% of the roughness map lies as" in warning
+                                          for warning in warnings)
 
 
 @pytest.mark.parametrize("side, mirrored, said", [(64, False, True), (64, True, False), (32, False, False)])
 def test_ovals_where_single_photos_had_their_highlights(side, mirrored, said, fitted, leather):
     # 32 x 32 texels are too few to tell; mirrored, the map has its ovals elsewhere.
-    views = Views.of(torch.tensor([[0.3, 0.0, 2.0], [-0.15, 0.26, 2.0], [-0.15, -0.26, 2.0]], dtype=torch.float64))
+    views = Views.of(torch.tensor([[0.3, 0.0, 2.0], [-0.15, 0.26, 2.0], [-0.15, -0.26, 2.0]],
+                                  dtype=torch.float64))
     far = torch.tan(half_angles(views, side))
     ovals = torch.exp(-(far / 0.05).square() / 2).sum(dim=0)
     rough = 0.06 + 0.05 * (ovals.flip(1) if mirrored else ovals)[..., None].float()
@@ -88,26 +94,32 @@ def with_maps(fitted, fix=(), spread=None, **values):
 
 
 @pytest.mark.parametrize("rows, columns, place", [
-    (slice(0, 16), slice(0, 16), "where none is yet"), (slice(0, 16), slice(3, 16), "at the right of the patch"),
-    (slice(0, 12), slice(0, 12), "at the top left of the patch"), (slice(4, 16), slice(0, 16), "at the bottom of the patch")])
+    (slice(0, 16), slice(0, 16), "where none is yet"),
+    (slice(0, 16), slice(3, 16), "at the right of the patch"),
+    (slice(0, 12), slice(0, 12), "at the top left of the patch"),
+    (slice(4, 16), slice(0, 16), "at the bottom of the patch")])
 def test_a_strong_specular_that_hardly_anything_determines(rows, columns, place, fitted, leather):
     spread = torch.full((SIDE, SIDE, 3), 0.01)
     spread[rows, columns] = 0.2
     share = 1 - (rows.stop - rows.start) * (columns.stop - columns.start) / SIDE**2
-    (said,) = [warning for warning in fit_warnings(with_maps(fitted, spread=spread, diffuse=0.2, specular=0.28), leather)
+    (said,) = [warning for warning in fit_warnings(with_maps(fitted, spread=spread, diffuse=0.2,
+                                                             specular=0.28), leather)
                if warning.startswith("median specular")]
     assert f"of 0.28, {share:.0%} of it determined" in said and f"highlight {place}," in said and "--fix specular=0.04" in said
 
 
 def test_a_specular_that_is_usual_determined_or_given_is_no_doubt(fitted, leather):
     sure = torch.full((SIDE, SIDE, 3), 0.01)
-    for found in (with_maps(fitted, diffuse=0.2, specular=0.28, spread=sure), with_maps(fitted, diffuse=0.2, specular=0.05),
+    for found in (with_maps(fitted, diffuse=0.2, specular=0.28, spread=sure), with_maps(fitted, diffuse=0.2,
+                                                                                        specular=0.05),
                   with_maps(fitted, ("specular=0.28",), diffuse=0.2, specular=0.28)):
         assert not any("median specular" in warning for warning in fit_warnings(found, leather))
 
 
-@pytest.mark.parametrize("specular, sure, said", [(0.005, True, 1), (0.005, False, 0), (0.02, True, 0), (0.0, True, 0)])
-def test_a_specular_below_that_of_any_material(specular, sure, said, fitted, leather):  # a matte material has none
+@pytest.mark.parametrize("specular, sure, said", [(0.005, True, 1), (0.005, False, 0), (0.02, True, 0),
+                                                  (0.0, True, 0)])
+# a matte material has none
+def test_a_specular_below_that_of_any_material(specular, sure, said, fitted, leather):
     found = with_maps(fitted, spread=torch.full((SIDE, SIDE, 3), 0.001 if sure else 0.2), specular=specular)
     assert sum("light may be weaker" in warning for warning in fit_warnings(found, leather)) == said
 
@@ -116,7 +128,8 @@ def test_texels_that_reflect_more_than_arrives(fitted, leather):
     bright = [warning for warning in fit_warnings(with_maps(fitted, diffuse=0.8, specular=0.3), leather)
               if "100% of the texels reflect more than arrives" in warning]
     assert len(bright) == 1
-    for found in (with_maps(fitted, diffuse=0.6, specular=0.3), with_maps(fitted, ("diffuse=0.8",), diffuse=0.8, specular=0.3)):
+    for found in (with_maps(fitted, diffuse=0.6, specular=0.3), with_maps(fitted, ("diffuse=0.8",),
+                                                                          diffuse=0.8, specular=0.3)):
         assert not any("more than arrives" in warning for warning in fit_warnings(found, leather))
 
 
@@ -131,28 +144,32 @@ def test_photos_that_are_the_same_picture(fitted, leather):
 
 
 def played(fitted, config, losses):
-    trace = [{"iteration": 10 * n, "seconds": 1.0 * n, "rerender_rmse": 0.05} | ({"discriminator": loss} if n else {})
+    trace = [{"iteration": 10 * n, "seconds": 1.0 * n, "rerender_rmse": 0.05} | ({"discriminator": loss} if n
+                                                                                 else {})
              for n, loss in enumerate([0.0, *losses])]
     return dataclasses.replace(fitted, config=config, trace=trace)
 
 
 @pytest.mark.parametrize("config, words", [
-    (GanConfig(), "(its loss in the end 0.004; 0.69 is a guess), so it hardly helped: lower --discriminator-rate, now 0.001"),
+    (GanConfig(), "(its loss in the end 0.004; 0.69 is a guess), so it hardly helped: lower "
+                  "--discriminator-rate, now 0.001"),
     (GanConfig(game="bce"), "0.69 is a guess"), (GanConfig(game="hinge"), "0.004; 1 is a guess"),
     (HybridConfig(), "lower --adversarial")])
 def test_a_discriminator_that_is_sure(config, words, fitted, leather):
     (warning,) = fit_warnings(played(fitted, config, [0.6] * 8 + [0.004] * 2), leather)
     assert words in warning
     # An ordinary end, one sure moment in the last fifth, sure only earlier, too few measurements.
-    for losses in ([0.6] * 8 + [0.05] * 2, [0.6] * 8 + [0.001, 0.1, 0.1], [0.004] * 8 + [0.6] * 2, [0.004] * 4):
+    for losses in ([0.6] * 8 + [0.05] * 2, [0.6] * 8 + [0.001, 0.1, 0.1], [0.004] * 8 + [0.6] * 2,
+                   [0.004] * 4):
         assert not list(fit_warnings(played(fitted, config, losses), leather))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("game", ["relativistic", "bce", "hinge"])
 def test_games_that_are_lost_and_games_that_are_not(game, leather):
-    # Photos of noise, which no generator that stands still comes near: measured losses after 200 iterations, three seeds,
-    # 0.0001 to 0.0014, or 0 (hinge); after 80 still 0.02 on some processors. A fair game at the start: 0.67 to 0.69, or 0.99.
+    # Photos of noise, which no generator that stands still comes near: measured losses after 200 iterations,
+    # three seeds, 0.0001 to 0.0014, or 0 (hinge); after 80 still 0.02 on some processors. A fair game at the
+    # start: 0.67 to 0.69, or 0.99.
     noise = torch.rand(leather.photos.shape, generator=torch.Generator().manual_seed(0))
     config = GanConfig(game=game, paired=False, width=4, pictures=2, discriminator_rate=0.02, iterations=200)
     lost = fit_svbrdf(Capture(noise, GRID), ANALYTIC, dataclasses.replace(config, learning_rate=1e-9))
@@ -162,11 +179,15 @@ def test_games_that_are_lost_and_games_that_are_not(game, leather):
 
 
 @pytest.mark.parametrize("change, said", [
-    ({}, 1), ({"config": HierarchicalConfig()}, 0), ({"left_out": (("rival starts", "photos of a phone"),)}, 0),
-    ({"calibrated_rmse": None}, 0), ({"calibrated_rmse": 0.002}, 0), ({"flash_offset": (0.08 * GRID.size, 0.0)}, 0),
+    ({}, 1), ({"config": HierarchicalConfig()}, 0), ({"left_out": (("rival starts", "photos of a phone"),)},
+                                                     0),
+    ({"calibrated_rmse": None}, 0), ({"calibrated_rmse": 0.002}, 0),
+    ({"flash_offset": (0.08 * GRID.size, 0.0)}, 0),
 ])
 def test_views_that_were_refined_though_exact_photos_said_they_were_right(change, said, fitted, leather):
-    asked = {"config": HierarchicalConfig(calibrate=True), "left_out": (("tied stage", "the photos follow the model"),),
-             "rerender_rmse": 0.0013, "calibrated_rmse": 0.0014, "flash_offset": (0.004, 0.001), "stopped": "settled"}
+    asked = {"config": HierarchicalConfig(calibrate=True),
+             "left_out": (("tied stage", "the photos follow the model"),),
+             "rerender_rmse": 0.0013, "calibrated_rmse": 0.0014, "flash_offset": (0.004, 0.001),
+             "stopped": "settled"}
     warnings = list(fit_warnings(dataclasses.replace(fitted, **(asked | change)), leather))
     assert [("leave --calibrate out" in warning) for warning in warnings] == [True] * said

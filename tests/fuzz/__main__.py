@@ -1,7 +1,8 @@
 """Runs cases again, or new ones.
 
     PYTHONPATH=tests python -m fuzz FILE...           cases that were kept: what they break, and what was said
-    PYTHONPATH=tests python -m fuzz GROUP|all [N]     the cases of a group that the number N stands for, 0 if left out
+    PYTHONPATH=tests python -m fuzz GROUP|all [N]     the cases of a group that the number N stands for, 0 if
+    left out
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ def main() -> int:
         campaign.make_good()
         try:
             if words[0] in (*GROUPS, "all"):
-                return _groups(campaign, list(GROUPS) if words[0] == "all" else [words[0]], int(words[1]) if words[1:] else 0)
+                return _groups(campaign, list(GROUPS) if words[0] == "all" else [words[0]],
+                               int(words[1]) if words[1:] else 0)
             return _files(campaign, words)
         finally:
             campaign.close()
@@ -44,7 +46,8 @@ def _files(campaign: Campaign, names: list[str]) -> int:
     for name in names:
         case = Case.read(Path(name))
         result = campaign.run(case)
-        print(f"{name}: mitsvbrdf {' '.join(case.arguments)}\n{result.said}\n{result.answer}\n{result.wrong or 'holds'}\n")
+        print(f"{name}: mitsvbrdf "
+              f"{' '.join(case.arguments)}\n{result.said}\n{result.answer}\n{result.wrong or 'holds'}\n")
         failed += bool(result.wrong)
     return int(failed > 0)
 

@@ -41,7 +41,8 @@ class Tally:
     def __str__(self) -> str:
         lines = [f"{self.tried} tried, {self.held} held, {self.seconds:.0f} s ({self.cpu:.0f} s of CPU), "
                  f"{self.peak / 2**20:.0f} MiB at most"]
-        return "\n".join(lines + [f"    {len(files)} x {cause}: python -m fuzz {next(filter(None, files), '')}"
+        return "\n".join(lines + [f"    {len(files)} x {cause}: python -m fuzz "
+                                  f"{next(filter(None, files), '')}"
                                   for cause, files in self.failed.items()])
 
 
@@ -112,4 +113,5 @@ class Campaign:
         """The options of each command, as its help lists them."""
         names: Iterable[str] = (call.split()[0] for call in CALLS)
         helps = {name: self.run(Case("help", (), (), (name, "--help"))).said for name in names}
-        return {name: tuple(sorted(set(re.findall(r"(?<![\w-])--?[a-z][\w-]*", text)))) for name, text in helps.items()}
+        return {name: tuple(sorted(set(re.findall(r"(?<![\w-])--?[a-z][\w-]*", text))))
+                for name, text in helps.items()}

@@ -48,7 +48,8 @@ class Case:
     def read(cls, path: Path) -> Case:
         """A case that was kept."""
         kept = json.loads(path.read_text())
-        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in kept.items()})
+        return cls(**{name: tuple(value) if isinstance(value, list) else value
+                      for name, value in kept.items()})
 
     def keep(self, folder: Path) -> Path:
         """Write it to a file whose name tells it from others; give the file."""
@@ -75,12 +76,15 @@ class Result:
 
     @property
     def cause(self) -> str:
-        """What cases that fail alike have in common: where the package raised, or the rule without its numbers."""
+        """What cases that fail alike have in common: where the package raised, or the rule without its
+        numbers.
+        """
         places = re.findall(r'File "[^"]*/(mitsvbrdf/[^"]+)", line (\d+)', self.said)
         if "a traceback" in self.wrong and places:
             kinds = re.findall(r"^[A-Za-z_][\w.]*(?=:|$)", self.said, re.MULTILINE)
             return f"{places[-1][0]}:{places[-1][1]} {kinds[-1] if kinds else ''}"
-        return "; ".join(dict.fromkeys(re.sub(r"(?<=OUT: ).* ", "", re.sub(r"[\d.]+", "N", words)) for words in self.wrong))
+        return "; ".join(dict.fromkeys(re.sub(r"(?<=OUT: ).* ", "", re.sub(r"[\d.]+", "N", words))
+                                       for words in self.wrong))
 
 
 def run(case: Case, good: Path, folder: Path, warm: Warm) -> Result:
@@ -106,7 +110,8 @@ def run(case: Case, good: Path, folder: Path, warm: Warm) -> Result:
             apply(box, change)
         before = snapshot(box, case.out)
         arguments = [word.replace("@@", str(box)) for word in case.arguments]
-        answer = warm.run(arguments, box / "work", said, box / "tmp", LASTING if case.lasting else SECONDS, GRACE)
+        answer = warm.run(arguments, box / "work", said, box / "tmp", LASTING if case.lasting else SECONDS,
+                          GRACE)
         text = said.read_text(errors="replace") if said.exists() else ""
         return Result(broken(case, answer, text, before, snapshot(box, case.out)), text, answer)
     finally:
@@ -140,7 +145,9 @@ def differences(before: Mapping, after: Mapping) -> list[tuple[str, str]]:
 
 
 def snapshot(folder: Path, out: str) -> dict[str, tuple]:
-    """All that lies in a folder but for ``out``: kind and mode, of files also place on the disk, time, content, target."""
+    """All that lies in a folder but for ``out``: kind and mode, of files also place on the disk, time,
+    content, target.
+    """
     found = {}
     for where, folders, files in os.walk(folder):
         for name in (*folders, *files):

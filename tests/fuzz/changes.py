@@ -1,7 +1,8 @@
 """What is done to good files: each change is a dictionary, so that a case can be kept as JSON.
 
-``do`` names the function, the other keys are its arguments. A file is named by the folder it is ``under`` (or by itself) and
-its number ``nth`` there; numbers are counted round, so that any number fits any folder. ``@@`` stands for the case's folder.
+``do`` names the function, the other keys are its arguments. A file is named by the folder it is ``under`` (or
+by itself) and its number ``nth`` there; numbers are counted round, so that any number fits any folder. ``@@``
+stands for the case's folder.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ CHANGES: dict[str, Callable[..., None]] = {}
 
 def apply(folder: Path, change: Mapping) -> None:
     """Make one change in the folder of a case; one that earlier changes left no room for is none."""
-    options = {name: value.replace("@@", str(folder)) if isinstance(value, str) else value for name, value in change.items()}
+    options = {name: value.replace("@@", str(folder)) if isinstance(value, str) else value
+               for name, value in change.items()}
     with contextlib.suppress(OSError):
         CHANGES[options.pop("do")](folder, **options)
 
@@ -123,7 +125,9 @@ def folder(folder: Path, path: str) -> None:
 
 
 def _walk(value: Any, steps: Sequence[int]) -> tuple[Any, Any]:
-    """The container and the key that steps through a JSON value lead to; (None, None) where it has no parts."""
+    """The container and the key that steps through a JSON value lead to; (None, None) where it has no
+    parts.
+    """
     found: tuple[Any, Any] = None, None
     for step in steps:
         if not isinstance(value, (dict, list)) or not value:
@@ -161,7 +165,9 @@ def state(folder: Path, path: str, steps: Sequence[int], raw: str | None, again:
 
 @_change
 def note(folder: Path, path: str, steps: Sequence[int], raw: str | None, inside: bool) -> None:
-    """Change a value of a safetensors file's header, or ``inside`` the JSON text that the package keeps there."""
+    """Change a value of a safetensors file's header, or ``inside`` the JSON text that the package keeps
+    there.
+    """
     target = folder / path
     if not target.is_file():
         return
@@ -187,7 +193,8 @@ def sized(folder: Path, under: str, nth: int, width: int, height: int) -> None:
         data[16:24] = struct.pack(">II", width, height)
         data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
     elif data[:2] == b"\xff\xd8":
-        begin = next((k for k in range(2, len(data) - 9) if data[k] == 0xFF and data[k + 1] in (0xC0, 0xC2)), 0)
+        begin = next((k for k in range(2, len(data) - 9) if data[k] == 0xFF and data[k + 1] in (0xC0, 0xC2)),
+                     0)
         data[begin + 5:begin + 9] = struct.pack(">HH", height & 0xFFFF, width & 0xFFFF)
     elif data[:2] == b"#?":
         data = bytearray(re.sub(rb"-Y \d+ \+X \d+", f"-Y {height} +X {width}".encode(), data))
@@ -195,7 +202,8 @@ def sized(folder: Path, under: str, nth: int, width: int, height: int) -> None:
         for name in (b"dataWindow\0box2i\0", b"displayWindow\0box2i\0"):
             if (begin := data.find(name)) > 0:
                 begin += len(name) + 4
-                data[begin:begin + 16] = struct.pack("<iiII", 0, 0, (width - 1) & 0xFFFFFFFF, (height - 1) & 0xFFFFFFFF)
+                data[begin:begin + 16] = struct.pack("<iiII", 0, 0, (width - 1) & 0xFFFFFFFF,
+                                                     (height - 1) & 0xFFFFFFFF)
     if data:
         path.write_bytes(data)
 
@@ -206,7 +214,8 @@ def row(folder: Path, path: str, nth: int, column: str, value: object) -> None:
     if not (folder / path).is_file():
         return
     unstorable = UnicodeEncodeError  # half a character
-    with contextlib.suppress(sqlite3.Error, unstorable), contextlib.closing(sqlite3.connect(folder / path)) as db:
+    with contextlib.suppress(sqlite3.Error,
+                             unstorable), contextlib.closing(sqlite3.connect(folder / path)) as db:
         db.execute("pragma journal_mode = delete")
         rows = [each[0] for each in db.execute("select rowid from materials")]
         db.execute(f"update materials set {column} = ? where rowid = ?", (value, rows[nth % len(rows)]))

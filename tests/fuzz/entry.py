@@ -1,7 +1,7 @@
 """What each fork runs: the command line, with the two ends replaced that a test cannot wait for.
 
-Where a command would start workers of Ray it fails with an error of ours. ``view`` answers each address once and ends as with
-Ctrl-C.
+Where a command would start workers of Ray it fails with an error of ours. ``view`` answers each address once
+and ends as with Ctrl-C.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ import contextlib
 import importlib
 import pkgutil
 
-ADDRESSES = ("/", "/state.json", "/report.html", "/sheet.png", "/maps/diffuse.png", "/maps/../../outside/secret.txt",
+ADDRESSES = ("/", "/state.json", "/report.html", "/sheet.png", "/maps/diffuse.png",
+             "/maps/../../outside/secret.txt",
              "/library.js", "/index.html", "/wood-00000000/preview.jpg", "/wood-00000000/report.html")
 
 
@@ -25,7 +26,8 @@ def warm() -> None:
             importlib.import_module(module.name)
     importlib.import_module("OpenEXR")
     importlib.import_module("PIL.Image").init()
-    torch.optim.Adam([torch.zeros(1, requires_grad=True)]).step()  # loads a compiler, which makes a folder for itself
+    # loads a compiler, which makes a folder for itself
+    torch.optim.Adam([torch.zeros(1, requires_grad=True)]).step()
     _cut()
 
 
@@ -56,4 +58,5 @@ def _cut() -> None:
             raise KeyboardInterrupt
 
     RayPool.__init__ = no_workers  # type: ignore[assignment,method-assign]
-    view.make_server = lambda site, port: contextlib.nullcontext(Asked(site, port))  # type: ignore[assignment,return-value]
+    view.make_server = lambda site, port: contextlib.nullcontext(Asked(site,
+                                                                       port))  # type: ignore[assignment,return-value]

@@ -33,7 +33,8 @@ def make(folder: Path) -> None:
     _call(f"guess {folder}/capture -o {folder}/guessed --resolution 16")
     _call(f"relight {folder}/fit -o {folder}/relit {RELIT}")
     record = folder / "relit/relight.json"
-    record.write_text(record.read_text().replace(str(folder.resolve()), "@@/in"))  # where the fit lies in a case
+    # where the fit lies in a case
+    record.write_text(record.read_text().replace(str(folder.resolve()), "@@/in"))
     save_maps(make_material("tiles", 16), folder / "maps")
     for path in (folder / "maps").glob("*.exr"):
         (folder / "exr" / path.name).parent.mkdir(exist_ok=True)
@@ -84,7 +85,8 @@ def _bench(folder: Path) -> None:
 
 def _list(folder: Path) -> None:
     (folder / "list").mkdir()
-    (folder / "list/list.txt").write_text("# two\n../capture --iterations 1\n'../jpeg' --tag wood\n../text # the third\n")
+    (folder / "list/list.txt").write_text("# two\n../capture --iterations 1\n'../jpeg' --tag wood\n../text "
+                                          "# the third\n")
 
 
 def _library(folder: Path) -> None:

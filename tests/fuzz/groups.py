@@ -23,7 +23,8 @@ EXPLAINED = "fit ../in/{} -o out --explain " + FIT
 
 def change(do: str, **options: object) -> Drawn[dict]:
     """Changes of a kind; options that are no strategies are the same in all."""
-    drawn = {name: value if isinstance(value, st.SearchStrategy) else st.just(value) for name, value in options.items()}
+    drawn = {name: value if isinstance(value, st.SearchStrategy) else st.just(value)
+             for name, value in options.items()}
     return st.fixed_dictionaries({"do": st.just(do)} | drawn)
 
 
@@ -38,7 +39,8 @@ def stated(path: str) -> Drawn[dict]:
     other = change("state", path=path, steps=steps, raw=tokens)
     return st.one_of(other, other, change("state", path=path, steps=steps, raw=None), spoiled(path),
                      change("state", path=path, steps=steps, raw="[", again=st.sampled_from((300, 100_000))),
-                     change("put", path=path, text=st.sampled_from(TEXTS)), change("put", path=path, text="{}", code="utf-16"),
+                     change("put", path=path, text=st.sampled_from(TEXTS)),
+                     change("put", path=path, text="{}", code="utf-16"),
                      change("put", path=path, text="[", again=100_000))
 
 
@@ -53,11 +55,12 @@ def pictures(under: str, path: str, *sources: str) -> Drawn[dict]:
     """Image files that are damaged, of another kind, or of a size that they are not."""
     sizes = [change("sized", under=under, nth=whole, width=width, height=height) for width, height in SIZES]
     texts = st.sampled_from(("", "no picture", "\x89PNG\r\n", "\udcff\udcd8\udcff"))
-    return st.one_of(spoiled(under), spoiled(under), st.one_of(sizes), change("put", path=path, text=texts), replaced(path),
-                     change("copy", source=st.sampled_from(sources), nth=whole, path=path))
+    return st.one_of(spoiled(under), spoiled(under), st.one_of(sizes), change("put", path=path, text=texts),
+                     replaced(path), change("copy", source=st.sampled_from(sources), nth=whole, path=path))
 
 
-def cases(group: str, parts: str, changes: Drawn[dict], *calls: str, out: str = "work/out", most: int = 3) -> Drawn[Case]:
+def cases(group: str, parts: str, changes: Drawn[dict], *calls: str, out: str = "work/out",
+          most: int = 3) -> Drawn[Case]:
     """Cases of a group: one to ``most`` changes, and one of the calls."""
     return st.builds(Case, group=st.just(group), parts=st.just(tuple(parts.split())), out=st.just(out),
                      changes=st.lists(changes, min_size=1, max_size=most).map(tuple),
@@ -67,8 +70,10 @@ def cases(group: str, parts: str, changes: Drawn[dict], *calls: str, out: str = 
 def captures() -> Drawn[Case]:
     """``capture.json``."""
     path = "in/capture/capture.json"
-    return cases("capture", "capture jpeg maps", st.one_of(stated(path), stated(path), replaced(path, "in/capture/target")),
-                 *["guess ../in/capture -o out --resolution 16"] * 3, "guess ../in/capture/capture.json -o out",
+    return cases("capture", "capture jpeg maps", st.one_of(stated(path), stated(path),
+                                                           replaced(path, "in/capture/target")),
+                 *["guess ../in/capture -o out --resolution 16"] * 3, "guess ../in/capture/capture.json -o "
+                                                                      "out",
                  EXPLAINED.format("capture"), "fit ../in/capture -o out " + DIRECT,
                  "evaluate ../in/maps --capture ../in/capture --renderer analytic",
                  "synth ../in/maps -o out --views ../in/capture --renderer analytic --resolution 16")
@@ -78,8 +83,8 @@ def texts() -> Drawn[Case]:
     """A calibration in text files."""
     paths = [f"in/text/{name}.txt" for name in ("camera_pos", "light_pos", "light_power", "image_size")]
     path = st.sampled_from(paths)
-    ways = st.one_of(change("line", path=path, nth=whole, text=lines), path.flatmap(spoiled), replaced(*paths),
-                     change("put", path=path, text=lines, again=st.sampled_from((1, 100))))
+    ways = st.one_of(change("line", path=path, nth=whole, text=lines), path.flatmap(spoiled),
+                     replaced(*paths), change("put", path=path, text=lines, again=st.sampled_from((1, 100))))
     return cases("text", "text", ways, "guess ../in/text -o out --resolution 16", EXPLAINED.format("text"))
 
 
@@ -88,17 +93,20 @@ def photos() -> Drawn[Case]:
     sources = "in/jpeg/target", "in/plain", "in/exr", "in/capture"
     ways = [pictures(f"in/{path.rpartition('/')[0]}", f"in/{path}", *sources)
             for path in ("capture/target/03.png", "jpeg/target/03.jpg", "plain/IMG_0.jpg")]
-    return cases("photos", "capture jpeg plain exr", st.one_of(ways), "capture ../in/plain -o out", EXPLAINED.format("jpeg"),
+    return cases("photos", "capture jpeg plain exr", st.one_of(ways), "capture ../in/plain -o out",
+                 EXPLAINED.format("jpeg"),
                  *(f"guess ../in/{name} -o out --resolution 16" for name in ("capture", "jpeg", "plain")))
 
 
 def maps() -> Drawn[Case]:
     """Folders of maps, and maps held fixed."""
     ways = st.one_of(pictures("in/exr", "in/exr/roughness.exr", "in/maps", "in/capture"),
-                     pictures("in/maps", "in/maps/normal.png", "in/exr", "in/capture"), stated("in/maps/material.json"))
+                     pictures("in/maps", "in/maps/normal.png", "in/exr", "in/capture"),
+                     stated("in/maps/material.json"))
     return cases("maps", "maps exr capture", ways, "evaluate ../in/exr --reference ../in/maps",
                  "evaluate ../in/maps --reference ../in/exr", "render ../in/exr -o out --renderer analytic",
-                 "render ../in/maps -o out --renderer analytic", "export ../in/maps -o out --to maps --no-preview",
+                 "render ../in/maps -o out --renderer analytic", "export ../in/maps -o out --to maps "
+                                                                 "--no-preview",
                  EXPLAINED.format("capture") + " --fix roughness=../in/exr/roughness.exr",
                  EXPLAINED.format("capture") + " --fix normal=../in/maps/normal.png")
 
@@ -108,8 +116,10 @@ def checkpoints() -> Drawn[Case]:
     def of(fit: str, again: str) -> Drawn[Case]:
         path = f"in/{fit}/checkpoint.safetensors"
         noted = change("note", path=path, steps=steps, raw=st.one_of(tokens, st.none()), inside=st.booleans())
-        return cases("checkpoint", f"capture {fit}", st.one_of(spoiled(path), spoiled(path), noted, replaced(path)),
-                     f"fit ../in/capture -o ../in/{fit} --resume {again} --iterations 3", out=f"in/{fit}", most=2)
+        return cases("checkpoint", f"capture {fit}", st.one_of(spoiled(path), spoiled(path), noted,
+                                                               replaced(path)),
+                     f"fit ../in/capture -o ../in/{fit} --resume {again} --iterations 3", out=f"in/{fit}",
+                     most=2)
 
     return st.one_of(of("fit", FIT), of("direct", DIRECT))
 
@@ -117,14 +127,18 @@ def checkpoints() -> Drawn[Case]:
 def fits() -> Drawn[Case]:
     """``fit.json`` and what lies beside it."""
     paths = "in/fit/fit.json", "in/fit/report.json", "in/fit/maps/material.json"
-    ways = st.one_of(*map(stated, paths[:1] * 4 + paths[1:]), replaced(*paths, "in/fit/maps", "in/fit/photos", "in/fit/guess"))
-    reading = cases("fit", "fit capture", ways, "evaluate ../in/fit --capture ../in/capture --renderer analytic",
+    ways = st.one_of(*map(stated, paths[:1] * 4 + paths[1:]), replaced(*paths, "in/fit/maps", "in/fit/photos",
+                                                                       "in/fit/guess"))
+    reading = cases("fit", "fit capture", ways, "evaluate ../in/fit --capture ../in/capture --renderer "
+                                                "analytic",
                     "render ../in/fit -o out --renderer analytic --flash-offset fitted",
                     "render ../in/fit -o out --renderer analytic --diffuse guessed", "view ../in/fit",
                     "export ../in/fit -o out --to maps --no-preview",
-                    "compare ../in/fit --capture ../in/capture -o out --renderer analytic --resolution 16", most=2)
+                    "compare ../in/fit --capture ../in/capture -o out --renderer analytic --resolution 16",
+                    most=2)
     return st.one_of(reading, reading, cases("fit", "fit capture", ways, "report ../in/fit --quick",
-                                             "report ../in/fit --quick --capture ../in/capture", out="in/fit", most=2))
+                                             "report ../in/fit --quick --capture ../in/capture", out="in/fit",
+                                             most=2))
 
 
 def folders() -> Drawn[Case]:
@@ -142,7 +156,8 @@ def folders() -> Drawn[Case]:
     made = of("in/guessed", "capture guessed", "diffuse.exr diffuse.png",
               "guess ../in/capture -o ../in/guessed --resolution 16 --overwrite",
               "guess ../in/capture -o ../in/guessed --resolution 16")
-    fresh = of("work/out", "capture maps", "00.png 00.exr", "render ../in/maps -o out --renderer analytic --overwrite",
+    fresh = of("work/out", "capture maps", "00.png 00.exr", "render ../in/maps -o out --renderer analytic "
+                                                            "--overwrite",
                "guess ../in/capture -o out --resolution 16")
     written = "fit.json report.html report.json photos photos/00.png maps maps/diffuse.exr sheet.png"
     fitted = of("in/fit", "capture fit", written,
@@ -155,30 +170,34 @@ def relights() -> Drawn[Case]:
     """What `relight` goes on from, and the light of its scenes."""
     path = "in/relit/relight.json"
     ways = st.one_of(stated(path), stated(path),
-                     replaced(path, *(f"in/relit/{name}" for name in ("sphere.exr", ".partial", ".mitsvbrdf"))),
+                     replaced(path, *(f"in/relit/{name}" for name in ("sphere.exr", ".partial",
+                                                                      ".mitsvbrdf"))),
                      change("state", path=path, steps=st.just([2, 0, 1, 0, 1]), raw=names.map(json.dumps)))
     light = st.sampled_from(("in/exr/diffuse.exr", "in/exr/light.hdr"))
     return st.one_of(
-        cases("relight", "fit relit", ways, f"relight ../in/fit -o ../in/relit --resume {RELIT}", out="in/relit", most=2),
+        cases("relight", "fit relit", ways, f"relight ../in/fit -o ../in/relit --resume {RELIT}",
+              out="in/relit", most=2),
         light.flatmap(lambda path: cases("relight", "fit exr maps", pictures(path, path, "in/maps", "in/exr"),
                                          f"relight ../in/fit -o out --environment ../{path} --explain {RELIT}", most=2)))
 
 
 def libraries() -> Drawn[Case]:
     """The manifest of a library, its index, and the records of its results."""
-    columns = st.sampled_from(("identity name folder source asked own tags cost wanted state reason attempts row seconds date "
+    columns = st.sampled_from(("identity name folder source asked own tags cost wanted state reason "
+                               "attempts row seconds date "
                                "peak_bytes host worker published").split())
     values = st.one_of(names, st.sampled_from(TOKENS), st.none(), st.integers(-2**63, 2**63 - 1), st.floats())
     path, index = "in/library/manifest.sqlite", "in/library/library.json"
-    ways = st.one_of(change("row", path=path, nth=whole, column=columns, value=values), spoiled(path), spoiled("in/library"),
-                     change("row", path=path, nth=whole, column="folder", value=names),
+    ways = st.one_of(change("row", path=path, nth=whole, column=columns, value=values), spoiled(path),
+                     spoiled("in/library"), change("row", path=path, nth=whole, column="folder", value=names),
                      change("row", path=path, nth=whole, column="wanted", value=0), stated(index),
                      replaced(path, index, "in/library/.lock"),
                      stated("in/library/wood-*/batch.json"))
     quick = [f"library ../in/library{words}" for words in ("", " --json", " --where error<1", " --verify")]
     looking = cases("library", "library", ways, *quick, *quick, "view ../in/library",
                     "library ../in/library --export materialx -o out")
-    return st.one_of(looking, looking, cases("library", "library capture", ways, "library ../in/library --prune",
+    return st.one_of(looking, looking, cases("library", "library capture", ways,
+                                             "library ../in/library --prune",
                                              f"batch ../in/capture -o ../in/library {FIT}", out="in/library"))
 
 
@@ -188,7 +207,8 @@ def lists() -> Drawn[Case]:
     ways = st.one_of(change("line", path=path, nth=whole, text=lines), spoiled(path), replaced(path),
                      change("line", path=path, nth=whole, text=st.text(max_size=30)),
                      change("put", path=path, text=lines, again=st.sampled_from((1, 100))),
-                     change("put", path=path, text="../capture", code="utf-16"), stated("in/capture/capture.json"),
+                     change("put", path=path, text="../capture", code="utf-16"),
+                     stated("in/capture/capture.json"),
                      replaced("in/jpeg/target", "in/capture", "in/text/camera_pos.txt"))
     return cases("list", "list capture jpeg text", ways, f"batch ../in/list/list.txt -o out {FIT}",
                  "batch ../in/list/list.txt -o out --workers 1")
@@ -198,8 +218,8 @@ def records() -> Drawn[Case]:
     """Records of a benchmark."""
     path = "in/bench/bench.json"
     call = f"bench --suite none --json ../{path}"
-    return cases("bench", "bench", st.one_of(stated(path), stated(path), replaced(path)), call, call + " --page page.md",
-                 out="work")
+    return cases("bench", "bench", st.one_of(stated(path), stated(path), replaced(path)), call,
+                 call + " --page page.md", out="work")
 
 
 # A call of each command that works and is quick, behind which options are put.
@@ -236,11 +256,14 @@ def options(known: dict[str, tuple[str, ...]]) -> Drawn[Case]:
     value = st.one_of(st.sampled_from(WORDS), st.sampled_from(WORDS), text)
 
     def of(call: str) -> Drawn[Case]:
-        option = st.sampled_from([name for name in known[call.split()[0]] if name != "--prune"])  # its OUT is the library
+        # its OUT is the library
+        option = st.sampled_from([name for name in known[call.split()[0]] if name != "--prune"])
         pair = st.tuples(option, value)
         several = st.lists(st.one_of(pair, pair, st.tuples(option)), min_size=1, max_size=2)
-        return st.builds(Case, group=st.just("option"), parts=st.just(tuple(parts.split())), changes=st.just(()),
-                         arguments=several.map(lambda each: (*call.split(), *itertools.chain(*each))), lasting=st.just(True),
+        return st.builds(Case, group=st.just("option"), parts=st.just(tuple(parts.split())),
+                         changes=st.just(()),
+                         arguments=several.map(lambda each: (*call.split(), *itertools.chain(*each))),
+                         lasting=st.just(True),
                          out=st.just("in/fit" if call.startswith("report") else "work"))
 
     parts = "capture plain maps exr fit library bench"
@@ -249,7 +272,8 @@ def options(known: dict[str, tuple[str, ...]]) -> Drawn[Case]:
 
 GROUPS: dict[str, tuple[int, Callable[..., Drawn[Case]]]] = {
     "capture": (500, captures), "text": (250, texts), "photos": (500, photos), "maps": (350, maps),
-    "checkpoint": (250, checkpoints), "fit": (400, fits), "folder": (300, folders), "relight": (120, relights),
+    "checkpoint": (250, checkpoints), "fit": (400, fits), "folder": (300, folders),
+    "relight": (120, relights),
     "library": (300, libraries), "list": (200, lists), "bench": (150, records), "option": (700, options)}
 
 

@@ -1,6 +1,8 @@
-"""Whatever an input holds, a command ends with 0, 2 or 130, says so in a line, and touches nothing outside of OUT.
+"""Whatever an input holds, a command ends with 0, 2 or 130, says so in a line, and touches nothing outside of
+OUT.
 
-A case that fails is kept in a file, which `python -m fuzz FILE` runs again; once mended it goes into ``cases/``.
+A case that fails is kept in a file, which `python -m fuzz FILE` runs again; once mended it goes into
+``cases/``.
 """
 
 import json
@@ -34,7 +36,8 @@ def test_the_good_files_are_good(campaign):
             result = campaign.run(Case(case.group, case.parts, (), case.arguments, case.out, case.lasting))
             assert not result.wrong, (case.arguments, result.said)
             # No workers, two raw photos, a folder that is there already: refused for these reasons alone.
-            there = name == "folder" and "../in/guessed" in case.arguments and "--overwrite" not in case.arguments
+            there = (name == "folder" and "../in/guessed" in case.arguments
+                     and "--overwrite" not in case.arguments)
             expected = 2 if there or case.arguments[0] in ("batch", "capture") else 0
             assert result.answer["code"] == expected, (case.arguments, result.said)
 
@@ -69,9 +72,11 @@ def wrong(tmp_path_factory):
 
 @pytest.mark.parametrize("deed, words", [
     ("nothing", None), ("refuse", None), ("interrupted", None), ("write", None), ("raise", "a traceback"),
-    ("one", "exit code 1"), ("silent", "without a word"), ("die", "ended by signal 6"), ("hang", "no end by itself"),
+    ("one", "exit code 1"), ("silent", "without a word"), ("die", "ended by signal 6"),
+    ("hang", "no end by itself"),
     ("deaf", "no end after Ctrl-C"), ("fill", "GiB of memory"), ("touch", "outside/secret.txt changed"),
-    ("replace", "outside/secret.txt changed"), ("make", "work/beside made"), ("remove", "outside/folder/keep.txt removed"),
+    ("replace", "outside/secret.txt changed"), ("make", "work/beside made"),
+    ("remove", "outside/folder/keep.txt removed"),
     ("follow", "outside/secret.txt changed"), ("relink", "in/part/link changed"), ("leave", "tmp/left made")])
 def test_each_rule_is_held_against_the_commands(deed, words, wrong, monkeypatch):
     waits = {"SECONDS": 0.3, "GRACE": 0.3} if deed in ("hang", "deaf") else {}
@@ -92,7 +97,8 @@ def test_long_options_may_be_interrupted_but_must_end(wrong, monkeypatch):
 def test_a_case_that_fails_is_kept_without_what_it_does_not_need(wrong):
     needless = {"do": "put", "path": "in/part/more.txt", "text": "x"}
     needed = {"do": "state", "path": "in/part/file.json", "steps": [0, 1], "raw": "NaN"}
-    held, fails = Case("wrong", (), (), ("nothing",)), Case("wrong", ("part",), (needless, needed, needless), ("if NaN",))
+    held, fails = Case("wrong", (), (), ("nothing",)), Case("wrong", ("part",), (needless, needed, needless),
+                                                            ("if NaN",))
     tally = wrong.run_all([held, fails])
     assert (tally.tried, tally.held) == (2, 1)
     (files,) = tally.failed.values()
@@ -110,14 +116,17 @@ def test_changes_do_what_they_say(tmp_path):
         apply(tmp_path, change)
         return path
 
-    assert after({"do": "flip", "under": "a", "nth": 7, "at": -1, "bit": 0}, content=b"ab").read_bytes() == b"ac"
+    assert after({"do": "flip", "under": "a", "nth": 7, "at": -1, "bit": 0},
+                 content=b"ab").read_bytes() == b"ac"
     assert after({"do": "cut", "under": "a/file", "nth": 0, "at": 1}, content=b"abc").read_bytes() == b"a"
     state = {"do": "state", "path": "a/file", "steps": [0, 0, 3]}
     assert after(state | {"raw": "NaN"}).read_text() == '{"a": {"b": [1, NaN]}}'
     assert json.loads(after(state | {"raw": None}).read_text()) == {"a": {"b": [1]}}
     assert after(state | {"raw": "[", "again": 3}).read_text() == '{"a": {"b": [1, [[[]]]]}}'
-    assert after({"do": "put", "path": "a/file", "text": "@@/x\udcff"}).read_bytes() == f"{tmp_path}/x".encode() + b"\xff"
-    assert after({"do": "line", "path": "a/file", "nth": 3, "text": "x"}, content=b"1\n2\n").read_bytes() == b"1\nx"
+    assert after({"do": "put", "path": "a/file",
+                  "text": "@@/x\udcff"}).read_bytes() == f"{tmp_path}/x".encode() + b"\xff"
+    assert after({"do": "line", "path": "a/file", "nth": 3, "text": "x"},
+                 content=b"1\n2\n").read_bytes() == b"1\nx"
     assert os.readlink(after({"do": "link", "path": "a/file", "to": "outside"})) == "../outside"
     assert stat.S_ISFIFO(after({"do": "pipe", "path": "a/file"}).lstat().st_mode)
 

@@ -1,9 +1,10 @@
-"""A process that imports the package once and runs each command in a fork of itself: apart from all others, in milliseconds.
+"""A process that imports the package once and runs each command in a fork of itself: apart from all others,
+in milliseconds.
 
     python -m fuzz.warm ENTRY
 
-ENTRY is a module with ``warm()``, called once, and ``main()``, called in each fork. Requests and answers are lines of JSON; see
-:class:`Warm`.
+ENTRY is a module with ``warm()``, called once, and ``main()``, called in each fork. Requests and answers are
+lines of JSON; see :class:`Warm`.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ import traceback
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-ROOM = 4 << 30  # bytes of address space that a command may take beside the imports: a machine that others use stays usable
+# bytes of address space that a command may take beside the imports: a machine that others use stays usable
+ROOM = 4 << 30
 TESTS, ROOT = Path(__file__).resolve().parents[1], Path(__file__).resolve().parents[2]
 
 
@@ -41,11 +43,12 @@ class Warm:
         alone = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
         places = os.pathsep.join(filter(None, (str(ROOT), str(TESTS), os.environ.get("PYTHONPATH"))))
         environment = os.environ | alone | {"HOME": str(home), "PYTHONPATH": places}
-        self._process = subprocess.Popen([sys.executable, "-P", "-m", "fuzz.warm", entry], env=environment, text=True,
-                                         stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        self._process = subprocess.Popen([sys.executable, "-P", "-m", "fuzz.warm", entry], env=environment,
+                                         text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         self._imports = self._answer()["imports"]
 
-    def run(self, arguments: Sequence[str], folder: Path, said: Path, temporary: Path, seconds: float, grace: float) -> dict:
+    def run(self, arguments: Sequence[str], folder: Path, said: Path, temporary: Path, seconds: float,
+            grace: float) -> dict:
         """Run a command.
 
         Args:
@@ -57,11 +60,12 @@ class Warm:
             grace: how much later SIGKILL.
 
         Returns:
-            ``code`` (negative: the signal that ended it), ``signals`` that were sent, ``seconds``, ``cpu`` (seconds of
-            it), and ``peak``, resident bytes beside the imports.
+            ``code`` (negative: the signal that ended it), ``signals`` that were sent, ``seconds``, ``cpu``
+            (seconds of it), and ``peak``, resident bytes beside the imports.
         """
         assert self._process.stdin
-        request = {"arguments": arguments, "folder": str(folder), "said": str(said), "temporary": str(temporary),
+        request = {"arguments": arguments, "folder": str(folder), "said": str(said),
+                   "temporary": str(temporary),
                    "seconds": seconds, "grace": grace}
         self._process.stdin.write(json.dumps(request) + "\n")
         self._process.stdin.flush()
@@ -94,7 +98,8 @@ def serve(warm: Callable[[], None], main: Callable[[], int]) -> None:
         if not child:
             _live(request, main)
         status, signals, used = _wait(child, request["seconds"], request["grace"])
-        answer({"code": status, "signals": signals, "seconds": time.monotonic() - begun, "peak": used.ru_maxrss << 10,
+        answer({"code": status, "signals": signals, "seconds": time.monotonic() - begun,
+                "peak": used.ru_maxrss << 10,
                 "cpu": used.ru_utime + used.ru_stime})
 
 

@@ -1,4 +1,6 @@
-"""What tests of all folders share: renderers, views, photos of made materials, and where the repository is."""
+"""What tests of all folders share: renderers, views, photos of made materials, and where the repository
+is.
+"""
 
 from __future__ import annotations
 
@@ -16,5 +18,7 @@ GRID = nine_view_grid()
 
 
 def photos_of(material: SVBRDF, views: Views = GRID, noise: float = 0.0) -> Capture:
-    """8-bit photos of a material as the analytic renderer draws them, with sensor noise of this standard deviation."""
+    """8-bit photos of a material as the analytic renderer draws them, with sensor noise of this standard
+    deviation.
+    """
     return photograph(material, views, ANALYTIC, noise)

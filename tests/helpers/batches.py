@@ -1,4 +1,6 @@
-"""Batches without fits: captures of a few bytes, results made by hand, a pool whose workers do as they are told."""
+"""Batches without fits: captures of a few bytes, results made by hand, a pool whose workers do as they are
+told.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ from mitsvbrdf.fit.config import FitConfig, HierarchicalConfig
 from mitsvbrdf.fit.options import FitOptions
 
 FILES = {"maps/diffuse.png": b"diffuse", "fit.json": b"{}"}
-ROW = {"error": 0.25, "seconds": 1.5, "date": "2026-11-23T10:00:00Z", "preview": None, "report": None, "warnings": []}
+ROW = {"error": 0.25, "seconds": 1.5, "date": "2026-11-23T10:00:00Z", "preview": None, "report": None,
+       "warnings": []}
 
 TASK = {"attempt": "aaaaaaaa-1", "identity": "a" * 64, "name": "wood"}
 FOLDER = "wood-aaaaaaaa"  # where its result lies
@@ -39,13 +42,15 @@ def asked(capture: Path, config: FitConfig | None = None, **options: object) -> 
 # Records that say no result: of somebody else, or spoiled.
 NO_RECORDS = (
     "", "{", "[]", "3", "{}", '{"identity": "a", "attempt": "a-1", "row": {}}', "\xff", "[" * 100_000,
-    '{"identity": "a", "attempt": "a-1", "row": [], "files": {}}', '{"identity": 3, "attempt": "a-1", "row": {}, "files": {}}',
+    '{"identity": "a", "attempt": "a-1", "row": [], "files": {}}',
+    '{"identity": 3, "attempt": "a-1", "row": {}, "files": {}}',
     '{"identity": "a", "attempt": "first", "row": {}, "files": {}}',
     '{"identity": "a", "attempt": "a-1", "row": {"error": "low"}, "files": {}}',
     '{"identity": "a", "attempt": "a-1", "row": {"date": [1]}, "files": {}}',
     '{"identity": "a", "attempt": "a-1", "row": {}, "files": {"fit.json": 3}}',
     '{"identity": "a", "attempt": "a-1", "row": {}, "files": {"../fit.json": {"bytes": 1, "sha256": ""}}}')
-ELSEWHERE = ("", ".", "..", "../mine", "a/b", "/mine", "*", "mine-[0-9]", "mine-????????", "a\0")  # no names of results
+# no names of results
+ELSEWHERE = ("", ".", "..", "../mine", "a/b", "/mine", "*", "mine-[0-9]", "mine-????????", "a\0")
 
 
 def write_result(staging: Path, task: Mapping, files: Mapping[str, bytes] = FILES) -> None:
@@ -53,9 +58,11 @@ def write_result(staging: Path, task: Mapping, files: Mapping[str, bytes] = FILE
     for name, content in files.items():
         (staging / name).parent.mkdir(parents=True, exist_ok=True)
         (staging / name).write_bytes(content)
-    stated = {name: {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()} for name, content in files.items()}
+    stated = {name: {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
+              for name, content in files.items()}
     (staging / "batch.json").write_text(json.dumps({
-        "identity": task["identity"], "name": task["name"], "attempt": task["attempt"], "source": task.get("capture", ""),
+        "identity": task["identity"], "name": task["name"], "attempt": task["attempt"],
+        "source": task.get("capture", ""),
         "asked": {}, "row": ROW, "files": stated}))
 
 
@@ -69,19 +76,22 @@ def publish_result(place: LocalPlace, task: Mapping) -> bool:
 class FakePool:
     """Workers in this process.
 
-    A deed is what becomes of a task: an outcome's state (``done`` publishes a result first), ``lost``, ``published, lost``,
-    ``published, crashed``, ``claimed`` (says done, and there is nothing), ``held`` (until :meth:`release`).
+    A deed is what becomes of a task: an outcome's state (``done`` publishes a result first), ``lost``,
+    ``published, lost``, ``published, crashed``, ``claimed`` (says done, and there is nothing), ``held``
+    (until :meth:`release`).
 
     Args:
         place: where results appear.
-        deeds: by a capture's name, one an attempt; the last one is for all later ones; ``done`` where there are none.
+        deeds: by a capture's name, one an attempt; the last one is for all later ones; ``done`` where there
+            are none.
         workers: how many.
         meanwhile: called at each look for events.
     """
 
     def __init__(self, place: LocalPlace, deeds: Mapping[str, Sequence[str]] | None = None, workers: int = 1,
                  meanwhile: Callable[[], None] = lambda: None) -> None:
-        self.place, self.deeds, self.meanwhile = place, {name: deque(each) for name, each in (deeds or {}).items()}, meanwhile
+        self.place, self.deeds, self.meanwhile = place, {name: deque(each)
+                                                         for name, each in (deeds or {}).items()}, meanwhile
         self.tasks: list[dict] = []
         self.held: dict[str, dict] = {}
         self._events: list[dict] = []
@@ -114,7 +124,8 @@ class FakePool:
 
     def _up(self) -> None:
         self._named += 1
-        self._events.append({"is": "worker", "worker": f"w{self._named}", "host": "here", "pid": 1, "version": "0"})
+        self._events.append({"is": "worker", "worker": f"w{self._named}", "host": "here", "pid": 1,
+                             "version": "0"})
 
     def _do(self, worker: str, task: dict, deed: str) -> None:
         if deed == "held":
@@ -124,11 +135,13 @@ class FakePool:
             publish_result(self.place, task)
         deed = deed.removeprefix("published, ")
         if deed == "lost":
-            self._events.append({"is": "lost", "worker": worker, "attempt": task["attempt"], "reason": "the node died"})
+            self._events.append({"is": "lost", "worker": worker, "attempt": task["attempt"],
+                                 "reason": "the node died"})
             self._up()
             return
         state = "done" if deed == "claimed" else deed
         row = ROW if state == "done" else None
         self._events.append({"is": "done", "worker": worker, "attempt": task["attempt"], "outcome": {
-            "state": state, "reason": "" if row else f"it {state}", "log": "the log", "seconds": 2.0, "peak_bytes": 7,
+            "state": state, "reason": "" if row else f"it {state}", "log": "the log", "seconds": 2.0,
+            "peak_bytes": 7,
             "row": row, "host": "here"}})

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import torch
 
+from mitsvbrdf.io import images
 from mitsvbrdf.material.made import make_material
-from mitsvbrdf.system import images
 
 BSDFS = ["roughconductor", "principled"]
 

@@ -30,7 +30,8 @@ class Page(HTMLParser):
     def handle_starttag(self, tag, attributes):
         attributes = dict(attributes)
         self.ids += [attributes["id"]] if "id" in attributes else []
-        self.addresses += [attributes[name] for name in ("src", "href", "srcset", "data", "action") if name in attributes]
+        self.addresses += [attributes[name] for name in ("src", "href", "srcset", "data", "action")
+                           if name in attributes]
         if tag == "img" and "src" in attributes:
             self.pictures[attributes["alt"]] = attributes["src"]
         if tag not in self.VOID:

@@ -2,8 +2,8 @@
 
 import json
 
-from mitsvbrdf.system import result_folder
-from mitsvbrdf.system.journal import JOURNAL
+from mitsvbrdf.io import result_folder
+from mitsvbrdf.io.journal import JOURNAL
 
 
 def half_put(out):

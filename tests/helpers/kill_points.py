@@ -1,6 +1,7 @@
 """Commands killed at every point of their work on the disk: a script, which forks a process for each point.
 
-    python kill_points.py SHAPE FOLDER      what each point left, and what the next command made of it, as JSON
+    python kill_points.py SHAPE FOLDER      what each point left, and what the next command made of it, as
+    JSON
 
 It imports what writes results and nothing that fits, so that a point takes milliseconds.
 """
@@ -17,24 +18,30 @@ import sys
 from pathlib import Path
 
 from mitsvbrdf.batch.places.place import RECORD, LocalPlace
-from mitsvbrdf.system import files, result_folder
+from mitsvbrdf.io import files, result_folder
 
-os.fsync = lambda descriptor: None  # a point to be killed at like the others; none of this has to outlive a power cut
+# a point to be killed at like the others; none of this has to outlive a power cut
+os.fsync = lambda descriptor: None
 CALLS = ("replace", "rename", "unlink", "rmdir", "mkdir", "fsync")
 AMID = 45  # of the points of ``fit``
 FOREIGN = {"thesis.txt": "mine", "maps/mine.psd": "mine", "sheet.png": "mine"}
-FIT = dict.fromkeys(("maps/a.exr", "maps/b.exr", "look/deep/x.exr", "fit.json", "checkpoint.safetensors"), "1")
+FIT = dict.fromkeys(("maps/a.exr", "maps/b.exr", "look/deep/x.exr", "fit.json", "checkpoint.safetensors"),
+                    "1")
 FAILED = {".partial/checkpoint.safetensors": "half"}  # of a fit that was to take the place of the other
-REFIT = dict.fromkeys(("maps/a.exr", "maps/c.exr", "photos/00.png", "fit.json", "checkpoint.safetensors", "sheet.png"), "2")
+REFIT = dict.fromkeys(("maps/a.exr", "maps/c.exr", "photos/00.png", "fit.json", "checkpoint.safetensors",
+                       "sheet.png"), "2")
 FRAMES = {"relight.json": "1", "sweep/0000.exr": "1"}
-# Options of the folder; what lies there before: somebody else's, and of an earlier command; what the command writes.
+# Options of the folder; what lies there before: somebody else's, and of an earlier command; what the command
+# writes.
 SHAPES = {
     "fit": ({"overwrite": True}, FOREIGN, FIT | FAILED, REFIT),
-    "export": ({"overwrite": True}, {}, {"gltf/m.glb": "1", "preview.png": "1"}, {"usd/m.usda": "2", "preview.png": "2"}),
+    "export": ({"overwrite": True}, {}, {"gltf/m.glb": "1", "preview.png": "1"},
+               {"usd/m.usda": "2", "preview.png": "2"}),
     "relight": ({"overwrite": True, "resume": True, "keep": ("relight.json", "sweep")}, {}, FRAMES,
                 {"relight.json": "2", "sweep/0000.exr": "1", "sweep/0001.exr": "2"}),
     "capture": ({"overwrite": False}, {}, {}, {"capture.json": "2", "target/00.png": "2"}),
-    "report": ({"overwrite": False, "add": True}, {"report.html": "mine"}, FIT, {"report.html": "2", "photos/00.png": "2"}),
+    "report": ({"overwrite": False, "add": True}, {"report.html": "mine"}, FIT,
+               {"report.html": "2", "photos/00.png": "2"}),
 }
 
 
@@ -71,7 +78,9 @@ def after_publishing(root: Path) -> dict:
 
 
 class Shape:
-    """A command of :data:`SHAPES`, ``batch``, or ``reader``: of what ``fit`` leaves that was killed amid its moves."""
+    """A command of :data:`SHAPES`, ``batch``, or ``reader``: of what ``fit`` leaves that was killed amid its
+    moves.
+    """
 
     def __init__(self, name: str) -> None:
         self.batch, self.reader = name == "batch", name == "reader"
@@ -97,7 +106,9 @@ class Shape:
             write(folder, self.new)
 
     def found(self, out: Path) -> dict:
-        """What a reader finds, what it is told, and what a command leaves that replaces it or goes on but comes to nothing."""
+        """What a reader finds, what it is told, and what a command leaves that replaces it or goes on but
+        comes to nothing.
+        """
         if self.batch:
             return after_publishing(out)
         copy = out.with_name(f"{out.name} copy")

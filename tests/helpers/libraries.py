@@ -1,4 +1,6 @@
-"""Libraries of many materials for tests of their page: rows as ``library.json`` has them, and small pictures of their own."""
+"""Libraries of many materials for tests of their page: rows as ``library.json`` has them, and small pictures
+of their own.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +13,19 @@ import numpy as np
 
 from mitsvbrdf.batch.library.page import write_library_page
 
-KINDS = ("wood", "brick", "leather", "fabric", "metal", "stone", "tile", "paper", "plaster", "rubber", "cork", "sand")
+KINDS = ("wood", "brick", "leather", "fabric", "metal", "stone", "tile", "paper", "plaster", "rubber", "cork",
+         "sand")
 PLACES = ("bamboo", "hall", "old", "wet", "kitchen", "façade", "red", "worn", "seat", "gate", "木目", "roof")
-WARNINGS = ("the light's power and the whole brightness cannot be told apart", "2 photos are blurred", "views are too alike")
+WARNINGS = ("the light's power and the whole brightness cannot be told apart", "2 photos are blurred",
+            "views are too alike")
 REASONS = ("crashed with signal 11", "took longer than 600 s", "needed more than 4.0 GiB of memory",
            "expected at least 2 photos, got 1; add photos")
 
 
 def random_rows(count: int, seed: int = 0, unfinished: bool = False) -> list[dict]:
-    """Rows as a long batch leaves them: a few failed, some with warnings; running and pending ones where it goes on."""
+    """Rows as a long batch leaves them: a few failed, some with warnings; running and pending ones where it
+    goes on.
+    """
     random, begun = np.random.default_rng(seed), datetime.datetime(2026, 11, 1)
     rows = []
     for k in range(count):
@@ -42,19 +48,24 @@ def random_row(k: int, random: np.random.Generator, state: str, date: str) -> di
 
     return {
         "name": name, "id": identity, "folder": folder, "state": state,
-        "error": number(random.lognormal(-3.5, 0.5), 1), "left_out_error": number(random.lognormal(-2.8, 0.5), 0.8),
+        "error": number(random.lognormal(-3.5, 0.5), 1), "left_out_error": number(random.lognormal(-2.8, 0.5),
+                                                                                  0.8),
         "burn_in": number(random.beta(1, 12), 0.8),
-        "warnings": random.choice(WARNINGS, random.choice([0, 0, 0, 1, 2]), replace=False).tolist() if fitted else [],
+        "warnings": random.choice(WARNINGS, random.choice([0, 0, 0, 1, 2]), replace=False).tolist() if fitted
+        else [],
         "seconds": round(random.lognormal(3.6, 0.4), 2) if ended else None,
         "peak_bytes": int(random.normal(9e8, 1e8)) if ended else None,
         "attempts": int(random.choice([1, 1, 1, 1, 2, 3])) if ended else 0, "date": date if ended else None,
         "tags": [kind, *(["old wood"] if random.random() < 0.05 else [])],
-        "method": "gan" if random.random() < 0.2 else "hierarchical", "resolution": 512 if random.random() < 0.3 else 256,
+        "method": "gan" if random.random() < 0.2 else "hierarchical", "resolution": 512
+        if random.random() < 0.3 else 256,
         "photos": int(random.integers(1, 12)),
-        "worker": f"w{random.integers(8)}" if ended else None, "host": f"node-{random.integers(3)}" if ended else None,
+        "worker": f"w{random.integers(8)}" if ended else None, "host": f"node-{random.integers(3)}" if ended
+        else None,
         "source": f"captures/{kind}/{name}", "options": "--budget 60",
         "reason": str(random.choice(REASONS)) if state == "failed" else "",
-        "preview": f"{folder}/preview.jpg" if fitted else None, "report": f"{folder}/report.html" if fitted else None,
+        "preview": f"{folder}/preview.jpg" if fitted else None, "report": f"{folder}/report.html" if fitted
+        else None,
         "log": f"{folder}/log.txt" if state == "failed" else None}
 
 
@@ -65,11 +76,13 @@ def library_of(rows: list[dict], title: str = "A library", **more: object) -> di
 def picture(seed: int, side: int = 128) -> bytes:
     """A JPEG of a bumpy patch under a light from one side: a colour of its own, noise of two sizes."""
     random = np.random.default_rng(seed)
-    height = sum(size * cv2.resize(random.standard_normal((n, n), np.float32), (side, side), interpolation=cv2.INTER_CUBIC)
+    height = sum(size * cv2.resize(random.standard_normal((n, n), np.float32), (side, side),
+                                   interpolation=cv2.INTER_CUBIC)
                  for n, size in ((int(random.integers(4, 12)), 1.5), (32, 0.4)))
     y, x = np.gradient(height)
     shade = np.clip(0.75 + 2 * (x + y), 0.05, 2)[..., None] * random.uniform(0.1, 0.8, 3) * 220
-    return cv2.imencode(".jpg", np.clip(shade, 0, 255).astype(np.uint8), [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
+    return cv2.imencode(".jpg", np.clip(shade, 0, 255).astype(np.uint8),
+                        [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
 
 
 def write_library(folder: Path, rows: list[dict], pictures: int | None = None, **more: object) -> Path:
@@ -77,7 +90,8 @@ def write_library(folder: Path, rows: list[dict], pictures: int | None = None, *
 
     Args:
         folder: to write into.
-        rows: of the library; the path of a row's picture beyond ``pictures`` is changed to that of an earlier one.
+        rows: of the library; the path of a row's picture beyond ``pictures`` is changed to that of an earlier
+            one.
         pictures: how many there are at most; left out, one a row.
         more: of the library, beside ``materials``.
     """
@@ -94,13 +108,16 @@ def write_library(folder: Path, rows: list[dict], pictures: int | None = None, *
         drawn.append(row["preview"])
         (folder / row["folder"]).mkdir(parents=True, exist_ok=True)
         (folder / row["preview"]).write_bytes(picture(k))
-        (folder / row["report"]).write_text(f"<!doctype html><link rel=icon href=data:,><title>{row['name']}</title>a report")
+        (folder / row["report"]).write_text("<!doctype html><link rel=icon "
+                                            f"href=data:,><title>{row['name']}</title>a report")
     write_library_page(folder, library_of(rows, **more))
     return folder / "index.html"
 
 
 def write_whole_library(folder: Path, rows: list[dict]) -> None:
-    """A library as a batch leaves it: page, data, pictures of the materials that are done, ``library.json`` and a manifest."""
+    """A library as a batch leaves it: page, data, pictures of the materials that are done, ``library.json``
+    and a manifest.
+    """
     write_library(folder, rows)
     (folder / "library.json").write_text(json.dumps(library_of(rows)))
     (folder / "manifest.sqlite").write_text("secret")

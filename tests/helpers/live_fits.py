@@ -10,8 +10,8 @@ import torch
 
 from helpers import ANALYTIC
 from mitsvbrdf.fit import DirectConfig, fit_svbrdf
+from mitsvbrdf.io import files, images, result_folder
 from mitsvbrdf.report.live import FitSite, make_server
-from mitsvbrdf.system import files, images, result_folder
 
 SIDE = 16
 FAST = DirectConfig(iterations=20)

@@ -49,11 +49,14 @@ def optics(lens):
 
 
 def length(vectors):
-    return np.sqrt(np.einsum("ki,ki->k", vectors, vectors))  # many times quicker than numpy's norm of short rows
+    # many times quicker than numpy's norm of short rows
+    return np.sqrt(np.einsum("ki,ki->k", vectors, vectors))
 
 
 def taken(what, lens, pose, flash=True, seed=0):
-    """What the phone stores, H x W x 3 linear radiance: flash or an even light, vignetting, a highlight on the material."""
+    """What the phone stores, H x W x 3 linear radiance: flash or an even light, vignetting, a highlight on
+    the material.
+    """
     albedo, side = what
     ray, arrives = optics(lens)
     ray = ray @ pose.rotation
@@ -77,7 +80,8 @@ def taken(what, lens, pose, flash=True, seed=0):
 def stored(path, linear, flash=1, iso=100):
     """A JPEG with sRGB values and EXIF."""
     linear = np.clip(linear, 0, 1)
-    display = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
+    display = np.where(linear <= 0.0031308, 12.92 * linear,
+                       1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
     exif = Image.Exif()
     focal = LENS.focal / math.hypot(*LENS.size) * math.hypot(36, 24)
     exif.get_ifd(0x8769).update({34855: iso, 41989: round(focal)} | ({} if flash is None else {37385: flash}))

@@ -27,6 +27,6 @@ def called(scripts: Sequence[str], calls: Sequence[tuple[str, list]], timezone: 
     """
     node = shutil.which("node") or pytest.skip("needs node on PATH")
     text = "".join(files("mitsvbrdf").joinpath(script).read_text(encoding="utf-8") for script in scripts)
-    done = subprocess.run([node, "-e", text + DRIVER], input=json.dumps(calls), capture_output=True, text=True, check=True,
-                          env=os.environ | {"TZ": timezone})
+    done = subprocess.run([node, "-e", text + DRIVER], input=json.dumps(calls), capture_output=True,
+                          text=True, check=True, env=os.environ | {"TZ": timezone})
     return json.loads(done.stdout)

@@ -12,4 +12,5 @@ def words_at_the_right(page: str) -> list[str]:
     cells = [cell for row in rows for cell in re.findall(r"<t[dh]\b([^>]*)>(.*?)</t[dh]>", row, re.S)[1:]]
     said = [(attributes, html.unescape(re.sub(r"<[^>]+>", " ", content))) for attributes, content in cells]
     return [text for attributes, text in said
-            if re.search("[A-Za-z]", re.sub(UNITS, "", text)) and not re.search(r"""["' ](?:text|word)\b""", attributes)]
+            if re.search("[A-Za-z]", re.sub(UNITS, "", text)) and not re.search(r"""["' ](?:text|word)\b""",
+                                                                                attributes)]

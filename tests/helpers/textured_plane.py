@@ -29,11 +29,14 @@ def texture(seed=0, side=1200):
 
 
 def photo_of(material, lens, pose, seed, shine=1.2):
-    """What the phone stores: the material under its flash, with falloff, a highlight that moves with it, and noise."""
+    """What the phone stores: the material under its flash, with falloff, a highlight that moves with it, and
+    noise.
+    """
     columns, rows = np.meshgrid(np.arange(lens.size[0]), np.arange(lens.size[1]))
     at = on_plane(lens, pose, np.stack((columns, rows), axis=-1).reshape(-1, 2))
     texels = ((np.stack((at[:, 0], -at[:, 1]), axis=1) / SPAN + 0.5) * len(material) - 0.5).astype(np.float32)
-    seen = cv2.remap(material, texels.reshape(*columns.shape, 2), None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    seen = cv2.remap(material, texels.reshape(*columns.shape, 2), None, cv2.INTER_CUBIC,
+                     borderMode=cv2.BORDER_REFLECT)
     x, y, z = pose.flash(lens)
     aside = np.square(at - (x, y)).sum(axis=1).reshape(columns.shape) / z**2
     light = seen**2.2 * 1.2 * (1 + aside) ** -1.5 + shine * np.exp(-aside / 0.006) * (0.3 + seen)
@@ -66,7 +69,9 @@ def take(folder, poses, material=None, stated=27, **how):
 
 
 def position_errors(rig, poses):
-    """Distances to the true positions after the best common similarity of the plane, as shares of the distance: N."""
+    """Distances to the true positions after the best common similarity of the plane, as shares of the
+    distance: N.
+    """
     ours = np.array([rig.poses[name].position for name in rig.poses])
     true = np.array([poses[name].position for name in rig.poses])
     a, b = ours[:, 0] + 1j * ours[:, 1], true[:, 0] + 1j * true[:, 1]
@@ -81,9 +86,12 @@ def position_errors(rig, poses):
 
 
 def misalignment(rig, poses):
-    """RMS distance, in pixels at 512, between the points of the material that rectified photos show at the same place."""
+    """RMS distance, in pixels at 512, between the points of the material that rectified photos show at the
+    same place.
+    """
     steps = (np.arange(9) + 0.5) / 9 - 0.5
     grid = np.array([[x, y, 0.0] for y in steps for x in steps]) * rig.size
-    seen = np.stack([on_plane(LENS, poses[name], project(rig.lens, pose, grid)) for name, pose in rig.poses.items()])
+    seen = np.stack([on_plane(LENS, poses[name], project(rig.lens, pose, grid))
+                     for name, pose in rig.poses.items()])
     side = np.linalg.norm(seen[:, 8] - seen[:, 0], axis=1).mean() * 9 / 8
     return np.sqrt(np.square(seen - seen.mean(axis=0)).sum(axis=-1).mean()) / side * 512

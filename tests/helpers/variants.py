@@ -8,7 +8,8 @@ import pytest
 
 
 def mostly_slow(values: Iterable, *quick: object) -> list:
-    """Values for ``parametrize``; those that are not named as quick, by themselves or by their first one, are marked slow.
+    """Values for ``parametrize``; those that are not named as quick, by themselves or by their first one, are
+    marked slow.
 
     Raises:
         AssertionError: a quick one is no value.

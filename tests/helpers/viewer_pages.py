@@ -15,15 +15,19 @@ from mitsvbrdf.report.viewer import viewer_html
 
 
 def changed(svbrdf: SVBRDF, **maps) -> SVBRDF:
-    return SVBRDF(svbrdf.bsdf, dict(svbrdf.maps) | {name: torch.as_tensor(value).expand_as(svbrdf[name]).clone()
-                                                    for name, value in maps.items()})
+    return SVBRDF(svbrdf.bsdf, dict(svbrdf.maps)
+                  | {name: torch.as_tensor(value).expand_as(svbrdf[name]).clone()
+                     for name, value in maps.items()})
 
 
 @contextmanager
 def shown(svbrdf: SVBRDF, folder, width: int = 420, **window):
-    """The viewer in a page like ours, drawn once; a small window is a small canvas, which software draws soon."""
+    """The viewer in a page like ours, drawn once; a small window is a small canvas, which software draws
+    soon.
+    """
     file = folder / "viewer.html"
-    file.write_text(page_text("pages/base.html", title="A material").replace("</body>", viewer_html(svbrdf) + "</body>"))
+    file.write_text(page_text("pages/base.html", title="A material").replace("</body>", viewer_html(svbrdf)
+                                                                             + "</body>"))
     with opened(file, width=width, **window) as page:
         assert page.evaluate("mitsvbrdfViewer.ready") is True
         yield page

@@ -39,11 +39,14 @@ def test_coloured_metals_count_by_their_strongest_channel():
     maps = dict(flat(4, diffuse=0.0, dtype=torch.float64).maps)
     for f0 in (gold, dark_red):
         material = SVBRDF("roughconductor", maps | {"specular": f0.expand(4, 4, 3)})
-        assert bool(is_metal(material).all()) and torch.equal(as_principled(material)["base_color"], material["specular"])
+        assert bool(is_metal(material).all()) and torch.equal(as_principled(material)["base_color"],
+                                                              material["specular"])
 
 
 def test_what_is_no_metal_looks_the_same_from_above():
-    """Clients let through 1 - F0 of the diffuse light; the way back gives our sum again, of metals their F0."""
+    """Clients let through 1 - F0 of the diffuse light; the way back gives our sum again, of metals their
+    F0.
+    """
     made = half_and_half({"diffuse": 0.3, "specular": 0.2}, {"diffuse": 0.01, "specular": 0.9})
     f0 = made["specular"].amax(dim=-1, keepdim=True)
     material = layered(made, f0)
@@ -56,7 +59,8 @@ def test_what_is_no_metal_looks_the_same_from_above():
 
 def test_base_colours_end_at_one():
     brighter_than_light = flat(4, diffuse=0.9, specular=0.3, dtype=torch.float64)
-    assert layered(brighter_than_light, brighter_than_light["specular"][..., :1])["base_color"].unique().tolist() == [1]
+    assert layered(brighter_than_light, brighter_than_light["specular"][...,
+                                                                        :1])["base_color"].unique().tolist() == [1]
 
 
 def test_one_f0_for_all_that_is_no_metal():
@@ -64,12 +68,15 @@ def test_one_f0_for_all_that_is_no_metal():
     assert usual_f0(made) == pytest.approx(0.06)
     assert relative_f0(made, 0.06)[..., 0].unique().tolist() == pytest.approx([1])
     assert relative_f0(made, 0.04)[0, 0, 0] == pytest.approx(1.5) and relative_f0(made, 0.04)[0, 7, 0] == 1
-    assert usual_f0(flat(4, diffuse=0.3, specular=0.0)) == pytest.approx(0.02)  # water's: the least of its kind
+    # water's: the least of its kind
+    assert usual_f0(flat(4, diffuse=0.3, specular=0.0)) == pytest.approx(0.02)
     assert usual_f0(flat(4, diffuse=0.0, specular=0.9)) == 0.04  # nothing but metal
 
 
 def test_the_residual_of_a_constant_material_has_a_closed_form():
-    """F0 of 0.01 comes out as 0.04; of a flat patch the light at the camera is mirrored at its centre alone."""
+    """F0 of 0.01 comes out as 0.04; of a flat patch the light at the camera is mirrored at its centre
+    alone.
+    """
     made = flat(5, diffuse=0.3, specular=0.01, roughness=1.0, dtype=torch.float64)
     lost = residual(made, as_principled(made))
     assert lost["diffuse"] == pytest.approx(0, abs=1e-12)
@@ -79,7 +86,9 @@ def test_the_residual_of_a_constant_material_has_a_closed_form():
 
 
 def test_the_pictures_of_a_matte_texel_have_a_closed_form():
-    """All of it at the centre, where every light gives half of pi: radiance 0.15 is shown where it should be 0.1, in sRGB."""
+    """All of it at the centre, where every light gives half of pi: radiance 0.15 is shown where it should be
+    0.1, in sRGB.
+    """
     right, wrong = (flat(1, diffuse=diffuse, specular=0.0, roughness=1.0) for diffuse in (0.2, 0.3))
     lost = residual(right, wrong)
     for light in LIGHTS:

@@ -7,9 +7,9 @@ import torch
 from mitsvbrdf import cli
 from mitsvbrdf.errors import MapsError, MapsWarning
 from mitsvbrdf.fit.fixed_maps import fixed_maps
+from mitsvbrdf.io import images
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import load_maps, save_maps
-from mitsvbrdf.system import images
 
 SIDE = 32
 

@@ -21,7 +21,8 @@ def bump(size):
 
 def test_heights_of_a_bump_and_of_a_slope():
     height, normal = bump(128)
-    assert (heights(normal) - height).abs().max() < 1e-3 * 0.05  # measured 7.7e-4: slopes are averaged between texels
+    # measured 7.7e-4: slopes are averaged between texels
+    assert (heights(normal) - height).abs().max() < 1e-3 * 0.05
     coarse, normal = bump(64)
     assert (heights(normal) - coarse).abs().max() < 4e-3 * 0.05  # and 3.1e-3: of second order
     tilted = F.normalize(torch.tensor([0.1, -0.3, 1.0], dtype=torch.float64), dim=0).expand(16, 16, 3)
@@ -31,7 +32,8 @@ def test_heights_of_a_bump_and_of_a_slope():
 
 def test_a_normal_that_lies_down_is_no_tower():
     normal = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64).repeat(64, 64, 1)
-    normal[20, 30] = F.normalize(torch.tensor([1.0, 0.0, 1e-5]).double(), dim=0)  # the lowest that maps may have
+    # the lowest that maps may have
+    normal[20, 30] = F.normalize(torch.tensor([1.0, 0.0, 1e-5]).double(), dim=0)
     # As high as a slope of 10: measured 0.028 patch sides, and 285 without an end to slopes.
     assert 0.01 < heights(normal).abs().max() < 0.05
 
@@ -41,7 +43,8 @@ def waves(size):
     x, y, _ = texel_positions(size).unbind(-1)
     a, b = 2 * math.pi, 4 * math.pi
     height = 0.02 * torch.cos(a * x) * torch.sin(b * y)
-    right, up = -0.02 * a * torch.sin(a * x) * torch.sin(b * y), 0.02 * b * torch.cos(a * x) * torch.cos(b * y)
+    right, up = -0.02 * a * torch.sin(a * x) * torch.sin(b * y), 0.02 * b * torch.cos(a * x) * torch.cos(
+        b * y)
     return height, F.normalize(torch.stack((-right, -up, torch.ones_like(x)), dim=-1), dim=-1)
 
 
@@ -49,9 +52,11 @@ def test_a_relief_that_is_repeated_has_no_edges():
     height, normal = waves(64)
     found = heights(normal, periodic=True)
     assert (found - height).abs().max() < 0.01 * 0.02  # slopes are averaged between texels
-    tilted = F.normalize(normal + torch.tensor([0.2, 0.1, 0.0], dtype=torch.float64), dim=-1)  # a slope of the whole is lost
+    # a slope of the whole is lost
+    tilted = F.normalize(normal + torch.tensor([0.2, 0.1, 0.0], dtype=torch.float64), dim=-1)
     for each in (found, heights(tilted, periodic=True)):
-        assert float((each[:, 0] - each[:, -1]).abs().max()) < 1.5 * float((each[:, 1:] - each[:, :-1]).abs().max())
+        assert float((each[:, 0] - each[:, -1]).abs().max()) < 1.5 * float((each[:, 1:] - each[:,
+                                                                                               :-1]).abs().max())
     shifted = occlusion(height.roll((20, 9), (0, 1)), periodic=True).roll((-20, -9), (0, 1))
     assert (shifted - occlusion(height, periodic=True)).abs().max() < 1e-12  # no texel is at an edge
     assert (occlusion(height) - occlusion(height, periodic=True)).abs().max() > 1e-3
@@ -60,7 +65,8 @@ def test_a_relief_that_is_repeated_has_no_edges():
 def test_flat_and_sloping_ground_sees_the_whole_sky():
     assert bool((occlusion(torch.zeros(16, 16, dtype=torch.float64)) == 1).all())
     x = texel_positions(64)[..., 0]
-    up = occlusion(0.2 * x)[32, 16:48]  # half of the directions look uphill: mean of 1 / (1 + (0.2 cos)^2) over them
+    # half of the directions look uphill: mean of 1 / (1 + (0.2 cos)^2) over them
+    up = occlusion(0.2 * x)[32, 16:48]
     truth = 0.5 + 0.5 / math.sqrt(1 + 0.2**2)
     assert (up - truth).abs().max() < 4e-3  # measured 2.4e-3: steps along a direction end at whole texels
 
@@ -73,11 +79,13 @@ def test_the_sky_beside_a_wall_has_a_closed_form(away):
     height[:, size // 2:] = wall
     a = away / size
     found = float(occlusion(height)[size // 2, size // 2 - away])
-    assert found == pytest.approx((1 + a / math.hypot(a, wall)) / 2, abs=0.03)  # measured up to 0.02: sixteen directions
+    # measured up to 0.02: sixteen directions
+    assert found == pytest.approx((1 + a / math.hypot(a, wall)) / 2, abs=0.03)
 
 
 def test_occlusion_of_larger_reliefs_is_that_of_their_average(monkeypatch):
     height = 4 * bump(600)[0]
     coarse = occlusion(height)
     monkeypatch.setattr(relief, "FINEST", 600)
-    assert coarse.shape == (600, 600) and float((coarse - occlusion(height)).abs().max()) < 0.03  # measured 0.016
+    # measured 0.016
+    assert coarse.shape == (600, 600) and float((coarse - occlusion(height)).abs().max()) < 0.03

@@ -43,9 +43,11 @@ def test_edges_meet_afterwards(name):
 
 def test_tiles_end_where_they_began():
     """Five by five tiles, cut amid one: the overlap that leaves whole tiles differs least."""
-    made = cropped(make_material("tiles", 160), slice(10, 138), slice(20, 148))  # 4 tiles a side, of 32 texels
+    # 4 tiles a side, of 32 texels
+    made = cropped(make_material("tiles", 160), slice(10, 138), slice(20, 148))
     _, part = seamless(made)
-    assert 128 * part / 32 == pytest.approx(round(128 * part / 32), abs=0.07)  # half a step of the overlaps tried
+    # half a step of the overlaps tried
+    assert 128 * part / 32 == pytest.approx(round(128 * part / 32), abs=0.07)
 
 
 def test_all_maps_are_cut_alike():

@@ -43,26 +43,31 @@ def test_angle_is_that_of_the_nearest_half_vector():
 
 @pytest.mark.parametrize("shape, wanted", [
     (lambda x: 3 - 2 * x + x**3, 1.0),
-    (lambda x: x.abs(), 15 / 16),  # Legendre series of |x|: (5/2) (1/4)^2 of the variance 1/6 are in P2, none in P1 and P3
-    (lambda x: (5 * x**4 - 1) / 4, 1 - (128 / 11025) / (32 / 225)),  # of x^4 what P4, 8/35 of it, leaves out; any scale
+    # Legendre series of |x|: (5/2) (1/4)^2 of the variance 1/6 are in P2, none in P1 and P3
+    (lambda x: x.abs(), 15 / 16),
+    # of x^4 what P4, 8/35 of it, leaves out; any scale
+    (lambda x: (5 * x**4 - 1) / 4, 1 - (128 / 11025) / (32 / 225)),
 ])
 def test_share_of_a_curve(shape, wanted):
     # 20,000 midpoints in place of the integrals: an error of their square.
     x = (torch.arange(20000, dtype=torch.float64) + 0.5) / 10000 - 1
     assert explained_share(shape(x), x) == pytest.approx(wanted, abs=1e-7)
-    assert explained_share(shape(x).reshape(100, 200), 1e-3 * x.reshape(100, 200) + 0.3) == pytest.approx(wanted, abs=1e-7)
+    assert explained_share(shape(x).reshape(100, 200), 1e-3 * x.reshape(100, 200)
+                           + 0.3) == pytest.approx(wanted, abs=1e-7)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.25, 0.9])
 @pytest.mark.parametrize("name", ["roughness", "specular"])
 def test_maps_of_a_known_share(name, share):
-    # A cubic of the angle plus noise without any cubic in it; float32 maps and the encoding of specular leave 1e-6.
+    # A cubic of the angle plus noise without any cubic in it; float32 maps and the encoding of specular leave
+    # 1e-6.
     angle = coverage_angle(GRID, 64).flatten()
     powers = torch.stack([angle**k for k in range(4)], dim=1)
     noise = torch.randn(64 * 64, 1, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     noise = noise - powers @ torch.linalg.lstsq(powers, noise).solution
     burnt = (powers @ torch.tensor([[0.0], [1.0], [-3.0], [20.0]], dtype=torch.float64)) if share else noise
-    mixed = math.sqrt(share) * (burnt - burnt.mean()) / burnt.std() + math.sqrt(1 - share) * noise / noise.std()
+    mixed = (math.sqrt(share) * (burnt - burnt.mean()) / burnt.std()
+             + math.sqrt(1 - share) * noise / noise.std())
     shown = (0.4 + 0.04 * mixed).reshape(64, 64, 1)
     maps = dict(flat(64).maps) | {name: (shown**2.2).expand(64, 64, 3) if name == "specular" else shown}
     found = burn_in(SVBRDF("roughconductor", maps).to(torch.float32), GRID)
@@ -70,7 +75,8 @@ def test_maps_of_a_known_share(name, share):
 
 
 def test_noise_has_next_to_none():
-    # n texels of noise, 3 powers: a beta variable of mean 3 / (n - 1) and deviation 0.8 of that; the mean of twenty, 18 %.
+    # n texels of noise, 3 powers: a beta variable of mean 3 / (n - 1) and deviation 0.8 of that; the mean of
+    # twenty, 18 %.
     generator = torch.Generator().manual_seed(0)
     angle = coverage_angle(GRID, 48)
     found = [explained_share(torch.rand(48, 48, generator=generator), angle) for _ in range(20)]
@@ -79,7 +85,8 @@ def test_noise_has_next_to_none():
 
 def test_constant_maps_and_angles_have_none():
     assert burn_in(flat(32, roughness=0.3, specular=0.07), GRID) == {"specular": 0.0, "roughness": 0.0}
-    assert burn_in(flat(32, "principled", base_color=0.3, metallic=0.7), GRID) == {"specular": 0.0, "roughness": 0.0}
+    assert burn_in(flat(32, "principled", base_color=0.3, metallic=0.7), GRID) == {"specular": 0.0,
+                                                                                   "roughness": 0.0}
     assert explained_share(torch.rand(9, 9), torch.full((9, 9), 0.2)) == pytest.approx(0, abs=1e-12)
 
 
@@ -96,9 +103,11 @@ def lit_from(turn):
 
 
 def test_ovals_are_found_where_they_are():
-    views, noise = lit_from(0.0), torch.randn(64, 64, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    views, noise = lit_from(0.0), torch.randn(64, 64, generator=torch.Generator().manual_seed(3),
+                                              dtype=torch.float64)
     ovals = torch.exp(-(torch.tan(half_angles(views, 64)) / 0.06).square() / 2).sum(dim=0)
-    assert local_burn_in(roughness_of(ovals), views)["roughness"] == pytest.approx(1, abs=1e-3)  # a sum of the bumps
+    # a sum of the bumps
+    assert local_burn_in(roughness_of(ovals), views)["roughness"] == pytest.approx(1, abs=1e-3)
     # A quarter of the variance, the rest noise; seen from there, and from where no photo was taken.
     mixed = roughness_of(0.5 * (ovals - ovals.mean()) / ovals.std() + 0.75**0.5 * noise)
     there, elsewhere = (local_burn_in(mixed, lit_from(turn))["roughness"] for turn in (0.0, math.pi / 3))
@@ -110,26 +119,32 @@ def test_ovals_are_found_where_they_are():
 @pytest.mark.parametrize("name", MATERIALS)
 def test_true_maps_hold_no_ovals(name):
     # Measured with these and five captures' views, ten materials: -0.03 to 0.13.
-    assert all(abs(share) < 0.2 for share in local_burn_in(make_material(name, 64), nine_view_grid()).values())
+    assert all(abs(share) < 0.2 for share in local_burn_in(make_material(name, 64),
+                                                           nine_view_grid()).values())
 
 
 def test_constant_maps_hold_no_ovals():
     assert local_burn_in(flat(32, roughness=0.3, specular=0.07), GRID) == {"specular": 0.0, "roughness": 0.0}
 
 
-@pytest.mark.parametrize("name, wanted", [("wood-bamboo", 0.297), ("cards-blue", -0.003), ("bathroomtile1", -0.018)])
+@pytest.mark.parametrize("name, wanted", [("wood-bamboo", 0.297), ("cards-blue", -0.003),
+                                          ("bathroomtile1", -0.018)])
 def test_ovals_of_published_maps(name, wanted, data_folder):
     folder = data_folder / "captures" / name
     published = load_maps(folder / "materialgan", encoding="linear")
-    assert local_burn_in(published, read_capture(folder, resolution=16).views)["roughness"] == pytest.approx(wanted, abs=2e-3)
+    assert local_burn_in(published,
+                         read_capture(folder, resolution=16).views)["roughness"] == pytest.approx(wanted,
+                                                                                                  abs=2e-3)
 
 
-@pytest.mark.parametrize("name, wanted", [("wood-bamboo", 0.670), ("cards-blue", 0.015), ("bathroomtile1", 0.013)])
+@pytest.mark.parametrize("name, wanted", [("wood-bamboo", 0.670), ("cards-blue", 0.015),
+                                          ("bathroomtile1", 0.013)])
 def test_published_maps(name, wanted, data_folder):
     # MaterialGAN's roughness as its files store it, at 128 px: 0.6697, 0.0146, 0.0132.
     folder = data_folder / "captures" / name
     published = load_maps(folder / "materialgan", encoding="linear").resized(128)
-    assert burn_in(published, read_capture(folder, resolution=16).views)["roughness"] == pytest.approx(wanted, abs=1e-3)
+    assert burn_in(published, read_capture(folder, resolution=16).views)["roughness"] == pytest.approx(wanted,
+                                                                                                       abs=1e-3)
 
 
 def test_evaluate_looks_at_the_photos_of_the_fit(tmp_path):
@@ -139,7 +154,8 @@ def test_evaluate_looks_at_the_photos_of_the_fit(tmp_path):
     assert cli.main(["fit", shots, "-o", out, *fast, "--views", "0,1,3,8"]) == 0
     record = json.loads((tmp_path / "out/fit.json").read_text())["burn_in"]
     assert set(record) == {"specular", "roughness"} and record["roughness"] > 1e-3
-    assert torch.equal(read_fit(out).views.camera, read_capture(tmp_path / "shots").views.camera[[0, 1, 3, 8]])
+    assert torch.equal(read_fit(out).views.camera,
+                       read_capture(tmp_path / "shots").views.camera[[0, 1, 3, 8]])
     arguments = ["--capture", shots, "--views", "4,7", "--renderer", "analytic", "--json", figures]
     assert cli.main(["evaluate", out, *arguments]) == 0
     # From the files: EXR keeps the maps' float32.

@@ -1,4 +1,6 @@
-"""Patches are those that one would cut out by hand, and their sliced distance is the closed form of shifts and scales."""
+"""Patches are those that one would cut out by hand, and their sliced distance is the closed form of shifts
+and scales.
+"""
 
 import math
 
@@ -21,7 +23,8 @@ def test_patches_are_the_slices_around_chosen_pixels():
 
 
 def test_the_distance_of_a_shifted_set_is_the_mean_length_of_the_projected_shift():
-    # Of x and x + t each projection is off by |t . w|; its mean over the sphere is |t| Gamma(d/2) / (sqrt(pi) Gamma((d+1)/2)).
+    # Of x and x + t each projection is off by |t . w|; its mean over the sphere is |t| Gamma(d/2) / (sqrt(pi)
+    # Gamma((d+1)/2)).
     d = 12
     x = torch.randn(500, d, generator=torch.Generator().manual_seed(2))
     shift = torch.linspace(-1, 1, d)
@@ -41,8 +44,10 @@ def test_the_distance_is_that_of_an_independent_solver_in_one_dimension():
 def test_the_distance_does_not_ask_what_lies_where_and_keeps_its_bits():
     x = torch.rand(200, 147, generator=torch.Generator().manual_seed(4))
     y = torch.rand(200, 147, generator=torch.Generator().manual_seed(5))
-    assert sliced_wasserstein(x, x.flip(0)) < 1e-15  # a product's rounding may depend on the row: 2e-18 on AMD, 0 on Intel
-    assert sliced_wasserstein(x, y, seed=7) == sliced_wasserstein(x, y, seed=7) != sliced_wasserstein(x, y, seed=8)
+    # a product's rounding may depend on the row: 2e-18 on AMD, 0 on Intel
+    assert sliced_wasserstein(x, x.flip(0)) < 1e-15
+    assert sliced_wasserstein(x, y, seed=7) == sliced_wasserstein(x, y, seed=7) != sliced_wasserstein(x, y,
+                                                                                                      seed=8)
     with pytest.raises(MapsError, match="as many"):
         sliced_wasserstein(x, y[:100])
 

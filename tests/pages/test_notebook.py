@@ -1,4 +1,6 @@
-"""What a notebook shows: HTML that holds together, pictures of the right pixels, small, with every text escaped."""
+"""What a notebook shows: HTML that holds together, pictures of the right pixels, small, with every text
+escaped.
+"""
 
 import base64
 import io
@@ -65,17 +67,21 @@ def result(shots):
 
 
 def test_maps_are_shown_for_display():
-    # sRGB of 0.2 is 1.055 * 0.2^(1 / 2.4) - 0.055 = 0.4845 = 124 / 255, of 0.5 it is 188 / 255, and of 0 it is 0.
+    # sRGB of 0.2 is 1.055 * 0.2^(1 / 2.4) - 0.055 = 0.4845 = 124 / 255, of 0.5 it is 188 / 255, and of 0 it
+    # is 0.
     maps = dict(flat(8, roughness=0.6).maps)
     maps["diffuse"] = torch.zeros(8, 8, 3)
-    maps["diffuse"][0, :, 0], maps["diffuse"][:, 7, 2] = 0.2, 0.5  # the first row reddish, the last column blue
+    # the first row reddish, the last column blue
+    maps["diffuse"][0, :, 0], maps["diffuse"][:, 7, 2] = 0.2, 0.5
     maps["normal"] = torch.tensor([0.6, 0.0, 0.8]).expand(8, 8, 3)
     shown = Shown(SVBRDF("roughconductor", maps))
     diffuse = shown.pixels("Diffuse 0 to 0.5")
     assert diffuse.shape == (8, 8, 3)
-    assert diffuse[0, 0].tolist() == [124, 0, 0] and diffuse[5, 7].tolist() == [0, 0, 188] and not diffuse[1:, :7].any()
+    assert diffuse[0, 0].tolist() == [124, 0, 0] and diffuse[5, 7].tolist() == [0, 0, 188] and not diffuse[1:,
+                                                                                                           :7].any()
     assert (shown.pixels("Roughness 0.6 to 0.6") == 153).all()
-    assert (shown.pixels("Normal") == [204, 128, 230]).all()  # 0.8, 0.5 and 0.9 of 255, halves to the even side
+    # 0.8, 0.5 and 0.9 of 255, halves to the even side
+    assert (shown.pixels("Normal") == [204, 128, 230]).all()
     assert "roughconductor · 8 × 8 px" in shown.words
 
 
@@ -90,13 +96,15 @@ def test_large_maps_are_averaged_down():
 
 def test_values_that_are_no_numbers_are_magenta():
     maps = dict(flat(4).maps)
-    maps["roughness"] = maps["roughness"].clone().requires_grad_().where(torch.arange(4)[:, None, None] > 0, torch.nan)
+    maps["roughness"] = maps["roughness"].clone().requires_grad_().where(torch.arange(4)[:, None, None] > 0,
+                                                                         torch.nan)
     pixels = Shown(SVBRDF("roughconductor", maps)).pixels("Roughness")
     assert (pixels[0] == [255, 0, 255]).all() and (pixels[1:] == 128).all()
 
 
 def test_photos_with_their_positions(shots):
-    views = replace(shots.views, light=shots.views.light + torch.tensor([0.0, 0.5, 0.0], dtype=torch.float64) * (
+    views = replace(shots.views, light=shots.views.light + torch.tensor([0.0, 0.5, 0.0],
+                                                                        dtype=torch.float64) * (
         torch.arange(9)[:, None] == 1))
     capture = replace(shots, views=replace(views, camera=2 * views.camera, light=2 * views.light, size=2.0),
                       index=tuple(range(1, 10)))
@@ -126,7 +134,8 @@ def test_a_result_shows_maps_error_and_why_it_stopped(result):
     # Re-rendered photos are shown in sRGB, whose closed form is applied here in float64.
     radiance = result.rerendered[3].double().numpy().clip(0, 1)
     srgb = np.where(radiance <= 0.0031308, 12.92 * radiance, 1.055 * radiance ** (1 / 2.4) - 0.055) * 255
-    assert np.abs(shown.pixels(f"#4 · {result.per_photo[3]:.4f}") - srgb).max() < 0.51  # rounded to whole steps, in float32
+    # rounded to whole steps, in float32
+    assert np.abs(shown.pixels(f"#4 · {result.per_photo[3]:.4f}") - srgb).max() < 0.51
     guess = shown.pixels("Guessed diffuse").astype(float)
     expected = result.guess.double().numpy().clip(0, 1)
     expected = np.where(expected <= 0.0031308, 12.92 * expected, 1.055 * expected ** (1 / 2.4) - 0.055) * 255
@@ -134,11 +143,13 @@ def test_a_result_shows_maps_error_and_why_it_stopped(result):
 
 
 def test_the_largest_result_stays_below_the_limit(result):
-    noise = torch.rand(12, 256, 256, 3, generator=torch.Generator().manual_seed(0)) ** 9  # wide, so that averages differ
+    # wide, so that averages differ
+    noise = torch.rand(12, 256, 256, 3, generator=torch.Generator().manual_seed(0)) ** 9
     small = torch.nn.functional.adaptive_avg_pool2d(noise.permute(0, 3, 1, 2), 128).permute(0, 2, 3, 1)
-    maps = {"diffuse": small[0], "specular": small[1], "roughness": small[2][..., :1], "normal": small[3] + 0.01}
-    shown = Shown(replace(result, svbrdf=SVBRDF("roughconductor", maps), guess=small[4], rerendered=noise, per_photo=[0.1] * 12,
-                          warnings=("a long warning " * 1000,) * 1000))
+    maps = {"diffuse": small[0], "specular": small[1], "roughness": small[2][..., :1], "normal": small[3]
+            + 0.01}
+    shown = Shown(replace(result, svbrdf=SVBRDF("roughconductor", maps), guess=small[4], rerendered=noise,
+                          per_photo=[0.1] * 12, warnings=("a long warning " * 1000,) * 1000))
     assert len(shown.sources) == 14 and shown.words.count("…") + shown.words.count("...") >= 10
 
 
@@ -172,5 +183,6 @@ def test_importing_stays_light():
 def test_in_a_terminal_they_are_one_line(shots, result):
     assert repr(flat(4)) == "SVBRDF(roughconductor, 4 px)"
     assert repr(shots).startswith("Capture(without a folder, photos 00, 01") and len(repr(shots)) < 120
-    assert repr(result).startswith("FitResult(direct, SVBRDF(") and f"{result.rerender_rmse:.4f}" in repr(result)
+    assert repr(result).startswith("FitResult(direct, SVBRDF(") and f"{result.rerender_rmse:.4f}" in repr(
+        result)
     assert len(repr(result)) < 120

@@ -16,11 +16,11 @@ from PIL import Image
 
 from mitsvbrdf.cli.relight import relight
 from mitsvbrdf.errors import BackendError, ConfigError, MitsvbrdfError, OutputError
+from mitsvbrdf.io import images, result_folder
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.relight import frames as frames_module
 from mitsvbrdf.relight.passes import render_frame
-from mitsvbrdf.system import images, result_folder
 
 SMALL = {"size": "24", "samples": 4}
 
@@ -38,11 +38,13 @@ def test_stills_open_elsewhere(tmp_path, capsys):
     linear = images.read_image(tmp_path / "o" / "sphere.exr", MitsvbrdfError).numpy()
     with Image.open(tmp_path / "o" / "sphere.png") as image:
         assert image.size == (40, 24) and image.mode == "RGB"
-        assert np.abs(np.asarray(image) / 255 - srgb(2 * linear)).max() <= 0.51 / 255  # exposed by one stop; rounded
+        # exposed by one stop; rounded
+        assert np.abs(np.asarray(image) / 255 - srgb(2 * linear)).max() <= 0.51 / 255
     said = capsys.readouterr().out
     frame, = record(tmp_path / "o")["presets"]["sphere"]["frames"]
     assert frame["error"] <= 0.05 and f"{frame['samples']} samples a pixel, estimated error {frame['error']:.4f}" in said
-    assert "polyline" in (tmp_path / "o" / "sphere.svg").read_text() or "<path" in (tmp_path / "o" / "sphere.svg").read_text()
+    assert "polyline" in (tmp_path / "o" / "sphere.svg").read_text() or "<path" in (
+        tmp_path / "o" / "sphere.svg").read_text()
 
 
 class StopAfter(list):
@@ -61,7 +63,8 @@ def test_resumed_frames_are_those_of_an_uninterrupted_run(tmp_path, monkeypatch,
     options = {"preset": "sphere,sweep", "frames": 3, "movie": "mp4,gif"}
     assert run(tmp_path / "whole", **options) == 0
     with monkeypatch.context() as patch:
-        patch.setattr("mitsvbrdf.cli.relight.stop_signals", lambda: contextlib.nullcontext(StopAfter(5 * 4 + 2)))
+        patch.setattr("mitsvbrdf.cli.relight.stop_signals",
+                      lambda: contextlib.nullcontext(StopAfter(5 * 4 + 2)))
         assert run(tmp_path / "parts", **options) == 0
     assert "--resume" in capsys.readouterr().out
     begun = record(tmp_path / "parts")["presets"]
@@ -97,7 +100,8 @@ def test_a_killed_run_goes_on_from_its_partial_folder(tmp_path):
     images.write_exr(partial / "sweep" / "0000.exr", marked)
     run(tmp_path / "killed", resume=True, **options)
     kept, made = pictures(tmp_path / "killed", "sweep")
-    assert torch.equal(kept, marked) and torch.allclose(made, pictures(tmp_path / "whole", "sweep")[1], rtol=1e-5, atol=1e-7)
+    assert torch.equal(kept, marked) and torch.allclose(made, pictures(tmp_path / "whole", "sweep")[1],
+                                                        rtol=1e-5, atol=1e-7)
 
 
 def test_ctrl_c_ends_well(tmp_path, monkeypatch, capsys):
@@ -131,7 +135,8 @@ def test_an_end_before_the_next_frame_loses_none(tmp_path, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr("mitsvbrdf.cli.relight.stop_signals", lambda: contextlib.nullcontext(StopAfter(0)))
         run(tmp_path / "o", resume=True, **options | {"preset": "sweep,sphere"})
-    assert len(pictures(tmp_path / "o", "sweep")) == len(record(tmp_path / "o")["presets"]["sweep"]["frames"]) == 2
+    assert len(pictures(tmp_path / "o",
+                        "sweep")) == len(record(tmp_path / "o")["presets"]["sweep"]["frames"]) == 2
     run(tmp_path / "o", resume=True, **options | {"preset": "sweep,sphere"})
     assert len(record(tmp_path / "o")["presets"]["sphere"]["frames"]) == 2
 
@@ -145,7 +150,8 @@ def test_a_run_goes_on_only_with_what_it_had(tmp_path, monkeypatch):
     def refused(error, why):
         with pytest.raises(error, match=why):
             relight(str(tmp_path / "m"), resume=True, **options)
-        assert not result_folder.partial_folder(tmp_path / "o").exists() and (tmp_path / "o" / "sphere.png").is_file()
+        assert not result_folder.partial_folder(tmp_path / "o").exists() and (
+            tmp_path / "o" / "sphere.png").is_file()
 
     with monkeypatch.context() as patch:  # no mistake of the record
         patch.setattr(frames_module.shutil, "copy2", raises(OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))))
@@ -161,7 +167,8 @@ def test_a_run_goes_on_only_with_what_it_had(tmp_path, monkeypatch):
     refused(ConfigError, "without sphere.exr")
 
 
-@pytest.mark.parametrize("name", ["../secret.exr", "linked/secret.exr", "link.exr", "{root}/secret.exr", "pipe.exr", 5])
+@pytest.mark.parametrize("name", ["../secret.exr", "linked/secret.exr", "link.exr", "{root}/secret.exr",
+                                  "pipe.exr", 5])
 def test_a_record_brings_no_file_from_outside(tmp_path, name):
     out, folder = tmp_path / "out", tmp_path / "folder"
     out.mkdir()
@@ -173,9 +180,11 @@ def test_a_record_brings_no_file_from_outside(tmp_path, name):
     os.mkfifo(out / "pipe.exr")
     name = name.replace("{root}", str(tmp_path)) if isinstance(name, str) else name
     frame = {"frame": 0, "file": name, "stopped": "samples"}
-    for presets in ({"sphere": {"frames": [frame]}}, {"../secret": {"frames": []}, "linked/secret": {"frames": []}}):
+    for presets in ({"sphere": {"frames": [frame]}}, {"../secret": {"frames": []},
+                                                      "linked/secret": {"frames": []}}):
         (out / "relight.json").write_text(json.dumps({"settings": {}, "presets": presets}))
-        with contextlib.nullcontext() if "../secret" in presets else pytest.raises(ConfigError, match="relight.json"):
+        with contextlib.nullcontext() if "../secret" in presets else pytest.raises(ConfigError,
+                                                                                   match="relight.json"):
             frames_module.go_on({}, out, folder)
         assert not list(folder.iterdir()) and (tmp_path / "secret.exr").read_text() == "theirs"
 
@@ -209,10 +218,12 @@ def test_explain_renders_nothing(tmp_path, capsys):
     assert re.search(r"^sphere leaves out: .+ \(.+\)$", said, re.MULTILINE) and not (tmp_path / "o").exists()
 
 
-@pytest.mark.parametrize("wrong", [{"target_error": 0.1}, {"size": "2"}, {"size": "100000"}, {"size": "3x4x5"}, {"size": "big"},
-                                   {"preset": "cube"}, {"movie": "avi"}, {"exposure": 99.0}, {"frames": 0}, {"tiling": 0},
-                                   {"environment": "no-such.exr"}, {"environment": ""}, {"seed": -1}, {"out": None},
-                                   {"resume": True}])
+@pytest.mark.parametrize("wrong", [{"target_error": 0.1}, {"size": "2"}, {"size": "100000"},
+                                   {"size": "3x4x5"}, {"size": "big"},
+                                   {"preset": "cube"}, {"movie": "avi"}, {"exposure": 99.0}, {"frames": 0},
+                                   {"tiling": 0},
+                                   {"environment": "no-such.exr"}, {"environment": ""}, {"seed": -1},
+                                   {"out": None}, {"resume": True}])
 def test_wrong_options_are_one_error_and_leave_nothing(tmp_path, wrong):
     with pytest.raises(MitsvbrdfError):
         run(**({"out": tmp_path / "o"} | wrong))
@@ -224,7 +235,8 @@ def test_movies_without_pyav_are_refused_before_any_work(tmp_path, monkeypatch):
     with pytest.raises(BackendError, match='pip install "mitsvbrdf.movie."'):
         run(tmp_path / "o", preset="sweep", frames=2)
     assert not (tmp_path / "o").exists()
-    assert run(tmp_path / "o", preset="sweep", frames=2, movie="gif") == 0 and (tmp_path / "o" / "sweep.gif").is_file()
+    assert run(tmp_path / "o", preset="sweep", frames=2,
+               movie="gif") == 0 and (tmp_path / "o" / "sweep.gif").is_file()
 
 
 def test_budget_is_for_all_frames_together(tmp_path, monkeypatch):
@@ -239,7 +251,8 @@ def test_budget_is_for_all_frames_together(tmp_path, monkeypatch):
     frames = record(tmp_path / "o")["presets"]["sweep"]["frames"]
     assert [frame["stopped"] for frame in frames] == ["budget"] * 3
     first, second, _ = (frame["seconds"] for frame in frames)  # those to come share what is left
-    assert given == pytest.approx([0.5, max((1.5 - first) / 2, 1e-3), max(1.5 - first - second, 1e-3)], abs=1e-9)
+    assert given == pytest.approx([0.5, max((1.5 - first) / 2, 1e-3), max(1.5 - first - second, 1e-3)],
+                                  abs=1e-9)
     # On a slow machine a frame may be done with its first sample, whose error cannot be estimated.
     assert all(bool(frame["curve"]) == (frame["samples"] > 1) for frame in frames)
 

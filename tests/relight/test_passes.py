@@ -41,7 +41,8 @@ def test_estimated_error_is_the_scatter_of_repeated_renders(mi, scenes, preset):
 
 
 def test_estimate_knows_clipping_and_the_dark():
-    # A pixel that is dark but for one sample in 32 that is 100 times too bright for the display; others near black.
+    # A pixel that is dark but for one sample in 32 that is 100 times too bright for the display; others near
+    # black.
     noise = np.random.default_rng(3)
 
     def draw(call, samples):
@@ -57,14 +58,16 @@ def test_estimate_knows_clipping_and_the_dark():
 
 @pytest.mark.parametrize("counts", [(1, 1, 1, 1), (4, 4, 4, 4, 4, 4, 4, 4), (7, 1, 2, 4, 8, 1, 1, 1)])
 def test_groups_of_any_size_give_the_standard_error_of_a_mean(counts):
-    # Mid-grey with little noise: there display values are as good as linear, and the textbook's sigma / sqrt(n) holds.
+    # Mid-grey with little noise: there display values are as good as linear, and the textbook's sigma /
+    # sqrt(n) holds.
     torch.manual_seed(1)
     mean, sigma = GroupedMean(), 0.004
     for count in counts:
         mean.add(0.5 + sigma / math.sqrt(count) * torch.randn(200, 200, 3), count)
     slope = 1.055 / 2.4 * 0.5 ** (1 / 2.4 - 1)  # of the sRGB curve at 0.5
     assert mean.samples == sum(counts)
-    assert mean.error() == pytest.approx(slope * sigma / math.sqrt(sum(counts)), rel=0.02)  # 0.3 to 1.1 % seen
+    # 0.3 to 1.1 % seen
+    assert mean.error() == pytest.approx(slope * sigma / math.sqrt(sum(counts)), rel=0.02)
 
 
 def test_mean_is_that_of_all_samples():
@@ -102,7 +105,8 @@ def test_target_is_met_and_not_by_far(mi, scenes, preset):
 def test_one_sample_that_is_enough_is_noticed():
     picture = torch.full((8, 8, 3), 0.4)
     found = render_passes(lambda call, samples: picture, Stop(target_error=0.01), pixels=64)
-    assert found.samples == 2 and found.error == one_sample(found.curve) == 0 and torch.equal(found.image, picture)
+    assert found.samples == 2 and found.error == one_sample(found.curve) == 0 and torch.equal(found.image,
+                                                                                              picture)
 
 
 def test_number_of_samples_is_kept_and_calls_are_independent():
@@ -123,7 +127,8 @@ def test_number_of_samples_is_kept_and_calls_are_independent():
 
 def test_all_numbers_of_samples_share_one_kernel(mi, scenes):
     import drjit as dr
-    gc.collect()  # a kernel calls every BSDF that lives: scenes of before, freed on the way, would have it made again
+    # a kernel calls every BSDF that lives: scenes of before, freed on the way, would have it made again
+    gc.collect()
     render_frame(mi, scenes["sphere"], Stop(samples=2))
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history_clear()
@@ -149,8 +154,10 @@ def test_budget_is_kept_to_a_pass(monkeypatch):
     assert ends[-1] <= 0.3 + 1e-9 < ends[-1] + last  # one more of its length would have been too long
 
 
-@pytest.mark.parametrize("wrong", [{"target_error": 0.1, "samples": 3}, {"budget": 1, "samples": 1}, {"target_error": 0.0},
-                                   {"target_error": 1.0}, {"budget": 0.0}, {"budget": math.nan}, {"samples": 0}])
+@pytest.mark.parametrize("wrong", [{"target_error": 0.1, "samples": 3}, {"budget": 1, "samples": 1},
+                                   {"target_error": 0.0},
+                                   {"target_error": 1.0}, {"budget": 0.0}, {"budget": math.nan},
+                                   {"samples": 0}])
 def test_limits_that_are_none(wrong):
     with pytest.raises(ConfigError):
         Stop(**wrong)
@@ -158,4 +165,5 @@ def test_limits_that_are_none(wrong):
 
 def test_radiance_that_is_not_finite_is_refused():
     with pytest.raises(MapsError, match="NaN"):
-        render_passes(lambda call, samples: torch.tensor([math.nan]).expand(4, 4, 3), Stop(samples=4), pixels=16)
+        render_passes(lambda call, samples: torch.tensor([math.nan]).expand(4, 4, 3), Stop(samples=4),
+                      pixels=16)

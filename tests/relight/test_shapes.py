@@ -9,32 +9,36 @@ import torch.nn.functional as F
 from helpers.stages import drawn, unjittered
 
 from mitsvbrdf.export.mitsuba import SCENES
+from mitsvbrdf.io import images
 from mitsvbrdf.material.maps import CHANNELS, SVBRDF, flat
 from mitsvbrdf.material.relief import occlusion
 from mitsvbrdf.measure.metrics import image_error
 from mitsvbrdf.relight import make_stage
 from mitsvbrdf.relight.shapes import mitsuba_mesh, relief, shaderball
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.system import images
 from mitsvbrdf.testing import assert_z_test, random_material
 from mitsvbrdf.views import Views, texel_positions
 
 LAMP = torch.tensor([-2.6, -2.0, 3.2], dtype=torch.float64)  # of the environment "none"
 LEAN = torch.tensor([0.4, 0.25], dtype=torch.float64)  # of every normal: right and up
-QUARTERS = torch.tensor([[[0.9, 0.1, 0.1], [0.1, 0.9, 0.1]], [[0.1, 0.1, 0.9], [0.9, 0.9, 0.1]]], dtype=torch.float64)
+QUARTERS = torch.tensor([[[0.9, 0.1, 0.1], [0.1, 0.9, 0.1]], [[0.1, 0.1, 0.9], [0.9, 0.9, 0.1]]],
+                        dtype=torch.float64)
 
 
 def leaning_quarters(size=64):
     """A matt material: a colour in each quarter, and normals that lean to the right and a little up."""
     colours = QUARTERS.repeat_interleave(size // 2, 0).repeat_interleave(size // 2, 1).float()
     normal = torch.cat((LEAN, (1 - LEAN.square().sum()).sqrt()[None])).float().expand(size, size, 3)
-    maps = {"diffuse": colours, "specular": torch.zeros(size, size, 3), "roughness": torch.full((size, size, 1), 0.5),
+    maps = {"diffuse": colours, "specular": torch.zeros(size, size, 3),
+            "roughness": torch.full((size, size, 1), 0.5),
             "normal": normal}
     return SVBRDF("roughconductor", maps)
 
 
 def camera_rays(stage):
-    """Origin, and unit directions through the pixels' middles, from the camera's matrix: x left, y up, z ahead."""
+    """Origin, and unit directions through the pixels' middles, from the camera's matrix: x left, y up, z
+    ahead.
+    """
     sensor = stage.scene["sensor"]
     matrix = torch.from_numpy(np.array(sensor["to_world"].matrix)).double()
     size = sensor["film"]["width"]
@@ -46,9 +50,11 @@ def camera_rays(stage):
 
 
 def matt(position, normal, right, u, v, ray, intensity, light):
-    """Closed form: Lambert's law with the leaning normal and the quarter's colour; and where no edge of a quarter is near.
+    """Closed form: Lambert's law with the leaning normal and the quarter's colour; and where no edge of a
+    quarter is near.
 
-    Edges are also those where the leaning normal, or the shape's own, begins to face away from camera or light.
+    Edges are also those where the leaning normal, or the shape's own, begins to face away from camera or
+    light.
     """
     up = torch.linalg.cross(normal, right)
     leaning = LEAN[0] * right + LEAN[1] * up + (1 - LEAN.square().sum()).sqrt() * normal
@@ -66,7 +72,8 @@ def assert_matches(image, truth, where, limit=5e-6):
     assert where.double().mean() > 0.1
     image, truth = image.double()[where], truth[where]
     assert truth.max() > 0.1 and truth.std() > 0.02
-    # Measured in float32: 3e-7 on the patch, 7e-7 on the sphere. A mirrored map, or a normal leaning another way: 0.1 and more.
+    # Measured in float32: 3e-7 on the patch, 7e-7 on the sphere. A mirrored map, or a normal leaning another
+    # way: 0.1 and more.
     assert (image - truth).abs().max() < limit
 
 
@@ -102,9 +109,12 @@ def test_maps_on_the_shader_ball_are_not_mirrored_and_normals_lean_along_them(mi
     stage.scene["integrator"]["max_depth"] = 2
     origin, ray = camera_rays(stage)
     scene = stage.at(mi)
-    hit = scene.ray_intersect(mi.Ray3f(mi.Point3f(*origin.tolist()), mi.Vector3f(*ray.reshape(-1, 3).T.float().numpy())))
-    position, normal = (torch.from_numpy(np.array(value)).T.reshape(48, 48, 3).double() for value in (hit.p, hit.sh_frame.n))
-    right = F.normalize(torch.stack((-position[..., 1], position[..., 0], torch.zeros(48, 48)), dim=-1), dim=-1)
+    hit = scene.ray_intersect(mi.Ray3f(mi.Point3f(*origin.tolist()),
+                                       mi.Vector3f(*ray.reshape(-1, 3).T.float().numpy())))
+    position, normal = (torch.from_numpy(np.array(value)).T.reshape(48, 48, 3).double() for value in (hit.p,
+                                                                                                      hit.sh_frame.n))
+    right = F.normalize(torch.stack((-position[..., 1], position[..., 0], torch.zeros(48, 48)), dim=-1),
+                        dim=-1)
     u = torch.atan2(position[..., 0], -position[..., 1]) / math.pi + 0.5
     v = torch.where(position[..., 2] > 1.1, 0.75, 0.25)  # the widest place is the middle of the map
     truth, clear = matt(position, normal, right, u, v, ray, 0.8 * math.pi * LAMP.square().sum(), LAMP)
@@ -116,11 +126,13 @@ def test_maps_on_the_shader_ball_are_not_mirrored_and_normals_lean_along_them(mi
 
 def test_no_normal_turns_a_rim_black(mi, tmp_path):
     images.write_exr(tmp_path / "white.exr", torch.ones(4, 8, 3))
-    stage = make_stage(mi, leaning_quarters(), "sphere", environment=str(tmp_path / "white.exr"), size=(48, 48))
+    stage = make_stage(mi, leaning_quarters(), "sphere", environment=str(tmp_path / "white.exr"),
+                       size=(48, 48))
     origin, ray = camera_rays(stage)
     inside = (ray @ origin).square() - origin.square().sum() + 1 > 0.05
     picture = drawn(mi, stage, spp=256).amax(dim=-1)[inside]
-    # A matt surface in even light is as bright as its colour, less what leaning normals see of the sphere itself.
+    # A matt surface in even light is as bright as its colour, less what leaning normals see of the sphere
+    # itself.
     assert picture.min() > 0.35 and picture.max() < 0.8  # measured 0.50 and 0.72; 0 where normals face away
 
 
@@ -141,7 +153,8 @@ def test_novel_differs_from_pixel_averages_by_noise_alone(mi, bsdf):
     material, fine = random_material(bsdf, 12), 12
     stage = make_stage(mi, material, "novel", size=(12, 12))
     scene = stage.at(mi)
-    passes = torch.stack([torch.from_numpy(np.array(mi.render(scene, spp=64, seed=seed))) for seed in range(16)])
+    passes = torch.stack([torch.from_numpy(np.array(mi.render(scene, spp=64, seed=seed)))
+                          for seed in range(16)])
     near = material.map(lambda t: t.repeat_interleave(fine, 0).repeat_interleave(fine, 1))
     truth = make_renderer("analytic64").render(near, stage.views)[0]
     truth = truth.reshape(12, fine, 12, fine, 3).mean(dim=(1, 3))
@@ -166,14 +179,17 @@ def test_a_displaced_patch_is_as_high_as_its_normals_say(mi):
         x, y = (tile + torch.tensor([left, low])).float().T.numpy()
         hit = scene.ray_intersect(mi.Ray3f(mi.Point3f(x, y, 1), mi.Vector3f(0, 0, -1)))
         found = torch.from_numpy(np.array(hit.p.z)).double().reshape(64, 64)
-        assert (found - height / 4).abs().max() < 4e-3 * 0.05 / 4  # the error of the heights themselves, see above
-        assert np.allclose(np.array(hit.sh_frame.n), [[0], [0], [1]], atol=1e-6)  # the normal map is not applied twice
+        # the error of the heights themselves, see above
+        assert (found - height / 4).abs().max() < 4e-3 * 0.05 / 4
+        # the normal map is not applied twice
+        assert np.allclose(np.array(hit.sh_frame.n), [[0], [0], [1]], atol=1e-6)
         assert np.allclose(np.array(hit.sh_frame.s), [[1], [0], [0]], atol=1e-6)
 
 
 def test_a_relief_reaches_the_edges_of_the_patch():
     mesh = relief(torch.zeros(5, 5))
-    assert mesh.positions.min(axis=0).tolist() == [-0.5, -0.5, 0] and mesh.positions.max(axis=0).tolist() == [0.5, 0.5, 0]
+    assert mesh.positions.min(axis=0).tolist() == [-0.5, -0.5,
+                                                   0] and mesh.positions.max(axis=0).tolist() == [0.5, 0.5, 0]
     corners = mesh.positions[mesh.faces]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] / 2
     assert area.min() > 0 and area.sum() == pytest.approx(1, rel=1e-12)
@@ -182,7 +198,8 @@ def test_a_relief_reaches_the_edges_of_the_patch():
 def test_the_shader_balls_file_is_its_recipe_and_its_maps_keep_their_angles(mi):
     mesh = shaderball()
     kept = mi.traverse(mi.load_dict({"type": "ply", "filename": str(SCENES / "shaderball.ply")}))
-    for key, value in (("vertex_positions", mesh.positions), ("vertex_normals", mesh.normals), ("vertex_texcoords", mesh.uv)):
+    for key, value in (("vertex_positions", mesh.positions), ("vertex_normals", mesh.normals),
+                       ("vertex_texcoords", mesh.uv)):
         assert np.allclose(np.array(kept[key]), value.ravel(), atol=1e-6)
     assert np.array_equal(np.array(kept["faces"]), mesh.faces.ravel())
     corners, uv = mesh.positions[mesh.faces], mesh.uv[mesh.faces]
@@ -199,16 +216,23 @@ def test_the_shader_balls_file_is_its_recipe_and_its_maps_keep_their_angles(mi):
 
 
 def test_rays_see_as_much_sky(mi):
-    """White ground with this relief under an evenly bright sky, one bounce of Mitsuba: its radiance is the share of the sky."""
+    """White ground with this relief under an evenly bright sky, one bounce of Mitsuba: its radiance is the
+    share of the sky.
+    """
     height = 4 * bump(64)[0]
     scene = mi.load_dict({
         "type": "scene", "integrator": {"type": "direct"}, "sky": {"type": "constant", "radiance": 1.0},
-        "patch": mitsuba_mesh(mi, relief(height), "patch", mi.load_dict({"type": "diffuse", "reflectance": 1.0})),
-        "sensor": {"type": "orthographic", "to_world": mi.ScalarTransform4f().look_at([0, 0, 2], [0, 0, 0], [0, 1, 0])
+        "patch": mitsuba_mesh(mi, relief(height), "patch",
+                              mi.load_dict({"type": "diffuse", "reflectance": 1.0})),
+        "sensor": {"type": "orthographic", "to_world": mi.ScalarTransform4f().look_at([0, 0, 2], [0, 0, 0],
+                                                                                      [0, 1, 0])
                    @ mi.ScalarTransform4f().scale([0.5, 0.5, 1]),
-                   "film": {"type": "hdrfilm", "width": 64, "height": 64, "rfilter": {"type": "box"}, "pixel_format": "rgb"}}})
+                   "film": {"type": "hdrfilm", "width": 64, "height": 64, "rfilter": {"type": "box"},
+                            "pixel_format": "rgb"}}})
     seen = torch.tensor(mi.render(scene, spp=256, seed=0).numpy())[..., 0]
     found = occlusion(height)
-    # Rays weigh by the slope's own normal, ours by the plane's, and they leave the patch at its border: measured 0.94.
+    # Rays weigh by the slope's own normal, ours by the plane's, and they leave the patch at its border:
+    # measured 0.94.
     inner = slice(8, 56)
-    assert torch.corrcoef(torch.stack((seen[inner, inner].flatten().double(), found[inner, inner].flatten())))[0, 1] > 0.8
+    assert torch.corrcoef(torch.stack((seen[inner, inner].flatten().double(),
+                                       found[inner, inner].flatten())))[0, 1] > 0.8

@@ -17,7 +17,8 @@ def test_mirror_images_look_as_in_a_mirror():
     truth = renderer.render(material, Views.of([camera], [light]))[0]
     for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):
         rows, columns = slice(row * side, (row + 1) * side), slice(column * side, (column + 1) * side)
-        part = SVBRDF(material.bsdf, {name: value[rows, columns].contiguous() for name, value in four.maps.items()})
+        part = SVBRDF(material.bsdf,
+                      {name: value[rows, columns].contiguous() for name, value in four.maps.items()})
         turned = torch.tensor([1.0 - 2 * column, 1.0 - 2 * row, 1.0])
         views = Views.of(*((torch.tensor([place]) * turned).tolist() for place in (camera, light)))
         found = renderer.render(part, views)[0]

@@ -18,8 +18,11 @@ from mitsvbrdf.verify.soak import kernels_made
 
 
 def each_with(every, choices):
-    """Each preset with each choice: quick are all of preset ``every``, and one of each other preset, in turn."""
-    return [pytest.param(preset, choice, marks=() if preset == every or (row + i) % len(choices) == 0 else pytest.mark.slow)
+    """Each preset with each choice: quick are all of preset ``every``, and one of each other preset, in
+    turn.
+    """
+    return [pytest.param(preset, choice, marks=() if preset == every or (row + i) % len(choices) == 0
+                         else pytest.mark.slow)
             for row, preset in enumerate(PRESETS) for i, choice in enumerate(choices)]
 
 
@@ -33,14 +36,17 @@ def test_every_preset_draws_and_moves_without_new_kernels(mi, preset, bsdf):
     scene = mi.load_dict(stage.scene)
     held = mi.traverse(scene)
     pictures, kernels = [], []
-    gc.collect()  # a kernel calls every BSDF that lives: scenes of before, freed on the way, would have it made again
+    # a kernel calls every BSDF that lives: scenes of before, freed on the way, would have it made again
+    gc.collect()
     for frame in range(3):
         stage.move(held, frame)
         pictures.append(torch.from_numpy(np.array(mi.render(scene, spp=16, seed=0))))
         kernels.append(kernels_made())
     assert kernels[0] > 0 and kernels[1:] == kernels[:1] * 2
     for picture in pictures:
-        assert picture.shape == (24, 24, 3) and bool(torch.isfinite(picture).all()) and 0.02 < float(picture.mean()) < 2
+        assert picture.shape == (24, 24,
+                                 3) and bool(torch.isfinite(picture).all()) and 0.02 < float(
+                                     picture.mean()) < 2
     assert float((pictures[1] - pictures[0]).abs().mean()) > 0.01
 
 
@@ -69,7 +75,8 @@ def test_the_turntable_turns_the_patch_counter_clockwise_and_nothing_else(mi):
 def test_the_studio_stays_with_the_camera_of_the_turntable(mi):
     stage = make_stage(mi, flat(2, specular=0.2, roughness=0.3), "turntable", size=(16, 16), frames=6)
     still, turned = (drawn(mi, stage, frame, spp=64)[5:11, 5:11].mean(dim=(0, 1)) for frame in (0, 2))
-    assert torch.allclose(still, turned, rtol=0.01)  # the same samples: 0.04 %; left behind, it is half as bright
+    # the same samples: 0.04 %; left behind, it is half as bright
+    assert torch.allclose(still, turned, rtol=0.01)
 
 
 def test_the_sun_turns_counter_clockwise(mi):
@@ -97,7 +104,8 @@ def test_defaults_of_presets(mi):
 def test_only_what_a_material_needs_is_loaded(mi):
     stage = make_stage(mi, flat(4, specular=0.0), "turntable")
     assert stage.scene["material"]["type"] == "diffuse"
-    assert {"specular lobe", "normal map", "displacement", "light after 1 reflection"} <= dict(stage.left_out).keys()
+    assert {"specular lobe", "normal map", "displacement",
+            "light after 1 reflection"} <= dict(stage.left_out).keys()
     full = make_stage(mi, make_material("inlay", 8), "turntable")
     assert full.scene["material"]["type"] == "normalmap" and "specular lobe" not in dict(full.left_out)
     lobe = full.scene["material"]["bsdf"]["specular"]
@@ -123,8 +131,10 @@ def test_a_sphere_needs_one_reflection_and_a_shader_ball_more(mi):
 
 
 @pytest.mark.parametrize("options, what", [
-    ({"preset": "spere"}, "preset of"), ({"preset": "sphere", "displacement": 1.0}, "--preset sweep,turntable,novel"),
-    ({"preset": "sweep", "displacement": -1.0}, "displacement from 0"), ({"preset": "sweep", "tiling": 0}, "tiling"),
+    ({"preset": "spere"}, "preset of"), ({"preset": "sphere", "displacement": 1.0},
+                                         "--preset sweep,turntable,novel"),
+    ({"preset": "sweep", "displacement": -1.0}, "displacement from 0"), ({"preset": "sweep", "tiling": 0},
+                                                                         "tiling"),
     ({"preset": "sweep", "displacement": 1.0, "tiling": 65}, "tiling"),
     ({"preset": "sweep", "frames": 0}, "1 frame"), ({"preset": "novel", "size": (8, 9)}, "square picture")])
 def test_options_that_do_not_go_together_are_refused(mi, options, what):
@@ -133,7 +143,8 @@ def test_options_that_do_not_go_together_are_refused(mi, options, what):
 
 
 def test_what_is_left_out_is_said_as_it_is(mi):
-    floor = [dict(make_stage(mi, flat(2), "sphere", environment=name).left_out).get("floor") for name in ("studio", "none")]
+    floor = [dict(make_stage(mi, flat(2), "sphere", environment=name).left_out).get("floor")
+             for name in ("studio", "none")]
     assert "goes on below" in floor[0] and "nothing surrounds" in floor[1]
     for share, said in ((0.0, "0%"), (0.9, "180%")):  # of what arrives, diffuse and specular
         left_out = make_stage(mi, flat(2, diffuse=share, specular=share), "shaderball").left_out

@@ -1,4 +1,6 @@
-"""Mitsuba's renderers in many threads: the same bits as in one; the lock, Ctrl-C, and the variant that a program had set."""
+"""Mitsuba's renderers in many threads: the same bits as in one; the lock, Ctrl-C, and the variant that a
+program had set.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +22,10 @@ from helpers import GRID
 from mitsvbrdf.capture.lens import Lens, Pose
 from mitsvbrdf.fit.hierarchical import solver as solver_module
 from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
+from mitsvbrdf.io.lock import PROCESS
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.render.exclusive import using_mitsuba
 from mitsvbrdf.synth.traced import HandheldRenderer
-from mitsvbrdf.system.lock import PROCESS
 from mitsvbrdf.testing import random_material
 
 NAMES = ("mitsuba", "mitsuba-scene")
@@ -101,10 +103,13 @@ def test_a_scene_drawn_in_between_leaves_a_picture_of_another_its_gradient():
     # The backward pass of the one drawn first left only zeros to the other.
     renderers, seeds = [make_renderer("mitsuba-scene") for _ in range(2)], range(2)
     expected = [picture(renderers[0], seed)[1:] for seed in seeds]
-    leaves = [random_material("roughconductor", 8, seed).map(lambda value: value.clone().requires_grad_()) for seed in seeds]
-    images = [renderer.render(each, GRID.pick([seed, 5, 8])) for renderer, each, seed in zip(renderers, leaves, seeds)]
+    leaves = [random_material("roughconductor", 8, seed).map(lambda value: value.clone().requires_grad_())
+              for seed in seeds]
+    images = [renderer.render(each, GRID.pick([seed, 5, 8])) for renderer, each, seed in zip(renderers,
+                                                                                             leaves, seeds)]
     for image, each, gradients in zip(images, leaves, expected):
-        assert all(map(torch.equal, torch.autograd.grad(image.square().sum(), list(each.maps.values())), gradients))
+        assert all(map(torch.equal, torch.autograd.grad(image.square().sum(), list(each.maps.values())),
+                       gradients))
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -150,10 +155,12 @@ def photographed():
     return renderer, renderer.render(lens, Pose.looking_at((1.0, 0.0, 20.0), (0.0, 0.0, 0.0)), 1.0)
 
 
-@pytest.mark.parametrize("make", [partial(drawn, "mitsuba"), partial(drawn, "mitsuba-scene"), solved, photographed],
+@pytest.mark.parametrize("make", [partial(drawn, "mitsuba"), partial(drawn, "mitsuba-scene"), solved,
+                                  photographed],
                          ids=[*NAMES, "solver", "phone"])
 def test_what_a_thread_forgets_is_freed_by_one_that_holds_the_lock(make):
-    # Dr.Jit frees nothing beside another thread: in 3 of 100 processes of eight threads it crashed or waited for ever.
+    # Dr.Jit frees nothing beside another thread: in 3 of 100 processes of eight threads it crashed or waited
+    # for ever.
     with using_mitsuba():
         gc.collect()
     held, done = threading.Event(), threading.Event()
@@ -226,7 +233,8 @@ def test_the_variant_of_a_program_is_left_as_it_was(name):
 
 
 def test_ctrl_c_while_another_thread_draws():
-    # Whoever waits for the lock is interrupted, and does not keep it; after a render of Mitsuba, too, which sets handlers.
+    # Whoever waits for the lock is interrupted, and does not keep it; after a render of Mitsuba, too, which
+    # sets handlers.
     make_renderer("mitsuba-scene").render(random_material("roughconductor", 8), GRID.pick([0]))
     held, done = threading.Event(), threading.Event()
 
@@ -278,7 +286,8 @@ def test_a_map_changed_in_place_before_the_backward_pass_is_refused():
         roughness = torch.full((8, 8, 1), 0.5, requires_grad=True)
         changed = roughness * 1.0
         material = random_material("roughconductor", 8)
-        image = make_renderer(name).render(type(material)(material.bsdf, {**material.maps, "roughness": changed}), GRID)
+        image = make_renderer(name).render(type(material)(material.bsdf,
+                                                          {**material.maps, "roughness": changed}), GRID)
         changed.detach().mul_(0.5)
         with pytest.raises(RuntimeError, match="modified by an inplace operation"):
             image.sum().backward()

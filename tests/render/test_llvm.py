@@ -1,4 +1,6 @@
-"""The search for a libLLVM: what is refused, what is proved, and what a user is told. Trials run in child processes."""
+"""The search for a libLLVM: what is refused, what is proved, and what a user is told. Trials run in child
+processes.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,8 @@ def no_drjit_yet(monkeypatch):
 def python(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """A fresh interpreter; a variable given as "" is removed."""
     variables = {name: value for name, value in (os.environ | environment).items() if value}
-    return subprocess.run([sys.executable, "-c", code], env=variables, capture_output=True, text=True, timeout=60)
+    return subprocess.run([sys.executable, "-c", code], env=variables, capture_output=True, text=True,
+                          timeout=60)
 
 
 def test_versions_are_read_from_paths():
@@ -52,7 +55,8 @@ def test_versions_are_read_from_paths():
 
 
 def test_measured_versions_come_first_and_links_count_once(searched):
-    for name in ("libLLVM-23.so", "libLLVM-20.so", "libLLVM.so.22.1", "libLLVM-19.so.1", "libLLVM.dylib", "LLVM-C.dll",
+    for name in ("libLLVM-23.so", "libLLVM-20.so", "libLLVM.so.22.1", "libLLVM-19.so.1", "libLLVM.dylib",
+                 "LLVM-C.dll",
                  "libLLVMCore.a", "libLLVMgold.so", "LLVMPolly.so"):
         (searched / name).touch()
     (searched / "libLLVM-19.so").symlink_to("libLLVM-19.so.1")
@@ -76,7 +80,9 @@ def test_an_old_version_is_refused_without_a_trial(searched, monkeypatch):
 @pytest.mark.skipif(not OLD, reason="no old libLLVM here")
 @pytest.mark.parametrize("path", OLD, ids=lambda path: Path(path).name)
 def test_an_old_library_whose_name_does_not_tell_is_found_out(searched, monkeypatch, path):
-    """Dr.Jit refuses 14; 15 aborts the child on AVX-512 and is too old elsewhere. Neither harms this process."""
+    """Dr.Jit refuses 14; 15 aborts the child on AVX-512 and is too old elsewhere. Neither harms this
+    process.
+    """
     monkeypatch.setattr(llvm, "candidates", lambda: [path])
     monkeypatch.setattr(llvm, "named_version", lambda path: 0)
     (verdict,) = llvm.examine()
@@ -131,7 +137,8 @@ def test_a_fresh_process_gets_a_proved_library_and_the_variant():
     child = python("import os, sys; from mitsvbrdf.render.llvm import mitsuba_module\n"
                    "assert not {'drjit', 'mitsuba'} & set(sys.modules)\n"
                    "before = dict(os.environ); mi = mitsuba_module(); assert mitsuba_module() is mi\n"
-                   "print({n for n in os.environ if os.environ[n] != before.get(n)}, mi.variant(), mi.Float(2) * 2)",
+                   "print({n for n in os.environ if os.environ[n] != before.get(n)}, mi.variant(), "
+                   "mi.Float(2) * 2)",
                    DRJIT_LIBLLVM_PATH="")
     assert child.stdout.strip() == "{'DRJIT_LIBLLVM_PATH'} llvm_ad_rgb [4]", child.stderr
 
@@ -179,7 +186,8 @@ def test_a_broken_or_unwritable_cache_costs_a_trial_only(searched, monkeypatch, 
     library.touch()
     cache.parent.mkdir(parents=True)
     cache.write_text(content)
-    monkeypatch.setattr(llvm.subprocess, "run", lambda *a, **o: subprocess.CompletedProcess([], 0, "19.1.7\n", ""))
+    monkeypatch.setattr(llvm.subprocess, "run", lambda *a, **o: subprocess.CompletedProcess([], 0, "19.1.7\n",
+                                                                                            ""))
     assert llvm.prove(str(library)).proved
     assert list(json.loads(cache.read_text()).values()) == ["19.1.7"]
     monkeypatch.setenv("XDG_CACHE_HOME", str(library))  # a file: no folder can be made in it

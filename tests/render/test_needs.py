@@ -24,7 +24,8 @@ SAME = 1e-6
 
 def lean_material(bsdf, **values):
     """Flat, grey, without specular lobe or metallic, but for the maps given as numbers or tensors."""
-    svbrdf = flat(24, bsdf, **({"specular": 0.0} | {k: v for k, v in values.items() if not isinstance(v, torch.Tensor)}))
+    svbrdf = flat(24, bsdf, **({"specular": 0.0} | {k: v for k, v in values.items() if not isinstance(v,
+                                                                                                      torch.Tensor)}))
     return SVBRDF(bsdf, dict(svbrdf.maps) | {k: v for k, v in values.items() if isinstance(v, torch.Tensor)})
 
 
@@ -53,14 +54,16 @@ def test_full_scene_is_the_lean_one(bsdf):
     # Shadow rays, a bounce and an environment of which no light comes: asked for, they change nothing.
     svbrdf = make_material("inlay", 24)
     svbrdf = svbrdf if bsdf == "roughconductor" else SVBRDF(bsdf, {
-        "base_color": svbrdf["diffuse"], "metallic": svbrdf["specular"][..., :1], "roughness": svbrdf["roughness"],
+        "base_color": svbrdf["diffuse"], "metallic": svbrdf["specular"][..., :1],
+        "roughness": svbrdf["roughness"],
         "normal": svbrdf["normal"]})
     results = []
     for needs in (replace(Needs(), fresnel_curve=False), None):
         renderer = make_renderer("mitsuba-scene", needs=needs)
         leaves = svbrdf.map(lambda t: t.clone().requires_grad_())
         image = renderer.render(leaves, GRID)
-        results.append((image.detach(), torch.autograd.grad(image, list(leaves.maps.values()), fixed_cotangent(image.shape))))
+        results.append((image.detach(), torch.autograd.grad(image, list(leaves.maps.values()),
+                                                            fixed_cotangent(image.shape))))
     assert image_error(results[1][0], results[0][0])["worst"] < SAME
     for lean, full in zip(results[1][1], results[0][1]):
         assert gradient_error(lean, full)["relative_l2"] < SAME
@@ -93,7 +96,8 @@ def test_what_is_left_out_reaches_no_plugin():
     renderer = make_renderer("mitsuba-scene")
     renderer.render(flat(16, specular=0.0), GRID.pick([0]))
     ((_, needs, _, names),) = renderer._drawings
-    assert names == ("diffuse",) and not needs.normal_map  # roughness, specular and normal are not even handed over
+    # roughness, specular and normal are not even handed over
+    assert names == ("diffuse",) and not needs.normal_map
 
 
 def test_the_analytic_renderer_loads_no_mitsuba():
@@ -110,7 +114,8 @@ def test_full_scene_is_what_mitsubas_own_plugins_draw():
     from mitsvbrdf.render.bsdf import plugin, slot_values
     from mitsvbrdf.render.scene import patch_scene
 
-    renderer, svbrdf, view = make_renderer("mitsuba-scene", needs=Needs()), make_material("inlay", 24), GRID.pick([0])
+    renderer, svbrdf, view = make_renderer("mitsuba-scene", needs=Needs()), make_material("inlay",
+                                                                                          24), GRID.pick([0])
     mi, slots = renderer.mi, slot_values("roughconductor", dict(svbrdf.maps), Needs(), stock=True)
 
     def texture(slot):
@@ -118,9 +123,11 @@ def test_full_scene_is_what_mitsubas_own_plugins_draw():
                 "filter_type": "nearest", "wrap_mode": "clamp"}
 
     x, y, z = view.light[0].tolist()
-    scene = mi.load_dict(patch_scene(mi, 24, Needs(), plugin("roughconductor", Needs(), texture, stock=True)) | {
+    scene = mi.load_dict(patch_scene(mi, 24, Needs(), plugin("roughconductor", Needs(), texture, stock=True))
+                         | {
         "integrator": {"type": "path", "max_depth": 32},
-        "light": {"type": "point", "position": [x, y, z], "intensity": {"type": "rgb", "value": view.intensity[0].tolist()}}})
+        "light": {"type": "point", "position": [x, y, z],
+                  "intensity": {"type": "rgb", "value": view.intensity[0].tolist()}}})
     scene.sensors()[0].position = type(scene.sensors()[0].position)(*view.camera[0].tolist())
     drawn = torch.as_tensor(mi.render(scene, spp=1).numpy())[None]
     error = image_error(renderer.render(svbrdf, view), drawn)
@@ -133,7 +140,8 @@ def test_slope_of_metallic_at_one(name):
     def passes(renderer, dtype):
         leaves = flat(8, "principled", metallic=1.0, dtype=dtype).map(lambda t: t.clone().requires_grad_())
         image = renderer.render(leaves, GRID)
-        return image.detach(), torch.autograd.grad(image, leaves["metallic"], fixed_cotangent(image.shape).to(dtype))[0]
+        return image.detach(), torch.autograd.grad(image, leaves["metallic"],
+                                                   fixed_cotangent(image.shape).to(dtype))[0]
 
     image, gradient = passes(make_renderer(name), torch.float32)
     exact, truth = passes(make_renderer("analytic64"), torch.float64)
@@ -144,14 +152,16 @@ def test_slope_of_metallic_at_one(name):
 def test_length_of_normals_does_not_matter(name):
     svbrdf = make_material("leather", 24)
     long = SVBRDF("roughconductor", dict(svbrdf.maps) | {"normal": svbrdf["normal"] * 3})
-    assert image_error(make_renderer(name).render(long, GRID), make_renderer(name).render(svbrdf, GRID))["worst"] < SAME
+    assert image_error(make_renderer(name).render(long, GRID), make_renderer(name).render(svbrdf,
+                                                                                          GRID))["worst"] < SAME
 
 
 @pytest.mark.parametrize("name", RENDERERS)
 def test_a_black_specular_map_keeps_the_lobe_for_a_roughness_that_wants_a_gradient(name):
     svbrdf = lean_material("roughconductor")
     leaf = svbrdf["roughness"].clone().requires_grad_()
-    image = make_renderer(name).render(SVBRDF("roughconductor", dict(svbrdf.maps) | {"roughness": leaf}), GRID)
+    image = make_renderer(name).render(SVBRDF("roughconductor", dict(svbrdf.maps) | {"roughness": leaf}),
+                                       GRID)
     assert torch.autograd.grad(image.sum(), leaf)[0].abs().max() == 0  # an answer, and the right one
 
 

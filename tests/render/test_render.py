@@ -1,4 +1,6 @@
-"""Every renderer against the float64 twin, images and gradients; the twin against central differences; the replay trap."""
+"""Every renderer against the float64 twin, images and gradients; the twin against central differences; the
+replay trap.
+"""
 
 import math
 
@@ -44,8 +46,8 @@ def test_agrees_with_float64(name, views, bsdf):
 
 @pytest.mark.parametrize("name", [*MATERIALS, "principled"])
 def test_the_float64_twin_draws_what_it_drew(name):
-    # One view, the light apart. The materials are drawn in float32; with torch's kernels for AVX2, AVX-512 and neither of them
-    # the pictures agree to 3e-6 of each value, far below the default tolerance.
+    # One view, the light apart. The materials are drawn in float32; with torch's kernels for AVX2, AVX-512
+    # and neither of them the pictures agree to 3e-6 of each value, far below the default tolerance.
     material = random_material("principled", 16) if name == "principled" else make_material(name, 16)
     assert_matches_golden(make_renderer("analytic64").render(material, APART.pick([0]))[0], name)
 
@@ -59,7 +61,8 @@ def test_float64_gradients_are_central_differences(bsdf):
     def render(*maps):
         return renderer.render(SVBRDF(bsdf, dict(zip(names, maps))), views)
 
-    assert torch.autograd.gradcheck(render, [material[n].requires_grad_() for n in names], eps=1e-6, atol=1e-5, rtol=1e-3)
+    assert torch.autograd.gradcheck(render, [material[n].requires_grad_() for n in names], eps=1e-6,
+                                    atol=1e-5, rtol=1e-3)
 
 
 @pytest.mark.parametrize("name", ["analytic", "mitsuba"])
@@ -101,7 +104,8 @@ def test_replay_trap(name, bsdf):
 
 
 def test_replay_trap_is_real():
-    # The guard is needed: Mitsuba's scene, moved between forward and backward, gives another gradient without a word.
+    # The guard is needed: Mitsuba's scene, moved between forward and backward, gives another gradient without
+    # a word.
     renderer, material = make_renderer("mitsuba-scene"), random_material("roughconductor")
     renderer.render(material, GRID.pick([0]))  # compiles the wrapped function
     (drawing,) = renderer._drawings.values()
@@ -127,7 +131,8 @@ def test_second_backward_of_a_traced_picture():
 
 @pytest.mark.parametrize("name", ["mitsuba", "mitsuba-scene"])
 def test_gradients_are_the_same_bits_every_time(name):
-    # Of mitsuba-scene two of three were not, in roughness, by 4e-10: Dr.Jit's threads added views up as they came.
+    # Of mitsuba-scene two of three were not, in roughness, by 4e-10: Dr.Jit's threads added views up as they
+    # came.
     renderer, material = make_renderer(name), random_material("roughconductor", 8)
     first, *others = (render_and_gradients(renderer, material, GRID).gradients for _ in range(8))
     assert all(torch.equal(first[name], other[name]) for name in first for other in others)
@@ -174,14 +179,16 @@ def test_half_angle_bound_is_one():
             camera = torch.cat((torch.randn(2, generator=g), 0.05 + 3 * torch.rand(1, generator=g))).double()
             light = camera + spread * torch.randn(3, generator=g).double()
             light[2] = light[2].abs() + 0.01
-            to_camera, to_light = (torch.nn.functional.normalize(p - positions, dim=-1) for p in (camera, light))
+            to_camera, to_light = (torch.nn.functional.normalize(p - positions, dim=-1) for p in (camera,
+                                                                                                  light))
             across = torch.linalg.cross(to_camera, to_light).norm(dim=-1)
             largest = float(torch.rad2deg(torch.atan2(across, (to_camera * to_light).sum(-1)) / 2).max())
             bound = half_angle_bound(Views.of([camera.tolist()], [light.tolist()]))
             assert bound >= largest
             if camera[2] > 1 and bool((camera[:2].abs() < 0.4).all()) and abs(light[2] - camera[2]) < 0.01:
                 assert bound < slack * largest + 0.1
-    line = Views.of([[0, 0, 10.0]], [[0, 0, 0.1]])  # one behind the other above the centre, wide apart from its corners
+    # one behind the other above the centre, wide apart from its corners
+    line = Views.of([[0, 0, 10.0]], [[0, 0, 0.1]])
     assert scene_needs(random_material("roughconductor"), line, "mitsuba").fresnel_curve
 
 
@@ -199,7 +206,8 @@ def test_leaving_out_the_fresnel_curve_costs_less_than_it_says():
     views = Views.of([[-half, 0.0, 2.0]], [[half, 0.0, 2.0]])
     assert half_angle_bound(views) == pytest.approx(0.99 * CONSTANT_FRESNEL_DEGREES, rel=1e-6)
     assert not scene_needs(random_material("roughconductor"), views, "mitsuba").fresnel_curve
-    assert scene_needs(random_material("roughconductor"), views, "analytic64").fresnel_curve  # the truth is not cut short
+    # the truth is not cut short
+    assert scene_needs(random_material("roughconductor"), views, "analytic64").fresnel_curve
     for f0 in (1e-4, 0.001, 0.02, 0.04, 0.2, 0.6, 0.95):
         material = flat(8, diffuse=0.0, specular=f0, dtype=torch.float64)
         constant = make_renderer("analytic64", needs=Needs(fresnel_curve=False)).render(material, views)

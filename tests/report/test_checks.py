@@ -33,7 +33,8 @@ def test_the_quick_check_is_the_error_of_the_fits_renderer(fitted):
     errors = (image - truth).abs() / truth.clamp_min(1e-3 * truth.mean())
     (row,) = check["rows"]
     assert check["views"] == ["00", "01"] and check["resolution"] == SIDE and row["renderer"] == "analytic"
-    # The same images; of the gradients the row of a renderer without gradients for the image may differ by a rounding.
+    # The same images; of the gradients the row of a renderer without gradients for the image may differ by a
+    # rounding.
     assert row["image"]["mean"] == pytest.approx(float(errors.mean()), rel=0.02)
     for name, figures in row["gradients"].items():
         relative = float((found[name] - exact[name]).norm() / exact[name].norm())
@@ -44,16 +45,19 @@ def test_the_quick_check_is_the_error_of_the_fits_renderer(fitted):
 def test_all_renderers_are_checked_and_what_was_saved_is_timed(measured):
     _, fit, record, page = measured
     assert not record["quick"] and record["crosscheck"]["views"] == list(fit["per_photo"])
-    assert {row["renderer"] for row in record["crosscheck"]["rows"]} == {"analytic", "mitsuba", "mitsuba-scene"}
+    assert {row["renderer"] for row in record["crosscheck"]["rows"]} == {"analytic", "mitsuba",
+                                                                         "mitsuba-scene"}
     for row in record["crosscheck"]["rows"]:
         errors = [row["image"][name] for name in ("mean", "p99.9", "worst")]
         cells = page.row(row["renderer"])
-        assert cells[:7] == [figure(e) for e in (*errors, *(g["relative_l2"] for g in row["gradients"].values()))]
+        assert cells[:7] == [figure(e) for e in (*errors,
+                                                 *(g["relative_l2"] for g in row["gradients"].values()))]
         assert len(cells) == 9 and all(re.fullmatch(r"[\d.e-]+ m?s", cell) for cell in cells[7:])
     assert record["crosscheck"]["violations"] == [] and "All stated tolerances hold." in page.text
     rows = record["saved"]["rows"]
     assert [row["renderer"] for row in rows] == ["analytic", "analytic"] and rows[-1]["ratio"] == 1
-    assert rows[0]["ratio"] == pytest.approx(rows[0]["seconds"]["median"] / rows[1]["seconds"]["median"], rel=1e-12)
+    assert rows[0]["ratio"] == pytest.approx(rows[0]["seconds"]["median"] / rows[1]["seconds"]["median"],
+                                             rel=1e-12)
     assert rows[0]["difference"] < 5e-6  # what is left out changes nothing but roundings; the two are float32
     assert page.row("everything")[-2:] == [f"{rows[0]['ratio']:.2f}", figure(rows[0]["difference"])]
 
@@ -72,12 +76,14 @@ def test_of_many_photos_some_views_are_checked(monkeypatch):
 def test_the_traced_scene_with_everything_stands_beside_a_mitsuba_fit(photos, tmp_path):
     out = tmp_path / "out"
     options = ["--iterations", "2", "--resolution", "16", "--views", "0,3", "--method", "direct"]
-    assert cli.main(["fit", str(photos), "-o", str(out), *options, "--fix", "normal=flat", "--grey-specular"]) == 0
+    assert cli.main(["fit", str(photos), "-o", str(out), *options, "--fix", "normal=flat",
+                     "--grey-specular"]) == 0
     assert cli.main(["report", str(out)]) == 0
     record, page = json.loads((out / "report.json").read_text()), Page(out / "report.html")
     rows = record["saved"]["rows"]
     assert [row["renderer"] for row in rows] == ["mitsuba-scene", "mitsuba", "mitsuba"]
-    assert all(row["difference"] < 1e-4 for row in rows[:2])  # steepest texels of the traced scene in float32: 3e-5 measured
+    # steepest texels of the traced scene in float32: 3e-5 measured
+    assert all(row["difference"] < 1e-4 for row in rows[:2])
     assert "held fixed" in page.text and "gradient of normal" in page.text
 
 

@@ -15,12 +15,12 @@ from mitsvbrdf.capture import read_capture, write_capture
 from mitsvbrdf.errors import OutputError
 from mitsvbrdf.fit import DirectConfig, fit_svbrdf
 from mitsvbrdf.fit.record import read_fit
+from mitsvbrdf.io import images
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.report import fit_page
 from mitsvbrdf.report.checks import fit_report
 from mitsvbrdf.report.fit_page import write_report
 from mitsvbrdf.report.folder import write_fit
-from mitsvbrdf.system import images
 
 
 def test_trouble_is_told(copy):
@@ -42,19 +42,23 @@ def spoil_json(out):
 
 
 def spoil_version(out):
-    (out / "fit.json").write_text(json.dumps(json.loads((out / "fit.json").read_text()) | {"schema_version": 2}))
+    (out / "fit.json").write_text(json.dumps(json.loads((out / "fit.json").read_text())
+                                             | {"schema_version": 2}))
 
 
 def spoil_kind(out):
-    (out / "fit.json").write_text(json.dumps(json.loads((out / "fit.json").read_text()) | {"confidence": {"diffuse": {}}}))
+    (out / "fit.json").write_text(json.dumps(json.loads((out / "fit.json").read_text())
+                                             | {"confidence": {"diffuse": {}}}))
 
 
 def spoil_names(out):
-    (out / "fit.json").write_text(json.dumps(json.loads((out / "fit.json").read_text()) | {"per_photo": {"../../etc": 0.1}}))
+    (out / "fit.json").write_text(json.dumps(json.loads((out / "fit.json").read_text())
+                                             | {"per_photo": {"../../etc": 0.1}}))
 
 
 def spoil_trace(out):
-    (out / "fit.json").write_text(json.dumps(json.loads((out / "fit.json").read_text()) | {"trace": [{"seconds": 1}]}))
+    (out / "fit.json").write_text(json.dumps(json.loads((out / "fit.json").read_text())
+                                             | {"trace": [{"seconds": 1}]}))
 
 
 def spoil_map(out):
@@ -73,14 +77,15 @@ def spoil_photo(out):
 @pytest.mark.parametrize("spoil, words", [
     (lambda out: (out / "fit.json").unlink(), ("mitsvbrdf fit", "no fit.json")), (spoil_json, ("fit.json",)),
     (spoil_version, ("schema version 1", "schema_version")), (spoil_kind, ("confidence.diffuse.median_sd",)),
-    (spoil_names, ("per_photo",)), (spoil_trace, ("trace",)), (spoil_map, ("normal.exr",)), (spoil_rendering, ("01.png",)),
-    (spoil_photo, ("photos/01.png", "--capture"))])
+    (spoil_names, ("per_photo",)), (spoil_trace, ("trace",)), (spoil_map, ("normal.exr",)),
+    (spoil_rendering, ("01.png",)), (spoil_photo, ("photos/01.png", "--capture"))])
 def test_folders_that_are_no_fit_are_refused(spoil, words, copy, capsys):
     spoil(copy)
     before = (copy / "report.html").read_text()
     assert cli.main(["report", str(copy), "--quick"]) == 2
     message = capsys.readouterr().err
-    assert message.count("error:") == 1 and "Traceback" not in message and all(word in message for word in words), message
+    assert message.count("error:") == 1 and "Traceback" not in message and all(word in message
+                                                                               for word in words), message
     assert (copy / "report.html").read_text() == before
 
 
@@ -96,7 +101,8 @@ def test_photos_of_another_capture_are_refused(copy, photos, tmp_path, capsys):
         message = capsys.readouterr().err
         assert message.count("error:") == 1 and all(word in message for word in words), message
     assert sorted(copy.rglob("*")) == before
-    assert cli.main(["report", str(tmp_path / "nowhere")]) == 2 and "which has no fit.json" in capsys.readouterr().err
+    assert cli.main(["report",
+                     str(tmp_path / "nowhere")]) == 2 and "which has no fit.json" in capsys.readouterr().err
 
 
 def test_photos_are_never_written_over_those_of_the_capture(copy, photos, tmp_path, capsys):
@@ -126,16 +132,18 @@ def test_photos_are_never_written_over_those_of_the_capture(copy, photos, tmp_pa
 def test_a_second_fit_in_the_same_folder_shows_nothing_of_the_first(tmp_path):
     shots = photos_of(make_material("tiles", 8))
     for fix, others in (((), shots.pick([5])), (("roughness=0.5",), None)):
-        write_fit(fit_svbrdf(shots.pick([0, 1]), ANALYTIC, DirectConfig(iterations=1, fix=fix)), shots.pick([0, 1]), tmp_path,
-                  left_out=others)
+        write_fit(fit_svbrdf(shots.pick([0, 1]), ANALYTIC, DirectConfig(iterations=1, fix=fix)),
+                  shots.pick([0, 1]), tmp_path, left_out=others)
         page = Page(tmp_path / "report.html")
-        assert ("left out of the fit" in page.text) == ("Roughness: standard deviation" in page.pictures) == (not fix)
+        assert ("left out of the fit" in page.text) == ("Roughness: standard deviation" in page.pictures) == (
+            not fix)
     assert json.loads((tmp_path / "report.json").read_text())["left_out_rmse"] is None
 
 
 def test_a_fit_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     shots, out = photos_of(make_material("tiles", 8)), tmp_path / "out"
-    found, fixed = (fit_svbrdf(shots, ANALYTIC, DirectConfig(iterations=1, fix=fix)) for fix in ((), ("roughness=0.5",)))
+    found, fixed = (fit_svbrdf(shots, ANALYTIC, DirectConfig(iterations=1, fix=fix)) for fix in ((),
+                                                                                                 ("roughness=0.5",)))
     (out / "maps").mkdir(parents=True)
     (out / "maps/mine.psd").write_text("mine")
     write_fit(found, shots, out, pages=False)
@@ -148,7 +156,8 @@ def test_a_fit_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
     assert not (tmp_path / "new").exists() and (out / "uncertainty/roughness.exr").is_file()
     write_fit(fixed, shots, out, pages=False)
-    assert not (out / "uncertainty/roughness.exr").exists() and read_fit(out).svbrdf["roughness"].unique().item() == 0.5
+    assert not (out / "uncertainty/roughness.exr").exists() and read_fit(out).svbrdf[
+        "roughness"].unique().item() == 0.5
     assert (out / "maps/mine.psd").read_text() == "mine" and not list(out.rglob("*.old"))
 
 
@@ -165,9 +174,11 @@ def test_a_page_is_not_written_beside_another_fit(copy, monkeypatch):
 
 
 def test_a_capture_whose_name_is_not_utf8_loses_no_fit(photos, tmp_path):
-    shots = replace(read_capture(photos), source=Path("caf\udce9 $\\x_$"))  # as Python names such a folder; and no formula
+    # as Python names such a folder; and no formula
+    shots = replace(read_capture(photos), source=Path("caf\udce9 $\\x_$"))
     write_fit(fit_svbrdf(shots, ANALYTIC, DirectConfig(iterations=1)), shots, tmp_path)
-    assert "caf? $\\x_$: recovered material" in Page(tmp_path / "report.html").text and (tmp_path / "sheet.png").is_file()
+    assert "caf? $\\x_$: recovered material" in Page(tmp_path / "report.html").text and (
+        tmp_path / "sheet.png").is_file()
 
 
 def test_a_report_json_of_somebody_else_is_not_trusted(copy):
@@ -183,4 +194,5 @@ def test_a_report_json_of_somebody_else_is_not_trusted(copy):
 
 def test_read_fit_gives_what_the_files_say(fitted):
     found = read_fit(fitted)
-    assert found.names == ["00", "01", "03"] and found.svbrdf.resolution == SIDE and found.renderer().name == "analytic"
+    assert found.names == ["00", "01",
+                           "03"] and found.svbrdf.resolution == SIDE and found.renderer().name == "analytic"

@@ -1,4 +1,6 @@
-"""The page of a fit: its numbers are those of the records and of independent computations, its pictures those of the files."""
+"""The page of a fit: its numbers are those of the records and of independent computations, its pictures those
+of the files.
+"""
 
 import json
 import re
@@ -16,12 +18,12 @@ from helpers.tables import words_at_the_right
 from mitsvbrdf import cli
 from mitsvbrdf.capture import read_capture
 from mitsvbrdf.fit import DirectConfig, fit_svbrdf
+from mitsvbrdf.io import images
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import SVBRDF
 from mitsvbrdf.pages.page import figure
 from mitsvbrdf.report.fit_page import write_report
 from mitsvbrdf.report.folder import write_fit
-from mitsvbrdf.system import images
 
 
 def shown(path):
@@ -33,8 +35,8 @@ def test_fit_writes_the_page_with_photos_left_out_as_evaluate_finds_them(fitted,
     assert [(photo["name"], photo["left_out"]) for photo in record["photos"]] == [
         ("00", False), ("01", False), ("03", False), ("02", True), ("04", True)]
     found = tmp_path / "e.json"
-    assert cli.main(["evaluate", str(fitted), "--capture", str(photos), "--views", "2,4", "--renderer", "analytic", "--json",
-                     str(found)]) == 0
+    assert cli.main(["evaluate", str(fitted), "--capture", str(photos), "--views", "2,4", "--renderer",
+                     "analytic", "--json", str(found)]) == 0
     found = json.loads(found.read_text())
     for photo in record["photos"][3:]:
         assert photo["rmse"] == pytest.approx(found["per_photo"][photo["name"]], rel=1e-6)
@@ -62,21 +64,25 @@ def test_every_number_of_the_records_is_on_the_page(measured):
         assert warning in page.text
     for name in ("photometric", "smooth", "flat"):
         first, *_, last = (figure(row[name]) for row in fit["trace"] if name in row)
-        assert re.search(f'aria-label="Losses against seconds: [^"]*{name} from {first} to {last}', page.source)
+        assert re.search(f'aria-label="Losses against seconds: [^"]*{name} from {first} to {last}',
+                         page.source)
     for name, share in fit["burn_in"].items():
         assert re.search(rf"{name} {share:.3f}", page.text)
     for name in ("config", "command", "versions", "machine"):
         for key, value in fit[name].items():
-            text = {None: "–", True: "yes", False: "no"}.get(value) if value is None or isinstance(value, bool) else str(value)
+            text = ({None: "–", True: "yes", False: "no"}.get(value)
+                    if value is None or isinstance(value, bool) else str(value))
             text = "–" if value == [] else text
             assert f"{key} {text}" in page.text, key
     for name, camera, light in zip(fit["per_photo"], fit["views"]["camera"], fit["views"]["light"]):
         assert page.row(name)[:6] == [figure(x) for x in camera + light]
     for entry in fit["trace"]:
         start = [figure(entry["seconds"]), figure(entry["iteration"])]
-        assert any(row[:2] == start and all(figure(value) in row for value in entry.values()) for row in page.rows)
+        assert any(row[:2] == start and all(figure(value) in row for value in entry.values())
+                   for row in page.rows)
     numbers = record["condition"]
-    median, worst = ("infinite" if numbers[name] is None else figure(numbers[name]) for name in ("median", "worst"))
+    median, worst = ("infinite" if numbers[name] is None else figure(numbers[name]) for name in ("median",
+                                                                                                 "worst"))
     assert f"median {median} worst {worst}" in page.text
     assert f"{numbers['rank']} of {numbers['unknowns']}" in page.text
 
@@ -90,14 +96,19 @@ def test_pictures_are_those_of_the_files(fitted):
         assert np.array_equal(page.pixels(f"photo {photo['name']}"), taken)
         assert np.array_equal(page.pixels(f"photo {photo['name']}, {how}"), again)
         difference = np.clip(4 * np.abs(taken.astype(int) - again), 0, 255)
-        assert np.abs(page.pixels(f"photo {photo['name']}, difference times 4").astype(int) - difference).max() <= 1
-    for name in ("diffuse", "specular", "roughness", "normal"):  # our PNG files hold what is shown, in 16 bits
+        assert np.abs(page.pixels(f"photo {photo['name']}, difference times 4").astype(
+            int) - difference).max() <= 1
+    # our PNG files hold what is shown, in 16 bits
+    for name in ("diffuse", "specular", "roughness", "normal"):
         stored = images.read_image(fitted / "maps" / f"{name}.png", ValueError).expand(SIDE, SIDE, 3).numpy()
         assert np.abs(page.pixels(name.capitalize()) - 255 * stored).max() < 0.51
         spread = images.read_image(fitted / "uncertainty" / f"{name}.exr", ValueError)[..., 0].numpy()
-        # Magma is dark at 0 and brighter all the way: the order of the texels' brightness is that of their deviation.
-        brightness = page.pixels(f"{name.capitalize()}: standard deviation").astype(float) @ (0.2126, 0.7152, 0.0722)
-        assert np.corrcoef(np.argsort(np.argsort(spread.ravel())), np.argsort(np.argsort(brightness.ravel())))[0, 1] > 0.98
+        # Magma is dark at 0 and brighter all the way: the order of the texels' brightness is that of their
+        # deviation.
+        brightness = (page.pixels(f"{name.capitalize()}: standard deviation").astype(float)
+                      @ (0.2126, 0.7152, 0.0722))
+        assert np.corrcoef(np.argsort(np.argsort(spread.ravel())),
+                           np.argsort(np.argsort(brightness.ravel())))[0, 1] > 0.98
     assert page.pixels("Guessed diffuse").shape == (SIDE, SIDE, 3)
 
 
@@ -120,7 +131,8 @@ def test_the_page_asks_nothing_of_the_network_and_escapes_names(measured):
 def test_a_cost_that_may_rise_is_explained_where_there_is_one(measured, photos, tmp_path):
     assert "All axes are logarithmic" in measured[3].text and "the cost may rise" not in measured[3].text
     assert measured[1]["method"] != "hierarchical"
-    assert cli.main(["fit", str(photos), "-o", str(tmp_path / "h"), "--iterations", "2", "--resolution", "16"]) == 0
+    assert cli.main(["fit", str(photos), "-o", str(tmp_path / "h"), "--iterations", "2", "--resolution",
+                     "16"]) == 0
     text = Page(tmp_path / "h/report.html").text
     assert "the cost may rise" in text and "Cost: the mean over texels of their squared errors" in text
 
@@ -133,20 +145,22 @@ def test_a_cost_that_may_rise_is_explained_where_there_is_one(measured, photos, 
 def test_kinds_of_fits(options, words, photos, tmp_path):
     out = tmp_path / "out"
     limit = [] if "--budget" in options else ["--iterations", "2"]
-    assert cli.main(["fit", str(photos), "-o", str(out), "--renderer", "analytic", "--resolution", "16", "--views", "3,0",
+    assert cli.main(["fit", str(photos), "-o", str(out), "--renderer", "analytic", "--resolution", "16",
+                     "--views", "3,0",
                      *(() if "--method" in options else ("--method", "direct")), *limit, *options]) == 0
     page, fit = Page(out / "report.html"), json.loads((out / "fit.json").read_text())
     for word in words:
         assert word in page.text, word
-    assert list(fit["per_photo"]) == ["03", "00"] and f"Photo 03 · RMSE {fit['per_photo']['03']:.4f}" in page.text
+    assert list(fit["per_photo"]) == ["03",
+                                      "00"] and f"Photo 03 · RMSE {fit['per_photo']['03']:.4f}" in page.text
     assert np.array_equal(page.pixels("photo 03"), shown(out / "photos/03.png"))
 
 
 def test_what_the_page_says_is_true_of_plain_photos_smooth_maps_and_held_ones(photos, tmp_path, monkeypatch):
     monkeypatch.delenv("DRJIT_LIBLLVM_PATH", raising=False)  # another test may have loaded it
     shots, smooth = replace(read_capture(photos), calibration="none"), ("roughness=0.05", "diffuse=0.3")
-    write_fit(fit_svbrdf(shots.pick([0, 1]), ANALYTIC, DirectConfig(iterations=1, fix=smooth)), shots.pick([0, 1]), tmp_path,
-              left_out=shots.pick([2]))
+    write_fit(fit_svbrdf(shots.pick([0, 1]), ANALYTIC, DirectConfig(iterations=1, fix=smooth)),
+              shots.pick([0, 1]), tmp_path, left_out=shots.pick([2]))
     page = Page(tmp_path / "report.html")
     assert "predicted from the assumed view, as" in page.text and "calibration and" not in page.text
     assert "All stated tolerances hold." not in page.text and "rougher texels than there are here" in page.text
@@ -155,7 +169,8 @@ def test_what_the_page_says_is_true_of_plain_photos_smooth_maps_and_held_ones(ph
 
 def test_the_stage_of_a_fit_is_no_loss_and_long_tables_are_thinned(copy):
     record = json.loads((copy / "fit.json").read_text())
-    record["trace"] = [{"seconds": float(k), "iteration": k, "stage": 2.0, "rerender_rmse": 0.1} for k in range(399)]
+    record["trace"] = [{"seconds": float(k), "iteration": k, "stage": 2.0, "rerender_rmse": 0.1}
+                       for k in range(399)]
     record["left_out"] = []
     (copy / "fit.json").write_text(json.dumps(record))
     write_report(copy, quick=True)

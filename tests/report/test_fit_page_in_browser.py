@@ -1,4 +1,6 @@
-"""The page of a fit in a real browser: it fits, wipes, switches and enlarges, by pointer, touch and keyboard."""
+"""The page of a fit in a real browser: it fits, wipes, switches and enlarges, by pointer, touch and
+keyboard.
+"""
 
 import io
 import shutil
@@ -14,9 +16,9 @@ from helpers import photos_of
 
 from mitsvbrdf import cli
 from mitsvbrdf.capture import write_capture
+from mitsvbrdf.io import images
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.report.fit_page import write_report
-from mitsvbrdf.system import images
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +40,8 @@ def read(path, **how):
 
 
 def cut(page, number=0):
-    return page.locator(".wipe").nth(number).evaluate("e => parseFloat(getComputedStyle(e).getPropertyValue('--cut'))")
+    return page.locator(".wipe").nth(number).evaluate(
+        "e => parseFloat(getComputedStyle(e).getPropertyValue('--cut'))")
 
 
 def pixels(locator):
@@ -78,7 +81,8 @@ def test_the_slider_wipes_by_keyboard_and_pointer(larger, tmp_path):
             line = pixels(wipe)[40]
             return 100 * np.mean((line[:, 0] > 240) & (line[:, 1:].max(axis=1) < 20))
 
-        assert cut(page) == 50 and red() == pytest.approx(50, abs=3)  # the line between the two is 2 px of 270, with its shadow
+        # the line between the two is 2 px of 270, with its shadow
+        assert cut(page) == 50 and red() == pytest.approx(50, abs=3)
         slider.focus()
         page.keyboard.press("Home")
         assert cut(page) == 0 and red() < 2
@@ -104,7 +108,8 @@ def test_switches_and_the_large_picture_work_by_keyboard(larger):
         page.locator("#spreads").focus()
         page.keyboard.press("Space")
         assert all(spreads.nth(k).is_visible() for k in range(4)) and page.locator(".scale").is_visible()
-        assert [plain.nth(k).is_visible() for k in range(5)] == [False] * 4 + [True]  # the guess has no deviation
+        # the guess has no deviation
+        assert [plain.nth(k).is_visible() for k in range(5)] == [False] * 4 + [True]
         page.locator("#differences").focus()
         page.keyboard.press("Space")
         assert not page.locator(".difference").first.is_visible()
@@ -114,7 +119,8 @@ def test_switches_and_the_large_picture_work_by_keyboard(larger):
         assert not dialog.is_visible()
         page.locator(".maps .enlarge").nth(3).focus()
         page.keyboard.press("Enter")
-        assert dialog.is_visible() and dialog.locator("img").get_attribute("alt") == "Normal: standard deviation"
+        assert dialog.is_visible() and dialog.locator("img").get_attribute(
+            "alt") == "Normal: standard deviation"
         page.keyboard.press("ArrowRight")
         assert dialog.locator("span").inner_text() == "Guessed diffuse"
         page.keyboard.press("Escape")
@@ -138,12 +144,14 @@ def test_a_phone_wipes_by_touch(larger):
 @pytest.mark.slow
 def test_without_javascript_all_pictures_are_there(larger):
     with read(larger) as page:
-        context = page.context.browser.new_context(java_script_enabled=False, viewport={"width": 390, "height": 844})
+        context = page.context.browser.new_context(java_script_enabled=False,
+                                                   viewport={"width": 390, "height": 844})
         plain = context.new_page()
         plain.goto(larger.resolve().as_uri())
         first = plain.locator(".wipe").first
         boxes = [first.locator("img").nth(k).bounding_box() for k in (0, 1)]
-        assert abs(boxes[0]["x"] - boxes[1]["x"]) >= boxes[0]["width"] - 1  # photo and re-rendering side by side
+        # photo and re-rendering side by side
+        assert abs(boxes[0]["x"] - boxes[1]["x"]) >= boxes[0]["width"] - 1
         assert not plain.locator(".wipe input").first.is_visible() and not plain.locator("#all").is_visible()
         plain.locator("#spreads").check()
         assert plain.locator(".maps .spread").first.is_visible()

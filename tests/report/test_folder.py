@@ -18,9 +18,9 @@ from mitsvbrdf.capture import write_capture
 from mitsvbrdf.errors import OutputError
 from mitsvbrdf.export.mitsuba import write_scene
 from mitsvbrdf.fit.record import read_fit, read_whole_fit
+from mitsvbrdf.io import result_folder
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import load_maps
-from mitsvbrdf.system import result_folder
 from mitsvbrdf.views import Views
 
 
@@ -34,7 +34,8 @@ def test_a_fit_is_not_lost_with_its_page(photos, tmp_path, monkeypatch, capsys):
         assert cli.main(arguments) == 0
     assert "no page today" in capsys.readouterr().out and not (tmp_path / "out/report.html").exists()
     assert load_maps(tmp_path / "out").resolution == SIDE
-    assert cli.main(["report", str(tmp_path / "out"), "--quick"]) == 0 and (tmp_path / "out/report.html").is_file()
+    assert cli.main(["report", str(tmp_path / "out"),
+                     "--quick"]) == 0 and (tmp_path / "out/report.html").is_file()
 
 
 def test_the_page_is_made_again_from_the_folder_alone(copy):
@@ -55,13 +56,15 @@ def test_without_photos_the_renderings_are_shown_and_the_capture_brings_them_bac
         (copy / name).unlink()
     (copy / "photos").mkdir()
     (copy / "photos/00.png").write_text("mine")  # a file of somebody else, and no photo
-    (copy / result_folder.MANIFEST).write_text(json.dumps([n for n in json.loads((copy / result_folder.MANIFEST).read_text())
+    (copy / result_folder.MANIFEST).write_text(json.dumps([n
+                                                           for n in json.loads((copy / result_folder.MANIFEST).read_text())
                                                    if n != "photos/00.png"]))
     (copy / "photos/00.png").rename(copy / "photos/mine")
     assert cli.main(["report", str(copy), "--quick"]) == 0
     page = Page(copy / "report.html")
     assert "were not kept here" in page.text and "photo 00" not in page.pictures
-    assert page.pixels("photo 00, re-rendered").shape == (SIDE, SIDE, 3) and "left out of the fit" not in page.text
+    assert page.pixels("photo 00, re-rendered").shape == (SIDE, SIDE,
+                                                          3) and "left out of the fit" not in page.text
     (copy / "photos/mine").rename(copy / "photos/00.png")
     assert cli.main(["report", str(copy), "--quick", "--capture", str(photos)]) == 0
     assert json.loads((copy / "report.json").read_text())["photos"] == before["photos"]
@@ -71,8 +74,8 @@ def test_without_photos_the_renderings_are_shown_and_the_capture_brings_them_bac
     assert {"report.html", "report.json", "photos/00.png", "photos/04.png", "predicted/04.png"} <= written
 
 
-@pytest.mark.parametrize("read", [load_maps, lambda out: load_maps(out / "maps"), read_fit, lambda out: read_fit(out / "maps"),
-                                  read_whole_fit])
+@pytest.mark.parametrize("read", [load_maps, lambda out: load_maps(out / "maps"), read_fit,
+                                  lambda out: read_fit(out / "maps"), read_whole_fit])
 def test_who_reads_a_result_that_a_kill_left_half_in_place_meets_the_whole(copy, capsys, read):
     before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
     half_put(copy)
@@ -102,7 +105,8 @@ def test_ctrl_c_while_a_fit_is_written_is_heard_when_all_is_there(photos, tmp_pa
 
     monkeypatch.setattr("mitsvbrdf.report.folder.write_scene", pressed)
     assert cli.main(["fit", str(photos), "-o", str(tmp_path / "out"), *FAST]) == 130
-    assert "interrupted" in capsys.readouterr().err and not result_folder.partial_folder(tmp_path / "out").exists()
+    assert "interrupted" in capsys.readouterr().err and not result_folder.partial_folder(
+        tmp_path / "out").exists()
     assert read_whole_fit(tmp_path / "out") and (tmp_path / "out/report.html").is_file()
 
 
@@ -136,7 +140,8 @@ def test_a_fit_predicts_nine_photos_and_report_all(tmp_path):
     views = GRID
     twelve = Views(*(torch.cat((t, t[:3])) for t in (views.camera, views.light, views.intensity)))
     write_capture(photos_of(make_material("tiles", 8), twelve), tmp_path / "photos")
-    options = ["--method", "direct", "--renderer", "analytic", "--iterations", "2", "--resolution", "8", "--views", "11"]
+    options = ["--method", "direct", "--renderer", "analytic", "--iterations", "2", "--resolution", "8",
+               "--views", "11"]
     out = tmp_path / "out"
     assert cli.main(["fit", str(tmp_path / "photos"), "-o", str(out), *options]) == 0
     assert len(list((out / "predicted").glob("*.png"))) == 9
@@ -144,4 +149,5 @@ def test_a_fit_predicts_nine_photos_and_report_all(tmp_path):
     assert cli.main(["report", str(out), "--quick", "--capture", str(tmp_path / "photos")]) == 0
     record = json.loads((out / "report.json").read_text())
     assert [photo["name"] for photo in record["photos"]] == ["11", *(f"{i:02d}" for i in range(11))]
-    assert math.sqrt(np.mean([p["rmse"]**2 for p in record["photos"][1:]])) == pytest.approx(record["left_out_rmse"], rel=1e-9)
+    assert math.sqrt(np.mean([p["rmse"]**2 for p in record["photos"][1:]])) == pytest.approx(
+        record["left_out_rmse"], rel=1e-9)

@@ -20,12 +20,15 @@ from mitsvbrdf.report.front import front, judged, packed
 
 
 @pytest.mark.parametrize("stopped, warnings, good, words", [
-    ("settled", [], True, "No check found a fault in these maps; rendered again, they differ from 2 photos by 0.025 (RMSE"),
-    ("settled", ["photo 3 is dark."], False, "Look at this: photo 3 is dark. Rendered again, they differ from 2 photos"),
+    ("settled", [], True, "No check found a fault in these maps; rendered again, they differ from 2 photos "
+                          "by 0.025 (RMSE"),
+    ("settled", ["photo 3 is dark."], False, "Look at this: photo 3 is dark. Rendered again, they differ "
+                                             "from 2 photos"),
     ("budget", ["one", "two", "three"], False, "Look at this: one (2 more below)."),
     ("interrupted", [], False, "Look at this: the fit was interrupted")])
 def test_the_verdict_is_that_of_the_record(stopped, warnings, good, words):
-    record = {"per_photo": {"00": 0.02, "01": 0.03}, "rerender_rmse": 0.0254, "stopped": stopped, "warnings": warnings}
+    record = {"per_photo": {"00": 0.02, "01": 0.03}, "rerender_rmse": 0.0254, "stopped": stopped,
+              "warnings": warnings}
     found, sentence = judged(record)
     assert found is good and sentence.startswith(words)
 

@@ -7,6 +7,7 @@ import torch
 
 from mitsvbrdf import color
 from mitsvbrdf.errors import CaptureError, OutputError
+from mitsvbrdf.io import images
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.pages.canvas import HEADER_HEIGHT as HEADER
@@ -14,7 +15,6 @@ from mitsvbrdf.pages.canvas import LABEL_HEIGHT as LABEL
 from mitsvbrdf.pages.canvas import PICTURE_GAP as GAP
 from mitsvbrdf.pages.canvas import SHEET_MARGIN as MARGIN
 from mitsvbrdf.report.sheet import loss_curve, write_sheet
-from mitsvbrdf.system import images
 
 
 def sheet(path, svbrdf, count=9, **options):
@@ -51,7 +51,8 @@ def test_a_principled_material_with_guess_and_names(tmp_path):
 
 def test_numbers_that_do_not_belong_together_are_refused(tmp_path):
     photos = torch.zeros(3, 4, 4, 3)
-    for again, errors, names in ((photos[:2], [0.1] * 3, None), (photos, [0.1] * 2, None), (photos, [0.1] * 3, ["00"])):
+    for again, errors, names in ((photos[:2], [0.1] * 3, None), (photos, [0.1] * 2, None),
+                                 (photos, [0.1] * 3, ["00"])):
         with pytest.raises(CaptureError, match="for each photo"):
             write_sheet(tmp_path / "a.png", flat(4), photos, again, rmse=0.1, per_photo=errors, names=names)
     assert not list(tmp_path.iterdir())

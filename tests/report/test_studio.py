@@ -18,9 +18,12 @@ from mitsvbrdf.views import Views
 
 
 def weighted(directions: torch.Tensor, kernel) -> np.ndarray:
-    """The studio under a kernel of the cosine, one direction after the other, each pixel as large as it is in the middle."""
+    """The studio under a kernel of the cosine, one direction after the other, each pixel as large as it is in
+    the middle.
+    """
     rows = 2 * studio.ROWS
-    light, ways = environment.studio(rows).reshape(-1, 3), environment.directions(rows, 2 * rows).reshape(-1, 3)
+    light, ways = environment.studio(rows).reshape(-1, 3), environment.directions(rows, 2 * rows).reshape(-1,
+                                                                                                          3)
     weight = kernel(directions @ ways.T) * (1 - ways[:, 2] ** 2).clamp_min(0).sqrt()
     return ((weight @ light) / weight.sum(-1, keepdim=True)).numpy() * studio._scale()
 
@@ -37,16 +40,20 @@ def test_lobes_and_irradiance_are_plain_sums():
     ways = environment.directions(studio.ROWS, 2 * studio.ROWS).reshape(-1, 3)
     pictures = studio.lobes().reshape(studio.LEVELS, -1, 3)
     for level in (2, 5, 8):
-        # The plain sum leaves out the zenith, where the first of these lies; measured: 5e-3 at level 2, 4e-4 above.
-        assert np.allclose(pictures[level][some], weighted(ways[some], functools.partial(lobe, (level / 8) ** 2)), rtol=8e-3)
+        # The plain sum leaves out the zenith, where the first of these lies; measured: 5e-3 at level 2, 4e-4
+        # above.
+        assert np.allclose(pictures[level][some],
+                           weighted(ways[some], functools.partial(lobe, (level / 8) ** 2)), rtol=8e-3)
     ways = environment.directions(16, 32).reshape(-1, 3)
-    assert np.allclose(studio.diffuse().reshape(-1, 3)[::37], weighted(ways[::37], lambda c: c.clamp_min(0)), rtol=2e-3)
+    assert np.allclose(studio.diffuse().reshape(-1, 3)[::37], weighted(ways[::37], lambda c: c.clamp_min(0)),
+                       rtol=2e-3)
 
 
 def test_white_that_faces_the_camera_has_luminance_0_8():
     ahead = environment.directions(16, 32)[..., 1]
     facing = studio.diffuse()[ahead < ahead.min() + 1e-9]
-    assert (facing @ environment.LUMINANCE.numpy()).mean() == pytest.approx(0.8, rel=0.01)  # half a pixel aside
+    # half a pixel aside
+    assert (facing @ environment.LUMINANCE.numpy()).mean() == pytest.approx(0.8, rel=0.01)
 
 
 @pytest.mark.parametrize("row, column", [(5, 28), (12, 9), (20, 20), (31, 31), (31, 4)])
@@ -61,7 +68,8 @@ def test_shares_are_what_the_analytic_renderer_reflects_of_light_from_everywhere
     views = Views.of(camera, lights, 1e8 * 2 * math.pi / len(lights))
     reflected = {}
     for colour in (1.0, 0.0):
-        metal = {name: value[:1, :1].double() for name, value in random_material("principled", 2).maps.items()}
+        metal = {name: value[:1, :1].double() for name, value in random_material("principled",
+                                                                                 2).maps.items()}
         metal |= {"base_color": torch.full((1, 1, 3), colour), "metallic": torch.ones(1, 1, 1),
                   "roughness": torch.full((1, 1, 1), roughness), "normal": flat(2)["normal"][:1, :1]}
         svbrdf = type(flat(2))("principled", {name: value.double() for name, value in metal.items()})

@@ -33,7 +33,8 @@ def decoded(fragment: str, of: str = "maps") -> dict[str, np.ndarray]:
         for low, high in zip(entry["low"], entry["high"]):
             high_bytes, low_bytes = (raw[at + k * count:at + (k + 1) * count] for k in (0, 1))
             at += 2 * count
-            levels = np.array([256 * a + b for a, b in zip(high_bytes, low_bytes)], dtype=np.float64).reshape(shape)
+            levels = np.array([256 * a + b for a, b in zip(high_bytes, low_bytes)],
+                              dtype=np.float64).reshape(shape)
             channels.append(low + levels / entry["top"] * (high - low))
         value = np.stack(channels, axis=-1)
         if entry["coding"] == "square":
@@ -62,24 +63,29 @@ def test_the_studio_survives_the_way():
     assert list(found) == ["lobes", "diffuseLight", "shares"]
     for name, truth in {"lobes": studio.lobes(), "diffuseLight": studio.diffuse()}.items():
         # Half a step of the square root, of 4095 from the darkest to the brightest.
-        assert np.abs(np.sqrt(found[name]) - np.sqrt(truth)).max() <= 0.5 / 4095 * np.sqrt(truth.max()) + 1e-12
+        assert np.abs(np.sqrt(found[name]) - np.sqrt(truth)).max() <= 0.5 / 4095 * np.sqrt(
+            truth.max()) + 1e-12
     assert np.abs(found["shares"] - studio.shares(MIN_ALPHA["roughconductor"])).max() <= 0.5 / 65535 + 1e-12
 
 
-@pytest.mark.parametrize("material", [random_material("roughconductor", 32), random_material("principled", 32), steepest(32),
-                                      make_material("inlay", 32)], ids=["roughconductor", "principled", "steepest", "inlay"])
+@pytest.mark.parametrize("material", [random_material("roughconductor", 32), random_material("principled",
+                                                                                             32), steepest(32),
+                                      make_material("inlay", 32)], ids=["roughconductor", "principled",
+                                                                        "steepest", "inlay"])
 def test_maps_survive_the_way(material):
     found = decoded(viewer_html(material))
     assert list(found) == list(CHANNELS[material.bsdf])
     for name, value in found.items():
         truth = material[name].double().numpy()
         if name == "normal":
-            # Half a step of s and t is 1 / 65535 = 1.53e-5, which moves a point of |x| + |y| + |z| = 1 by sqrt 2 of that at
-            # most; the sphere is at most sqrt 3 times wider there: 3.74e-5 rad. Measured: 3.2e-5.
+            # Half a step of s and t is 1 / 65535 = 1.53e-5, which moves a point of |x| + |y| + |z| = 1 by
+            # sqrt 2 of that at most; the sphere is at most sqrt 3 times wider there: 3.74e-5 rad. Measured:
+            # 3.2e-5.
             truth = truth / np.linalg.norm(truth, axis=-1, keepdims=True)
             assert np.linalg.norm(np.cross(value, truth), axis=-1).max() < 3.8e-5
         elif name in COLOURS:
-            assert np.abs(np.sqrt(value) - np.sqrt(truth)).max() <= 0.5 / 4095 + 1e-12  # half a step of the square root
+            # half a step of the square root
+            assert np.abs(np.sqrt(value) - np.sqrt(truth)).max() <= 0.5 / 4095 + 1e-12
         else:
             assert np.abs(value - truth).max() <= 0.5 / 65535 + 1e-12
 
@@ -88,11 +94,13 @@ def test_maps_survive_the_way(material):
 def test_constant_maps_travel_exactly(bsdf):
     material = flat(4, bsdf, roughness=0.3, diffuse=0.2, base_color=0.2, metallic=1.0)
     for name, value in decoded(viewer_html(material)).items():
-        assert np.allclose(value, material[name].double().numpy(), rtol=0, atol=1e-15), name  # the root of a square, at most
+        # the root of a square, at most
+        assert np.allclose(value, material[name].double().numpy(), rtol=0, atol=1e-15), name
 
 
 def test_noise_at_512_stays_below_the_limit():
-    # 6 colours of 12 bits, roughness and two of the normal of 16, times 4 / 3 of base64: 5.24 MB that nothing can shrink.
+    # 6 colours of 12 bits, roughness and two of the normal of 16, times 4 / 3 of base64: 5.24 MB that nothing
+    # can shrink.
     size = len(viewer_html(random_material("roughconductor", 512)).encode())
     assert 5.2e6 < size < 6e6
 
@@ -102,13 +110,15 @@ def test_larger_maps_are_averaged_down():
     found, small = decoded(viewer_html(material, largest=8)), material.resized(8)
     assert np.abs(found["roughness"] - small["roughness"].double().numpy()).max() < 1e-5
     assert found["normal"].shape == (8, 8, 3)
-    assert decoded(viewer_html(random_material("roughconductor", 8), largest=32))["roughness"].shape == (8, 8, 1)
+    assert decoded(viewer_html(random_material("roughconductor", 8), largest=32))["roughness"].shape == (8, 8,
+                                                                                                         1)
 
 
 @pytest.mark.parametrize("bsdf", ["roughconductor", "principled"])
 def test_nothing_comes_from_outside(bsdf):
     fragment = viewer_html(flat(4, bsdf))
-    for reach in (r"https?:", r"\bsrc\s*=", r"\bhref\s*=", r"@import", r"url\(", r"\bfetch\(", r"XMLHttpRequest", r"WebSocket",
+    for reach in (r"https?:", r"\bsrc\s*=", r"\bhref\s*=", r"@import", r"url\(", r"\bfetch\(",
+                  r"XMLHttpRequest", r"WebSocket",
                   r"\beval\(", r"new Function", r"\bimport\("):
         assert not re.search(reach, fragment), reach
     for name in CHANNELS[bsdf]:

@@ -32,8 +32,10 @@ def test_pointer_and_keys_move_light_and_view(tmp_path):
         page.mouse.down()
         page.mouse.move(*point(0.03, 0.25))
         page.mouse.up()
-        assert np.allclose(state()["turn"], (-30, -15), atol=0.3) and np.allclose(state()["light"], (-0.25, 0, 1), atol=0.002)
-        # Seen askew, the light still stands above the point of the patch under the pointer, in the middle its centre.
+        assert np.allclose(state()["turn"], (-30, -15), atol=0.3) and np.allclose(state()["light"],
+                                                                                  (-0.25, 0, 1), atol=0.002)
+        # Seen askew, the light still stands above the point of the patch under the pointer, in the middle its
+        # centre.
         page.mouse.move(*point(0, 0))
         assert np.allclose(state()["light"], (0, 0, 1), atol=0.003)
         page.mouse.move(5, 5)
@@ -63,7 +65,8 @@ def test_every_control_is_reached_by_tab_and_has_a_name(tmp_path):
             reached.append(page.evaluate("document.activeElement.name || document.activeElement.tagName"))
             style = "getComputedStyle(document.activeElement.closest('.choices label') ?? document.activeElement)"
             assert page.evaluate(style + ".outlineStyle") != "none", reached[-1]
-        assert reached[:12] == ["CANVAS", "surface", "lighting", "show", "diffuse", "specular", "roughness", "normal",
+        assert reached[:12] == ["CANVAS", "surface", "lighting", "show", "diffuse", "specular", "roughness",
+                                "normal",
                                 "exposure", "roughnessScale", "height", "tiles"] and reached[12] == "BUTTON"
         for name in ("Exposure", "Roughness scale", "Light height", "Tiles"):
             assert page.get_by_role("slider", name=name, exact=True).count() == 1
@@ -74,12 +77,14 @@ def test_every_control_is_reached_by_tab_and_has_a_name(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [320, 390, 1280])
 def test_on_a_phone(width, tmp_path):
-    with shown(make_material("leather", 32), tmp_path, width=width, height=800, phone=width < 600, scheme="dark") as page:
+    with shown(make_material("leather", 32), tmp_path, width=width, height=800, phone=width < 600,
+               scheme="dark") as page:
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         canvas = page.locator("canvas")
         canvas_picture(page)
         ratio = 2 if width < 600 else 1
-        assert page.evaluate("document.querySelector('canvas').width") == round(ratio * canvas.bounding_box()["width"])
+        assert page.evaluate("document.querySelector('canvas').width") == round(ratio * canvas.bounding_box()[
+            "width"])
         if width < 600:
             box = canvas.bounding_box()
             page.touchscreen.tap(box["x"] + box["width"] * 0.25, box["y"] + box["height"] / 2)
@@ -91,8 +96,8 @@ def test_on_a_phone(width, tmp_path):
 @pytest.mark.slow
 def test_one_finger_moves_the_light_and_two_turn_the_view(tmp_path):
     with shown(flat(8), tmp_path, width=390, height=800, phone=True) as page:
-        # The browser takes fingers that move up and down for scrolling the page, and hands over the rest when it likes: these
-        # events are made by hand.
+        # The browser takes fingers that move up and down for scrolling the page, and hands over the rest when
+        # it likes: these events are made by hand.
         assert page.locator("canvas").evaluate("canvas => getComputedStyle(canvas).touchAction") == "pan-y"
         page.locator("canvas").evaluate("canvas => { canvas.setPointerCapture = () => {}; }")
 
@@ -109,7 +114,8 @@ def test_one_finger_moves_the_light_and_two_turn_the_view(tmp_path):
         touch("pointerdown", 2, 0.3, -0.47)
         touch("pointermove", 1, -0.27, -0.47)
         state = touch("pointermove", 2, 0.5, -0.47)
-        assert np.allclose(state["turn"], (-12, 0), atol=0.5) and np.allclose(state["light"], (-0.25, -0.25, 1), atol=0.01)
+        assert np.allclose(state["turn"], (-12, 0), atol=0.5) and np.allclose(state["light"],
+                                                                              (-0.25, -0.25, 1), atol=0.01)
         for finger in (1, 2):
             touch("pointerup", finger)
         assert np.allclose(touch("pointerdown", 3)["light"], (0, 0, 1), atol=0.02)  # one finger again
@@ -145,7 +151,8 @@ def test_a_lost_context_comes_back(tmp_path):
 @pytest.mark.slow
 def test_without_webgl_a_sentence_says_so(tmp_path):
     file = tmp_path / "viewer.html"
-    file.write_text(page_text("pages/base.html", title="A material").replace("</body>", viewer_html(flat(8)) + "</body>"))
+    file.write_text(page_text("pages/base.html", title="A material").replace("</body>", viewer_html(flat(8))
+                                                                             + "</body>"))
     with opened(file, flags=(FLAGS[0], "--disable-3d-apis")) as page:
         assert page.evaluate("mitsvbrdfViewer.ready") is False
         assert "needs WebGL2" in page.locator(".problem").first.inner_text()

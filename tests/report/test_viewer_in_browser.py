@@ -16,8 +16,10 @@ from mitsvbrdf.render.analytic import AnalyticRenderer
 from mitsvbrdf.testing import random_material
 from mitsvbrdf.views import Views
 
-# Camera and light: together above the centre; apart; on opposite sides and low, where Fresnel reflectance is far from F0.
-PLACES = [((0.0, 0.0, 2.0), (0.0, 0.0, 2.0)), ((0.4, -0.3, 1.5), (-0.6, 0.5, 1.0)), ((-1.2, 0.3, 0.8), (1.3, -0.2, 0.7))]
+# Camera and light: together above the centre; apart; on opposite sides and low, where Fresnel reflectance is
+# far from F0.
+PLACES = [((0.0, 0.0, 2.0), (0.0, 0.0, 2.0)), ((0.4, -0.3, 1.5), (-0.6, 0.5, 1.0)),
+          ((-1.2, 0.3, 0.8), (1.3, -0.2, 0.7))]
 
 
 def glossy(resolution: int = 64) -> SVBRDF:
@@ -39,7 +41,9 @@ def bytes_of(linear: np.ndarray) -> np.ndarray:
 
 
 def worst(page, svbrdf: SVBRDF, places=PLACES, **options) -> float:
-    """Largest difference between the viewer's pixels and the analytic renderer's, in 1 / 255 of display values."""
+    """Largest difference between the viewer's pixels and the analytic renderer's, in 1 / 255 of display
+    values.
+    """
     errors = []
     for camera, light in places:
         intensity = 2 * math.pi * sum(x * x for x in light)
@@ -54,7 +58,8 @@ def worst(page, svbrdf: SVBRDF, places=PLACES, **options) -> float:
 LIMIT = 1.0
 
 
-# Lower still: where normal and light are at right angles to 3e-5, the 3e-5 of a normal's 16 bits show. Measured: 1.1.
+# Lower still: where normal and light are at right angles to 3e-5, the 3e-5 of a normal's 16 bits show.
+# Measured: 1.1.
 LOWEST = [((-2.0, 0.0, 0.4), (2.0, 0.1, 0.35))]
 
 
@@ -85,7 +90,8 @@ def test_sliders_and_toggles_change_what_they_say(tmp_path):
         page.get_by_role("slider", name="Roughness scale").fill("2")
         assert worst(page, changed(material, roughness=(2 * material["roughness"]).clamp_max(1))) < LIMIT
         page.get_by_role("slider", name="Roughness scale").fill("0.5")
-        assert worst(page, changed(material, roughness=material["roughness"] / 2)) < 2  # as narrow as 0.065; measured 1.0
+        # as narrow as 0.065; measured 1.0
+        assert worst(page, changed(material, roughness=material["roughness"] / 2)) < 2
         page.get_by_role("button", name="Reset").click()
 
         off = {"diffuse": 0.0, "specular": 0.0, "roughness": 0.5, "normal": torch.tensor([0.0, 0.0, 1.0])}
@@ -119,16 +125,19 @@ def test_each_map_can_be_looked_at_alone(bsdf, tmp_path):
         for name in CHANNELS[bsdf]:
             page.get_by_role("radio", name=TITLES[name]).check()
             truth = shown_map(name, material[name].double()).expand(-1, -1, 3).numpy() * 255
-            assert np.abs(pixels(page)[..., :3] - truth).max() < 0.6, name  # rounding is 0.5, 12 bits of colour the rest
+            # rounding is 0.5, 12 bits of colour the rest
+            assert np.abs(pixels(page)[..., :3] - truth).max() < 0.6, name
             assert page.get_by_role("slider", name="Exposure").is_disabled()
         page.get_by_role("radio", name="Lit").check()
         assert page.get_by_role("slider", name="Exposure").is_enabled()
 
 
-def expected_at(svbrdf: SVBRDF, look: dict, row: int, column: int, surface: str, tiles: int) -> np.ndarray | None:
+def expected_at(svbrdf: SVBRDF, look: dict, row: int, column: int, surface: str,
+                tiles: int) -> np.ndarray | None:
     """Linear radiance where this pixel's ray meets patch or sphere, in float64; None where it meets nothing.
 
-    The point becomes a material of one texel, seen and lit from where camera and light stand in the frame of its surface.
+    The point becomes a material of one texel, seen and lit from where camera and light stand in the frame of
+    its surface.
     """
     right, up, back = np.array(look["axes"])
     camera, light = np.array(look["camera"]), np.array(look["light"])
@@ -146,7 +155,8 @@ def expected_at(svbrdf: SVBRDF, look: dict, row: int, column: int, surface: str,
         point = camera + roots.real.min() * ray
         lon, lat = math.atan2(point[0], point[2]), math.asin(point[1] / 0.5)
         u, v = lon / math.pi + 0.5, 0.5 - lat / math.pi
-        frame = np.array([[math.cos(lon), 0, -math.sin(lon)],  # the derivatives of the point by longitude and latitude
+        # the derivatives of the point by longitude and latitude
+        frame = np.array([[math.cos(lon), 0, -math.sin(lon)],
                           [-math.sin(lat) * math.sin(lon), math.cos(lat), -math.sin(lat) * math.cos(lon)],
                           [math.cos(lat) * math.sin(lon), math.sin(lat), math.cos(lat) * math.cos(lon)]])
     u, v, flip = u * tiles, v * tiles, torch.ones(3)
@@ -161,16 +171,18 @@ def expected_at(svbrdf: SVBRDF, look: dict, row: int, column: int, surface: str,
     normal = texel["normal"].reshape(3).numpy()
     if surface == "sphere" and min(to_light[2], normal @ to_camera) <= 0 < normal @ to_light:
         return np.full(3, np.nan)  # the viewer leaves no holes there
-    return np.zeros(3) if to_light[2] <= 0 else radiance(texel, to_camera.tolist(), to_light.tolist(), look["intensity"])[0, 0]
+    return (np.zeros(3) if to_light[2] <= 0
+            else radiance(texel, to_camera.tolist(), to_light.tolist(), look["intensity"])[0, 0])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("surface, tiles, turn", [("patch", 1, (0, 0)), ("patch", 2, (35, -40)), ("sphere", 1, (0, 0)),
-                                                  ("sphere", 3, (-60, 30))])
+@pytest.mark.parametrize("surface, tiles, turn", [("patch", 1, (0, 0)), ("patch", 2, (35, -40)),
+                                                  ("sphere", 1, (0, 0)), ("sphere", 3, (-60, 30))])
 def test_patch_and_sphere_at_single_points(surface, tiles, turn, tmp_path):
     material = make_material("inlay", 64)
     with shown(material, tmp_path) as page:
-        options = {"view": surface, "tiles": tiles, "turn": turn, "size": 40, "light": [0.5, -0.4, 0.8], "intensity": [6.0] * 3}
+        options = {"view": surface, "tiles": tiles, "turn": turn, "size": 40, "light": [0.5, -0.4, 0.8],
+                   "intensity": [6.0] * 3}
         look = looked(page, linear=True, **options) | {"intensity": 6.0}
     met = bright = filled = 0
     for row in range(1, 40, 3):
@@ -184,7 +196,8 @@ def test_patch_and_sphere_at_single_points(surface, tiles, turn, tmp_path):
                 assert (got[:3] > 0).all()
                 filled += 1
                 continue
-            # Float32 places a point to 1e-7, which steep maps turn into 1e-4 of a byte, and their steps into 0.2; in bytes.
+            # Float32 places a point to 1e-7, which steep maps turn into 1e-4 of a byte, and their steps into
+            # 0.2; in bytes.
             assert np.abs(bytes_of(got[:3]) - bytes_of(truth)).max() < 0.5, (row, column)
             met, bright = met + 1, bright + (truth.max() > 0.02)
     assert met > 50 and bright > 30 and (filled > 0) == (tiles == 3)

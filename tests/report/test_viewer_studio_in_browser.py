@@ -22,16 +22,20 @@ FAR = 1e4  # of the lights that stand for directions
 
 
 def summed(svbrdf, camera, turn: float, rows: int = 192) -> np.ndarray:
-    """Radiance of each texel: light from rows x 2 rows directions, each rendered for itself by the analytic renderer."""
+    """Radiance of each texel: light from rows x 2 rows directions, each rendered for itself by the analytic
+    renderer.
+    """
     picture = (environment.studio(192) * studio._scale()).permute(2, 0, 1)[None]
     picture = torch.cat((picture[..., -1:], picture, picture[..., :1]), dim=-1)  # around the back
     d = environment.directions(rows, 2 * rows).reshape(-1, 3)
     u, v = torch.atan2(d[:, 0], d[:, 1]) / (2 * math.pi) + 0.5, torch.acos(d[:, 2].clamp(-1, 1)) / math.pi
     width, height = picture.shape[-1], picture.shape[-2]
-    at = torch.stack(((u * (width - 2) + 1) / width * 2 - 1, (v * (height - 1) + 0.5) / height * 2 - 1), dim=-1)
+    at = torch.stack(((u * (width - 2) + 1) / width * 2 - 1, (v * (height - 1) + 0.5) / height * 2 - 1),
+                     dim=-1)
     light = F.grid_sample(picture, at[None, None], align_corners=False, padding_mode="border")[0, :, 0].T
     solid = math.pi / (rows - 1) * math.pi / rows * (1 - d[:, 2] ** 2).clamp_min(0).sqrt()
-    # From the studio's right, ahead, up to the viewer's right, up, back; the studio is turned about what is up.
+    # From the studio's right, ahead, up to the viewer's right, up, back; the studio is turned about what is
+    # up.
     cos, sin = math.cos(math.radians(turn)), math.sin(math.radians(turn))
     x, y = cos * d[:, 0] + sin * d[:, 1], -sin * d[:, 0] + cos * d[:, 1]
     here = torch.stack((x, d[:, 2], -y), dim=-1)
@@ -46,7 +50,8 @@ def summed(svbrdf, camera, turn: float, rows: int = 192) -> np.ndarray:
 
 def uniform(roughness: float, specular: float, tilt=(0.0, 0.0)):
     normal = F.normalize(torch.tensor([*tilt, 1.0]), dim=0)
-    return changed(flat(4), diffuse=torch.tensor([0.4, 0.2, 0.1]), specular=specular, roughness=roughness, normal=normal)
+    return changed(flat(4), diffuse=torch.tensor([0.4, 0.2, 0.1]), specular=specular, roughness=roughness,
+                   normal=normal)
 
 
 ASLANT = ((0.8, -0.9, 1.1), 50.0)  # camera 48 degrees from the normal, and by how much the studio is turned
@@ -55,15 +60,20 @@ FACING = ((0.0, 0.0, 2.0), 0.0)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("material, facing, aslant", [
-    # Measured: the mean's error facing and aslant. Split sums are this far from the integral, more the rougher a metal is.
-    (uniform(0.7, 0.0), 0.012, 0.001), (uniform(0.2, 0.6), 0.011, 0.038), (uniform(0.35, 0.04, (0.3, 0.2)), 0.008, 0.061),
-    (uniform(0.35, 0.9), 0.030, 0.048), (uniform(0.7, 0.9), 0.027, 0.296), (random_material("principled", 4), 0.037, 0.052),
+    # Measured: the mean's error facing and aslant. Split sums are this far from the integral, more the
+    # rougher a metal is.
+    (uniform(0.7, 0.0), 0.012, 0.001), (uniform(0.2, 0.6), 0.011, 0.038), (uniform(0.35, 0.04, (0.3, 0.2)),
+                                                                           0.008, 0.061),
+    (uniform(0.35, 0.9), 0.030, 0.048), (uniform(0.7, 0.9), 0.027, 0.296), (random_material("principled", 4),
+                                                                            0.037, 0.052),
 ], ids=["diffuse", "gloss", "dielectric", "metal", "rough metal", "principled"])
 def test_radiance_is_the_sum_over_all_directions(material, facing, aslant, tmp_path):
     with shown(material, tmp_path) as page:
         for (camera, turn), limit in ((FACING, facing), (ASLANT, aslant)):
-            got = looked(page, view="rectified", lighting="studio", studio=turn, camera=list(camera), linear=True)["data"]
-            assert got[..., :3].mean() == pytest.approx(summed(material, camera, turn).mean(), rel=limit + 0.01)
+            got = looked(page, view="rectified", lighting="studio", studio=turn, camera=list(camera),
+                         linear=True)["data"]
+            assert got[..., :3].mean() == pytest.approx(summed(material, camera, turn).mean(),
+                                                        rel=limit + 0.01)
 
 
 @pytest.mark.slow

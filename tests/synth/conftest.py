@@ -18,7 +18,8 @@ def truth(tmp_path):
     plan = shots(phone, spoil=("duplicate", "blurred"))
     rig = Rig(phone.lens, {shot.name: shot.pose for shot in plan}, phone.patch, "cm", "photos")
     save_maps(make_material("inlay", 16).resized(64), tmp_path / "truth" / "sample")
-    odd = {shot.name: {"kind": shot.kind, "usable": False} | ({"of": shot.of} if shot.of else {}) for shot in plan if shot.kind}
+    odd = {shot.name: {"kind": shot.kind, "usable": False} | ({"of": shot.of} if shot.of else {})
+           for shot in plan if shot.kind}
     (tmp_path / "truth" / "truth.json").write_text(json.dumps(
         {"rig": rig_to_json(rig), "intensity": [1500.0] * 3, "sample_cm": 24.0, "spoiled": odd}))
     return Truth.read(tmp_path)

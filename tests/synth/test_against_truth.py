@@ -51,7 +51,9 @@ def test_an_exact_rig_has_no_errors(truth, world):
 
 
 def test_a_camera_in_a_wrong_place(truth):
-    """1 % of its distance aside, found with a sheet: its light too, and its photo is rectified that far off."""
+    """1 % of its distance aside, found with a sheet: its light too, and its photo is rectified that far
+    off.
+    """
     rig, name = sheets(truth), "IMG_0004.jpg"
     pose = rig.poses[name]
     step = 0.01 * np.linalg.norm(pose.position)
@@ -64,9 +66,11 @@ def test_a_camera_in_a_wrong_place(truth):
     pixels = step * PIXELS / rig.size
     rectification = found["rectification"]
     assert rectification["photos"][name] == pytest.approx(pixels) == rectification["worst"]
-    assert rectification["rms"] == pytest.approx(pixels / 3) == rectification["mutual"] and rectification["common"] < 1e-9
+    assert rectification["rms"] == pytest.approx(pixels / 3) == rectification["mutual"] and rectification[
+        "common"] < 1e-9
     placed = similarity(moved(rig), truth)  # one wrong photo of nine moves no median
-    np.testing.assert_allclose([placed.scale, placed.angle, *placed.shift], [MOVED.scale, MOVED.angle, *MOVED.shift], atol=1e-9)
+    np.testing.assert_allclose([placed.scale, placed.angle, *placed.shift],
+                               [MOVED.scale, MOVED.angle, *MOVED.shift], atol=1e-9)
 
 
 def test_a_patch_that_all_photos_deform(truth):
@@ -108,25 +112,32 @@ def test_which_photos_were_chosen(truth):
 
 
 def test_maps_of_just_the_patch(truth):
-    """A patch of half the sample, turned by a quarter: a cut of the maps, turned, and their normals with it."""
+    """A patch of half the sample, turned by a quarter: a cut of the maps, turned, and their normals with
+    it.
+    """
     quarter = Similarity(12.0, math.pi / 2, (3.0, 0.0))
     rig = replace(moved(sheets(truth), quarter), size=1.0)
     found = truth_maps(truth, rig, 32)
     whole = make_material("inlay", 16).resized(64)
-    # x of the rig's world is y of the true one, and its y is -x: 12 cm around (3, 0) are columns 24 to 56 of 64.
+    # x of the rig's world is y of the true one, and its y is -x: 12 cm around (3, 0) are columns 24 to 56 of
+    # 64.
     for name in ("diffuse", "specular", "roughness"):
         cut = torch.rot90(whole[name][16:48, 24:56], -1)
         # Measured: at most 0.0018, of bilinear reading twice a texel; the other way round 0.04 to 0.18
-        assert float((found[name] - cut).abs().mean()) < 0.004 < float((found[name] - torch.rot90(cut, 2)).abs().mean())
+        assert float((found[name] - cut).abs().mean()) < 0.004 < float((found[name] - torch.rot90(cut,
+                                                                                                  2)).abs().mean())
     unturned = torch.rot90(whole["normal"][16:48, 24:56], -1)
     turned = torch.stack((unturned[..., 1], -unturned[..., 0], unturned[..., 2]), dim=-1)
     # Measured: 0.0005; as they were 0.023, turned the other way 0.035
-    assert float((found["normal"] - turned).abs().mean()) < 0.002 < float((found["normal"] - unturned).abs().mean())
+    assert float((found["normal"] - turned).abs().mean()) < 0.002 < float(
+        (found["normal"] - unturned).abs().mean())
     assert float((found["normal"].norm(dim=-1) - 1).abs().max()) < 1e-6
 
 
 def test_a_capture_with_the_true_views(truth, tmp_path):
-    """The written views are wrong by a known amount: the comparison says it, and the true ones take their place."""
+    """The written views are wrong by a known amount: the comparison says it, and the true ones take their
+    place.
+    """
     rig = moved(sheets(truth))
     camera = np.stack([pose.position for pose in rig.poses.values()])
     light = np.stack([pose.flash(rig.lens) for pose in rig.poses.values()])

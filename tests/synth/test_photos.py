@@ -66,14 +66,16 @@ def test_the_sheets_tags_are_where_they_should_be():
     (shot, pixels), = photos
     options = cv2.aruco.DetectorParameters()
     options.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), options)
+    detector = cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11),
+                                       options)
     corners, ids, _ = detector.detectMarkers(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY))
     found = {int(i): c.reshape(4, 2) for i, c in zip(np.asarray(ids).ravel(), corners)}
     assert sorted(found) == list(range(16)) and truth["depth_cm"] == 0.5 and truth["sheet_cm"] == 18.0
     errors = []
     for number, at in Sheet(18.0).corners.items():
         aim = project(phone.lens, shot.pose, at + (0, 0, 0.5))
-        turned = [np.roll(found[number], k, axis=0) - aim for k in range(4)]  # detectors differ in the corner they begin with
+        # detectors differ in the corner they begin with
+        turned = [np.roll(found[number], k, axis=0) - aim for k in range(4)]
         errors.append(min(turned, key=lambda e: np.abs(e).max()))
     # Measured: RMS 0.25 pixels, mean 0.01; taken for a sheet at depth 0: RMS 7.6
     assert np.sqrt(np.square(errors).mean()) < 0.5 and np.abs(np.mean(errors, axis=(0, 1))).max() < 0.05
@@ -103,11 +105,13 @@ def test_spoiled_photos_are_what_they_are_called():
     assert [kind["kind"] for kind in truth["spoiled"].values() if kind["usable"]] == ["rotated"]
     blurred, finger, noflash, duplicate, rotated, unrelated = list(taken.values())[3:]
     first = taken["IMG_0001.jpg"][1]
-    assert blurred[1].mean() == pytest.approx(first.mean(), rel=0.2)  # this sample has nothing to blur, see below
+    # this sample has nothing to blur, see below
+    assert blurred[1].mean() == pytest.approx(first.mean(), rel=0.2)
     height, width = first.shape[:2]
     left, right = finger[1][height // 2, width // 8], finger[1][height // 2, 7 * width // 8]
     assert left.max() < 70 and left[0] > 1.5 * left[2] and right.min() > 80
-    # Light from everywhere and a diffuse sample of albedo 0.5: the same radiance 0.35 * 0.5 everywhere, 116 in 8 bits.
+    # Light from everywhere and a diffuse sample of albedo 0.5: the same radiance 0.35 * 0.5 everywhere, 116
+    # in 8 bits.
     lens = phone.lens
     middle = noflash[1][height // 2 - 9 : height // 2 + 9, width // 2 - 9 : width // 2 + 9]
     assert middle.mean() == pytest.approx(255 * (1.055 * 0.175 ** (1 / 2.4) - 0.055), abs=1)
@@ -115,7 +119,8 @@ def test_spoiled_photos_are_what_they_are_called():
     assert of[0].pose is duplicate[0].pose and 0.5 < np.abs(of[1] - duplicate[1]).mean() < 4
     # Orientation 6 is shown turned clockwise: left as stored, where the world's y points, is up then.
     assert rotated[0].orientation == 6 and rotated[0].pose.rotation[0, 1] < -0.9
-    assert np.linalg.norm(rotated[0].pose.flash(lens) - rotated[0].pose.position) == pytest.approx(math.hypot(1.5, 0.4))
+    assert np.linalg.norm(rotated[0].pose.flash(lens) - rotated[0].pose.position) == pytest.approx(
+        math.hypot(1.5, 0.4))
     (red, _, blue), (same, _, as_well) = unrelated[1].mean(axis=(0, 1)), first.mean(axis=(0, 1))
     assert red > blue + 5 and abs(same - as_well) < 1  # brown instead of grey
 
@@ -133,7 +138,8 @@ def test_a_seed_gives_the_same_photos_and_another_others():
     maps = make_material("leather", 32)
 
     def taken(seed):
-        photos, truth = handheld_photos(maps, HandheldPhone(megapixels=0.05, photos=2, seed=seed), HandheldRenderer)
+        photos, truth = handheld_photos(maps, HandheldPhone(megapixels=0.05, photos=2, seed=seed),
+                                        HandheldRenderer)
         return np.stack([pixels for _, pixels in photos]), truth["rig"]["poses"]
 
     (first, poses), (again, same), (other, elsewhere) = taken(5), taken(5), taken(6)
@@ -143,8 +149,10 @@ def test_a_seed_gives_the_same_photos_and_another_others():
 
 @pytest.mark.parametrize("wrong, match", [
     ({"megapixels": 0}, "megapixels"), ({"megapixels": math.nan}, "megapixels"), ({"photos": 0}, "photos"),
-    ({"sheet": 2.0}, "sheet"), ({"depth": -1.0}, "depth"), ({"side": 1.0}, "side"), ({"side": 8.0, "sheet": 18.0}, "hole"),
-    ({"tilt": 0.0}, "tilt"), ({"grain": -1.0}, "grain"), ({"jpeg": 101}, "JPEG"), ({"focal_35mm": 0.0}, "focal")])
+    ({"sheet": 2.0}, "sheet"), ({"depth": -1.0}, "depth"), ({"side": 1.0}, "side"),
+    ({"side": 8.0, "sheet": 18.0}, "hole"),
+    ({"tilt": 0.0}, "tilt"), ({"grain": -1.0}, "grain"), ({"jpeg": 101}, "JPEG"),
+    ({"focal_35mm": 0.0}, "focal")])
 def test_phones_that_cannot_be(wrong, match):
     with pytest.raises(ConfigError, match=match):
         HandheldPhone(**wrong).check()
@@ -158,18 +166,22 @@ def test_spoiling_that_is_not_known(kinds):
 
 def test_the_command_writes_photos_and_their_truth(tmp_path, capsys):
     raw = tmp_path / "raw"
-    assert cli.main(["synth", "builtin:tiles", "--handheld", "-o", str(raw), "--megapixels", "0.1", "--photos", "3",
+    assert cli.main(["synth", "builtin:tiles", "--handheld", "-o", str(raw), "--megapixels", "0.1",
+                     "--photos", "3",
                      "--resolution", "32", "--spoil", "noflash", "--seed", "2"]) == 0
-    assert sorted(p.name for p in raw.iterdir() if p.is_file() and p.suffix) == [f"IMG_{i:04d}.jpg" for i in range(1, 5)]
+    assert sorted(p.name for p in raw.iterdir() if p.is_file() and p.suffix) == [f"IMG_{i:04d}.jpg"
+                                                                                 for i in range(1, 5)]
     photo, dark = (Photo.open(raw / f"IMG_000{i}.jpg") for i in (1, 4))
     assert photo.size == HandheldPhone(megapixels=0.1).lens.size and photo.orientation == 1
     assert photo.exif["35 mm focal length"] == 26 and photo.exif["ISO"] == 100
-    assert photo.exif["exposure time"] == pytest.approx(1 / 60) and photo.exif["focal length"] == pytest.approx(5.8, abs=0.01)
+    assert photo.exif["exposure time"] == pytest.approx(1 / 60) and photo.exif[
+        "focal length"] == pytest.approx(5.8, abs=0.01)
     assert (photo.exif["flash"], dark.exif["flash"]) == ("fired", "off")
     truth = json.loads((raw / "truth" / "truth.json").read_text())
     assert truth["material"] == "tiles" and truth["sample_cm"] == 24.0 and truth["phone"]["seed"] == 2
     rig = rig_from_json(truth["rig"])
-    assert list(rig.poses) == [f"IMG_{i:04d}.jpg" for i in range(1, 5)] and rig.lens.distortion == (0.06, -0.04)
+    assert list(rig.poses) == [f"IMG_{i:04d}.jpg" for i in range(1, 5)] and rig.lens.distortion == (0.06,
+                                                                                                    -0.04)
     assert (raw / "truth" / "sample" / "normal.exr").is_file() and not (raw / "truth" / "maps").exists()
     pixels = photo.pixels()
     assert 60 < pixels.mean() < 160 and (pixels == 255).mean() < 0.05  # a photo that is well exposed
@@ -191,7 +203,8 @@ def test_true_maps_within_a_sheet_are_those_of_the_patch(tmp_path):
     at = (torch.arange(side) + 0.5) / side
     across, down = at.expand(side, side), at[:, None].expand(side, side)
     known = flat(side)
-    known.maps["diffuse"], known.maps["roughness"] = torch.stack((across, down, across), dim=-1), down[..., None].clone()
+    known.maps["diffuse"], known.maps["roughness"] = torch.stack((across, down, across), dim=-1), down[...,
+                                                                                                       None].clone()
     write_handheld(known, phone, Grey, tmp_path)
     found, whole = load_maps(tmp_path / "truth" / "maps"), load_maps(tmp_path / "truth" / "sample")
     assert (found.resolution, whole.resolution) == (115, 190)  # texels of one size
@@ -205,8 +218,11 @@ def test_true_maps_within_a_sheet_are_those_of_the_patch(tmp_path):
 
 
 @pytest.mark.parametrize("arguments", [
-    ["--sheet", "18"], ["--spoil", "finger"], ["--handheld", "--noise", "0.1", "--photos", "1", "--megapixels", "0.05"],
-    ["--handheld", "--spoil", "nonsense"], ["--handheld", "--megapixels", "1000"], ["--handheld", "--seed", "-1"]])
+    ["--sheet", "18"], ["--spoil", "finger"], ["--handheld", "--noise", "0.1", "--photos", "1",
+                                               "--megapixels", "0.05"],
+    ["--handheld", "--spoil", "nonsense"], ["--handheld", "--megapixels", "1000"],
+    ["--handheld", "--seed", "-1"]])
 def test_options_that_do_not_go_together(tmp_path, capsys, arguments):
-    assert cli.main(["synth", "builtin:tiles", "-o", str(tmp_path / "out"), "--resolution", "16", *arguments]) == 2
+    assert cli.main(["synth", "builtin:tiles", "-o", str(tmp_path / "out"), "--resolution", "16",
+                     *arguments]) == 2
     assert capsys.readouterr().err.startswith("error: expected") and not (tmp_path / "out").exists()

@@ -40,11 +40,14 @@ def test_the_scene_is_the_analytic_renderers(material):
     views = Views.of([pose.position.tolist()], [pose.flash(lens).tolist()], 700.0, size=12.0)
     truth = make_renderer("analytic64").render(maps, views)[0].numpy()
     # Measured: 3.6e-6 of the brightest, 1.8e-6 of the mean
-    assert np.abs(seen - truth).max() < 2e-5 * truth.max() and np.abs(seen - truth).mean() < 1e-5 * truth.mean()
+    assert np.abs(seen - truth).max() < 2e-5 * truth.max() and np.abs(
+        seen - truth).mean() < 1e-5 * truth.mean()
 
 
 def test_rays_go_where_the_lens_says():
-    """Diffuse dots, tilted, turned and distorted, in closed form: tents of the map's texels under cos / d^2."""
+    """Diffuse dots, tilted, turned and distorted, in closed form: tents of the map's texels under cos /
+    d^2.
+    """
     maps, side, power = flat(64, diffuse=0.0, specular=0.0), 20.0, 1000.0
     at = [(5, 7), (60, 4), (31, 33), (8, 58), (50, 55)]
     for row, column in at:
@@ -56,7 +59,8 @@ def test_rays_go_where_the_lens_says():
     points = np.column_stack((on_plane(lens, pose, pixels), np.zeros(len(pixels))))
     np.testing.assert_allclose(project(lens, pose, points), pixels, atol=1e-9)
     texels = np.array([((c + 0.5) / 64 - 0.5, 0.5 - (r + 0.5) / 64) for r, c in at]) * side
-    tents = sum(np.prod(np.clip(1 - np.abs(points[:, :2] - texel) * 64 / side, 0, None), axis=1) for texel in texels)
+    tents = sum(np.prod(np.clip(1 - np.abs(points[:, :2] - texel) * 64 / side, 0, None), axis=1)
+                for texel in texels)
     light = pose.flash(lens) - points
     truth = (tents / np.pi * power * light[:, 2] / np.linalg.norm(light, axis=1) ** 3).reshape(300, 400)
     dots = truth > 0
@@ -71,7 +75,8 @@ def test_blocks_of_rows_leave_no_seam(monkeypatch):
     whole = HandheldRenderer(maps, 24.0, samples=1).render(lens, pose, intensity=500.0)
     monkeypatch.setattr(traced, "MOST_RAYS", 37 * lens.size[0])
     blocks = HandheldRenderer(maps, 24.0, samples=1).render(lens, pose, intensity=500.0)
-    # Positions on the film are float32, rounded otherwise in a block: 1e-4 of a pixel, so 1e-4 or so of an edge.
+    # Positions on the film are float32, rounded otherwise in a block: 1e-4 of a pixel, so 1e-4 or so of an
+    # edge.
     assert np.abs(blocks - whole).max() < 2e-3 and np.abs(blocks - whole).mean() < 1e-6
 
 
@@ -81,11 +86,14 @@ def test_a_photo_rectified_shows_what_the_analytic_renderer_says():
     lens, pose = phone.lens, Pose.looking_at((2.0, -3.0, 20.0), (0.3, 0.4, 0), 0.2)
     power = 600.0
     pixels = developed(HandheldRenderer(maps, 12.0).render(lens, pose, intensity=power), lens, 0)
-    points = np.array([[x, y, 0.0] for y in (np.arange(64)[::-1] - 31.5) for x in (np.arange(64) - 31.5)]) * 12.0 / 64
+    points = (np.array([[x, y, 0.0] for y in (np.arange(64)[::-1] - 31.5) for x in (np.arange(64) - 31.5)])
+              * 12.0 / 64)
     transmission = lens.transmission(project(lens, pose, points)).reshape(64, 64, 1)
-    seen = color.decode(torch.from_numpy(rectified(pixels, lens, pose, 12.0, 64)), "srgb").numpy() / transmission
+    seen = (color.decode(torch.from_numpy(rectified(pixels, lens, pose, 12.0, 64)), "srgb").numpy()
+            / transmission)
     views = Views.of([pose.position.tolist()], [pose.flash(lens).tolist()], power, size=12.0)
-    truth = make_renderer("analytic64").render(maps, views)[0].numpy().clip(0, 1).reshape(64, 2, 64, 2, 3).mean(axis=(1, 3))
+    truth = make_renderer("analytic64").render(maps, views)[0].numpy().clip(0, 1).reshape(64, 2, 64, 2,
+                                                                                          3).mean(axis=(1, 3))
     inner = slice(1, -1)  # the outermost texels have the table beside them
     error = np.sqrt(np.square(seen - truth)[inner, inner].mean()) / truth.mean()
     assert error < 0.01  # measured: 0.0032, of 8 bits; with the vignetting of the photo left in 0.2
@@ -104,4 +112,5 @@ def test_the_flash_moves_the_highlight_and_turns_with_the_phone():
         halfway = (pose.position + pose.flash(lens))[:2] / 2
         # Measured: 0.009 cm; the highlight is 0.2 cm wide
         np.testing.assert_allclose(on_plane(lens, pose, np.array([[column, row]]))[0], halfway, atol=0.02)
-    np.testing.assert_allclose(halfway, (0.5, 0.5), atol=1e-9)  # turned: what was right is down, what was down is left
+    # turned: what was right is down, what was down is left
+    np.testing.assert_allclose(halfway, (0.5, 0.5), atol=1e-9)

@@ -25,8 +25,8 @@ def report(tmp_path):
 def loaded():
     """Mitsuba and the lazy modules of Dr.Jit, loaded for good.
 
-    After each run ``pytester`` makes Python forget what has been loaded meanwhile, and neither survives being loaded twice.
-    Lazy modules load when first asked for anything, as a failing test asks every module.
+    After each run ``pytester`` makes Python forget what has been loaded meanwhile, and neither survives being
+    loaded twice. Lazy modules load when first asked for anything, as a failing test asks every module.
     """
     make_renderer("mitsuba-scene").render(flat(2), TWO)
     for module in list(sys.modules.values()):
@@ -35,5 +35,6 @@ def loaded():
 
 @pytest.fixture
 def suite(loaded, pytester, monkeypatch):
-    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")  # no plugins but ours, whatever is installed here
+    # no plugins but ours, whatever is installed here
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     return Suite(pytester).write()

@@ -54,7 +54,8 @@ def test_a_wrong_gradient_is_named(report):
     text = Path(lines[2].removeprefix("  page: ")).read_text()
     assert text.count("wrong: ") == 6 and text.count("analytic: ") == 6  # all figures of both
     assert text.count('class="text bad"') == 1
-    assert text.count("data:image/png") == 2 * 4 + 4 * 3  # two views of four pictures, four gradients of three
+    # two views of four pictures, four gradients of three
+    assert text.count("data:image/png") == 2 * 4 + 4 * 3
     assert not re.search(r"""(src|href)=["'](?!data:)""", text)  # self-contained
 
 
@@ -95,5 +96,6 @@ def test_a_renderer_of_somebody_else_needs_limits():
 
 def test_a_page_that_cannot_be_written_does_not_hide_the_failure(report):
     report.write_text("a file where the folder should be")
-    with pytest.raises(AssertionError, match=r"image, mean relative error: 0\.01(.|\n)*page: none \(expected to write"):
+    with pytest.raises(AssertionError,
+                       match=r"image, mean relative error: 0\.01(.|\n)*page: none \(expected to write"):
         assert_renderers_agree(flat(8), TWO, [Wrong(image=lambda x: x * 1.01)], **WIDE)

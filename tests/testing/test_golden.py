@@ -43,7 +43,8 @@ def test_accepted_results_match_and_are_plain_exr_files(accepted):
     expected = torch.rand(2, 4, 4, 3, generator=torch.Generator().manual_seed(0)).numpy()
     assert np.array_equal(views["view001.G"].pixels, expected[1, ..., 1])
     maps = OpenEXR.File(str(accepted.golden / "maps.exr"), separate_channels=True).channels()
-    assert len(maps) == 10 and (maps["normal.B"].pixels == 1).all() and (maps["roughness.Y"].pixels == 0.5).all()
+    assert len(maps) == 10 and (maps["normal.B"].pixels == 1).all() and (
+        maps["roughness.Y"].pixels == 0.5).all()
 
 
 def test_a_changed_result_fails_and_touches_no_golden_file(accepted):
@@ -55,7 +56,8 @@ def test_a_changed_result_fails_and_touches_no_golden_file(accepted):
     assert "roughness: largest difference, in tolerances: 196" in said and "diffuse: largest" not in said
     pages = sorted((accepted.folder / "pages").glob("*.html"))
     assert len(pages) == 2 and not accepted.report.exists()
-    assert pages[1].read_text().count("data:image/png") == 4 and pages[0].read_text().count("data:image/png") == 16
+    assert pages[1].read_text().count("data:image/png") == 4 and pages[0].read_text().count(
+        "data:image/png") == 16
     (fresh,) = (accepted.folder / "pages").glob("*grey.exr")
     assert (OpenEXR.File(str(fresh)).channels()["RGB"].pixels == np.float32(0.501)).all()
 
@@ -132,7 +134,8 @@ def test_a_test_that_is_repeated_may_use_its_name_again(suite):
 
 
 def test_the_suite_of_the_docs(suite):
-    (block,) = re.findall(r"^## A first suite\n(?:.+\n)+\n((?:(?:    .*)?\n)+)", (ROOT / "docs/testing.md").read_text(), re.M)
+    (block,) = re.findall(r"^## A first suite\n(?:.+\n)+\n((?:(?:    .*)?\n)+)",
+                          (ROOT / "docs/testing.md").read_text(), re.M)
     suite.pytester.makepyfile(test_foreign=block)
     suite.run(failed=1, passed=2)
     suite.run("--mitsvbrdf-update", passed=3)
@@ -158,12 +161,14 @@ def test_flip_may_decide_alone(suite):
     (torch.zeros(0, 4, 4, 3), "a", MapsError, "H x W x 3"),
     (torch.full((4, 4, 3), math.nan), "a", AssertionError, "not finite"),
     (torch.zeros(4, 4, 3), "../a", ConfigError, "file name"),
-    (torch.zeros(4, 4, 3), "", ConfigError, "file name"), (torch.zeros(4, 4, 3), "n" * 101, ConfigError, "100 at most")])
+    (torch.zeros(4, 4, 3), "", ConfigError, "file name"), (torch.zeros(4, 4, 3), "n" * 101, ConfigError,
+                                                           "100 at most")])
 def test_results_and_names_that_cannot_be_golden(result, name, error, said, report):
     with pytest.raises(error, match=said):
         assert_matches_golden(result, name)
 
 
 def test_golden_files_need_a_running_test():
-    with running.running(running.Caller("", None, running.Run())), pytest.raises(ConfigError, match="pytest plugin"):
+    with running.running(running.Caller("", None, running.Run())), pytest.raises(ConfigError,
+                                                                                 match="pytest plugin"):
         assert_matches_golden(torch.zeros(4, 4, 3), "a")

@@ -12,7 +12,9 @@ from mitsvbrdf.verify.crosscheck import crosscheck
 
 @pytest.fixture(scope="session")
 def real():
-    """Record and error maps of the three renderers on two materials, both BSDFs; one material has texels below 0.1."""
+    """Record and error maps of the three renderers on two materials, both BSDFs; one material has texels
+    below 0.1.
+    """
     renderers = [make_renderer(name) for name in command.RENDERERS]
     materials = {"leather": make_material("leather", 24), "polished": corner_materials(24)["polished"]}
     maps: dict = {}

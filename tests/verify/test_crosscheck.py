@@ -11,12 +11,12 @@ from helpers.crosschecks import BOTH, THREE
 
 from mitsvbrdf import cli
 from mitsvbrdf.cli import crosscheck as command
+from mitsvbrdf.io.timing import in_turns
 from mitsvbrdf.material.corner_cases import builtin_materials
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.system.timing import in_turns
 from mitsvbrdf.testing import random_material
 from mitsvbrdf.verify.crosscheck import crosscheck, violations
 

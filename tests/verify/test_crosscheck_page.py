@@ -9,11 +9,11 @@ from helpers import ANALYTIC, ROOT, TWIN
 from helpers.crosschecks import THREE
 from helpers.tables import words_at_the_right
 
+from mitsvbrdf.io import files
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.measure.gradients import render_and_gradients
 from mitsvbrdf.measure.metrics import image_error
 from mitsvbrdf.measure.tolerances import TOLERANCES
-from mitsvbrdf.system import files
 from mitsvbrdf.verify.crosscheck import crosscheck
 from mitsvbrdf.verify.crosscheck_page import error_against_time, write_crosscheck_page
 
@@ -25,7 +25,8 @@ SPREAD = {"median": NUMBER, "low": NUMBER, "high": NUMBER, "repeats": int}
 LOOK = {"mean": NUMBER, "worst": NUMBER}
 TEXEL = {"view": str, "row": int, "column": int, "channel": str, "value": NUMBER, "reference": NUMBER,
          "relative_error": NUMBER, "share_of_mean": NUMBER, "roughness": NUMBER, "half_vector_angle": NUMBER,
-         "incidence_angle": NUMBER, "camera_angle": NUMBER, "specular_share": NUMBER, "limit": NUMBER, "why": str}
+         "incidence_angle": NUMBER, "camera_angle": NUMBER, "specular_share": NUMBER, "limit": NUMBER,
+         "why": str}
 
 
 def assert_shaped(value, wanted, where=""):
@@ -41,21 +42,27 @@ def assert_shaped(value, wanted, where=""):
 def test_schema_of_the_record(real, tmp_path):
     files.write_json(tmp_path / "r.json", real[0])
     record = json.loads((tmp_path / "r.json").read_text())
-    assert set(record) == {"schema_version", "reference", "tolerances", "rough_from", "transfer", "command", "views",
+    assert set(record) == {"schema_version", "reference", "tolerances", "rough_from", "transfer", "command",
+                           "views",
                            "materials", "configurations", "machine", "versions", "summary", "violations"}
-    assert record["schema_version"] == 1 and record["reference"] == "analytic64" and record["tolerances"] == TOLERANCES
+    assert record["schema_version"] == 1 and record["reference"] == "analytic64" and record[
+        "tolerances"] == TOLERANCES
     page = (ROOT / "docs/evaluation.md").read_text()
     assert all(f"`{field}`" in page for field in (*record, *record["configurations"][0]) if field not in
                ("material", "bsdf", "renderer"))
     assert record["versions"]["torch"] and record["machine"]["cores"]
     assert record["materials"]["leather"]["converted"].keys() == {"principled"}
     for c in record["configurations"]:
-        maps = {"roughconductor": ("diffuse", "specular"), "principled": ("base_color", "metallic")}[c["bsdf"]]
+        maps = {"roughconductor": ("diffuse", "specular"),
+                "principled": ("base_color", "metallic")}[c["bsdf"]]
         maps = (*maps, "roughness", "normal")
-        limit = {"image": dict.fromkeys(("mean", "p99.9", "worst"), NUMBER), "gradients": dict.fromkeys(maps, NUMBER)}
+        limit = {"image": dict.fromkeys(("mean", "p99.9", "worst"), NUMBER), "gradients": dict.fromkeys(maps,
+                                                                                                        NUMBER)}
         texels = {"texels": int, "image": IMAGE, "gradients": dict.fromkeys(maps, GRADIENT), "limit": limit}
-        classes = {"rough": texels if c["rough"] else type(None), "smooth": texels if c["smooth"] else type(None)}
-        assert_shaped(c, {"material": str, "bsdf": str, "renderer": str, "left_out": list, "per_view": list, "worst_view": str,
+        classes = {"rough": texels if c["rough"] else type(None), "smooth": texels if c["smooth"]
+                   else type(None)}
+        assert_shaped(c, {"material": str, "bsdf": str, "renderer": str, "left_out": list, "per_view": list,
+                          "worst_view": str,
                           "worst_texels": list, "display": LOOK, "flip": LOOK,
                           "seconds": {"forward": SPREAD, "backward": SPREAD}, **classes})
         assert [view["view"] for view in c["per_view"]] == ["00", "01", "02"]
@@ -63,8 +70,10 @@ def test_schema_of_the_record(real, tmp_path):
             assert_shaped(view, {"view": str, "flip": LOOK, **classes})
         for texel in c["worst_texels"]:
             assert_shaped(texel, TEXEL)
-        assert ("ray tracing" in {each["what"] for each in c["left_out"]}) == (c["renderer"] != "mitsuba-scene")
-    assert sum((c[k] or {"texels": 0})["texels"] for c in record["configurations"][:1] for k in ("rough", "smooth")) == 24 * 24
+        assert ("ray tracing" in {each["what"] for each in c["left_out"]}) == (
+            c["renderer"] != "mitsuba-scene")
+    assert sum((c[k] or {"texels": 0})["texels"] for c in record["configurations"][:1] for k in ("rough",
+                                                                                                 "smooth")) == 24 * 24
 
 
 def test_figures_are_those_of_the_metrics():
@@ -72,7 +81,8 @@ def test_figures_are_those_of_the_metrics():
     svbrdf, renderer = make_material("leather", 16), ANALYTIC
     (c,) = crosscheck({"leather": svbrdf}, THREE, ["roughconductor"], [renderer], repeats=1)["configurations"]
     exact, got = render_and_gradients(TWIN, svbrdf, THREE), render_and_gradients(renderer, svbrdf, THREE)
-    assert c["rough"]["image"] == pytest.approx(image_error(got.image, exact.image) | {"not_finite": 0}, rel=1e-9)
+    assert c["rough"]["image"] == pytest.approx(image_error(got.image, exact.image) | {"not_finite": 0},
+                                                rel=1e-9)
     worst = c["worst_texels"][0]
     assert worst["relative_error"] == pytest.approx(c["rough"]["image"]["worst"], rel=1e-9)
     at = (int(worst["view"]), worst["row"], worst["column"], "rgb".index(worst["channel"]))
@@ -86,8 +96,10 @@ def test_the_plot_explains_all_that_it_draws(real):
     said = [text.get_text() for text in error_against_time(real[0]).legends[0].get_texts()]
     drawn = {f"{c['renderer']}, {c['bsdf']}" for c in real[0]["configurations"]}
     assert drawn <= set(said) and said.count("stated tolerance") == 1
-    assert [text for text in said if "hollow" in text] and not any("hollow" in text.get_text() for text in error_against_time(
-        real[0] | {"configurations": [c for c in real[0]["configurations"] if c["rough"]]}).legends[0].get_texts())
+    assert [text for text in said if "hollow" in text] and not any("hollow" in text.get_text()
+                                                                   for text in error_against_time(
+        real[0] | {"configurations": [c for c in real[0]["configurations"] if c["rough"]]}).legends[
+            0].get_texts())
 
 
 def test_the_plot_shows_the_figures_of_the_record(real):
@@ -96,12 +108,14 @@ def test_the_plot_shows_the_figures_of_the_record(real):
     for c in real[0]["configurations"]:
         texels = c["rough"] if c["rough"] else c["smooth"]
         seconds = c["seconds"]["forward"]["median"] + c["seconds"]["backward"]["median"]
-        worst = sorted(g["relative_l2"] for g in texels["gradients"].values() if g["relative_l2"] is not None)[-1]
+        worst = sorted(g["relative_l2"] for g in texels["gradients"].values()
+                       if g["relative_l2"] is not None)[-1]
         for name, error in (("image", texels["image"]["mean"]), ("gradients", worst)):
             points[name] += [(seconds, error, not c["rough"])] if error else []
     for panel, wanted in ((images, points["image"]), (gradients, points["gradients"])):
         lines = [bar.lines[0] for bar in panel.containers]
-        assert wanted and wanted == [(line.get_xdata()[0], line.get_ydata()[0], line.get_markerfacecolor() == "none")
+        assert wanted and wanted == [(line.get_xdata()[0], line.get_ydata()[0],
+                                      line.get_markerfacecolor() == "none")
                                      for line in lines]
     assert {hollow for *_, hollow in points["image"]} == {True, False}
 
@@ -109,7 +123,8 @@ def test_the_plot_shows_the_figures_of_the_record(real):
 def test_the_page_shows_float32_to_the_last_digit_and_cosines_by_what_they_lack(real, tmp_path):
     write_crosscheck_page(tmp_path / "page.html", *real)
     page = (tmp_path / "page.html").read_text()
-    shown = {struct.unpack("f", struct.pack("f", float(cell)))[0] for cell in re.findall(r"<td>([\d.e+-]+)</td>", page)}
+    shown = {struct.unpack("f", struct.pack("f", float(cell)))[0]
+             for cell in re.findall(r"<td>([\d.e+-]+)</td>", page)}
     lacking = [float(cell) for cell in re.findall(r"<td>1 − ([\d.e+-]+)</td>", page)]
     for c in real[0]["configurations"]:
         assert {texel["value"] for texel in c["worst_texels"]} <= shown
@@ -126,7 +141,8 @@ def test_the_float32_limit_has_one_name(real, tmp_path):
 
 def test_page_shows_every_configuration_and_needs_no_network(real, tmp_path):
     record, maps = real
-    record = record | {"violations": [{"material": "leather", "bsdf": "principled", "renderer": "mitsuba", "what": "made <up>",
+    record = record | {"violations": [{"material": "leather", "bsdf": "principled", "renderer": "mitsuba",
+                                       "what": "made <up>",
                                        "value": 1.25e-3, "tolerance": 1e-6, "limit": None}]}
     write_crosscheck_page(tmp_path / "page.html", record, maps)
     page = (tmp_path / "page.html").read_text()

@@ -14,12 +14,13 @@ from helpers import ANALYTIC
 from helpers.variants import mostly_slow
 
 from mitsvbrdf.errors import ConfigError
+from mitsvbrdf.io import timing
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.render.scene import SceneRenderer
-from mitsvbrdf.system import timing
 from mitsvbrdf.verify import soak
 
-pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from Linux's /proc")
+pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from Linux's "
+                                                                              "/proc")
 
 
 def written_to(size):
@@ -62,7 +63,8 @@ class Compiling:
 
 @pytest.mark.parametrize("work", mostly_slow(soak.WORK, "preview"))  # which does what the others do
 def test_mitsuba_compiles_nothing_after_the_second_turn(work):
-    record = soak.soak([make_renderer("mitsuba"), make_renderer("mitsuba-scene")], "roughconductor", work, 20, resolution=8)
+    record = soak.soak([make_renderer("mitsuba"), make_renderer("mitsuba-scene")], "roughconductor", work, 20,
+                       resolution=8)
     assert record["renderers"] == ["mitsuba", "mitsuba-scene"] and record["work"] == work
     assert record["kernels"]["late_steps"] == [] and record["kernels"]["late"] == 0
     assert record["drjit"]["variables"] == 0
@@ -82,7 +84,8 @@ def test_a_scene_of_before_makes_no_kernel_late_by_being_freed(monkeypatch):
     gc.disable()  # else it may free the first scene at once
     try:
         soak.soak([SceneRenderer()], "roughconductor", "gradients", 20, resolution=8)
-        record = soak.soak([SceneRenderer(samples=16)], "roughconductor", "images", 20, resolution=8)  # no other test's kernels
+        # no other test's kernels
+        record = soak.soak([SceneRenderer(samples=16)], "roughconductor", "images", 20, resolution=8)
     finally:
         gc.enable()
     assert record["kernels"] == {"first": 2, "late": 0, "late_steps": []}
@@ -105,7 +108,8 @@ def test_a_leak_is_found():
 def test_a_kernel_that_changes_is_found():
     record = soak.soak([Compiling(changes=1)], "roughconductor", "images", 20, resolution=8)
     assert record["kernels"] == {"first": 4, "late": 16, "late_steps": list(range(4, 20))}
-    assert any("16 kernels made after the second turn, at steps 4, 5, 6" in failure for failure in record["failures"])
+    assert any("16 kernels made after the second turn, at steps 4, 5, 6" in failure
+               for failure in record["failures"])
     steady = soak.soak([Compiling(changes=0)], "roughconductor", "images", 20, resolution=8)
     assert steady["kernels"]["late"] == 0
 
@@ -115,14 +119,16 @@ def test_a_step_that_takes_longer_and_longer_drifts(monkeypatch):
     now = [0.0]
 
     def later():
-        # Called before and after each step: step k takes k seconds, 3 more where the light is apart (every second step).
+        # Called before and after each step: step k takes k seconds, 3 more where the light is apart (every
+        # second step).
         call = next(clock)
         now[0] += 0 if call % 2 == 0 else call // 2 + 3 * (call // 2 % 2)
         return now[0]
 
     monkeypatch.setattr(timing.time, "perf_counter", later)
     step = soak.soak([ANALYTIC], "principled", "images", 100, resolution=8)["step"]
-    # Warm-up ends at 20. Means of turns: 22, 24, ..., 100; the first and the last four of forty have medians 25 and 97.
+    # Warm-up ends at 20. Means of turns: 22, 24, ..., 100; the first and the last four of forty have medians
+    # 25 and 97.
     assert (step["first"], step["last"]) == (25e3, 97e3)
     assert step["drift"] == pytest.approx(97 / 25 - 1)
 
@@ -130,12 +136,14 @@ def test_a_step_that_takes_longer_and_longer_drifts(monkeypatch):
 def test_growth_is_the_slope_of_the_least_squares_line():
     assert soak.slope([3 + 0.25 * step for step in range(50)]) == pytest.approx(0.25)
     assert soak.slope([7.0] * 50) == 0
-    assert soak.slope([0, 0, 0, 1]) == pytest.approx(0.3)  # by hand: sum of (x - 1.5) y over sum of (x - 1.5)^2, 1.5 / 5
+    # by hand: sum of (x - 1.5) y over sum of (x - 1.5)^2, 1.5 / 5
+    assert soak.slope([0, 0, 0, 1]) == pytest.approx(0.3)
 
 
 @pytest.mark.slow
 def test_the_command_keeps_the_record_and_tells_by_its_exit_code(tmp_path, monkeypatch, capsys):
-    options = {"steps": 20, "renderer": ("analytic",), "bsdf": ("principled",), "json": tmp_path / "new" / "soak.json"}
+    options = {"steps": 20, "renderer": ("analytic",), "bsdf": ("principled",),
+               "json": tmp_path / "new" / "soak.json"}
     monkeypatch.setattr(soak, "SLOPE_LIMIT", 1e6)  # twenty steps are all warm-up
     assert soak.main(**options) == 0
     kept = json.loads(options["json"].read_text())
@@ -150,10 +158,13 @@ def test_the_command_keeps_the_record_and_tells_by_its_exit_code(tmp_path, monke
 
 def test_renderers_alone_then_in_turn(tmp_path, monkeypatch):
     seen = []
-    monkeypatch.setattr(soak, "soak", lambda renderers, bsdf, work, steps: seen.append((len(renderers), bsdf)) or {
-        "renderers": ["x"] * len(renderers), "bsdf": bsdf, "work": work, "memory": {"slope": 0.0, "last": 1.0}, "drjit": None,
+    monkeypatch.setattr(soak, "soak", lambda renderers, bsdf, work, steps: seen.append((len(renderers), bsdf))
+                        or {
+        "renderers": ["x"] * len(renderers), "bsdf": bsdf, "work": work,
+        "memory": {"slope": 0.0, "last": 1.0}, "drjit": None,
         "kernels": {"late": 0}, "step": {"last": 1.0, "drift": 0.0}, "failures": []})
-    assert soak.main(renderer=("analytic", "analytic64"), bsdf=("principled",), json=tmp_path / "soak.json") == 0
+    assert soak.main(renderer=("analytic", "analytic64"), bsdf=("principled",),
+                     json=tmp_path / "soak.json") == 0
     assert seen == [(1, "principled")] * 6 + [(2, "principled")] * 3
 
 

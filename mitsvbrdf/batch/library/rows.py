@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from ... import __version__
 from ...errors import MapsError
-from ...system.files import write_json
-from ...system.json_files import load
+from ...io.files import write_json
+from ...io.json_files import load
 from ..manifest import FILE, Manifest, now
 from ..places.place import QUARANTINE, ROW
 
@@ -49,7 +49,8 @@ def row_of(folder: Path, shown: Capture | None, engine: Renderer) -> dict:
     burn_in = [value for name, value in record["burn_in"].items() if name in ("specular", "roughness")]
     there = {name: name if (folder / name).is_file() else None for name in ("preview.jpg", "report.html")}
     return {"error": record["rerender_rmse"], "left_out_error": error, "burn_in": max(burn_in, default=None),
-            "warnings": record["warnings"], "method": record["method"], "resolution": record["capture"]["resolution"],
+            "warnings": record["warnings"], "method": record["method"],
+            "resolution": record["capture"]["resolution"],
             "photos": len(record["capture"]["photos"]), "date": now(), "preview": there["preview.jpg"],
             "report": there["report.html"]}
 
@@ -67,7 +68,8 @@ def rows(manifest: Manifest, wanted: bool = True) -> Iterator[dict]:
     for each in manifest.materials(wanted=wanted):
         try:
             row = _row(each)
-            if wrong := next((name for name, kinds in _KINDS.items() if not isinstance(row[name], kinds)), None):
+            if wrong := next((name for name, kinds in _KINDS.items() if not isinstance(row[name], kinds)),
+                             None):
                 raise ValueError(f"its {wrong} is of another kind")
         except (ValueError, KeyError, TypeError, RecursionError) as reason:
             raise manifest.wrong(f"{reason} in the row of {each['name']}") from None
@@ -92,16 +94,20 @@ def _row(each: sqlite3.Row) -> dict:
 
     empty: dict = {"error": None, "left_out_error": None, "burn_in": None, "warnings": [], "photos": None}
     return empty | known | {
-        "name": each["name"], "id": each["identity"][:8], "folder": folder, "state": each["state"], "reason": each["reason"],
-        "seconds": each["seconds"] or known.get("seconds"), "peak_bytes": each["peak_bytes"], "attempts": each["attempts"],
+        "name": each["name"], "id": each["identity"][:8], "folder": folder, "state": each["state"],
+        "reason": each["reason"],
+        "seconds": each["seconds"] or known.get("seconds"), "peak_bytes": each["peak_bytes"],
+        "attempts": each["attempts"],
         "date": each["date"], "tags": json.loads(each["tags"]), "method": asked["config"]["method"],
-        "resolution": known.get("resolution", asked["options"]["resolution"]), "worker": each["worker"], "host": each["host"],
+        "resolution": known.get("resolution", asked["options"]["resolution"]), "worker": each["worker"],
+        "host": each["host"],
         "source": each["source"], "options": each["own"],
         "preview": inside(known.get("preview")) if each["state"] == "done" else None,
         "report": inside(known.get("report")) if each["state"] == "done" else None}
 
 
-def library_of(manifest: Manifest, title: str, progress: dict | None = None, command: str | None = None) -> dict:
+def library_of(manifest: Manifest, title: str, progress: dict | None = None,
+               command: str | None = None) -> dict:
     """All that the page of a library shows.
 
     Args:
@@ -117,7 +123,8 @@ def library_of(manifest: Manifest, title: str, progress: dict | None = None, com
     return found | ({"progress": progress} if progress else {})
 
 
-def write_library(home: Path, manifest: Manifest, title: str, progress: dict | None = None, command: str | None = None) -> None:
+def write_library(home: Path, manifest: Manifest, title: str, progress: dict | None = None,
+                  command: str | None = None) -> None:
     """Write ``library.json``, for pandas and others, and the page ``index.html``."""
     from .page import write_library_page
 
@@ -142,5 +149,6 @@ def open_library(folder: Path) -> Manifest:
         MapsError: the folder is none.
     """
     if not (folder / FILE).is_file():
-        raise MapsError("the LIBRARY of a batch", f"{folder}, which has no {FILE}", "`mitsvbrdf batch` makes one")
+        raise MapsError("the LIBRARY of a batch", f"{folder}, which has no {FILE}",
+                        "`mitsvbrdf batch` makes one")
     return Manifest(folder / FILE, readonly=True)

@@ -7,9 +7,9 @@ import secrets
 import threading
 from pathlib import Path
 
+from ...io.files import open_regular
+from ...io.json_files import parsed
 from ...report.live import HTML, LIVE_POLICY, REPORT_POLICY, Answer
-from ...system.files import open_regular
-from ...system.json_files import parsed
 from ..manifest import FILE
 from ..places.place import QUARANTINE
 from ..prepare import TOKEN
@@ -17,7 +17,8 @@ from .page import DATA_FILE, PAGE_FILE, address, data_script, library_page
 from .rows import INDEX
 
 # Of a material, what is served: media type and content security policy.
-KINDS = {"preview.jpg": ("image/jpeg", ""), "report.html": (HTML, REPORT_POLICY), "look.html": (HTML, REPORT_POLICY),
+KINDS = {"preview.jpg": ("image/jpeg", ""), "report.html": (HTML, REPORT_POLICY),
+         "look.html": (HTML, REPORT_POLICY),
          "log.txt": ("text/plain; charset=utf-8", "")}
 SERVED = {"done": ("preview.jpg", "report.html", "look.html"), "failed": ("log.txt",)}
 
@@ -28,10 +29,11 @@ def is_library(folder: Path) -> bool:
 
 
 class LibrarySite:
-    """The page of a library, its data, of each material that is done its picture and reports, and the log of one that failed.
+    """The page of a library, its data, of each material that is done its picture and reports, and the log of
+    one that failed.
 
-    Page and data are made anew from ``library.json``, so that no script of the folder runs. A request is looked up in a table
-    of addresses that is made from the same rows.
+    Page and data are made anew from ``library.json``, so that no script of the folder runs. A request is
+    looked up in a table of addresses that is made from the same rows.
 
     Args:
         root: folder of the library; it need not be there yet.
@@ -68,7 +70,8 @@ class LibrarySite:
             library = parsed(self._content(self.root / INDEX) or b"")
             script = data_script(library).encode()
             self._files = {f"/{link}/{name}": self.root / row["folder"] / name for row in library["materials"]
-                           if (link := address(row["folder"])) and "/" not in row["folder"].removeprefix(f"{QUARANTINE}/")
+                           if (link := address(row["folder"]))
+                           and "/" not in row["folder"].removeprefix(f"{QUARANTINE}/")
                            for name in SERVED.get(row["state"], ())}
             self._read, self._script = read, script
         except (OSError, ValueError, KeyError, TypeError, AttributeError):  # gone by now, or no library's

@@ -17,15 +17,17 @@ from ...errors import ConfigError
 Test = Callable[[Mapping], bool]
 
 STATES = ("done", "failed", "running", "pending")
-SEARCHED = ("name", "source", "method", "host", "reason")  # where a word without a field is looked for, beside the tags
+# where a word without a field is looked for, beside the tags
+SEARCHED = ("name", "source", "method", "host", "reason")
 
 
 @dataclass(frozen=True)
 class Field:
     """What can be asked of a material.
 
-    ``number`` and ``date`` are compared (a date to the day where a day is given), ``choice`` is one of some words, or several
-    (``tag:wood,stone``: either), ``text`` contains what follows ``:`` or is what follows ``=``, of several words one.
+    ``number`` and ``date`` are compared (a date to the day where a day is given), ``choice`` is one of some
+    words, or several (``tag:wood,stone``: either), ``text`` contains what follows ``:`` or is what follows
+    ``=``, of several words one.
     """
 
     kind: Literal["number", "date", "choice", "text"]
@@ -64,17 +66,19 @@ _COMPARISON = re.compile(r"([A-Za-z_]+)(<=|>=|[<>=:])([\s\S]*)")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _DATE = re.compile(r"[0-9]{4}(-[0-9]{2}(-[0-9]{2}(T[0-9]{2}(:[0-9]{2}(:[0-9]{2})?)?)?)?)?")
 _COMPARE: dict[str, Callable[..., bool]] = {
-    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "=": operator.eq, ":": operator.eq}
+    "<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge, "=": operator.eq,
+    ":": operator.eq}
 
 
 def matcher(text: str) -> Test:
     """A test whether a row of ``library.json`` is meant.
 
     Args:
-        text: terms with spaces between them, all of which must hold; empty: every row. A term compares a field
-            (:data:`FIELDS`), or is a word that the name, a tag, the source, the method, the host or the reason contains.
-            Upper and lower case are the same, and so are a space and ``_``, which names have in its place. Double quotes hold
-            a value with spaces or commas together: ``tag:"old wood"``. A missing number or date fulfils no comparison.
+        text: terms with spaces between them, all of which must hold; empty: every row. A term compares a
+            field (:data:`FIELDS`), or is a word that the name, a tag, the source, the method, the host or the
+            reason contains. Upper and lower case are the same, and so are a space and ``_``, which names have
+            in its place. Double quotes hold a value with spaces or commas together: ``tag:"old wood"``. A
+            missing number or date fulfils no comparison.
 
     Raises:
         ConfigError: what cannot be understood.
@@ -125,7 +129,8 @@ def _test(term: str) -> Test:
 def _nearest(word: str) -> str:
     """The field that the fewest changes of a letter make of a word; of several the first."""
     def changes(field: str) -> int:
-        row = list(range(len(field) + 1))  # Levenshtein's distance of what has been read of the word to each beginning
+        # Levenshtein's distance of what has been read of the word to each beginning
+        row = list(range(len(field) + 1))
         for number, letter in enumerate(word, 1):
             diagonal, row[0] = row[0], number
             for k, other in enumerate(field, 1):

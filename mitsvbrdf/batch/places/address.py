@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import OutputError
-from ...system.files import beside, write_bytes
+from ...io.files import atomic_write, write_bytes
 from ..manifest import FILE
 from .place import WORK, LocalPlace, Place
 
@@ -32,7 +32,9 @@ def place_of(library: str) -> Place:
 
 
 def home_of(library: str) -> Path:
-    """The folder of a library's manifest, page and quarantine: itself, or for one behind a URL a cache on this machine."""
+    """The folder of a library's manifest, page and quarantine: itself, or for one behind a URL a cache on
+    this machine.
+    """
     if not is_url(library):
         return Path(library)
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
@@ -82,13 +84,15 @@ def download(home: Path, library: str) -> None:
         version = _version(fs, f"{root}/{FILE}")
         known = _common(home).read_text() if _common(home).exists() and (home / FILE).exists() else ""
         if version and version != known:
-            with beside(home / FILE) as temporary:
+            with atomic_write(home / FILE) as temporary:
                 fs.get_file(f"{root}/{FILE}", str(temporary))
             write_bytes(_common(home), version.encode())
 
 
 def _common(home: Path) -> Path:
-    """The file that says which manifest the home of a library behind a URL and the store had in common last."""
+    """The file that says which manifest the home of a library behind a URL and the store had in common
+    last.
+    """
     return home.with_suffix(".common")
 
 
@@ -106,12 +110,15 @@ def _there(url: str) -> Iterator[None]:
     try:
         yield
     except FileNotFoundError as reason:
-        raise OutputError("a store that is there", f"{url}: {reason}", "make the bucket, or check the address") from None
+        raise OutputError("a store that is there", f"{url}: {reason}",
+                          "make the bucket, or check the address") from None
 
 
 @contextlib.contextmanager
 def local_capture(source: str) -> Iterator[Path]:
-    """A capture as a folder on this machine; one behind a URL is copied there for as long as the block lasts."""
+    """A capture as a folder on this machine; one behind a URL is copied there for as long as the block
+    lasts.
+    """
     if not is_url(source):
         yield Path(source)
         return

@@ -1,7 +1,9 @@
-"""Where the results of a library lie: a folder that all workers see, or an object store behind fsspec (``s3://``, ``gs://``).
+"""Where the results of a library lie: a folder that all workers see, or an object store behind fsspec
+(``s3://``, ``gs://``).
 
-A result is made in a folder of its own beside the library's materials and appears whole: in a folder by one rename, in a store
-by its record, :data:`RECORD`, which is written last and without which the rest counts for nothing.
+A result is made in a folder of its own beside the library's materials and appears whole: in a folder by one
+rename, in a store by its record, :data:`RECORD`, which is written last and without which the rest counts for
+nothing.
 """
 
 from __future__ import annotations
@@ -16,8 +18,8 @@ from pathlib import Path
 from typing import Protocol
 
 from ...errors import OutputError
-from ...system.files import file_hash, inside, is_entry, is_regular, stays_inside, to_disk
-from ...system.json_files import load, misfit
+from ...io.files import file_hash, inside, is_entry, is_regular, stays_inside, to_disk
+from ...io.json_files import load, shape_error
 
 RECORD = "batch.json"  # of a result: which capture and options it is of, and what its files hold
 WORK, QUARANTINE = ".work", "quarantine"
@@ -40,15 +42,17 @@ def checked_name(folder: str) -> str:
         OutputError: it leads elsewhere, or stands for several as a pattern.
     """
     if not is_entry(folder):
-        raise OutputError("the name of a result", repr(folder), "leave this library alone, or make its manifest anew")
+        raise OutputError("the name of a result", repr(folder), "leave this library alone, or make its "
+                                                                "manifest anew")
     return folder
 
 
 def checked_record(found: dict) -> dict | None:
     """A record; None where it is not one, or names files that are not inside its folder."""
-    if misfit(found, SHAPE) or not ATTEMPT.fullmatch(found["attempt"]) or not all(map(stays_inside, found["files"])):
+    if shape_error(found, SHAPE) or not ATTEMPT.fullmatch(found["attempt"]) or not all(map(stays_inside,
+                                                                                      found["files"])):
         return None
-    return None if misfit(found["row"], {name: ROW[name] for name in found["row"] if name in ROW}) else found
+    return None if shape_error(found["row"], {name: ROW[name] for name in found["row"] if name in ROW}) else found
 
 
 class Place(Protocol):
@@ -67,7 +71,9 @@ class Place(Protocol):
         ...
 
     def damage(self, folder: str, record: dict, hashes: bool) -> str:
-        """What is wrong with a result's files, in words: sizes, with ``hashes`` also content; empty where nothing is."""
+        """What is wrong with a result's files, in words: sizes, with ``hashes`` also content; empty where
+        nothing is.
+        """
         ...
 
     def set_aside(self, folder: str) -> None:
@@ -103,7 +109,8 @@ class LocalPlace:
         """One rename, after all files are on the disk; a whole result is never replaced.
 
         Raises:
-            OutputError: a newer batch took the staging folder away meanwhile; what is there now may lack files.
+            OutputError: a newer batch took the staging folder away meanwhile; what is there now may lack
+                files.
         """
         target = self._at(folder)
         for path in (*staging.rglob("*"), staging):
@@ -177,7 +184,9 @@ def _begun(staging: Path) -> Path:
 
 
 def clear_work(home: Path) -> None:
-    """Take away all that was being made; renamed first, so that a worker that outlived its batch has nothing to publish."""
+    """Take away all that was being made; renamed first, so that a worker that outlived its batch has nothing
+    to publish.
+    """
     with contextlib.suppress(FileNotFoundError):
         os.rename(home / WORK, home / f"{WORK}-{uuid.uuid4().hex[:8]}")
     for old in home.glob(f"{WORK}-*"):

@@ -12,13 +12,15 @@ from typing import Any
 
 from ...capture.photo import SUFFIXES
 from ...errors import BackendError, CaptureError, MitsvbrdfError, OutputError
-from ...system.files import stays_inside
-from ...system.json_files import parsed
+from ...io.files import stays_inside
+from ...io.json_files import parsed
 from .place import ASIDE, RECORD, checked_name, checked_record
 
 CALIBRATIONS = ("capture.json", "camera_pos.txt")
-LOCAL = ("file", "local")  # fsspec's names of this machine's files: the only ones where folders have to be made
-EXTRAS = {"s3": "pip install 'mitsvbrdf[s3]'", "s3a": "pip install 'mitsvbrdf[s3]'", "gs": "pip install gcsfs",
+# fsspec's names of this machine's files: the only ones where folders have to be made
+LOCAL = ("file", "local")
+EXTRAS = {"s3": "pip install 'mitsvbrdf[s3]'", "s3a": "pip install 'mitsvbrdf[s3]'",
+          "gs": "pip install gcsfs",
           "gcs": "pip install gcsfs", "abfs": "pip install adlfs", "az": "pip install adlfs"}
 
 
@@ -30,7 +32,9 @@ class RemotePlace:
         self.fs, self.root = file_system(url)
 
     def check(self) -> None:
-        """Write, read and delete an object, so that what is wrong with a store is known before anything is fitted."""
+        """Write, read and delete an object, so that what is wrong with a store is known before anything is
+        fitted.
+        """
         probe = f"{self.root}/.probe-{os.urandom(8).hex()}"
         with reached(self.url):
             self.fs.pipe_file(probe, b"probe")
@@ -116,7 +120,9 @@ def fetch(url: str, folder: Path) -> None:
 
 
 def remote_captures(url: str) -> list[str]:
-    """The captures that a URL stands for: itself, those right inside it, or those that match it as a pattern."""
+    """The captures that a URL stands for: itself, those right inside it, or those that match it as a
+    pattern.
+    """
     fs, root = file_system(url)
     root = root.removesuffix("/capture.json")
     captures: list[str] = []
@@ -132,14 +138,16 @@ def remote_contents(url: str) -> list[list]:
     """Name, size and what the store knows of the content of each file of a capture behind a URL."""
     fs, root = file_system(url)
     with reached(url):
-        return sorted([name, info["size"], str(info.get("ETag") or info.get("md5Hash") or fs.ukey(f"{root}/{name}"))]
+        return sorted([name, info["size"],
+                       str(info.get("ETag") or info.get("md5Hash") or fs.ukey(f"{root}/{name}"))]
                       for name, info in objects(fs, root).items())
 
 
 def is_capture(names: Collection[str]) -> bool:
     """Whether a folder with files of these names is a capture and not, say, a fit."""
     return any(name in CALIBRATIONS for name in names) or any(
-        os.path.splitext(name)[1].lower() in SUFFIXES and name[0] != "." for name in names) and "fit.json" not in names
+        os.path.splitext(name)[1].lower() in SUFFIXES and name[0] != "."
+        for name in names) and "fit.json" not in names
 
 
 def _remote_captures_in(fs: Any, folder: str) -> list[str]:
@@ -147,7 +155,8 @@ def _remote_captures_in(fs: Any, folder: str) -> list[str]:
     files, folders = _listed(fs, folder)
     if is_capture(files):
         return [folder]
-    return sorted(f"{folder}/{name}" for name in folders if name[0] != "." and is_capture(_listed(fs, f"{folder}/{name}")[0]))
+    return sorted(f"{folder}/{name}" for name in folders if name[0] != "."
+                  and is_capture(_listed(fs, f"{folder}/{name}")[0]))
 
 
 def _listed(fs: Any, folder: str) -> tuple[list[str], list[str]]:
@@ -161,8 +170,11 @@ def _listed(fs: Any, folder: str) -> tuple[list[str], list[str]]:
 
 
 def objects(fs: Any, root: str) -> dict[str, dict]:
-    """What the store says of each object below a folder, by its name in there; folders that are objects themselves left out."""
-    found = ((path[len(root):].lstrip("/"), info) for path, info in fs.find(root, detail=True).items() if path[-1] != "/")
+    """What the store says of each object below a folder, by its name in there; folders that are objects
+    themselves left out.
+    """
+    found = ((path[len(root):].lstrip("/"), info) for path, info in fs.find(root, detail=True).items()
+             if path[-1] != "/")
     return {name: info for name, info in found if name}
 
 
@@ -186,7 +198,9 @@ def file_system(url: str) -> tuple[Any, str]:
 
 @contextlib.contextmanager
 def reached(url: str) -> Iterator[None]:
-    """What a store or its client raises becomes an error of ours; that nothing is at an address stays FileNotFoundError."""
+    """What a store or its client raises becomes an error of ours; that nothing is at an address stays
+    FileNotFoundError.
+    """
     try:
         yield
     except (MitsvbrdfError, FileNotFoundError):

@@ -1,7 +1,8 @@
-"""A cluster in virtual time: workers that fit nothing, fail as real ones do, and answer the supervisor as a pool.
+"""A cluster in virtual time: workers that fit nothing, fail as real ones do, and answer the supervisor as a
+pool.
 
-Nothing sleeps: an event has a time, and the clock jumps to it. The supervisor's own work moves the clock too, so that answers
-wait for it as they do for a real one.
+Nothing sleeps: an event has a time, and the clock jumps to it. The supervisor's own work moves the clock too,
+so that answers wait for it as they do for a real one.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ class Cluster:
     start_seconds: float = 10.0
     """A new child's first fit takes so much longer."""
     crashes: float = 0.02
-    """Deaths of a child an hour of fitting: a crash, or the system's memory killer. Its worker starts a new one."""
+    """Deaths of a child an hour of fitting: a crash, or the system's memory killer. Its worker starts a new
+    one."""
     deaths: float = 0.01
     """Deaths of a worker an hour of fitting. A new one starts in its place at once."""
     node_deaths: float = 0.05
@@ -67,7 +69,8 @@ class Cluster:
     def calm(self) -> Cluster:
         """The same, where nothing fails, nothing spreads, and all but a fit takes no time."""
         none: dict[str, Any] = dict.fromkeys(
-            ("sigma", "slow_nodes", "start_seconds", "crashes", "deaths", "node_deaths", "head_deaths", "hangs", "refused",
+            ("sigma", "slow_nodes", "start_seconds", "crashes", "deaths", "node_deaths", "head_deaths",
+             "hangs", "refused",
              "capture_bytes", "result_bytes", "supervisor_seconds", "page_seconds", "answer_seconds"), 0.0)
         return replace(self, **none)
 
@@ -138,7 +141,8 @@ class VirtualPool:
     def events(self, seconds: float) -> list[dict]:
         """What has happened; moves the clock to the next that happens, at most so far."""
         until = self.now + seconds
-        while self._queue and (self._queue[0][0] <= self.now or not self._ready and self._queue[0][0] <= until):
+        while self._queue and (self._queue[0][0] <= self.now or not self._ready
+                               and self._queue[0][0] <= until):
             at, _, act = heapq.heappop(self._queue)
             self.now = max(self.now, at)
             act(at)
@@ -170,7 +174,8 @@ class VirtualPool:
 
     def _fill(self, node: _Node, at: float) -> None:
         """A node's workers come up, unless it dies before."""
-        share = self.cluster.workers // len(self._nodes) + (node.number < self.cluster.workers % len(self._nodes))
+        share = (self.cluster.workers // len(self._nodes)
+                 + (node.number < self.cluster.workers % len(self._nodes)))
         for _ in range(share):
             self._start(node, at)
 
@@ -194,7 +199,8 @@ class VirtualPool:
         worker.attempt, worker.since, worker.fitting = attempt, at, True
         begins = self._moved(at, cluster.capture_bytes) + cluster.start_seconds * worker.cold
         worker.cold = False
-        length = self.seconds[task["identity"]] * worker.node.slowness * draw.lognormvariate(0.0, cluster.sigma)
+        length = (self.seconds[task["identity"]] * worker.node.slowness
+                  * draw.lognormvariate(0.0, cluster.sigma))
         if task["identity"] in self._refused:
             self._at(begins, lambda at: self._ended(name, attempt, "failed", at))
             return
@@ -230,7 +236,8 @@ class VirtualPool:
         self.count.published[known] = self.count.published.get(known, 0) + 1
         row = {"seconds": at - worker.since, "error": None}
         self._records[folder] = {"identity": known, "attempt": task["attempt"], "row": row}
-        self._at(at + self.cluster.answer_seconds, lambda at: self._answer(name, task["attempt"], "done", row))
+        self._at(at + self.cluster.answer_seconds, lambda at: self._answer(name, task["attempt"], "done",
+                                                                           row))
 
     def _ended(self, name: str, attempt: str, state: str, at: float) -> None:
         """A fit has ended without a result."""
@@ -243,7 +250,8 @@ class VirtualPool:
     def _answer(self, name: str, attempt: str, state: str, row: dict) -> None:
         if self._runs(name, attempt):
             self._workers[name].attempt = None
-            outcome = {"state": state, "reason": state, "log": "", "seconds": row.get("seconds"), "peak_bytes": 0, "row": row}
+            outcome = {"state": state, "reason": state, "log": "", "seconds": row.get("seconds"),
+                       "peak_bytes": 0, "row": row}
             self._ready.append({"is": "done", "worker": name, "attempt": attempt, "outcome": outcome})
 
     def _runs(self, name: str, attempt: str) -> bool:

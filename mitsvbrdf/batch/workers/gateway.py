@@ -1,8 +1,10 @@
-"""``python -P -m mitsvbrdf.batch.workers.gateway EVENT_FD [LOGFILE]``: the one process of a batch that is a driver of Ray.
+"""``python -P -m mitsvbrdf.batch.workers.gateway EVENT_FD [LOGFILE]``: the one process of a batch that is a
+driver of Ray.
 
 The supervisor's lines come on standard input, what happens goes to EVENT_FD, one JSON object a line (see
 :mod:`mitsvbrdf.batch.workers.pool`); what Ray prints goes to LOGFILE. Each worker is an actor that holds a
-:class:`~mitsvbrdf.batch.workers.guard.Guard`. When standard input ends, the supervisor is gone, and everything here ends too.
+:class:`~mitsvbrdf.batch.workers.guard.Guard`. When standard input ends, the supervisor is gone, and
+everything here ends too.
 
 Exit codes: 0 told to stop, 2 cannot start (the last event says why), 3 Ray is gone.
 """
@@ -84,18 +86,21 @@ class Gateway:
             try:
                 self._token = Path(library, ".token").read_text(encoding="utf-8")
             except OSError as error:
-                raise CannotStart(f"{library} is no library: {error.strerror} at .token", "name the library's folder") from None
+                raise CannotStart(f"{library} is no library: {error.strerror} at .token",
+                                  "name the library's folder") from None
         if options["address"] is None:
             self.own = OwnRay(self._folder)
         self.deadline = time.monotonic() + START_SECONDS
         threading.Thread(target=self._watch, daemon=True).start()
         try:
             if self.own:
-                self.own.start((options["workers"] or 1) * options["threads"], options.get("dashboard", False))
+                self.own.start((options["workers"] or 1) * options["threads"],
+                               options.get("dashboard", False))
             else:
                 self._home = _join(options["address"])
         except Exception as error:  # Ray raises what it likes
-            raise CannotStart(f"Ray {'did not start' if self.own else 'is not there'}: {type(error).__name__}: "
+            raise CannotStart(f"Ray {'did not start' if self.own else 'is not there'}: "
+                              f"{type(error).__name__}: "
                               f"{str(error)[:500]}", MEND_RAY if self.own else CHECK_ADDRESS) from error
         signal.signal(signal.SIGTERM, lambda number, frame: self.end(0))
         self.deadline = time.monotonic() + HANG_SECONDS
@@ -131,7 +136,8 @@ class Gateway:
             attempt = order["task"]["attempt"]
             worker = next((one for one in self._workers if one.name == order["worker"]), None)
             if worker is None:
-                self.say({"is": "lost", "worker": order["worker"], "attempt": attempt, "reason": "the worker is gone"})
+                self.say({"is": "lost", "worker": order["worker"], "attempt": attempt,
+                          "reason": "the worker is gone"})
                 return
             worker.attempt = attempt
             self._call(worker, worker.actor.run.remote(order["task"]), self._done)
@@ -180,21 +186,28 @@ class Gateway:
         import ray
 
         while len(self._workers) < self._wanted:
-            make = ray.remote(WorkerActor).options(num_cpus=self._options["threads"], max_restarts=0, max_task_retries=0,
+            make = ray.remote(WorkerActor).options(num_cpus=self._options["threads"], max_restarts=0,
+                                                   max_task_retries=0,
                                              scheduling_strategy="SPREAD")
-            child = [self._options["child"]] if self._options.get("child") else []  # else the default of its own node
-            worker = Worker(make.remote(self._options["threads"], self._options["memory"], self._options["timeout"], *child))
+            # else the default of its own node
+            child = [self._options["child"]] if self._options.get("child") else []
+            worker = Worker(make.remote(self._options["threads"], self._options["memory"],
+                                        self._options["timeout"], *child))
             self._workers.append(worker)
             self._call(worker, worker.actor.about.remote(), self._greeted)
-        for worker in [one for one in self._workers if one.name is None][:max(0, len(self._workers) - self._wanted)]:
+        for worker in [one for one in self._workers if one.name is None][:max(0,
+                                                                              len(self._workers) - self._wanted)]:
             self._workers.remove(worker)
             ray.kill(worker.actor)
 
     def _look(self) -> None:
-        """See how many workers there should be; without the node by which it was joined, a cluster is out of reach."""
+        """See how many workers there should be; without the node by which it was joined, a cluster is out of
+        reach.
+        """
         import ray
 
-        nodes = {} if self.own else {node["NodeID"]: node["Resources"] for node in ray.nodes() if node["Alive"]}
+        nodes = {} if self.own else {node["NodeID"]: node["Resources"] for node in ray.nodes()
+                                     if node["Alive"]}
         if self._home and self._home not in nodes:
             self.end(3)
         places = sum(int(resources.get("CPU", 0) // self._options["threads"]) for resources in nodes.values())
@@ -214,7 +227,8 @@ class Gateway:
     def _up(self, worker: Worker, about: dict) -> None:
         if not about.pop("seen", True):
             raise CannotStart(f"{about['host']} does not see {self._options['library']}",
-                              "put the library on a file system that all nodes share, under the same path, or give its URL")
+                              "put the library on a file system that all nodes share, under the same path, "
+                              "or give its URL")
         self._failed_starts, self._names = 0, self._names + 1
         worker.name = f"w{self._names}"
         self.say({"is": "worker", "worker": worker.name} | about)
@@ -235,7 +249,8 @@ class Gateway:
         words = [line for line in str(error).splitlines() if not line.startswith("\t")]  # Ray's table of ids
         reason = " ".join(words[-1:])[:300]
         if worker.name:
-            self.say({"is": "lost", "worker": worker.name, "attempt": worker.attempt, "reason": f"the worker died: {reason}"})
+            self.say({"is": "lost", "worker": worker.name, "attempt": worker.attempt,
+                      "reason": f"the worker died: {reason}"})
         else:
             self._failed_starts += 1
             if self._failed_starts == FAILED_STARTS:
@@ -247,7 +262,8 @@ class Gateway:
         while time.monotonic() < self.deadline and (self.own is None or self.own.alive()):
             time.sleep(0.1)
         if time.monotonic() >= self.deadline and not self._wanted:
-            self.say({"is": "failed", "reason": f"Ray gave no answer in {START_SECONDS:g} s", "fix": CHECK_ADDRESS})
+            self.say({"is": "failed", "reason": f"Ray gave no answer in {START_SECONDS:g} s",
+                      "fix": CHECK_ADDRESS})
         self.end(3)
 
 
@@ -258,7 +274,8 @@ def _join(address: str) -> str | None:
     os.environ["RAY_ENABLE_UV_RUN_RUNTIME_ENV"] = "0"  # the nodes have mitsvbrdf already
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if port.isdigit():
-        socket.create_connection((host.strip("[]"), int(port)), timeout=10).close()  # Ray would try for minutes
+        # Ray would try for minutes
+        socket.create_connection((host.strip("[]"), int(port)), timeout=10).close()
     ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
     return None if "://" in address else ray.get_runtime_context().get_node_id()
 
@@ -275,7 +292,8 @@ def _listen(gateway: Gateway, orders: int) -> None:
 def _live(folder: Path) -> None:
     events, orders = int(sys.argv[1]), os.dup(0)
     nothing = os.open(os.devnull, os.O_RDWR)
-    log = os.open(sys.argv[2], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666) if len(sys.argv) > 2 else nothing
+    log = (os.open(sys.argv[2], os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666) if len(sys.argv) > 2
+           else nothing)
     for number, target in ((0, nothing), (1, log), (2, log)):
         os.dup2(target, number)
     gateway = Gateway(events, folder)

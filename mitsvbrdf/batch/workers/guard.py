@@ -1,7 +1,8 @@
-"""One child process, watched: it runs one task after the other, and whatever a task does to it, the guard goes on.
+"""One child process, watched: it runs one task after the other, and whatever a task does to it, the guard
+goes on.
 
-The child stays warm between tasks. It is killed, with all that it started, when a task takes more memory or time than it may,
-and started anew at the next task. It talks in lines of JSON over two pipes::
+The child stays warm between tasks. It is killed, with all that it started, when a task takes more memory or
+time than it may, and started anew at the next task. It talks in lines of JSON over two pipes::
 
     child: {"ready": true}
     guard: {"task": {...}}
@@ -31,7 +32,8 @@ from ... import __version__
 CHILD = (sys.executable, "-P", "-m", "mitsvbrdf.batch.child")
 START_SECONDS = 300.0  # until a child must be ready: the imports of a cold disk
 POLL_SECONDS = 0.05, 0.2  # between two looks at memory and clock: at first, and later
-EXIT_SECONDS = 2.0  # a child that closed its pipe has so long to end by itself, so that its own exit code is seen
+# a child that closed its pipe has so long to end by itself, so that its own exit code is seen
+EXIT_SECONDS = 2.0
 ANSWERS = ("done", "failed", "full")  # the last: no space is left for the result
 LOG_CHARACTERS = 20_000
 LOG_BYTES = 64 << 20  # what a child may print; beyond, its log begins anew
@@ -49,24 +51,27 @@ class _Ended(Exception):
 class Guard:
     """Keeps one child warm and gives it tasks.
 
-    Memory is that of the child and of the processes below it, read from ``/proc``; on systems without it there is no limit
-    on memory, and the peak is 0.
+    Memory is that of the child and of the processes below it, read from ``/proc``; on systems without it
+    there is no limit on memory, and the peak is 0.
 
     Args:
         threads: of the child's numeric libraries.
         memory: GiB that a task may take; None is no limit.
-        timeout: seconds that a task may take, without the start of the child; None: those that it states itself under
-            ``limit``, if any.
-        command: starts the child; the numbers of its two pipes, to read and to write, follow as the last two arguments.
+        timeout: seconds that a task may take, without the start of the child; None: those that it states
+            itself under ``limit``, if any.
+        command: starts the child; the numbers of its two pipes, to read and to write, follow as the last two
+            arguments.
     """
 
-    def __init__(self, threads: int, memory: float | None, timeout: float | None, command: Sequence[str] = CHILD) -> None:
+    def __init__(self, threads: int, memory: float | None, timeout: float | None,
+                 command: Sequence[str] = CHILD) -> None:
         self._environment = dict.fromkeys(
             ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MITSVBRDF_THREADS"), str(threads))
         self._environment |= {"PYTHONUNBUFFERED": "1", "PYTHONFAULTHANDLER": "1"}
         self._memory, self._timeout, self._command = memory, timeout, command
         self._log = tempfile.TemporaryFile()
-        fcntl.fcntl(self._log, fcntl.F_SETFL, os.O_APPEND)  # so that it can be emptied under a child that writes
+        # so that it can be emptied under a child that writes
+        fcntl.fcntl(self._log, fcntl.F_SETFL, os.O_APPEND)
         self._child: _Child | None = None
 
     def about(self) -> dict:
@@ -85,8 +90,9 @@ class Guard:
             task: handed to the child as it is.
 
         Returns:
-            ``state`` (done, failed, full, crashed, timeout or memory), ``reason`` in a sentence, ``log`` (the tail of what the
-            child printed), ``seconds`` of the task, ``peak_bytes`` of memory, ``row`` of the child, ``host``.
+            ``state`` (done, failed, full, crashed, timeout or memory), ``reason`` in a sentence, ``log`` (the
+            tail of what the child printed), ``seconds`` of the task, ``peak_bytes`` of memory, ``row`` of the
+            child, ``host``.
         """
         os.ftruncate(self._log.fileno(), 0)
         started, answer = time.monotonic(), {}
@@ -97,12 +103,14 @@ class Guard:
             if answer.get("state") not in ANSWERS:
                 raise _Ended("crashed", f"child gave an answer that nobody knows: {str(answer)[:200]}")
         except (_Ended, OSError) as end:
-            answer = {"state": getattr(end, "state", "crashed"), "reason": getattr(end, "reason", f"no child: {end}")}
+            answer = {"state": getattr(end, "state", "crashed"), "reason": getattr(end, "reason",
+                                                                                   f"no child: {end}")}
         seconds, peak = time.monotonic() - started, self._child.peak if self._child else 0
         if answer["state"] not in ANSWERS:
             self._end_child()
         return {"state": answer["state"], "reason": str(answer.get("reason") or ""), "log": self._tail(),
-                "seconds": round(seconds, 3), "peak_bytes": peak, "row": answer.get("row"), "host": socket.gethostname()}
+                "seconds": round(seconds, 3), "peak_bytes": peak, "row": answer.get("row"),
+                "host": socket.gethostname()}
 
     def close(self) -> None:
         """End the child, whatever it is doing."""
@@ -116,7 +124,8 @@ class Guard:
 
     def _tail(self) -> str:
         size, length = os.fstat(self._log.fileno()).st_size, 4 * LOG_CHARACTERS
-        return os.pread(self._log.fileno(), length, max(0, size - length)).decode(errors="replace")[-LOG_CHARACTERS:]
+        return os.pread(self._log.fileno(), length,
+                        max(0, size - length)).decode(errors="replace")[-LOG_CHARACTERS:]
 
 
 class _Child:
@@ -129,7 +138,8 @@ class _Child:
         self._unread = b""
         try:
             self._process = subprocess.Popen(
-                [*command, str(theirs_in), str(theirs_out)], env=os.environ | environment, stdin=subprocess.DEVNULL,
+                [*command, str(theirs_in), str(theirs_out)], env=os.environ | environment,
+                stdin=subprocess.DEVNULL,
                 stdout=log, stderr=log, pass_fds=(theirs_in, theirs_out), start_new_session=True)
         except OSError:
             os.close(self._to)
@@ -158,7 +168,8 @@ class _Child:
             raise self._ended() from None
         return self._answer(memory, timeout, ("timeout", f"killed after {timeout} s, the limit"), resets)
 
-    def _answer(self, memory: float | None, timeout: float | None, late: tuple[str, str], resets: bool = False) -> dict:
+    def _answer(self, memory: float | None, timeout: float | None, late: tuple[str, str],
+                resets: bool = False) -> dict:
         deadline = time.monotonic() + (float("inf") if timeout is None else timeout)
         wait, most = POLL_SECONDS
         while b"\n" not in self._unread:
@@ -184,7 +195,9 @@ class _Child:
         return answer if isinstance(answer, dict) else {"reason": answer}
 
     def _weigh(self, memory: float | None, resets: bool) -> None:
-        """Look at what the child and those below it hold; over the limit it ends. A peak between two looks counts too."""
+        """Look at what the child and those below it hold; over the limit it ends. A peak between two looks
+        counts too.
+        """
         own, *below = (_status(pid) for pid in _family(self.pid))
         used = (own["VmHWM"] if resets else own["VmRSS"]) + sum(other["VmRSS"] for other in below)
         self.peak = max(self.peak, used)
@@ -259,7 +272,9 @@ def _status(pid: int) -> dict[str, int]:
 
 
 def die_with_parent() -> None:
-    """Let the system kill this process when its parent dies, however that dies (Linux; elsewhere nothing happens)."""
+    """Let the system kill this process when its parent dies, however that dies (Linux; elsewhere nothing
+    happens).
+    """
     if sys.platform != "linux":
         return
     parent = os.getppid()

@@ -1,4 +1,5 @@
-"""A process that outlives another only to clean up after it: it kills and buries all that the other has left, and its folder.
+"""A process that outlives another only to clean up after it: it kills and buries all that the other has left,
+and its folder.
 
 Ray's agents outlive a Ray that is killed, and some containers have nobody to bury orphans.
 """
@@ -25,7 +26,8 @@ ROUNDS, ROUND_SECONDS = 40, 0.05  # of killing: what is just being started comes
 
 
 def outlive(live: Callable[[Path], None]) -> int:
-    """Let a child process live; when it ends, however that happens, end all of this session and remove the folder.
+    """Let a child process live; when it ends, however that happens, end all of this session and remove the
+    folder.
 
     The child ends with this process, and at SIGTERM to it. To be called before there are threads.
 

@@ -18,10 +18,12 @@ ALONE = {
     "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # on Linux too it is this that lets Ray keep to loopback
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_AUTH_MODE": "token",  # other users of this machine reach the ports too
-    "RAY_enable_worker_prestart": "0", "RAY_prestart_worker_first_driver": "0",  # else a process a CPU, which no one needs
+    # else a process a CPU, which no one needs
+    "RAY_enable_worker_prestart": "0", "RAY_prestart_worker_first_driver": "0",
     "RAY_enable_metrics_collection": "0",
     "RAY_worker_niceness": "0",
-    "RAY_memory_monitor_refresh_ms": "0",  # would kill a worker; the guard, or the system, kills the child that is to blame
+    # would kill a worker; the guard, or the system, kills the child that is to blame
+    "RAY_memory_monitor_refresh_ms": "0",
 }
 NEEDLESS = "monitor", "log_monitor"  # the autoscaler, and a reader of logs
 
@@ -43,7 +45,8 @@ class OwnRay:
         os.environ.update(ALONE | {"RAY_AUTH_TOKEN": secrets.token_hex(32)})
         import ray
 
-        ray.init("local", num_cpus=cpus, num_gpus=0, object_store_memory=OBJECT_STORE_BYTES, include_dashboard=dashboard,
+        ray.init("local", num_cpus=cpus, num_gpus=0, object_store_memory=OBJECT_STORE_BYTES,
+                 include_dashboard=dashboard,
                  log_to_driver=False, logging_level=logging.ERROR, _node_ip_address=LOOPBACK,
                  _temp_dir=str(self._folder / "ray"))  # which Ray opens to everybody
         if (address := ray.nodes()[0]["NodeManagerAddress"]) != LOOPBACK:

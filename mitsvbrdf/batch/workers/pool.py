@@ -3,10 +3,12 @@
 Events are the lines of the gateway::
 
     {"is": "worker", "worker": "w3", "host": "...", "pid": 1, "version": "..."}          up and idle
-    {"is": "done", "worker": "w3", "attempt": "...", "outcome": {...}}                  see Guard.run; idle again
-    {"is": "lost", "worker": "w3", "attempt": "..." or None, "reason": "one sentence"}  gone, never to come back under this name
+    {"is": "done", "worker": "w3", "attempt": "...", "outcome": {...}}                  see Guard.run; idle
+    again {"is": "lost", "worker": "w3", "attempt": "..." or None, "reason": "one sentence"}  gone, never to
+    come back under this name
 
-and its orders are ``{"do": "start", ...}``, ``{"do": "run", "worker": "w3", "task": {...}}`` and ``{"do": "stop"}``.
+and its orders are ``{"do": "start", ...}``, ``{"do": "run", "worker": "w3", "task": {...}}`` and ``{"do":
+"stop"}``.
 """
 
 from __future__ import annotations
@@ -28,7 +30,8 @@ from ...errors import BackendError
 
 GATEWAY = (sys.executable, "-P", "-m", "mitsvbrdf.batch.workers.gateway")
 DEATHS = 5  # of the gateway in a row, without one task done between
-LONGEST_PAUSE = 30.0  # seconds before the gateway is started anew; the first pause is 1 s, each is twice the one before
+# seconds before the gateway is started anew; the first pause is 1 s, each is twice the one before
+LONGEST_PAUSE = 30.0
 STOP_SECONDS = 1.3  # the gateway may take so long to end in order, and once more after SIGTERM
 
 
@@ -52,7 +55,8 @@ def require_ray() -> None:
 
 
 class RayPool:
-    """Workers that are actors of Ray, behind a gateway: a process of its own that is started anew when it dies.
+    """Workers that are actors of Ray, behind a gateway: a process of its own that is started anew when it
+    dies.
 
     Args:
         library: the folder, or its URL.
@@ -70,14 +74,19 @@ class RayPool:
         BackendError: where there is no Ray.
     """
 
-    def __init__(self, library: str, *, address: str | None = None, workers: int | None = None, threads: int = 1,
+    def __init__(self, library: str, *, address: str | None = None, workers: int | None = None,
+                 threads: int = 1,
                  memory: float | None = None, timeout: float | None = None, dashboard: bool = False,
-                 log: Path | None = None, child: Sequence[str] | None = None, gateway: Sequence[str] = GATEWAY) -> None:
+                 log: Path | None = None, child: Sequence[str] | None = None,
+                 gateway: Sequence[str] = GATEWAY) -> None:
         require_ray()
-        self._start = {"do": "start", "address": address, "workers": workers, "threads": threads, "memory": memory,
-                       "timeout": timeout, "library": library, "dashboard": dashboard, "child": child and list(child)}
+        self._start = {"do": "start", "address": address, "workers": workers, "threads": threads,
+                       "memory": memory,
+                       "timeout": timeout, "library": library, "dashboard": dashboard,
+                       "child": child and list(child)}
         self._command, self._log = gateway, [str(log)] if log else []
-        self._named, self._deaths = 0, 0  # workers that ever came up; deaths of the gateway since the last task done
+        # workers that ever came up; deaths of the gateway since the last task done
+        self._named, self._deaths = 0, 0
         self._reason = ""  # of the gateway, why it could not start
         self._running: dict[str, str | None] = {}  # the workers, each with its attempt
         self._waiting: list[dict] = []
@@ -86,7 +95,9 @@ class RayPool:
         self._open()
 
     def run(self, worker: str, task: dict) -> None:
-        """Hand a task to a worker that is idle; returns at once. If the worker is gone meanwhile, an event says so."""
+        """Hand a task to a worker that is idle; returns at once. If the worker is gone meanwhile, an event
+        says so.
+        """
         if worker not in self._running:
             self._waiting.append(_lost(worker, task["attempt"], "the worker is gone"))
             return
@@ -95,7 +106,8 @@ class RayPool:
             self._gateway.tell({"do": "run", "worker": worker, "task": task})
 
     def events(self, seconds: float) -> list[dict]:
-        """What has happened since the last call; waits at most so long, and returns with the first that happens.
+        """What has happened since the last call; waits at most so long, and returns with the first that
+        happens.
 
         Raises:
             BackendError: when the gateway cannot start at all, or dies again and again.
@@ -136,7 +148,8 @@ class RayPool:
             self._reason = event["reason"]
             if not self._named:  # it never worked: to try again would not help
                 self.close()
-                raise BackendError("Ray and its workers to start", event["reason"] + self._last_words(), event["fix"])
+                raise BackendError("Ray and its workers to start", event["reason"] + self._last_words(),
+                                   event["fix"])
             return
         if event["is"] == "worker":
             self._named += 1
@@ -155,13 +168,16 @@ class RayPool:
         self._waiting += [_lost(worker, attempt, reason) for worker, attempt in self._running.items()]
         self._running, self._deaths = {}, self._deaths + 1
         if self._deaths == DEATHS:
-            raise BackendError("Ray to stay up", f"{DEATHS} ends in a row, the last: {reason}{self._last_words()}",
+            raise BackendError("Ray to stay up", f"{DEATHS} ends in a row, the last: "
+                                                 f"{reason}{self._last_words()}",
                                "install Ray again, or mend its cluster")
         self._restart = time.monotonic() + min(2.0 ** (self._deaths - 1), LONGEST_PAUSE)
 
 
     def _last_words(self) -> str:
-        """What the log ends with, and its name where it stays: it goes with a library that came to nothing."""
+        """What the log ends with, and its name where it stays: it goes with a library that came to
+        nothing.
+        """
         try:
             lines = "".join(Path(log).read_text(errors="replace") for log in self._log).splitlines()
         except OSError:
@@ -183,8 +199,10 @@ class _Gateway:
         os.set_blocking(self._events, False)
         self._unread = b""
         try:
-            self._process = subprocess.Popen([*command, str(theirs), *log], stdin=subprocess.PIPE, stdout=subprocess.DEVNULL,
-                                             stderr=subprocess.DEVNULL, pass_fds=(theirs,), start_new_session=True)
+            self._process = subprocess.Popen([*command, str(theirs), *log], stdin=subprocess.PIPE,
+                                             stdout=subprocess.DEVNULL,
+                                             stderr=subprocess.DEVNULL, pass_fds=(theirs,),
+                                             start_new_session=True)
         except OSError:
             os.close(self._events)
             raise

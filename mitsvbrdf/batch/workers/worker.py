@@ -8,7 +8,9 @@ from .guard import Guard, die_with_parent
 
 
 class WorkerActor(Guard):
-    """A guard that dies with its node, even while it waits for a task, and can be asked what it sees; see Guard for Args."""
+    """A guard that dies with its node, even while it waits for a task, and can be asked what it sees; see
+    Guard for Args.
+    """
 
     def __init__(self, *settings: object) -> None:
         die_with_parent()

@@ -1,6 +1,8 @@
-"""Each part of a fit measured by fits with it and without it: one record of a benchmark's file for a part and a scene.
+"""Each part of a fit measured by fits with it and without it: one record of a benchmark's file for a part and
+a scene.
 
-The two fits of a pair take turns in one process, so that a ratio of their seconds is fair where seconds are not.
+The two fits of a pair take turns in one process, so that a ratio of their seconds is fair where seconds are
+not.
 """
 
 from __future__ import annotations
@@ -12,9 +14,9 @@ from functools import partial
 
 from ...fit import FitConfig
 from ...fit.methods import method_name
+from ...io.profile import profiling
+from ...io.timing import in_turns
 from ...render import Renderer
-from ...system.profile import profiling
-from ...system.timing import in_turns
 from ..jobs import check_finite
 from ..methods import Fitted, fit, settings_of
 from .parts import Part
@@ -74,7 +76,9 @@ class PairJob:
         return {"with": other, "without": config} if self.part.put_in else {"with": config, "without": other}
 
     def run(self, report: Callable[[float], None] = lambda share: None) -> dict:
-        """The figures, after a step of each that warms up: :class:`mitsvbrdf.bench.records.LeaveOutRecord`."""
+        """The figures, after a step of each that warms up:
+        :class:`mitsvbrdf.bench.records.LeaveOutRecord`.
+        """
         sides = self._sides()
         for config in sides.values():
             fit(self.scene.task.photos, self.renderer, replace(config, budget=None, iterations=1))
@@ -92,12 +96,14 @@ class PairJob:
         """A fit and its seconds by part of it."""
         config, photos, part = self._sides()[side], self.scene.task.photos, self.part
         less = (side == "with") == part.put_in  # the program's own way is the other
-        with profiling() as profile, changed(*part.table) if less and part.table else contextlib.nullcontext():
+        with profiling() as profile, changed(
+            *part.table) if less and part.table else contextlib.nullcontext():
             fitted = fit(part.photos(photos) if less and part.photos else photos, self.renderer, config)
         return fitted, profile.totals()
 
 
-def pair_jobs(listed: Sequence[Part], chosen: Sequence[Scene], repeats: int, renderer: Renderer) -> list[PairJob]:
+def pair_jobs(listed: Sequence[Part], chosen: Sequence[Scene], repeats: int,
+              renderer: Renderer) -> list[PairJob]:
     """Every part on every scene of its kinds, in the order of the scenes.
 
     Args:
@@ -106,7 +112,8 @@ def pair_jobs(listed: Sequence[Part], chosen: Sequence[Scene], repeats: int, ren
         repeats: turns of each pair.
         renderer: carries the gradients.
     """
-    return [PairJob(part, scene, repeats, renderer) for scene in chosen for part in listed if scene.kind in part.kinds]
+    return [PairJob(part, scene, repeats, renderer) for scene in chosen for part in listed
+            if scene.kind in part.kinds]
 
 
 @contextlib.contextmanager

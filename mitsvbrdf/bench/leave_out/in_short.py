@@ -22,7 +22,8 @@ def in_short(record: Mapping) -> list[str]:
 
 
 def _of_scenes(renders: Sequence[Mapping]) -> Iterable[str]:
-    compared = [r for r in renders if r["full_error"] is not None]  # with float64: the same picture was asked for
+    # with float64: the same picture was asked for
+    compared = [r for r in renders if r["full_error"] is not None]
     if compared:
         saved = {r["name"]: r["seconds"]["full"]["median"] / r["seconds"]["lean"]["median"] for r in compared}
         best = sorted(saved, key=saved.__getitem__, reverse=True)[:MOST]
@@ -37,10 +38,13 @@ def _of_fits(found: Sequence[Mapping]) -> Iterable[str]:
     idle = {name: each for name, each in _named(kept, NOT_NEEDED).items() if name not in needed}
     for named, shown, words in (
             (_named(itself, NOT_NEEDED), _seconds,
-             f"**Left out of fits by the program itself**, where photos show that they do not need it. {SECONDS}"),
-            (_named(itself, NEEDED), _errors, f"**Left out by the program itself, though it would help.** {ERRORS}"),
+             "**Left out of fits by the program itself**, where photos show that they do not need it. "
+             f"{SECONDS}"),
+            (_named(itself, NEEDED), _errors, "**Left out by the program itself, though it would help.** "
+                                              f"{ERRORS}"),
             (needed, _errors, f"**Needed.** {ERRORS}"),
-            (idle, _seconds, f"**Kept, though none of these photos needs it**, as no test of photos tells so. {SECONDS}")):
+            (idle, _seconds, "**Kept, though none of these photos needs it**, as no test of photos tells "
+                             f"so. {SECONDS}")):
         if named:
             yield f"{words}: {'; '.join(map(shown, named, named.values()))}."
 
@@ -61,5 +65,7 @@ def _seconds(name: str, each: Sequence[Mapping]) -> str:
 
 
 def _errors(name: str, each: Sequence[Mapping]) -> str:
-    worst = [max((item["errors"][error]["worst"], error) for error in UNSEEN if error in item["errors"]) for item in each]
-    return f"{name}: " + ", ".join(f"{error} {ratio:.2f} ({item['kind']})" for item, (ratio, error) in zip(each, worst))
+    worst = [max((item["errors"][error]["worst"], error) for error in UNSEEN if error in item["errors"])
+             for item in each]
+    return f"{name}: " + ", ".join(f"{error} {ratio:.2f} ({item['kind']})" for item, (ratio,
+                                                                                      error) in zip(each, worst))

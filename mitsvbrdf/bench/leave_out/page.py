@@ -1,12 +1,14 @@
-"""What is left out, as tables on the terminal and as docs/leave-out.md; both show the records and what is reckoned of them."""
+"""What is left out, as tables on the terminal and as docs/leave-out.md; both show the records and what is
+reckoned of them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from ...io import files
 from ...pages.page import figure, seconds
-from ...system import files
 from ..page import made_on, markdown, print_tables
 from ..tables import Table
 from .fits import SUITE as FITS
@@ -29,8 +31,10 @@ OF_RENDERS = """## Of a scene
 Nine co-located views of {renders_resolution} px, forward and backward; turns: {renders_repeats}, of their seconds the median.
 """
 OF_RENDERS_NOTE = (
-    "Ratios within 5 % of 1 are noise: those items cost nothing measurable here. Two results in float32 may differ by the "
-    "rounding of both; the sixth column shows the largest error of each against the float64 twin. `light falloff` is no "
+    "Ratios within 5 % of 1 are noise: those items cost nothing measurable here. Two results in float32 may "
+    "differ by the "
+    "rounding of both; the sixth column shows the largest error of each against the float64 twin. `light "
+    "falloff` is no "
     "saving without a change: another light was asked for.")
 OF_FITS = """## Of a fit
 
@@ -55,7 +59,8 @@ def print_leave_out(record: Mapping) -> None:
     """What is saved, on the terminal."""
     tables = []
     if renders := renders_table(record):
-        tables.append(Table("Left out of a scene: largest relative difference, seconds with it over those without",
+        tables.append(Table("Left out of a scene: largest relative difference, seconds with it over those "
+                            "without",
                             ["what", "where", "difference", "with / without"],
                             [[row[0], row[1], row[3], row[-1]] for row in renders.rows]))
     if parts := parts_table(record):
@@ -85,7 +90,8 @@ def write_leave_out_page(path: str | Path, record: Mapping) -> None:
     if parts := parts_table(record):
         lines += [OF_FITS.format(**settings), *markdown(scenes_table(record)), OF_PARTS, *_untitled(parts)]
     lines += ["## How to reproduce", "", f"    {command(record)}", "",
-              "Each record is kept as soon as it is there: Ctrl-C loses one measurement, and the same command goes on.", ""]
+              "Each record is kept as soon as it is there: Ctrl-C loses one measurement, and the same "
+              "command goes on.", ""]
     files.write_bytes(Path(path), "\n".join(lines).encode())
 
 
@@ -95,7 +101,8 @@ def command(record: Mapping) -> str:
     captures = ",".join(dict.fromkeys(r["name"] for r in pairs if r["kind"] == REAL))
     fits = (f" --fits --fit-resolution {settings['resolution']} --fit-repeats {settings['repeats']}"
             + (f" --captures {captures}" if captures else "")) if pairs else ""
-    return (f"mitsvbrdf leave-out --resolution {settings['renders_resolution']} --repeats {settings['renders_repeats']}{fits} "
+    return (f"mitsvbrdf leave-out --resolution {settings['renders_resolution']} --repeats "
+            f"{settings['renders_repeats']}{fits} "
             "--json leave-out.json --md leave-out.md")
 
 
@@ -110,9 +117,11 @@ def renders_table(record: Mapping) -> Table | None:
         if r["suite"] == RENDERS:
             full, lean = (r["seconds"][name]["median"] for name in ("full", "lean"))
             rows.append([r["name"], r["where"], r["why"], figure(r["worst"]), figure(r["mean"]),
-                         f"{figure(r['full_error'])}, {figure(r['lean_error'])}", seconds(full), seconds(lean),
+                         f"{figure(r['full_error'])}, {figure(r['lean_error'])}", seconds(full),
+                         seconds(lean),
                          f"{full / lean:.2f}"])
-    heads = ["left out", "where", "when", "largest difference", "mean", "full, lean against float64", "full", "lean",
+    heads = ["left out", "where", "when", "largest difference", "mean", "full, lean against float64", "full",
+             "lean",
              "full / lean"]
     return Table("Of a scene", heads, rows, OF_RENDERS_NOTE) if rows else None
 
@@ -129,7 +138,8 @@ def parts_table(record: Mapping) -> Table | None:
     """What leaving parts out of fits costs and saves; None without records of it."""
     rows = []
     for item in items(record):
-        rows.append([item["part"], f"`{item['of']}`", item["kind"] + (", by itself" if item["put_in"] else ""),
+        rows.append([item["part"], f"`{item['of']}`", item["kind"] + (", by itself" if item["put_in"]
+                                                                      else ""),
                      str(item["scenes"]), _quartiles(item["ratio"], "{:.2f}".format),
                      *(_error(item["errors"].get(name), item["scenes"]) for name in ERRORS), item["verdict"]])
     heads = ["left out", "method", "of", "scenes", "seconds, with / without (quartiles)", *ERRORS, "verdict"]

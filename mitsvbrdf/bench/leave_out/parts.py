@@ -1,4 +1,6 @@
-"""The parts of a fit that are left out, each with the settings that take it away, and the kinds of photos it is tried on."""
+"""The parts of a fit that are left out, each with the settings that take it away, and the kinds of photos it
+is tried on.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,8 @@ class Part:
 
     Args:
         what: its name; where ``fit`` may leave it out by itself, the name that ``fit.json`` gives it.
-        config: settings of the fit that has it, or of the one without where the program leaves it out by itself.
+        config: settings of the fit that has it, or of the one without where the program leaves it out by
+            itself.
         other: the settings that take it away, or put it in.
         put_in: whether ``other`` puts it in.
         kinds: of scenes.
@@ -56,7 +59,9 @@ class Part:
 
 
 def parts() -> list[Part]:
-    """What is left out, in the order of the table. What the program leaves out by itself is put in on made photos alone."""
+    """What is left out, in the order of the table. What the program leaves out by itself is put in on made
+    photos alone.
+    """
     usual = HierarchicalConfig(budget=UNLIMITED)
     hybrid, gan = HybridConfig(iterations=STEPS), GanConfig(iterations=STEPS)
     first = partial(replace, usual)
@@ -74,12 +79,15 @@ def parts() -> list[Part]:
         Part("weights of pixels", usual, first(tails=0.0), kinds=OTHERS),
         Part("removal of burn-in", usual, first(independent=False), kinds=OTHERS),
         Part("view refinement at full size", usual, usual, kinds=OTHERS, table=(REFINED, {Stage.FINE: ()})),
-        Part("view refinements but one", usual, usual, kinds=OTHERS, table=(REFINED, {Stage.TOGETHER: (3,), Stage.FINE: ()})),
-        Part("second half of the rounds at full size", usual, usual, kinds=FOLLOWING, table=(ROUNDS, {Stage.FINE: 7})),
+        Part("view refinements but one", usual, usual, kinds=OTHERS,
+             table=(REFINED, {Stage.TOGETHER: (3,), Stage.FINE: ()})),
+        Part("second half of the rounds at full size", usual, usual, kinds=FOLLOWING,
+             table=(ROUNDS, {Stage.FINE: 7})),
         Part(skipped.LOBE, usual, usual, True, (MATTE,), table=(matte.LOBE, {"roughconductor": ()})),
         Part("every other photo", usual, usual, photos=lambda shots: shots.pick(shots.index[::2])),
         Part("generator", usual, hybrid, True, (EXACT,)),
-        Part("discriminator", hybrid, replace(hybrid, adversarial=0.0), kinds=TRAINED, says=("adversarial loss",)),
+        Part("discriminator", hybrid, replace(hybrid, adversarial=0.0), kinds=TRAINED,
+             says=("adversarial loss",)),
         Part("diffuse loss", hybrid, replace(hybrid, diffuse=0.0), kinds=TRAINED),
         Part("smoothness of specular and roughness", hybrid, replace(hybrid, smooth=0.0), kinds=TRAINED),
         Part("price on tilted normals", hybrid, replace(hybrid, flat=0.0), kinds=TRAINED),

@@ -1,4 +1,6 @@
-"""What is measured with it and without it: from what was asked for to the list of its jobs, the same in every process."""
+"""What is measured with it and without it: from what was asked for to the list of its jobs, the same in every
+process.
+"""
 
 from __future__ import annotations
 
@@ -49,9 +51,11 @@ class LeaveOutPlan:
         """
         if min(self.resolution, self.fit_resolution) < 8 or min(self.repeats, self.fit_repeats) < 1:
             raise ConfigError("resolutions of 8 or more and repeats of 1 or more",
-                              f"{self.resolution}, {self.fit_resolution} and {self.repeats}, {self.fit_repeats}",
+                              f"{self.resolution}, {self.fit_resolution} and {self.repeats}, "
+                              f"{self.fit_repeats}",
                               "try 64 and 3")
-        return {"resolution": self.fit_resolution, "renderer": RENDERER, "variant": VARIANT, "repeats": self.fit_repeats,
+        return {"resolution": self.fit_resolution, "renderer": RENDERER, "variant": VARIANT,
+                "repeats": self.fit_repeats,
                 "renders_resolution": self.resolution, "renders_repeats": self.repeats}
 
     def renders(self) -> list[Case]:
@@ -66,7 +70,8 @@ class LeaveOutPlan:
         """
         shared, listed = self.settings(), self._parts()
         engine = make_renderer(RENDERER, VARIANT)
-        chosen = scenes(self.fit_resolution, engine, [Path(folder) for folder in self.captures]) if self.fits else []
+        chosen = (scenes(self.fit_resolution, engine, [Path(folder) for folder in self.captures])
+                  if self.fits else [])
         return pair_jobs(listed, chosen, self.fit_repeats, engine), shared, {}
 
     def _parts(self) -> list[Part]:
@@ -90,8 +95,10 @@ def capture_folders(names: str | None, data: Path | None) -> list[str]:
     """
     asked = [name.strip() for name in (names or "").split(",") if name.strip()]
     root = data_folder(data) if asked else None
-    inside = {path.name: str(path) for path in sorted((root / "captures").glob("*")) if path.is_dir()} if root else {}
+    inside = ({path.name: str(path) for path in sorted((root / "captures").glob("*")) if path.is_dir()}
+              if root else {})
     missing = [name for name in asked if name not in inside]
     if missing:
-        raise ConfigError("captures that are there", f"none called {missing[0]}", "check --captures, --data and MITSVBRDF_DATA")
+        raise ConfigError("captures that are there", f"none called {missing[0]}",
+                          "check --captures, --data and MITSVBRDF_DATA")
     return [inside[name] for name in asked]

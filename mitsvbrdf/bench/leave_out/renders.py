@@ -1,7 +1,9 @@
-"""What a scene may do without: each item measured against the scene that has it, one record of a benchmark's file each.
+"""What a scene may do without: each item measured against the scene that has it, one record of a benchmark's
+file each.
 
-Every case renders one material twice, forward and backward, nine co-located views: once with the item computed although
-it changes nothing, once without. The two run in turn in one process, so their ratio is fair where their seconds are not.
+Every case renders one material twice, forward and backward, nine co-located views: once with the item
+computed although it changes nothing, once without. The two run in turn in one process, so their ratio is fair
+where their seconds are not.
 """
 
 from __future__ import annotations
@@ -16,17 +18,26 @@ from torch import Tensor
 
 from ...capture import Capture, guess_diffuse
 from ...color import to_display
-from ...fit import FitConfig, FitTask, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf, losses, make_method
+from ...fit import (
+    FitConfig,
+    FitTask,
+    GanConfig,
+    HierarchicalConfig,
+    HybridConfig,
+    fit_svbrdf,
+    losses,
+    make_method,
+)
 from ...fit.finish_config import FinishConfig
 from ...fit.generator.finish import finished
 from ...fit.methods import METHODS, method_name
+from ...io.timing import side_by_side
 from ...material.made import make_material
 from ...material.maps import SVBRDF
 from ...measure.gradients import fixed_cotangent
 from ...measure.metrics import image_error
 from ...render import RendererName, make_renderer
 from ...render.needs import Needs
-from ...system.timing import side_by_side
 from ...views import Views, nine_view_grid
 from ..code import method_module, own_code
 
@@ -72,7 +83,8 @@ class Case:
     @property
     def settings(self) -> dict:
         """What else shapes the record: the code of a fit; of scenes nothing that all records do not share."""
-        return {"code": own_code(method_module(self.where), finished.__module__)} if self.where in METHODS else {}
+        return ({"code": own_code(method_module(self.where), finished.__module__)} if self.where in METHODS
+                else {})
 
     @property
     def title(self) -> str:
@@ -96,7 +108,8 @@ class Case:
         difference = image_error(lean, full)
         truth = None if self.truth is None else self.truth()
         errors = [None if truth is None else image_error(found, truth)["worst"] for found in (full, lean)]
-        return {"says": [self.what, *self.says], "why": self.why, "worst": difference["worst"], "mean": difference["mean"],
+        return {"says": [self.what, *self.says], "why": self.why, "worst": difference["worst"],
+                "mean": difference["mean"],
                 "full_error": errors[0], "lean_error": errors[1],
                 "seconds": side_by_side({"full": self.full, "lean": self.lean}, self.repeats)}
 
@@ -128,21 +141,26 @@ def _cases(resolution: int) -> Iterator[Case]:
                                   "roughness": coloured["roughness"], "normal": coloured["normal"]})
 
     def pair(what: str, why: str, svbrdf: SVBRDF, without: Sequence[str], fixed: Sequence[str] = (),
-             needs: Needs = CO_LOCATED, renderer: RendererName = "mitsuba", says: tuple[str, ...] = ()) -> Case:
+             needs: Needs = CO_LOCATED, renderer: RendererName = "mitsuba",
+             says: tuple[str, ...] = ()) -> Case:
         wanted = tuple(name for name in svbrdf.maps if name not in fixed)
         less: dict[str, Any] = dict.fromkeys(without, False)
         return Case(what, renderer, why, _pass(renderer, svbrdf, views, wanted, needs),
-                    _pass(renderer, svbrdf, views, wanted, replace(needs, **less)), partial(twin.render, svbrdf, views), says)
+                    _pass(renderer, svbrdf, views, wanted, replace(needs, **less)),
+                    partial(twin.render, svbrdf, views), says)
 
-    def across(what: str, why: str, svbrdf: SVBRDF, wanted: tuple[str, ...], needs: Needs, lean_needs: Needs | None,
-               says: tuple[str, ...] = ()) -> Case:
-        return Case(what, "mitsuba-scene, mitsuba", why, _pass("mitsuba-scene", svbrdf, views, tuple(svbrdf.maps), needs),
-                    _pass("mitsuba", svbrdf, views, wanted, lean_needs), partial(twin.render, svbrdf, views), says)
+    def across(what: str, why: str, svbrdf: SVBRDF, wanted: tuple[str, ...], needs: Needs, lean_needs: Needs
+               | None, says: tuple[str, ...] = ()) -> Case:
+        return Case(what, "mitsuba-scene, mitsuba", why, _pass("mitsuba-scene", svbrdf, views,
+                                                               tuple(svbrdf.maps), needs),
+                    _pass("mitsuba", svbrdf, views, wanted, lean_needs), partial(twin.render, svbrdf, views),
+                    says)
 
     def gradient(svbrdf: SVBRDF, name: str) -> Case:
         everything, others = tuple(svbrdf.maps), tuple(other for other in svbrdf.maps if other != name)
         full, lean = (_pass("mitsuba", svbrdf, views, wanted, bare) for wanted in (everything, others))
-        return Case(f"gradient of {name}", "mitsuba", "it is held fixed", full, lean, partial(twin.render, svbrdf, views))
+        return Case(f"gradient of {name}", "mitsuba", "it is held fixed", full, lean,
+                    partial(twin.render, svbrdf, views))
 
     every, twin = tuple(coloured.maps), make_renderer("analytic64")
     bare = replace(CO_LOCATED, shadow_rays=False, path_depth=False, environment=False)
@@ -154,19 +172,24 @@ def _cases(resolution: int) -> Iterator[Case]:
     yield pair("Fresnel curve", "the light is at the camera", coloured, ("fresnel_curve",), needs=EVERYTHING)
     yield from (gradient(coloured, name) for name in every)
     yield from (gradient(metal, name) for name in ("base_color", "metallic"))
-    yield Case("gradients of three maps", "mitsuba", "they are held fixed", _pass("mitsuba", coloured, views, every, bare),
+    yield Case("gradients of three maps", "mitsuba", "they are held fixed", _pass("mitsuba", coloured, views,
+                                                                                  every, bare),
                _pass("mitsuba", coloured, views, ("diffuse",), bare), partial(twin.render, coloured, views))
-    falling, constant = (_pass("mitsuba", coloured, lit, every, bare) for lit in (views, replace(views, falloff="none")))
-    yield Case("light falloff", "mitsuba", "asked for: the paper's light, so other pictures", falling, constant)
-    yield pair("environment", "the flash is the only light", coloured, ("environment",), renderer="mitsuba-scene")
-    yield pair("path depth", "a plane does not see itself", coloured, ("path_depth",), renderer="mitsuba-scene",
-               says=("interreflection and path depth",))
-    yield pair("shadow rays", "nothing stands in the way", coloured, ("shadow_rays",), renderer="mitsuba-scene")
+    falling, constant = (_pass("mitsuba", coloured, lit, every, bare) for lit in (views,
+                                                                                  replace(views, falloff="none")))
+    yield Case("light falloff", "mitsuba", "asked for: the paper's light, so other pictures", falling,
+               constant)
+    yield pair("environment", "the flash is the only light", coloured, ("environment",),
+               renderer="mitsuba-scene")
+    yield pair("path depth", "a plane does not see itself", coloured, ("path_depth",),
+               renderer="mitsuba-scene", says=("interreflection and path depth",))
+    yield pair("shadow rays", "nothing stands in the way", coloured, ("shadow_rays",),
+               renderer="mitsuba-scene")
     yield across("ray tracing", "the texel behind each pixel is known", coloured, every, bare, bare,
                  ("texture look-ups",))
     yield from _of_fits(coloured, views)
-    yield across("all of these", "a flat, grey material; normal and specular held fixed", lean, ("diffuse", "roughness"),
-                 EVERYTHING, None)
+    yield across("all of these", "a flat, grey material; normal and specular held fixed", lean,
+                 ("diffuse", "roughness"), EVERYTHING, None)
 
 
 def _with(svbrdf: SVBRDF, **maps: Tensor) -> SVBRDF:
@@ -179,7 +202,8 @@ def _pass(renderer: RendererName, svbrdf: SVBRDF, views: Views, wanted: tuple[st
     engine = make_renderer(renderer, needs=needs)
 
     def forward_and_backward() -> Tensor:
-        leaves = SVBRDF(svbrdf.bsdf, {n: t.detach().clone().requires_grad_(n in wanted) for n, t in svbrdf.maps.items()})
+        leaves = SVBRDF(svbrdf.bsdf, {n: t.detach().clone().requires_grad_(n in wanted)
+                                      for n, t in svbrdf.maps.items()})
         image = engine.render(leaves, views)
         image.backward(fixed_cotangent(image.shape))
         return image.detach()
@@ -193,7 +217,8 @@ def _of_fits(svbrdf: SVBRDF, views: Views) -> Iterator[Case]:
     capture = Capture(to_display(engine.render(small, views)), views, "gamma2.2")
 
     def without(what: str, config: FitConfig, name: str, *says: str) -> Case:
-        full, lean = (_steps(FitTask(capture, engine, replace(config, **{name: weight}), small["diffuse"]))  # type: ignore[arg-type]
+        full, lean = (_steps(FitTask(capture, engine, replace(config, **{name: weight}),  # type: ignore[arg-type]
+                                     small["diffuse"]))
                       for weight in (1e-30, 0.0))
         return Case(what, method_name(config), "its weight is 0", full, lean, says=says)
 
@@ -216,7 +241,8 @@ def _of_fits(svbrdf: SVBRDF, views: Views) -> Iterator[Case]:
         found = finished(found, capture, engine, FinishConfig(steps=3)) if finish else found
         return flat(found.svbrdf)
 
-    yield Case("adversarial finish", "hierarchical", "not asked for", partial(fitted, True), partial(fitted, False))
+    yield Case("adversarial finish", "hierarchical", "not asked for", partial(fitted, True),
+               partial(fitted, False))
 
 
 def flat(svbrdf: SVBRDF) -> Tensor:

@@ -1,4 +1,6 @@
-"""What the parts of a fit are measured on: made photos of every kind, each of another material, and real ones."""
+"""What the parts of a fit are measured on: made photos of every kind, each of another material, and real
+ones.
+"""
 
 from __future__ import annotations
 
@@ -47,6 +49,7 @@ def scenes(resolution: int, renderer: Renderer, captures: Sequence[Path] = ()) -
     shots = replace(photograph(tiles, moved, renderer), views=views)
     return [Scene(EXACT, known_material("builtin:inlay", resolution, views, renderer)),
             Scene(MATTE, KnownMaterial("matte leather", matte, None, photograph(matte, views, renderer))),
-            Scene(NOISY, KnownMaterial("noisy plates", plates, None, photograph(plates, views, renderer, noise=0.003))),
+            Scene(NOISY, KnownMaterial("noisy plates", plates, None, photograph(plates, views, renderer,
+                                                                                noise=0.003))),
             Scene(OFF, KnownMaterial("tiles, cameras off", tiles, None, shots)),
             *(Scene(REAL, real_capture(folder, resolution)) for folder in captures)]

@@ -1,4 +1,6 @@
-"""How the errors fall along the paper's schedule, as SVG. It shows numbers of the record and computes none."""
+"""How the errors fall along the paper's schedule, as SVG. It shows numbers of the record and computes
+none.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,8 @@ def schedule_figure(record: Mapping) -> Figure | None:
     for panel, (run, errors) in zip(panels, runs):
         for (name, label), colour in zip(errors.items(), CHART_LINES):
             points = [(entry["iteration"], entry[name]) for entry in run["trace"] if name in entry]
-            panel.plot([x for x, _ in points], [y for _, y in points], color=colour, linewidth=1.4, label=label)
+            panel.plot([x for x, _ in points], [y for _, y in points], color=colour, linewidth=1.4,
+                       label=label)
         panel.set_title(schedule_title(run).replace("`", ""), loc="left", fontsize=FONT_SIZES["label"])
         panel.set_xlabel("iteration", fontsize=FONT_SIZES["small"])
         panel.set_yscale("log")

@@ -15,6 +15,9 @@ _SETS = {
 
 
 def printed() -> Published:
-    """``paper`` -> set -> whose -> map -> RMSE, as :class:`mitsvbrdf.bench.records.Benchmark` keeps published numbers."""
+    """``paper`` -> set -> whose -> map -> RMSE, as :class:`mitsvbrdf.bench.records.Benchmark` keeps published
+    numbers.
+    """
     names = (*PUBLISHED_MAPS, GUESS)
-    return {"paper": {which: {who: dict(zip(names, values)) for who, values in rows.items()} for which, rows in _SETS.items()}}
+    return {"paper": {which: {who: dict(zip(names, values)) for who, values in rows.items()}
+                      for which, rows in _SETS.items()}}

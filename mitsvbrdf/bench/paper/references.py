@@ -1,4 +1,6 @@
-"""What fits are compared with: guessed diffuse maps, the start they make, and maps that published methods recovered."""
+"""What fits are compared with: guessed diffuse maps, the start they make, and maps that published methods
+recovered.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +66,9 @@ class ReferenceJob:
         return SECONDS
 
     def run(self, report: Callable[[float], object] = lambda share: None) -> dict:
-        """The figures: whose -> error -> value, of each guess, of the start with the default guess, of published maps."""
+        """The figures: whose -> error -> value, of each guess, of the start with the default guess, of
+        published maps.
+        """
         photos = self.task.photos
         starts = {}
         for number, method in enumerate(get_args(GuessMethod)):
@@ -72,7 +76,8 @@ class ReferenceJob:
             report((number + 1) / (len(get_args(GuessMethod)) + 1))
         first = next(iter(starts.values()))  # the default method comes first
         if isinstance(self.task, KnownMaterial):
-            guesses = {guess_by(method): {"diffuse": self._of_maps(maps)["diffuse"]} for method, maps in starts.items()}
+            guesses = {guess_by(method): {"diffuse": self._of_maps(maps)["diffuse"]}
+                       for method, maps in starts.items()}
             found = guesses | {START: self._of_material(first) | {"photos": self._of_photos(first)["seen"]}}
             found |= {name: self._of_material(maps) for name, maps in peers(self.task).items()}
         else:
@@ -81,11 +86,13 @@ class ReferenceJob:
 
     def _of_maps(self, maps: SVBRDF) -> dict[str, float]:
         assert isinstance(self.task, KnownMaterial)
-        return map_rmse(maps, self.task.truth) if self.task.folder is None else evaluate_maps(maps, self.task.folder)
+        return (map_rmse(maps, self.task.truth) if self.task.folder is None
+                else evaluate_maps(maps, self.task.folder))
 
     def _of_material(self, maps: SVBRDF) -> dict[str, float]:
         assert isinstance(self.task, KnownMaterial)
-        return self._of_maps(maps) | {"novel_light": novel_light_rmse(maps, self.task.truth, self.task.photos.views)}
+        return self._of_maps(maps) | {"novel_light": novel_light_rmse(maps, self.task.truth,
+                                                                      self.task.photos.views)}
 
     def _of_photos(self, maps: SVBRDF) -> dict[str, float]:
         parts = {"seen": self.task.photos, "left_out": getattr(self.task, "unseen", None)}
@@ -96,8 +103,8 @@ class ReferenceJob:
 def peers(task: KnownMaterial) -> dict[str, SVBRDF]:
     """Whose -> the maps that published methods recovered of a known material, no larger than its photos here.
 
-    They lie in folders in ``peers/`` beside the known maps. Errors are counted at the size of the smaller maps: larger ones
-    than those of the fits would be held against more detail.
+    They lie in folders in ``peers/`` beside the known maps. Errors are counted at the size of the smaller
+    maps: larger ones than those of the fits would be held against more detail.
     """
     inside = task.folder / "peers" if task.folder else None
     found = {METHOD_NAMES.get(p.name, p.name): load_maps(p) for p in sorted(inside.iterdir())

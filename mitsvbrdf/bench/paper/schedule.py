@@ -1,4 +1,6 @@
-"""The paper's schedule (III.F) at a stated size: how far its maps are off, again and again, until its last iteration."""
+"""The paper's schedule (III.F) at a stated size: how far its maps are off, again and again, until its last
+iteration.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +12,16 @@ from ...errors import ConfigError
 from ...evaluate.placement import predict
 from ...fit import FitTask, GanConfig, make_method
 from ...fit.loop import Loop
+from ...io.timing import timed
 from ...material.maps import SVBRDF
 from ...render import Renderer
-from ...system.timing import timed
 from ..methods import Fitted, as_lit, settings_of
 from ..tasks import Task
 
 POINTS = 50  # of the curve, besides the start
 SECONDS = 2e-4  # of an iteration, a texel at width 64: a guess, only to say how long it will take
-AT_LEAST = 0.2  # seconds of an iteration, however small; on a busy machine 0.26 (32 px, width 8) and 0.50 (64 px, width 16)
+# seconds of an iteration, however small; on a busy machine 0.26 (32 px, width 8) and 0.50 (64 px, width 16)
+AT_LEAST = 0.2
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,8 @@ class ScheduleJob:
     @property
     def settings(self) -> dict:
         """What else shapes the record."""
-        return settings_of(self.config, __name__) | {"resolution": self.task.photos.resolution, "width": self.config.width,
+        return settings_of(self.config, __name__) | {"resolution": self.task.photos.resolution,
+                                                     "width": self.config.width,
                                                      "iterations": self.iterations}
 
     @property
@@ -63,7 +67,8 @@ class ScheduleJob:
     @property
     def iterations(self) -> int:
         """How many it makes."""
-        return self.config.default_limit["iterations"] if self.config.iterations is None else self.config.iterations
+        return (self.config.default_limit["iterations"] if self.config.iterations is None
+                else self.config.iterations)
 
     @property
     def cost(self) -> float:
@@ -78,7 +83,8 @@ class ScheduleJob:
         """
         trace: list[dict[str, float]] = []
         found, wall = timed(self._fit, trace, report)
-        return {"seconds": found.seconds, "wall": wall, "iterations": found.iterations, "stopped": found.stopped,
+        return {"seconds": found.seconds, "wall": wall, "iterations": found.iterations,
+                "stopped": found.stopped,
                 "errors": self.task.errors(found), "trace": trace}
 
     def _fit(self, trace: list[dict[str, float]], report: Callable[[float], object]) -> Fitted:
@@ -91,7 +97,8 @@ class ScheduleJob:
         def kept(entry: dict, share: float) -> None:
             rmse, svbrdf, _ = loop.seen
             now = self._fitted(svbrdf, rmse, entry["seconds"], entry["iteration"], "going on")
-            trace.append({"iteration": entry["iteration"], "seconds": entry["seconds"]} | self.task.errors(now))
+            trace.append({"iteration": entry["iteration"], "seconds": entry["seconds"]}
+                         | self.task.errors(now))
             report(share)
 
         loop = Loop(method, lit, self.renderer, config, report=kept)
@@ -104,5 +111,6 @@ class ScheduleJob:
         return self._fitted(svbrdf, rmse, loop.trace[-1]["seconds"], loop.iteration, stopped)
 
     def _fitted(self, svbrdf: SVBRDF, rmse: float, seconds: float, iterations: int, stopped: str) -> Fitted:
-        return Fitted(svbrdf.detach(), rmse, lambda shots: predict(svbrdf, as_lit(shots, self.config), self.renderer, None)[:2],
+        return Fitted(svbrdf.detach(), rmse, lambda shots: predict(svbrdf, as_lit(shots, self.config),
+                                                                   self.renderer, None)[:2],
                       seconds, math.nan, iterations, stopped)

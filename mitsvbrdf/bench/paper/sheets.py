@@ -1,4 +1,6 @@
-"""Sheets like the paper's figures 4 to 6: input photo, maps with the guessed diffuse map, rendering; a row for each method."""
+"""Sheets like the paper's figures 4 to 6: input photo, maps with the guessed diffuse map, rendering; a row
+for each method.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,8 @@ from ..methods import as_lit, fit, settings_of
 from ..tasks import KnownMaterial, novel_views
 from .references import peers
 
-COLUMNS = ("Input", ", ".join(TITLES[name] for name in ("diffuse", "specular", "roughness", "normal")), "Guessed diffuse",
+COLUMNS = ("Input", ", ".join(TITLES[name] for name in ("diffuse", "specular", "roughness", "normal")),
+           "Guessed diffuse",
            "Rendering", "Lit from the side")
 MOST_BYTES = 400_000
 QUALITIES = (90, 84, 76, 66, 50)  # of the JPEG: the first that is small enough
@@ -119,7 +122,8 @@ class SheetJob:
         return {"file": self.path.name, "errors": found}
 
 
-def write_comparison(path: Path, title: str, photos: Capture, rows: Sequence[SheetRow], renderer: Renderer) -> None:
+def write_comparison(path: Path, title: str, photos: Capture, rows: Sequence[SheetRow],
+                     renderer: Renderer) -> None:
     """One JPEG of at most :data:`MOST_BYTES`, 1680 pixels wide, a row for each method.
 
     Args:
@@ -142,7 +146,8 @@ def write_comparison(path: Path, title: str, photos: Capture, rows: Sequence[She
         y = HEADER_HEIGHT + LABEL_HEIGHT + number * (LABEL_HEIGHT + side + PICTURE_GAP) + LABEL_HEIGHT
         sheet.text(left[0], y - 9, row.label, 11, SHEET_TEXT)
         if row.errors:
-            sheet.text(left[1], y - 9, "RMSE " + ", ".join(f"{row.errors[name]:.4f}" for name in MAPS), 10, SHEET_TEXT)
+            sheet.text(left[1], y - 9, "RMSE " + ", ".join(f"{row.errors[name]:.4f}" for name in MAPS), 10,
+                       SHEET_TEXT)
         sheet.image(left[0], y, side, photos.photos[SHOWN_VIEW])
         _maps(sheet, left[1], y, side, row.svbrdf)
         if row.guess is not None:
@@ -157,11 +162,14 @@ def _maps(sheet: Canvas, x: int, y: int, side: int, svbrdf: SVBRDF) -> None:
     small = (side - PICTURE_GAP) // 2
     for k, name in enumerate(MAPS):
         down, across = divmod(k, 2)
-        sheet.image(x + across * (small + PICTURE_GAP), y + down * (small + PICTURE_GAP), small, shown_map(name, svbrdf[name]))
+        sheet.image(x + across * (small + PICTURE_GAP), y + down * (small + PICTURE_GAP), small,
+                    shown_map(name, svbrdf[name]))
 
 
 def _renderings(svbrdf: SVBRDF, photos: Capture, renderer: Renderer) -> list[Tensor]:
-    """The shown photo's view again, and one lit from the side: display values R x R x 3, encoded as the photos are."""
+    """The shown photo's view again, and one lit from the side: display values R x R x 3, encoded as the
+    photos are.
+    """
     material = svbrdf.resized(min(photos.resolution, svbrdf.resolution))
     with torch.no_grad():
         return [to_display(renderer.render(material, views.pick([number]))[0], photos.transfer)

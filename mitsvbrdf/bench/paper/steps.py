@@ -1,4 +1,6 @@
-"""Seconds of an iteration of ``gan``, by preset, beside those of an earlier version of it, and the parts of both."""
+"""Seconds of an iteration of ``gan``, by preset, beside those of an earlier version of it, and the parts of
+both.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +13,11 @@ from ...fit import FitTask, GanConfig, losses
 from ...fit.generator.gan import Gan
 from ...fit.generator.pictures import Pictures
 from ...fit.method import descend
+from ...io.profile import STEP, profiled, profiling, switch_at
+from ...io.timing import in_turns, spread, timed
 from ...material.made import make_material
 from ...render import Renderer
 from ...synth import photograph
-from ...system.profile import STEP, profiled, profiling, switch_at
-from ...system.timing import in_turns, spread, timed
 from ...views import nine_view_grid
 from ..code import own_code
 from ..methods import as_lit
@@ -29,8 +31,9 @@ SECONDS_A_STEP = 2e-4  # a texel at width 64: a guess, only to say how long it w
 class EarlierGan(Gan):
     """The same training as an earlier version computed it, to be timed beside the present one.
 
-    Every gradient step computes the gradients of the discriminator's weights, which nobody asks for, the diffuse loss, which
-    moves nothing but the diffuse/specular decoder, and the output of networks that did not move since; in float32.
+    Every gradient step computes the gradients of the discriminator's weights, which nobody asks for, the
+    diffuse loss, which moves nothing but the diffuse/specular decoder, and the output of networks that did
+    not move since; in float32.
     """
 
     def _substep(self, pictures: Pictures, first: bool, logged: dict[str, float]) -> None:
@@ -51,7 +54,8 @@ class EarlierGan(Gan):
                 terms["smooth"] = losses.total_variation(svbrdf, losses.edge_weights(guess), self.fixed)
             logged |= {name: float(value.detach()) for name, value in terms.items()}
             total = total + losses.weighted(terms, config.weights)
-        moved = [name for name in ("fast", "slow", "flash") if name in self.optimizers and (first or name == "fast")]
+        moved = [name for name in ("fast", "slow", "flash") if name in self.optimizers
+                 and (first or name == "fast")]
         with profiled("losses, backward"):
             descend(total, *(self.optimizers[name] for name in moved))
 
@@ -75,7 +79,8 @@ class StepJob:
     @property
     def key(self) -> dict:
         """What identifies the record."""
-        return {"suite": "steps", "preset": self.config.preset, "resolution": self.resolution, "width": self.config.width}
+        return {"suite": "steps", "preset": self.config.preset, "resolution": self.resolution,
+                "width": self.config.width}
 
     @property
     def settings(self) -> dict:
@@ -99,11 +104,14 @@ class StepJob:
         return 3 + 2 * (2 * self.repeats + 1) * each
 
     def run(self, report: Callable[[float], object] = lambda share: None) -> dict:
-        """The figures: ``rows`` of both versions, which take turns, and the ``ratio`` of their seconds turn by turn."""
+        """The figures: ``rows`` of both versions, which take turns, and the ``ratio`` of their seconds turn
+        by turn.
+        """
         material = make_material(STEPPED_MATERIAL, self.resolution)
         photos = as_lit(photograph(material, nine_view_grid(), self.renderer), self.config)
         versions = {NOW: _method(Gan, photos, self.renderer, self.config),
-                    EARLIER: _method(EarlierGan, photos, self.renderer, replace(self.config, precision="float32"))}
+                    EARLIER: _method(EarlierGan, photos, self.renderer,
+                                     replace(self.config, precision="float32"))}
         turns = in_turns({name: partial(_seconds, method) for name, method in versions.items()}, self.repeats,
                          report=lambda share: report(0.5 * share))
         rows = []
@@ -111,7 +119,8 @@ class StepJob:
             rows.append({"version": name, "bfloat16": method.bfloat16, "seconds": spread(turns[name]),
                          "parts": parts_of(method, self.repeats)})
             report(0.5 + 0.25 * (number + 1))
-        return {"rows": rows, "ratio": spread([before / now for now, before in zip(turns[NOW], turns[EARLIER])])}
+        return {"rows": rows, "ratio": spread([before / now for now, before in zip(turns[NOW],
+                                                                                   turns[EARLIER])])}
 
 
 def _method(kind: type[Gan], photos: Capture, renderer: Renderer, config: GanConfig) -> Gan:
@@ -124,7 +133,9 @@ def _seconds(method: Gan) -> float:
 
 
 def parts_of(method: Gan, steps: int) -> dict[str, float]:
-    """The share of each part of an iteration, as ``fit --profile`` names them, over some iterations of a warm method."""
+    """The share of each part of an iteration, as ``fit --profile`` names them, over some iterations of a warm
+    method.
+    """
     with profiling() as profile:
         for _ in range(steps):
             with profiled(STEP):

@@ -19,7 +19,8 @@ HEADS = ["", *MAPS, "mean", "guessed diffuse", "seconds"]
 SCHEDULE_ERRORS = {"material": {name: name for name in (*MAPS, "mean", "photos")},
                    "capture": {"seen": "photos seen", "left_out": "photos left out"}}
 
-# What is ours, from the paper's method to the default: a name, and (suite, method) of its fits, the first that is there.
+# What is ours, from the paper's method to the default: a name, and (suite, method) of its fits, the first
+# that is there.
 GAN = "`gan`"
 TWO_STAGE = "`gan-two-stage`, the paper's preset"
 OURS: dict[str, tuple[tuple[str, str], ...]] = {
@@ -40,7 +41,8 @@ def printed_tables(record: Mapping) -> list[Table]:
     """Tables 1 and 2 of the paper."""
     tables = []
     for which, rows in record["published"].get("paper", {}).items():
-        cells = [[who, *(_number(errors.get(name), 3) for name in (*MAPS, GUESS))] for who, errors in rows.items()]
+        cells = [[who, *(_number(errors.get(name), 3) for name in (*MAPS, GUESS))]
+                 for who, errors in rows.items()]
         tables.append(Table(f"As printed, {which}", ["", *MAPS, "guessed diffuse"], cells))
     return tables
 
@@ -48,7 +50,8 @@ def printed_tables(record: Mapping) -> list[Table]:
 def measured_tables(record: Mapping) -> list[Table]:
     """The same columns on known materials: the mean over all, then each that has published maps."""
     names = materials(record)
-    published = [n for n in names if set(_references(record, "material").get(n, {})) - {START, *_guesses(record, n)}]
+    published = [n for n in names if set(_references(record, "material").get(n, {})) - {START,
+                                                                                        *_guesses(record, n)}]
     several = [("Mean of " + str(len(names)) + " known materials", names)] if len(names) > 1 else []
     tables = []
     for title, only in [*several, *((name, [name]) for name in (published if several else names))]:
@@ -57,7 +60,8 @@ def measured_tables(record: Mapping) -> list[Table]:
                   "" if row.seconds is None else f"{row.seconds:.3g}"] for row in rows]
         values = [[row.errors.get(name) for name in COLUMNS[:-1]] for row in rows]
         missing = [label for label in OURS if label not in {row.label for row in rows}]
-        note = f"Not run on {'all of these' if len(only) > 1 else 'it'}: {', '.join(missing)}." if missing else ""
+        note = (f"Not run on {'all of these' if len(only) > 1 else 'it'}: {', '.join(missing)}." if missing
+                else "")
         tables.append(Table(title, HEADS, with_best(cells, values), note))
     return tables
 
@@ -70,13 +74,16 @@ def materials(record: Mapping) -> list[str]:
 
 
 def _rows(record: Mapping, names: Sequence[str]) -> Iterator[Row]:
-    """Published maps, the start and ours: medians over seeds of means over these materials, at the longest budget."""
+    """Published maps, the start and ours: medians over seeds of means over these materials, at the longest
+    budget.
+    """
     given = [_references(record, "material").get(name, {}) for name in names]
-    whose = [who for who in given[0] if all(who in each for each in given) and who not in _guesses(record, names[0])]
+    whose = [who for who in given[0] if all(who in each for each in given) and who not in _guesses(record,
+                                                                                                   names[0])]
     for who in sorted(whose, key=lambda who: who == START):
         errors = {e: statistics.fmean(each[who][e] for each in given) for e in (*MAPS, "mean")}
-        yield Row("the start: the guess, one lobe for all texels, flat" if who == START else f"{who}, published maps", errors,
-                  None)
+        yield Row("the start: the guess, one lobe for all texels, flat" if who == START
+                  else f"{who}, published maps", errors, None)
     for label in OURS:
         fits = _fits(record, "material", label)
         points = {e: _last(fits, e, names) for e in (*MAPS, "mean")}
@@ -97,12 +104,15 @@ def start_and_end(record: Mapping) -> Table | None:
         end = points["mean"]
         if end is not None:
             starts = {e: statistics.fmean(given[name][START][e] for name in only) for e in points}
-            rows.append([only[0] if len(only) == 1 else f"mean of {len(only)}", f"{starts['mean']:.4f}", error_cell(end),
+            rows.append([only[0] if len(only) == 1 else f"mean of {len(only)}", f"{starts['mean']:.4f}",
+                         error_cell(end),
                          f"{100 * (1 - end.median / starts['mean']):.0f} %",
-                         *(f"{starts[e]:.4f} → {_number(p.median if p else None)}" for e, p in list(points.items())[1:])])
+                         *(f"{starts[e]:.4f} → {_number(p.median if p else None)}"
+                           for e, p in list(points.items())[1:])])
     if not rows:
         return None
-    return Table(f"{GAN} after {max(summary.budgets(fits)):g} s", ["", "start, mean", "end, mean", "below", *MAPS], rows,
+    return Table(f"{GAN} after {max(summary.budgets(fits)):g} s", ["", "start, mean", "end, mean", "below",
+                                                                   *MAPS], rows,
                  "Mean: of the four maps. End: median over seeds, quartiles in brackets.")
 
 
@@ -114,19 +124,24 @@ def game_tables(record: Mapping) -> list[Table]:
         for error, title in errors.items():
             rows, lower = [], 0
             for name in summary.names(fits):
-                found = [_last([r for r in fits if r["method"] == method], error, [name]) for method in (FULL, NO_GAME)]
+                found = [_last([r for r in fits if r["method"] == method], error, [name]) for method in (FULL,
+                                                                                                         NO_GAME)]
                 if found[0] is not None and found[1] is not None:
                     lower += found[0].median < found[1].median
-                    rows.append([name, error_cell(found[0]), error_cell(found[1]), f"{found[0].median - found[1].median:+.4f}"])
+                    rows.append([name, error_cell(found[0]), error_cell(found[1]),
+                                 f"{found[0].median - found[1].median:+.4f}"])
             if rows:
-                tables.append(Table(f"{title}, {max(summary.budgets(fits)):g} s", ["", "with", "without", "difference"], rows,
-                                    f"Lower with the adversarial loss on {lower} of {len(rows)}. {_seeds(fits)}"))
+                tables.append(Table(f"{title}, {max(summary.budgets(fits)):g} s",
+                                    ["", "with", "without", "difference"], rows,
+                                    f"Lower with the adversarial loss on {lower} of {len(rows)}. "
+                                    f"{_seeds(fits)}"))
     return tables
 
 
 def ingredient_tables(record: Mapping) -> list[Table]:
     """Each variant of ``gan``: by budget, and map by map, over the fits that all variants have."""
-    common = {**record, "records": [r for kind in ERRORS for r in _shared(summary.of(record["records"], "gan", kind))]}
+    common = {**record, "records": [r for kind in ERRORS for r in _shared(summary.of(record["records"], "gan",
+                                                                                     kind))]}
     maps = each_map(common, "gan")
     return [*ablation_tables(common, "gan"), *([maps] if maps else [])]
 
@@ -146,25 +161,31 @@ def capture_tables(record: Mapping) -> list[Table]:
     given, tables = _references(record, "capture"), []
     found = {label: _fits(record, "capture", label) for label in OURS}
     fits = [r for each in found.values() for r in each]
-    labels, published = [label for label, each in found.items() if each], record["published"].get("capture", {})
+    labels, published = [label for label, each in found.items() if each], record["published"].get("capture",
+                                                                                                  {})
     for error, title in ERRORS["capture"].items():
-        whose = list(dict.fromkeys(who for n in summary.names(fits) for who, e in published.get(n, {}).items() if error in e))
+        whose = list(dict.fromkeys(who for n in summary.names(fits) for who, e in published.get(n, {}).items()
+                                   if error in e))
         starts, rows, values = any(START in given.get(name, {}) for name in summary.names(fits)), [], []
         for name in summary.names(fits):
             points = [_last(found[label], error, [name]) for label in labels]
             start = given.get(name, {}).get(START, {}).get(error)
             beside = [published.get(name, {}).get(who, {}).get(error) for who in whose]
-            rows.append([name, *([_number(start)] if starts else []), *(error_cell(p) for p in points), *map(_number, beside)])
+            rows.append([name, *([_number(start)] if starts else []), *(error_cell(p) for p in points),
+                         *map(_number, beside)])
             values.append([p.median if p else None for p in points])
         if rows:
             heads = ["", *(["the start"] if starts else []), *labels, *(f"{who}, published" for who in whose)]
-            middle = "; ".join(f"{label} {_number(_median([v[k] for v in values]), 4)}" for k, label in enumerate(labels))
+            middle = "; ".join(f"{label} {_number(_median([v[k] for v in values]), 4)}"
+                               for k, label in enumerate(labels))
             tables.append(Table(title, heads, rows, f"Median of these: {middle}. {_seeds(fits)}"))
     return tables
 
 
 def schedule_tables(record: Mapping) -> list[Table]:
-    """Where the paper's schedule ends: the result, which explains its photos best, and the state after the last iteration."""
+    """Where the paper's schedule ends: the result, which explains its photos best, and the state after the
+    last iteration.
+    """
     given, tables = _references(record, "material"), []
     for kind, columns in SCHEDULE_ERRORS.items():
         rows, known = [], kind == "material"
@@ -176,7 +197,8 @@ def schedule_tables(record: Mapping) -> list[Table]:
         if rows:
             heads = [*columns.values(), *(["guessed diffuse"] if known else []), "seconds"]
             tables.append(Table(f"Errors at the end, {KINDS[kind]}s", ["", *heads], rows,
-                                "Result: the state of the lowest re-rendering error, as every fit returns it; last: after the "
+                                "Result: the state of the lowest re-rendering error, as every fit returns "
+                                "it; last: after the "
                                 "last iteration."))
     return tables
 
@@ -203,10 +225,12 @@ def step_tables(record: Mapping) -> list[Table]:
         title = f"`{r['preset']}`, {r['resolution']} px, width {r['width']}"
         timed.append([title, *(_spread(row["seconds"]) for row in r["rows"]), _spread(r["ratio"]),
                       ", ".join("bfloat16" if row["bfloat16"] else "float32" for row in r["rows"])])
-        parts += [[f"{title}, {row['version']}", *(f"{100 * row['parts'].get(name, 0):.0f} %" for name in names)]
+        parts += [[f"{title}, {row['version']}",
+                   *(f"{100 * row['parts'].get(name, 0):.0f} %" for name in names)]
                   for row in r["rows"]]
     return [Table("Seconds of an iteration", ["", "now", "earlier", "earlier / now", "networks in"], timed,
-                  "Both versions take turns; median, quartiles in brackets. Earlier: float32, gradients of the discriminator's "
+                  "Both versions take turns; median, quartiles in brackets. Earlier: float32, gradients of "
+                  "the discriminator's "
                   "weights in every gradient step, and the diffuse loss in each of them."),
             Table("Shares of an iteration", ["", *names], parts)]
 
@@ -227,7 +251,8 @@ def _last(fits: Sequence[Mapping], error: str, names: Sequence[str]) -> Point | 
 
 
 def _references(record: Mapping, kind: str) -> dict[str, Mapping]:
-    return {r["name"]: r["errors"] for r in record["records"] if r["suite"] == "references" and r["kind"] == kind}
+    return {r["name"]: r["errors"] for r in record["records"] if r["suite"] == "references"
+            and r["kind"] == kind}
 
 
 def _guesses(record: Mapping, name: str) -> set[str]:

@@ -1,4 +1,6 @@
-"""The fits of stiff scenes: each one record of a benchmark's file, so that a run can stop anywhere and go on later."""
+"""The fits of stiff scenes: each one record of a benchmark's file, so that a run can stop anywhere and go on
+later.
+"""
 
 from __future__ import annotations
 
@@ -10,16 +12,17 @@ from typing import Any
 from ...errors import ConfigError
 from ...fit import FitResult, fit_svbrdf
 from ...fit.methods import METHODS
+from ...io.timing import timed
 from ...measure.metrics import map_rmse
 from ...render import Renderer, RendererName, make_renderer
-from ...system.timing import timed
 from ..jobs import FitJob, check_finite
 from .scenes import CONTROL, StiffTask, digest, stated, stiff_tasks
 
 SUITE = "stiff"
 # What shapes these records, beside what shapes those of the benchmark.
 SHAPING = ("bench/stiff/fits.py", "bench/stiff/scenes.py", "verify/stability/conditioning.py")
-SEEDED = ("hierarchical", "hybrid", "gan")  # methods whose result follows their seed; `direct` draws no random number
+# methods whose result follows their seed; `direct` draws no random number
+SEEDED = ("hierarchical", "hybrid", "gan")
 # Cases that `gan` also has its own budget for.
 GAN_AT_LENGTH = (CONTROL, "metal of roughness 0.05", "metal of roughness 0.05, deep relief, 30 % clipped")
 NEAR = 1.1  # times the final error of the photos: where a fit counts as nearly done
@@ -38,7 +41,8 @@ class StiffFit(FitJob):
         """The figures. Whatever ends the fit is one, too, and ``why`` says what; but for Ctrl-C."""
         config = replace(self.config, budget=self.budget, seed=self.seed)
         try:
-            result, wall = timed(fit_svbrdf, self.task.photos, self.renderer, config, report=lambda entry, share: report(share))
+            result, wall = timed(fit_svbrdf, self.task.photos, self.renderer, config, report=lambda entry,
+                                 share: report(share))
             if result.stopped == "interrupted":
                 raise KeyboardInterrupt
             found = figures(result, self.task) | {"wall": wall, "why": None}
@@ -62,14 +66,16 @@ def figures(result: FitResult, task: StiffTask) -> dict[str, Any]:
     spread = stated(result.deviations)
     check_finite(errors)
     check_finite(spread)
-    return {"seconds": last["seconds"], "iterations": last["iteration"], "stopped": result.stopped, "errors": errors,
+    return {"seconds": last["seconds"], "iterations": last["iteration"], "stopped": result.stopped,
+            "errors": errors,
             "stated": spread, "near": {"seconds": near["seconds"], "iterations": near["iteration"]},
             "undone": len(result.undone), "restarts": len(result.restarts), "warnings": list(result.warnings)}
 
 
-def stiff_jobs(resolution: int, budget: float, seeds: Sequence[int], renderer: Renderer, methods: Sequence[str] = (),
-               at_length: bool = True) -> list[StiffFit]:
-    """Every case with every method and seed, every member of a series with every method, and some cases at ``gan``'s budget.
+def stiff_jobs(resolution: int, budget: float, seeds: Sequence[int], renderer: Renderer,
+               methods: Sequence[str] = (), at_length: bool = True) -> list[StiffFit]:
+    """Every case with every method and seed, every member of a series with every method, and some cases at
+    ``gan``'s budget.
 
     Args:
         resolution: of maps and photos.
@@ -86,7 +92,8 @@ def stiff_jobs(resolution: int, budget: float, seeds: Sequence[int], renderer: R
     if unknown:
         raise ConfigError(f"methods of {list(METHODS)}", ", ".join(unknown), "check --methods")
     if resolution < 8 or not 0 < budget < math.inf:
-        raise ConfigError("a resolution of 8 or more and a budget above 0", f"{resolution} and {budget:g}", "try 64 and 20")
+        raise ConfigError("a resolution of 8 or more and a budget above 0", f"{resolution} and {budget:g}",
+                          "try 64 and 20")
     configs = {name: entry.config() for name, entry in METHODS.items() if name in (methods or METHODS)}
     cases, series = stiff_tasks(resolution)
 

@@ -73,7 +73,9 @@ class Scene:
         return SVBRDF(made.bsdf, {**maps, "normal": F.normalize(made["normal"] * slopes, dim=-1)})
 
     def views(self, truth: SVBRDF) -> Views:
-        """Where cameras and lights were, and how bright the lights: so bright that the photos are clipped as much as stated."""
+        """Where cameras and lights were, and how bright the lights: so bright that the photos are clipped as
+        much as stated.
+        """
         grid = nine_view_grid()
         aside = torch.tensor([self.spread, self.spread, 1.0], dtype=torch.float64)
         views = Views.of(grid.camera * aside, intensity=grid.intensity).pick(range(self.photos))
@@ -103,7 +105,8 @@ CASES: dict[str, Scene] = {
     "a single photo": Scene("inlay", photos=1),
     "nine identical photos": Scene("inlay", same=True),
     "constant grey photos": Scene("inlay", grey=True),
-    "metal of roughness 0.05, deep relief, 30 % clipped": Scene("tiles", metal=True, roughness=0.05, relief=3.0, clipped=0.3),
+    "metal of roughness 0.05, deep relief, 30 % clipped": Scene("tiles", metal=True, roughness=0.05,
+                                                                relief=3.0, clipped=0.3),
     "black albedo, light 4x too strong, cameras 5 % off": Scene("leather", black=True, light=4.0, off=0.05),
     "deep relief, light 4x too weak, cameras 5 % off": Scene("leather", relief=3.0, light=1 / 4, off=0.05),
     "a single photo, 30 % clipped, noise 0.03": Scene("inlay", photos=1, clipped=0.3, noise=0.03),
@@ -151,7 +154,8 @@ class StiffTask:
     @cached_property
     def seen(self) -> Capture:
         """The photos that differ, with the views that they were taken from."""
-        found = photograph(self.truth, self.scene.views(self.truth), make_renderer("analytic"), self.scene.noise)
+        found = photograph(self.truth, self.scene.views(self.truth), make_renderer("analytic"),
+                           self.scene.noise)
         return found.pick([0]) if self.scene.same else found
 
     @cached_property
@@ -167,10 +171,11 @@ class StiffTask:
 
         Returns:
             ``condition`` of the texels' Jacobians in what the photos show
-            (:func:`mitsvbrdf.verify.stability.conditioning.condition`); ``attainable``: standard deviation of each map at
-            the truth with the right views, of an estimate of each texel by itself (:mod:`mitsvbrdf.fit.confidence`), and
-            ``photos``, what the truth misses the photos by; ``start``: the error of the maps that fits begin with. All three
-            are empty where the photos are of no material.
+            (:func:`mitsvbrdf.verify.stability.conditioning.condition`); ``attainable``: standard deviation of
+            each map at the truth with the right views, of an estimate of each texel by itself
+            (:mod:`mitsvbrdf.fit.confidence`), and ``photos``, what the truth misses the photos by; ``start``:
+            the error of the maps that fits begin with. All three are empty where the photos are of no
+            material.
         """
         if self.scene.grey:
             return {"condition": {}, "attainable": {}, "start": {}}
@@ -178,7 +183,8 @@ class StiffTask:
         slopes = jacobian(make_renderer("analytic64"), truth, views, color.to_display)
         with torch.no_grad():
             images = make_renderer("analytic").render(truth, views)
-        spreads = deviations(truth, views, images, FitTask(self.seen, make_renderer("analytic"), DirectConfig()))
+        spreads = deviations(truth, views, images, FitTask(self.seen, make_renderer("analytic"),
+                                                           DirectConfig()))
         begun = robust_start(self.photos, guess_diffuse(self.photos), truth.bsdf)
         return {"condition": condition(slopes.detach()),
                 "attainable": stated(spreads) | {"photos": photo_rmse(images, self.seen.photos)[0]},
@@ -186,15 +192,16 @@ class StiffTask:
 
 
 def stated(spreads: Mapping[str, Tensor]) -> dict[str, float]:
-    """Root mean square of the standard deviations of each map, as :func:`~mitsvbrdf.measure.metrics.map_rmse` would count
-    such errors, and their ``mean``.
+    """Root mean square of the standard deviations of each map, as :func:`~mitsvbrdf.measure.metrics.map_rmse`
+    would count such errors, and their ``mean``.
 
     Args:
         spreads: of :func:`mitsvbrdf.fit.confidence.deviations`.
     """
     squares = {name: float(value.double().square().mean()) for name, value in spreads.items()}
     if "normal" in squares:
-        squares["normal"] *= 2 / 3  # of x and y alone; z has an error of second order, and counts as a third channel
+        # of x and y alone; z has an error of second order, and counts as a third channel
+        squares["normal"] *= 2 / 3
     found = {name: math.sqrt(value) for name, value in squares.items()}
     return found | {"mean": sum(found.values()) / len(found)}
 

@@ -1,4 +1,6 @@
-"""The tables of docs/stability-fits.md; they print what the record holds, medians over seeds with the range in brackets."""
+"""The tables of docs/stability-fits.md; they print what the record holds, medians over seeds with the range
+in brackets.
+"""
 
 from __future__ import annotations
 
@@ -53,14 +55,17 @@ def inputs(record: Mapping) -> Table:
     rows = []
     for name, (first, *_) in by_name(r for fits in fits_of(record, "case").values() for r in fits).items():
         wrong = ", ".join(fault.name for fault in faults(scene_of(first)))
-        rows.append([name, condition_text({"condition": first["condition"] or None}), _one(first["attainable"].get("mean")),
+        rows.append([name, condition_text({"condition": first["condition"] or None}),
+                     _one(first["attainable"].get("mean")),
                      _one(first["start"].get("mean")), _one(first["attainable"].get("photos")), wrong or "–"])
-    return Table("What was given", ["", "condition", "attainable", "start", "photos, truth", "a fit should warn of"], rows)
+    return Table("What was given", ["", "condition", "attainable", "start", "photos, truth",
+                                    "a fit should warn of"], rows)
 
 
 def each(head: str, fits: Fits) -> Table:
     """How the fits of one method ended, case by case."""
-    heads = ["", "verdict", "maps", "over attainable", f"off by more than {DETERMINED:g}", "stated", "photos", "at the start",
+    heads = ["", "verdict", "maps", "over attainable", f"off by more than {DETERMINED:g}", "stated", "photos",
+             "at the start",
              "within 10 %, s", "s", "steps", "undone", "warns of", "and not of"]
     rows = []
     for name, same in by_name(fits).items():
@@ -76,7 +81,8 @@ def each(head: str, fits: Fits) -> Table:
             _spread(good, lambda r: r["near"]["seconds"], "s", short=True),
             _spread(good, lambda r: r["seconds"], "s", short=True),
             _spread(good, lambda r: r["iterations"], "n", short=True),
-            "–" if not good else str(sum(r["undone"] + r["restarts"] for r in good)), _counted(said), _counted(unsaid)])
+            "–" if not good else str(sum(r["undone"] + r["restarts"] for r in good)), _counted(said),
+            _counted(unsaid)])
     return Table(f"`{head}`", heads, rows)
 
 
@@ -101,7 +107,8 @@ def convergence(head: str, fits: Fits) -> Table:
         known = [name, condition_text({"condition": r["condition"]}), _one(r["attainable"]["mean"])]
         near = r["near"] or {"seconds": None, "iterations": None}
         rows.append([*known, _one(r["errors"].get("mean")), _one(r["errors"].get("photos")),
-                     "–" if r["why"] else f"{near['iterations']:g}", "–" if r["why"] else f"{near['seconds']:.3g}",
+                     "–" if r["why"] else f"{near['iterations']:g}",
+                     "–" if r["why"] else f"{near['seconds']:.3g}",
                      f"{r['seconds']:.3g}", verdict(r)])
     heads = ["", "condition", "attainable", "maps", "photos", "steps within 10 %", "s", "s in all", "verdict"]
     return Table(f"`{head}`", heads, rows)
@@ -119,14 +126,16 @@ def _verdicts(fits: Sequence[Mapping]) -> str:
 def _counted(names: Iterable[Sequence[str]]) -> str:
     each_seed = list(names)
     counts = Counter(name for here in each_seed for name in here)
-    return ", ".join(name if n == len(each_seed) else f"{name} ({n} of {len(each_seed)})" for name, n in counts.items()) or "–"
+    return ", ".join(name if n == len(each_seed) else f"{name} ({n} of {len(each_seed)})"
+                     for name, n in counts.items()) or "–"
 
 
 def _over_attainable(r: Mapping) -> float | None:
     return r["errors"]["mean"] / r["attainable"]["mean"] if r["attainable"] else None
 
 
-def _spread(fits: Sequence[Mapping], value: Callable[[Mapping], float | None], kind: str = "", short: bool = False) -> str:
+def _spread(fits: Sequence[Mapping], value: Callable[[Mapping], float | None], kind: str = "",
+            short: bool = False) -> str:
     """The median over seeds and, where there are several and it is not to be ``short``, their range."""
     found = [number for r in fits if (number := value(r)) is not None]
     if not found:

@@ -1,4 +1,6 @@
-"""Whether a fit of a stiff scene is to be trusted, and where it is not, whether it says so: one word by a stated rule."""
+"""Whether a fit of a stiff scene is to be trusted, and where it is not, whether it says so: one word by a
+stated rule.
+"""
 
 from __future__ import annotations
 
@@ -9,17 +11,24 @@ from ...fit.confidence import DETERMINED
 from .scenes import CASES, SERIES, Scene
 
 MAPS = ("diffuse", "specular", "roughness", "normal")
-COVERED = 0.5  # of a map's error that its stated deviation must reach, to count as having said it: an error of two deviations
+# of a map's error that its stated deviation must reach, to count as having said it: an error of two
+# deviations
+COVERED = 0.5
 
 SOUND, SAID, PARTLY, SILENT, FAILED = "sound", "degraded, says so", "degraded, says part", "degraded silently", "failed"
 RULE = {
-    SOUND: f"every map is off by at most {DETERMINED:g} RMSE: as sure as a texel has to be that counts as determined",
-    SAID: f"a map is off by more; the fit warns of all that is wrong with its input, or, where nothing is, of anything; or the "
+    SOUND: f"every map is off by at most {DETERMINED:g} RMSE: as sure as a texel has to be that counts as "
+           "determined",
+    SAID: "a map is off by more; the fit warns of all that is wrong with its input, or, where nothing is, "
+          "of anything; or the "
           f"deviations it states reach at least {COVERED:.0%} of the error of each such map",
-    PARTLY: "a map is off by more; the fit warns of one thing that is wrong with its input, and not of another",
-    SILENT: "a map is off by more, the deviations stated are too small, and no warning is of what is wrong with the input, or, "
+    PARTLY: "a map is off by more; the fit warns of one thing that is wrong with its input, and not of "
+            "another",
+    SILENT: "a map is off by more, the deviations stated are too small, and no warning is of what is wrong "
+            "with the input, or, "
             "where nothing is, there is none",
-    FAILED: "an error message, a map or figure that is not finite or out of range, or photos met no better than by the start",
+    FAILED: "an error message, a map or figure that is not finite or out of range, or photos met no better "
+            "than by the start",
 }
 
 

@@ -1,4 +1,5 @@
-"""What two photos of a flat material have in common: SIFT features and the homography that most of them agree with.
+"""What two photos of a flat material have in common: SIFT features and the homography that most of them agree
+with.
 
 Source: SIFT by Lowe 1999, 2004; RootSIFT by Arandjelovic and Zisserman 2012; MAGSAC++ by Barath et al. 2020.
 """
@@ -17,7 +18,8 @@ Array = NDArray[np.float64]
 FEATURE_SIDE = 2048  # photos are searched for features at no more than this many pixels a side
 MOST_FEATURES = 8000
 FEW_FEATURES = 3000  # the strongest, which are compared first: time grows with the square
-CONTRAST = 0.01  # weakest feature; with OpenCV's 0.04, flash photos of wood were warped 50 pixels wrong or left out
+# weakest feature; with OpenCV's 0.04, flash photos of wood were warped 50 pixels wrong or left out
+CONTRAST = 0.01
 RATIO = 0.8  # a match counts when its distance is below this share of the second best's (Lowe 2004)
 REPROJECTION = 3.0  # pixels off at which a match is an outlier, at the size at which features were searched
 OTHER_PLACE = 12.0  # pixels from where on a feature of the same photo is another
@@ -51,8 +53,10 @@ def find_features(photo: Photo) -> Features:
     import cv2
 
     pixels = photo.pixels(FEATURE_SIDE)
-    image = np.rint(pixels.astype(np.float32).mean(axis=2) * (255 / np.iinfo(pixels.dtype).max)).astype(np.uint8)
-    sift = cv2.SIFT_create(MOST_FEATURES, contrastThreshold=CONTRAST, enable_precise_upscale=True)  # else off by 0.25 pixels
+    image = np.rint(pixels.astype(np.float32).mean(axis=2) * (255 / np.iinfo(pixels.dtype).max)).astype(
+        np.uint8)
+    # else off by 0.25 pixels
+    sift = cv2.SIFT_create(MOST_FEATURES, contrastThreshold=CONTRAST, enable_precise_upscale=True)
     found, descriptors = sift.detectAndCompute(image, None)
     if not found:
         return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32), 1.0)
@@ -65,7 +69,8 @@ def find_features(photo: Photo) -> Features:
 
 
 def match(a: Features, b: Features, most: int = MOST_FEATURES) -> NDArray[np.intp]:
-    """Pairs (M x 2: index in a, in b) that are each other's nearest, and clearly nearer than the second nearest of b.
+    """Pairs (M x 2: index in a, in b) that are each other's nearest, and clearly nearer than the second
+    nearest of b.
 
     Args:
         most: only so many of the strongest features of each are looked at.
@@ -79,15 +84,17 @@ def match(a: Features, b: Features, most: int = MOST_FEATURES) -> NDArray[np.int
     best, to = likeness.max(dim=1)
     likeness[torch.arange(len(best)), to] = -1.0
     second = likeness.max(dim=1).values
-    rows = torch.nonzero(1 - best < RATIO**2 * (1 - second)).ravel()  # |x - y|^2 = 2 - 2 x . y for vectors of length 1
+    # |x - y|^2 = 2 - 2 x . y for vectors of length 1
+    rows = torch.nonzero(1 - best < RATIO**2 * (1 - second)).ravel()
     to = to[rows]
     rows, to = (index[(theirs[to] @ ours.T).argmax(dim=1) == rows] for index in (rows, to))
     return torch.stack((rows, to), dim=1).numpy()
 
 
 def repeats(features: Features) -> float:
-    """Whether a pattern repeats itself, within one photo: share of the pairs of features there that are each other's nearest
-    which agree with one homography. Exact repeats: 0.26 to 0.33; tiles, inlays and bricks that vary: at most 0.05.
+    """Whether a pattern repeats itself, within one photo: share of the pairs of features there that are each
+    other's nearest which agree with one homography. Exact repeats: 0.26 to 0.33; tiles, inlays and bricks
+    that vary: at most 0.05.
     """
     import torch
 
@@ -97,13 +104,15 @@ def repeats(features: Features) -> float:
     at = torch.from_numpy(points)
     likeness = (ours @ ours.T).masked_fill_(torch.cdist(at, at) < OTHER_PLACE * features.pixel, -1.0)
     nearest = likeness.argmax(dim=1).numpy()
-    one = np.flatnonzero((nearest[nearest] == np.arange(len(nearest))) & (points[:, 0] < points[nearest, 0]))  # rightward only
+    # rightward only
+    one = np.flatnonzero((nearest[nearest] == np.arange(len(nearest))) & (points[:, 0] < points[nearest, 0]))
     agree = homography(points[one], points[nearest[one]], features.pixel)[1]
     return float(agree.sum()) / max(1, len(one))
 
 
 def homography(source: Array, aim: Array, pixel: float) -> tuple[Array | None, NDArray[np.bool_]]:
-    """The 3 x 3 map from pixels (K x 2) to pixels (K x 2) that most agree with, and which do; None where too few do.
+    """The 3 x 3 map from pixels (K x 2) to pixels (K x 2) that most agree with, and which do; None where too
+    few do.
 
     Args:
         pixel: unit of the threshold, in pixels.
@@ -113,8 +122,8 @@ def homography(source: Array, aim: Array, pixel: float) -> tuple[Array | None, N
     if len(source) < LEAST_INLIERS:
         return None, np.zeros(len(source), dtype=bool)
     cv2.setRNGSeed(0)
-    found, inliers = cv2.findHomography(source / pixel, aim / pixel, cv2.USAC_MAGSAC, REPROJECTION, maxIters=10000,
-                                        confidence=0.9999)
+    found, inliers = cv2.findHomography(source / pixel, aim / pixel, cv2.USAC_MAGSAC, REPROJECTION,
+                                        maxIters=10000, confidence=0.9999)
     if found is None or inliers.sum() < LEAST_INLIERS or not np.isfinite(found).all():
         return None, np.zeros(len(source), dtype=bool) if inliers is None else inliers.ravel().astype(bool)
     scale = np.diag((pixel, pixel, 1.0))
@@ -128,7 +137,9 @@ def mapped(warp: Array, points: Array) -> Array:
 
 
 def wild(warp: Array, size: tuple[int, int]) -> bool:
-    """Whether a homography between photos of this size folds one, or scales or bends it more than a handheld camera does."""
+    """Whether a homography between photos of this size folds one, or scales or bends it more than a handheld
+    camera does.
+    """
     width, height = size
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.float64)
     depth = np.concatenate([corners, np.ones((4, 1))], axis=1) @ warp[2]

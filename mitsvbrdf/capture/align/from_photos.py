@@ -1,11 +1,13 @@
 """Raw photos of a flat material to lens and poses, from the features that they share.
 
-Features agree with one homography between each pair of photos that overlap; a tree of the best of them places every photo,
-and bundle adjustment finds lens and poses (:mod:`.planar`). Photos that cannot be used are named with the reason.
+Features agree with one homography between each pair of photos that overlap; a tree of the best of them places
+every photo, and bundle adjustment finds lens and poses (:mod:`.planar`). Photos that cannot be used are named
+with the reason.
 
-More was tried and does harm where the flash moves what is seen of a relief: aligning the rectified photos by their detail
-(enhanced correlation) took fake-022 from 0.11 to 1.09 pixels at 512, and brick-uneven-stones from 0.30 to 0.27; features
-matched again near where the poses expect them took metal-plating from 0.66 to 0.82.
+More was tried and does harm where the flash moves what is seen of a relief: aligning the rectified photos by
+their detail (enhanced correlation) took fake-022 from 0.11 to 1.09 pixels at 512, and brick-uneven-stones
+from 0.30 to 0.27; features matched again near where the poses expect them took metal-plating from 0.66 to
+0.82.
 
 Source: the paper, III.C, for aligned photos; the steps' own are named where they are.
 """
@@ -30,10 +32,12 @@ from .pairs import SIGMA, Array, Pair, apart, chained_pairs, find_pairs
 from .patch import CENTRED, centred_square, choose_patch, framed, outline, turned, upright
 from .planar import Match, adjust, starts
 
-FOCAL_SHARE = 0.02  # deviation of a focal length from EXIF, which rounds its 35 mm equivalent to whole millimetres
+# deviation of a focal length from EXIF, which rounds its 35 mm equivalent to whole millimetres
+FOCAL_SHARE = 0.02
 FOCAL_SHARE_ASSUMED = 0.15  # and of the one of FIELD_OF_VIEW
 REPEATING = 0.15  # share of a photo's features from which on its pattern counts as repeating itself
-UNSURE = 0.018  # deviation of the focal length found, as a share, that is worth a note: hardly better than EXIF's own
+# deviation of the focal length found, as a share, that is worth a note: hardly better than EXIF's own
+UNSURE = 0.018
 MOST_MATCHES = 4000  # in a bundle adjustment
 CHAINED = 10 * REPROJECTION  # off the tree of homographies, from which on a pair is not begun with
 AGREEING = 0.4  # of a photo's matches with others: so many must agree with its pose
@@ -43,12 +47,13 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
                     report: Callable[[str, float], object] | None = None) -> Rig:
     """Lens and poses of overlapping photos of a flat material.
 
-    World: the material in z = 0; the patch, of side 1, is the largest square that all photos show, upright as the reference
-    photo is shown. Lengths are as good as the focal length, which EXIF gives within some 2 %.
+    World: the material in z = 0; the patch, of side 1, is the largest square that all photos show, upright as
+    the reference photo is shown. Lengths are as good as the focal length, which EXIF gives within some 2 %.
 
     Args:
         photos: three or more, taken with one lens.
-        reference: ``best``, the photo taken most nearly from straight above; or ``first``, the first by name that is used.
+        reference: ``best``, the photo taken most nearly from straight above; or ``first``, the first by name
+            that is used.
         report: told what is going on and the share done.
 
     Raises:
@@ -82,20 +87,24 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
     left_out |= {name: "it shows too little of what the others show" for name in dropped}
     errors = _errors(lens, poses, matches)
     notes = [] if stated else [
-        f"no EXIF states the focal length; the photos agree best with {_angle(lens):.0f} degrees across the long side, and the "
+        f"no EXIF states the focal length; the photos agree best with {_angle(lens):.0f} degrees across the "
+        "long side, and the "
         "heights of the cameras are as uncertain as that"]
     if unsure > UNSURE:
         notes.append(unsure_note(unsure))
     if repeats(features[hub]) > REPEATING:
-        notes.append("the pattern of the material repeats itself: photos may be shifted against each other by whole repeats, "
-                     "and views as wrong as that; lay a printed sheet around it (`mitsvbrdf sheet`), or something with marks")
+        notes.append("the pattern of the material repeats itself: photos may be shifted against each other "
+                     "by whole repeats, "
+                     "and views as wrong as that; lay a printed sheet around it (`mitsvbrdf sheet`), or "
+                     "something with marks")
     return Rig(lens, placed, 1.0, "patch sides", "photos", {name: errors[name] for name in placed}, left_out,
                notes=tuple(notes))
 
 
 def unsure_note(share: float) -> str:
     """What a user should know of a focal length that may be off by this share."""
-    return (f"the focal length stays uncertain by {share:.1%}, and the heights of the cameras with it: the photos are too few "
+    return (f"the focal length stays uncertain by {share:.1%}, and the heights of the cameras with it: the "
+            "photos are too few "
             "or too much alike; a few taken from aside settle it")
 
 
@@ -117,12 +126,15 @@ def _enough(kept: Sized, left_out: dict[str, str]) -> None:
         more = [f"and {len(reasons) - 3} more"] if len(reasons) > 3 else []
         got = "; ".join((f"{len(kept)} of {len(kept) + len(left_out)}", *reasons[:3], *more))
         raise CaptureError(f"{LEAST_PHOTOS} or more photos that show the same part of a flat material", got,
-                           "take nine from somewhat different places, sharp, with much overlap; where a material has no marks "
+                           "take nine from somewhat different places, sharp, with much overlap; where a "
+                           "material has no marks "
                            "to go by, lay a printed sheet around it (`mitsvbrdf sheet`)")
 
 
 def expected_lens(photos: Sequence[Photo], size: tuple[int, int]) -> tuple[Lens, bool]:
-    """The lens as EXIF states it in the median of the photos, or an assumed one, and whether any states it."""
+    """The lens as EXIF states it in the median of the photos, or an assumed one, and whether any states
+    it.
+    """
     stated = [p.exif["35 mm focal length"] for p in photos if "35 mm focal length" in p.exif]
     angle = field_of_view(float(np.median(stated)), *size) if stated else FIELD_OF_VIEW
     focal = max(size) / 2 / math.tan(math.radians(angle) / 2)
@@ -143,11 +155,13 @@ def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pa
     focal = lens.focal
     agreed = [p.matches.pick(p.agree) for p in pairs if p.warp is not None]
     few = _limited([m for m in agreed if _as_chained(m, warps)], lens.size, MOST_MATCHES // 3)
-    found = [adjust(lens, start, hub, few, focal, focal_share, steps=20) for start in starts(lens, warps, hub)]
+    found = [adjust(lens, start, hub, few, focal, focal_share, steps=20) for start in starts(lens, warps,
+                                                                                             hub)]
     lens, poses, _, unsure = min(found, key=lambda f: f[2])
     settled = 0
     while True:
-        matches = [p.matches.pick(p.matches.errors(lens, poses) < REPROJECTION * p.matches.sigma / SIGMA) for p in pairs]
+        matches = [p.matches.pick(p.matches.errors(lens, poses) < REPROJECTION * p.matches.sigma / SIGMA)
+                   for p in pairs]
         shares = {name: _agreeing(name, pairs, matches) for name in poses}
         worst = min(shares, key=shares.__getitem__)
         if shares[worst] < AGREEING:
@@ -160,7 +174,8 @@ def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pa
             return lens, poses, [m for m in matches if len(m.at_a)], unsure
         else:
             kept = hub if hub in poses else next(iter(poses))
-            lens, poses, _, unsure = adjust(lens, poses, kept, _limited(matches, lens.size), focal, focal_share)
+            lens, poses, _, unsure = adjust(lens, poses, kept, _limited(matches, lens.size), focal,
+                                            focal_share)
             settled += 1
 
 
@@ -171,7 +186,9 @@ def _as_chained(m: Match, warps: dict[str, Array]) -> bool:
 
 
 def _agreeing(name: str, pairs: list[Pair], matches: list[Match]) -> float:
-    """The matches of a photo that agree with the poses, as a share of those that agree with homographies of their own."""
+    """The matches of a photo that agree with the poses, as a share of those that agree with homographies of
+    their own.
+    """
     own = [(p.count, len(m.at_a)) for p, m in zip(pairs, matches) if name in (p.a, p.b) and p.count]
     return sum(there for _, there in own) / max(1, sum(count for count, _ in own))
 
@@ -201,16 +218,19 @@ def _placed(lens: Lens, poses: dict[str, Pose], photos: dict[str, Photo],
     outlines = {name: outline(lens, pose) for name, pose in poses.items()}
     _, side, dropped = choose_patch(outlines, LEAST_PHOTOS, chosen if reference == "first" else None)
     if side <= 0:
-        raise CaptureError("photos that all show the same part of a material", f"no part that {len(poses) - len(dropped)} show",
+        raise CaptureError("photos that all show the same part of a material",
+                           f"no part that {len(poses) - len(dropped)} show",
                            "take them with more overlap")
     kept = {name: poses[name] for name in sorted(poses) if name not in dropped}
     # Highlights lie below the cameras, and of almost equal squares the largest may be well beside.
     side *= CENTRED
-    centre = centred_square([outlines[name] for name in kept], side, np.mean([p.position[:2] for p in kept.values()], axis=0))
+    centre = centred_square([outlines[name] for name in kept], side,
+                            np.mean([p.position[:2] for p in kept.values()], axis=0))
     return framed(kept, centre, side), dropped
 
 
 def _frontal(poses: dict[str, Pose], angles: dict[str, float]) -> str:
     """The photo taken most nearly straight from above, of those that are held as most are."""
     like = {a: sum(math.cos(angles[a] - angles[b]) > 0.7 for b in poses) for a in poses}
-    return min((name for name in poses if like[name] == max(like.values())), key=lambda name: poses[name].rotation[2, 2])
+    return min((name for name in poses if like[name] == max(like.values())),
+               key=lambda name: poses[name].rotation[2, 2])

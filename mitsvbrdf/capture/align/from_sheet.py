@@ -1,7 +1,9 @@
-"""Lens and poses from photos of the printed sheet: its tags are measured in each, and all photos explained at once.
+"""Lens and poses from photos of the printed sheet: its tags are measured in each, and all photos explained at
+once.
 
-One lens (focal length, principal point, k1, k2) and a pose of each photo are the least-squares answer to all points measured on
-edges of tags (bundle adjustment, Triggs et al. 2000), with Zhang's planar target (2000) and weak priors on the lens.
+One lens (focal length, principal point, k1, k2) and a pose of each photo are the least-squares answer to all
+points measured on edges of tags (bundle adjustment, Triggs et al. 2000), with Zhang's planar target (2000)
+and weak priors on the lens.
 """
 
 from __future__ import annotations
@@ -14,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import CaptureError
-from ...system.layout import Layout
+from ...io.layout import Layout
 from ..lens import Lens, Pose, project
 from ..photo import Photo, other_sizes
 from ..rig import LEAST_PHOTOS, Rig
@@ -26,11 +28,13 @@ from .tag_edges import POINTS, Edges, find_edges
 Array = NDArray[np.float64]
 
 LEAST_TAGS = 4
-# Deviations of the priors: EXIF's focal length is rounded to a millimetre and means the diagonal or the long side; without
-# it a phone is somewhere between its wide and its tele lens. The principal point as a share of the long side.
+# Deviations of the priors: EXIF's focal length is rounded to a millimetre and means the diagonal or the long
+# side; without it a phone is somewhere between its wide and its tele lens. The principal point as a share of
+# the long side.
 FOCAL_SHARE, FOCAL_SHARE_UNKNOWN, CENTRE_SD, DISTORTION_SD = 0.05, 0.4, 0.005, 0.1
 NOISE = 2e-5  # of the long side: what points on edges are off by in good photos, 0.08 pixels of 4000
-LARGE, TIMES_MEDIAN = 5e-4, 6.0  # errors of a photo that are too large: as a share of the long side, and beside the others
+# errors of a photo that are too large: as a share of the long side, and beside the others
+LARGE, TIMES_MEDIAN = 5e-4, 6.0
 UNSURE = 0.01  # deviation of the focal length, as a share, that is worth a note
 
 LENS = Layout(log_focal=(), centre=(2,), distortion=(2,))  # its unknowns: what is added to the start
@@ -38,7 +42,8 @@ LENS = Layout(log_focal=(), centre=(2,), distortion=(2,))  # its unknowns: what 
 
 def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.0,
                    report: Callable[[str, float], object] = lambda text, share: None) -> Rig:
-    """Lens and poses from photos of the sheet, in cm; the patch is the middle 0.64 of it, in z = 0 below the hole.
+    """Lens and poses from photos of the sheet, in cm; the patch is the middle 0.64 of it, in z = 0 below the
+    hole.
 
     One photo at a time is in memory.
 
@@ -49,7 +54,8 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
         report: told what is going on and the share done.
 
     Returns:
-        The rig, with the standard deviation of each camera position; photos that do not help are in ``left_out``.
+        The rig, with the standard deviation of each camera position; photos that do not help are in
+        ``left_out``.
 
     Raises:
         CaptureError: fewer than three photos show the sheet.
@@ -75,13 +81,15 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
         worst = max(errors, key=lambda name: errors[name])
         if errors[worst] <= limit:
             break
-        left_out[worst] = (f"its tags are {errors[worst]:.1f} pixels beside where a flat sheet would have them: bent, moved, "
+        left_out[worst] = (f"its tags are {errors[worst]:.1f} pixels beside where a flat sheet would have "
+                           "them: bent, moved, "
                            "or seen by another lens")
         del seen[worst]
     usual = float(np.median(list(errors.values())))
     notes = [unsure_note(focal)] if focal > UNSURE else []
     if usual > LARGE * max(size):
-        notes.append(f"the tags of all photos are some {usual:.1f} pixels beside where those of a flat sheet would be, and all "
+        notes.append(f"the tags of all photos are some {usual:.1f} pixels beside where those of a flat "
+                     "sheet would be, and all "
                      "views as uncertain as that: flatten the sheet, and take all photos with one lens")
     return Rig(lens, poses, sheet.patch, "cm", "sheet", errors, left_out, deviations, tuple(notes))
 
@@ -100,7 +108,8 @@ def _too_few(edges: Edges, sheet: Sheet) -> str | None:
 def _check(seen: dict[str, Edges], left_out: dict[str, str], count: int) -> None:
     if len(seen) < LEAST_PHOTOS:
         reasons = "".join(f"; {name}: {reason}" for name, reason in left_out.items())
-        raise CaptureError(f"{LEAST_PHOTOS} photos or more that show the sheet", f"{len(seen)} of {count}{reasons}",
+        raise CaptureError(f"{LEAST_PHOTOS} photos or more that show the sheet",
+                           f"{len(seen)} of {count}{reasons}",
                            "take photos with all tags in view, sharp and of one size")
 
 
@@ -109,8 +118,8 @@ def _first_pose(lens: Lens, edges: Edges, sheet: Sheet, depth: float) -> Pose:
     import cv2
 
     points = np.concatenate([sheet.corners[number] for number in edges.corners])
-    _, turns, shifts, errors = cv2.solvePnPGeneric(points, np.concatenate(list(edges.corners.values())), lens.matrix,
-                                                   lens.coefficients, flags=cv2.SOLVEPNP_IPPE)
+    _, turns, shifts, errors = cv2.solvePnPGeneric(points, np.concatenate(list(edges.corners.values())),
+                                                   lens.matrix, lens.coefficients, flags=cv2.SOLVEPNP_IPPE)
     best = int(np.argmin(np.ravel(errors)))
     rotation = cv2.Rodrigues(turns[best])[0]
     return Pose(-rotation.T @ np.ravel(shifts[best]) + (0.0, 0.0, depth), rotation)
@@ -118,15 +127,18 @@ def _first_pose(lens: Lens, edges: Edges, sheet: Sheet, depth: float) -> Pose:
 
 def _bundle(lens: Lens, focal_share: float, sheet: Sheet, depth: float, seen: dict[str, Edges]
             ) -> tuple[Lens, dict[str, Pose], dict[str, float], dict[str, float], float]:
-    """The lens, poses, RMS errors (pixels), deviations of positions (cm), and of the focal length as a share."""
+    """The lens, poses, RMS errors (pixels), deviations of positions (cm), and of the focal length as a
+    share.
+    """
     from scipy.optimize import least_squares
 
     problem = _Bundle(lens, focal_share, sheet, depth, seen)
-    found = least_squares(problem.residuals, np.zeros(problem.layout.size), problem.slopes, loss="soft_l1", f_scale=3.0,
-                          x_scale="jac")
+    found = least_squares(problem.residuals, np.zeros(problem.layout.size), problem.slopes, loss="soft_l1",
+                          f_scale=3.0, x_scale="jac")
     x, left = found.x, problem.residuals(found.x)
     poses = {name: problem.pose(name, x[own]) for name, own in problem.own.items()}
-    errors = {name: float(np.sqrt(np.square(left[rows]).mean()) * problem.noise) for name, rows in problem.rows.items()}
+    errors = {name: float(np.sqrt(np.square(left[rows]).mean()) * problem.noise)
+              for name, rows in problem.rows.items()}
     jacobian = problem.slopes(x)
     # Errors along an edge are much alike: two of its points count as known by themselves.
     spread = max(1.0, np.square(left[problem.equations["points"]]).mean()) * POINTS / 2
@@ -134,24 +146,30 @@ def _bundle(lens: Lens, focal_share: float, sheet: Sheet, depth: float, seen: di
     covariance = np.linalg.inv(jacobian.T @ jacobian)
     position = POSE["position"]
     deviations = {name: float(np.sqrt(np.trace(covariance[own, own][position, position]))
-                              * np.linalg.norm(problem.firsts[name].position)) for name, own in problem.own.items()}
+                              * np.linalg.norm(problem.firsts[name].position))
+                  for name, own in problem.own.items()}
     focal = LENS.unpack(problem.layout.numbers.lens).log_focal
-    return problem.lens_of(x), poses, errors, deviations, float(np.sqrt(covariance[focal, focal]) * focal_share)
+    return problem.lens_of(x), poses, errors, deviations, float(np.sqrt(covariance[focal,
+                                                                                   focal]) * focal_share)
 
 
 class _Bundle:
-    """The least-squares problem of all photos: the prior of the lens, then each photo's points, off across their edges.
+    """The least-squares problem of all photos: the prior of the lens, then each photo's points, off across
+    their edges.
 
-    Residuals by ``equations``: ``prior``, five of the lens, and ``points``, one each, those of a photo at ``rows``.
-    Unknowns by ``layout``: ``lens``, by :data:`LENS` over its prior's deviations; ``poses``, of each photo a rotation after
-    that of the start and a shift as a share of the distance (:data:`~.planar.POSE`), their deviations 1.
+    Residuals by ``equations``: ``prior``, five of the lens, and ``points``, one each, those of a photo at
+    ``rows``. Unknowns by ``layout``: ``lens``, by :data:`LENS` over its prior's deviations; ``poses``, of
+    each photo a rotation after that of the start and a shift as a share of the distance
+    (:data:`~.planar.POSE`), their deviations 1.
     """
 
-    def __init__(self, lens: Lens, focal_share: float, sheet: Sheet, depth: float, seen: dict[str, Edges]) -> None:
+    def __init__(self, lens: Lens, focal_share: float, sheet: Sheet, depth: float,
+                 seen: dict[str, Edges]) -> None:
         width = max(lens.size)
         self.lens, self.seen, self.noise = lens, seen, NOISE * width
         self.firsts = {name: _first_pose(lens, edges, sheet, depth) for name, edges in seen.items()}
-        self.points = {name: np.column_stack((edges.plane, np.full(len(edges.plane), depth))) for name, edges in seen.items()}
+        self.points = {name: np.column_stack((edges.plane, np.full(len(edges.plane), depth)))
+                       for name, edges in seen.items()}
         self.spread = LENS.pack(log_focal=focal_share, centre=CENTRE_SD * width, distortion=DISTORTION_SD)
         self.layout = Layout(lens=(LENS.size,), poses=(len(seen), POSE.size))
         self.own = {name: slice(at[0], at[-1] + 1) for name, at in zip(seen, self.layout.numbers.poses)}
@@ -164,8 +182,8 @@ class _Bundle:
         """The lens of unknowns, of which the first are its own."""
         moved, middle = LENS.unpack(x[self.layout["lens"]] * self.spread), self.lens.middle
         (u, v), distortion = moved.centre.tolist(), tuple(moved.distortion.tolist())
-        return replace(self.lens, focal=self.lens.focal * math.exp(moved.log_focal), centre=(middle[0] + u, middle[1] + v),
-                       distortion=distortion)
+        return replace(self.lens, focal=self.lens.focal * math.exp(moved.log_focal),
+                       centre=(middle[0] + u, middle[1] + v), distortion=distortion)
 
     def pose(self, name: str, own: Array) -> Pose:
         """The pose of a photo by its six unknowns."""
@@ -176,7 +194,8 @@ class _Bundle:
                     cv2.Rodrigues(moved.rotation)[0] @ first.rotation)
 
     def _of_photo(self, name: str, x: Array) -> Array:
-        off = project(self.lens_of(x), self.pose(name, x[self.own[name]]), self.points[name]) - self.seen[name].pixels
+        off = (project(self.lens_of(x), self.pose(name, x[self.own[name]]), self.points[name])
+               - self.seen[name].pixels)
         return np.nan_to_num((off * self.seen[name].across).sum(axis=1) / self.noise, nan=1e6)
 
     def residuals(self, x: Array) -> Array:
@@ -193,5 +212,6 @@ class _Bundle:
                     high, low = x.copy(), x.copy()
                     high[column] += step
                     low[column] -= step
-                    out[self.rows[name], column] = (self._of_photo(name, high) - self._of_photo(name, low)) / (2 * step)
+                    out[self.rows[name], column] = ((self._of_photo(name, high) - self._of_photo(name, low))
+                                                    / (2 * step))
         return out

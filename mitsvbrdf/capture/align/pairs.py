@@ -51,10 +51,12 @@ class Pair:
         return int(self.agree.sum()) if self.warp is not None else 0
 
 
-def find_pairs(features: dict[str, Features], size: tuple[int, int], report: Callable[[float], object]) -> list[Pair]:
+def find_pairs(features: dict[str, Features], size: tuple[int, int],
+               report: Callable[[float], object]) -> list[Pair]:
     """Each pair of photos by their strongest features; by all of them where photos are left alone so."""
     both = list(combinations(features, 2))
-    few = int(np.clip(FEW_FEATURES * math.sqrt(100 / len(both)), 500, FEW_FEATURES))  # the time of 100 pairs is the limit
+    # the time of 100 pairs is the limit
+    few = int(np.clip(FEW_FEATURES * math.sqrt(100 / len(both)), 500, FEW_FEATURES))
     found = {}
     for n, (a, b) in enumerate(both):
         report(n / len(both))
@@ -79,9 +81,11 @@ def _pair(features: dict[str, Features], a: str, b: str, size: tuple[int, int], 
 
 
 def chained_pairs(names: Collection[str], pairs: list[Pair]) -> tuple[str, dict[str, Array]]:
-    """Homographies from the photo that has most in common with others, the hub, to each that can be reached from it.
+    """Homographies from the photo that has most in common with others, the hub, to each that can be reached
+    from it.
 
-    The maximum spanning tree over the number of agreeing matches (Prim 1957), in the largest group of connected photos.
+    The maximum spanning tree over the number of agreeing matches (Prim 1957), in the largest group of
+    connected photos.
     """
     links: dict[str, dict[str, tuple[int, Any]]] = {name: {} for name in names}
     for pair in pairs:
@@ -110,5 +114,6 @@ def apart(name: str, pairs: list[Pair]) -> str:
         return "its homography is wild (folded, or scaled very differently): another surface, or one that is not flat"
     if any(p.count for p in own):
         return f"it has something in common only with {other}, not with the larger group of photos"
-    return (f"no agreement with any other photo: at most {int(most.agree.sum())} features agree with {other}, "
+    return (f"no agreement with any other photo: at most {int(most.agree.sum())} features agree with "
+            f"{other}, "
             f"{LEAST_INLIERS} needed; another material, too little overlap, or blurred")

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ...system.layout import Layout
+from ...io.layout import Layout
 from ..lens import Lens, Pose, on_plane
 
 Array = NDArray[np.float64]
@@ -23,7 +23,9 @@ TOP = {1: (0, -1), 2: (0, -1), 3: (0, 1), 4: (0, 1), 5: (-1, 0), 6: (-1, 0), 7: 
 
 
 def upright(pose: Pose, orientation: int) -> float:
-    """The angle (rad) by which the plane must be turned about z so that its y points up in a photo as shown."""
+    """The angle (rad) by which the plane must be turned about z so that its y points up in a photo as
+    shown.
+    """
     x, y, _ = pose.rotation.T @ np.array([*TOP[orientation], 0.0])
     return float(np.arctan2(x, y))
 
@@ -48,7 +50,8 @@ def outline(lens: Lens, pose: Pose) -> Array:
     middle = on_plane(lens, pose, (low + high)[None] / 2)[0]
     rows = []
     for a, b in zip(corners, np.roll(corners, -1, axis=0)):
-        points = on_plane(lens, pose, a + np.linspace(0, 1, 9)[:, None] * (b - a))  # a side is bent by distortion
+        # a side is bent by distortion
+        points = on_plane(lens, pose, a + np.linspace(0, 1, 9)[:, None] * (b - a))
         edge = points[-1] - points[0]
         normal = np.array([edge[1], -edge[0]]) / np.linalg.norm(edge)
         normal *= np.sign(normal @ (points[0] - middle))
@@ -57,15 +60,18 @@ def outline(lens: Lens, pose: Pose) -> Array:
 
 
 def largest_square(outlines: Sequence[Array]) -> tuple[Array, float]:
-    """Centre (x, y) and side of the largest upright square in all outlines; a side below 0 where there is none.
+    """Centre (x, y) and side of the largest upright square in all outlines; a side below 0 where there is
+    none.
 
-    A linear programme: a square of half side h lies in a half plane where n . centre + h (|n_x| + |n_y|) <= b.
+    A linear programme: a square of half side h lies in a half plane where n . centre + h (|n_x| + |n_y|) <=
+    b.
     """
     from scipy.optimize import linprog
 
     sides = HALF_PLANE.unpack(np.concatenate(outlines))
     reach = np.abs(sides.normal).sum(axis=1)
-    found = linprog(SQUARE.pack(half=-1.0), np.column_stack((sides.normal, reach)), sides.offset, bounds=(None, None))
+    found = linprog(SQUARE.pack(half=-1.0), np.column_stack((sides.normal, reach)), sides.offset,
+                    bounds=(None, None))
     if not found.success:
         return np.zeros(2), -1.0
     square = SQUARE.unpack(found.x)
@@ -73,10 +79,13 @@ def largest_square(outlines: Sequence[Array]) -> tuple[Array, float]:
 
 
 def centred_square(outlines: Sequence[Array], side: float, below: Array) -> Array:
-    """Centre (x, y) nearest to ``below`` of an upright square of this side in all outlines; a linear programme, too."""
+    """Centre (x, y) nearest to ``below`` of an upright square of this side in all outlines; a linear
+    programme, too.
+    """
     from scipy.optimize import linprog
 
-    sides, unknowns = HALF_PLANE.unpack(np.concatenate(outlines)), Layout(centre=(2,), away=(2,))  # away: |centre - below|
+    # away: |centre - below|
+    sides, unknowns = HALF_PLANE.unpack(np.concatenate(outlines)), Layout(centre=(2,), away=(2,))
     left = sides.offset - side / 2 * np.abs(sides.normal).sum(axis=1)
     away = np.array([[1, 0, -1, 0], [-1, 0, -1, 0], [0, 1, 0, -1], [0, -1, 0, -1.0]])
     found = linprog(unknowns.pack(away=1.0), np.concatenate((np.pad(sides.normal, ((0, 0), (0, 2))), away)),
@@ -84,7 +93,8 @@ def centred_square(outlines: Sequence[Array], side: float, below: Array) -> Arra
     return unknowns.unpack(found.x).centre
 
 
-def choose_patch(outlines: dict[str, Array], least: int = 3, always: str | None = None) -> tuple[Array, float, list[str]]:
+def choose_patch(outlines: dict[str, Array], least: int = 3, always: str | None = None) -> tuple[Array, float,
+                                                                                                 list[str]]:
     """The largest square that all photos show, but for those that would cost too much of it.
 
     Args:
@@ -93,7 +103,8 @@ def choose_patch(outlines: dict[str, Array], least: int = 3, always: str | None 
         always: a photo that is kept.
 
     Returns:
-        Centre, side, and the names of those left out; a side of 0 or below where too few photos show the same.
+        Centre, side, and the names of those left out; a side of 0 or below where too few photos show the
+        same.
     """
     kept = dict(outlines)
     out: list[str] = []

@@ -1,10 +1,12 @@
-"""Where cameras stood over a plane of which nothing is known: a start from homographies, and bundle adjustment.
+"""Where cameras stood over a plane of which nothing is known: a start from homographies, and bundle
+adjustment.
 
-A pixel of one photo is carried to the plane and into another photo, so the plane's points are no unknowns. Unknown are the
-lens (focal length, distortion) and a pose of each photo. The frame is that of one photo, the hub: above the origin at
-height 1, the world's x along its own.
+A pixel of one photo is carried to the plane and into another photo, so the plane's points are no unknowns.
+Unknown are the lens (focal length, distortion) and a pose of each photo. The frame is that of one photo, the
+hub: above the origin at height 1, the world's x along its own.
 
-Source: Triggs 1998, Autocalibration from Planar Scenes; Zhang 2000; bundle adjustment as in Triggs et al. 2000.
+Source: Triggs 1998, Autocalibration from Planar Scenes; Zhang 2000; bundle adjustment as in Triggs et al.
+2000.
 """
 
 from __future__ import annotations
@@ -17,20 +19,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...system.layout import Layout
+from ...io.layout import Layout
 from ..lens import Lens, Pose, rays
 
 Array = NDArray[np.float64]
 
-# Deviations of what is expected beforehand. They decide where photos do not: taken nearly parallel, a tilt of all cameras
-# looks like a shift, and a focal length like a height.
+# Deviations of what is expected beforehand. They decide where photos do not: taken nearly parallel, a tilt of
+# all cameras looks like a shift, and a focal length like a height.
 TILT_SD = 0.17  # of a camera's axis from straight down, rad
 HEIGHT_SD = 0.15  # of a camera's height from the others', as a share
 DISTORTION_SD = (0.03, 0.01)  # k1, k2: phones correct their lens
 SOFT = 1.0  # deviations from which on an error counts in proportion only
-ALIKE = 10  # matches count as one for what is left uncertain: relief, highlights and what the lens lacks err alike nearby
+# matches count as one for what is left uncertain: relief, highlights and what the lens lacks err alike nearby
+ALIKE = 10
 
-POSE = Layout(rotation=(3,), position=(3,))  # unknowns of a photo: a rotation vector after the start's; x, y, z
+# unknowns of a photo: a rotation vector after the start's; x, y, z
+POSE = Layout(rotation=(3,), position=(3,))
 
 
 @dataclass(frozen=True)
@@ -86,8 +90,9 @@ def _turned(vectors: Array) -> Array:
 def starts(lens: Lens, homographies: dict[str, Array], hub: str, most: int = 3) -> list[dict[str, Pose]]:
     """Poses that agree with homographies, for the likeliest tilts of the hub; the best first.
 
-    For a tilt of the hub each homography gives the two axes of the plane in the other camera. They must be of one length and
-    at a right angle, which tells tilts apart; there may be two answers, and with parallel photos there are many.
+    For a tilt of the hub each homography gives the two axes of the plane in the other camera. They must be of
+    one length and at a right angle, which tells tilts apart; there may be two answers, and with parallel
+    photos there are many.
 
     Args:
         homographies: from pixels of the hub to pixels of each photo, 3 x 3; that of the hub is 1.
@@ -99,7 +104,8 @@ def starts(lens: Lens, homographies: dict[str, Array], hub: str, most: int = 3) 
     tilts = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
     above = np.diag((1.0, -1.0, -1.0))  # looks straight down, the world's y up in the photo
     hubs = _turned(np.pad(tilts, ((0, 0), (0, 1)))) @ above
-    frames = np.concatenate((hubs[:, :, :2], -hubs[:, :, 2:]), axis=2)  # of a plane's (x, y, 1), seen from (0, 0, 1)
+    # of a plane's (x, y, 1), seen from (0, 0, 1)
+    frames = np.concatenate((hubs[:, :, :2], -hubs[:, :, 2:]), axis=2)
     axes = maps[:, None] @ frames
     x, y = axes[..., 0], axes[..., 1]
     xx, yy, xy = (x * x).sum(-1), (y * y).sum(-1), (x * y).sum(-1)
@@ -113,7 +119,9 @@ def starts(lens: Lens, homographies: dict[str, Array], hub: str, most: int = 3) 
 
 
 def _pose(axes: Array) -> Pose:
-    """The pose nearest to a plane's x axis, y axis and origin in camera axes, up to scale (columns of 3 x 3)."""
+    """The pose nearest to a plane's x axis, y axis and origin in camera axes, up to scale (columns of 3 x
+    3).
+    """
     scale = np.linalg.norm(axes[:, :2], axis=0).mean() * np.sign(axes[2, 2])
     x, y, origin = (axes / scale).T
     u, _, v = np.linalg.svd(np.stack((x, y, np.cross(x, y)), axis=1))
@@ -122,8 +130,8 @@ def _pose(axes: Array) -> Pose:
     return Pose(np.array([*position[:2], max(position[2], 0.05)]), rotation)
 
 
-def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match], focal: float, focal_share: float,
-           steps: int = 50) -> tuple[Lens, dict[str, Pose], float, float]:
+def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match], focal: float,
+           focal_share: float, steps: int = 50) -> tuple[Lens, dict[str, Pose], float, float]:
     """Lens and poses at which matches and what is expected beforehand agree best.
 
     Args:
@@ -134,25 +142,30 @@ def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match
         steps: most steps.
 
     Returns:
-        Lens, poses, the cost, which tells starts apart, and the standard deviation of the focal length, as a share.
+        Lens, poses, the cost, which tells starts apart, and the standard deviation of the focal length, as a
+        share.
     """
     from scipy.optimize import least_squares
 
     problem = _Bundle(lens, poses, hub, matches, focal, focal_share)
-    result = least_squares(problem.residuals, problem.start[problem.free], problem.slopes, x_scale="jac", loss=problem.loss,
-                           max_nfev=steps, ftol=1e-6, xtol=1e-7)
+    result = least_squares(problem.residuals, problem.start[problem.free], problem.slopes, x_scale="jac",
+                           loss=problem.loss, max_nfev=steps, ftol=1e-6, xtol=1e-7)
     found, rotations, positions = problem.rig(problem.full(result.x))
     counted = np.where(np.arange(len(result.jac)) < 2 * problem.count, math.sqrt(ALIKE), 1)
     jacobian = result.jac / counted[:, None]
-    unsure = math.sqrt(np.linalg.inv(jacobian.T @ jacobian)[problem.layout.numbers.log_focal, problem.layout.numbers.log_focal])
-    return found, {name: Pose(positions[i], rotations[i]) for i, name in enumerate(poses)}, float(result.cost), unsure
+    unsure = math.sqrt(np.linalg.inv(jacobian.T @ jacobian)[problem.layout.numbers.log_focal,
+                                                            problem.layout.numbers.log_focal])
+    return found, {name: Pose(positions[i], rotations[i])
+                   for i, name in enumerate(poses)}, float(result.cost), unsure
 
 
 class _Bundle:
-    """The least-squares problem of :func:`adjust`: K matches in two coordinates each, then what is expected beforehand.
+    """The least-squares problem of :func:`adjust`: K matches in two coordinates each, then what is expected
+    beforehand.
 
-    The unknowns, by ``layout``: ``log_focal``, natural logarithm beside the start's; ``distortion``, k1 and k2; ``poses``, by
-    :data:`POSE`. Those of the hub's position, and its turn about its axis, are not ``free``.
+    The unknowns, by ``layout``: ``log_focal``, natural logarithm beside the start's; ``distortion``, k1 and
+    k2; ``poses``, by :data:`POSE`. Those of the hub's position, and its turn about its axis, are not
+    ``free``.
     """
 
     def __init__(self, lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match], focal: float,
@@ -163,11 +176,13 @@ class _Bundle:
         positions = np.stack([poses[name].position for name in names])
         self.first = np.concatenate([np.full(len(m.at_a), names.index(m.a)) for m in matches])
         self.second = np.concatenate([np.full(len(m.at_b), names.index(m.b)) for m in matches])
-        self.at_a, self.at_b = np.concatenate([m.at_a for m in matches]), np.concatenate([m.at_b for m in matches])
+        self.at_a, self.at_b = np.concatenate([m.at_a for m in matches]), np.concatenate([m.at_b
+                                                                                          for m in matches])
         self.sigma = np.concatenate([np.full(len(m.at_a), m.sigma) for m in matches])[:, None]
         self.count = len(self.at_a)
         self.layout = Layout(log_focal=(), distortion=(2,), poses=(len(names), POSE.size))
-        self.start = self.layout.pack(distortion=lens.distortion, poses=[POSE.pack(position=p) for p in positions])
+        self.start = self.layout.pack(distortion=lens.distortion,
+                                      poses=[POSE.pack(position=p) for p in positions])
         self.free = np.ones(self.layout.size, dtype=bool)
         self.free[self.layout.numbers.poses[names.index(hub)]] = POSE.pack(rotation=(True, True, False)) == 1
 
@@ -181,11 +196,15 @@ class _Bundle:
         """The lens, rotations N x 3 x 3 and positions N x 3."""
         u = self.layout.unpack(values)
         own = POSE.unpack(u.poses)
-        lens = replace(self.lens, focal=self.lens.focal * math.exp(u.log_focal), distortion=tuple(u.distortion.tolist()))
+        lens = replace(self.lens, focal=self.lens.focal * math.exp(u.log_focal),
+                       distortion=tuple(u.distortion.tolist()))
         return lens, _turned(own.rotation) @ self.rotations, own.position
 
-    def _reprojection(self, seen: Array, lens: Lens, rotations: tuple[Array, Array], positions: tuple[Array, Array]) -> Array:
-        """Errors of rays of the first photos, K x 3, with poses of first and second photos, in deviations: K x 2."""
+    def _reprojection(self, seen: Array, lens: Lens, rotations: tuple[Array, Array],
+                      positions: tuple[Array, Array]) -> Array:
+        """Errors of rays of the first photos, K x 3, with poses of first and second photos, in deviations: K
+        x 2.
+        """
         a, b = ((r[index], p[index]) for r, p, index in zip(rotations, positions, (self.first, self.second)))
         return (_carried(lens, *a, *b, seen) - self.at_b) / self.sigma
 
@@ -194,15 +213,18 @@ class _Bundle:
         _, rotations, positions = self.rig(values)
         height = np.log(np.maximum(positions[:, 2], 1e-3))
         u = self.layout.unpack(values)
-        shared = np.array((u.log_focal + self.moved_before, *u.distortion)) / (self.focal_share, *DISTORTION_SD)
-        return np.concatenate((shared, (height - height.mean()) / HEIGHT_SD, rotations[:, 2, :2].ravel() / math.sin(TILT_SD)))
+        shared = (np.array((u.log_focal + self.moved_before, *u.distortion))
+                  / (self.focal_share, *DISTORTION_SD))
+        return np.concatenate((shared, (height - height.mean()) / HEIGHT_SD,
+                               rotations[:, 2, :2].ravel() / math.sin(TILT_SD)))
 
     def residuals(self, chosen: Array) -> Array:
         """2 K errors of matches, then those of what is expected, in deviations."""
         values = self.full(chosen)
         lens, rotations, positions = self.rig(values)
         error = self._reprojection(rays(lens, self.at_a), lens, (rotations,) * 2, (positions,) * 2)
-        return np.concatenate((np.nan_to_num(error, nan=1e3, posinf=1e3, neginf=-1e3).ravel(), self._beforehand(values)))
+        return np.concatenate((np.nan_to_num(error, nan=1e3, posinf=1e3, neginf=-1e3).ravel(),
+                               self._beforehand(values)))
 
     def slopes(self, chosen: Array) -> Array:
         """Central differences: the same unknown of all photos at once, as a match knows but two of them."""
@@ -231,7 +253,8 @@ class _Bundle:
         for k in np.flatnonzero(self.free):
             moved = np.zeros_like(values)
             moved[k] = step
-            out[2 * self.count :, k] = (self._beforehand(values + moved) - self._beforehand(values - moved)) / (2 * step)
+            out[2 * self.count :, k] = ((self._beforehand(values + moved) - self._beforehand(values - moved))
+                                        / (2 * step))
         return out[:, self.free]
 
     def loss(self, z: Array) -> Array:

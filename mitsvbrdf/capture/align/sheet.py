@@ -1,8 +1,9 @@
 """The sheet of tags that is laid on the material: its layout, what of it is white paper, and a file to print.
 
-Sixteen AprilTags of the family 36h11 (Olson 2011; Wang and Olson 2016), ids 0 to 15, on the border of a 5 x 5 grid with a
-pitch of two tags: the layout of svbrdf-diff-renderer, whose sheets and ours stand for each other. Everything lies on a
-grid of cells, eight of which are a tag with its black border; the frame spans 72 of them, outer edges of the tags.
+Sixteen AprilTags of the family 36h11 (Olson 2011; Wang and Olson 2016), ids 0 to 15, on the border of a 5 x 5
+grid with a pitch of two tags: the layout of svbrdf-diff-renderer, whose sheets and ours stand for each other.
+Everything lies on a grid of cells, eight of which are a tag with its black border; the frame spans 72 of
+them, outer edges of the tags.
 """
 
 from __future__ import annotations
@@ -16,13 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import ConfigError
-from ...system import files
+from ...io import files
 
 Paper = Literal["a4", "letter"]
 
 # The middle 6 x 6 cells of ids 0 to 15 of AprilTag's tag36h11, 1 is white, row by row from the top left.
-CODES = (0xD5D628584, 0xD97F18B49, 0xDD280910E, 0xE479E9C98, 0xEBCBCA822, 0xF31DAB3AC, 0x056A5D085, 0x10652E1D4,
-         0x22B1DFEAD, 0x265AD0472, 0x34FE91B86, 0x3FF962CD5, 0x43A25329A, 0x474B4385F, 0x4E9D243E9, 0x5246149AE)
+CODES = (0xD5D628584, 0xD97F18B49, 0xDD280910E, 0xE479E9C98, 0xEBCBCA822, 0xF31DAB3AC, 0x056A5D085,
+         0x10652E1D4,
+         0x22B1DFEAD, 0x265AD0472, 0x34FE91B86, 0x3FF962CD5, 0x43A25329A, 0x474B4385F, 0x4E9D243E9,
+         0x5246149AE)
 TAG, PITCH, FRAME = 8, 16, 72  # in cells, as are the two next
 HOLE = 52  # side of the square to cut out; two cells are left inside the tags, and six outside the patch
 OUTER = 76  # side of what counts as the sheet: two white cells around the tags
@@ -71,13 +74,16 @@ class Sheet:
         return {number: np.column_stack((xy * (1, -1), np.zeros(4))) * self.cell for number, xy in at.items()}
 
     def white(self, points: NDArray) -> NDArray[np.bool_]:
-        """Which points (K x 2, cm, of the sheet's plane) are surely white paper: a cell or more from anything else."""
+        """Which points (K x 2, cm, of the sheet's plane) are surely white paper: a cell or more from anything
+        else.
+        """
         column, row = np.floor(np.asarray(points).T * ((1,), (-1,)) / self.cell + OUTER / 2).astype(int)
         inside = (column >= 0) & (column < OUTER) & (row >= 0) & (row < OUTER)
         return inside & _WHITE[np.clip(row, 0, OUTER - 1), np.clip(column, 0, OUTER - 1)]
 
     def picture(self, pixels_per_cm: float) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-        """The sheet seen from above, row 0 at the top, each pixel the average over its area; it spans ``outer``.
+        """The sheet seen from above, row 0 at the top, each pixel the average over its area; it spans
+        ``outer``.
 
         Returns:
             N x N, paper 255 and black 0; and N x N, the pixels whose centre is in the hole.
@@ -85,14 +91,17 @@ class Sheet:
         count = max(1, round(self.outer * pixels_per_cm))
         edges = np.linspace(0, OUTER, count + 1)
         low, high = edges[:-1, None], edges[1:, None]
-        share = np.clip(np.minimum(high, np.arange(1, OUTER + 1)) - np.maximum(low, np.arange(OUTER)), 0, None)
+        share = np.clip(np.minimum(high, np.arange(1, OUTER + 1)) - np.maximum(low, np.arange(OUTER)), 0,
+                        None)
         share /= share.sum(axis=1, keepdims=True)
         middle = np.abs((edges[:-1] + edges[1:]) / 2 - OUTER / 2) < HOLE / 2
         return np.rint(share @ (255.0 * _CELLS) @ share.T).astype(np.uint8), middle[:, None] & middle
 
 
 def _places() -> list[tuple[int, int]]:
-    """Column and row of the top left cell of each tag: along the top, down the right, back along the bottom, up the left."""
+    """Column and row of the top left cell of each tag: along the top, down the right, back along the bottom,
+    up the left.
+    """
     ring = [(i, 0) for i in range(5)] + [(4, i) for i in range(1, 4)]
     ring += [(4 - i, 4) for i in range(5)] + [(0, 4 - i) for i in range(1, 4)]
     first = (OUTER - FRAME) // 2
@@ -106,7 +115,9 @@ def tag_cells(number: int) -> NDArray[np.bool_]:
 
 
 def _grids() -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """White cells of the sheet (the hole counts as white), and those that are white paper with all their neighbours."""
+    """White cells of the sheet (the hole counts as white), and those that are white paper with all their
+    neighbours.
+    """
     cells, paper = np.ones((2, OUTER, OUTER), dtype=bool)
     for number, (column, row) in enumerate(_PLACES):
         tag = slice(row, row + TAG), slice(column, column + TAG)
@@ -122,7 +133,8 @@ _CELLS, _WHITE = _grids()
 
 
 def write_sheet(path: str | Path, size_cm: float = 18.0, paper: Paper = "a4") -> None:
-    """The sheet at its true size on a page of A4 or Letter, to print at 100 %, with what to do in small print.
+    """The sheet at its true size on a page of A4 or Letter, to print at 100 %, with what to do in small
+    print.
 
     Args:
         path: .pdf or .svg (lines and areas), or .png (600 dots an inch).
@@ -137,12 +149,13 @@ def write_sheet(path: str | Path, size_cm: float = 18.0, paper: Paper = "a4") ->
         raise ConfigError("a file .pdf, .svg or .png", str(path), "end its name like that")
     largest = np.floor((width - 2 * PRINTER_MARGIN) * FRAME / OUTER * 10) / 10
     if not SMALLEST <= size_cm <= largest:
-        raise ConfigError(f"a size of {SMALLEST:g} to {largest:g} cm on {paper.upper() if paper == 'a4' else 'Letter'}",
+        raise ConfigError(f"a size of {SMALLEST:g} to {largest:g} cm on "
+                          f"{paper.upper() if paper == 'a4' else 'Letter'}",
                           f"{size_cm:g} cm", "give another size, or print a larger one elsewhere")
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    with rc_context({"pdf.compression": 0, "svg.hashsalt": "sheet"}), files.beside(path) as temporary:
+    with rc_context({"pdf.compression": 0, "svg.hashsalt": "sheet"}), files.atomic_write(path) as temporary:
         figure = Figure(figsize=(width / 2.54, height / 2.54))
         _draw(figure.add_axes((0, 0, 1, 1)), Sheet(size_cm), width, height)
         date = {"pdf": {"CreationDate": None}, "svg": {"Date": None}, "png": {}}[kind]
@@ -165,16 +178,20 @@ def _draw(axes: Any, sheet: Sheet, width: float, height: float) -> None:
         runs += [((left, top) + ((first, -row - 1) + square * (last - first, 1)) * sheet.cell)
                  for first, last in zip(steps[::2], steps[1::2])]
     codes = [Outline.MOVETO, *[Outline.LINETO] * 3, Outline.CLOSEPOLY] * len(runs)
-    axes.add_patch(PathPatch(Outline(np.concatenate(runs), codes), facecolor="black", linewidth=0))  # one area: no seams
+    # one area: no seams
+    axes.add_patch(PathPatch(Outline(np.concatenate(runs), codes), facecolor="black", linewidth=0))
     for side, dashes in ((sheet.outer, "-"), (sheet.hole, (0, (6, 4)))):
         corner = middle - side / 2, top - (sheet.outer + side) / 2
-        axes.add_patch(Rectangle(corner, side, side, fill=False, edgecolor="0.6", linewidth=0.5, linestyle=dashes))
+        axes.add_patch(Rectangle(corner, side, side, fill=False, edgecolor="0.6", linewidth=0.5,
+                                 linestyle=dashes))
 
     def text(x: float, y: float, words: str, size: float = 8, **options: Any) -> None:
-        axes.text(x, y, words, fontsize=size, **{"ha": "center", "va": "center", "linespacing": 1.5} | options)
+        axes.text(x, y, words, fontsize=size, **{"ha": "center", "va": "center", "linespacing": 1.5}
+                  | options)
 
     def arrow(start: tuple[float, float], end: tuple[float, float], style: str) -> None:
-        axes.annotate("", end, start, arrowprops={"arrowstyle": style, "linewidth": 1, "shrinkA": 0, "shrinkB": 0,
+        axes.annotate("", end, start, arrowprops={"arrowstyle": style, "linewidth": 1, "shrinkA": 0,
+                                                  "shrinkB": 0,
                                                   "mutation_scale": 8})
 
     arrow((middle - 0.6, top + 0.3), (middle - 0.6, top + 1.1), "-|>")
@@ -192,8 +209,11 @@ def _draw(axes: Any, sheet: Sheet, width: float, height: float) -> None:
         if i % 10 == 0:
             text(x, ruler + 0.55, f"{i // 10}", 6)
     text(middle, ruler - 0.25, "10 cm")
-    text(middle, ruler - 0.6, "Print at 100 % (\"actual size\"), on matt paper, and hold a ruler to the scale above.\n"
-         "Cut out the dashed square, keep the white rim around the tags, and lay the sheet flat on the material.\n"
-         f"Photograph with the flash, all tags in view:  mitsvbrdf capture PHOTOS -o CAPTURE --sheet {sheet.size:g}\n"
+    text(middle, ruler - 0.6, "Print at 100 % (\"actual size\"), on matt paper, and hold a ruler to the "
+                              "scale above.\n"
+         "Cut out the dashed square, keep the white rim around the tags, and lay the sheet flat on the "
+         "material.\n"
+         "Photograph with the flash, all tags in view:  mitsvbrdf capture PHOTOS -o CAPTURE --sheet "
+         f"{sheet.size:g}\n"
          "Where the arrow is longer or shorter on paper, give its length instead. "
          "A sheet that lies higher than the material: --depth CM.", va="top")

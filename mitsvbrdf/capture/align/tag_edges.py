@@ -1,7 +1,8 @@
 """Tags of the sheet in one photo: found by OpenCV's detector, then measured where black turns into white.
 
-Corners that a detector reports are off by half a pixel, and a lens bends the edges between them. So points along the
-outer edges of the tags are measured, each across its edge only: where linear light crosses the middle between black and white.
+Corners that a detector reports are off by half a pixel, and a lens bends the edges between them. So points
+along the outer edges of the tags are measured, each across its edge only: where linear light crosses the
+middle between black and white.
 """
 
 from __future__ import annotations
@@ -22,9 +23,11 @@ MOST_PIXELS = 4100  # of the long side that is measured; 12 megapixels are 4032 
 SEARCHED = 2050  # of the long side where tags are looked for at first
 POINTS, WIDTH = 8, 4  # measured along each edge, from as many profiles each
 PROFILE = 33  # samples across an edge
-REACH, REACH_PIXELS = 0.75, 8.0  # of a profile to both sides: in cells, in the last pass no more than so many pixels
+# of a profile to both sides: in cells, in the last pass no more than so many pixels
+REACH, REACH_PIXELS = 0.75, 8.0
 CONTRAST = 0.03  # linear, between white and black, below which nothing is measured
-LEAST_POINTS = 3  # of each edge, or the tag does not count; glare, a finger or the rim of the photo took the others
+# of each edge, or the tag does not count; glare, a finger or the rim of the photo took the others
+LEAST_POINTS = 3
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,9 @@ class Edges:
 
 
 def find_edges(photo: Photo, sheet: Sheet) -> Edges:
-    """The tags of a photo, read at no more than 4100 pixels a side; memory: that of the photo and of its grey copy."""
+    """The tags of a photo, read at no more than 4100 pixels a side; memory: that of the photo and of its grey
+    copy.
+    """
     import cv2
 
     times = -(-max(photo.size) // MOST_PIXELS)
@@ -66,7 +71,8 @@ def find_edges(photo: Photo, sheet: Sheet) -> Edges:
         pixels.append((at + 0.5) * times - 0.5)
         across.append(normals)
         corners[number] = (found + 0.5) * times - 0.5
-    on_sheet, in_photo, turned = (np.concatenate(part) if part else np.zeros((0, 2)) for part in (plane, pixels, across))
+    on_sheet, in_photo, turned = (np.concatenate(part) if part else np.zeros((0, 2)) for part in (plane,
+                                                                                                  pixels, across))
     return Edges(on_sheet, in_photo, turned, corners)
 
 
@@ -74,14 +80,16 @@ def _detected(grey: NDArray[np.uint8]) -> dict[int, Array]:
     """Corners of the tags (4 x 2) by id; a tag that is seen twice is none."""
     import cv2
 
-    cells = [np.ascontiguousarray(tag_cells(number)[1:-1, 1:-1]).astype(np.uint8) for number in range(len(CODES))]
+    cells = [np.ascontiguousarray(tag_cells(number)[1:-1, 1:-1]).astype(np.uint8)
+             for number in range(len(CODES))]
     rows = [cv2.aruco.Dictionary.getByteListFromBits(middle) for middle in cells]
     # A dictionary of our own cells: OpenCV's has this family upside down.
     detector = cv2.aruco.ArucoDetector(cv2.aruco.Dictionary(np.concatenate(rows), 6, 5))
     times = -(-max(grey.shape) // SEARCHED)
     found: dict[int, Array] = {}
     for step in dict.fromkeys((times, 1)):
-        small = cv2.resize(grey, None, fx=1 / step, fy=1 / step, interpolation=cv2.INTER_AREA) if step > 1 else grey
+        small = (cv2.resize(grey, None, fx=1 / step, fy=1 / step, interpolation=cv2.INTER_AREA) if step > 1
+                 else grey)
         corners, numbers, _ = detector.detectMarkers(small)
         numbers = [] if numbers is None else np.ravel(numbers).tolist()
         for number, four in zip(numbers, corners):
@@ -99,8 +107,11 @@ _WAY = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
 _OUT = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]])
 
 
-def _measured(grey: NDArray, linear: NDArray[np.float32], corners: Array) -> tuple[Array, Array, Array, Array] | None:
-    """Points of a tag's edges in cells from its top left corner, in pixels, and the ways across; and its corners anew."""
+def _measured(grey: NDArray, linear: NDArray[np.float32], corners: Array) -> tuple[Array, Array, Array,
+                                                                                   Array] | None:
+    """Points of a tag's edges in cells from its top left corner, in pixels, and the ways across; and its
+    corners anew.
+    """
     import cv2
 
     low = np.maximum(np.floor(corners.min(axis=0) - np.ptp(corners, axis=0) / 4).astype(int), 0)
@@ -108,13 +119,15 @@ def _measured(grey: NDArray, linear: NDArray[np.float32], corners: Array) -> tup
     window = linear[grey[low[1] : high[1], low[0] : high[0]]]
     on = _FROM[:, None] + _ALONG[:, None] * _WAY[:, None]  # 4 x (POINTS * WIDTH) x 2
     for last in (False, True):
-        warp = cv2.getPerspectiveTransform(_FROM.astype(np.float32), corners.astype(np.float32)).astype(np.float64)
+        warp = cv2.getPerspectiveTransform(_FROM.astype(np.float32),
+                                           corners.astype(np.float32)).astype(np.float64)
         cell = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean() / TAG
         reach = min(REACH, REACH_PIXELS / cell) if last else REACH
         steps = np.linspace(-reach, reach, PROFILE)
         at = _mapped(warp, on[:, :, None] + steps[:, None] * _OUT[:, None, None])
         where = (at - low).astype(np.float32).reshape(4 * POINTS * WIDTH, PROFILE, 2)
-        values = cv2.remap(window, where, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT, borderValue=(np.nan,))
+        values = cv2.remap(window, where, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT,
+                           borderValue=(np.nan,))
         values = values.reshape(4, POINTS, WIDTH, PROFILE).mean(axis=2, dtype=np.float64)
         offset = _crossings(values, steps)
         good = np.isfinite(offset)
@@ -125,17 +138,22 @@ def _measured(grey: NDArray, linear: NDArray[np.float32], corners: Array) -> tup
         pixels = _mapped(warp, edge)
         corners = _corners([pixels[side][good[side]] for side in range(4)])
     tangent = _mapped(warp, edge + 0.1 * _WAY[:, None]) - _mapped(warp, edge - 0.1 * _WAY[:, None])
-    normal = np.stack((tangent[..., 1], -tangent[..., 0]), axis=-1) / np.linalg.norm(tangent, axis=-1, keepdims=True)
+    normal = (np.stack((tangent[..., 1], -tangent[..., 0]), axis=-1)
+              / np.linalg.norm(tangent, axis=-1, keepdims=True))
     return middle[good], pixels[good], normal[good], corners
 
 
 def _crossings(values: Array, steps: Array) -> Array:
-    """Where profiles (... x PROFILE, black to white) cross the middle between their ends; NaN unless once and clearly."""
+    """Where profiles (... x PROFILE, black to white) cross the middle between their ends; NaN unless once and
+    clearly.
+    """
     quarter = PROFILE // 4
     black, white = np.median(values[..., :quarter], axis=-1), np.median(values[..., -quarter:], axis=-1)
     above = values > ((black + white) / 2)[..., None]
     with np.errstate(invalid="ignore"):
-        clear = (white - black > CONTRAST) & (np.diff(above, axis=-1).sum(axis=-1) == 1) & np.isfinite(values).all(axis=-1)
+        clear = (white - black > CONTRAST) & (np.diff(above,
+                                                      axis=-1).sum(axis=-1) == 1) & np.isfinite(values).all(
+                                                          axis=-1)
     first = np.argmax(above, axis=-1)
     before = np.maximum(first - 1, 0)
     a, b = (np.take_along_axis(values, i[..., None], axis=-1)[..., 0] for i in (before, first))

@@ -1,6 +1,8 @@
-"""How evenly each photo is lit: 0 where light falls off as a flash's, 1 where the room's light is all there is.
+"""How evenly each photo is lit: 0 where light falls off as a flash's, 1 where the room's light is all there
+is.
 
-Each photo's log radiance, less what the other photos say of its texels, is set against the pattern a flash would make.
+Each photo's log radiance, less what the other photos say of its texels, is set against the pattern a flash
+would make.
 """
 
 from __future__ import annotations
@@ -18,8 +20,8 @@ SURE = 0.2  # standard deviation up to which evenness counts as measured
 
 
 def evenness_of(problem: Problem, unknowns: Array, weights: Array, gloss: Array) -> dict[str, float]:
-    """1 - slope of each photo's log radiance, less what other photos say of its texels, over what a flash makes of it: falloff
-    and highlight, in logarithms.
+    """1 - slope of each photo's log radiance, less what other photos say of its texels, over what a flash
+    makes of it: falloff and highlight, in logarithms.
     """
     samples, pattern = problem.samples, problem.falloff(unknowns) + gloss
     own = samples.weight * problem.away(unknowns)
@@ -32,7 +34,8 @@ def evenness_of(problem: Problem, unknowns: Array, weights: Array, gloss: Array)
         rest = total - np.bincount(samples.texel[at], weights[at], len(total))
         albedo = (np.bincount(samples.texel, weights * others) - mine) / rest.clip(1e-12)
         there = at & (rest > 0.1)[samples.texel]
-        found[name] = _flatness(pattern[there], (others - albedo[samples.texel])[there], own[there], samples.cell[there])
+        found[name] = _flatness(pattern[there], (others - albedo[samples.texel])[there], own[there],
+                                samples.cell[there])
     return found
 
 
@@ -40,7 +43,8 @@ def _flatness(pattern: Array, error: Array, weights: Array, cell: np.ndarray) ->
     """- slope of errors over the pattern, robust, in [0, 1]; 0 where its standard deviation is above SURE."""
     if len(pattern) < 20:
         return 0.0
-    found = min((_line(pattern, error, weights, cell, start) for start in (0.0, -1.0)), key=lambda line: line[2])
+    found = min((_line(pattern, error, weights, cell, start) for start in (0.0, -1.0)),
+                key=lambda line: line[2])
     return min(1.0, max(0.0, -found[0])) if found[1] < SURE else 0.0
 
 
@@ -57,4 +61,5 @@ def _line(x: Array, y: Array, weights: Array, cell: np.ndarray, slope: float) ->
     rest = y - slope * x
     rest = rest - np.average(rest, weights=trust)
     sums = np.bincount(cell, trust * aside * rest)
-    return slope, math.sqrt(float(np.square(sums).sum())) / spread if spread > 1e-9 else math.inf, noise_of(rest, weights)
+    return slope, math.sqrt(float(np.square(sums).sum())) / spread if spread > 1e-9 else math.inf, noise_of(
+        rest, weights)

@@ -1,6 +1,7 @@
 """The least-squares problem of the light: flash, vignetting, exposures and one lobe for all are its unknowns.
 
-The albedo of each texel is eliminated (variable projection): for any unknowns it is what explains the samples best.
+The albedo of each texel is eliminated (variable projection): for any unknowns it is what explains the samples
+best.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import math
 
 import numpy as np
 
-from ...system.layout import Layout
+from ...io.layout import Layout
 from ..lens import Array
 from ..rig import Rig
 from .samples import Samples, falloff_of, transmission_of
@@ -20,7 +21,8 @@ VIGNETTING_SD = 0.3, 0.3
 EXPOSURE_SD = 0.05  # natural logarithm; a locked exposure repeats itself to some per cent
 LOG_ALPHA = math.log(0.3), 1.0  # of the lobe, natural logarithm, and its sd
 LOG_F0 = math.log(0.16), 1.5  # of the lobe, natural logarithm over the median albedo, and its sd
-MIRROR = math.radians(10), math.radians(20)  # from the mirror direction: nothing counts up to here, everything from there on
+# from the mirror direction: nothing counts up to here, everything from there on
+MIRROR = math.radians(10), math.radians(20)
 LEAST_WEIGHT = 0.05  # of what lies there, so that texels with no other photo are not lost
 DARKEST = -7.0  # natural logarithm of albedo over the median: nothing tells it from 0
 ALBEDO_STEPS = 6  # of Gauss-Newton, where there is a lobe
@@ -29,9 +31,10 @@ ALBEDO_STEPS = 6  # of Gauss-Newton, where there is a lobe
 class Problem:
     """The residuals of a rig's samples.
 
-    The unknowns, by ``layout``, are what is added to what is expected: ``flash``, its place in camera axes (the rig's unit);
-    ``vignetting``, v1 and v2; ``exposures``, natural logarithms, one a photo; ``log_alpha`` and ``log_f0`` of the lobe.
-    :meth:`residuals` and :meth:`jacobian` take them over their prior's deviations, ``spread``.
+    The unknowns, by ``layout``, are what is added to what is expected: ``flash``, its place in camera axes
+    (the rig's unit); ``vignetting``, v1 and v2; ``exposures``, natural logarithms, one a photo; ``log_alpha``
+    and ``log_f0`` of the lobe. :meth:`residuals` and :meth:`jacobian` take them over their prior's
+    deviations, ``spread``.
 
     Args:
         rig: lens and poses, with M photos.
@@ -41,10 +44,11 @@ class Problem:
     def __init__(self, rig: Rig, samples: Samples) -> None:
         self.samples = samples
         poses = [rig.poses[name] for name in samples.names]
-        self.cameras, self.turns = np.stack([p.position for p in poses]), np.stack([p.rotation.T for p in poses])
+        self.cameras, self.turns = np.stack([p.position for p in poses]), np.stack([p.rotation.T
+                                                                                    for p in poses])
         self.layout = Layout(flash=(3,), vignetting=(2,), exposures=(len(poses),), log_alpha=(), log_f0=())
-        self.spread = self.layout.pack(flash=FLASH_SD[rig.unit], vignetting=VIGNETTING_SD, exposures=EXPOSURE_SD,
-                                       log_alpha=LOG_ALPHA[1], log_f0=LOG_F0[1])
+        self.spread = self.layout.pack(flash=FLASH_SD[rig.unit], vignetting=VIGNETTING_SD,
+                                       exposures=EXPOSURE_SD, log_alpha=LOG_ALPHA[1], log_f0=LOG_F0[1])
         apparent = samples.log - self.model(np.zeros(self.layout.size))
         self.typical, self.start = float(np.median(apparent)), np.full(samples.texel.max() + 1, np.inf)
         np.minimum.at(self.start, samples.texel, apparent)
@@ -61,38 +65,48 @@ class Problem:
     def model(self, unknowns: Array) -> Array:
         """Logarithm of radiance over albedo / pi * I."""
         s, u = self.samples, self.layout.unpack(unknowns)
-        return u.exposures[s.photo] + self.falloff(unknowns) + np.log(transmission_of(s.radius2, u.vignetting))
+        return (u.exposures[s.photo] + self.falloff(unknowns)
+                + np.log(transmission_of(s.radius2, u.vignetting)))
 
     def half2(self, unknowns: Array) -> Array:
         """Squared sine of the angle between half vector and upright at each point."""
-        light, eye = (x[self.samples.photo] - self.samples.points for x in (self.flashes(unknowns), self.cameras))
-        half = light / np.linalg.norm(light, axis=1, keepdims=True) + eye / np.linalg.norm(eye, axis=1, keepdims=True)
+        light, eye = (x[self.samples.photo] - self.samples.points for x in (self.flashes(unknowns),
+                                                                            self.cameras))
+        half = (light / np.linalg.norm(light, axis=1, keepdims=True)
+                + eye / np.linalg.norm(eye, axis=1, keepdims=True))
         return np.square(half[:, :2]).sum(axis=1) / np.square(half).sum(axis=1)
 
     def away(self, unknowns: Array) -> Array:
-        """Weight of each point by its angle to the mirror direction, where there is no lobe to explain what happens there."""
+        """Weight of each point by its angle to the mirror direction, where there is no lobe to explain what
+        happens there.
+        """
         if self.samples.glossy:
             return np.ones(len(self.samples.log))
         angle = 2 * np.arcsin(np.sqrt(self.half2(unknowns)))
         return ((angle - MIRROR[0]) / (MIRROR[1] - MIRROR[0])).clip(LEAST_WEIGHT, 1)
 
     def lobe(self, unknowns: Array) -> Array | float:
-        """Pi F0 D / 4 of GGX at each point, in units of the albedo over pi; shadowing left out, normals flat."""
+        """Pi F0 D / 4 of GGX at each point, in units of the albedo over pi; shadowing left out, normals
+        flat.
+        """
         if not self.samples.glossy:
             return 0.0
         u, half2 = self.layout.unpack(unknowns), self.half2(unknowns)
         alpha2 = math.exp(2 * (LOG_ALPHA[0] + u.log_alpha))
-        return math.exp(self.typical + LOG_F0[0] + u.log_f0) / 4 * alpha2 / (alpha2 * (1 - half2) + half2) ** 2
+        return (math.exp(self.typical + LOG_F0[0] + u.log_f0) / 4 * alpha2
+                / (alpha2 * (1 - half2) + half2) ** 2)
 
     def explain(self, unknowns: Array, weights: Array) -> tuple[Array, Array, Array]:
-        """Logarithm of albedo / pi of each texel for an intensity of 1, what suits its points best (Gauss-Newton); the
-        logarithm of what the lobe multiplies each point by; and the error that is left.
+        """Logarithm of albedo / pi of each texel for an intensity of 1, what suits its points best
+        (Gauss-Newton); the logarithm of what the lobe multiplies each point by; and the error that is left.
         """
-        texel, apparent, lobe = self.samples.texel, self.samples.log - self.model(unknowns), self.lobe(unknowns)
+        texel, apparent, lobe = self.samples.texel, self.samples.log - self.model(unknowns), self.lobe(
+            unknowns)
         albedo = self.start
         for _ in range(ALBEDO_STEPS if self.samples.glossy else 1):
             share = 1 / (1 + lobe / np.exp(albedo)[texel])
-            step = np.bincount(texel, weights * share * (apparent - albedo[texel] + np.log(share)), len(albedo))
+            step = np.bincount(texel, weights * share * (apparent - albedo[texel] + np.log(share)),
+                               len(albedo))
             step = step / np.bincount(texel, weights * (share**2 + 1e-3), len(albedo)).clip(1e-12)
             albedo = np.maximum(albedo + step, self.typical + DARKEST)
         gloss = np.log1p(lobe / np.exp(albedo)[texel])

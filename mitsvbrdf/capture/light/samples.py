@@ -17,7 +17,8 @@ from ..rig import Rig
 
 FAINTEST_CORNER = 0.2  # of the transmission
 
-LONG_SIDE, BLOCKS_ALONG = 1024, 96  # pixels of a photo that are read, and blocks along it that are paper samples
+# pixels of a photo that are read, and blocks along it that are paper samples
+LONG_SIDE, BLOCKS_ALONG = 1024, 96
 MATERIAL_SIDE = 32  # texels a side of a material that are compared
 DARK_VALUE = 0.03  # display values below are noise
 DIM = 0.1  # display value at which noise in the logarithm is as large as the model's error
@@ -26,7 +27,9 @@ CELLS = 8  # a side; residuals within a cell of a photo may err alike
 
 @dataclass(frozen=True)
 class _Seen:
-    """Points of one photo: place in the world (K x 3), pixel (K x 2), linear radiance and display value (K x 3)."""
+    """Points of one photo: place in the world (K x 3), pixel (K x 2), linear radiance and display value (K x
+    3).
+    """
 
     points: Array
     pixels: Array
@@ -37,7 +40,8 @@ class _Seen:
     cells: np.ndarray
 
 
-def paper_samples(pixels: np.ndarray, lens: Lens, pose: Pose, white: Callable[[Array], np.ndarray], depth: float,
+def paper_samples(pixels: np.ndarray, lens: Lens, pose: Pose, white: Callable[[Array], np.ndarray],
+                  depth: float,
            transfer: color.Transfer) -> _Seen:
     """Blocks of a photo that show nothing but white paper."""
     height, width = pixels.shape[:2]
@@ -61,18 +65,21 @@ def paper_samples(pixels: np.ndarray, lens: Lens, pose: Pose, white: Callable[[A
     return _Seen(*here[0], _decoded(display, transfer), display, usable, np.zeros(len(row), dtype=int), cells)
 
 
-def material_samples(photo: np.ndarray, lens: Lens, pose: Pose, size: float, transfer: color.Transfer) -> _Seen:
+def material_samples(photo: np.ndarray, lens: Lens, pose: Pose, size: float,
+                     transfer: color.Transfer) -> _Seen:
     """Texels of a rectified photo, averaged to 32 x 32 at most."""
     side = min(MATERIAL_SIDE, photo.shape[0])
     step = photo.shape[0] // side
-    blocks = np.asarray(photo, dtype=np.float64)[:side * step, :side * step].reshape(side, step, side, step, 3)
+    blocks = np.asarray(photo, dtype=np.float64)[:side * step, :side * step].reshape(side, step, side, step,
+                                                                                     3)
     display, brightest = blocks.mean(axis=(1, 3)).reshape(-1, 3), blocks.max(axis=(1, 3)).reshape(-1, 3)
     points = texel_positions(photo.shape[0]).numpy()[:side * step, :side * step]
     points = points.reshape(side, step, side, step, 3).mean(axis=(1, 3)).reshape(-1, 3) * size
     row, column = (index.ravel() for index in np.mgrid[:side, :side])
     usable = (brightest < NEARLY_CLIPPED).all(axis=1)  # NaN is no number below
     cells = row * CELLS // side * CELLS + column * CELLS // side
-    return _Seen(points, project(lens, pose, points), _decoded(display, transfer), display, usable, row * side + column, cells)
+    return _Seen(points, project(lens, pose, points), _decoded(display, transfer), display, usable,
+                 row * side + column, cells)
 
 
 def _decoded(display: Array, transfer: color.Transfer) -> Array:
@@ -105,11 +112,14 @@ class Samples:
 
     @classmethod
     def of(cls, rig: Rig, seen: Mapping[str, _Seen], what: str, glossy: bool) -> Samples:
-        """What is neither clipped nor dark in photos ``seen``, by name; ``what`` they show is named in the error."""
+        """What is neither clipped nor dark in photos ``seen``, by name; ``what`` they show is named in the
+        error.
+        """
         kept = {name: s.usable & (s.display.mean(axis=1) > DARK_VALUE) & np.isfinite(s.pixels).all(axis=1)
                 for name, s in seen.items()}
         if not any(k.any() for k in kept.values()):
-            clipped = [name for name, s in seen.items() if np.nanmax(s.display, initial=0.0) >= NEARLY_CLIPPED]
+            clipped = [name for name, s in seen.items() if np.nanmax(s.display,
+                                                                     initial=0.0) >= NEARLY_CLIPPED]
             raise CaptureError(f"photos that show {what} neither clipped nor dark", f"none of {len(seen)}"
                                + (f" ({len(clipped)} clipped)" if clipped else ""),
                                "take them again with another exposure, or check depth and size of the sheet")
@@ -121,9 +131,10 @@ class Samples:
         log = np.log(linear.mean(axis=1))
         counts = [int(k.sum()) for k in kept.values()]
         photo = np.repeat(np.arange(len(seen)), counts)
-        return cls(list(seen), photo, joined(lambda s: s.points), radius2_of(rig.lens, joined(lambda s: s.pixels)), log,
-                   np.log(linear.clip(1e-6)) - log[:, None], 1 / (1 + (DIM / display) ** 2), joined(lambda s: s.texels),
-                   photo * CELLS**2 + joined(lambda s: s.cells), glossy)
+        return cls(list(seen), photo, joined(lambda s: s.points),
+                   radius2_of(rig.lens, joined(lambda s: s.pixels)), log,
+                   np.log(linear.clip(1e-6)) - log[:, None], 1 / (1 + (DIM / display) ** 2),
+                   joined(lambda s: s.texels), photo * CELLS**2 + joined(lambda s: s.cells), glossy)
 
 
 def radius2_of(lens: Lens, pixels: Array) -> Array:

@@ -1,18 +1,21 @@
-"""What the shading of photos says, once their poses are known: where the flash is, how bright, vignetting and exposures.
+"""What the shading of photos says, once their poses are known: where the flash is, how bright, vignetting and
+exposures.
 
 A diffuse point of albedo rho, seen through a lens of transmission T, sends to the photo the radiance
 
     L = rho / pi * I * exp(e) * cos / d^2 * T(pixel)
 
-with I the flash's radiant intensity, e the logarithm of the photo's exposure, d the distance to the flash and cos that of the
-angle between it and the upright. The logarithm is linear in all unknowns but the flash's place and vignetting. White paper
-has one known albedo everywhere; a material has one of its own in each texel, the same in all photos, and beside it one GGX
-lobe that all texels share. Albedo is eliminated (variable projection, Golub and Pereyra 1973): what is compared are photos
-with each other. Errors above are highlights more often than not: weights fall fast there, slowly below (iteratively
-reweighted least squares). Paper has no lobe; what is near its mirror direction counts little.
+with I the flash's radiant intensity, e the logarithm of the photo's exposure, d the distance to the flash and
+cos that of the angle between it and the upright. The logarithm is linear in all unknowns but the flash's
+place and vignetting. White paper has one known albedo everywhere; a material has one of its own in each
+texel, the same in all photos, and beside it one GGX lobe that all texels share. Albedo is eliminated
+(variable projection, Golub and Pereyra 1973): what is compared are photos with each other. Errors above are
+highlights more often than not: weights fall fast there, slowly below (iteratively reweighted least squares).
+Paper has no lobe; what is near its mirror direction counts little.
 
-Residuals of neighbouring points err alike, so the noise, and how many points count as one, are measured on the residuals, as
-in :mod:`mitsvbrdf.calibrate.refine`. Where a material is hardly diffuse at all, both are large, and the priors remain.
+Residuals of neighbouring points err alike, so the noise, and how many points count as one, are measured on
+the residuals, as in :mod:`mitsvbrdf.calibrate.refine`. Where a material is hardly diffuse at all, both are
+large, and the priors remain.
 """
 
 from __future__ import annotations
@@ -33,18 +36,22 @@ from ..rig import Rig
 from .samples import LONG_SIDE, Samples, material_samples, paper_samples, radius2_of, transmission_of
 from .solve import Shading, solve_light
 
-PAPER_ALBEDO = 0.8  # albedo of white office paper; 0.75 to 0.9, ISO 2470 brightness without optical brighteners
+# albedo of white office paper; 0.75 to 0.9, ISO 2470 brightness without optical brighteners
+PAPER_ALBEDO = 0.8
 MOST_ALBEDO = 0.8
-LOBE_F0 = 0.03, 0.6  # usual one, and sd of its logarithm; dielectrics have 0.04, but one lobe for all finds less: 0.005 to 0.06
+# usual one, and sd of its logarithm; dielectrics have 0.04, but one lobe for all finds less: 0.005 to 0.06
+LOBE_F0 = 0.03, 0.6
 
 
 def shading_of_paper(rig: Rig, photos: Mapping[str, Photo | np.ndarray], transfer: color.Transfer,
-                     white: Callable[[Array], np.ndarray], depth: float = 0.0, albedo: float = PAPER_ALBEDO) -> Shading:
+                     white: Callable[[Array], np.ndarray], depth: float = 0.0,
+                     albedo: float = PAPER_ALBEDO) -> Shading:
     """Flash, its power and colour, vignetting and exposures from white paper around the material.
 
     Args:
         rig: lens and poses; photos without a pose do not count.
-        photos: by name; pixels H x W x 3 as stored (integers, or float in [0, 1]), the lens's size or a whole part of it.
+        photos: by name; pixels H x W x 3 as stored (integers, or float in [0, 1]), the lens's size or a whole
+            part of it.
         transfer: of the photos.
         white: for points of the world (K x 2) whether bare paper is there, K bools.
         depth: z of the paper.
@@ -61,21 +68,23 @@ def shading_of_paper(rig: Rig, photos: Mapping[str, Photo | np.ndarray], transfe
             seen[name] = paper_samples(pixels, rig.lens, pose, white, depth, transfer)
     found = solve_light(rig, Samples.of(rig, seen, "white paper", glossy=False))
     intensity = np.exp(found.level + found.colour) * math.pi / albedo
-    return found.shading(intensity, found.level_sd, (f"paper is taken to be white with an albedo of {albedo:g}",))
+    return found.shading(intensity, found.level_sd,
+                         (f"paper is taken to be white with an albedo of {albedo:g}",))
 
 
 def shading_of_material(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color.Transfer) -> Shading:
-    """Flash, vignetting and exposures from the material itself, which looks alike from everywhere but for highlights.
+    """Flash, vignetting and exposures from the material itself, which looks alike from everywhere but for
+    highlights.
 
-    Albedo alone does not tell the light's power, but most materials are dielectrics: the power is what makes the lobe's F0
-    and the median albedo most probable together (:data:`LOBE_F0`, :data:`~mitsvbrdf.material.maps.USUAL_ALBEDO`), with no
-    more than one texel in a hundred whiter than paper. A metal is taken for a dielectric under a brighter flash. The flash is
-    taken to be white.
+    Albedo alone does not tell the light's power, but most materials are dielectrics: the power is what makes
+    the lobe's F0 and the median albedo most probable together (:data:`LOBE_F0`,
+    :data:`~mitsvbrdf.material.maps.USUAL_ALBEDO`), with no more than one texel in a hundred whiter than
+    paper. A metal is taken for a dielectric under a brighter flash. The flash is taken to be white.
 
     Args:
         rig: lens and poses; photos without a pose do not count.
-        photos: by name; rectified to the patch, R x R x 3 display values in [0, 1] with their vignetting, NaN where a
-            photo does not reach.
+        photos: by name; rectified to the patch, R x R x 3 display values in [0, 1] with their vignetting, NaN
+            where a photo does not reach.
         transfer: of the photos.
 
     Raises:
@@ -84,17 +93,22 @@ def shading_of_material(rig: Rig, photos: Mapping[str, np.ndarray], transfer: co
     seen = {name: material_samples(photos[name], rig.lens, pose, rig.size, transfer)
             for name, pose in rig.poses.items() if name in photos}
     found = solve_light(rig, Samples.of(rig, seen, "the material", glossy=True))
-    middle, most = math.pi * np.exp(np.nanpercentile(found.albedo, (50, 99)))  # of albedo, for an intensity of 1
+    # of albedo, for an intensity of 1
+    middle, most = math.pi * np.exp(np.nanpercentile(found.albedo, (50, 99)))
     by_albedo, by_lobe = 1 / USUAL_ALBEDO[1] ** 2, 1 / (LOBE_F0[1] ** 2 + float(found.deviations.log_f0) ** 2)
-    power = (by_albedo * math.log(middle / USUAL_ALBEDO[0]) + by_lobe * math.log(math.pi * found.lobe / LOBE_F0[0]))
+    power = (by_albedo * math.log(middle / USUAL_ALBEDO[0])
+             + by_lobe * math.log(math.pi * found.lobe / LOBE_F0[0]))
     intensity = max(math.exp(power / (by_albedo + by_lobe)), most / MOST_ALBEDO)
-    notes = ("how bright the flash is cannot be told from these photos; it is taken to be such that highlights reflect "
+    notes = ("how bright the flash is cannot be told from these photos; it is taken to be such that "
+             "highlights reflect "
              f"{math.pi * found.lobe / intensity:.1%} of it and the median albedo is {middle / intensity:.2f}",)
     return found.shading(np.full(3, intensity), 1 / math.sqrt(by_albedo + by_lobe), notes)
 
 
-def undo_vignetting(linear: np.ndarray, lens: Lens, pose: Pose, size: float, transfer: color.Transfer = "srgb") -> np.ndarray:
-    """A rectified photo (R x R x 3, linear) as a lens without vignetting would have seen it; what is clipped stays so.
+def undo_vignetting(linear: np.ndarray, lens: Lens, pose: Pose, size: float,
+                    transfer: color.Transfer = "srgb") -> np.ndarray:
+    """A rectified photo (R x R x 3, linear) as a lens without vignetting would have seen it; what is clipped
+    stays so.
 
     Args:
         linear: radiance; NaN stays.

@@ -1,4 +1,6 @@
-"""The most probable light: robust least squares, reweighted in rounds, once more without photos that had no flash."""
+"""The most probable light: robust least squares, reweighted in rounds, once more without photos that had no
+flash.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ from .problem import LOG_F0, Problem
 from .robust import alike, noise_of, trust_of
 from .samples import Samples
 
-MISFIT = 4.0  # times: how far beyond what noise explains unknowns of known materials, which share no one lobe, were off
+# times: how far beyond what noise explains unknowns of known materials, which share no one lobe, were off
+MISFIT = 4.0
 ROUNDS = 10  # of reweighting
 
 
@@ -25,13 +28,15 @@ class Shading:
 
     Args:
         lens: the rig's, with ``flash`` and ``vignetting``.
-        intensity: radiant intensity of the flash (rgb), of a photo of ``log_exposure`` 0; display value 1 is radiance 1.
+        intensity: radiant intensity of the flash (rgb), of a photo of ``log_exposure`` 0; display value 1 is
+            radiance 1.
         log_exposure: natural logarithm of the relative exposure, by name of the photo.
-        deviations: standard deviations of ``flash_x``, ``flash_y``, ``flash_z`` (the rig's unit), ``v1``, ``v2`` and
-            ``log_intensity``.
+        deviations: standard deviations of ``flash_x``, ``flash_y``, ``flash_z`` (the rig's unit), ``v1``,
+            ``v2`` and ``log_intensity``.
         exposure_deviations: those of ``log_exposure``.
         residuals: RMS of log radiance, by name, each point by its weight; 0 where nothing can be compared.
-        evenness: by name, 0 where light falls off as a flash's, 1 where it is even; 0 too where that cannot be told.
+        evenness: by name, 0 where light falls off as a flash's, 1 where it is even; 0 too where that cannot
+            be told.
         notes: what was assumed and left out.
     """
 
@@ -79,11 +84,13 @@ class _Found:
         names, photo = self.samples.names, self.samples.photo
         shared = zip(("flash_x", "flash_y", "flash_z", "v1", "v2"),
                      (*self.deviations.flash.tolist(), *self.deviations.vignetting.tolist()))
-        squares, total = (np.bincount(photo, w, len(names)) for w in (self.weights * self.error**2, self.weights))
+        squares, total = (np.bincount(photo, w, len(names)) for w in (self.weights * self.error**2,
+                                                                      self.weights))
         if self.left_out:
             notes += (f"no flash in {', '.join(self.left_out)}: light is even there",)
         elif even := sum(e > EVEN for e in self.evenness.values()):
-            notes += (f"light does not fall off as a flash's in {even} of {len(names)} photos: where it comes from is a guess",)
+            notes += (f"light does not fall off as a flash's in {even} of {len(names)} photos: where it "
+                      "comes from is a guess",)
         red, green, blue = (float(i) for i in intensity)
         return Shading(
             self.lens, (red, green, blue), dict(zip(names, self.unknowns.exposures.tolist())),
@@ -112,10 +119,13 @@ def _most_probable(rig: Rig, samples: Samples, counts: Array) -> _Found:
         unknowns = x * problem.spread
         error = problem.explain(unknowns, weights)[-1]
         noise = noise_of(error, weights)
-        weights = samples.weight * counts[samples.photo].clip(1e-9) * problem.away(unknowns) * trust_of(error / noise)
+        weights = (samples.weight * counts[samples.photo].clip(1e-9) * problem.away(unknowns)
+                   * trust_of(error / noise))
         scale = noise * math.sqrt(alike(error, weights, samples.cell)) * (MISFIT if samples.glossy else 1.0)
-        x = least_squares(problem.residuals, x, problem.jacobian, method="lm", args=(weights, scale), max_nfev=3).x
-    solution = least_squares(problem.residuals, x, problem.jacobian, method="lm", args=(weights, scale), max_nfev=20)
+        x = least_squares(problem.residuals, x, problem.jacobian, method="lm", args=(weights, scale),
+                          max_nfev=3).x
+    solution = least_squares(problem.residuals, x, problem.jacobian, method="lm", args=(weights, scale),
+                             max_nfev=20)
     unknowns = solution.x * problem.spread
     albedo, gloss, error = problem.explain(unknowns, weights)
     covariance = np.linalg.inv(solution.jac.T @ solution.jac) * np.outer(problem.spread, problem.spread)
@@ -123,6 +133,7 @@ def _most_probable(rig: Rig, samples: Samples, counts: Array) -> _Found:
     colour = np.average(samples.colour, axis=0, weights=weights)
     slope = np.average(problem.slopes(unknowns, albedo), axis=0, weights=weights)
     level_sd = math.sqrt(slope @ covariance @ slope + scale**2 / weights.sum())
-    return _Found(rig, samples, problem.layout.unpack(unknowns), problem.layout.unpack(np.sqrt(covariance.diagonal())),
-                  problem.typical, float(albedo[0]), level_sd, colour, np.where(total > 1e-3, albedo, np.nan), error, weights,
-                  evenness_of(problem, unknowns, weights, gloss), ())
+    return _Found(rig, samples, problem.layout.unpack(unknowns),
+                  problem.layout.unpack(np.sqrt(covariance.diagonal())),
+                  problem.typical, float(albedo[0]), level_sd, colour, np.where(total > 1e-3, albedo, np.nan),
+                  error, weights, evenness_of(problem, unknowns, weights, gloss), ())

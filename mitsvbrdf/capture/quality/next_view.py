@@ -1,4 +1,6 @@
-"""The next best view: where one more photo would show most highlights that no photo has, in words for a person."""
+"""The next best view: where one more photo would show most highlights that no photo has, in words for a
+person.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,8 @@ from ...views import Views, coverage_angle
 
 # Half vectors this close to the upright show a highlight (of roughness 0.35: alpha is tan 7 degrees).
 HIGHLIGHT_ANGLE = math.radians(7)
-GRID_STEP, FARTHEST, SLANT = 0.05, 1.0, math.radians(35)  # places tried: grid in patch sides, farthest, most slanted
+# places tried: grid in patch sides, farthest, most slanted
+GRID_STEP, FARTHEST, SLANT = 0.05, 1.0, math.radians(35)
 WORTH = 0.02  # of the patch: less is no reason to take one more photo
 
 
@@ -33,8 +36,10 @@ class NextView:
     words: str
 
 
-def next_best_view(views: Views, names: Sequence[str], unit: str, lobe: float = HIGHLIGHT_ANGLE) -> NextView | None:
-    """The place at the usual height from which one more photo shows most highlights that no photo has; None: hardly any left.
+def next_best_view(views: Views, names: Sequence[str], unit: str,
+                   lobe: float = HIGHLIGHT_ANGLE) -> NextView | None:
+    """The place at the usual height from which one more photo shows most highlights that no photo has; None:
+    hardly any left.
 
     Args:
         views: of the photos there are.
@@ -49,8 +54,10 @@ def next_best_view(views: Views, names: Sequence[str], unit: str, lobe: float = 
     far = min(FARTHEST, height * math.tan(SLANT))
     steps = torch.arange(-round(far / GRID_STEP), round(far / GRID_STEP) + 1, dtype=torch.float64) * GRID_STEP
     places = torch.cartesian_prod(steps, steps)
-    places = torch.cat((places, torch.full((len(places), 1), height, dtype=torch.float64)), dim=1)[places.norm(dim=1) <= far]
-    tried = replace(sides, camera=places, light=places + beside, intensity=sides.intensity[:1].expand(len(places), 3))
+    places = torch.cat((places, torch.full((len(places), 1), height, dtype=torch.float64)),
+                       dim=1)[places.norm(dim=1) <= far]
+    tried = replace(sides, camera=places, light=places + beside,
+                    intensity=sides.intensity[:1].expand(len(places), 3))
     new = [unseen & (coverage_angle(tried.pick([i]), side) <= lobe) for i in range(len(places))]
     gains = torch.stack([shown.double().mean() for shown in new])
     # Of places that show as much, the one closest to the middle: the least slanted view.
@@ -60,7 +67,8 @@ def next_best_view(views: Views, names: Sequence[str], unit: str, lobe: float = 
     near = int((sides.camera - places[best]).norm(dim=1).argmin())
     way = (places[best] - sides.camera[near]).tolist()
     at = places[best] * size
-    return NextView(tuple(at.tolist()), float(gains[best]), near, _words(way, height, names[near], unit, size))
+    return NextView(tuple(at.tolist()), float(gains[best]), near, _words(way, height, names[near], unit,
+                                                                         size))
 
 
 def _words(way: Sequence[float], height: float, name: str, unit: str, size: float) -> str:
@@ -69,9 +77,11 @@ def _words(way: Sequence[float], height: float, name: str, unit: str, size: floa
 
     least = (*[0.5 / size if unit == "cm" else 0.03] * 2, 0.1 * height)
     ways = ("further left", "further right"), ("nearer to you", "further away from you"), ("lower", "higher")
-    moves = [f"{length(x)} {a if x < 0 else b}" for x, (a, b), enough in zip(way, ways, least) if abs(x) >= enough]
+    moves = [f"{length(x)} {a if x < 0 else b}" for x, (a, b), enough in zip(way, ways, least)
+             if abs(x) >= enough]
     above = length(height) if unit == "cm" else f"{height:.1f} patch sides"
     if abs(way[2]) < least[2]:
         moves.append(f"at the same height ({above})")
-    upright = "; the sheet's arrow points away from you" if unit == "cm" else ""  # else the photos say what is up
+    # else the photos say what is up
+    upright = "; the sheet's arrow points away from you" if unit == "cm" else ""
     return f"from where {name} was taken, hold the phone {', '.join(moves)}{upright}"

@@ -1,7 +1,7 @@
 """How good each photo is: clipped, dark, blurred, or unlike the others.
 
-A photo is compared with the others where they should agree. Each texel's radiance over its irradiance is its apparent albedo;
-the median over the photos has neither highlight nor finger.
+A photo is compared with the others where they should agree. Each texel's radiance over its irradiance is its
+apparent albedo; the median over the photos has neither highlight nor finger.
 """
 
 from __future__ import annotations
@@ -21,9 +21,12 @@ from ...color import NEARLY_CLIPPED
 from ...material.resample import resized
 from ...views import Views, texel_positions
 
-RADIANCE_SIDE, DETAIL_SIDE = 32, 512  # texels a side at which radiance is compared, and at most at which detail is
-COLOUR, DARKER = 0.3, 1.4  # of a texel that is unlike the others: sum of differences of chromaticity, log of radiance
-AGREE, DISAGREE = 0.5, 0.3  # correlation of a texel's detail with the median photo's: of the photos in the median; of this one
+# texels a side at which radiance is compared, and at most at which detail is
+RADIANCE_SIDE, DETAIL_SIDE = 32, 512
+# of a texel that is unlike the others: sum of differences of chromaticity, log of radiance
+COLOUR, DARKER = 0.3, 1.4
+# correlation of a texel's detail with the median photo's: of the photos in the median; of this one
+AGREE, DISAGREE = 0.5, 0.3
 SLIGHT_COLOUR, SLIGHT = 0.1, 0.3  # and by how much the texel must be of another colour or brightness besides
 
 
@@ -86,14 +89,17 @@ def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, name
     lost = (agreement < DISAGREE) & (np.median(agreement, axis=0) > AGREE)
     lost &= ((colour > SLIGHT_COLOUR) | (beside.abs() > SLIGHT)).numpy()
     usual = float(offset.median())
-    return [PhotoQuality(name, float((overlap or {}).get(name, 1.0)), float(clipped[i].float().mean()), float(photos[i].mean()),
+    return [PhotoQuality(name, float((overlap or {}).get(name, 1.0)), float(clipped[i].float().mean()),
+                         float(photos[i].mean()),
                  float(sharp[i]), (float(offset[i]) - usual) / math.log(2), float(beside[i].abs().median()),
                  _largest_piece(unlike[i].numpy()), _largest_piece(lost[i]), (evenness or {}).get(name))
             for i, name in enumerate(names)]
 
 
 def detail_of(pixels: np.ndarray) -> float:
-    """Finest detail of a whole photo (H x W x 3, 8 or 16 bits) over coarser detail, to compare with others of its kind."""
+    """Finest detail of a whole photo (H x W x 3, 8 or 16 bits) over coarser detail, to compare with others of
+    its kind.
+    """
     luminance = pixels.mean(axis=2, dtype=np.float32) / np.float32(np.iinfo(pixels.dtype).max)
     smooth = cv2.GaussianBlur(luminance, (0, 0), 1.5)
     return _rms(luminance - smooth) / max(_rms(smooth - cv2.GaussianBlur(luminance, (0, 0), 6)), 1e-9)
@@ -103,23 +109,29 @@ def _irradiance(views: Views, side: int) -> Tensor:
     """Mean radiance of a white diffuse texel in each photo, N x S x S."""
     views, at = views.in_patch_sides(), texel_positions(side)
     ray = views.light.double()[:, None, None] - at
-    return (views.intensity.double().mean(dim=1)[:, None, None] * ray[..., 2] / ray.norm(dim=-1) ** 3 / math.pi).float()
+    return (views.intensity.double().mean(dim=1)[:, None, None] * ray[...,
+                                                                      2] / ray.norm(dim=-1) ** 3 / math.pi).float()
 
 
 def _sharpness(luminance: np.ndarray, plain: np.ndarray) -> np.ndarray:
-    """Detail of N x S x S display values in the direction that has least of it, relative to the median photo, N.
+    """Detail of N x S x S display values in the direction that has least of it, relative to the median photo,
+    N.
 
-    A hand that moves takes detail away along its way only. Second differences over 4 texels are divided by those over 16 and by
-    brightness (their geometric mean: either alone differs more between real photos of a relief), at the ``plain`` texels.
+    A hand that moves takes detail away along its way only. Second differences over 4 texels are divided by
+    those over 16 and by brightness (their geometric mean: either alone differs more between real photos of a
+    relief), at the ``plain`` texels.
     """
     plain = plain.copy()
-    plain[:, :16] = plain[:, -16:] = plain[:, :, :16] = plain[:, :, -16:] = False  # differences reach over the rim
-    fine, coarse, level = (np.stack([cv2.GaussianBlur(image, (0, 0), width) for image in luminance]) for width in (1, 3, 24))
+    # differences reach over the rim
+    plain[:, :16] = plain[:, -16:] = plain[:, :, :16] = plain[:, :, -16:] = False
+    fine, coarse, level = (np.stack([cv2.GaussianBlur(image, (0, 0), width) for image in luminance])
+                           for width in (1, 3, 24))
 
     def differences(values: np.ndarray, way: np.ndarray) -> np.ndarray:
         return values - (np.roll(values, way, (1, 2)) + np.roll(values, -way, (1, 2))) / 2
 
-    ratios = np.array([[_rms(f[p]) / math.sqrt(_rms(c[p]) * _rms(b[p]) or math.nan) if p.any() else math.nan for f, c, b, p in
+    ratios = np.array([[_rms(f[p]) / math.sqrt(_rms(c[p]) * _rms(b[p]) or math.nan) if p.any() else math.nan
+                        for f, c, b, p in
                         zip(differences(fine, 4 * way), differences(coarse, 16 * way), level, plain)]
                        for way in np.array([(0, 1), (1, 0), (1, 1), (1, -1)])])
     if not np.isfinite(ratios).any():
@@ -128,11 +140,12 @@ def _sharpness(luminance: np.ndarray, plain: np.ndarray) -> np.ndarray:
 
 
 def _agreement(luminance: np.ndarray) -> np.ndarray:
-    """How the detail of the logarithm of N x S x S display values correlates with the median photo's, N x T x T
-    with T of at most :data:`RADIANCE_SIDE`.
+    """How the detail of the logarithm of N x S x S display values correlates with the median photo's, N x T x
+    T with T of at most :data:`RADIANCE_SIDE`.
     """
     logs = [np.log(np.maximum(image, 0.02)) for image in luminance]
-    band = np.stack([cv2.GaussianBlur(image, (0, 0), 1.5) - cv2.GaussianBlur(image, (0, 0), 8) for image in logs])
+    band = np.stack([cv2.GaussianBlur(image, (0, 0), 1.5) - cv2.GaussianBlur(image, (0, 0), 8)
+                     for image in logs])
     usual = np.median(band, axis=0)
     window = max(9, luminance.shape[1] // 10 | 1)
 
@@ -140,7 +153,8 @@ def _agreement(luminance: np.ndarray) -> np.ndarray:
         mean = cv2.blur(product, (window, window))
         return cv2.resize(mean, (min(RADIANCE_SIDE, mean.shape[1]),) * 2, interpolation=cv2.INTER_AREA)
 
-    return np.stack([around(b * usual) / np.sqrt(around(b * b) * around(usual * usual) + 1e-12) for b in band])
+    return np.stack([around(b * usual) / np.sqrt(around(b * b) * around(usual * usual) + 1e-12)
+                     for b in band])
 
 
 def _rms(values: np.ndarray) -> float:

@@ -1,8 +1,8 @@
 """Which photos are better left out, and why: verdicts on their quality.
 
-Verdicts are for photos that would do harm: highlights, falloff, shadows of a relief and the softness of a slanted view are no
-reasons. Limits were measured on 108 photos of twelve materials, none of which may be called bad; behind each stands the worst
-of these.
+Verdicts are for photos that would do harm: highlights, falloff, shadows of a relief and the softness of a
+slanted view are no reasons. Limits were measured on 108 photos of twelve materials, none of which may be
+called bad; behind each stands the worst of these.
 """
 
 from __future__ import annotations
@@ -17,15 +17,21 @@ from .photo_quality import PhotoQuality
 
 LEAST_OVERLAP = 0.95  # of the patch; texels beyond a photo's edge are filled in from the others
 MOST_CLIPPED = 0.4  # of the patch; 0.22
-LEAST_SHARPNESS = 0.52  # of the median photo's; 0.57. Simulated photos of four materials by a hand that moved: 0.33 to 0.47
-LEAST_DETAIL = 0.45  # of a whole photo, beside others; simulated ones that are blurred have 0.29 to 0.35, unrelated ones 0.63
-ENOUGH = 256  # pixels of the patch; with fewer the limit falls in proportion: of 128, where it is 0.26, real ones have 0.37
+# of the median photo's; 0.57. Simulated photos of four materials by a hand that moved: 0.33 to 0.47
+LEAST_SHARPNESS = 0.52
+# of a whole photo, beside others; simulated ones that are blurred have 0.29 to 0.35, unrelated ones 0.63
+LEAST_DETAIL = 0.45
+# pixels of the patch; with fewer the limit falls in proportion: of 128, where it is 0.26, real ones have 0.37
+ENOUGH = 256
 MOST_STOPS = 1.6  # brighter or darker than the others; 1.2
-UNLIKE, UNLIKE_DETAIL = 0.25, 0.28  # of the patch, in one piece; 0.18 and 0.14, with a highlight on metal 0.21. A finger over
+# of the patch, in one piece; 0.18 and 0.14, with a highlight on metal 0.21. A finger over
+UNLIKE, UNLIKE_DETAIL = 0.25, 0.28
 # half of it: 0.28 to 0.52, and where its colour is that of the material 0.35 to 0.39
-MOST_EVENNESS = 0.8  # of evenness (0: falls off as a flash's light does, 1: even); 0.65. Simulated photos without flash: 0.99
+# of evenness (0: falls off as a flash's light does, 1: even); 0.65. Simulated photos without flash: 0.99
+MOST_EVENNESS = 0.8
 SAME_PLACE, SAME_PICTURE = 0.05, 0.02  # patch sides, mean difference of display values; 0.135 and 0.035
-SPOILS = ("covered", "blurred", "partly")  # reasons for which positions found with such a photo are not trusted
+# reasons for which positions found with such a photo are not trusted
+SPOILS = ("covered", "blurred", "partly")
 
 
 def verdicts(found: Sequence[PhotoQuality], photos: Tensor, views: Views,
@@ -43,14 +49,16 @@ def verdicts(found: Sequence[PhotoQuality], photos: Tensor, views: Views,
     for quality in found:
         off = some_fired and fired.get(quality.name) == "off"
         what = "taken without flash (says its EXIF)" if off else _verdict(quality, sharp)
-        if not what and quality.name in even and len(even) < len(found) / 2:  # of most photos, it says that the model is wrong
+        # of most photos, it says that the model is wrong
+        if not what and quality.name in even and len(even) < len(found) / 2:
             what = "taken without flash: its light does not fall off as that of the others does"
         if what:
             reasons[quality.name] = what
     small, camera = resized(photos, min(64, photos.shape[1])), views.in_patch_sides().camera
     for i, quality in enumerate(found):
         for j, first in enumerate(found[:i]):
-            near = (camera[i] - camera[j]).norm() < SAME_PLACE and (small[i] - small[j]).abs().mean() < SAME_PICTURE
+            near = ((camera[i] - camera[j]).norm() < SAME_PLACE
+                    and (small[i] - small[j]).abs().mean() < SAME_PICTURE)
             if near and not {quality.name, first.name} & reasons.keys():
                 reasons[quality.name] = f"the same photo as {first.name}, from the same place"
     return reasons

@@ -43,7 +43,8 @@ def make_generator(config: GanConfig, streams: Streams, photos: int) -> Generato
             generator = VariationalGenerator(streams, config.width, change=config.start)
             encoder, seen = generator.photos, 1
         else:
-            generator = AllPhotosGenerator(condition_channels(photos), streams, config.width, change=config.start)
+            generator = AllPhotosGenerator(condition_channels(photos), streams, config.width,
+                                           change=config.start)
             encoder, seen = generator.down, photos
         if config.highlight_aware:
             make_highlight_aware(encoder, seen)
@@ -75,5 +76,6 @@ def load_generator(generator: nn.Module, config: GanConfig, path: str) -> None:
     except RuntimeError:
         raise ConfigError(f"a generator of width {config.width} for {config.bsdf}",
                           f"another one in {path} (bsdf {note.get('bsdf')})",
-                          "use the --width, --bsdf, --generator, --highlight-aware, --fix and --grey-specular it was "
+                          "use the --width, --bsdf, --generator, --highlight-aware, --fix and "
+                          "--grey-specular it was "
                           "pretrained with") from None

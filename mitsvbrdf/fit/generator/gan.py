@@ -1,10 +1,11 @@
-"""``gan``: the paper's method. A generator proposes maps; their rendering has to pass for the photo of the same view
-(adversarial loss), and the diffuse map has to look like the guessed one (diffuse loss).
+"""``gan``: the paper's method. A generator proposes maps; their rendering has to pass for the photo of the
+same view (adversarial loss), and the diffuse map has to look like the guessed one (diffuse loss).
 
-The paper's presets and ours are the same code; each ingredient is a setting of :class:`mitsvbrdf.fit.GanConfig`. What the
-paper leaves open, and what is done here: the encoder moves with the diffuse/specular decoder, once an iteration; blends are
-made in linear light, and the same blend of the same views is rendered; the maps reported are those generated from the first
-photo; of the first stage only the generator's weights are kept.
+The paper's presets and ours are the same code; each ingredient is a setting of
+:class:`mitsvbrdf.fit.GanConfig`. What the paper leaves open, and what is done here: the encoder moves with
+the diffuse/specular decoder, once an iteration; blends are made in linear light, and the same blend of the
+same views is rendered; the maps reported are those generated from the first photo; of the first stage only
+the generator's weights are kept.
 """
 
 from __future__ import annotations
@@ -17,9 +18,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
+from ...io.profile import profiled, switch_at
 from ...material.maps import SVBRDF
 from ...material.resample import enlarged
-from ...system.profile import profiled, switch_at
 from ...views import Views
 from .. import losses
 from ..checkpoint import load_module_state, load_optimizer_state, module_state, optimizer_state, part
@@ -54,9 +55,11 @@ class Gan(Method[GanConfig]):
         self.streams = streams_of(config.bsdf, self.fixed, config.grey_specular)
         self.start = starting_material(task)
         self.random = torch.Generator().manual_seed(config.seed)
-        self.bfloat16 = config.precision == "bfloat16" or config.precision == "auto" and is_faster_in_bfloat16()
+        self.bfloat16 = (config.precision == "bfloat16"
+                         or config.precision == "auto" and is_faster_in_bfloat16())
         self.generator = make_generator(config, self.streams, len(self.capture))
-        self.resting: tuple[Tensor, dict[str, Tensor]] | None = None  # features and maps of what later substeps do not move
+        # features and maps of what later substeps do not move
+        self.resting: tuple[Tensor, dict[str, Tensor]] | None = None
         self.cut = 1.0  # of all step sizes, after steps that were undone
         self.offset = torch.zeros(2, dtype=torch.float64, requires_grad=True)  # of the flash, in patch sides
         self.phases = config.phases(self.capture.resolution)
@@ -67,12 +70,15 @@ class Gan(Method[GanConfig]):
         """Adam's step size when this share of the phase is done."""
         config = self.config
         judges, falling = name == "judge", cosine(max(share, 0.0)) if config.decay else 1.0
-        rising = 1.0 if judges or share < 0 or share >= config.head_start else max(share / config.head_start, FIRST_STEP)
+        rising = (1.0 if judges or share < 0 or share >= config.head_start
+                  else max(share / config.head_start, FIRST_STEP))
         return self.cut * rising * falling * (config.discriminator_rate if judges else config.learning_rate)
 
     def _scale(self, phase: Phase, carried: dict[str, Tensor]) -> Scale:
-        capture = self.capture if phase.photos is None else self.capture.pick(self.capture.index[:phase.photos])
-        return Scale(self.task, capture, capture.resolution >> phase.halvings, self.streams, self.start, carried)
+        capture = (self.capture if phase.photos is None
+                   else self.capture.pick(self.capture.index[:phase.photos]))
+        return Scale(self.task, capture, capture.resolution >> phase.halvings, self.streams, self.start,
+                     carried)
 
     def _begin(self, phase: int, carried: dict[str, Tensor]) -> None:
         """A phase: a new discriminator and new optimisers; the generator's weights stay."""
@@ -83,7 +89,8 @@ class Gan(Method[GanConfig]):
             inputs = 3 + 2 * config.angles + 3 * config.paired
             self.discriminator = PatchDiscriminator(config.width, inputs, config.level)
         trained: dict[str, list[nn.Module | None]] = (
-            {"slow": [g.encoder, g.diffuse_specular], "fast": [g.normal_roughness]} if isinstance(g, TwoStreamGenerator)
+            {"slow": [g.encoder, g.diffuse_specular], "fast": [g.normal_roughness]} if isinstance(g,
+                                                                                                  TwoStreamGenerator)
             else {"slow": [g]})
         groups: dict[str, list[Tensor]] = {
             name: [p for module in modules if module is not None for p in module.parameters()]
@@ -92,10 +99,13 @@ class Gan(Method[GanConfig]):
             groups["flash"] = [self.offset]
         self.optimizers = {name: torch.optim.Adam(some, lr=self._rate(name), betas=(0.5, 0.999), fused=True)
                            for name, some in groups.items() if some}
-        self.averaged = ({name: value.detach().clone() for name, value in g.state_dict().items()} if config.average else {})
+        self.averaged = ({name: value.detach().clone() for name, value in g.state_dict().items()}
+                         if config.average else {})
 
     def step(self, progress: float) -> dict[str, float]:
-        """One iteration: the discriminator learns once; then the generator, its normal/roughness decoder perhaps repeatedly."""
+        """One iteration: the discriminator learns once; then the generator, its normal/roughness decoder
+        perhaps repeatedly.
+        """
         share = self._enter_phase(progress)
         for name, optimizer in self.optimizers.items():
             optimizer.param_groups[0]["lr"] = self._rate(name, share)
@@ -111,7 +121,9 @@ class Gan(Method[GanConfig]):
         return logged | {"phase": float(self.phase)}
 
     def _enter_phase(self, progress: float) -> float:
-        """Begin the phase that is due; returns its share that is done, below 0 in a run resumed with a higher limit."""
+        """Begin the phase that is due; returns its share that is done, below 0 in a run resumed with a higher
+        limit.
+        """
         begins = list(itertools.accumulate((phase.share for phase in self.phases[:-1]), initial=0.0))
         present = max(number for number, begin in enumerate(begins) if progress >= begin)
         if present > self.phase:
@@ -152,7 +164,8 @@ class Gan(Method[GanConfig]):
             total = total + config.kl * self.generator.divergence
             logged["divergence"] = float(self.generator.divergence.detach())
         if total.requires_grad:
-            moved = [name for name in ("fast", "slow", "flash") if name in self.optimizers and (first or name == "fast")]
+            moved = [name for name in ("fast", "slow", "flash") if name in self.optimizers
+                     and (first or name == "fast")]
             with profiled("losses, backward"):
                 gradient = descend(total, *(self.optimizers[name] for name in moved))
             logged["gradient"] = logged.get("gradient", 0.0) + gradient
@@ -169,7 +182,9 @@ class Gan(Method[GanConfig]):
         return svbrdf
 
     def _out(self, scale: Scale, pictures: Pictures, first: bool = True, photo: int = 0) -> dict[str, Tensor]:
-        """What the generator puts out, before Tanh, in the window of the pictures; of all photos, ``photo`` comes first."""
+        """What the generator puts out, before Tanh, in the window of the pictures; of all photos, ``photo``
+        comes first.
+        """
         g, (top, left, side) = self.generator, pictures.window
         with self._networks():
             if isinstance(g, TwoStreamGenerator):
@@ -180,11 +195,13 @@ class Gan(Method[GanConfig]):
                 out = g.decode(0, self.resting[0], side) | self.resting[1]
             else:
                 condition = scale.condition_from(photo)[..., top:top + side, left:left + side]
-                drawn = {"random": self.random} if isinstance(g, VariationalGenerator) and torch.is_grad_enabled() else {}
+                drawn = ({"random": self.random}
+                         if isinstance(g, VariationalGenerator) and torch.is_grad_enabled() else {})
                 out = g(condition, **drawn)
         out = {name: value.float() for name, value in out.items()}
         if self.fits_offset and "normal" in out:
-            # The patch is flat as a whole (it lies in z = 0): without this a common tilt would hide the flash offset.
+            # The patch is flat as a whole (it lies in z = 0): without this a common tilt would hide the flash
+            # offset.
             out["normal"] = out["normal"] - out["normal"].mean(dim=(1, 2), keepdim=True)
         return out
 
@@ -210,8 +227,10 @@ class Gan(Method[GanConfig]):
             with torch.no_grad():
                 real = (self.discriminator.activations(shown, told)
                         if self.config.game == "relativistic" or "features" not in self.unused else seen)
-        own = {"adversarial": lambda: losses.adversarial(real[-1].float(), seen[-1].float(), self.config.game),
-               "features": lambda: losses.features([r.float() for r in real[:-1]], [s.float() for s in seen[:-1]])}
+        own = {"adversarial": lambda: losses.adversarial(real[-1].float(), seen[-1].float(),
+                                                         self.config.game),
+               "features": lambda: losses.features([r.float() for r in real[:-1]],
+                                                   [s.float() for s in seen[:-1]])}
         return {name: loss() for name, loss in own.items() if name not in self.unused}
 
     def _networks(self) -> contextlib.AbstractContextManager:
@@ -228,14 +247,17 @@ class Gan(Method[GanConfig]):
             self.averaged[name].lerp_(value, 1 - self.config.average)
 
     def estimate(self) -> tuple[SVBRDF, Views]:
-        """The maps generated from the first photo, or from all, at full size, and the views with the flash offset found."""
+        """The maps generated from the first photo, or from all, at full size, and the views with the flash
+        offset found.
+        """
         with torch.no_grad():
             return self.maps_from(0), self._views()
 
     def maps_from(self, photo: int) -> SVBRDF:
         """The maps generated at full size from this photo, or from all with this one in the first place."""
         with torch.no_grad(), self._averaged_weights():
-            change = {name: enlarged(value, self.capture.resolution) for name, value in self._change(photo).items()}
+            change = {name: enlarged(value, self.capture.resolution)
+                      for name, value in self._change(photo).items()}
             return from_units(self.config.bsdf, self.whole.units(change), self.fixed).map(Tensor.contiguous)
 
     def _change(self, photo: int = 0) -> dict[str, Tensor]:
@@ -243,7 +265,8 @@ class Gan(Method[GanConfig]):
         pictures = self.source.whole(photo)
         with torch.no_grad():
             out = self._out(self.scale, pictures, photo=photo)
-            return {name: value + self.scale.carried[name] if self.scale.carried else value for name, value in out.items()}
+            return {name: value + self.scale.carried[name] if self.scale.carried else value
+                    for name, value in out.items()}
 
     @contextlib.contextmanager
     def _averaged_weights(self) -> Iterator[None]:
@@ -264,7 +287,8 @@ class Gan(Method[GanConfig]):
 
     def state(self) -> dict[str, Tensor]:
         """Phase, step sizes, random numbers, and weights and averages of the networks."""
-        state = {"random": self.random.get_state(), "phase": torch.tensor(self.phase), "offset": self.offset.detach().clone(),
+        state = {"random": self.random.get_state(), "phase": torch.tensor(self.phase),
+                 "offset": self.offset.detach().clone(),
                  "cut": torch.tensor(self.cut, dtype=torch.float64), "bfloat16": torch.tensor(self.bfloat16)}
         state |= {f"carried.{name}": value for name, value in self.scale.carried.items()}
         state |= {f"averaged{name}": value.clone() for name, value in self.averaged.items()}

@@ -1,13 +1,15 @@
-"""A normal map guessed from shading (after Glencross et al. 2008; named in IV.C against normals that are too flat).
+"""A normal map guessed from shading (after Glencross et al. 2008; named in IV.C against normals that are too
+flat).
 
-Dark is deep. Each octave of the shading is read as pits and hills as wide as the octave: under light from all sides a pit of
-depth D, in units of its radius, sees 1 / (1 + D^2) of it. The surface around stands at the rim of a pit as deep as wide
-(D = 1, half of the light), so that hills are read off the same curve.
+Dark is deep. Each octave of the shading is read as pits and hills as wide as the octave: under light from all
+sides a pit of depth D, in units of its radius, sees 1 / (1 + D^2) of it. The surface around stands at the rim
+of a pit as deep as wide (D = 1, half of the light), so that hills are read off the same curve.
 
-Shading is how light the guessed diffuse map is. Glencross et al. divide the photo without flash by an albedo from that with it;
-here all photos have a flash, and what darkens a texel in all of them is in the guess. Slopes found so have a cosine of 0.5 to
-0.7 with the true ones on five of six known materials (-0.4 on a metal); of the mean photo over the guess -0.6 to 0.07. How
-steep the octaves are, and whether dark is deep, the photos say, in one number (ours).
+Shading is how light the guessed diffuse map is. Glencross et al. divide the photo without flash by an albedo
+from that with it; here all photos have a flash, and what darkens a texel in all of them is in the guess.
+Slopes found so have a cosine of 0.5 to 0.7 with the true ones on five of six known materials (-0.4 on a
+metal); of the mean photo over the guess -0.6 to 0.07. How steep the octaves are, and whether dark is deep,
+the photos say, in one number (ours).
 """
 
 from __future__ import annotations
@@ -27,9 +29,10 @@ from ...views import geometry
 FLOOR = 0.02  # of albedos, below which a quotient says nothing
 RATIO = (0.05, 1.95)  # of shading to that around it; the curve ends at 0 and 2
 BRIGHTEST = 1.1  # times a texel's median: what is brighter may be a highlight
-# A gloss brightens texels that face the light as well. Normal RMSE of flat normals, with the factor found, and with half of it,
-# on six known materials at 64 px: brick-uneven-stones .119 .081 .090, fake-022 .034 .088 .046, fake-030 .045 .044 .039,
-# metal-plating .043 .048 .040, rotten-wood-boards .103 .083 .088, synthetic-foam .062 .066 .048.
+# A gloss brightens texels that face the light as well. Normal RMSE of flat normals, with the factor found,
+# and with half of it, on six known materials at 64 px: brick-uneven-stones .119 .081 .090, fake-022 .034 .088
+# .046, fake-030 .045 .044 .039, metal-plating .043 .048 .040, rotten-wood-boards .103 .083 .088,
+# synthetic-foam .062 .066 .048.
 TRUST = 0.5
 
 
@@ -78,8 +81,8 @@ def from_slopes(slopes: Tensor) -> Tensor:
 def strength(capture: Capture, slopes: Tensor) -> float:
     """The factor that lets slopes n_x / n_z, n_y / n_z explain how each texel differs between photos.
 
-    A Lambertian of small slopes s differs from a flat one by the factor 1 + s . l_xy / l_z. The albedo, one a texel, is
-    eliminated; pixels that may be in a highlight are left out.
+    A Lambertian of small slopes s differs from a flat one by the factor 1 + s . l_xy / l_z. The albedo, one a
+    texel, is eliminated; pixels that may be in a highlight are left out.
     """
     light, _, irradiance = geometry(capture.views, capture.resolution)
     seen = over(math.pi * capture.linear, irradiance).mean(dim=3)

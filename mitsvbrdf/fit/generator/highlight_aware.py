@@ -1,8 +1,10 @@
-"""Highlight-aware convolution (Guo Jie et al. 2021; named in IV.C): features of saturated pixels come from their neighbours.
+"""Highlight-aware convolution (Guo Jie et al. 2021; named in IV.C): features of saturated pixels come from
+their neighbours.
 
-A convolution whose taps are weighed by a mask in (0, 1) and divided by the mask's mean under the kernel, as a partial
-convolution is (Liu et al. 2018); the mask is learned. Here each photo has a mask of its own, which begins open, and nearly shut
-where the photo is saturated. The two-stream network of Guo et al. is not built: one encoder has to serve here.
+A convolution whose taps are weighed by a mask in (0, 1) and divided by the mask's mean under the kernel, as a
+partial convolution is (Liu et al. 2018); the mask is learned. Here each photo has a mask of its own, which
+begins open, and nearly shut where the photo is saturated. The two-stream network of Guo et al. is not built:
+one encoder has to serve here.
 """
 
 from __future__ import annotations
@@ -20,8 +22,8 @@ class HighlightAwareConv(nn.Module):
 
     Args:
         conv: the convolution, whose weights it keeps.
-        photos: how many photos the input begins with, three channels each in -1 to 1; the channels after them are seen whole.
-            None: the input is features, all of which one mask covers.
+        photos: how many photos the input begins with, three channels each in -1 to 1; the channels after them
+            are seen whole. None: the input is features, all of which one mask covers.
     """
 
     def __init__(self, conv: nn.Conv2d, photos: int | None = None) -> None:
@@ -49,7 +51,8 @@ class HighlightAwareConv(nn.Module):
         weight = self.conv.weight[:, :self.masked].unflatten(1, (groups, -1)).transpose(0, 1).flatten(0, 1)
         parts = self._convolved(seen, weight, groups).unflatten(1, (groups, -1))
         tap = torch.ones(groups, 1, *self.conv.kernel_size, dtype=x.dtype)
-        inside = self._convolved(torch.ones_like(mask), tap, groups)  # fewer taps at a border padded with zeros
+        # fewer taps at a border padded with zeros
+        inside = self._convolved(torch.ones_like(mask), tap, groups)
         share = self._convolved(mask, tap, groups) / inside
         out = (parts / share[:, :, None]).sum(dim=1)
         if self.masked < x.shape[1]:
@@ -65,7 +68,8 @@ class HighlightAwareConv(nn.Module):
 
 
 def make_highlight_aware(blocks: nn.Sequential | nn.ModuleList, photos: int) -> None:
-    """Put highlight-aware convolutions into the first two blocks of an encoder, each a convolution with what follows it.
+    """Put highlight-aware convolutions into the first two blocks of an encoder, each a convolution with what
+    follows it.
 
     Args:
         blocks: the encoder's; its first convolution sees photos.

@@ -1,8 +1,9 @@
 """``hybrid``: a generator that sees all photos, trained through the renderer against all of them.
 
-The generator idea, the adversarial and the diffuse loss are the paper's; the photometric loss over all calibrated views,
-the conditioning on all photos and the priors are ours. Untrained weights are the prior: a convolutional network fits what
-repeats and what has structure before it fits noise (Ulyanov et al. 2018, deep image prior).
+The generator idea, the adversarial and the diffuse loss are the paper's; the photometric loss over all
+calibrated views, the conditioning on all photos and the priors are ours. Untrained weights are the prior: a
+convolutional network fits what repeats and what has structure before it fits noise (Ulyanov et al. 2018, deep
+image prior).
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from torch import Tensor
 from torch.nn.utils import convert_conv2d_weight_memory_format
 
 from ... import color
+from ...io.profile import profiled, switch_at
 from ...material.maps import SVBRDF
-from ...system.profile import profiled, switch_at
 from ...views import Views
 from .. import losses
 from ..checkpoint import load_module_state, load_optimizer_state, module_state, optimizer_state
@@ -36,8 +37,8 @@ class Hybrid(Method[HybridConfig]):
     """Steps of the hybrid method.
 
     Args:
-        task: photos, guess, weights and sizes; its renderer carries gradients, to the lights too when the flash
-            offset is fitted.
+        task: photos, guess, weights and sizes; its renderer carries gradients, to the lights too when the
+            flash offset is fitted.
     """
 
     def __init__(self, task: FitTask[HybridConfig]) -> None:
@@ -54,7 +55,8 @@ class Hybrid(Method[HybridConfig]):
             generator = AllPhotosGenerator(self.condition.shape[1], streams, config.width)
         self.generator = convert_conv2d_weight_memory_format(generator, torch.channels_last)
         self.offset = torch.zeros(2, dtype=torch.float64, requires_grad=True)  # patch sides
-        groups: list[dict[str, Any]] = [{"params": list(self.generator.parameters()), "lr": config.learning_rate}]
+        groups: list[dict[str, Any]] = [{"params": list(self.generator.parameters()),
+                                         "lr": config.learning_rate}]
         if self.fits_offset:
             groups.append({"params": [self.offset], "lr": 0.5 * config.learning_rate})
         self.optimizer = torch.optim.Adam(groups)
@@ -103,12 +105,14 @@ class Hybrid(Method[HybridConfig]):
 
     def _material(self) -> SVBRDF:
         change = self.generator(self.condition)
-        # The patch is flat as a whole (it lies in z = 0): without this a common tilt would hide the flash offset.
+        # The patch is flat as a whole (it lies in z = 0): without this a common tilt would hide the flash
+        # offset.
         if "normal" in change:
             change["normal"] = change["normal"] - change["normal"].mean(dim=(1, 2), keepdim=True)
         switch_at("network, backward", *change.values())
         with profiled("hand-over"):
-            svbrdf = to_svbrdf(self.config.bsdf, {name: self.start[name] + change[name] for name in self.start}, self.fixed)
+            svbrdf = to_svbrdf(self.config.bsdf,
+                               {name: self.start[name] + change[name] for name in self.start}, self.fixed)
             switch_at("hand-over, backward", *svbrdf.maps.values())
         return svbrdf
 

@@ -1,8 +1,9 @@
 """Lights that no photo had, and pieces of photos to compare renderings under them with.
 
-A moved light is a photo's camera and flash, both carried sideways by whole texels. What the photo shows at a place, the
-material carried along would show at the place carried along: half vectors, distances and exposure are the same there to the
-bit. So the two can be judged side by side, though they show different pieces of the material.
+A moved light is a photo's camera and flash, both carried sideways by whole texels. What the photo shows at a
+place, the material carried along would show at the place carried along: half vectors, distances and exposure
+are the same there to the bit. So the two can be judged side by side, though they show different pieces of the
+material.
 """
 
 from __future__ import annotations
@@ -61,13 +62,15 @@ def draw(views: Views, albedo: Tensor, side: int, tries: int, random: torch.Gene
     camera, middle = sides.camera[:, :2], (sides.camera + sides.light)[:, :2] / 2
     low, high = camera.min(dim=0).values, camera.max(dim=0).values
     photo = int(torch.randint(len(views), (), generator=random))
-    found: list[tuple[float, MovedLight]] = [(torch.inf, MovedLight(photo, 0, 0, *2 * [(resolution - side) // 2]))]
+    found: list[tuple[float, MovedLight]] = [(torch.inf,
+                                              MovedLight(photo, 0, 0, *2 * [(resolution - side) // 2]))]
     for _ in range(tries):
         share = torch.rand(2, generator=random, dtype=torch.float64) * (1 + 2 * BEYOND) - BEYOND
         right, up = ((low + (high - low) * share - camera[photo]) * resolution).round().int().tolist()
         jitter = JITTER * torch.randn(2, generator=random, dtype=torch.float64)
         x, y = ((middle[photo] + jitter) * resolution).tolist()
-        rows, columns = (range(max(0, shift), min(resolution - side, resolution - side + shift) + 1) for shift in (-up, right))
+        rows, columns = (range(max(0, shift), min(resolution - side, resolution - side + shift) + 1)
+                         for shift in (-up, right))
         if not rows or not columns:
             continue  # carried so far that the two crops have no room
         row = min(max(round(resolution / 2 - (y + up) - side / 2), rows[0]), rows[-1])
@@ -81,5 +84,6 @@ def draw(views: Views, albedo: Tensor, side: int, tries: int, random: torch.Gene
 def moved_views(views: Views, lights: list[MovedLight], resolution: int) -> Views:
     """The views of moved lights: one for each, in their order."""
     picked = views.pick([each.photo for each in lights])
-    shift = torch.tensor([[each.right, -each.down, 0] for each in lights], dtype=torch.float64) / resolution * views.size
+    shift = (torch.tensor([[each.right, -each.down, 0] for each in lights], dtype=torch.float64) / resolution
+             * views.size)
     return picked.carried(shift)

@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ...system.lock import PROCESS
+from ...io.lock import PROCESS
 from .. import losses
 from ..losses import Game
 from ..method import descend
@@ -18,7 +18,9 @@ from ..parameters import STREAMS, Streams
 
 @contextlib.contextmanager
 def seeded(seed: int) -> Iterator[None]:
-    """Weights drawn in this block depend on the seed alone, and torch's own random numbers are left as they were."""
+    """Weights drawn in this block depend on the seed alone, and torch's own random numbers are left as they
+    were.
+    """
     with PROCESS, torch.random.fork_rng(devices=[]):  # which all threads share
         torch.manual_seed(seed)
         yield
@@ -32,19 +34,23 @@ def block(layer: nn.Conv2d | nn.ConvTranspose2d, normalise: bool = True) -> nn.S
 
 
 class TwoStreamGenerator(nn.Module):
-    """The paper's generator (III.D): one encoder, two decoders, so that normals are not mistaken for diffuse features.
+    """The paper's generator (III.D): one encoder, two decoders, so that normals are not mistaken for diffuse
+    features.
 
     Encoder: 5 convolutions (three of them halve the size). Decoder ``normal_roughness``: 1 convolution and 3
-    deconvolutions; decoder ``diffuse_specular``: 3 deconvolutions. All but the last are followed by instance norm and
-    leaky ReLU; the last by Tanh, which is taken in :mod:`.gan`, where a start may be added before it.
+    deconvolutions; decoder ``diffuse_specular``: 3 deconvolutions. All but the last are followed by instance
+    norm and leaky ReLU; the last by Tanh, which is taken in :mod:`.gan`, where a start may be added before
+    it.
 
     Args:
         streams: which maps come out of which decoder, with how many channels; one without maps is not built.
         width: channels of the first convolution (64 in full size).
-        change: whether the last layers begin at zero, because what they put out is a change to a start (ours).
+        change: whether the last layers begin at zero, because what they put out is a change to a start
+            (ours).
     """
 
-    def __init__(self, streams: Streams = STREAMS["roughconductor"], width: int = 64, change: bool = False) -> None:
+    def __init__(self, streams: Streams = STREAMS["roughconductor"], width: int = 64,
+                 change: bool = False) -> None:
         super().__init__()
         w = width
         self.streams = streams
@@ -90,7 +96,8 @@ class TwoStreamGenerator(nn.Module):
 
 
 class PatchDiscriminator(nn.Module):
-    """The paper's discriminator (III.D): 5 convolutions, the first four with instance norm and leaky ReLU, then Sigmoid.
+    """The paper's discriminator (III.D): 5 convolutions, the first four with instance norm and leaky ReLU,
+    then Sigmoid.
 
     Args:
         width: channels of the first convolution.
@@ -109,7 +116,9 @@ class PatchDiscriminator(nn.Module):
             nn.Conv2d(8 * w, 1, 3, padding=1)])
 
     def forward(self, image: Tensor) -> Tensor:
-        """Probability of being a photo for each patch, N x 1 x r x r, of images N x 3 x R x R in display values."""
+        """Probability of being a photo for each patch, N x 1 x r x r, of images N x 3 x R x R in display
+        values.
+        """
         return torch.sigmoid(self.activations(image)[-1])
 
     def activations(self, image: Tensor, told: Tensor | None = None) -> list[Tensor]:
@@ -128,7 +137,9 @@ class PatchDiscriminator(nn.Module):
 
     def learn(self, photos: Tensor, renderings: Tensor, optimizer: torch.optim.Optimizer, game: Game = "bce",
               told: Tensor | None = None) -> float:
-        """One step towards telling photos from renderings; returns the loss before it, NaN where no step was made."""
+        """One step towards telling photos from renderings; returns the loss before it, NaN where no step was
+        made.
+        """
         both = torch.cat((photos, renderings)), None if told is None else torch.cat((told, told))
         real, fake = self.activations(*both)[-1].float().chunk(2)
         loss = losses.discriminator(real, fake, game)
@@ -136,9 +147,11 @@ class PatchDiscriminator(nn.Module):
 
 
 class AllPhotosGenerator(nn.Module):
-    """The hybrid's generator: an encoder over all photos at once, two decoders with skips, a change to a start out.
+    """The hybrid's generator: an encoder over all photos at once, two decoders with skips, a change to a
+    start out.
 
-    The maps are ``start + change`` before Tanh; the last layers begin at zero, so training begins at the start.
+    The maps are ``start + change`` before Tanh; the last layers begin at zero, so training begins at the
+    start.
 
     Args:
         inputs: channels of the conditioning image.
@@ -163,7 +176,8 @@ class AllPhotosGenerator(nn.Module):
         zero(list(decoder.children())[-1] for decoder in self.up)
 
     def _decoder(self, widths: list[int], channels: int) -> nn.ModuleList:
-        # The finest level only mixes channels (1 x 1): it has the most pixels, and its neighbours are in the skip already.
+        # The finest level only mixes channels (1 x 1): it has the most pixels, and its neighbours are in the
+        # skip already.
         layers = [block(nn.Conv2d(below + at, at, *((1,) if at == widths[0] else (3, 1, 1))))
                   for at, below in zip(widths[-2::-1], widths[:0:-1])]
         return nn.ModuleList([*layers, nn.Conv2d(widths[0], channels, 1)])
@@ -196,8 +210,8 @@ def zero(layers: Iterable[nn.Module]) -> None:
 
 
 def pad_to_multiple(image: Tensor, factor: int) -> Tensor:
-    """The image grown at the bottom and right, by repeating its border, to a multiple of ``factor``, at least twice it
-    (instance norm needs more than one value a channel at the coarsest level).
+    """The image grown at the bottom and right, by repeating its border, to a multiple of ``factor``, at least
+    twice it (instance norm needs more than one value a channel at the coarsest level).
     """
     bottom, right = (max(-(-side // factor), 2) * factor - side for side in image.shape[-2:])
     return F.pad(image, (0, right, 0, bottom), mode="replicate")

@@ -1,4 +1,6 @@
-"""What the discriminator compares: photos and blends of two (III.F), and the renderings of the same views, blended alike."""
+"""What the discriminator compares: photos and blends of two (III.F), and the renderings of the same views,
+blended alike.
+"""
 
 from __future__ import annotations
 
@@ -21,8 +23,8 @@ class Pictures:
 
     Args:
         shown: the pictures, P x 3 x R x R in display values.
-        angles: where highlights would lie on a flat patch, P x 2 x R x R: ten times how far the half vector's cosine is from
-            1, and its sine.
+        angles: where highlights would lie on a flat patch, P x 2 x R x R: ten times how far the half vector's
+            cosine is from 1, and its sine.
         index: numbers of the K photos in the capture.
         weights: P x K, how much of each photo is in each picture, in linear light.
         clipped: K x R x R x 3, where each photo is clipped; None clips renderings everywhere.
@@ -41,15 +43,18 @@ class Pictures:
     def of(self, rendered: Tensor) -> Tensor:
         """The same pictures of renderings of the views ``index``.
 
-        Each view is clipped as its photo was before it is blended, so that photos and renderings show the same physics.
+        Each view is clipped as its photo was before it is blended, so that photos and renderings show the
+        same physics.
 
         Args:
             rendered: linear radiance K x R x R x 3, unclamped.
 
         Returns:
-            P x 3 x R x R in display values, above 1 where a rendering is too bright and its photo is not clipped.
+            P x 3 x R x R in display values, above 1 where a rendering is too bright and its photo is not
+            clipped.
         """
-        seen = rendered.clamp(0, 1) if self.clipped is None else torch.where(self.clipped, rendered.clamp_max(1), rendered)
+        seen = (rendered.clamp(0, 1) if self.clipped is None
+                else torch.where(self.clipped, rendered.clamp_max(1), rendered))
         return _displayed(seen, self.weights, self.transfer)
 
 

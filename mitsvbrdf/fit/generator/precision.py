@@ -7,7 +7,7 @@ import functools
 import torch
 from torch import nn
 
-from ...system.timing import side_by_side
+from ...io.timing import side_by_side
 from .networks import seeded
 
 WORTH = 1.2  # times as fast, at least, for what the numbers lose
@@ -17,8 +17,8 @@ WORTH = 1.2  # times as fast, at least, for what the numbers lose
 def is_faster_in_bfloat16() -> bool:
     """Whether a convolution like the generator's is faster in bfloat16, measured once, in about a second.
 
-    The instruction set does not tell: with AMX bfloat16 takes half the time, and one processor that multiplies in it without
-    AMX took 1.4 to 1.6 times as long as in float32.
+    The instruction set does not tell: with AMX bfloat16 takes half the time, and one processor that
+    multiplies in it without AMX took 1.4 to 1.6 times as long as in float32.
     """
     with seeded(0):
         layer, features = nn.Conv2d(64, 128, 4, stride=2, padding=1), torch.randn(1, 64, 64, 64)

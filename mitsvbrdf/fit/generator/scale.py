@@ -37,7 +37,8 @@ class Scale:
         self.resolution, self.fixed = resolution, task.fixed
         self.capture = capture.averaged(resolution)
         self.guess = area_averaged(task.guess, resolution)
-        self.start = before_tanh(to_raw(start if same else start.resized(resolution), streams)) if start else {}
+        self.start = (before_tanh(to_raw(start if same else start.resized(resolution), streams)) if start
+                      else {})
         self.carried = {name: enlarged(value, resolution) for name, value in carried.items()}
         self.variational = task.config.generator == "variational"
         self.condition = self._condition(self.capture)
@@ -46,9 +47,12 @@ class Scale:
         return (variational.condition_of if self.variational else condition_of)(capture, self.guess)
 
     def condition_from(self, photo: int) -> Tensor:
-        """What a generator of all photos is shown, with this one in the first place and the others after it, in their order."""
+        """What a generator of all photos is shown, with this one in the first place and the others after it,
+        in their order.
+        """
         numbers = self.capture.index
-        return self._condition(self.capture.pick((*numbers[photo:], *numbers[:photo]))) if photo else self.condition
+        return (self._condition(self.capture.pick((*numbers[photo:], *numbers[:photo]))) if photo
+                else self.condition)
 
     def units(self, change: Mapping[str, Tensor], window: Window | None = None) -> dict[str, Tensor]:
         """Maps in (-1, 1), C x R x R: Tanh of start, what was carried, and this change.
@@ -72,11 +76,14 @@ class Scale:
 
     def fixed_in(self, window: Window) -> dict[str, Tensor]:
         """The maps that are not fitted, of a crop."""
-        return {name: _cut(area_averaged(value, self.resolution), window) for name, value in self.fixed.items()}
+        return {name: _cut(area_averaged(value, self.resolution), window)
+                for name, value in self.fixed.items()}
 
 
 def condition_of(capture: Capture, guess: Tensor) -> Tensor:
-    """What a generator of all photos is shown, 1 x C x R x R in -1 to 1: each photo, where it is clipped, and the guess."""
+    """What a generator of all photos is shown, 1 x C x R x R in -1 to 1: each photo, where it is clipped, and
+    the guess.
+    """
     photos = capture.photos.permute(0, 3, 1, 2)
     clipped = (photos >= CLIPPED).any(dim=1).float()
     return torch.cat((photos.flatten(0, 1), clipped, color.encode(guess).permute(2, 0, 1)))[None] * 2 - 1

@@ -1,8 +1,10 @@
-"""The variational generator that the paper names as future work (IV.C): one material for all photos, whichever comes first.
+"""The variational generator that the paper names as future work (IV.C): one material for all photos,
+whichever comes first.
 
-An encoder shared by all photos says of each what its maps may be (a normal distribution of a code, at every level); the
-product of these and of a standard normal is the material's (a product of experts: Wu and Goodman 2018; of levels: Sonderby et
-al. 2016). Training draws codes, the result takes the mean (Kingma and Welling 2014). The decoders see codes and the guess.
+An encoder shared by all photos says of each what its maps may be (a normal distribution of a code, at every
+level); the product of these and of a standard normal is the material's (a product of experts: Wu and Goodman
+2018; of levels: Sonderby et al. 2016). Training draws codes, the result takes the mean (Kingma and Welling
+2014). The decoders see codes and the guess.
 """
 
 from __future__ import annotations
@@ -20,13 +22,16 @@ from ...views import geometry
 from ..parameters import Streams
 from .networks import block, pad_to_multiple, zero
 
-PHOTO_CHANNELS = 6  # of condition_of, before the guess: rgb, where it is clipped, and the half vector's two angles
+# of condition_of, before the guess: rgb, where it is clipped, and the half vector's two angles
+PHOTO_CHANNELS = 6
 
 SURE = -4.0  # log variance that a photo's say begins with: codes drawn are near their mean
 
 
 def condition_of(capture: Capture, guess: Tensor) -> Tensor:
-    """What the generator is shown, N x 9 x R x R: each photo, where it is clipped, where highlights would lie, the guess."""
+    """What the generator is shown, N x 9 x R x R: each photo, where it is clipped, where highlights would
+    lie, the guess.
+    """
     photos = capture.photos.permute(0, 3, 1, 2) * 2 - 1
     clipped = (capture.photos >= CLIPPED).any(dim=-1).float()[:, None] * 2 - 1
     flat = angles(capture)
@@ -108,16 +113,21 @@ class OverAll(nn.GroupNorm):
     """Instance norm over all photos together, N x C x r x r: which of them is brighter stays."""
 
     def forward(self, x: Tensor) -> Tensor:  # noqa: D102
-        return super().forward(x.transpose(0, 1).flatten(1, 2)[None]).unflatten(2, (len(x), -1))[0].transpose(0, 1)
+        return super().forward(x.transpose(0, 1).flatten(1, 2)[None]).unflatten(2,
+                                                                                (len(x), -1))[0].transpose(0,
+                                                                                                           1)
 
 
 def of_all(layer: nn.Conv2d) -> nn.Sequential:
     """A convolution of each photo, instance norm over all of them, and leaky ReLU."""
-    return nn.Sequential(layer, OverAll(layer.out_channels, layer.out_channels), nn.LeakyReLU(0.2, inplace=True))
+    return nn.Sequential(layer, OverAll(layer.out_channels, layer.out_channels),
+                         nn.LeakyReLU(0.2, inplace=True))
 
 
 def product_of_experts(means: Tensor, log_variances: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and variance of the product of N normal distributions and a standard one: 1 x C x r x r, of N x C x r x r each."""
+    """Mean and variance of the product of N normal distributions and a standard one: 1 x C x r x r, of N x C
+    x r x r each.
+    """
     precisions = torch.exp(-log_variances.clamp(-8, 8))
     variance = 1 / (1 + precisions.sum(dim=0, keepdim=True))
     return variance * (precisions * means).sum(dim=0, keepdim=True), variance

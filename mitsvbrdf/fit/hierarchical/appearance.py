@@ -20,8 +20,9 @@ KMEANS_ROUNDS, KMEANS_STARTS = 30, 1
 def appearance_of(capture: Capture, guess: Tensor) -> Tensor:
     """What a texel looks like whatever the light: M x 5, about 0 to 0.5 each.
 
-    Its apparent albedo (falloff and cosine undone) without its darkest quarter and its brighter half, which hold shadows and
-    highlights: chroma, a quarter of it, and lightness, half of it; and half the lightness of the guess.
+    Its apparent albedo (falloff and cosine undone) without its darkest quarter and its brighter half, which
+    hold shadows and highlights: chroma, a quarter of it, and lightness, half of it; and half the lightness of
+    the guess.
 
     Args:
         capture: N photos with their views.
@@ -34,7 +35,8 @@ def appearance_of(capture: Capture, guess: Tensor) -> Tensor:
     encoded = color.encode(albedo.gather(1, middle).mean(dim=1).clamp(1e-4, 10))
     lightness = encoded.mean(dim=1, keepdim=True)
     chroma = encoded / lightness.clamp_min(0.02) - 1
-    return torch.cat((chroma / 4, lightness / 2, color.encode(guess.reshape(-1, 3).mean(dim=1, keepdim=True)) / 2), dim=1)
+    return torch.cat((chroma / 4, lightness / 2,
+                      color.encode(guess.reshape(-1, 3).mean(dim=1, keepdim=True)) / 2), dim=1)
 
 
 def basis_materials(appearance: Tensor, count: int, seed: int) -> Tensor:
@@ -53,7 +55,8 @@ def basis_materials(appearance: Tensor, count: int, seed: int) -> Tensor:
 
 
 def membership(appearance: Tensor, basis: Tensor, width: float) -> Tensor:
-    """How much of each basis material a texel is, M x K, rows that sum to 1: normal kernels of this standard deviation.
+    """How much of each basis material a texel is, M x K, rows that sum to 1: normal kernels of this standard
+    deviation.
 
     Args:
         appearance: of M texels, M x 5.

@@ -1,6 +1,7 @@
 """Small symmetric systems in registers: entries are Dr.Jit values, and those that are always 0 are left out.
 
-A matrix is a dictionary (i, j) -> value of its lower triangle, i >= j. Every loop here runs while a kernel is traced.
+A matrix is a dictionary (i, j) -> value of its lower triangle, i >= j. Every loop here runs while a kernel is
+traced.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ Matrix = dict[tuple[int, int], Any]
 
 
 def factor(matrix: Matrix, size: int) -> Matrix:
-    """The lower Cholesky factor L of a positive definite matrix, L L^T; on its diagonal stand the inverses of L's."""
+    """The lower Cholesky factor L of a positive definite matrix, L L^T; on its diagonal stand the inverses of
+    L's.
+    """
     import drjit as dr
 
     lower: Matrix = {}

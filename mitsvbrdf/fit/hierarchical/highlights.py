@@ -13,9 +13,9 @@ TAIL_FLOOR = 0.03  # least that a pixel counts
 def trust(views: Views, roughness: Tensor, reach: float) -> Tensor:
     """How much a photo's pixels count, N x R x R: less where the flash is seen far from its mirror direction.
 
-    There GGX is least like real materials (their highlights have longer tails), and a small glow, which all texels without
-    a highlight show, would be taken for roughness. 1 / (1 + tan^2 / (reach alpha)^2) of the angle between half vector and
-    the flat normal.
+    There GGX is least like real materials (their highlights have longer tails), and a small glow, which all
+    texels without a highlight show, would be taken for roughness. 1 / (1 + tan^2 / (reach alpha)^2) of the
+    angle between half vector and the flat normal.
 
     Args:
         views: N views.
@@ -28,10 +28,12 @@ def trust(views: Views, roughness: Tensor, reach: float) -> Tensor:
 
 
 def independent(planes: Tensor, views: Views, trusted: Tensor) -> Tensor:
-    """Maps S x R x R with a weaker cubic trend along the coverage angle, at the level of where the highlights were.
+    """Maps S x R x R with a weaker cubic trend along the coverage angle, at the level of where the highlights
+    were.
 
-    A material knows nothing of where the camera stood; a map that follows it was taught by what the model lacks. As much
-    of the trend stays as explains a share :data:`CHANCE` of a map's variance: that may be the material's own.
+    A material knows nothing of where the camera stood; a map that follows it was taught by what the model
+    lacks. As much of the trend stays as explains a share :data:`CHANCE` of a map's variance: that may be the
+    material's own.
 
     Args:
         planes: S x R x R.

@@ -1,6 +1,7 @@
 """The kernel of the texel solver: what one thread computes for its texel.
 
-Everything here is traced by Dr.Jit: lists hold a value for each unknown, and each value is an array over all texels.
+Everything here is traced by Dr.Jit: lists hold a value for each unknown, and each value is an array over all
+texels.
 """
 
 from __future__ import annotations
@@ -24,11 +25,13 @@ from .unknowns import Unknowns
 EASED, STIFFENED = 0.3, 4.0  # what an accepted and a refused step make of the damping
 DAMPING_RANGE = 1e-6, 1e6
 ROUNDING = 1e-5  # a cost that grows by less than this share has not grown: errors are differences of float32
-STILL = 1e-4  # a refused step no longer than this is one of a texel that has arrived: it leaves the damping alone
+# a refused step no longer than this is one of a texel that has arrived: it leaves the damping alone
+STILL = 1e-4
 
 
 class Column(NamedTuple):
-    """A slope that is taken: of a map, along one of a normal's two axes, and whose unknown it is for red, green and blue.
+    """A slope that is taken: of a map, along one of a normal's two axes, and whose unknown it is for red,
+    green and blue.
 
     A channel of the radiance knows its own channel of a colour alone, so one forward pass serves all three.
     """
@@ -57,16 +60,19 @@ def pair_of(i: int, j: int) -> tuple[int, int]:
 
 def pairs_of(columns: list[Column]) -> list[tuple[int, int]]:
     """The places in the lower triangle of J^T J that are not always 0."""
-    return sorted({pair_of(first.places[c], second.places[c]) for first in columns for second in columns for c in range(3)})
+    return sorted({pair_of(first.places[c], second.places[c]) for first in columns for second in columns
+                   for c in range(3)})
 
 
 class Kernel:
-    """Cost, normal equations and steps of every texel, traced once for a material's unknowns and a kind of scene.
+    """Cost, normal equations and steps of every texel, traced once for a material's unknowns and a kind of
+    scene.
 
     :attr:`steps`, :attr:`posterior` and :attr:`equations` stand behind the methods of
-    :class:`~mitsvbrdf.fit.hierarchical.solver.TexelSolver`. Their ``problem`` has the Dr.Jit arrays ``photos``, ``views``
-    (cameras, lights, intensities), ``count`` (of the views), ``weight`` (1 / noise^2) and ``fixed`` (maps), and where they
-    are asked for ``scale`` (of the robust cost) and ``weights`` (of pixels).
+    :class:`~mitsvbrdf.fit.hierarchical.solver.TexelSolver`. Their ``problem`` has the Dr.Jit arrays
+    ``photos``, ``views`` (cameras, lights, intensities), ``count`` (of the views), ``weight`` (1 / noise^2)
+    and ``fixed`` (maps), and where they are asked for ``scale`` (of the robust cost) and ``weights`` (of
+    pixels).
 
     Args:
         mi: the ``mitsuba`` module with the variant to use.
@@ -78,15 +84,16 @@ class Kernel:
         transfer: how the photos' display values encode light.
     """
 
-    def __init__(self, mi: ModuleType, bsdf: Bsdf, unknowns: Unknowns, needs: Needs, side: int, falloff: Falloff,
-                 transfer: color.Transfer) -> None:
+    def __init__(self, mi: ModuleType, bsdf: Bsdf, unknowns: Unknowns, needs: Needs, side: int,
+                 falloff: Falloff, transfer: color.Transfer) -> None:
         self.mi, self.unknowns, self.needs = mi, unknowns, needs
         self.side, self.falloff, self.transfer = side, falloff, transfer
         self.texels, self.size = side * side, unknowns.size
         self.columns = columns_of(unknowns)
         self.pairs = pairs_of(self.columns)
         self.shader = HeldPlugin(mi, bsdf, needs)
-        me = weakref.proxy(self)  # in no circle: Python's garbage collector would free Dr.Jit's arrays in any thread
+        # in no circle: Python's garbage collector would free Dr.Jit's arrays in any thread
+        me = weakref.proxy(self)
         self.steps = frozen(lambda *args: Kernel._steps(me, *args), self.shader)
         self.posterior = frozen(lambda *args: Kernel._posterior(me, *args), self.shader)
         self.equations = frozen(lambda *args: Kernel._equations(me, *args), self.shader)
@@ -97,17 +104,20 @@ class Kernel:
 
         return [dr.zeros(kind or self.mi.Float, self.texels) for _ in range(count)]
 
-    def _steps(self, problem: dict, start: list, damping: Any, mean: list, precision: list, low: list, high: list,
-               iterations: Any) -> list:
+    def _steps(self, problem: dict, start: list, damping: Any, mean: list, precision: list, low: list,
+               high: list, iterations: Any) -> list:
         import drjit as dr
 
-        def iterate(k: Any, trial: list, x: list, damping: Any, data: Any, prior: Any, slope: list, curve: list) -> tuple:
+        def iterate(k: Any, trial: list, x: list, damping: Any, data: Any, prior: Any, slope: list,
+                    curve: list) -> tuple:
             trial_prior = sum(p * dr.square(t - m) for p, t, m in zip(precision, trial, mean))
             trial_data, trial_slope, trial_curve = self._linearised(problem, trial)
-            better = trial_data + trial_prior <= (data + prior) * (1 + ROUNDING)  # False for what is no number
+            # False for what is no number
+            better = trial_data + trial_prior <= (data + prior) * (1 + ROUNDING)
             better &= dr.isfinite(trial_data + trial_prior)
             damping = dr.select(k == 0, damping, next_damping(damping, better, trial, x))
-            x, data, prior, slope, curve = chosen(better, [trial, trial_data, trial_prior, trial_slope, trial_curve],
+            x, data, prior, slope, curve = chosen(better, [trial, trial_data, trial_prior, trial_slope,
+                                                           trial_curve],
                                                   [x, data, prior, slope, curve])
             down = [p * (m - v) - s for s, p, v, m in zip(slope, precision, x, mean)]
             step = bounded_step(down, self._matrix(curve, precision), damping, x, low, high)
@@ -116,14 +126,17 @@ class Kernel:
 
         Float = self.mi.Float
         state = (dr.zeros(self.mi.UInt32, self.texels), [Float(v) for v in start], start, damping,
-                 dr.full(Float, dr.inf, self.texels), *self.zeros(1), self.zeros(self.size), self.zeros(len(self.pairs)))
-        _, _, x, damping, data, prior, *_ = dr.while_loop(state, lambda k, *_: k <= iterations, iterate, label="iterations")
+                 dr.full(Float, dr.inf, self.texels), *self.zeros(1), self.zeros(self.size),
+                 self.zeros(len(self.pairs)))
+        _, _, x, damping, data, prior, *_ = dr.while_loop(state, lambda k, *_: k <= iterations, iterate,
+                                                          label="iterations")
         return [x, [damping, data, prior]]
 
     def _posterior(self, problem: dict, x: list, precision: list) -> list:
         import drjit as dr
 
-        # What a highlight says is 1e6 times what a prior says, and more: in float32 its rounding would drown the prior.
+        # What a highlight says is 1e6 times what a prior says, and more: in float32 its rounding would drown
+        # the prior.
         *_, curve = self._linearised(problem, x, dr.float64_array_t(self.mi.Float))
         lower = cholesky.factor(self._matrix(curve, precision), self.size)
         found = [*cholesky.inverse_diagonal(lower, self.size), cholesky.log_determinant(lower, self.size)]
@@ -146,11 +159,13 @@ class Kernel:
         texels = Texels(self, problem, x, kind)
         state = (dr.zeros(self.mi.UInt32, self.texels), *self.zeros(1, kind), self.zeros(self.size, kind),
                  self.zeros(len(self.pairs), kind))
-        _, cost, slope, curve = dr.while_loop(state, lambda view, *_: view < problem["count"], texels.add_view, label="views")
+        _, cost, slope, curve = dr.while_loop(state, lambda view, *_: view < problem["count"],
+                                              texels.add_view, label="views")
         self.shader.release()
         # The slopes were by what the plugin takes; these factors make them slopes by the unknowns.
         by = texels.stretch
-        return cost, [s * b for s, b in zip(slope, by)], [v * by[i] * by[j] for (i, j), v in zip(self.pairs, curve)]
+        return cost, [s * b for s, b in zip(slope, by)], [v * by[i] * by[j] for (i, j), v in zip(self.pairs,
+                                                                                                 curve)]
 
 
 class Texels:
@@ -175,8 +190,10 @@ class Texels:
         if "normal" in kernel.unknowns.shapes:
             normal = Vector(*self.maps["normal"], 1)
             self.axes = shading_axes(normal)
-            # With slope k, the normal turns towards the tangents by these angles, and directions the other way.
-            self.turns = [tuple(mi.Float(axis[k] / dr.norm(normal)) for axis in self.axes[:2]) for k in range(2)]
+            # With slope k, the normal turns towards the tangents by these angles, and directions the other
+            # way.
+            self.turns = [tuple(mi.Float(axis[k] / dr.norm(normal)) for axis in self.axes[:2])
+                          for k in range(2)]
         elif kernel.needs.normal_map:
             self.axes = shading_axes(Vector(self.maps["normal"]))
 
@@ -203,18 +220,23 @@ class Texels:
 
         kernel = self.kernel
         camera, light, intensity = (row(kernel.mi, rows, view) for rows in self.problem["views"])
-        *directions, irradiance = view_geometry(kernel.mi, self.place, self.axes, camera, light, intensity, kernel.falloff)
+        *directions, irradiance = view_geometry(kernel.mi, self.place, self.axes, camera, light, intensity,
+                                                kernel.falloff)
         lit = (directions[0].z > 0) & (directions[1].z > 0)
-        free = {name: type(self.maps[name])(self.maps[name]) for name in kernel.unknowns.shapes if name != "normal"}
+        free = {name: type(self.maps[name])(self.maps[name]) for name in kernel.unknowns.shapes
+                if name != "normal"}
         dr.enable_grad(free, directions)
         kernel.shader.hold(self.maps | free)
         shown = traced_encode(kernel.shader.eval(*directions) * irradiance, kernel.transfer)
         seeds = [[(free[name], 1)] if name in free else
-                 [(d, turned(dr.detach(d), *self.turns[axis])) for d in directions] for name, axis, _ in kernel.columns]
+                 [(d, turned(dr.detach(d), *self.turns[axis])) for d in directions]
+                 for name, axis, _ in kernel.columns]
         return shown, lit, seeds
 
     def _weighed(self, shown: Any, view: Any) -> tuple:
-        """Errors of a view's display values, their weights in the normal equations, and their part of the cost."""
+        """Errors of a view's display values, their weights in the normal equations, and their part of the
+        cost.
+        """
         import drjit as dr
 
         problem, place = self.problem, view * self.kernel.texels + self.index
@@ -251,11 +273,14 @@ def chosen(better: Any, new: Any, old: Any) -> Any:
     """The new values where they are better, else the old ones; of lists, each."""
     import drjit as dr
 
-    return [chosen(better, *pair) for pair in zip(new, old)] if isinstance(new, list) else dr.select(better, new, old)
+    return ([chosen(better, *pair) for pair in zip(new, old)] if isinstance(new, list)
+            else dr.select(better, new, old))
 
 
 def traced_maps(mi: ModuleType, unknowns: Unknowns, x: list, fixed: dict) -> tuple[dict, list]:
-    """The maps as the plugin takes them (an unknown normal: its slopes), and the slope of each by its unknown."""
+    """The maps as the plugin takes them (an unknown normal: its slopes), and the slope of each by its
+    unknown.
+    """
     def whole(planes: Sequence) -> Any:
         return mi.Color3f(*planes) if len(planes) == 3 else planes[0]
 
@@ -293,6 +318,8 @@ def traced_encode(linear: Any, transfer: color.Transfer) -> Any:
     if transfer == "linear":
         return linear
     if transfer == "srgb":
-        return dr.select(linear <= 0.0031308, 12.92 * linear, 1.055 * dr.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055)
+        return dr.select(linear <= 0.0031308, 12.92 * linear,
+                         1.055 * dr.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055)
     toe = color.TOE ** (1 / 2.2)
-    return dr.select(linear <= color.TOE, linear * (toe / color.TOE), dr.maximum(linear, color.TOE) ** (1 / 2.2))
+    return dr.select(linear <= color.TOE, linear * (toe / color.TOE),
+                     dr.maximum(linear, color.TOE) ** (1 / 2.2))

@@ -1,14 +1,16 @@
-"""What texels say of the numbers they share, with the numbers of their own integrated out instead of maximised.
+"""What texels say of the numbers they share, with the numbers of their own integrated out instead of
+maximised.
 
-The most probable slopes and diffuse colour of a texel explain its photos too well: slopes take up scatter that belongs to the
-roughness. Beside thousands of such numbers the few that are shared come out wrong by an amount that more texels do not mend
-(Neyman and Scott 1948). Laplace's approximation of the integral over the own numbers y,
+The most probable slopes and diffuse colour of a texel explain its photos too well: slopes take up scatter
+that belongs to the roughness. Beside thousands of such numbers the few that are shared come out wrong by an
+amount that more texels do not mend (Neyman and Scott 1948). Laplace's approximation of the integral over the
+own numbers y,
 
     int exp(-cost / 2) dy  ~  exp(-cost / 2) |H_yy|^(-1/2),    H = J^T W J + precision,
 
-adds log |H_yy| to the cost, and that moves the maximum of the rest by -V grad log |H_yy| / 2, V = H^-1: the first-order
-correction of Cox and Snell 1968 and Firth 1993. It grows with the square of the noise, so it takes the noise that is seen,
-which is less than the noise that texels are allowed.
+adds log |H_yy| to the cost, and that moves the maximum of the rest by -V grad log |H_yy| / 2, V = H^-1: the
+first-order correction of Cox and Snell 1968 and Firth 1993. It grows with the square of the noise, so it
+takes the noise that is seen, which is less than the noise that texels are allowed.
 """
 
 from __future__ import annotations
@@ -22,8 +24,8 @@ STEP = 0.01  # of the differences, in numbers between 0 and 1
 FARTHEST = 1.0  # standard deviations that a number may be moved by; the approximation knows no more
 
 
-def integrated(solver: TexelSolver, observations: Observations, x: Tensor, precision: Tensor, shared: Tensor, low: Tensor,
-               high: Tensor) -> Tensor:
+def integrated(solver: TexelSolver, observations: Observations, x: Tensor, precision: Tensor, shared: Tensor,
+               low: Tensor, high: Tensor) -> Tensor:
     """The most probable unknowns of each texel, the shared ones as they are with the others integrated out.
 
     Args:
@@ -44,7 +46,8 @@ def integrated(solver: TexelSolver, observations: Observations, x: Tensor, preci
 
     def matrix(at: Tensor) -> tuple[Tensor, Tensor]:
         cost, _, curve = solver.normal_equations(observations, at)
-        return cost, curve.permute(2, 3, 0, 1).double() + torch.diag_embed(precision.permute(1, 2, 0).double())
+        return cost, curve.permute(2, 3, 0, 1).double() + torch.diag_embed(precision.permute(1, 2,
+                                                                                             0).double())
 
     def volume(at: Tensor) -> Tensor:
         return torch.linalg.slogdet(matrix(at)[1][..., own[:, None], own]).logabsdet

@@ -16,7 +16,8 @@ from .stages import Stage
 
 # Rounds of a stage after which the flash moves to level the patch, and by how much of what that asks for.
 LEVELLED, DAMPED = {Stage.ALONE: (5, 7, 9)}, 0.65
-REFINED = {Stage.ALONE: (12,), Stage.TOGETHER: (3, 5, 7, 9), Stage.FINE: (5,)}  # rounds after which the views are refined
+# rounds after which the views are refined
+REFINED = {Stage.ALONE: (12,), Stage.TOGETHER: (3, 5, 7, 9), Stage.FINE: (5,)}
 TILTED = 0.03  # patch sides by which the flash seems moved where the patch is not level
 # How far stated ones of these are off is learned from the photos (empirical Bayes).
 LEARNED = [UNKNOWNS.index("camera_z"), UNKNOWNS.index("log_exposure")]
@@ -29,8 +30,8 @@ class MovedViews:
 
     Args:
         capture: photos with the stated views, at full size.
-        refined: when the views may move: ``always`` where they were estimated from photos or are a default, ``unless exact``
-            where they were stated (photos that follow the model say that they are right).
+        refined: when the views may move: ``always`` where they were estimated from photos or are a default,
+            ``unless exact`` where they were stated (photos that follow the model say that they are right).
         fits_offset: whether a flash offset that all photos share is among what may change.
     """
 
@@ -42,7 +43,8 @@ class MovedViews:
         self.usual = priors if fits_offset else replace(priors, common_flash=(0.0, 0.0))
         self.off = torch.tensor([priors.camera[2], priors.exposure], dtype=torch.float64)
         self.change = torch.zeros(len(capture), CHANGE.size, dtype=torch.float64)
-        self.deviation, self.flash_deviation = torch.zeros_like(self.change), torch.zeros(2, dtype=torch.float64)
+        self.deviation, self.flash_deviation = torch.zeros_like(self.change), torch.zeros(2,
+                                                                                          dtype=torch.float64)
         self.skipped = torch.zeros(())  # 1 where a refinement was left out, for which there was no time
 
     @property
@@ -60,7 +62,9 @@ class MovedViews:
         return self.refined == "always" or self.refined == "unless exact" and tied
 
     def begun(self, in_time: bool) -> bool:
-        """Whether a refinement is begun, which can end in time or not; that one was left out is remembered."""
+        """Whether a refinement is begun, which can end in time or not; that one was left out is
+        remembered.
+        """
         self.skipped = self.skipped if in_time else torch.ones(())
         return in_time
 
@@ -74,14 +78,17 @@ class MovedViews:
 
     @property
     def work(self) -> int:
-        """Renderings of the maps from all views, at most, of a refinement: two for the slope of each of its unknowns."""
+        """Renderings of the maps from all views, at most, of a refinement: two for the slope of each of its
+        unknowns.
+        """
         return self._steps * 2 * CHANGE.size
 
     def level(self, slope: Tensor) -> None:
         """Move the flash of all photos until the patch as a whole is flat.
 
-        Normals that lean by a slope s show their highlights s z beside the place below the camera, as a flash 2 s z beside it
-        does. A refinement with the maps frozen cannot find that: what their diffuse map has taken up holds the flash.
+        Normals that lean by a slope s show their highlights s z beside the place below the camera, as a flash
+        2 s z beside it does. A refinement with the maps frozen cannot find that: what their diffuse map has
+        taken up holds the flash.
 
         Args:
             slope: mean slopes of the normals, two float64 numbers.
@@ -93,7 +100,9 @@ class MovedViews:
         flash += DAMPED * (variance / (variance + TILTED**2) * said - common)
 
     def refine(self, svbrdf: SVBRDF, capture: Capture) -> None:
-        """Find where camera and flash stood from the maps so far; where they were stated, from where they seemed to before."""
+        """Find where camera and flash stood from the maps so far; where they were stated, from where they
+        seemed to before.
+        """
         start = None if self.refined == "always" else self.change
         found = refine_views(svbrdf, capture.views, capture, self.priors, self._steps, start)
         self.change, self.deviation = found.change, found.deviation
@@ -105,7 +114,9 @@ class MovedViews:
 
     @property
     def deviations(self) -> tuple[Tensor | None, Tensor | None]:
-        """Standard deviations of the changes, N x 7, and of the common flash offset, 2; None where not refined."""
+        """Standard deviations of the changes, N x 7, and of the common flash offset, 2; None where not
+        refined.
+        """
         if not self.deviation.any():
             return None, None
         return self.deviation, self.flash_deviation if self.fits_offset else None

@@ -1,23 +1,28 @@
 """``hierarchical``, the default: every texel solved by itself, tied to the texels that look like it.
 
-A texel has nine unknowns and some nine grey values to tell them by, so on its own it explains its photos by whatever fits:
-highlights it never showed are left open, and what the model lacks is burnt in. Three things mend that, in turns:
+A texel has nine unknowns and some nine grey values to tell them by, so on its own it explains its photos by
+whatever fits: highlights it never showed are left open, and what the model lacks is burnt in. Three things
+mend that, in turns:
 
-1. each texel's few unknowns are solved by Levenberg-Marquardt through Mitsuba's BSDF, all at once in one kernel
-   (:mod:`~mitsvbrdf.fit.hierarchical.solver`), and a neighbour's answer is taken over as a start where it leads to a lower cost
-   (:mod:`~mitsvbrdf.fit.hierarchical.starts`; propagation, as in PatchMatch, Barnes et al. 2009);
-2. specular and roughness are shared between texels that look alike (:mod:`~mitsvbrdf.fit.hierarchical.sharing`);
-3. where camera and flash stood is refined from the maps so far (:mod:`~mitsvbrdf.fit.hierarchical.moved_views`).
+1. each texel's few unknowns are solved by Levenberg-Marquardt through Mitsuba's BSDF, all at once in one
+   kernel (:mod:`~mitsvbrdf.fit.hierarchical.solver`), and a neighbour's answer is taken over as a start where
+   it leads to a lower cost (:mod:`~mitsvbrdf.fit.hierarchical.starts`; propagation, as in PatchMatch, Barnes
+   et al. 2009);
+2. specular and roughness are shared between texels that look alike
+(:mod:`~mitsvbrdf.fit.hierarchical.sharing`); 3. where camera and flash stood is refined from the maps so far
+(:mod:`~mitsvbrdf.fit.hierarchical.moved_views`).
 
-Photos of a simulation follow the model to the last digit, and then a texel can be trusted with everything; photos of a phone
-do not. So the fit first lets every texel explain its photos freely. What is left unexplained then tells which kind they are
-(:mod:`~mitsvbrdf.fit.hierarchical.stages`). Photos of a phone are first explained at 64 px, where texels must agree; at full
-size each may leave that answer by as much as the photos were seen to ask for (:mod:`~mitsvbrdf.fit.hierarchical.ties`), and
-photos are believed as far as each is predicted from the others (:mod:`~mitsvbrdf.fit.hierarchical.left_out`).
+Photos of a simulation follow the model to the last digit, and then a texel can be trusted with everything;
+photos of a phone do not. So the fit first lets every texel explain its photos freely. What is left
+unexplained then tells which kind they are (:mod:`~mitsvbrdf.fit.hierarchical.stages`). Photos of a phone are
+first explained at 64 px, where texels must agree; at full size each may leave that answer by as much as the
+photos were seen to ask for (:mod:`~mitsvbrdf.fit.hierarchical.ties`), and photos are believed as far as each
+is predicted from the others (:mod:`~mitsvbrdf.fit.hierarchical.left_out`).
 
-Texels that share a roughness also hold each other in a wrong one. Photos of a simulation, which can tell, are therefore
-explained from three starts, whose lobes are of very different width, and the most probable answer is refined at full size.
-Where they need no lobe (:mod:`~mitsvbrdf.fit.hierarchical.matte`), the rest is refined without one.
+Texels that share a roughness also hold each other in a wrong one. Photos of a simulation, which can tell, are
+therefore explained from three starts, whose lobes are of very different width, and the most probable answer
+is refined at full size. Where they need no lobe (:mod:`~mitsvbrdf.fit.hierarchical.matte`), the rest is
+refined without one.
 """
 
 from __future__ import annotations
@@ -28,10 +33,10 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from ...io.profile import profiled
 from ...material.maps import SVBRDF
 from ...material.resample import enlarged
 from ...render import make_renderer
-from ...system.profile import profiled
 from ...views import Views
 from ..config import HierarchicalConfig
 from ..method import Method
@@ -88,7 +93,9 @@ class Hierarchical(Method[HierarchicalConfig]):
             robust_start(scale.capture, scale.guess, self.config.bsdf, scale.solver.fixed)))
 
     def step(self, progress: float) -> dict[str, float]:
-        """One round of the present stage, or the first of the next; where no time is left for one, the last steps."""
+        """One round of the present stage, or the first of the next; where no time is left for one, the last
+        steps.
+        """
         stages = self.stages
         self.pace.begin(progress)
         if stages.over(progress, short=not self.pace.in_time(ROUND_STEPS * self.scale.texels)):
@@ -127,17 +134,21 @@ class Hierarchical(Method[HierarchicalConfig]):
             self.answer = self.start()
         if stage == Stage.FINE:
             turns = steps_of_turns(len(self.capture)) * self.scales.of(Stage.ALONE).texels
-            hurried = hurried or not (self.stages.exact or self.pace.in_time(turns, beside=ROUND_STEPS - STEPS))
+            hurried = hurried or not (self.stages.exact or self.pace.in_time(turns,
+                                                                             beside=ROUND_STEPS - STEPS))
             self.scale, self.answer = self._at_full_size(learn=not hurried)
         self.stages.enter(stage, hurried)
 
     def _leave_lobe_out(self) -> None:
-        """Search no further for a specular lobe where the first stage came to its end and the photos need none."""
+        """Search no further for a specular lobe where the first stage came to its end and the photos need
+        none.
+        """
         stages, found = self.stages, None
         asked = stages.exact and stages.finished and may_be_left_out(self.task)
         if asked and self.pace.in_time(decision_work(self.search.scales)):
             with profiled("solver"):
-                found = explained_without(self.answer, self.search, self.lobeless, stages.unexplained[1], self.observations)
+                found = explained_without(self.answer, self.search, self.lobeless, stages.unexplained[1],
+                                          self.observations)
         if found:
             stages.matte, (self.scale, self.answer), (self.scales, self.ties) = True, found, self.lobeless
 
@@ -147,7 +158,8 @@ class Hierarchical(Method[HierarchicalConfig]):
         return without_lobe(self.search)
 
     def _at_full_size(self, learn: bool = False) -> tuple[Scale, Answer]:
-        """The present answer enlarged; texels that were tied are free there, and their look-alikes are asked no more.
+        """The present answer enlarged; texels that were tied are free there, and their look-alikes are asked
+        no more.
 
         Args:
             learn: learn first how far photos of a phone are to be believed there.
@@ -170,16 +182,20 @@ class Hierarchical(Method[HierarchicalConfig]):
         for photo in turns:
             others, answer = every.without(photo), self.answer
             for _ in range(AGREED):
-                answer = self._tied(scale, others, answer._replace(x=stepped(scale.solver, others, answer, self.ties, STEPS).x))
+                answer = self._tied(scale, others,
+                                    answer._replace(x=stepped(scale.solver, others, answer, self.ties,
+                                                              STEPS).x))
             free, some = self._freed(answer, fine), self.scales.sampled
             starts[photo] = Answer(some(free.x), some(free.mean), some(free.precision), free.spread)
         sharp = self.scales.of(Stage.ALONE)
-        photos = replace(self.observations(sharp, self.answer), robust=ROBUST_END * NOISE, noise=NOISE, weights=None)
+        photos = replace(self.observations(sharp, self.answer), robust=ROBUST_END * NOISE, noise=NOISE,
+                         weights=None)
         return NOISES[least_as_good(prediction_errors(photos, sharp.solver, self.ties, starts, NOISES))]
 
     def _keep(self) -> None:
         """Remember the answer to this start, if it is the best so far."""
-        self.rivals.keep(self.answer, self.scale.solver, self.observations(self.scale, self.answer), self.ties)
+        self.rivals.keep(self.answer, self.scale.solver, self.observations(self.scale, self.answer),
+                         self.ties)
 
     @property
     def done(self) -> bool:
@@ -206,7 +222,9 @@ class Hierarchical(Method[HierarchicalConfig]):
         return cost.mean()
 
     def _move_views(self) -> None:
-        """Move camera and flash where this round asks for it; the patch as a whole is flat (it lies in z = 0)."""
+        """Move camera and flash where this round asks for it; the patch as a whole is flat (it lies in z =
+        0).
+        """
         stage, rounds, sloped = self.stages.stage, self.stages.rounds, len(self.ties.slopes) > 0
         if not self.moved.may_move(self.stages.tied):
             return
@@ -228,8 +246,8 @@ class Hierarchical(Method[HierarchicalConfig]):
             return ties.loosen(answer, variance)
         if self.config.integrated:
             says = integrated(scale.solver, photos, says, precision, ties.shared, ties.low, ties.high)
-        shared = ties.share(answer._replace(x=says), variance, scale.member, len(photos.views), self.stages.tied,
-                            lambda planes: self.independent(planes, scale, answer))
+        shared = ties.share(answer._replace(x=says), variance, scale.member, len(photos.views),
+                            self.stages.tied, lambda planes: self.independent(planes, scale, answer))
         return shared._replace(x=answer.x)
 
     # What comes out.
@@ -252,7 +270,8 @@ class Hierarchical(Method[HierarchicalConfig]):
     def _closed(self, more: int = 0) -> Tensor:
         """The answer with what the photos burnt in taken out, and the diffuse map that belongs to it.
 
-        Before the last stage: of an answer as if that stage began now. Steps that cannot end in time are left out.
+        Before the last stage: of an answer as if that stage began now. Steps that cannot end in time are left
+        out.
 
         Args:
             more: steps to take where the answer has been closed already.
@@ -275,7 +294,9 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     @property
     def views_deviation(self) -> tuple[Tensor | None, Tensor | None]:
-        """Standard deviations of the changes of the views, N x 7, and of the common flash offset; None where not refined."""
+        """Standard deviations of the changes of the views, N x 7, and of the common flash offset; None where
+        not refined.
+        """
         return self.moved.deviations
 
     @property
@@ -285,7 +306,8 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def state(self) -> dict[str, Tensor]:
         """The states of its parts."""
-        parts = self.answer._asdict(), *(part.state() for part in (self.stages, self.moved, self.rivals, self.pace))
+        parts = self.answer._asdict(), *(part.state() for part in (self.stages, self.moved, self.rivals,
+                                                                   self.pace))
         return {name: value.clone() for part in parts for name, value in part.items()}
 
     def load_state(self, state: dict[str, Tensor]) -> None:

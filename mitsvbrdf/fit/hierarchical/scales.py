@@ -51,7 +51,8 @@ class Scale:
 
 
 class Scales:
-    """Photos at full size, and coarse ones of two kinds: every k-th pixel, as exact as the photos are, and area averages.
+    """Photos at full size, and coarse ones of two kinds: every k-th pixel, as exact as the photos are, and
+    area averages.
 
     Args:
         capture: the photos at full size.
@@ -61,13 +62,16 @@ class Scales:
         variant: of Mitsuba.
     """
 
-    def __init__(self, capture: Capture, guess: Tensor, fixed: Mapping[str, Tensor], config: HierarchicalConfig,
-                 variant: str) -> None:
+    def __init__(self, capture: Capture, guess: Tensor, fixed: Mapping[str, Tensor],
+                 config: HierarchicalConfig, variant: str) -> None:
         self.guess, self.fixed, self.config, self.variant = guess, fixed, config, variant
-        sampled, averaged = (make(min(COARSE, capture.resolution)) for make in (capture.sampled, capture.averaged))
-        # Photos no larger than that are the same in every stage, down to how they lie in memory: sums depend on it.
+        sampled, averaged = (make(min(COARSE, capture.resolution)) for make in (capture.sampled,
+                                                                                capture.averaged))
+        # Photos no larger than that are the same in every stage, down to how they lie in memory: sums depend
+        # on it.
         full = averaged if averaged.resolution == capture.resolution else capture
-        self.captures = {Stage.ALONE: sampled, Stage.RIVALS: sampled, Stage.TOGETHER: averaged, Stage.FINE: full}
+        self.captures = {Stage.ALONE: sampled, Stage.RIVALS: sampled, Stage.TOGETHER: averaged,
+                         Stage.FINE: full}
         self.solvers: dict[int, TexelSolver] = {}
         guess = area_averaged(guess, averaged.resolution)
         self.basis = basis_materials(appearance_of(averaged, guess), config.materials, config.seed)

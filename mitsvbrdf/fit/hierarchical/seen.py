@@ -15,7 +15,8 @@ from .stages import Stages
 from .ties import Answer
 
 ROBUST = 3.0  # errors beyond so many times the noise count by their size alone
-ROBUST_END = 10.0  # the same at full size of photos of a phone, where no start is that far from its highlight any more
+# the same at full size of photos of a phone, where no start is that far from its highlight any more
+ROBUST_END = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +45,8 @@ class Seen:
         """Shared unknowns kept from following where the photos of a phone showed highlights."""
         if not (len(planes) and self.stages.tied and self.config.independent):
             return planes
-        return independent(planes, self.moved.moved(scale.capture.views), self._trust(scale, answer, self.config.tails or 1.0))
+        return independent(planes, self.moved.moved(scale.capture.views),
+                           self._trust(scale, answer, self.config.tails or 1.0))
 
     def _trust(self, scale: Scale, answer: Answer, reach: float) -> Tensor:
         roughness = scale.solver.svbrdf(answer.mean)["roughness"][..., 0]

@@ -1,10 +1,11 @@
 """Levenberg-Marquardt for every texel at once, through Mitsuba's BSDF plugins.
 
-A rectified photo shows texel (i, j) in pixel (i, j), so a fit without ties between texels is one small least-squares problem a
-texel: a few unknowns, three values a photo. One thread solves it: values and slopes of all photos by forward derivatives of
-the plugin, the normal equations and their Cholesky factor stay in its registers, and nothing but the photos is read in the
-loop. After Levenberg 1944, Marquardt 1963 (damping in proportion to the diagonal) and Bertsekas 1982 (an unknown at its bound
-that wants out is left out of the step of the others).
+A rectified photo shows texel (i, j) in pixel (i, j), so a fit without ties between texels is one small
+least-squares problem a texel: a few unknowns, three values a photo. One thread solves it: values and slopes
+of all photos by forward derivatives of the plugin, the normal equations and their Cholesky factor stay in its
+registers, and nothing but the photos is read in the loop. After Levenberg 1944, Marquardt 1963 (damping in
+proportion to the diagonal) and Bertsekas 1982 (an unknown at its bound that wants out is left out of the step
+of the others).
 """
 
 from __future__ import annotations
@@ -35,16 +36,17 @@ from .unknowns import Unknowns
 class Observations:
     """The photos and how an error in them counts: the data cost of a texel is sum_vc w rho(e) / noise^2.
 
-    e is rendering minus photo in display values; of a clipped photo value (0.995 and above) only a rendering that is too
-    dark counts.
+    e is rendering minus photo in display values; of a clipped photo value (0.995 and above) only a rendering
+    that is too dark counts.
 
     Args:
         photos: N x R x R x 3, display values.
         views: N views.
         transfer: how display values encode light.
         noise: standard deviation of a display value.
-        robust: s of the pseudo-Huber rho(e) = 2 s^2 (sqrt(1 + e^2 / s^2) - 1), in display values (Charbonnier et al. 1994);
-            None for e^2. It never stops growing: a highlight that a start misses is an outlier, not to be given up as one.
+        robust: s of the pseudo-Huber rho(e) = 2 s^2 (sqrt(1 + e^2 / s^2) - 1), in display values (Charbonnier
+            et al. 1994); None for e^2. It never stops growing: a highlight that a start misses is an outlier,
+            not to be given up as one.
         weights: w of each photo's pixels, N x R x R; None for 1.
     """
 
@@ -58,7 +60,8 @@ class Observations:
     def pick(self, rows: Sequence[int]) -> Observations:
         """The photos of these rows."""
         weights = None if self.weights is None else self.weights[rows].contiguous()
-        return replace(self, photos=self.photos[rows].contiguous(), views=self.views.pick(rows), weights=weights)
+        return replace(self, photos=self.photos[rows].contiguous(), views=self.views.pick(rows),
+                       weights=weights)
 
     def without(self, row: int) -> Observations:
         """All photos but one."""
@@ -85,9 +88,10 @@ class Solved:
 class TexelSolver:
     """The unknowns of each texel of a material, and Levenberg-Marquardt for them.
 
-    The unknowns are those of the maps that are not fixed, in the order of :data:`mitsvbrdf.material.maps.CHANNELS`: colours
-    channel by channel as linear^(1/2.2), metallic and roughness as they are, of the normal the slopes n_x / n_z and n_y / n_z.
-    :attr:`unknowns` says how many belong to each map, and where they lie; U is their number.
+    The unknowns are those of the maps that are not fixed, in the order of
+    :data:`mitsvbrdf.material.maps.CHANNELS`: colours channel by channel as linear^(1/2.2), metallic and
+    roughness as they are, of the normal the slopes n_x / n_z and n_y / n_z. :attr:`unknowns` says how many
+    belong to each map, and where they lie; U is their number.
 
     Args:
         bsdf: the parameter set.
@@ -101,15 +105,19 @@ class TexelSolver:
 
     def __init__(self, bsdf: Bsdf, fixed: Mapping[str, Tensor] | None = None, grey_specular: bool = False,
                  variant: str = "llvm_ad_rgb") -> None:
-        self.bsdf, self.fixed, self.variant, self.grey_specular = bsdf, dict(fixed or {}), variant, grey_specular
+        self.bsdf, self.fixed, self.variant, self.grey_specular = bsdf, dict(fixed
+                                                                             or {}), variant, grey_specular
         with using_mitsuba(variant) as self.mi:
             register(self.mi)
         counts = CHANNELS[bsdf] | {"normal": 2} | ({"specular": 1} if grey_specular else {})
-        self.unknowns = Unknowns(**{name: (counts[name],) for name in CHANNELS[bsdf] if name not in self.fixed})
+        self.unknowns = Unknowns(**{name: (counts[name],) for name in CHANNELS[bsdf]
+                                    if name not in self.fixed})
         self._kernels: dict[tuple, Kept[Kernel]] = {}
 
     def numbers(self, svbrdf: SVBRDF) -> Tensor:
-        """The unknowns of a material, U x R x R; where specular is one number, of its mean over the channels."""
+        """The unknowns of a material, U x R x R; where specular is one number, of its mean over the
+        channels.
+        """
         planes: list[Tensor] = []
         for name, (count,) in self.unknowns.shapes.items():
             value = svbrdf[name]
@@ -121,7 +129,9 @@ class TexelSolver:
         return torch.stack(planes)
 
     def svbrdf(self, x: Tensor) -> SVBRDF:
-        """The material of unknowns U x R x R, with the fixed maps; an expanded specular map where it is one number."""
+        """The material of unknowns U x R x R, with the fixed maps; an expanded specular map where it is one
+        number.
+        """
         maps = dict(self.fixed)
         for name, of in self.unknowns.slices.items():
             value = x.permute(1, 2, 0)[..., of]
@@ -132,12 +142,12 @@ class TexelSolver:
             maps[name] = value.expand(*value.shape[:2], CHANNELS[self.bsdf][name])
         return SVBRDF(self.bsdf, {name: maps[name] for name in CHANNELS[self.bsdf]})
 
-    def solve(self, observations: Observations, x: Tensor, damping: Tensor, mean: Tensor, precision: Tensor, low: Tensor,
-              high: Tensor, iterations: int = 5) -> Solved:
+    def solve(self, observations: Observations, x: Tensor, damping: Tensor, mean: Tensor, precision: Tensor,
+              low: Tensor, high: Tensor, iterations: int = 5) -> Solved:
         """Take up to ``iterations`` Levenberg-Marquardt steps in every texel, none that raises its cost.
 
-        The cost is that of the observations and sum_u precision_u (x_u - mean_u)^2, both without a factor 1/2. Steps to where
-        it is not finite are refused.
+        The cost is that of the observations and sum_u precision_u (x_u - mean_u)^2, both without a factor
+        1/2. Steps to where it is not finite are refused.
 
         Args:
             observations: the photos.
@@ -152,12 +162,15 @@ class TexelSolver:
         side = x.shape[-1]
         with using_mitsuba(self.variant) as mi:
             moved, (damping, data, prior) = self._found(side, x, self._kernel(observations, side).steps(
-                self._problem(observations, side), self._planes(x), *self._planes(damping[None]), self._planes(mean),
-                self._planes(precision), [opaque(mi, v) for v in low], [opaque(mi, v) for v in high], opaque(mi, iterations)))
+                self._problem(observations, side), self._planes(x), *self._planes(damping[None]),
+                self._planes(mean),
+                self._planes(precision), [opaque(mi, v) for v in low], [opaque(mi, v) for v in high],
+                opaque(mi, iterations)))
         return Solved(moved, damping, data, prior)
 
     def variances(self, observations: Observations, x: Tensor, precision: Tensor) -> Tensor:
-        """The diagonal of (J^T W J + precision)^-1 at x, U x R x R float32: the unknowns' variances, given the photos.
+        """The diagonal of (J^T W J + precision)^-1 at x, U x R x R float32: the unknowns' variances, given
+        the photos.
 
         Args:
             observations: the photos.
@@ -177,8 +190,8 @@ class TexelSolver:
     def normal_equations(self, observations: Observations, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Data cost R x R, J^T W e U x R x R and J^T W J U x U x R x R at x, float32.
 
-        J are the slopes of the errors by the unknowns, W the weights: w / noise^2, 0 where a clipped value says nothing, times
-        1 / sqrt(1 + e^2 / s^2) if robust.
+        J are the slopes of the errors by the unknowns, W the weights: w / noise^2, 0 where a clipped value
+        says nothing, times 1 / sqrt(1 + e^2 / s^2) if robust.
         """
         side, count = x.shape[-1], len(x)
         with using_mitsuba(self.variant):
@@ -192,7 +205,9 @@ class TexelSolver:
 
     @staticmethod
     def _found(side: int, x: Tensor, parts: Sequence[list]) -> Iterator[Tensor]:
-        """Copies of what a kernel found, each ? x R x R; no Dr.Jit array outlives the call that hands it over."""
+        """Copies of what a kernel found, each ? x R x R; no Dr.Jit array outlives the call that hands it
+        over.
+        """
         return iter([to_torch(part).reshape(-1, side, side).to(x.device) for part in parts])
 
     def _planes(self, values: Tensor) -> list:
@@ -202,10 +217,13 @@ class TexelSolver:
         """What the scene needs, and the fixed maps that are read."""
         material = unknown_but(self.fixed, self.bsdf, side, self.grey_specular)
         needs = replace(scene_needs(material, views, "mitsuba"), left_out=())
-        return needs, {name: value for name, value in needed_maps(material, needs).items() if name in self.fixed}
+        return needs, {name: value for name, value in needed_maps(material, needs).items()
+                       if name in self.fixed}
 
     def _problem(self, observations: Observations, side: int) -> dict:
-        """The observations and the fixed maps as Dr.Jit arrays, for :class:`~mitsvbrdf.fit.hierarchical.kernel.Kernel`."""
+        """The observations and the fixed maps as Dr.Jit arrays, for
+        :class:`~mitsvbrdf.fit.hierarchical.kernel.Kernel`.
+        """
         mi, views = self.mi, observations.views.in_patch_sides().to(torch.float64)
         _, fixed = self._known(observations.views, side)
         problem = {"photos": from_torch(mi, observations.photos.float()), "count": opaque(mi, len(views)),
@@ -230,4 +248,5 @@ def opaque(mi: ModuleType, value: SupportsFloat) -> Any:
     """A number that may change without a new kernel."""
     import drjit as dr
 
-    return dr.opaque(mi.UInt32 if isinstance(value, int) else mi.Float, value if isinstance(value, int) else float(value))
+    return dr.opaque(mi.UInt32 if isinstance(value, int) else mi.Float, value if isinstance(value, int)
+                     else float(value))

@@ -1,7 +1,8 @@
-"""The stages of the fit: which one it is in, for how many rounds, and what noise its photos are taken to have.
+"""The stages of the fit: which one it is in, for how many rounds, and what noise its photos are taken to
+have.
 
-Photos of a simulation follow the model to the last digit, photos of a phone do not. What the first stage leaves unexplained
-tells which kind they are, and that decides which stages come next.
+Photos of a simulation follow the model to the last digit, photos of a phone do not. What the first stage
+leaves unexplained tells which kind they are, and that decides which stages come next.
 """
 
 from __future__ import annotations
@@ -28,21 +29,25 @@ class Stage(IntEnum):
     FINE = 3  # full size
 
 
-# Rounds until the costs of two starts can be compared, measured: after 20 the lower one was the worse material's in 4 of 40
-# fits, after 26 in none. The robust start has its first in ALONE.
+# Rounds until the costs of two starts can be compared, measured: after 20 the lower one was the worse
+# material's in 4 of 40 fits, after 26 in none. The robust start has its first in ALONE.
 TRIAL = 26
 ROUNDS = {Stage.ALONE: 12, Stage.RIVALS: 3 * TRIAL - 12, Stage.TOGETHER: 12, Stage.FINE: 14}
 TIED_ROUNDS = 6  # of FINE, for photos of a phone
-DEADLINE = {Stage.ALONE: 0.15, Stage.RIVALS: 0.4, Stage.TOGETHER: 0.5}  # share of the run at which a stage ends at the latest
+# share of the run at which a stage ends at the latest
+DEADLINE = {Stage.ALONE: 0.15, Stage.RIVALS: 0.4, Stage.TOGETHER: 0.5}
 
-# Structure that a free fit leaves at 64 px (:func:`unexplained`): six known materials 0.0003 to 0.0009 without
-# noise and up to 0.004 with noise of 0.003 in linear radiance, twelve real captures 0.009 to 0.053.
+# Structure that a free fit leaves at 64 px (:func:`unexplained`): six known materials 0.0003 to 0.0009
+# without noise and up to 0.004 with noise of 0.003 in linear radiance, twelve real captures 0.009 to 0.053.
 EXACT = 0.006
 
-NOISE = 0.03  # of a real photo's display values: sensor, alignment, light that is no point, lobes that are no GGX
+# of a real photo's display values: sensor, alignment, light that is no point, lobes that are no GGX
+NOISE = 0.03
 LEAST_NOISE = 0.004  # of any photo: one step of 8 bits
 UNTOLD = 1.5  # times what a fit with as many unknowns leaves unexplained, there was noise
-EASED = 0.75  # noise starts at NOISE and falls by this factor a round, so that no texel is caught early by a wrong highlight
+# noise starts at NOISE and falls by this factor a round, so that no texel is caught early by a wrong
+# highlight
+EASED = 0.75
 
 
 class Stages:
@@ -74,7 +79,9 @@ class Stages:
 
     @property
     def tied(self) -> bool:
-        """Whether texels are held to what their look-alikes said: photos of a phone, once they are known to be."""
+        """Whether texels are held to what their look-alikes said: photos of a phone, once they are known to
+        be.
+        """
         return self.stage != Stage.ALONE and not self.exact
 
     @property
@@ -88,7 +95,8 @@ class Stages:
         return self.rounds >= ROUNDS[self.stage]
 
     def over(self, progress: float, short: bool = False) -> bool:
-        """Whether the stage ends before the round to come, at this share of the run or with the time left too short for it.
+        """Whether the stage ends before the round to come, at this share of the run or with the time left too
+        short for it.
 
         What a round takes is not known before the second one.
         """
@@ -99,7 +107,8 @@ class Stages:
     def next(self) -> Stage:
         """The stage after this one; after ALONE, :meth:`judge` comes first."""
         if self.stage == Stage.ALONE:
-            return Stage.TOGETHER if not self.exact else Stage.RIVALS if self.rivals and not self.matte else Stage.FINE
+            return (Stage.TOGETHER if not self.exact else Stage.RIVALS if self.rivals and not self.matte
+                    else Stage.FINE)
         return Stage.FINE
 
     def judge(self, left: Tensor) -> None:
@@ -142,8 +151,10 @@ class Stages:
 
     def state(self) -> dict[str, Tensor]:
         """Everything :meth:`load_state` needs."""
-        return {"stage": torch.tensor([self.stage, self.rounds, self.hurried]), "matte": torch.tensor(self.matte),
-                "noise": self.noise.clone(), "detail": self.detail.clone(), "unexplained": self.unexplained.nan_to_num(-1.0)}
+        return {"stage": torch.tensor([self.stage, self.rounds, self.hurried]),
+                "matte": torch.tensor(self.matte),
+                "noise": self.noise.clone(), "detail": self.detail.clone(),
+                "unexplained": self.unexplained.nan_to_num(-1.0)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
@@ -156,7 +167,8 @@ class Stages:
 def unexplained(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Renderer) -> Tensor:
     """Structure and RMSE of the errors in display values, clipped pixels left out: two numbers.
 
-    Structure is the root of the mean product of neighbouring errors: sensor noise has none, a wrong model has.
+    Structure is the root of the mean product of neighbouring errors: sensor noise has none, a wrong model
+    has.
 
     Args:
         svbrdf: the material found, R x R.
@@ -166,6 +178,7 @@ def unexplained(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Render
     """
     with torch.no_grad():
         images = renderer.render(svbrdf, views)
-    error = torch.where(capture.photos < CLIPPED, color.to_display(images, capture.transfer) - capture.photos, 0.0)
+    error = torch.where(capture.photos < CLIPPED, color.to_display(images, capture.transfer) - capture.photos,
+                        0.0)
     alike = (error[:, 1:] * error[:, :-1]).mean() + (error[:, :, 1:] * error[:, :, :-1]).mean()
     return torch.stack(((alike / 2).clamp_min(0), error.square().mean())).sqrt()

@@ -1,7 +1,8 @@
 """Where to start from: other starts of a texel in each round, and other starts of the whole fit.
 
-Texels that share a roughness hold each other in it, be it right or wrong: which of two answers a fit of all of them ends in
-can hang on the last bits. A start whose lobe is far narrower or wider decides such cases by how probable its answer is.
+Texels that share a roughness hold each other in it, be it right or wrong: which of two answers a fit of all
+of them ends in can hang on the last bits. A start whose lobe is far narrower or wider decides such cases by
+how probable its answer is.
 """
 
 from __future__ import annotations
@@ -19,20 +20,28 @@ from .ties import Answer, Ties
 
 DAMPING = 0.01  # that Levenberg-Marquardt starts with
 LESS = 1e-3  # share of its cost that a texel must save to take another start
-TILTS, GOLDEN = (0.15, 0.4, 0.8), math.pi * (3 - math.sqrt(5))  # slopes tried as starts, and the turn from one to the next
+# slopes tried as starts, and the turn from one to the next
+TILTS, GOLDEN = (0.15, 0.4, 0.8), math.pi * (3 - math.sqrt(5))
 
 
-def stepped(solver: TexelSolver, observations: Observations, answer: Answer, ties: Ties, count: int) -> Solved:
-    """So many Levenberg-Marquardt steps of every texel from an answer, within its bounds and with its prior."""
-    return solver.solve(observations, answer.x, torch.full_like(answer.x[0], DAMPING), answer.mean, answer.precision, ties.low,
-                        ties.high, count)
+def stepped(solver: TexelSolver, observations: Observations, answer: Answer, ties: Ties,
+            count: int) -> Solved:
+    """So many Levenberg-Marquardt steps of every texel from an answer, within its bounds and with its
+    prior.
+    """
+    return solver.solve(observations, answer.x, torch.full_like(answer.x[0], DAMPING), answer.mean,
+                        answer.precision, ties.low, ties.high, count)
 
 
 def other_starts(ties: Ties, turn: int) -> list[Callable[[Answer], Answer]]:
-    """The answers of two neighbours, and two tilts of a texel of which nothing else is known; others each turn."""
-    starts: list[Callable[[Answer], Answer]] = [partial(_neighbour, by=1 if turn % 2 else -1, axis=axis) for axis in (1, 2)]
+    """The answers of two neighbours, and two tilts of a texel of which nothing else is known; others each
+    turn.
+    """
+    starts: list[Callable[[Answer], Answer]] = [partial(_neighbour, by=1 if turn % 2 else -1, axis=axis)
+                                                for axis in (1, 2)]
     if len(ties.slopes):
-        starts += [partial(_tilted, ties=ties, steep=TILTS[turn % len(TILTS)], along=GOLDEN * turn + half_turn)
+        starts += [partial(_tilted, ties=ties, steep=TILTS[turn % len(TILTS)], along=GOLDEN * turn
+                           + half_turn)
                    for half_turn in (0.0, math.pi)]
     return starts
 
@@ -66,8 +75,9 @@ class Rivals:
     def keep(self, answer: Answer, solver: TexelSolver, observations: Observations, ties: Ties) -> None:
         """Keep this answer where the photos make it more probable than those of the starts before.
 
-        Compared is -2 log of the marginal likelihood (Laplace's approximation): the cost, and by how much the photos narrow
-        the prior. The cost alone takes an answer that explains photos less well for a better one where its prior is narrower.
+        Compared is -2 log of the marginal likelihood (Laplace's approximation): the cost, and by how much the
+        photos narrow the prior. The cost alone takes an answer that explains photos less well for a better
+        one where its prior is narrower.
         """
         found = stepped(solver, observations, answer, ties, 0)
         _, narrowed = solver.posterior(observations, answer.x, answer.precision)
@@ -85,7 +95,8 @@ class Rivals:
         """Everything :meth:`load_state` needs."""
         if self.best is None:
             return {}
-        return {f"winner.{name}": value for name, value in (self.best._asdict() | {"cost": self.cost}).items()}
+        return {f"winner.{name}": value for name, value in (self.best._asdict()
+                                                            | {"cost": self.cost}).items()}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""

@@ -1,4 +1,6 @@
-"""What is known of texels before their photos are looked at: bounds, a prior, and what ties texels to each other."""
+"""What is known of texels before their photos are looked at: bounds, a prior, and what ties texels to each
+other.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ BOUNDS = {"roughness": (0.05, 1.0), "normal": (-3.0, 3.0), "specular": (0.05, 1.
 VAGUE = {"diffuse": 0.5, "base_color": 0.5, "specular": 0.1, "metallic": 0.3, "roughness": 0.1, "normal": 0.1}
 LEAST_PRECISION = 1e-3  # added to that of the prior where variances are asked for
 FIXED = 1e-4  # standard deviation of a number that is not to move
-# How far a texel may leave its tied answer at full size, in units of config.own: standard deviations at first and at least.
+# How far a texel may leave its tied answer at full size, in units of config.own: standard deviations at first
+# and at least.
 FREEDOM = {"normal": (0.5, 0.17), "roughness": (0.5, 0.5), "specular": (1.0, 1.0), "metallic": (1.0, 1.0)}
 FREEST = 2.5  # the same, at most
 
@@ -42,7 +45,8 @@ class Answer(NamedTuple):
 
 
 class Ties:
-    """How priors of texels are made: vague ones, those that look-alikes give, and those around an answer that was tied.
+    """How priors of texels are made: vague ones, those that look-alikes give, and those around an answer that
+    was tied.
 
     Args:
         unknowns: of a texel.
@@ -71,7 +75,8 @@ class Ties:
 
     def share(self, answer: Answer, variance: Tensor, member: Tensor, photos: int, tied: bool,
               corrected: Callable[[Tensor], Tensor]) -> Answer:
-        """What look-alikes say becomes the prior of specular and roughness; the relief seen becomes that of normals.
+        """What look-alikes say becomes the prior of specular and roughness; the relief seen becomes that of
+        normals.
 
         Args:
             answer: with the prior so far.
@@ -84,19 +89,24 @@ class Ties:
         mean, precision, spread = answer.mean.clone(), answer.precision.clone(), answer.spread
         if len(self.shared):
             names = [self.unknowns.names[i] for i in self.shared]
-            x, unsure, *prior = (t[self.shared].flatten(1) for t in (answer.x, variance, answer.mean, answer.precision))
-            found, tau, spread = shared(names, x, unsure, prior[0], prior[1], member, answer.spread, 0 if tied else photos)
+            x, unsure, *prior = (t[self.shared].flatten(1) for t in (answer.x, variance, answer.mean,
+                                                                     answer.precision))
+            found, tau, spread = shared(names, x, unsure, prior[0], prior[1], member, answer.spread,
+                                        0 if tied else photos)
             mean[self.shared] = corrected(found.reshape(-1, *answer.x.shape[1:]))
             nearest = tau.clamp_max(self.config.spread) if tied else tau
             precision[self.shared] = (nearest**-2.0).reshape(-1, *answer.x.shape[1:])
         if len(self.slopes):
-            relief = (answer.x[self.slopes].square() + variance[self.slopes]).mean().sqrt().clamp_min(LEAST_SPREAD)
+            relief = (answer.x[self.slopes].square()
+                      + variance[self.slopes]).mean().sqrt().clamp_min(LEAST_SPREAD)
             mean[self.slopes] = 0
             precision[self.slopes] = (self.config.relief if tied else float(relief)) ** -2.0
         return Answer(answer.x, mean, precision, spread)
 
     def enlarge(self, answer: Answer, coarse: Scale, fine: Scale, tied: bool) -> Answer:
-        """An answer at full size; shared unknowns follow the look-alikes there (joint upsampling, Kopf et al. 2007)."""
+        """An answer at full size; shared unknowns follow the look-alikes there (joint upsampling, Kopf et al.
+        2007).
+        """
         side = fine.capture.resolution
         if side == coarse.capture.resolution:
             return answer
@@ -111,10 +121,14 @@ class Ties:
 
     def free(self, answer: Answer) -> Answer:
         """Let every texel leave its tied answer, which becomes its prior; the diffuse map as it likes."""
-        return answer._replace(mean=answer.x.clone(), precision=self._precision(answer.x, lambda name: self._freedom(name)[0]))
+        return answer._replace(mean=answer.x.clone(), precision=self._precision(answer.x,
+                                                                                lambda name: self._freedom(
+                                                                                    name)[0]))
 
     def loosen(self, answer: Answer, variance: Tensor) -> Answer:
-        """How far texels went from their tied answer becomes how far they may go (expectation-maximisation)."""
+        """How far texels went from their tied answer becomes how far they may go
+        (expectation-maximisation).
+        """
         precision = answer.precision.clone()
         for name in sorted(set(self.unknowns.shapes) & set(FREEDOM)):
             of = self.unknowns.of(name)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ...system.layout import Layout
+from ...io.layout import Layout
 
 
 class Unknowns(Layout):

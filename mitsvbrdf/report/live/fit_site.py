@@ -1,4 +1,6 @@
-"""The addresses of a fit: its page, its state, its maps, and the two files that people look at once it has ended."""
+"""The addresses of a fit: its page, its state, its maps, and the two files that people look at once it has
+ended.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +8,8 @@ import json
 import secrets
 from pathlib import Path
 
+from ...io.files import open_regular
 from ...pages.page import page_text
-from ...system.files import open_regular
 from .server import HTML, LIVE_POLICY, REPORT_POLICY, Answer
 from .watch import REPORT_FILE, SHEET_FILE, Watch
 
@@ -29,7 +31,8 @@ class FitSite:
             page = page_text("report/live/live.html", title=self.watch.out.name or "mitsvbrdf", nonce=nonce)
             return Answer(page.encode(), HTML, LIVE_POLICY.format(nonce=nonce))
         if path == "/state.json":
-            return Answer(json.dumps(self.watch.state(), allow_nan=False).encode(), "application/json", again=True)
+            return Answer(json.dumps(self.watch.state(), allow_nan=False).encode(), "application/json",
+                          again=True)
         if path == f"/{REPORT_FILE}":
             return self._file(REPORT_FILE, HTML, REPORT_POLICY)
         if path == f"/{SHEET_FILE}":

@@ -1,4 +1,6 @@
-"""The HTTP server of live pages: this machine alone, the addresses of one :class:`Site`, nothing to write to."""
+"""The HTTP server of live pages: this machine alone, the addresses of one :class:`Site`, nothing to write
+to.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,8 @@ from ...errors import ConfigError
 
 ADDRESS = "127.0.0.1"
 PORT = 8350  # the same each time, so that an open tab or a forwarded port finds the next server too
-HOST_NAMES = ("127.0.0.1", "localhost", "[::1]")  # what this machine is called; forwarding a port may change its number
+# what this machine is called; forwarding a port may change its number
+HOST_NAMES = ("127.0.0.1", "localhost", "[::1]")
 LIVE_POLICY = "default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'; connect-src 'self'; frame-src 'self'; " \
        "script-src 'nonce-{nonce}'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 # A report is one file: whatever it holds, it asks nobody for anything.
@@ -45,14 +48,17 @@ class Answer:
     def headers(self) -> dict[str, str]:
         """The headers that it has of its own."""
         headers = {"Content-Security-Policy": self.policy} if self.policy else {}
-        return headers | ({"ETag": f'"{hashlib.sha256(self.content).hexdigest()[:32]}"'} if self.again else {})
+        return headers | ({"ETag": f'"{hashlib.sha256(self.content).hexdigest()[:32]}"'} if self.again
+                          else {})
 
 
 class Site(Protocol):
     """What a server shows."""
 
     def answer(self, path: str) -> Answer | None:
-        """The answer to an address, without its query; None where there is none. No part of it may be used as a path."""
+        """The answer to an address, without its query; None where there is none. No part of it may be used as
+        a path.
+        """
         ...
 
 
@@ -125,7 +131,9 @@ class Handler(BaseHTTPRequestHandler):
     do_POST = do_PUT = do_DELETE = do_PATCH = do_OPTIONS = refuse
 
     def named_here(self) -> bool:
-        """Whether the request was meant for this machine: a foreign name that leads here is an attack (DNS rebinding)."""
+        """Whether the request was meant for this machine: a foreign name that leads here is an attack (DNS
+        rebinding).
+        """
         hosts = self.headers.get_all("Host", [])
         name = hosts[0].lower() if len(hosts) == 1 else ""
         if name in HOST_NAMES or name.rpartition(":")[0] in HOST_NAMES:
@@ -136,7 +144,8 @@ class Handler(BaseHTTPRequestHandler):
     def reply(self, status: int, content: bytes, kind: str, headers: dict[str, str]) -> None:
         """Send an answer with the headers that all have."""
         self.send_response(status)
-        for name, value in {"Content-Type": kind, "Content-Length": str(len(content)), "Cache-Control": "no-store",
+        for name, value in {"Content-Type": kind, "Content-Length": str(len(content)),
+                            "Cache-Control": "no-store",
                             "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer",
                             "Cross-Origin-Resource-Policy": "same-origin", **headers}.items():
             if status != 304 or name not in ("Content-Type", "Content-Length"):

@@ -15,13 +15,14 @@ from ...errors import OutputError
 from ...fit.checkpoint import load_tensors
 from ...fit.record import FILE as FIT_FILE
 from ...fit.record import record_in
+from ...io import images, result_folder
+from ...io.journal import JOURNAL
 from ...material.maps import CHANNELS, TITLES, shown_map
-from ...system import images, result_folder
-from ...system.journal import JOURNAL
 
 OPENED = "the OUT of `mitsvbrdf fit -o OUT` or the LIBRARY of `mitsvbrdf batch -o LIBRARY`"
 REPORT_FILE, SHEET_FILE = "report.html", "sheet.png"
-ENDED = {"settled": "settled: going on would change little", "budget": "out of seconds", "iterations": "all iterations done",
+ENDED = {"settled": "settled: going on would change little", "budget": "out of seconds",
+         "iterations": "all iterations done",
          "interrupted": "interrupted by Ctrl-C", "unstable": "too many steps had to be undone"}
 
 
@@ -37,8 +38,8 @@ class Shown:
 class Watch:
     """Looks into a folder that a fit writes to, has written to, or will write to.
 
-    Files may come, go or be half there at any moment: what cannot be read now is as if it were not there. The last live record
-    is kept in memory, to be shown where a fit dies and takes its files along.
+    Files may come, go or be half there at any moment: what cannot be read now is as if it were not there. The
+    last live record is kept in memory, to be shown where a fit dies and takes its files along.
 
     Args:
         out: the folder; it need not be there yet.
@@ -58,8 +59,10 @@ class Watch:
         names = {path.name for path in self.out.iterdir()} if self.out.is_dir() else set()
         ours = {FIT_FILE, REPORT_FILE, result_folder.MANIFEST, self.partial.name}
         if "capture.json" in names or names and not names & ours:
-            photos = any(name == "capture.json" or os.path.splitext(name)[1].lower() in SUFFIXES for name in names)
-            raise OutputError(OPENED, f"{out}, which {'holds photos' if photos else 'has other files'}", "name such a folder")
+            photos = any(name == "capture.json" or os.path.splitext(name)[1].lower() in SUFFIXES
+                         for name in names)
+            raise OutputError(OPENED, f"{out}, which {'holds photos' if photos else 'has other files'}",
+                              "name such a folder")
         self.record: Shown | None = None
         self.record_time = 0  # when it was written, in ns
         self.result: Shown | None = None
@@ -73,12 +76,13 @@ class Watch:
     def state(self) -> dict:
         """What to show now, ready for JSON.
 
-        ``phase`` is ``waiting``, ``starting``, ``running``, ``writing``, ``done`` or ``died``, and ``says`` the same in a
-        sentence. ``report`` and ``sheet`` are the versions of these files, null where there is none. The rest is that of the
-        live record, or of ``fit.json``: ``fit``, null where there is neither.
+        ``phase`` is ``waiting``, ``starting``, ``running``, ``writing``, ``done`` or ``died``, and ``says``
+        the same in a sentence. ``report`` and ``sheet`` are the versions of these files, null where there is
+        none. The rest is that of the live record, or of ``fit.json``: ``fit``, null where there is neither.
         """
         with self.lock:
-            # In this order: whatever happens in between, a fit that ends meanwhile is not taken for one that died.
+            # In this order: whatever happens in between, a fit that ends meanwhile is not taken for one that
+            # died.
             there = self._read_record()
             at_work = result_folder.in_use(self.out)
             finished = _time(self.out / FIT_FILE)
@@ -109,7 +113,8 @@ class Watch:
             return ("The fit ended without a result. " if shown else "A fit was left unfinished here. ") + (
                 "The same command with --resume goes on from its checkpoint." if resumes
                 else "Its terminal may say why; the same command starts it anew.")
-        return {"waiting": f"No fit in {self.out} yet, and no batch. This page shows one as soon as it starts.",
+        return {"waiting": f"No fit in {self.out} yet, and no batch. This page shows one as soon as it "
+                           "starts.",
                 "starting": "A command is at work here; a fit shows once its first step is set up.",
                 "running": "Fitting",
                 "writing": f"The fit ended ({why}). Its result is being written.",
@@ -124,10 +129,13 @@ class Watch:
                 tensors, note = load_tensors(path)
                 maps = {name: images.encode_png(shown_map(name, tensors[name].float().nan_to_num()))
                         for name in CHANNELS[note["bsdf"]]}
-                shown = {key: note[key] for key in ("run", "method", "renderer", "capture", "bsdf", "resolution", "iteration",
-                                                    "seconds", "share", "stopped", "latest_is_best", "trace", "latest",
+                shown = {key: note[key] for key in ("run", "method", "renderer", "capture", "bsdf",
+                                                    "resolution", "iteration",
+                                                    "seconds", "share", "stopped", "latest_is_best", "trace",
+                                                    "latest",
                                                     "warnings")}
-            except Exception:  # gone by now, half there, or of another version: whatever it is, it is no record
+            # gone by now, half there, or of another version: whatever it is, it is no record
+            except Exception:
                 return bool(self.record)
             self.record, self.record_time = Shown(_for_json(shown), maps, version), written
         return version is not None
@@ -137,8 +145,10 @@ class Watch:
         if version and not (self.result and self.result.version == version):
             try:
                 record = record_in(self.out)
-                note = {key: record[key] for key in ("method", "renderer", "bsdf", "stopped", "trace", "warnings", "seconds")}
-                note |= {"run": None, "capture": record["capture"]["name"], "resolution": record["capture"]["resolution"],
+                note = {key: record[key] for key in ("method", "renderer", "bsdf", "stopped", "trace",
+                                                     "warnings", "seconds")}
+                note |= {"run": None, "capture": record["capture"]["name"],
+                         "resolution": record["capture"]["resolution"],
                          "iteration": record["iterations"], "share": 1.0, "latest": None}
                 self.result = Shown(_for_json(note), {}, version)
             except (OSError, ValueError, KeyError, TypeError):
@@ -152,7 +162,8 @@ def _version(path: Path) -> str | None:
         found = path.lstat()
     except OSError:
         return None
-    return f"{found.st_mtime_ns:x}-{found.st_size:x}-{found.st_ino:x}" if stat.S_ISREG(found.st_mode) else None
+    return (f"{found.st_mtime_ns:x}-{found.st_size:x}-{found.st_ino:x}" if stat.S_ISREG(found.st_mode)
+            else None)
 
 
 def _time(path: Path) -> int:

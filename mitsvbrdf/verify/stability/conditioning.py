@@ -1,9 +1,9 @@
 """What a texel's photos say about its maps, and how far a step may go.
 
-The Jacobian is that of one texel's display values in all views (3 N rows: what a fit compares, and where noise is about
-even) with respect to its maps in units of their range: colours, metallic and roughness 1, the normal 1 rad in its tangent
-plane (9 columns for ``roughconductor``, 7 for ``principled``). Texels do not see each other, so one backward pass for each
-row, of the sum over the texels, gives that row for all of them.
+The Jacobian is that of one texel's display values in all views (3 N rows: what a fit compares, and where
+noise is about even) with respect to its maps in units of their range: colours, metallic and roughness 1, the
+normal 1 rad in its tangent plane (9 columns for ``roughconductor``, 7 for ``principled``). Texels do not see
+each other, so one backward pass for each row, of the sum over the texels, gives that row for all of them.
 """
 
 from __future__ import annotations
@@ -21,13 +21,17 @@ from ...material.maps import SVBRDF
 from ...render import Renderer
 from ...views import Views
 
-RANK = 1e-9  # singular values below this share of the largest are none: float64 rounding is far below, any information above
+# singular values below this share of the largest are none: float64 rounding is far below, any information
+# above
+RANK = 1e-9
 FIRST = 0.01
 DOUBLINGS = 24
 
 
-def jacobian(twin: Renderer, svbrdf: SVBRDF, views: Views, display: Callable[[Tensor], Tensor] = color.encode) -> Tensor:
-    """One Jacobian for each texel, T x 3 N x P, float64; rows by view then channel, columns by map as in the material.
+def jacobian(twin: Renderer, svbrdf: SVBRDF, views: Views,
+             display: Callable[[Tensor], Tensor] = color.encode) -> Tensor:
+    """One Jacobian for each texel, T x 3 N x P, float64; rows by view then channel, columns by map as in the
+    material.
 
     Args:
         twin: ``analytic64``.
@@ -61,8 +65,8 @@ def condition(jacobians: Tensor) -> dict[str, float | None]:
         jacobians: T x M x P.
 
     Returns:
-        ``median`` and ``worst``, None for infinite (fewer equations than unknowns, or nothing seen of one of them), and the
-        median ``rank`` and the number of ``unknowns``.
+        ``median`` and ``worst``, None for infinite (fewer equations than unknowns, or nothing seen of one of
+        them), and the median ``rank`` and the number of ``unknowns``.
     """
     unknowns = jacobians.shape[2]
     values = torch.zeros(len(jacobians), unknowns, dtype=jacobians.dtype)
@@ -71,28 +75,32 @@ def condition(jacobians: Tensor) -> dict[str, float | None]:
     known = values > RANK * values[:, :1].clamp_min(torch.finfo(values.dtype).tiny)
     numbers = torch.where(known.all(dim=1), values[:, 0] / values[:, -1], torch.inf)
     median, worst = float(numbers.quantile(0.5, interpolation="lower")), float(numbers.max())
-    return {"median": median if math.isfinite(median) else None, "worst": worst if math.isfinite(worst) else None,
+    return {"median": median if math.isfinite(median) else None, "worst": worst if math.isfinite(worst)
+            else None,
             "rank": int(known.sum(dim=1).median()), "unknowns": unknowns}
 
 
 def largest_step(renderer: Renderer, svbrdf: SVBRDF, views: Views, transfer: color.Transfer = "gamma2.2",
                  first: float | None = None) -> float:
-    """The largest step of plain gradient descent that still lowers the photometric loss, from a material a little off.
+    """The largest step of plain gradient descent that still lowers the photometric loss, from a material a
+    little off.
 
-    The loss is summed over texels (the mean is over views and channels alone), so that a step means the same at every
-    resolution. Steps double, or halve if the first was too long already, until it changes whether they lower the loss; each
-    is taken from the same start, with maps cut to their ranges and normals made unit vectors.
+    The loss is summed over texels (the mean is over views and channels alone), so that a step means the same
+    at every resolution. Steps double, or halve if the first was too long already, until it changes whether
+    they lower the loss; each is taken from the same start, with maps cut to their ranges and normals made
+    unit vectors.
 
     Args:
         renderer: whose gradient and loss.
         svbrdf: the material that took the photos.
         views: camera and light positions.
         transfer: how the photos encode light.
-        first: the step tried first; left out: one that would take away :data:`FIRST` of the loss if the loss were a plane.
+        first: the step tried first; left out: one that would take away :data:`FIRST` of the loss if the loss
+            were a plane.
 
     Returns:
-        The step as a factor of the gradient, to a factor of two; infinite where :data:`DOUBLINGS` doublings were not too
-        far; 0 where the gradient is 0 or not finite, or no step of as many halvings helps.
+        The step as a factor of the gradient, to a factor of two; infinite where :data:`DOUBLINGS` doublings
+        were not too far; 0 where the gradient is 0 or not finite, or no step of as many halvings helps.
     """
     dtype = torch.float64 if renderer.name == "analytic64" else torch.float32
     photos = color.to_display(renderer.render(_leaves(svbrdf.to(dtype)), views).detach(), transfer)
@@ -122,7 +130,9 @@ def largest_step(renderer: Renderer, svbrdf: SVBRDF, views: Views, transfer: col
 
 
 def _leaves(svbrdf: SVBRDF) -> SVBRDF:
-    """Maps that want a gradient: renderers then leave nothing out, and need no kernel of their own for each material."""
+    """Maps that want a gradient: renderers then leave nothing out, and need no kernel of their own for each
+    material.
+    """
     return svbrdf.map(lambda t: t.detach().clone().requires_grad_())
 
 
@@ -138,6 +148,7 @@ def disturbed(svbrdf: SVBRDF) -> SVBRDF:
 
 def valid(svbrdf: SVBRDF) -> SVBRDF:
     """Maps cut to their ranges, unit normals."""
-    maps = {name: value.clamp(1e-4 if name == "roughness" else 0.0, 1.0) for name, value in svbrdf.maps.items()}
+    maps = {name: value.clamp(1e-4 if name == "roughness" else 0.0, 1.0)
+            for name, value in svbrdf.maps.items()}
     x, z = svbrdf["normal"][..., :2], svbrdf["normal"][..., 2:].clamp_min(1e-3)
     return SVBRDF(svbrdf.bsdf, {**maps, "normal": F.normalize(torch.cat((x, z), dim=-1), dim=-1)})

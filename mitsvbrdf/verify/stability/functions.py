@@ -1,4 +1,6 @@
-"""What the package's other public functions make of a configuration: nothing may come out that is not finite."""
+"""What the package's other public functions make of a configuration: nothing may come out that is not
+finite.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,8 @@ def not_finite(svbrdf: SVBRDF, views: Views, radiance: Tensor, transfer: color.T
         transfer: how photos encode light.
     """
     return {name: sum(int((~torch.isfinite(t)).sum()) for t in _tensors(function()))
-            for name, function in _functions(svbrdf.detach(), views, radiance.detach().float(), transfer).items()}
+            for name, function in _functions(svbrdf.detach(), views, radiance.detach().float(),
+                                             transfer).items()}
 
 
 def _functions(svbrdf: SVBRDF, views: Views, radiance: Tensor, transfer: color.Transfer) -> Found:
@@ -39,15 +42,18 @@ def _functions(svbrdf: SVBRDF, views: Views, radiance: Tensor, transfer: color.T
     guess = guess_diffuse(capture, "min")
     return {
         "encode": lambda: color.encode(radiance, transfer), "decode": lambda: color.decode(photos, transfer),
-        "guess_diffuse, min": lambda: guess, "guess_diffuse, mean-blur": lambda: guess_diffuse(capture, "mean-blur"),
+        "guess_diffuse, min": lambda: guess, "guess_diffuse, mean-blur": lambda: guess_diffuse(capture,
+                                                                                               "mean-blur"),
         "guess_diffuse, robust": lambda: guess_diffuse(capture, "robust"),
         "robust_start": lambda: robust_start(capture, guess, svbrdf.bsdf).maps,
         "resized, smaller": lambda: svbrdf.resized(max(1, svbrdf.resolution // 2)).maps,
         "resized, larger": lambda: svbrdf.resized(2 * svbrdf.resolution).maps,
         "to_svbrdf of to_raw": lambda: to_svbrdf(svbrdf.bsdf, to_raw(svbrdf)).maps,
-        "photometric": lambda: photometric(radiance, photos, transfer), "diffuse": lambda: diffuse(svbrdf, guess),
+        "photometric": lambda: photometric(radiance, photos, transfer), "diffuse": lambda: diffuse(svbrdf,
+                                                                                                   guess),
         "total_variation": lambda: total_variation(svbrdf, edge_weights(guess)), "tilt": lambda: tilt(svbrdf),
-        "map_rmse": lambda: map_rmse(near, svbrdf), "photo_rmse": lambda: photo_rmse(radiance, photos, transfer)[0],
+        "map_rmse": lambda: map_rmse(near, svbrdf), "photo_rmse": lambda: photo_rmse(radiance, photos,
+                                                                                     transfer)[0],
         "image_error": lambda: image_error(radiance, radiance.double())}
 
 

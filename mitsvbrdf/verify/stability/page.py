@@ -1,4 +1,6 @@
-"""A stability run as a page and as the table of docs/stability.md; both show the numbers of the record and compute none."""
+"""A stability run as a page and as the table of docs/stability.md; both show the numbers of the record and
+compute none.
+"""
 
 from __future__ import annotations
 
@@ -11,21 +13,23 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from ...errors import OutputError
+from ...io import files
+from ...io.shared_file import held
 from ...pages.colours import CHART_FAINT
 from ...pages.page import figure, svg, write_page
-from ...system import files
-from ...system.shared_file import held
 from ..charts import BSDF_MARKS, bounded_panel
 from .clamps import CLAMPS
 from .verdict import VERDICTS
 
 BEGIN, END = "<!-- from here on written by mitsvbrdf stability --md -->", "<!-- up to here -->"
-PLOTTED = {"roughness": "roughness", "distance": "distance, patch sides", "tilt": "degrees between normal and plane"}
+PLOTTED = {"roughness": "roughness", "distance": "distance, patch sides",
+           "tilt": "degrees between normal and plane"}
 EXPLAINED_APART = ("limited", "refused", "wrong", "not finite")
 
 
 def write_stability_page(path: str | Path, record: dict) -> None:
-    """One self-contained HTML file: verdicts in colour, errors against roughness, distance and tilt, every clamp.
+    """One self-contained HTML file: verdicts in colour, errors against roughness, distance and tilt, every
+    clamp.
 
     Args:
         path: the file to write or replace.
@@ -35,14 +39,17 @@ def write_stability_page(path: str | Path, record: dict) -> None:
         OutputError: the file cannot be written.
     """
     plots = [(key, svg(errors_along(record, key))) for key in PLOTTED if key in record["sweeps"]]
-    counts = {name: Counter(row["renderers"][name]["verdict"] for row in record["rows"]) for name in record["renderers"]}
-    write_page(path, "verify/stability/stability.html", title="Numerical stability of the renderers", record=record,
-               plots=plots, clamps=CLAMPS, counts=counts, verdicts=VERDICTS, worst=worst_errors, largest=largest,
-               condition=condition_text, step=step_text, because=because)
+    counts = {name: Counter(row["renderers"][name]["verdict"] for row in record["rows"])
+              for name in record["renderers"]}
+    write_page(path, "verify/stability/stability.html", title="Numerical stability of the renderers",
+               record=record,
+               plots=plots, clamps=CLAMPS, counts=counts, verdicts=VERDICTS, worst=worst_errors,
+               largest=largest, condition=condition_text, step=step_text, because=because)
 
 
 def errors_along(record: dict, sweep: str) -> Figure:
-    """Image error, and gradient error of the worst map, along a sweep, with what one rounding of the normals makes.
+    """Image error, and gradient error of the worst map, along a sweep, with what one rounding of the normals
+    makes.
 
     Tilt is shown as the angle that is left to the horizon, so that the last decades are told apart.
     """
@@ -54,14 +61,15 @@ def errors_along(record: dict, sweep: str) -> Figure:
     for row in rows:
         x = max(90 - row["value"], 0.05) if sweep == "tilt" else row["value"]
         series: list[tuple[str, Any, str, Any]]
-        series = [("one rounding of the normals", CHART_FAINT, "_", (row["limit"]["image"], largest(row["limit"])))]
+        series = [("one rounding of the normals", CHART_FAINT, "_",
+                   (row["limit"]["image"], largest(row["limit"])))]
         series += [(f"{name}, {row['bsdf']}", colours[name], BSDF_MARKS[row["bsdf"]], worst_errors(figures))
                    for name, figures in row["renderers"].items()]
         for label, colour, marker, values in series:
             for panel, value in zip(panels, values):
                 if value:
-                    panel.plot(x, value, marker, color=colour, markersize=10 if marker == "_" else 4, alpha=0.8,
-                               linestyle="none", label=None if label in named else label)
+                    panel.plot(x, value, marker, color=colour, markersize=10 if marker == "_" else 4,
+                               alpha=0.8, linestyle="none", label=None if label in named else label)
                     named.add(label)
     stated = record["tolerances"]
     for panel, title, bound in zip(panels, ("Image, relative L2", "Gradient of the worst map, relative L2"),
@@ -87,7 +95,8 @@ def write_stability_markdown(path: str | Path, record: dict) -> None:
 
 
 def around_tables(path: str | Path) -> tuple[str, str]:
-    """What stands before and after the two marks in a Markdown file; a title and nothing where there is no file.
+    """What stands before and after the two marks in a Markdown file; a title and nothing where there is no
+    file.
 
     Raises:
         OutputError: the file is there but has no marks.
@@ -98,7 +107,8 @@ def around_tables(path: str | Path) -> tuple[str, str]:
     before, begin, rest = path.read_text(encoding="utf-8", errors="surrogateescape").partition(BEGIN)
     _, end, after = rest.partition(END)
     if not end or BEGIN in rest or END in before + after:
-        raise OutputError(f"a file with the marks {BEGIN} and {END}", f"{path} without them", "name a new file, or put them in")
+        raise OutputError(f"a file with the marks {BEGIN} and {END}", f"{path} without them",
+                          "name a new file, or put them in")
     return before, after
 
 
@@ -127,13 +137,16 @@ def _cell(figures: dict) -> str:
 
 
 def because(row: dict) -> str:
-    """The clamps that act, and what makes a renderer worse than its conditioning; the same cause is said once."""
+    """The clamps that act, and what makes a renderer worse than its conditioning; the same cause is said
+    once.
+    """
     causes: dict[str, list[str]] = {}
     for name, figures in row["renderers"].items():
         if figures["verdict"] in EXPLAINED_APART:
             why = figures["why"].rpartition(": ")[0] if figures["verdict"] == "limited" else figures["why"]
             causes.setdefault(why, []).append(name)
-    said = [why if len(names) == len(row["renderers"]) else f"{', '.join(names)}: {why}" for why, names in causes.items()]
+    said = [why if len(names) == len(row["renderers"]) else f"{', '.join(names)}: {why}"
+            for why, names in causes.items()]
     return "; ".join([*row["clamps"], *said])
 
 
@@ -161,12 +174,15 @@ def condition_text(row: dict) -> str:
 
 
 def step_text(row: dict) -> str:
-    """The largest step of float64, and by which factor the renderers' differ; a dash where it was not looked for."""
+    """The largest step of float64, and by which factor the renderers' differ; a dash where it was not looked
+    for.
+    """
     if not any("step" in figures for figures in row["renderers"].values()):
         return "–"
     if row["step"] is None:
         return "∞"
-    factors = sorted({figures["step"] / row["step"] for figures in row["renderers"].values() if figures.get("step")} - {1.0}
+    factors = sorted({figures["step"] / row["step"] for figures in row["renderers"].values()
+                      if figures.get("step")} - {1.0}
                      if row["step"] else ())
     return figure(row["step"]) + (f" (x {', '.join(f'{f:g}' for f in factors)})" if factors else "")
 

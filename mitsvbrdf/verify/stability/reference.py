@@ -1,8 +1,9 @@
-"""One texel in fifty digits: the model as textbooks print it, in mpmath, to say how far float64 itself can be trusted.
+"""One texel in fifty digits: the model as textbooks print it, in mpmath, to say how far float64 itself can be
+trusted.
 
-Written apart from :mod:`mitsvbrdf.render.analytic`, and without any of its care for rounding: with so many digits
-c^2 (a^2 - 1) + 1 may cancel and a refractive index may be 1e25. Scalars, one at a time; a texel in one view takes about
-a millisecond. The model's clamps (:mod:`.clamps`) are part of the model.
+Written apart from :mod:`mitsvbrdf.render.analytic`, and without any of its care for rounding: with so many
+digits c^2 (a^2 - 1) + 1 may cancel and a refractive index may be 1e25. Scalars, one at a time; a texel in one
+view takes about a millisecond. The model's clamps (:mod:`.clamps`) are part of the model.
 
 Sources: Walter et al. 2007 (GGX, Smith's G), Fresnel's equations, Burley 2012 and 2015 (``principled``).
 """
@@ -20,13 +21,16 @@ from ...render.needs import half_angle_bound
 from ...views import Views
 
 DIGITS = 50
-DIFFERENCE_STEP = mpf(10) ** -18  # of the central differences: their error goes like its square, rounding like 10^-50 over it
+# of the central differences: their error goes like its square, rounding like 10^-50 over it
+DIFFERENCE_STEP = mpf(10) ** -18
 
 Maps = dict[str, list]
 
 
-def texel_sum(svbrdf: SVBRDF, views: Views, row: int, column: int, cotangent: list) -> tuple[mpf, dict[str, list]]:
-    """One texel's radiance in all views times fixed numbers, summed, and the derivative of the sum by its maps.
+def texel_sum(svbrdf: SVBRDF, views: Views, row: int, column: int, cotangent: list) -> tuple[mpf,
+                                                                                             dict[str, list]]:
+    """One texel's radiance in all views times fixed numbers, summed, and the derivative of the sum by its
+    maps.
 
     Args:
         svbrdf: the material; what its float32 values stand for is taken exactly.
@@ -59,15 +63,18 @@ def _slope(total: Callable[[Maps], mpf], maps: Maps, name: str, i: int) -> mpf:
 
     value = maps[name][i]
     bounded = name != "normal"
-    up, down = (0 if bounded and value >= 1 else DIFFERENCE_STEP), (0 if bounded and value <= 0 else DIFFERENCE_STEP)
+    up, down = (0 if bounded and value >= 1 else DIFFERENCE_STEP), (0 if bounded and value <= 0
+                                                                    else DIFFERENCE_STEP)
     return (at(up) - at(-down)) / (up + down)
 
 
 def radiance(bsdf: str, maps: Maps, views: Views, k: int, place: tuple, curve: bool) -> list:
     """Linear radiance (rgb) of a texel at ``place`` (x, y, in patch sides) in view ``k``."""
     size = mpf(float(views.size))
-    camera, light, power = ([mpf(x) for x in rows[k].tolist()] for rows in (views.camera, views.light, views.intensity))
-    to_camera, to_light = ([p / size - q for p, q in zip(position, (*place, 0))] for position in (camera, light))
+    camera, light, power = ([mpf(x) for x in rows[k].tolist()] for rows in (views.camera, views.light,
+                                                                            views.intensity))
+    to_camera, to_light = ([p / size - q for p, q in zip(position, (*place, 0))] for position in (camera,
+                                                                                                  light))
     v, l, n = _unit(to_camera), _unit(to_light), _unit(maps["normal"])  # noqa: E741
     h = _unit([a + b for a, b in zip(v, l)])
     n_l, n_v, n_h, h_l = _dot(n, l), _dot(n, v), _dot(n, h), _dot(h, l)
@@ -79,7 +86,8 @@ def radiance(bsdf: str, maps: Maps, views: Views, k: int, place: tuple, curve: b
     d = a2 / (mp.pi * (n_h**2 * (a2 - 1) + 1) ** 2)
     g = _smith(a2, n_l) * _smith(a2, n_v)
     lobes = _roughconductor if bsdf == "roughconductor" else _principled
-    return [f * n_l * i / size**2 / _dot(reach, reach) for f, i in zip(lobes(maps, n_l, n_v, h_l, d, g, curve), power)]
+    return [f * n_l * i / size**2 / _dot(reach, reach) for f, i in zip(lobes(maps, n_l, n_v, h_l, d, g,
+                                                                             curve), power)]
 
 
 def _roughconductor(maps: Maps, n_l: mpf, n_v: mpf, h_l: mpf, d: mpf, g: mpf, curve: bool) -> list:
@@ -93,7 +101,8 @@ def _principled(maps: Maps, n_l: mpf, n_v: mpf, h_l: mpf, d: mpf, g: mpf, curve:
     w_l, w_v, retro = (1 - n_l) ** 5, (1 - n_v) ** 5, 2 * roughness * h_l**2
     burley = (1 - w_l / 2) * (1 - w_v / 2) + retro * (w_l + w_v + w_l * w_v * (retro - 1))
     return [(1 - metallic) * base / mp.pi * burley + d * g / (4 * n_l * n_v) * (
-        metallic * (base + (1 - base) * (1 - h_l) ** 5) + (1 - metallic) * glass) for base in maps["base_color"]]
+        metallic * (base + (1 - base) * (1 - h_l) ** 5) + (1 - metallic) * glass)
+            for base in maps["base_color"]]
 
 
 def _smith(a2: mpf, cosine: mpf) -> mpf:

@@ -12,12 +12,12 @@ from torch import Tensor
 from ... import color
 from ...errors import MitsvbrdfError
 from ...fit.losses import photometric
+from ...io.entry import entry
+from ...io.provenance import machine, versions
 from ...measure.gradients import Measured, fixed_cotangent, render_and_gradients
 from ...measure.metrics import image_error
 from ...measure.tolerances import SWEEP_TOLERANCES, UNIT_ROUNDOFF
 from ...render import Renderer, make_renderer
-from ...system.entry import entry
-from ...system.provenance import machine, versions
 from ..float32_limits import float32_limit
 from .clamps import CLAMPS
 from .conditioning import condition, disturbed, jacobian, largest_step
@@ -27,13 +27,15 @@ from .sweeps import SWEEPS, Case
 from .verdict import verdict
 
 SCHEMA_VERSION = 1
-ABOVE_ROUNDING = 1e-5  # a gradient entry of this share of its texel's is above float32's rounding: 0 in its place was put there
+# a gradient entry of this share of its texel's is above float32's rounding: 0 in its place was put there
+ABOVE_ROUNDING = 1e-5
 
 Report = Callable[[str, float], object]
 
 
 @entry(gradients=True)
-def stability(renderers: Sequence[Renderer], sweeps: Sequence[str] = tuple(SWEEPS), report: Report = lambda text, share: None,
+def stability(renderers: Sequence[Renderer], sweeps: Sequence[str] = tuple(SWEEPS),
+              report: Report = lambda text, share: None,
               ) -> dict:
     """Run sweeps and give a verdict on each configuration and renderer.
 
@@ -43,7 +45,8 @@ def stability(renderers: Sequence[Renderer], sweeps: Sequence[str] = tuple(SWEEP
         report: told what is going on and the share done.
 
     Returns:
-        A record for JSON, without NaN; docs/stability.md explains it. ``violations`` says what came out worse than expected.
+        A record for JSON, without NaN; docs/stability.md explains it. ``violations`` says what came out worse
+        than expected.
     """
     cases = [case for key in sweeps for case in SWEEPS[key][1]()]
     rows = []
@@ -53,12 +56,15 @@ def stability(renderers: Sequence[Renderer], sweeps: Sequence[str] = tuple(SWEEP
     record = {
         "schema_version": SCHEMA_VERSION, "reference": "analytic64", "renderers": [r.name for r in renderers],
         "tolerances": SWEEP_TOLERANCES,
-        "sweeps": {key: SWEEPS[key][0] for key in sweeps}, "rows": rows, "machine": machine(), "versions": versions()}
+        "sweeps": {key: SWEEPS[key][0] for key in sweeps}, "rows": rows, "machine": machine(),
+        "versions": versions()}
     return record | {"violations": violations(rows)}
 
 
 def violations(rows: Sequence[dict]) -> list[dict]:
-    """What came out worse than expected: ``sweep``, ``label``, ``renderer`` (None: float64, or another function), ``what``."""
+    """What came out worse than expected: ``sweep``, ``label``, ``renderer`` (None: float64, or another
+    function), ``what``.
+    """
     found = []
     for each in rows:
         where = {"sweep": each["sweep"], "label": each["label"]}
@@ -77,9 +83,12 @@ def violations(rows: Sequence[dict]) -> list[dict]:
 
 def measured(case: Case, renderers: Sequence[Renderer]) -> dict:
     """The record of one configuration."""
-    about: dict[str, Any] = {"sweep": case.sweep, "label": case.label, "value": case.value, "bsdf": case.svbrdf.bsdf,
-                             "resolution": case.svbrdf.resolution, "views": len(case.views), "refused": case.refused}
-    nothing: dict[str, Any] = {"condition": None, "limit": {}, "fifty_digits": {}, "functions": {}, "clamps": [],
+    about: dict[str, Any] = {"sweep": case.sweep, "label": case.label, "value": case.value,
+                             "bsdf": case.svbrdf.bsdf,
+                             "resolution": case.svbrdf.resolution, "views": len(case.views),
+                             "refused": case.refused}
+    nothing: dict[str, Any] = {"condition": None, "limit": {}, "fifty_digits": {}, "functions": {},
+                               "clamps": [],
                                "step": None}
     try:
         case.svbrdf.check()
@@ -111,7 +120,8 @@ def measured(case: Case, renderers: Sequence[Renderer]) -> dict:
 
 def _display(case: Case) -> Callable[[Tensor], Tensor]:
     """What a fit sees: display values, burnt out in photos whose exposure is swept."""
-    return color.encode if case.transfer is None else lambda radiance: color.to_display(radiance, case.encoding)
+    return color.encode if case.transfer is None else lambda radiance: color.to_display(radiance,
+                                                                                        case.encoding)
 
 
 def _photos(twin: Renderer, case: Case) -> Tensor | None:
@@ -124,7 +134,8 @@ def _photos(twin: Renderer, case: Case) -> Tensor | None:
 
 def _cotangent(twin: Renderer, case: Case, photos: Tensor | None) -> Tensor:
     if photos is None:
-        return fixed_cotangent(torch.Size((len(case.views), case.svbrdf.resolution, case.svbrdf.resolution, 3)))
+        return fixed_cotangent(torch.Size((len(case.views), case.svbrdf.resolution, case.svbrdf.resolution,
+                                           3)))
     with torch.no_grad():
         image = twin.render(case.svbrdf, case.views)
     image.requires_grad_()
@@ -142,10 +153,12 @@ def _figures(renderer: Renderer, case: Case, exact: Measured, photos: Tensor | N
     image, true = found.image[:, pick], exact.image[:, pick]
     gradients = {name: (g[pick], exact.gradients[name][pick]) for name, g in found.gradients.items()}
     return {
-        "errors": {"image": _relative(image, true)} | {name: _relative(*pair) for name, pair in gradients.items()},
+        "errors": {"image": _relative(image, true)}
+        | {name: _relative(*pair) for name, pair in gradients.items()},
         "worst": {"image": _finite(image_error(image, true)["worst"])} | {
             name: _relative(*pair, norm=math.inf) for name, pair in gradients.items()},
-        "not_finite": {"image": _not_finite(image)} | {name: _not_finite(g) for name, (g, _) in gradients.items()},
+        "not_finite": {"image": _not_finite(image)}
+        | {name: _not_finite(g) for name, (g, _) in gradients.items()},
         "silenced": {name: _silenced(*pair) for name, pair in gradients.items()},
     }
 
@@ -154,13 +167,15 @@ def _loss_gradients(renderer: Renderer, case: Case, photos: Tensor) -> Measured:
     """As :func:`render_and_gradients`, of the photometric loss in the renderer's own precision."""
     leaves = case.svbrdf.map(lambda t: t.detach().clone().requires_grad_())
     image = renderer.render(leaves, case.views)
-    gradients = torch.autograd.grad(photometric(image, photos.to(image), case.encoding), list(leaves.maps.values()))
+    gradients = torch.autograd.grad(photometric(image, photos.to(image), case.encoding),
+                                    list(leaves.maps.values()))
     return Measured(image.detach(), dict(zip(leaves.maps, gradients)), 0.0, 0.0)
 
 
 def _relative(found: Tensor, reference: Tensor, norm: float = 2.0) -> float | None:
     """|found - reference| / |reference|, 0 where both are 0; None for infinite."""
-    off, size = ((x.flatten() if x.numel() else x.new_zeros(1)).norm(norm) for x in (found.double() - reference, reference))
+    off, size = ((x.flatten() if x.numel() else x.new_zeros(1)).norm(norm)
+                 for x in (found.double() - reference, reference))
     return 0.0 if off == 0 else _finite(float(off / size))
 
 
@@ -174,11 +189,14 @@ def _not_finite(tensor: Tensor) -> int:
 
 def _silenced(found: Tensor, reference: Tensor) -> int:
     """Entries that came back as 0 though they are not small beside the others of their texel."""
-    return int(((found == 0) & (reference.abs() > ABOVE_ROUNDING * reference.norm(dim=-1, keepdim=True))).sum())
+    return int(((found == 0) & (reference.abs() > ABOVE_ROUNDING * reference.norm(dim=-1,
+                                                                                  keepdim=True))).sum())
 
 
 def _limit(twin: Renderer, case: Case, exact: Measured, cotangent: Tensor) -> dict[str, float]:
-    """What one rounding of every normal changes, relative L2, over the texels that are compared; 1 rounding where all is 0."""
+    """What one rounding of every normal changes, relative L2, over the texels that are compared; 1 rounding
+    where all is 0.
+    """
     limit = float32_limit(twin, case.svbrdf, case.views, exact, cotangent)
     pick = slice(None) if case.texels is None else case.texels
     pairs = {"image": (limit.image[:, pick], exact.image[:, pick])} | {
@@ -192,7 +210,9 @@ def _step(renderer: Renderer, case: Case, first: float | None = None) -> float |
 
 
 def _fifty_digits(case: Case, exact: Measured, cotangent: Tensor) -> dict[str, float]:
-    """Relative error of float64 in the brightest texel: of its radiance in all views, and of its gradient by map."""
+    """Relative error of float64 in the brightest texel: of its radiance in all views, and of its gradient by
+    map.
+    """
     row, column = divmod(int(exact.image.sum(dim=(0, 3)).argmax()), case.svbrdf.resolution)
     weights = cotangent[:, row, column].double()
     total, slopes = texel_sum(case.svbrdf, case.views, row, column, weights.tolist())
@@ -201,4 +221,5 @@ def _fifty_digits(case: Case, exact: Measured, cotangent: Tensor) -> dict[str, f
     for name, values in slopes.items():
         true = torch.tensor([float(x) for x in values], dtype=torch.float64)
         pairs[name] = float((exact.gradients[name][row, column] - true).norm()), float(true.norm())
-    return {name: 0.0 if off == 0 else off / length if length else 1.0 for name, (off, length) in pairs.items()}
+    return {name: 0.0 if off == 0 else off / length if length else 1.0 for name, (off,
+                                                                                  length) in pairs.items()}

@@ -1,4 +1,6 @@
-"""The configurations of a stability run: ten sweeps, each from harmless to extreme, small enough to be run all."""
+"""The configurations of a stability run: ten sweeps, each from harmless to extreme, small enough to be run
+all.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +21,11 @@ TAKEN_APART_SIDE = 64  # larger materials are compared, but not taken apart
 STEPPED_VIEWS = 9  # with more views no step is searched for: hundreds of pictures
 
 GRID = nine_view_grid()
-APART = Views.of(GRID.camera, GRID.camera + torch.tensor([1.5, -0.3, 0.1]), GRID.intensity)  # 20 degrees to the half vector
+# 20 degrees to the half vector
+APART = Views.of(GRID.camera, GRID.camera + torch.tensor([1.5, -0.3, 0.1]), GRID.intensity)
 
-# What is known of Mitsuba's plugins beyond the rounding of a normal: the largest relative L2 error, and its cause.
+# What is known of Mitsuba's plugins beyond the rounding of a normal: the largest relative L2 error, and its
+# cause.
 Known = Mapping[str, tuple[float, str]]
 
 
@@ -32,17 +36,19 @@ def _mitsuba(bound: float, why: str) -> Known:
 # Measured 3e-5 at 85 degrees, where n.v = 3e-4 in one texel of 256.
 HORIZON = _mitsuba(3e-4, "Mitsuba forms G / (4 n.v) from its parts, whose derivative loses 6e-8 / n.v")
 # Measured 1.8e-3, in the gradient of F0.
-OPPOSITE = _mitsuba(1e-2, "Mitsuba adds the directions to camera and light in float32, and they all but cancel")
+OPPOSITE = _mitsuba(1e-2, "Mitsuba adds the directions to camera and light in float32, and they all but "
+                          "cancel")
 # Measured 4e-6 at 0.02 sides.
-HIT = {"mitsuba-scene": (2e-5, "the distance to the light is measured from a hit that is rounded to 6e-8 sides")}
+HIT = {"mitsuba-scene": (2e-5, "the distance to the light is measured from a hit that is rounded to 6e-8 "
+                               "sides")}
 
 
 @dataclass(frozen=True)
 class Case:
     """One configuration.
 
-    It is expected to come out finite, and as exact as float32 and its conditioning allow, unless ``refused`` or ``known`` say
-    otherwise.
+    It is expected to come out finite, and as exact as float32 and its conditioning allow, unless ``refused``
+    or ``known`` say otherwise.
 
     Args:
         sweep: key of :data:`SWEEPS`.
@@ -51,8 +57,9 @@ class Case:
         svbrdf: the material, float32, valid.
         views: camera and light positions, valid.
         texels: R x R, bool: which texels are compared; None for all.
-        transfer: where given, gradients are those of the photometric loss on photos of this transfer function, of a material
-            a little different; else of the product of the image with fixed random numbers.
+        transfer: where given, gradients are those of the photometric loss on photos of this transfer
+            function, of a material a little different; else of the product of the image with fixed random
+            numbers.
         refused: whether maps or views are invalid, and have to be refused as such.
         known: what is known to be worse, by renderer: the largest relative error allowed, and its cause.
     """
@@ -85,14 +92,16 @@ class Case:
 
 def material(bsdf: Bsdf = "roughconductor", side: int = CASE_SIDE, normal: Tensor | None = None,
              **values: float | tuple | Tensor) -> SVBRDF:
-    """Random maps, F0 0.02 to 0.92, roughness 0.15 to 0.95 and normals tilted by about 8 degrees, with some replaced.
+    """Random maps, F0 0.02 to 0.92, roughness 0.15 to 0.95 and normals tilted by about 8 degrees, with some
+    replaced.
 
     Args:
         normal: R x R x 3.
         values: by map name: a number, a colour, or a map.
     """
     rng = torch.Generator().manual_seed(0)
-    maps = {name: torch.rand(side, side, channels, generator=rng) for name, channels in CHANNELS[bsdf].items()}
+    maps = {name: torch.rand(side, side, channels, generator=rng)
+            for name, channels in CHANNELS[bsdf].items()}
     slopes = 0.1 * torch.randn(side, side, 2, generator=rng)
     maps["roughness"] = 0.15 + 0.8 * maps["roughness"]
     if "specular" in maps:
@@ -104,29 +113,36 @@ def material(bsdf: Bsdf = "roughconductor", side: int = CASE_SIDE, normal: Tenso
 
 
 def aimed(bsdf: Bsdf, views: Views, roughness: float) -> SVBRDF:
-    """Normals within three alpha of the half vector of one view or another: every texel is in somebody's highlight."""
+    """Normals within three alpha of the half vector of one view or another: every texel is in somebody's
+    highlight.
+    """
     rng = torch.Generator().manual_seed(1)
     v = views.in_patch_sides()
     index = torch.arange(CASE_SIDE * CASE_SIDE).reshape(CASE_SIDE, CASE_SIDE) % len(v)
-    camera, light = (F.normalize(place[index] - texel_positions(CASE_SIDE), dim=-1) for place in (v.camera, v.light))
-    away = 3 * max(roughness**2, MIN_ALPHA[bsdf]) * torch.randn(CASE_SIDE, CASE_SIDE, 3, generator=rng, dtype=torch.float64) / 2
+    camera, light = (F.normalize(place[index] - texel_positions(CASE_SIDE), dim=-1) for place in (v.camera,
+                                                                                                  v.light))
+    away = (3 * max(roughness**2, MIN_ALPHA[bsdf])
+            * torch.randn(CASE_SIDE, CASE_SIDE, 3, generator=rng, dtype=torch.float64) / 2)
     normal = F.normalize(F.normalize(camera + light, dim=-1) + away.clamp(-0.5, 0.5), dim=-1)
     return material(bsdf, roughness=roughness, normal=normal)
 
 
 def tilted(degrees: float, towards: float | None = None) -> Tensor:
-    """Normals at this angle to the patch's, R x R x 3; the azimuth is random or, every other one, along an axis.
+    """Normals at this angle to the patch's, R x R x 3; the azimuth is random or, every other one, along an
+    axis.
 
     Args:
         towards: one azimuth for all, degrees from x towards y.
     """
     angle = torch.deg2rad(torch.tensor(degrees, dtype=torch.float64))
-    azimuth = 2 * torch.pi * torch.rand(CASE_SIDE, CASE_SIDE, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    azimuth = 2 * torch.pi * torch.rand(CASE_SIDE, CASE_SIDE, generator=torch.Generator().manual_seed(2),
+                                        dtype=torch.float64)
     quarter = torch.pi / 2
     azimuth[::2] = (azimuth[::2] / quarter).round() * quarter
     if towards is not None:
         azimuth = torch.deg2rad(torch.full_like(azimuth, towards))
-    return torch.stack((angle.sin() * azimuth.cos(), angle.sin() * azimuth.sin(), angle.cos().expand_as(azimuth)), dim=-1)
+    return torch.stack((angle.sin() * azimuth.cos(), angle.sin() * azimuth.sin(),
+                        angle.cos().expand_as(azimuth)), dim=-1)
 
 
 def _roughness() -> list[Case]:
@@ -137,23 +153,26 @@ def _roughness() -> list[Case]:
 
 
 def _tilt() -> list[Case]:
-    cases = [Case("tilt", f"{degrees:g} degrees, {bsdf}", degrees, material(bsdf, normal=tilted(degrees)), APART,
-                  known=HORIZON) for degrees in (0, 45, 75, 85, 89, 89.9) for bsdf in CHANNELS]
+    cases = [Case("tilt", f"{degrees:g} degrees, {bsdf}", degrees, material(bsdf, normal=tilted(degrees)),
+                  APART, known=HORIZON) for degrees in (0, 45, 75, 85, 89, 89.9) for bsdf in CHANNELS]
     low = Views.of([[3.0, 0.2, 1.0], [3.0, -0.5, 0.4]], intensity=30.0)
     level = torch.tensor([1.0, 0.0, 0.0]).expand(CASE_SIDE, CASE_SIDE, 3)
     return [*cases,
             Case("tilt", "60 degrees, half facing away", None, material(normal=tilted(60)), low),
             Case("tilt", "85 degrees, all facing away", None, material(normal=tilted(85, 160)), low),
-            Case("tilt", "89.999 degrees along x", None, material(normal=tilted(89.999, 0)), low, known=HORIZON),
+            Case("tilt", "89.999 degrees along x", None, material(normal=tilted(89.999, 0)), low,
+                 known=HORIZON),
             Case("tilt", "90 degrees", None, material(normal=level), low, refused=True),
-            Case("tilt", "normals of length 1e-9", None, material(normal=1e-9 * tilted(0)), GRID, refused=True)]
+            Case("tilt", "normals of length 1e-9", None, material(normal=1e-9 * tilted(0)), GRID,
+                 refused=True)]
 
 
 def _distance() -> list[Case]:
     cases = []
     for z in (0.02, 0.1, 1.0, 10.0, 100.0, 1e3, 1e4):
         beside = Views.of([[0.1, 0.2, z]], [[0.1 + 0.3 * z, 0.2, z]], 3 * z**2)
-        cases += [Case("distance", f"{z:g} sides, {bsdf}", z, material(bsdf), beside, known=HIT if z < 0.1 else {})
+        cases += [Case("distance", f"{z:g} sides, {bsdf}", z, material(bsdf), beside, known=HIT if z < 0.1
+                       else {})
                   for bsdf in CHANNELS]
     for x in (10.0, 100.0, 1e3, 1e4):
         aside = Views.of([[x, 0.2, 1]], intensity=x**3)
@@ -161,7 +180,8 @@ def _distance() -> list[Case]:
     opposite = Views.of([[100.0, 0.1, 0.01]], [[-100.0, 0.1, 0.01]], 1e8)
     mirrors = material(roughness=0.05, normal=tilted(0))
     return [*cases, Case("distance", "low, on opposite sides", None, mirrors, opposite, known=OPPOSITE),
-            *(Case("distance", f"{z:g} sides", None, material(), _unchecked(z), refused=True) for z in (-1.0, 1e-5, 1e8))]
+            *(Case("distance", f"{z:g} sides", None, material(), _unchecked(z), refused=True) for z in (-1.0,
+                                                                                                        1e-5, 1e8))]
 
 
 def _unchecked(z: float = 1.0, intensity: float = 1.0) -> Views:
@@ -174,7 +194,8 @@ def _colour() -> list[Case]:
     cases = [Case("colour", f"albedo {name}", None, material(diffuse=value), GRID)
              for name, value in (("0", 0.0), ("1e-6", 1e-6), ("1", 1.0), ("(1, 1e-6, 0)", red))]
     for where, views in (("", GRID), (", apart", APART)):
-        cases += [Case("colour", f"F0 {name}{where}", None, material(specular=value), views) for name, value in (
+        cases += [Case("colour", f"F0 {name}{where}", None, material(specular=value), views)
+                  for name, value in (
             ("0", 0.0), ("1e-6", 1e-6), ("1e-3", 1e-3), ("0.99", 0.99), ("1", 1.0), ("(1, 1e-6, 0)", red))]
     cases += [Case("colour", f"base colour {name}", None, material("principled", base_color=value), APART)
               for name, value in (("0", 0.0), ("1", 1.0), ("(1, 1e-6, 0)", red))]
@@ -198,19 +219,22 @@ def _clipped() -> list[Case]:
 
 
 def _flat() -> list[Case]:
-    return [Case("flat", "grey", None, flat(CASE_SIDE), GRID), Case("flat", "black", None, flat(CASE_SIDE, diffuse=0.0), APART),
+    return [Case("flat", "grey", None, flat(CASE_SIDE), GRID),
+            Case("flat", "black", None, flat(CASE_SIDE, diffuse=0.0), APART),
             Case("flat", "mirror", None, flat(CASE_SIDE, diffuse=0.0, specular=1.0, roughness=0.02), GRID),
             Case("flat", "principled", None, flat(CASE_SIDE, "principled"), APART)]
 
 
 def _resolution() -> list[Case]:
     above = Views.of([[0.1, 0.2, 2.0]], [[0.4, 0.2, 2.0]], 12.0)
-    return [Case("resolution", f"{side} px", side, material(side=side), above) for side in (2, 16, 128, 512, 2048)]
+    return [Case("resolution", f"{side} px", side, material(side=side), above) for side in (2, 16, 128, 512,
+                                                                                            2048)]
 
 
 def _views() -> list[Case]:
     rng = torch.Generator().manual_seed(3)
-    around = torch.cat((torch.rand(64, 2, generator=rng) * 2 - 1, 1 + torch.rand(64, 1, generator=rng)), dim=1).double()
+    around = torch.cat((torch.rand(64, 2, generator=rng) * 2 - 1, 1 + torch.rand(64, 1, generator=rng)),
+                       dim=1).double()
     lights = around + torch.tensor([0.3, 0.0, 0.0])
     return [Case("views", f"{n}, {bsdf}", n, material(bsdf), Views.of(around[:n], lights[:n], 8.0))
             for n in (1, 2, 9, 64) for bsdf in CHANNELS]
@@ -228,7 +252,8 @@ def _stiff() -> list[Case]:
 SWEEPS: dict[str, tuple[str, Callable[[], list[Case]]]] = {
     "roughness": ("Roughness, every texel in the highlight of a view", _roughness),
     "tilt": ("Normals tilted, or pointing away", _tilt),
-    "distance": ("Distance of camera and light, in patch sides; and to the side until the view grazes", _distance),
+    "distance": ("Distance of camera and light, in patch sides; and to the side until the view grazes",
+                 _distance),
     "colour": ("Albedo, F0, base colour and metallic at the ends of their range", _colour),
     "intensity": ("Radiant intensity of the light", _intensity),
     "clipped": ("Photos from black to burnt out: gradients of the photometric loss", _clipped),

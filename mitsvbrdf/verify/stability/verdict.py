@@ -6,21 +6,23 @@ from collections.abc import Mapping, Sequence
 
 from ...measure.tolerances import SWEEP_TOLERANCES
 
-# From best to worst: ``degraded`` is as far off as conditioning explains, ``limited`` further, for a known cause and within a
-# stated bound. The last two are never accepted, ``refused`` only of what is invalid.
+# From best to worst: ``degraded`` is as far off as conditioning explains, ``limited`` further, for a known
+# cause and within a stated bound. The last two are never accepted, ``refused`` only of what is invalid.
 VERDICTS = ("exact", "clamped", "degraded", "limited", "refused", "wrong", "not finite")
 
 
-def verdict(figures: Mapping, limit: Mapping[str, float], clamps: Sequence[str] = (), known: tuple[float, str] | None = None,
+def verdict(figures: Mapping, limit: Mapping[str, float], clamps: Sequence[str] = (), known: tuple[float, str]
+            | None = None,
             ) -> tuple[str, str]:
     """A key of :data:`VERDICTS`, and why.
 
     Args:
-        figures: ``errors``, the relative L2 error of ``image`` and each map's gradient, None for infinite; ``not_finite``
-            and ``silenced``, how many values by the same names; or ``refused``, the error message, alone.
-        limit: what one rounding of every normal changes (:func:`mitsvbrdf.verify.float32_limits.float32_limit`), by the
-            names of ``errors``; empty where it was not looked at. Measured errors reach a third of it where nothing else is
-            wrong.
+        figures: ``errors``, the relative L2 error of ``image`` and each map's gradient, None for infinite;
+            ``not_finite`` and ``silenced``, how many values by the same names; or ``refused``, the error
+            message, alone.
+        limit: what one rounding of every normal changes
+            (:func:`mitsvbrdf.verify.float32_limits.float32_limit`), by the names of ``errors``; empty where
+            it was not looked at. Measured errors reach a third of it where nothing else is wrong.
         clamps: names of the cuts that act.
         known: the largest error that is known and explained, and its cause.
     """

@@ -1,4 +1,6 @@
-"""What leaving parts of a fit out saves and costs: pairs of stated fits, each kept in a file that a run goes on with."""
+"""What leaving parts of a fit out saves and costs: pairs of stated fits, each kept in a file that a run goes
+on with.
+"""
 
 import json
 from dataclasses import asdict, replace
@@ -22,7 +24,7 @@ from mitsvbrdf.bench.tasks import known_material
 from mitsvbrdf.capture import write_capture
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import HierarchicalConfig
-from mitsvbrdf.system.profile import profiled
+from mitsvbrdf.io.profile import profiled
 
 USUAL = HierarchicalConfig(budget=UNLIMITED)
 STARTS = Part("starts", USUAL, replace(USUAL, neighbours=False))
@@ -35,14 +37,18 @@ def inlay():
 
 @pytest.fixture
 def done(monkeypatch, inlay):
-    """The settings of every fit; each takes 6 s and errs little where texels try neighbours, else 2 s, and errs much."""
+    """The settings of every fit; each takes 6 s and errs little where texels try neighbours, else 2 s, and
+    errs much.
+    """
     called = []
 
     def fit(photos, renderer, config):
         called.append((config.neighbours, config.iterations, len(photos)))
         truth = inlay.task.truth
-        off = dict(truth.maps) | {"diffuse": (truth["diffuse"] + (0.05 if config.neighbours else 0.1)).clamp(0, 1)}
-        return Fitted(replace(truth, maps=off), 0.01, lambda shots: 0.0, 0.0, 6.0 if config.neighbours else 2.0, 10, "settled")
+        off = dict(truth.maps) | {"diffuse": (truth["diffuse"]
+                                              + (0.05 if config.neighbours else 0.1)).clamp(0, 1)}
+        return Fitted(replace(truth, maps=off), 0.01, lambda shots: 0.0, 0.0, 6.0 if config.neighbours
+                      else 2.0, 10, "settled")
 
     monkeypatch.setattr(fits, "fit", fit)
     return called
@@ -59,11 +65,13 @@ def test_a_pair_takes_turns_and_tells_which_is_which(put_in, done, inlay):
                                  {"with": [6.0] * 2, "without": [2.0] * 2})
     more, less = ("with", "without") if put_in else ("without", "with")
     assert record["errors"][more]["mean"] > record["errors"][less]["mean"] > 0
-    assert record["method"] == f"hierarchical {'with' if put_in else 'without'} starts" and record["photos"] == 9
+    assert record["method"] == f"hierarchical {'with' if put_in else 'without'} starts" and record[
+        "photos"] == 9
 
 
 def test_photos_are_taken_away_from_one_side_alone(done, inlay):
-    PairJob(Part("half", USUAL, USUAL, photos=lambda shots: shots.pick(shots.index[::2])), inlay, 1, ANALYTIC).run()
+    PairJob(Part("half", USUAL, USUAL, photos=lambda shots: shots.pick(shots.index[::2])), inlay, 1,
+            ANALYTIC).run()
     assert [photos for _, steps, photos in done if steps is None] == [9, 5]
 
 
@@ -78,7 +86,8 @@ def test_a_table_is_changed_for_one_side_alone(put_in, done, inlay, monkeypatch)
 
     monkeypatch.setattr(fits, "fit", fit)
     record = PairJob(Part("rounds", USUAL, USUAL, put_in, table=(table, {"a": 7})), inlay, 2, ANALYTIC).run()
-    assert seen[2:] == ([7, 14] if put_in else [14, 7]) * 2 and table == {"a": 14}  # with the part, without it
+    # with the part, without it
+    assert seen[2:] == ([7, 14] if put_in else [14, 7]) * 2 and table == {"a": 14}
     assert list(record["spent"]) == ["rounds: 14"]  # of the program's own way
 
 
@@ -114,7 +123,8 @@ def test_an_interrupted_run_goes_on_with_the_pair_that_it_lost(tmp_path, done, i
 def test_other_code_of_leaving_out_or_other_turns_are_refused(tmp_path):
     shaping = ("bench/leave_out/fits.py",)
     Store(tmp_path / "l.json", LeaveOutPlan().settings(), shaping=shaping).write()
-    Store(tmp_path / "l.json", LeaveOutPlan(fits=True).settings(), shaping=shaping)  # renders first, fits later
+    # renders first, fits later
+    Store(tmp_path / "l.json", LeaveOutPlan(fits=True).settings(), shaping=shaping)
     with pytest.raises(ConfigError, match="code"):
         Store(tmp_path / "l.json", LeaveOutPlan().settings())
     for changed, word in (({"fit_repeats": 1}, "repeats"), ({"resolution": 64}, "renders_resolution")):
@@ -138,7 +148,8 @@ def test_what_is_fitted():
 def test_captures_are_those_named(tmp_path, monkeypatch):
     monkeypatch.delenv("MITSVBRDF_DATA", raising=False)
     (tmp_path / "captures" / "bamboo").mkdir(parents=True)
-    assert capture_folders(None, tmp_path) == [] and capture_folders("bamboo", tmp_path) == [str(tmp_path / "captures/bamboo")]
+    assert capture_folders(None, tmp_path) == [] and capture_folders("bamboo",
+                                                                     tmp_path) == [str(tmp_path / "captures/bamboo")]
     for data in (tmp_path, None):
         with pytest.raises(ConfigError, match="none called oak"):
             capture_folders("oak", data)
@@ -150,12 +161,14 @@ def test_another_process_makes_the_same_jobs(tmp_path, monkeypatch, done):
                         captures=[str(tmp_path / "inlaid")])
     jobs = plan.jobs()[0]
     kinds = [job.scene.kind for job in jobs]
-    assert kinds.count(EXACT) == 2 and kinds.count(OFF) == kinds.count(REAL) == 1  # the tied stage is put in for no real photo
+    # the tied stage is put in for no real photo
+    assert kinds.count(EXACT) == 2 and kinds.count(OFF) == kinds.count(REAL) == 1
     told = json.loads(json.dumps(["LeaveOutPlan", asdict(plan)]))
     monkeypatch.setattr(child, "_made", [])
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(PairJob, "run", lambda self: {"ran": self.title})
     for job in jobs:
-        assert child.measure({"folder": str(tmp_path), "plan": told, "key": key_of(job)}) == {"ran": job.title}
+        assert child.measure({"folder": str(tmp_path), "plan": told,
+                              "key": key_of(job)}) == {"ran": job.title}
     with pytest.raises(ConfigError, match="rounding"):
         LeaveOutPlan(True, parts=["rounding"]).jobs()

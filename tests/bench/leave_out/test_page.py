@@ -15,23 +15,27 @@ RECORDS, PAGE = ROOT / "docs/results/leave-out.json", ROOT / "docs/leave-out.md"
 ANEW = "make it anew: mitsvbrdf leave-out --page-only --json docs/results/leave-out.json --md docs/leave-out.md --overwrite"
 
 
-def pair(part="starts", name="inlay", kind="exact", put_in=False, full=(6.0, 6.0), lean=(3.0, 2.0), spent=None, workers=None,
-         **errors):
+def pair(part="starts", name="inlay", kind="exact", put_in=False, full=(6.0, 6.0), lean=(3.0, 2.0),
+         spent=None, workers=None, **errors):
     """A pair of fits; errors of both sides by name."""
     errors = errors or {"mean": (0.1, 0.1), "photos": (0.01, 0.05)}
-    return {"suite": "leave-out", "method": f"hierarchical without {part}", "kind": kind, "name": name, "config": {},
+    return {"suite": "leave-out", "method": f"hierarchical without {part}", "kind": kind, "name": name,
+            "config": {},
             "part": part, "says": [part], "of": "hierarchical", "put_in": put_in, "photos": 9,
             "seconds": {"with": list(full), "without": list(lean)}, "spent": spent or {"solver": 1.0},
             "errors": {side: {error: both[number] for error, both in errors.items()}
-                       for number, side in enumerate(("with", "without"))}} | ({"workers": workers} if workers else {})
+                       for number, side in enumerate(("with", "without"))}} | ({"workers": workers} if workers
+                                                                               else {})
 
 
 def settled(records):
     made = benchmark(records)
-    return made | {"settings": made["settings"] | {"repeats": 2, "renders_resolution": 16, "renders_repeats": 1}}
+    return made | {"settings": made["settings"] | {"repeats": 2, "renders_resolution": 16,
+                                                   "renders_repeats": 1}}
 
 
-@pytest.mark.parametrize("ratio, worst, word", [(2.0, 1.05, "needed"), (2.0, 1.01, "not needed"), (1.02, 0.9, "no time saved")])
+@pytest.mark.parametrize("ratio, worst, word", [(2.0, 1.05, "needed"), (2.0, 1.01, "not needed"),
+                                                (1.02, 0.9, "no time saved")])
 def test_verdicts(ratio, worst, word):
     errors = {"new light": {"median": 1.0, "worst": worst}, "seen": {"median": 3.0, "worst": 9.0}}
     assert verdict(ratio, errors) == word
@@ -40,8 +44,10 @@ def test_verdicts(ratio, worst, word):
 def test_a_part_is_judged_by_all_scenes_of_a_kind_and_by_the_worst():
     sound, harmed = pair(mean=(0.1, 0.1)), pair(name="tiles", full=(8.0,), lean=(2.0,), mean=(0.1, 0.13))
     (item,) = items(settled([sound, harmed]))
-    assert item["scenes"] == 2 and item["ratio"] | {"median": 3.0, "repeats": 3} == item["ratio"]  # of 2, 3 and 4
-    assert item["errors"]["maps"] == pytest.approx({"median": 1.15, "worst": 1.3}) and item["verdict"] == "needed"
+    # of 2, 3 and 4
+    assert item["scenes"] == 2 and item["ratio"] | {"median": 3.0, "repeats": 3} == item["ratio"]
+    assert item["errors"]["maps"] == pytest.approx({"median": 1.15,
+                                                    "worst": 1.3}) and item["verdict"] == "needed"
     (alone,) = items(settled([sound]))
     assert alone["verdict"] == "not needed"
     apart = items(settled([sound, pair(kind="cameras off", mean=(0.1, 0.13))]))
@@ -59,10 +65,12 @@ def test_which_errors_decide(errors, word):
 
 def test_rows_stand_in_the_order_of_the_parts_whichever_was_done_first():
     names = {kind: [item["part"] for item in items(settled(
-        [pair(part, kind=kind, mean=(0.1, 0.1)) for part in ("every other photo", "look-alikes", "flash offset")]))]
+        [pair(part, kind=kind, mean=(0.1, 0.1)) for part in ("every other photo", "look-alikes",
+                                                             "flash offset")]))]
         for kind in ("exact", "cameras off")}
     assert set(map(tuple, names.values())) == {("flash offset", "look-alikes", "every other photo")}
-    kinds = [item["kind"] for item in items(settled([pair("look-alikes", kind=kind) for kind in ("cameras off", "exact")]))]
+    kinds = [item["kind"] for item in items(settled([pair("look-alikes", kind=kind)
+                                                     for kind in ("cameras off", "exact")]))]
     assert kinds == ["exact", "cameras off"]
 
 
@@ -74,7 +82,8 @@ def test_maps_of_a_matte_material_decide_nothing():
 
 def test_the_default_fit_is_the_side_that_the_program_decides():
     records = [pair(full=(6.0,), lean=(3.0,), spent={"solver": 4.0}),
-               pair("tied stage", full=(20.0,), lean=(8.0,), put_in=True, spent={"solver": 6.0, "views": 1.0})]
+               pair("tied stage", full=(20.0,), lean=(8.0,), put_in=True,
+                    spent={"solver": 6.0, "views": 1.0})]
     (found,) = default_fits(settled(records))
     assert found["seconds"] | {"median": 7.0, "repeats": 2} == found["seconds"]
     assert found["spent"] == {"solver": 5.0, "views": 0.5}
@@ -93,7 +102,8 @@ def test_the_page_begins_with_what_the_verdicts_come_to(tmp_path):
     def render(name, worst, full, lean, error=1e-6):
         seconds = {side: {"median": value, "low": value, "high": value, "repeats": 1}
                    for side, value in (("full", full), ("lean", lean))}
-        return {"suite": "leave-out-renders", "name": name, "where": "mitsuba", "why": "known", "config": {}, "worst": worst,
+        return {"suite": "leave-out-renders", "name": name, "where": "mitsuba", "why": "known", "config": {},
+                "worst": worst,
                 "mean": worst / 10, "full_error": error, "lean_error": error, "seconds": seconds}
 
     write_leave_out_page(tmp_path / "p.md", settled([
@@ -111,7 +121,8 @@ def test_the_page_begins_with_what_the_verdicts_come_to(tmp_path):
     ratio = "Seconds with it over those without"
     assert [line for line in lines if line] == [
         "In short",
-        f"- **Of a scene.** Leaving out what it does not need changes pictures by at most 1.4e-06 of their values. {ratio}: "
+        "- **Of a scene.** Leaving out what it does not need changes pictures by at most 1.4e-06 of their "
+        f"values. {ratio}: "
         "ray tracing 7.5, path depth 2.",
         "- **Left out of fits by the program itself**, where photos show that they do not need it. "
         f"{ratio}: tied stage 1.7 to 2.5.",
@@ -131,8 +142,10 @@ def test_the_page_in_the_docs_is_what_its_records_make(tmp_path):
 @pytest.mark.slow
 def test_the_records_in_the_docs_are_of_this_code():
     record = read_benchmark(RECORDS)
-    assert record["settings"]["code"] == shared_code(SHAPING), "shared code has changed: run `mitsvbrdf leave-out --fits` anew"
+    assert record["settings"]["code"] == shared_code(
+        SHAPING), "shared code has changed: run `mitsvbrdf leave-out --fits` anew"
     assert not stale(record), "the code of methods has changed: run `mitsvbrdf leave-out --fits`, which goes on"
     renders = [r for r in record["records"] if r["suite"] == "leave-out-renders"]
-    assert [r["config"].get("code") for r in renders] == [Case("", r["where"], "", print, print).settings.get("code")
+    assert [r["config"].get("code") for r in renders] == [Case("", r["where"], "", print,
+                                                               print).settings.get("code")
                                                           for r in renders]

@@ -21,9 +21,10 @@ from mitsvbrdf.bench.stiff.tables import convergence, each, fits_of, inputs, ove
 SILENT_LIGHT = {"name": "light stated 4x too weak", "diffuse": 0.3}
 RECORDS = [stiff(), stiff(seed=1, roughness=0.05), stiff(seed=2, roughness=0.3), stiff(**SILENT_LIGHT),
            stiff(seed=1, warnings=["the light may be stronger than stated"], **SILENT_LIGHT), stiff("direct"),
-           stiff("direct", why="RuntimeError: out of luck", **SILENT_LIGHT), stiff("gan"), stiff("gan", budget=300.0),
-           *(stiff(method, f"roughness: {member}", "series", condition=c)
-             for method in ("hybrid", "direct") for member, c in zip(SERIES["roughness"], (10.0, 30.0, 1e3, None, None)))]
+           stiff("direct", why="RuntimeError: out of luck", **SILENT_LIGHT), stiff("gan"),
+           stiff("gan", budget=300.0), *(stiff(method, f"roughness: {member}", "series", condition=c)
+             for method in ("hybrid", "direct") for member, c in zip(SERIES["roughness"],
+                                                                     (10.0, 30.0, 1e3, None, None)))]
 
 
 def test_the_published_page_is_that_of_the_published_record(tmp_path):
@@ -31,7 +32,9 @@ def test_the_published_page_is_that_of_the_published_record(tmp_path):
     page, picture = write_stiff_page(tmp_path / "stability-fits.md", record)
     assert page.read_bytes() == (ROOT / "docs/stability-fits.md").read_bytes()
     assert (ROOT / "docs" / picture.name).is_file()
-    assert {r["name"] for r in record["records"]} == {*CASES, *(f"{s}: {m}" for s, members in SERIES.items() for m in members)}
+    assert {r["name"] for r in record["records"]} == {*CASES,
+                                                      *(f"{s}: {m}" for s, members in SERIES.items()
+                                                        for m in members)}
 
 
 def test_tables_count_what_the_record_holds():
@@ -39,7 +42,8 @@ def test_tables_count_what_the_record_holds():
     assert list(fits_of(record, "case")) == ["hybrid", "direct", "gan", "gan, 300 s"]
     assert overview(record).rows == [
         ["nothing wrong", "sound (2 of 3); degraded silently (1 of 3)", "sound", "sound", "sound"],
-        ["light stated 4x too weak", "degraded silently (1 of 2); degraded, says so (1 of 2)", "failed", "–", "–"]]
+        ["light stated 4x too weak", "degraded silently (1 of 2); degraded, says so (1 of 2)", "failed", "–",
+         "–"]]
     assert warnings(record).rows == [["light power", "1 of 2", "0 of 1", "–", "–"]]
     control, light = each("hybrid", fits_of(record, "case")["hybrid"]).rows
     # Means of the maps: 0.03, 0.035, 0.0975, of attainable 0.02; roughness in the median of the three.
@@ -47,14 +51,16 @@ def test_tables_count_what_the_record_holds():
     assert light[-2:] == ["light power (1 of 2)", "light power (1 of 2)"]
     assert [row[5] for row in inputs(record).rows] == ["–", "light power"]
     rows = convergence("direct", fits_of(record, "series")["direct"]).rows
-    assert [row[1] for row in rows] == ["10, worst ∞", "30, worst ∞", "1e+03, worst ∞", "rank 9 of 9", "rank 9 of 9"]
+    assert [row[1] for row in rows] == ["10, worst ∞", "30, worst ∞", "1e+03, worst ∞", "rank 9 of 9",
+                                        "rank 9 of 9"]
 
 
 def test_the_page_names_what_is_silent_and_what_failed(tmp_path):
     page, picture = write_stiff_page(tmp_path / "fits.md", benchmark(RECORDS))
     text = page.read_text()
     assert "- Failed: `direct` on light stated 4x too weak (RuntimeError: out of luck)." in text
-    assert ("- Degraded silently: `hybrid` on nothing wrong (roughness 0.30); `hybrid` on light stated 4x too weak "
+    assert ("- Degraded silently: `hybrid` on nothing wrong (roughness 0.30); `hybrid` on light stated 4x "
+            "too weak "
             "(diffuse 0.30).") in text
     assert f"]({picture.name})" in text and "A quick run" not in text
     record = benchmark(RECORDS)
@@ -69,20 +75,24 @@ def test_the_page_names_what_is_silent_and_what_failed(tmp_path):
 @pytest.mark.slow
 def test_the_published_records_are_of_this_code():
     record = json.loads((ROOT / "docs/results/stability-fits.json").read_text())
-    assert record["settings"]["code"] == shared_code(SHAPING), "shared code has changed: run `mitsvbrdf stability --fits` anew"
+    assert record["settings"]["code"] == shared_code(
+        SHAPING), "shared code has changed: run `mitsvbrdf stability --fits` anew"
     assert record["settings"]["scenes"] == digest()
     assert not stale(record), "the code of methods has changed: run `mitsvbrdf stability --fits`, which goes on"
 
 
 def test_the_picture_has_a_place_for_every_fit():
-    error, time = convergence_figure(benchmark(RECORDS)).axes[0], convergence_figure(benchmark(RECORDS)).axes[2]
+    error, time = convergence_figure(benchmark(RECORDS)).axes[0], convergence_figure(benchmark(RECORDS)).axes[
+        2]
     for panel, height in ((error, 0.03), (time, 2.5)):
         (line,) = [line for line in panel.lines if len(line.get_xdata()) == 5 and line.get_marker() != "_"]
-        assert list(line.get_xdata()[:3]) == [10.0, 30.0, 1e3] and 3e3 < line.get_xdata()[3] < line.get_xdata()[4]
+        assert list(line.get_xdata()[:3]) == [10.0, 30.0,
+                                              1e3] and 3e3 < line.get_xdata()[3] < line.get_xdata()[4]
         assert list(line.get_ydata()) == pytest.approx([height] * 5)
 
 
-ASKED = ["stability", "--fits", "quick", "--methods", "direct", "--renderer", "analytic", "--resolution", "16", "--budget",
+ASKED = ["stability", "--fits", "quick", "--methods", "direct", "--renderer", "analytic", "--resolution",
+         "16", "--budget",
          "0.05"]
 
 
@@ -104,7 +114,8 @@ def test_the_command_goes_on_and_makes_the_page_anew(tmp_path, monkeypatch, caps
     monkeypatch.setattr(StiffFit, "warm_up", lambda job: None)
     assert cli.main([*ASKED, *out]) == 130 and f"1 of {there} jobs need no more" in capsys.readouterr().out
     assert cli.main([*ASKED, *out, "--md", str(tmp_path / "s.md")]) == 1
-    assert f"failed: direct on {list(CASES)[1]}, seed 0: out of luck" in " ".join(capsys.readouterr().out.split())
+    assert f"failed: direct on {list(CASES)[1]}, seed 0: out of luck" in " ".join(
+        capsys.readouterr().out.split())
     assert len(count) == 1 + there and len(json.loads((tmp_path / "s.json").read_text())["records"]) == there
     first = (tmp_path / "s.md").read_bytes()
     assert cli.main(["stability", "--fits", "none", *out, "--md", str(tmp_path / "s.md"), "--overwrite"]) == 1
@@ -120,7 +131,8 @@ def test_workers_make_the_same_fits_of_what_was_asked_for(tmp_path, monkeypatch)
     monkeypatch.chdir(tmp_path)
     jobs = asked.jobs()[0]
     for job in jobs[::9]:
-        assert child.measure({"folder": str(tmp_path), "plan": told, "key": key_of(job)}) == {"ran": job.title}
+        assert child.measure({"folder": str(tmp_path), "plan": told,
+                              "key": key_of(job)}) == {"ran": job.title}
     assert [*child._made[0][1]] == [key_of(job) for job in jobs]
 
 
@@ -128,7 +140,8 @@ def test_workers_make_the_same_fits_of_what_was_asked_for(tmp_path, monkeypatch)
     (["--methods", "direct"], "add --fits"), (["--workers", "2"], "add --fits"),
     (["--fits", "all", "--workers", "0"], "--workers"),
     (["--budget", "0"], "add --fits"), (["--fits", "all", "--only", "flat"], "sweeps"),
-    (["--fits", "all", "--html", "a.html"], "sweeps"), (["--fits", "all", "--budget", "0"], "a budget above 0"),
+    (["--fits", "all", "--html", "a.html"], "sweeps"), (["--fits", "all", "--budget", "0"],
+                                                        "a budget above 0"),
     (["--fits", "none", "--json", "{}/gone.json"], "No such file"),
     (["--fits", "none", "--json", "{}/other.json"], "others in"),
     (["--fits", "all", "--md", "{}"], "a file to write"),

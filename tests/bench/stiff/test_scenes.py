@@ -1,4 +1,6 @@
-"""What stiff fits are given is as spoilt as it is said to be, and what the photos allow is counted as errors are."""
+"""What stiff fits are given is as spoilt as it is said to be, and what the photos allow is counted as errors
+are.
+"""
 
 import math
 
@@ -33,8 +35,10 @@ def test_a_fit_is_told_what_is_stated_and_the_photos_are_of_the_truth():
     torch.testing.assert_close(away, torch.full((9,), 0.05, dtype=torch.float64))
     assert torch.equal(off.seen.views.camera, GRID.camera)
     same, single = task("nine identical photos"), task("a single photo")
-    assert torch.equal(same.photos.photos, same.photos.photos[:1].expand(9, -1, -1, -1)) and len(same.photos.views) == 9
-    assert len(same.seen) == len(single.photos) == 1 and len(torch.unique(task("constant grey photos").photos.photos)) == 1
+    assert torch.equal(same.photos.photos, same.photos.photos[:1].expand(9, -1, -1,
+                                                                         -1)) and len(same.photos.views) == 9
+    assert len(same.seen) == len(single.photos) == 1 and len(
+        torch.unique(task("constant grey photos").photos.photos)) == 1
 
 
 def test_the_materials_are_as_extreme_as_they_are_called():
@@ -66,7 +70,8 @@ def test_every_series_goes_from_harmless_to_extreme():
     assert len(tasks) == sum(map(len, SERIES.values()))
     for series, members in SERIES.items():
         first, *_, last = (tasks[f"{series}: {member}"] for member in members)
-        assert (last.known["condition"]["median"] or math.inf) > 100 * first.known["condition"]["median"], series
+        assert (last.known["condition"]["median"]
+                or math.inf) > 100 * first.known["condition"]["median"], series
         assert last.known["attainable"]["mean"] > 2 * first.known["attainable"]["mean"], series
 
 

@@ -4,7 +4,19 @@ import pytest
 from helpers.bench_records import stiff
 
 from mitsvbrdf.bench.stiff.scenes import CASES, SERIES
-from mitsvbrdf.bench.stiff.verdict import FAILED, PARTLY, RULE, SAID, SILENT, SOUND, far_off, faults, scene_of, verdict, warned
+from mitsvbrdf.bench.stiff.verdict import (
+    FAILED,
+    PARTLY,
+    RULE,
+    SAID,
+    SILENT,
+    SOUND,
+    far_off,
+    faults,
+    scene_of,
+    verdict,
+    warned,
+)
 
 LIGHT_AND_CAMERAS = "black albedo, light 4x too strong, cameras 5 % off"
 OFF, LIGHT = "photo 3 fits worse than the rest: its view may be off", "specular of 0.01: the light may be weaker than stated"
@@ -16,7 +28,8 @@ OFF, LIGHT = "photo 3 fits worse than the rest: its view may be off", "specular 
     (SILENT, stiff(roughness=0.11)),
     (SILENT, stiff(roughness=0.4, stated={"roughness": 0.19})),
     (SAID, stiff(roughness=0.4, stated={"roughness": 0.2})),
-    (SILENT, stiff(roughness=0.4, diffuse=0.2, stated={"roughness": 0.2})),  # of the diffuse map it is too sure
+    # of the diffuse map it is too sure
+    (SILENT, stiff(roughness=0.4, diffuse=0.2, stated={"roughness": 0.2})),
     (SAID, stiff(roughness=0.4, warnings=["anything"])),
     (SILENT, stiff(name=LIGHT_AND_CAMERAS, diffuse=0.4)),
     (SILENT, stiff(name=LIGHT_AND_CAMERAS, diffuse=0.4, warnings=["anything"])),

@@ -1,4 +1,6 @@
-"""Raw photos of a flat material to lens and poses: a simulated phone over a textured plane, of which everything is known."""
+"""Raw photos of a flat material to lens and poses: a simulated phone over a textured plane, of which
+everything is known.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.textured_plane import LENS, SIZE, held, misalignment, photo_of, position_errors, save, take, texture
+from helpers.textured_plane import (
+    LENS,
+    SIZE,
+    held,
+    misalignment,
+    photo_of,
+    position_errors,
+    save,
+    take,
+    texture,
+)
 
 from mitsvbrdf.capture.align import pairs
 from mitsvbrdf.capture.align.features import find_features
@@ -34,7 +46,8 @@ def test_poses_and_alignment(nine, nine_rig):
     assert position_errors(nine_rig, poses).max() < 0.001  # measured 0.0003
     assert misalignment(nine_rig, poses) < 0.06  # pixels at 512; measured 0.025
     assert max(nine_rig.errors.values()) < 0.4  # pixels; measured 0.24 to 0.28
-    assert nine_rig.lens.focal == pytest.approx(LENS.focal, rel=0.01)  # measured 0.006; what was stated is off by 4 %
+    # measured 0.006; what was stated is off by 4 %
+    assert nine_rig.lens.focal == pytest.approx(LENS.focal, rel=0.01)
 
 
 def test_all_photos_show_the_patch(nine_rig):
@@ -70,7 +83,8 @@ def test_turned_phone(tmp_path):
     rig = rig_from_photos(take(tmp_path, poses))
     assert set(rig.poses) == set(poses)
     assert position_errors(rig, poses).max() < 0.001  # measured 0.0002
-    assert misalignment(rig, poses) < 0.06  # pixels at 512; 0.02, and 0.33 where features are all off by 0.25 pixels
+    # pixels at 512; 0.02, and 0.33 where features are all off by 0.25 pixels
+    assert misalignment(rig, poses) < 0.06
 
 
 def test_what_cannot_be_used_is_named(tmp_path):
@@ -84,7 +98,8 @@ def test_what_cannot_be_used_is_named(tmp_path):
     rig = rig_from_photos(photos)
     assert set(rig.poses) == set(good) and position_errors(rig, good).max() < 0.001  # measured 0.0001
     assert set(rig.left_out) == {"blank.png", "other.png", "zoomed.png", "upright.png"}
-    for name, reason in (("blank", "too few"), ("other", "another material"), ("zoomed", "52 mm, most have 27 mm"),
+    for name, reason in (("blank", "too few"), ("other", "another material"),
+                         ("zoomed", "52 mm, most have 27 mm"),
                          ("upright", "360 x 480 pixels, the others have 480 x 360")):
         assert reason in rig.left_out[f"{name}.png"]
 
@@ -102,7 +117,8 @@ def test_a_pattern_that_repeats_itself_is_noted(tmp_path):
 
 
 def test_photos_of_nothing_in_common(tmp_path):
-    photos = [save(tmp_path, f"{i}.png", photo_of(texture(i), LENS, pose, i)) for i, pose in enumerate(held(3).values())]
+    photos = [save(tmp_path, f"{i}.png", photo_of(texture(i), LENS, pose, i))
+              for i, pose in enumerate(held(3).values())]
     with pytest.raises(CaptureError, match="no agreement with any other photo"):
         rig_from_photos(photos)
 
@@ -113,7 +129,8 @@ def test_no_exif_and_a_large_highlight(tmp_path):
     poses = held(6, seed=3)
     rig = rig_from_photos(take(tmp_path, poses, stated=None, shine=8.0))
     assert set(rig.poses) == set(poses) and "no EXIF" in rig.notes[0] and "67 degrees" in rig.notes[0]
-    assert position_errors(rig, poses).max() < 0.002 and misalignment(rig, poses) < 0.06  # measured 0.0007, 0.020
+    # measured 0.0007, 0.020
+    assert position_errors(rig, poses).max() < 0.002 and misalignment(rig, poses) < 0.06
 
 
 def test_a_photo_that_shows_another_part(tmp_path):

@@ -43,8 +43,10 @@ def test_a_rig_from_photos(photos):
 
 def test_photos_are_measured_at_a_size_that_memory_holds(photos, monkeypatch):
     monkeypatch.setattr("mitsvbrdf.capture.align.tag_edges.MOST_PIXELS", 510)
-    # Cells of three pixels, whose white bleeds into the black: 0.06 % and 0.15 texels were seen; half a pixel is 0.9 texels.
-    check(rig_from_sheet(photos, 18.0), {photo.name: pose for photo, pose in zip(photos, POSES)}, position=0.002, texels=0.4)
+    # Cells of three pixels, whose white bleeds into the black: 0.06 % and 0.15 texels were seen; half a pixel
+    # is 0.9 texels.
+    check(rig_from_sheet(photos, 18.0), {photo.name: pose for photo, pose in zip(photos, POSES)},
+          position=0.002, texels=0.4)
 
 
 def test_the_size_and_the_depth_of_the_sheet(tmp_path, photos):
@@ -62,7 +64,8 @@ def covered(numbers):
     scale = len(picture) / SHEET.outer
     for number in numbers:
         x, y = np.array(MIDDLES[number]) * (1, -1) * scale + len(picture) / 2
-        part = slice(round(y - scale * 1.1), round(y + scale * 1.1)), slice(round(x - scale * 1.1), round(x + scale * 1.1))
+        part = slice(round(y - scale * 1.1), round(y + scale * 1.1)), slice(round(x - scale * 1.1),
+                                                                            round(x + scale * 1.1))
         kept[part] = picture[part]
     return kept
 
@@ -92,13 +95,15 @@ def test_photos_that_do_not_help_are_named(tmp_path, photos):
 def test_a_sheet_that_is_bent_in_all_photos_is_noted(tmp_path):
     bent = on_grey(*SHEET.picture(80))
     bent[:, 1000:] = np.roll(bent, 24, axis=0)[:, 1000:]  # its right side is 3 mm lower
-    rig = rig_from_sheet([photograph(tmp_path / f"{i}.jpg", pose, picture=bent) for i, pose in enumerate(POSES[:3])], 18.0)
+    rig = rig_from_sheet([photograph(tmp_path / f"{i}.jpg", pose, picture=bent)
+                          for i, pose in enumerate(POSES[:3])], 18.0)
     assert any("beside where those of a flat sheet would be" in note for note in rig.notes)
 
 
 def test_too_few_photos(tmp_path, photos):
     empty = photograph(tmp_path / "empty.jpg", POSES[0], picture=covered([]))
-    with pytest.raises(CaptureError, match="3 photos or more that show the sheet, got 2 of 3; empty.jpg: none of 16"):
+    with pytest.raises(CaptureError, match="3 photos or more that show the sheet, got 2 of 3; empty.jpg: "
+                                           "none of 16"):
         rig_from_sheet([photos[0], empty, photos[1]], 18.0)
     with pytest.raises(CaptureError, match="got 0 of 0"):
         rig_from_sheet([], 18.0)
@@ -115,4 +120,5 @@ def test_photos_from_straight_above_leave_the_focal_length_to_exif(tmp_path):
     for i, pose in enumerate(poses):
         off = np.linalg.norm(known.poses[f"{i}.jpg"].position - pose.position)
         assert off < 0.05 * 33 and off < 3 * known.deviations[f"{i}.jpg"]
-    check(known, {f"{i}.jpg": pose for i, pose in enumerate(poses)}, position=0.05)  # the rectified photos do not mind
+    # the rectified photos do not mind
+    check(known, {f"{i}.jpg": pose for i, pose in enumerate(poses)}, position=0.05)

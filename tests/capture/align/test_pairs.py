@@ -35,7 +35,9 @@ def test_a_tree_of_homographies():
 
 
 def test_a_photo_that_agrees_with_each_other_differently_is_left_out():
-    """Exact matches, but those of 4.png lie elsewhere for each other photo, as of a pattern that repeats itself."""
+    """Exact matches, but those of 4.png lie elsewhere for each other photo, as of a pattern that repeats
+    itself.
+    """
     poses, rng = held(5, seed=7), np.random.default_rng(2)
     pairs = []
     for n, (a, b) in enumerate(combinations(poses, 2)):
@@ -46,8 +48,10 @@ def test_a_photo_that_agrees_with_each_other_differently_is_left_out():
         pairs.append(Pair(Match(a, b, at_a, at_b, SIGMA), agree, warp))
     hub, warps = chained_pairs(poses, pairs)
     left_out = {}
-    lens, found, _, _ = from_photos._posed(replace(LENS, distortion=(0.0, 0.0)), 0.02, hub, warps, pairs, left_out)
+    lens, found, _, _ = from_photos._posed(replace(LENS, distortion=(0.0, 0.0)), 0.02, hub, warps, pairs,
+                                           left_out)
     assert list(left_out) == ["4.png"] and "fits a place of the camera" in left_out["4.png"]
     # Measured 0.001 off: what is expected of lens, heights and tilts holds a little against exact matches.
-    first, other = ((p["1.png"].position - p["0.png"].position) / p["0.png"].position[2] for p in (found, poses))
+    first, other = ((p["1.png"].position - p["0.png"].position) / p["0.png"].position[2] for p in (found,
+                                                                                                   poses))
     assert np.linalg.norm(first) == pytest.approx(np.linalg.norm(other), rel=5e-3)

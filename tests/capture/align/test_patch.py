@@ -12,7 +12,9 @@ from mitsvbrdf.capture.lens import Pose
 
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_top_of_a_photo_by_its_exif(orientation):
-    """Pillow's own turning as the judge: where is the stored pixel that it puts at the middle of the top row?"""
+    """Pillow's own turning as the judge: where is the stored pixel that it puts at the middle of the top
+    row?
+    """
     stored = np.arange(15 * 9, dtype=np.int32).reshape(9, 15)
     image = Image.fromarray(stored)
     image.getexif()[0x0112] = orientation
@@ -27,12 +29,14 @@ def test_top_of_a_photo_by_its_exif(orientation):
 
 def test_the_patch_is_as_near_to_below_the_cameras_as_it_can_be():
     box = np.array([(1.0, 0.0, 2.0), (-1.0, 0.0, 2.0), (0.0, 1.0, 1.0), (0.0, -1.0, 1.0)])  # 4 x 2
-    for below, wanted in (((0.7, 0.02), (0.7, 0.02)), ((0.7, 0.3), (0.7, 0.05)), ((-3.0, -1.0), (-1.05, -0.05))):
+    for below, wanted in (((0.7, 0.02), (0.7, 0.02)), ((0.7, 0.3), (0.7, 0.05)),
+                          ((-3.0, -1.0), (-1.05, -0.05))):
         assert centred_square([box], 1.9, np.array(below)) == pytest.approx(np.array(wanted), abs=1e-9)
 
 
 def test_largest_square():
-    wide = np.array([(1, 0, 2.0), (-1, 0, 2.0), (0, 1, 0.5), (0, -1, 0.7)])  # x from -2 to 2, y from -0.7 to 0.5
+    # x from -2 to 2, y from -0.7 to 0.5
+    wide = np.array([(1, 0, 2.0), (-1, 0, 2.0), (0, 1, 0.5), (0, -1, 0.7)])
     assert largest_square([wide])[1] == pytest.approx(1.2)
     tilted = np.array([(c, s, 1.0) for c, s in ((0.6, 0.8), (-0.6, -0.8), (0.8, -0.6), (-0.8, 0.6))])
     centre, side = largest_square([tilted])  # in a square of side 2 turned by t: 2 / (cos t + sin t)

@@ -13,11 +13,16 @@ from mitsvbrdf.capture.align.sheet import Sheet, tag_cells, write_sheet
 from mitsvbrdf.cli import main
 from mitsvbrdf.errors import ConfigError
 
-# tag36h11_create() of AprilTag 3 (tag36h11.c): codes, highest bit first, and where in the 8 x 8 cells each bit stands.
-OFFICIAL = [0xD7E00984B, 0xDDA664CA7, 0xDC4A1C821, 0xE17B470E9, 0xEF91D01B1, 0xF429CDD73, 0x05DA29225, 0x1106CBA43,
-            0x223BED79D, 0x21F51213C, 0x33EB19CA6, 0x3F76EB0F8, 0x469A97414, 0x45DCFE0B0, 0x4A6465F72, 0x51801DB96]
-BIT_X = [1, 2, 3, 4, 5, 2, 3, 4, 3, 6, 6, 6, 6, 6, 5, 5, 5, 4, 6, 5, 4, 3, 2, 5, 4, 3, 4, 1, 1, 1, 1, 1, 2, 2, 2, 3]
-BIT_Y = [1, 1, 1, 1, 1, 2, 2, 2, 3, 1, 2, 3, 4, 5, 2, 3, 4, 3, 6, 6, 6, 6, 6, 5, 5, 5, 4, 6, 5, 4, 3, 2, 5, 4, 3, 4]
+# tag36h11_create() of AprilTag 3 (tag36h11.c): codes, highest bit first, and where in the 8 x 8 cells each
+# bit stands.
+OFFICIAL = [0xD7E00984B, 0xDDA664CA7, 0xDC4A1C821, 0xE17B470E9, 0xEF91D01B1, 0xF429CDD73, 0x05DA29225,
+            0x1106CBA43,
+            0x223BED79D, 0x21F51213C, 0x33EB19CA6, 0x3F76EB0F8, 0x469A97414, 0x45DCFE0B0, 0x4A6465F72,
+            0x51801DB96]
+BIT_X = [1, 2, 3, 4, 5, 2, 3, 4, 3, 6, 6, 6, 6, 6, 5, 5, 5, 4, 6, 5, 4, 3, 2, 5, 4, 3, 4, 1, 1, 1, 1, 1, 2, 2,
+         2, 3]
+BIT_Y = [1, 1, 1, 1, 1, 2, 2, 2, 3, 1, 2, 3, 4, 5, 2, 3, 4, 3, 6, 6, 6, 6, 6, 5, 5, 5, 4, 6, 5, 4, 3, 2, 5, 4,
+         3, 4]
 
 
 def opencvs_tags(image):
@@ -39,8 +44,8 @@ def test_the_layout_is_svbrdf_diff_renderers():
     sheet = Sheet(18.0)
     assert list(sheet.corners) == list(range(16)) and sheet.patch == pytest.approx(11.52)
     for number, (x, y) in enumerate(MIDDLES):
-        np.testing.assert_allclose(sheet.corners[number], [(x - 1, y + 1, 0), (x + 1, y + 1, 0), (x + 1, y - 1, 0),
-                                                           (x - 1, y - 1, 0)], atol=1e-12)
+        np.testing.assert_allclose(sheet.corners[number], [(x - 1, y + 1, 0), (x + 1, y + 1, 0),
+                                                           (x + 1, y - 1, 0), (x - 1, y - 1, 0)], atol=1e-12)
     np.testing.assert_allclose(Sheet(9.0).corners[5], sheet.corners[5] / 2)
     assert sheet.patch < sheet.hole - 0.5 and sheet.hole <= 14 - 2 * 0.25 and sheet.outer >= 18 + 2 * 0.25
 
@@ -76,7 +81,9 @@ def test_the_picture_is_the_sheet():
 
 
 def drawn(pdf):
-    """Of our uncompressed PDF: page size; filled rectangles and stroked ones (K x 4 x 2); lines (K x 2 x 2). Cm, y upward."""
+    """Of our uncompressed PDF: page size; filled rectangles and stroked ones (K x 4 x 2); lines (K x 2 x 2).
+    Cm, y upward.
+    """
     text = pdf.read_bytes().decode("latin-1")
     box = re.search(r"/MediaBox \[ ([\d. ]+) \]", text)[1].split()
     to, at = r"(-?[\d.]+) (-?[\d.]+) l\n", r"(-?[\d.]+) (-?[\d.]+) m\n"
@@ -92,7 +99,8 @@ def test_the_file_has_its_true_size(tmp_path, size, paper, page):
     box, filled, stroked, lines = drawn(tmp_path / "sheet.pdf")
     np.testing.assert_allclose(box[2:], page, atol=1e-6)
     runs = filled.reshape(-1, 4, 2)
-    runs = runs[np.isclose(np.ptp(runs[:, :, 1], axis=1), size / 72, rtol=1e-4)]  # of black cells; letters have other heights
+    # of black cells; letters have other heights
+    runs = runs[np.isclose(np.ptp(runs[:, :, 1], axis=1), size / 72, rtol=1e-4)]
     np.testing.assert_allclose(np.ptp(runs.reshape(-1, 2), axis=0), size, atol=1e-4)
     outlines = np.ptp(stroked.reshape(-1, 4, 2), axis=1)
     np.testing.assert_allclose(outlines, size / 72 * np.array([[76, 76], [52, 52]]), atol=1e-4)
@@ -100,7 +108,8 @@ def test_the_file_has_its_true_size(tmp_path, size, paper, page):
     lengths = np.abs(lines[:, 1] - lines[:, 0])
     assert np.isclose(lengths, (10, 0), atol=1e-4).all(axis=1).sum() == 1  # the ruler
     ticks = np.sort(lines[np.isclose(lengths, (0, 0.3), atol=1e-4).all(axis=1), 0, 0])
-    assert ticks[-1] - ticks[0] == pytest.approx(max(size, 9.0), abs=1e-4)  # the arrow's ends, or those of the ruler's half cm
+    # the arrow's ends, or those of the ruler's half cm
+    assert ticks[-1] - ticks[0] == pytest.approx(max(size, 9.0), abs=1e-4)
     scale = 720 / size  # ten pixels a cell
     image = np.full((round(page[1] * scale), round(page[0] * scale)), 255, dtype=np.uint8)
     for run in runs:
@@ -108,7 +117,8 @@ def test_the_file_has_its_true_size(tmp_path, size, paper, page):
         cv2.rectangle(image, corners.min(axis=0).tolist(), corners.max(axis=0).tolist(), 0, -1)
     seen = opencvs_tags(image)
     assert sorted(seen) == list(range(16))
-    assert seen[0].mean(axis=0)[1] < seen[12].mean(axis=0)[1] and seen[0].mean(axis=0)[0] < seen[4].mean(axis=0)[0]
+    assert seen[0].mean(axis=0)[1] < seen[12].mean(axis=0)[1] and seen[0].mean(axis=0)[0] < seen[4].mean(
+        axis=0)[0]
 
 
 def test_other_files_and_sizes(tmp_path):

@@ -31,7 +31,8 @@ def test_a_tag_of_which_too_little_shows_does_not_count(tmp_path, shown, points)
     picture[top + round(shown * (bottom - top)) : bottom + 40, right:] = 0
     photo = photograph(tmp_path / "dark.jpg", POSES[0], picture=picture)
     grey = cv2.imread(str(photo.path), cv2.IMREAD_GRAYSCALE)
-    found = _measured(grey, np.linspace(0, 1, 256, dtype=np.float32) ** 2.2, project(LENS, POSES[0], SHEET.corners[6]) + 0.7)
+    found = _measured(grey, np.linspace(0, 1, 256, dtype=np.float32) ** 2.2,
+                      project(LENS, POSES[0], SHEET.corners[6]) + 0.7)
     assert (found is None) == (points is None)
     if found:
         assert abs(len(found[0]) - points) <= 1

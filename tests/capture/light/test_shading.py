@@ -1,5 +1,5 @@
-"""Flash, vignetting, exposures and power from shading, against photos made by the closed form; tolerances are what was
-measured over ten seeds, and half as much again."""
+"""Flash, vignetting, exposures and power from shading, against photos made by the closed form; tolerances are
+what was measured over ten seeds, and half as much again."""
 
 import math
 from dataclasses import replace
@@ -37,13 +37,15 @@ def light(points, pixels, lens, pose, exposure):
     """exp(e) T cos / d^2, cos and d spelled out with the upright (0, 0, 1)."""
     ray = pose.position + pose.rotation.T @ np.array(lens.flash) - points
     distance = np.sqrt((ray**2).sum(axis=1))
-    r2 = ((pixels - (np.array(lens.size) - 1) / 2) ** 2).sum(axis=1) / (lens.size[0] ** 2 + lens.size[1] ** 2) * 4
+    r2 = (((pixels - (np.array(lens.size) - 1) / 2) ** 2).sum(axis=1)
+          / (lens.size[0] ** 2 + lens.size[1] ** 2) * 4)
     passed = 1 + VIGNETTING[0] * r2 + VIGNETTING[1] * r2**2
     return math.exp(exposure) * passed * (ray @ (0, 0, 1)) / distance**3
 
 
 def shown(radiance, rng, noise=NOISE):
-    return np.round(np.clip(radiance.clip(0, 1) ** (1 / 2.2) + noise * rng.normal(size=radiance.shape), 0, 1) * 255) / 255
+    return np.round(np.clip(radiance.clip(0, 1) ** (1 / 2.2) + noise * rng.normal(size=radiance.shape), 0,
+                            1) * 255) / 255
 
 
 def paper_photos(rig, intensity, exposures, rng):
@@ -107,7 +109,8 @@ def test_paper_tells_flash_power_vignetting_and_exposures():
 def test_paper_power_within_one_per_cent_where_exposures_are_locked():
     rng = np.random.default_rng(2)
     rig = make_rig("cm", rng)
-    shading = shading_of_paper(rig, paper_photos(rig, np.full(3, math.pi * 400), np.zeros(9), rng), "gamma2.2", border)
+    shading = shading_of_paper(rig, paper_photos(rig, np.full(3, math.pi * 400), np.zeros(9), rng),
+                               "gamma2.2", border)
     np.testing.assert_allclose(shading.intensity, math.pi * 400, rtol=0.005)
 
 
@@ -115,7 +118,8 @@ def test_paper_of_another_albedo_and_photos_of_half_the_size():
     rng = np.random.default_rng(3)
     rig = make_rig("cm", rng)
     photos = paper_photos(rig, np.full(3, math.pi * 400), np.zeros(9), rng)
-    half = {name: p.reshape(72, 2, 96, 2, 3).mean(axis=(1, 3)).round().astype(np.uint8) for name, p in photos.items()}
+    half = {name: p.reshape(72, 2, 96, 2, 3).mean(axis=(1, 3)).round().astype(np.uint8)
+            for name, p in photos.items()}
     shading = shading_of_paper(rig, half, "gamma2.2", border, albedo=0.4)
     np.testing.assert_allclose(shading.intensity, 2 * math.pi * 400, rtol=0.005)
     assert np.abs(found(shading) - expected(rig))[:2].max() < 0.02
@@ -140,7 +144,8 @@ def test_deviations_of_paper_are_the_size_of_its_errors():
     for seed in range(8):
         rng = np.random.default_rng(seed)
         rig, exposures = make_rig("cm", rng, 5), 0.03 * rng.normal(size=5)
-        shading = shading_of_paper(rig, paper_photos(rig, np.full(3, 1000.0), exposures, rng), "gamma2.2", border)
+        shading = shading_of_paper(rig, paper_photos(rig, np.full(3, 1000.0), exposures, rng), "gamma2.2",
+                                   border)
         deviations = np.array([shading.deviations[k] for k in ("flash_x", "flash_y", "flash_z", "v1", "v2")])
         sizes.append((found(shading) - expected(rig)) / deviations)
     size = np.sqrt(np.mean(np.square(sizes)))
@@ -159,7 +164,8 @@ def test_material_tells_flash_vignetting_and_exposures(f0):
     shading = shading_of_material(rig, photos, "gamma2.2")
     errors = found(shading) - expected(rig)
     assert (np.abs(errors[:3]) < (0.003, 0.003, 0.01)).all(), errors
-    assert np.abs(errors[3:] @ [[0.4], [0.16]]) < 0.005, errors  # transmission; v1 and v2 can stand in for each other
+    # transmission; v1 and v2 can stand in for each other
+    assert np.abs(errors[3:] @ [[0.4], [0.16]]) < 0.005, errors
     assert np.std(list(shading.log_exposure.values()) - exposures) < 0.002
     assert max(shading.evenness.values()) < 0.05
     assert 0.2 < shading.intensity[0] / (0.9 * math.pi * 4) < 4  # a guess, and its deviation says so
@@ -180,7 +186,8 @@ def test_photo_without_flash_is_told_and_does_not_count():
 def test_photos_that_are_all_without_flash_are_noted():
     rng = np.random.default_rng(4)
     rig = make_rig("patch sides", rng)
-    shading = shading_of_material(rig, material_photos(rig, np.zeros(9), rng, even=tuple(rig.poses)), "gamma2.2")
+    shading = shading_of_material(rig, material_photos(rig, np.zeros(9), rng, even=tuple(rig.poses)),
+                                  "gamma2.2")
     assert any("of 9 photos: where it comes from is a guess" in note for note in shading.notes)
 
 
@@ -189,7 +196,8 @@ def test_one_photo_tells_nothing_and_leaves_what_was_expected():
     rig = make_rig("patch sides", rng, 1)
     shading = shading_of_material(rig, material_photos(rig, [0.0], rng), "gamma2.2")
     assert np.abs(found(shading)).max() < 1e-6
-    np.testing.assert_allclose([shading.deviations[k] for k in ("flash_x", "flash_y", "v1")], (0.1, 0.1, 0.3), rtol=1e-3)
+    np.testing.assert_allclose([shading.deviations[k] for k in ("flash_x", "flash_y", "v1")], (0.1, 0.1, 0.3),
+                               rtol=1e-3)
     assert shading.evenness == {"0.jpg": 0.0} and np.isfinite(shading.intensity).all()
 
 
@@ -224,7 +232,8 @@ def test_vignetting_undone():
     rig = make_rig("cm", np.random.default_rng(10), 1)
     lens, pose = true_lens(rig), rig.poses["0.jpg"]
     points = texel_positions(8).numpy().reshape(-1, 3) * SIDE
-    ratio = light(points, project(lens, pose, points), lens, pose, 0.0) / light(points, np.full((64, 2), (95.5, 71.5)), lens,
+    ratio = light(points, project(lens, pose, points), lens, pose, 0.0) / light(points,
+                                                                                np.full((64, 2), (95.5, 71.5)), lens,
                                                                               pose, 0.0)
     linear = np.full((8, 8, 3), 0.5) * ratio.reshape(8, 8, 1)
     linear[0, 0] = np.nan

@@ -48,8 +48,10 @@ def test_nothing_is_wrong_with_photos_of_made_materials(material):
     assert judged(shots, shots.photos)[0] == {}
 
 
-@pytest.mark.parametrize("name", ["bathroomtile1", "book1", "cards-blue", "giftbag2", "leather-brown", "plastic-red-carton",
-                                  "rubber-pattern", "stone-smalltile", "stone-spec-shiny", "wall-plaster-green", "wood-bamboo",
+@pytest.mark.parametrize("name", ["bathroomtile1", "book1", "cards-blue", "giftbag2", "leather-brown",
+                                  "plastic-red-carton",
+                                  "rubber-pattern", "stone-smalltile", "stone-spec-shiny",
+                                  "wall-plaster-green", "wood-bamboo",
                                   "wood-knotty"])
 def test_nothing_is_wrong_with_real_photos(name, data_folder):
     shots = read_capture(data_folder / "captures" / name, resolution=512)
@@ -57,15 +59,20 @@ def test_nothing_is_wrong_with_real_photos(name, data_folder):
 
 
 def test_nothing_is_wrong_with_few_pixels(data_folder):
-    """The softest of all real photos, which has 0.37 of the others' sharpness at 128 pixels and 0.57 at 512."""
+    """The softest of all real photos, which has 0.37 of the others' sharpness at 128 pixels and 0.57 at
+    512.
+    """
     shots = read_capture(data_folder / "captures" / "wall-plaster-green", resolution=128)
     assert judged(shots, shots.photos)[0] == {}
 
 
 def test_real_light_is_not_called_even(data_folder):
-    """The one of the twelve whose light comes closest to it; the turns of its cameras are not known, and do not matter."""
+    """The one of the twelve whose light comes closest to it; the turns of its cameras are not known, and do
+    not matter.
+    """
     shots = read_capture(data_folder / "captures" / "leather-brown", resolution=192)
-    poses = {name: Pose.looking_at(at, (0, 0, 0)) for name, at in zip(shots.names, shots.views.in_patch_sides().camera.numpy())}
+    poses = {name: Pose.looking_at(at, (0, 0, 0)) for name, at in zip(shots.names,
+                                                                      shots.views.in_patch_sides().camera.numpy())}
     rig = Rig(Lens((4000, 3000), 3000.0), poses, 1.0, "patch sides", "photos")
     found = shading_of_material(rig, dict(zip(shots.names, shots.photos.numpy())), shots.transfer)
     assert judged(shots, shots.photos, names=shots.names, evenness=found.evenness)[0] == {}
@@ -73,18 +80,21 @@ def test_real_light_is_not_called_even(data_folder):
 
 def test_blurred(shots):
     reasons, found = judged(shots, changed(shots, 3, cv2.GaussianBlur(shots.photos[3].numpy(), (0, 0), 2)))
-    assert reasons.keys() == {"3.jpg"} and reasons["3.jpg"].startswith("blurred: 0.") and spoils(reasons["3.jpg"])
+    assert reasons.keys() == {"3.jpg"} and reasons["3.jpg"].startswith("blurred: 0.") and spoils(
+        reasons["3.jpg"])
     assert found["3.jpg"].sharpness < 0.3  # measured 0.25; the others 0.95 to 1.03
     assert all(0.8 < look.sharpness < 1.25 for name, look in found.items() if name != "3.jpg")
 
 
-@pytest.mark.parametrize("angle", [0, 22.5, 120])  # 22.5: as far as can be from the directions that are looked at
+# 22.5: as far as can be from the directions that are looked at
+@pytest.mark.parametrize("angle", [0, 22.5, 120])
 def test_a_hand_that_moved(angle):
     """Detail goes in one direction, and noise is in the photo all the same."""
     shots = photos_of(make_material("leather", 256), noise=0.002)
     far = 0.04 * 256
     line = np.zeros((33, 33), np.float32)
-    steps = np.linspace(-far / 2, far / 2, 101)[:, None] * (np.sin(np.radians(angle)), np.cos(np.radians(angle)))
+    steps = (np.linspace(-far / 2, far / 2, 101)[:, None]
+             * (np.sin(np.radians(angle)), np.cos(np.radians(angle))))
     np.add.at(line, tuple(np.rint(len(line) // 2 + steps).astype(int).T), 1)
     moved = cv2.filter2D(shots.photos[3].numpy(), -1, line / line.sum())
     moved += 0.006 * np.random.default_rng(0).standard_normal(moved.shape).astype(np.float32)
@@ -100,11 +110,14 @@ def test_photos_without_any_detail_are_as_sharp_as_each_other(shots):
 @pytest.mark.parametrize(("skin", "where"), [((0.25, 0.08, 0.06), "left"), ((0.9, 0.6, 0.5), "right"),
                                              ((0.3, 0.3, 0.3), "top")])
 def test_a_finger(shots, skin, where):
-    """Over two fifths of the patch, out of focus; grey has no colour of its own, but the detail below it is gone."""
+    """Over two fifths of the patch, out of focus; grey has no colour of its own, but the detail below it is
+    gone.
+    """
     mask = np.zeros((R, R, 1), np.float32)
     {"left": mask[:, :80], "right": mask[:, -80:], "top": mask[:80]}[where][:] = 1
     mask = cv2.GaussianBlur(mask, (0, 0), 6)[..., None]
-    reasons, found = judged(shots, changed(shots, 5, shots.photos[5].numpy() * (1 - mask) + mask * np.array(skin)))
+    reasons, found = judged(shots, changed(shots, 5, shots.photos[5].numpy() * (1 - mask)
+                                           + mask * np.array(skin)))
     assert reasons.keys() == {"5.jpg"} and "covered" in reasons["5.jpg"] and spoils(reasons["5.jpg"])
     assert max(found["5.jpg"].unlike, found["5.jpg"].unlike_detail) == pytest.approx(0.42, abs=0.12)
 
@@ -112,10 +125,12 @@ def test_a_finger(shots, skin, where):
 def test_without_flash(shots):
     reasons, _ = judged(shots, shots.photos, fired=dict.fromkeys(NAMES, "fired") | {"2.jpg": "off"})
     assert reasons == {"2.jpg": "taken without flash (says its EXIF)"} and not spoils(reasons["2.jpg"])
-    assert judged(shots, shots.photos, fired=dict.fromkeys(NAMES, "off"))[0] == {}  # then nothing tells them apart
+    # then nothing tells them apart
+    assert judged(shots, shots.photos, fired=dict.fromkeys(NAMES, "off"))[0] == {}
     reasons, _ = judged(shots, shots.photos, evenness={"2.jpg": 0.9})
     assert reasons.keys() == {"2.jpg"} and "does not fall off" in reasons["2.jpg"]
-    assert judged(shots, shots.photos, evenness=dict.fromkeys(NAMES[:6], 0.9))[0] == {}  # of most: the model is wrong, not they
+    # of most: the model is wrong, not they
+    assert judged(shots, shots.photos, evenness=dict.fromkeys(NAMES[:6], 0.9))[0] == {}
 
 
 @pytest.mark.parametrize(("stops", "word"), [(2.0, "brighter"), (-2.0, "darker")])
@@ -125,7 +140,8 @@ def test_another_exposure(stops, word):
     reasons, found = judged(shots, changed(shots, 1, (shots.linear[1] * 2**stops).clamp(0, 1) ** (1 / 2.2)))
     assert reasons.keys() == {"1.jpg"} and f"stops {word}" in reasons["1.jpg"]
     assert found["1.jpg"].stops == pytest.approx(stops, abs=0.15)  # measured 1.9: some clipped
-    half = changed(shots, 1, (shots.linear[1] * 2 ** (stops / 4)).clamp(0, 1) ** (1 / 2.2))  # half a stop: a shutter's
+    # half a stop: a shutter's
+    half = changed(shots, 1, (shots.linear[1] * 2 ** (stops / 4)).clamp(0, 1) ** (1 / 2.2))
     assert judged(shots, half)[0] == {}
 
 
@@ -150,12 +166,16 @@ def test_half_outside(shots):
 
 
 def test_duplicate(shots):
-    """The later one goes; the same place with another picture stays, and so does the same picture from another place."""
+    """The later one goes; the same place with another picture stays, and so does the same picture from
+    another place.
+    """
     photos, views = torch.cat((shots.photos, shots.photos[4:5])), shots.views.pick([*range(9), 4])
     names = [*NAMES, "again.jpg"]
     reasons, _ = judged(shots, photos, views, names)
     assert reasons == {"again.jpg": "the same photo as 4.jpg, from the same place"}
-    moved = replace(views, camera=views.camera + torch.eye(10, dtype=torch.float64)[:, -1:] * torch.tensor([0.2, 0, 0]))
+    moved = replace(views, camera=views.camera + torch.eye(10, dtype=torch.float64)[:,
+                                                                                    -1:] * torch.tensor([0.2,
+                                                                                                         0, 0]))
     assert judged(shots, photos, moved, names)[0] == {}
     other = photos.clone()
     other[-1] = (other[-1] + 0.06).clamp(0, 1)
@@ -164,7 +184,8 @@ def test_duplicate(shots):
 
 def test_two_bad_copies_are_both_left_out(shots):
     photos, names = torch.cat((shots.photos, shots.photos[4:5])), [*NAMES, "again.jpg"]
-    reasons, _ = judged(shots, photos, shots.views.pick([*range(9), 4]), names, fired=dict.fromkeys(NAMES, "fired") | {
+    reasons, _ = judged(shots, photos, shots.views.pick([*range(9), 4]), names,
+                        fired=dict.fromkeys(NAMES, "fired") | {
         "4.jpg": "off", "again.jpg": "off"})
     assert set(reasons) == {"4.jpg", "again.jpg"} and all("EXIF" in reason for reason in reasons.values())
 
@@ -193,7 +214,8 @@ def corner_missing():
 def test_where_to_stand():
     views, names = corner_missing(), [f"{c}.jpg" for c in "abcdef"]
     stand = next_best_view(views, names, "patch sides")
-    assert -0.5 < stand.camera[0] < -0.15 and -0.5 < stand.camera[1] < -0.1 and stand.camera[2] == pytest.approx(1.8)
+    assert -0.5 < stand.camera[0] < -0.15 and -0.5 < stand.camera[1] < -0.1 and stand.camera[
+        2] == pytest.approx(1.8)
     # What it promises is what it brings, and no place of a finer grid brings much more.
     seen, lobe = coverage_angle(views, 32) <= math.radians(7), math.radians(7)
 
@@ -201,7 +223,8 @@ def test_where_to_stand():
         return float(((coverage_angle(Views.of([[x, y, 1.8]]), 32) <= lobe) & ~seen).double().mean())
 
     assert gain(*stand.camera[:2]) == pytest.approx(stand.gain, abs=1e-9)
-    assert max(gain(x, y) for x in np.linspace(-0.5, 0, 11) for y in np.linspace(-0.5, 0, 11)) < stand.gain + 0.01
+    assert max(gain(x, y) for x in np.linspace(-0.5, 0, 11) for y in np.linspace(-0.5, 0,
+                                                                                 11)) < stand.gain + 0.01
     assert names[stand.near] == "d.jpg"  # of all, the one in the middle is nearest
 
 
@@ -209,14 +232,19 @@ def test_the_way_there_in_words():
     views, names = corner_missing(), [f"{c}.jpg" for c in "abcdef"]
     stand = next_best_view(views, names, "patch sides")
     left, down = -stand.camera[0], -stand.camera[1]
-    assert stand.words == (f"from where d.jpg was taken, hold the phone {left:.0%} of the patch's side further left, "
-                           f"{down:.0%} of the patch's side nearer to you, at the same height (1.8 patch sides)")
+    assert stand.words == (f"from where d.jpg was taken, hold the phone {left:.0%} of the patch's side "
+                           "further left, "
+                           f"{down:.0%} of the patch's side nearer to you, at the same height (1.8 patch "
+                           "sides)")
     cm = Views.of(views.camera * 11.5, intensity=views.intensity * 11.5**2, size=11.5)
     assert next_best_view(cm, names, "cm").words == (
-        f"from where d.jpg was taken, hold the phone {left * 11.5:.0f} cm further left, {down * 11.5:.0f} cm nearer to you, at "
+        f"from where d.jpg was taken, hold the phone {left * 11.5:.0f} cm further left, {down * 11.5:.0f} "
+        "cm nearer to you, at "
         "the same height (21 cm); the sheet's arrow points away from you")
-    turned = Views.of(views.camera * torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64), intensity=views.intensity)
-    assert "further right" in (words := next_best_view(turned, names, "patch sides").words) and "further away from you" in words
+    turned = Views.of(views.camera * torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64),
+                      intensity=views.intensity)
+    assert "further right" in (words := next_best_view(turned, names,
+                                                       "patch sides").words) and "further away from you" in words
 
 
 def test_nowhere_to_stand_where_everything_is_seen():

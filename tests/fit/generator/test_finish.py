@@ -1,4 +1,6 @@
-"""The finish leaves the maps alone, moves only what is unsure, and pairs photos with lights of the same half vectors."""
+"""The finish leaves the maps alone, moves only what is unsure, and pairs photos with lights of the same half
+vectors.
+"""
 
 import dataclasses
 import signal
@@ -58,9 +60,11 @@ def test_a_look_that_misses_the_photos_is_weakened(result, capture):
     found = finished(result, capture, ANALYTIC, wild)
     assert found.finish["share"] < 1 and found.finish["rerender_rmse"] <= 1.2 * result.rerender_rmse
     images = ANALYTIC.render(found.look, result.views)
-    assert photo_rmse(images, capture.photos, capture.transfer)[0] == pytest.approx(found.finish["rerender_rmse"], rel=1e-6)
+    assert photo_rmse(images, capture.photos,
+                      capture.transfer)[0] == pytest.approx(found.finish["rerender_rmse"], rel=1e-6)
     held = finished(result, capture, ANALYTIC, dataclasses.replace(wild, worst=1e-9))
-    assert held.finish["share"] == 0 and all(torch.equal(held.look[name], value) for name, value in result.svbrdf.maps.items())
+    assert held.finish["share"] == 0 and all(torch.equal(held.look[name], value)
+                                             for name, value in result.svbrdf.maps.items())
 
 
 def test_a_seed_decides_the_draw(result, capture):
@@ -74,7 +78,8 @@ def test_a_seed_decides_the_draw(result, capture):
 def test_the_look_starts_as_the_maps(result, capture):
     start = Finish(result, capture, ANALYTIC, QUICK).material()
     for name, value in result.svbrdf.maps.items():
-        # There and back through the numbers that deviations are stated in, float32; a slope of 1e-3 near the upright z = 1.
+        # There and back through the numbers that deviations are stated in, float32; a slope of 1e-3 near the
+        # upright z = 1.
         assert torch.allclose(start[name], value, atol=2e-5)
 
 
@@ -83,15 +88,16 @@ def test_ctrl_c_leaves_the_look_out_and_the_fit_as_it_was(result, capture):
         signal.raise_signal(signal.SIGINT)
 
     steps = []
-    assert finished(result, capture, ANALYTIC, QUICK, lambda text, share: (steps.append(share), stop(text, share))) is result
+    assert finished(result, capture, ANALYTIC, QUICK, lambda text,
+                    share: (steps.append(share), stop(text, share))) is result
     assert len(steps) == 1 and result.look is None and result.finish is None
 
 
 def test_what_cannot_be_finished_says_why(result, capture):
     assert why_not(result) is None
     still = dataclasses.replace(result, views=Views.of([[0.0, 0.0, 2.0]] * len(capture)))
-    for spoilt, why in ((dataclasses.replace(result, stopped="interrupted"), "interrupted"), (still, "one view"),
-                        (dataclasses.replace(result, deviations={}), "fixed")):
+    for spoilt, why in ((dataclasses.replace(result, stopped="interrupted"), "interrupted"),
+                        (still, "one view"), (dataclasses.replace(result, deviations={}), "fixed")):
         assert why in why_not(spoilt) and finished(spoilt, capture, ANALYTIC, QUICK) is spoilt
     with pytest.raises(ConfigError, match="steps"):
         finished(result, capture, ANALYTIC, FinishConfig(steps=0))
@@ -99,14 +105,16 @@ def test_what_cannot_be_finished_says_why(result, capture):
 
 @pytest.mark.parametrize("falloff", ["inverse-square", "none"])
 def test_a_moved_light_shows_elsewhere_what_its_photo_shows(falloff):
-    # A material that is the same everywhere: crops of renderings under the moved light and under the photo's are one picture.
+    # A material that is the same everywhere: crops of renderings under the moved light and under the photo's
+    # are one picture.
     views = dataclasses.replace(GRID, falloff=falloff)
     material = make_material("leather", 32).map(lambda value: value[:1, :1].expand_as(value).contiguous())
     random, carried = torch.Generator().manual_seed(0), set()
     for _ in range(12):
         light = draw(views, torch.zeros(32, 32, 3), 12, 4, random)
         moved = moved_views(views, [light], 32)
-        new, old = ANALYTIC.render(material, moved)[0], ANALYTIC.render(material, views.pick([light.photo]))[0]
+        new, old = ANALYTIC.render(material, moved)[0], ANALYTIC.render(material,
+                                                                        views.pick([light.photo]))[0]
         assert torch.allclose(light.under_it(new, 12), light.in_photo(old, 12), rtol=1e-4)
         half = [geometry(each, 32)[1][0] for each in (moved, views.pick([light.photo]))]
         assert torch.allclose(light.under_it(half[0], 12), light.in_photo(half[1], 12), atol=1e-6)

@@ -1,4 +1,6 @@
-"""``gan``: where it starts, how it grows, what its discriminator sees, and that the game between the two finds maps."""
+"""``gan``: where it starts, how it grows, what its discriminator sees, and that the game between the two
+finds maps.
+"""
 
 import math
 
@@ -51,7 +53,8 @@ def test_untrained_it_starts_anywhere(tiles):
     assert normals[..., :2].abs().max() > 0.02
 
 
-@pytest.mark.parametrize("generator, average", [("all-photos", 0.0), ("all-photos", 0.5), ("two-stream", 0.0)])
+@pytest.mark.parametrize("generator, average", [("all-photos", 0.0), ("all-photos", 0.5),
+                                                ("two-stream", 0.0)])
 def test_what_was_found_is_carried_to_the_next_resolution(generator, average, tiles, growing):
     gan = gan_of(tiles, generator=generator, average=average)
     assert [phase.halvings for phase in gan.phases] == [1, 0]
@@ -77,12 +80,14 @@ def test_the_discriminators_weights_get_no_gradient_while_the_generator_learns(t
 
     monkeypatch.setattr(gan.discriminator, "activations", watched)
     gan.step(0.0)
-    assert seen == [(False, True), (True, False), (False, False)]  # it learns; the rendering is judged; the photo beside it
+    # it learns; the rendering is judged; the photo beside it
+    assert seen == [(False, True), (True, False), (False, False)]
 
 
 def test_a_coarse_phase_has_64_texels_or_more():
     config = GanConfig()
-    assert [p.halvings for p in config.phases(256)] == [2, 1, 0] and [p.halvings for p in config.phases(128)] == [1, 0]
+    assert [p.halvings for p in config.phases(256)] == [2, 1, 0] and [p.halvings
+                                                                      for p in config.phases(128)] == [1, 0]
     assert [p.halvings for p in config.phases(127)] == [0]
 
 
@@ -93,8 +98,11 @@ def test_the_discriminator_has_a_head_start_in_each_phase(tiles, growing):
         gan.step(progress)
         return [gan.optimizers[name].param_groups[0]["lr"] for name in ("slow", "judge")]
 
-    # The second of two phases begins at 0.375: a tenth of the first is 0.0375 of the run, that of the second 0.0625.
-    assert rates(0.0) == [2e-4, 1e-3] and rates(0.0375) == pytest.approx([5e-3, 1e-3]) and rates(0.3) == [1e-2, 1e-3]
+    # The second of two phases begins at 0.375: a tenth of the first is 0.0375 of the run, that of the second
+    # 0.0625.
+    assert rates(0.0) == [2e-4, 1e-3] and rates(0.0375) == pytest.approx([5e-3,
+                                                                          1e-3]) and rates(0.3) == [1e-2,
+                                                                                                    1e-3]
     assert rates(0.375) == [2e-4, 1e-3] and gan.phase == 1 and rates(0.4375) == pytest.approx([5e-3, 1e-3])
     assert rates(0.3) == [1e-2, 1e-3] and gan.phase == 1  # resumed with a higher limit: it goes on as it was
 
@@ -112,7 +120,8 @@ def test_phases_share_the_run(tiles, growing):
 
 @pytest.mark.slow
 def test_the_game_draws_renderings_to_the_photos():
-    # No loss but the adversarial and the diffuse one: measured 0.61 of the first re-rendering error, 0.61 of the roughness's.
+    # No loss but the adversarial and the diffuse one: measured 0.61 of the first re-rendering error, 0.61 of
+    # the roughness's.
     truth = make_material("leather", 32)
     capture = photos_of(truth)
     result = fit_svbrdf(capture, MITSUBA, GanConfig(width=8, iterations=120))
@@ -137,10 +146,14 @@ def test_the_losses_of_the_games():
     assert torch.allclose(losses.discriminator(real, fake, "bce"),
                           (F.binary_cross_entropy(p, one) + F.binary_cross_entropy(q, 0 * one)) / 2)
     assert torch.allclose(losses.adversarial(real, fake, "bce"), F.binary_cross_entropy(q, one))
-    assert torch.allclose(losses.discriminator(real, fake, "relativistic"), -torch.log(torch.sigmoid(real - fake)).mean())
-    assert torch.allclose(losses.adversarial(real, fake, "relativistic"), -torch.log(torch.sigmoid(fake - real)).mean())
-    hinged = [max(0.0, 1 - r) + max(0.0, 1 + f) for r, f in zip(real.flatten().tolist(), fake.flatten().tolist())]
-    assert float(losses.discriminator(real, fake, "hinge")) == pytest.approx(sum(hinged) / len(hinged) / 2, rel=1e-5)
+    assert torch.allclose(losses.discriminator(real, fake, "relativistic"),
+                          -torch.log(torch.sigmoid(real - fake)).mean())
+    assert torch.allclose(losses.adversarial(real, fake, "relativistic"),
+                          -torch.log(torch.sigmoid(fake - real)).mean())
+    hinged = [max(0.0, 1 - r) + max(0.0, 1 + f) for r, f in zip(real.flatten().tolist(),
+                                                                fake.flatten().tolist())]
+    assert float(losses.discriminator(real, fake, "hinge")) == pytest.approx(sum(hinged) / len(hinged) / 2,
+                                                                             rel=1e-5)
     assert torch.allclose(losses.adversarial(real, fake, "hinge"), -fake.mean())
     for game in ("bce", "relativistic"):  # what it costs not to know
         assert float(losses.discriminator(0 * real, 0 * fake, game)) == pytest.approx(math.log(2))
@@ -237,7 +250,8 @@ def test_what_later_substeps_do_not_move_is_computed_once(tiles):
     assert all(torch.equal(value, anew.state()[name]) for name, value in once.state().items())
 
 
-@pytest.mark.parametrize("float32, bfloat16, faster", [(0.1, 0.05, True), (0.1, 0.09, False), (0.1, 0.15, False)])
+@pytest.mark.parametrize("float32, bfloat16, faster", [(0.1, 0.05, True), (0.1, 0.09, False),
+                                                       (0.1, 0.15, False)])
 def test_bfloat16_is_taken_where_it_is_faster(float32, bfloat16, faster, monkeypatch):
     monkeypatch.setattr(precision, "side_by_side", lambda jobs: [job() for job in jobs.values()] and {
         "float32": {"median": float32}, "bfloat16": {"median": bfloat16}})
@@ -257,7 +271,8 @@ def test_a_resumed_run_computes_as_it_began(began, tiles, monkeypatch):
 
 
 @pytest.mark.parametrize("wrong, words", [({"average": 1.0}, "average below 1"), ({"crop": 4}, "crop of 16"),
-                                          ({"normal_roughness_steps": 5}, "two-stream"), ({"pictures": 0}, "pictures > 0")])
+                                          ({"normal_roughness_steps": 5}, "two-stream"),
+                                          ({"pictures": 0}, "pictures > 0")])
 def test_settings_that_do_not_go_together_are_refused(wrong, words):
     with pytest.raises(ConfigError, match=words):
         GanConfig(**wrong).check()

@@ -8,7 +8,14 @@ from helpers import ANALYTIC, GRID
 
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture
-from mitsvbrdf.fit.generator.guessed_normal import blurred, from_slopes, gradient, guess_normal, height_of, strength
+from mitsvbrdf.fit.generator.guessed_normal import (
+    blurred,
+    from_slopes,
+    gradient,
+    guess_normal,
+    height_of,
+    strength,
+)
 from mitsvbrdf.material.maps import SVBRDF, flat
 
 R = 64
@@ -42,8 +49,8 @@ def test_slopes_of_a_height_map_are_those_of_calculus():
 
 @pytest.mark.parametrize("periods", [2, 8])
 def test_a_faint_wave_of_shading_becomes_a_wave_of_height(periods):
-    # Small waves go through linearly: an octave passes exp(-(2 pi f sigma)^2 / 2) of the finer less that of the coarser one,
-    # and the curve's slope at the rim is 1.
+    # Small waves go through linearly: an octave passes exp(-(2 pi f sigma)^2 / 2) of the finer less that of
+    # the coarser one, and the curve's slope at the rim is 1.
     wave = 1e-3 * relief(periods, 1.0)[0]
     passed = [1.0, *(math.exp(-(2 * math.pi * periods / R * 2**k) ** 2 / 2) for k in range(4))]
     gain = sum(2**k * (fine - coarse) for k, (fine, coarse) in enumerate(zip(passed, passed[1:])))
@@ -72,7 +79,8 @@ def test_a_blur_keeps_the_mean_and_spreads_by_its_sigma():
 def test_the_photos_say_how_steep_it_is(factor):
     slopes = relief(4, 0.4)[1].float()
     found = strength(photographed(matt(factor * slopes)), slopes)
-    assert math.isclose(found, factor, rel_tol=0.05)  # a Lambertian's shading to first order of slopes up to 0.16
+    # a Lambertian's shading to first order of slopes up to 0.16
+    assert math.isclose(found, factor, rel_tol=0.05)
 
 
 def test_without_shading_normals_are_flat():

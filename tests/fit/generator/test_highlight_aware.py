@@ -13,7 +13,9 @@ def layer(photos=2, extra=1, stride=1, mode="zeros"):
 
 
 def with_highlight(value, photos=2, extra=1):
-    """Photos of display values below 0.8 with a hole of this value in the first photo, and further channels."""
+    """Photos of display values below 0.8 with a hole of this value in the first photo, and further
+    channels.
+    """
     random = torch.Generator().manual_seed(1)
     x = torch.rand(1, 3 * photos + extra, 12, 12, generator=random) * 1.6 - 1
     x[:, :3, 5:7, 4:6] = value
@@ -28,7 +30,8 @@ def test_it_is_the_sum_over_taps_weighed_by_masks():
         masks = ha.masks(x)[0]
         grown = F.pad(x, (1, 1, 1, 1), mode="constant" if mode == "zeros" else mode)[0]
         mask = F.pad(masks[None], (1, 1, 1, 1), mode="constant" if mode == "zeros" else mode)[0]
-        inside = F.pad(torch.ones(1, 1, 12, 12), (1, 1, 1, 1), mode="constant" if mode == "zeros" else mode)[0, 0]
+        inside = F.pad(torch.ones(1, 1, 12, 12), (1, 1, 1, 1), mode="constant" if mode == "zeros"
+                       else mode)[0, 0]
         found = ha(x)[0]
         for row, column in ((0, 0), (2, 2), (3, 1), (5, 5)):
             at = (slice(row * stride, row * stride + 3), slice(column * stride, column * stride + 3))
@@ -36,7 +39,8 @@ def test_it_is_the_sum_over_taps_weighed_by_masks():
             for photo in range(2):
                 share = mask[(photo, *at)].sum() / inside[at].sum()
                 for c in range(3 * photo, 3 * photo + 3):
-                    total = total + (ha.conv.weight[:, c] * grown[(c, *at)] * mask[(photo, *at)]).sum(dim=(1, 2)) / share
+                    total = total + (ha.conv.weight[:, c] * grown[(c, *at)] * mask[(photo, *at)]).sum(dim=(1,
+                                                                                                           2)) / share
             assert torch.allclose(found[:, row, column], total, atol=1e-12)
 
 
@@ -61,10 +65,12 @@ def test_a_mask_is_learned():
 
 def test_both_generators_take_it_in_their_first_layers():
     for generator, blocks, photos, shape in ((TwoStreamGenerator(width=4), "encoder", 1, (1, 3, 32, 32)),
-                                             (AllPhotosGenerator(11, width=4, change=False), "down", 2, (1, 11, 32, 32))):
+                                             (AllPhotosGenerator(11, width=4, change=False), "down", 2,
+                                              (1, 11, 32, 32))):
         x = torch.rand(shape, generator=torch.Generator().manual_seed(2)) * 0.8
         before = generator(x)
         make_highlight_aware(getattr(generator, blocks), photos)
         assert sum(isinstance(m, HighlightAwareConv) for m in generator.modules()) == 2
         after = generator(x)
-        assert all(torch.allclose(before[name], after[name], atol=1e-3) for name in before)  # masks begin alike everywhere
+        # masks begin alike everywhere
+        assert all(torch.allclose(before[name], after[name], atol=1e-3) for name in before)

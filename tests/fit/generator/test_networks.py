@@ -24,13 +24,15 @@ def test_input_and_rendering_of_the_gan_show_the_same_blend():
         for _ in range(20):
             pictures = source.draw(2, random)
             seen |= {int((row > 0).sum()) for row in pictures.weights}
-            assert torch.allclose(pictures.of(ANALYTIC.render(truth, views.pick(pictures.index))), pictures.shown, atol=1e-4)
+            assert torch.allclose(pictures.of(ANALYTIC.render(truth, views.pick(pictures.index))),
+                                  pictures.shown, atol=1e-4)
     assert seen == {1, 2}
 
 
 @pytest.mark.parametrize("falloff", ["inverse-square", "none"])
 def test_a_crop_is_lit_as_the_whole_is(falloff):
-    # What is rendered of a crop's texels under the views moved to it is the crop of what is rendered of the whole.
+    # What is rendered of a crop's texels under the views moved to it is the crop of what is rendered of the
+    # whole.
     truth, views = make_material("inlay", 32), replace(GRID, size=1.0, falloff=falloff)
     photos = color.to_display(ANALYTIC.render(truth, views))
     source = PictureSource(Capture(photos, views), True, crop=16)
@@ -60,12 +62,15 @@ def test_networks_have_the_papers_layers():
 
     g = TwoStreamGenerator(width=8)
     assert layers(g.encoder, torch.nn.Conv2d) == 5
-    assert (layers(g.normal_roughness, torch.nn.Conv2d), layers(g.normal_roughness, torch.nn.ConvTranspose2d)) == (1, 3)
-    assert (layers(g.diffuse_specular, torch.nn.Conv2d), layers(g.diffuse_specular, torch.nn.ConvTranspose2d)) == (0, 3)
+    assert (layers(g.normal_roughness, torch.nn.Conv2d),
+            layers(g.normal_roughness, torch.nn.ConvTranspose2d)) == (1, 3)
+    assert (layers(g.diffuse_specular, torch.nn.Conv2d),
+            layers(g.diffuse_specular, torch.nn.ConvTranspose2d)) == (0, 3)
     assert layers(PatchDiscriminator(8), torch.nn.Conv2d) == 5
     assert g.encode(torch.rand(1, 3, 64, 64)).shape[-1] == 8
     probability = PatchDiscriminator(8)(torch.rand(1, 3, 64, 64))
-    assert probability.shape[1] == 1 and probability.shape[2] > 1 and 0 < probability.min() and probability.max() < 1
+    assert probability.shape[1] == 1 and probability.shape[
+        2] > 1 and 0 < probability.min() and probability.max() < 1
 
 
 def test_group_norm_with_one_channel_a_group_is_instance_norm():

@@ -1,4 +1,6 @@
-"""Photos to maps through a generator, literally: every renderer gives its weights the same gradients, and the same fit."""
+"""Photos to maps through a generator, literally: every renderer gives its weights the same gradients, and the
+same fit.
+"""
 
 import statistics
 from dataclasses import replace
@@ -13,21 +15,32 @@ from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import CHANNELS
 from mitsvbrdf.measure.metrics import gradient_error, map_rmse
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.verify.generator_gradients import FAULTS, METHODS, Faulty, differences, page, trained_states, weight_gradient
+from mitsvbrdf.verify.generator_gradients import (
+    FAULTS,
+    METHODS,
+    Faulty,
+    differences,
+    page,
+    trained_states,
+    weight_gradient,
+)
 
 THROUGH = {"mitsuba": MITSUBA, "mitsuba-scene": make_renderer("mitsuba-scene")}
-# Of the whole loss, relative L2. Measured on an Intel Xeon, over five states of each of three seeds: medians of 3e-7 to 7e-7,
-# float32's rounding. Rarely a rounding crosses a kink (leaky ReLU, |e|, a clipped pixel): a single state then had up to 4e-4.
-# A camera 1 % too far gives 2e-3 to 4e-2 (medians 1e-2; Intel and AMD), roughness squared twice 1.4 and more.
+# Of the whole loss, relative L2. Measured on an Intel Xeon, over five states of each of three seeds: medians
+# of 3e-7 to 7e-7, float32's rounding. Rarely a rounding crosses a kink (leaky ReLU, |e|, a clipped pixel): a
+# single state then had up to 4e-4. A camera 1 % too far gives 2e-3 to 4e-2 (medians 1e-2; Intel and AMD),
+# roughness squared twice 1.4 and more.
 MEDIAN, LARGEST = 1e-5, 2e-3
-# RMSE of the maps of a short fit. Measured over twenty fits: 1e-8, in two of them 1e-5 and 5e-5 (kinks, which Adam and the
-# game magnify: after 20 steps up to 7e-4, after 40 up to 1e-2); roughness squared twice: 3e-3 and more.
+# RMSE of the maps of a short fit. Measured over twenty fits: 1e-8, in two of them 1e-5 and 5e-5 (kinks, which
+# Adam and the game magnify: after 20 steps up to 7e-4, after 40 up to 1e-2); roughness squared twice: 3e-3
+# and more.
 STEPS, SAME_MAPS, WRONG_MAPS = 5, 3e-4, 2e-3
 
 
 @pytest.fixture(scope="module")
 def shots():
-    # 32 px: below, instance norm divides by the spread of four values that hardly differ, and magnifies rounding.
+    # 32 px: below, instance norm divides by the spread of four values that hardly differ, and magnifies
+    # rounding.
     return photos_of(make_material("inlay", 32)).pick([0, 2, 4, 7])
 
 
@@ -45,7 +58,8 @@ def test_the_generators_weights_get_the_same_gradients_through_every_renderer(me
     for name in THROUGH:
         assert statistics.median(found[name]) <= MEDIAN and max(found[name]) <= LARGEST, (name, found[name])
     for fault in FAULTS:  # what is wrong is above either limit
-        assert statistics.median(found[fault]) > 100 * MEDIAN and max(found[fault]) > LARGEST, (fault, found[fault])
+        assert statistics.median(found[fault]) > 100 * MEDIAN and max(found[fault]) > LARGEST, (fault,
+                                                                                                found[fault])
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -79,7 +93,8 @@ def test_gradients_reach_every_weight(shots):
 @pytest.mark.parametrize("bsdf", mostly_slow(CHANNELS, "roughconductor"))
 def test_the_same_short_fit_ends_at_the_same_maps(method, bsdf, shots):
     renderers = THROUGH | {"analytic64": TWIN, "wrong": Faulty("roughness squared twice")}
-    maps = {name: stepped(FitTask(shots, renderer, config(method, bsdf))) for name, renderer in renderers.items()}
+    maps = {name: stepped(FitTask(shots, renderer, config(method, bsdf)))
+            for name, renderer in renderers.items()}
     for name in THROUGH:
         assert map_rmse(maps[name], maps["analytic64"])["mean"] < SAME_MAPS, name
     assert map_rmse(maps["wrong"], maps["analytic64"])["mean"] > WRONG_MAPS
@@ -101,7 +116,9 @@ def test_the_traced_scene_leaves_the_flash_where_it_is(kind, shots):
 
 
 def test_the_page_of_the_gradients():
-    row = {"method": "gan", "bsdf": "principled", "through": "mitsuba", "fault": False, "median": 2e-7, "largest": 3e-7}
-    text = page({"material": "inlay", "resolution": 64, "rows": [row, row | {"through": "wrong", "fault": True}],
+    row = {"method": "gan", "bsdf": "principled", "through": "mitsuba", "fault": False, "median": 2e-7,
+           "largest": 3e-7}
+    text = page({"material": "inlay", "resolution": 64,
+                 "rows": [row, row | {"through": "wrong", "fault": True}],
                  "machine": {"cpu": "x"}, "versions": {"mitsuba": "1", "drjit": "2", "torch": "3"}})
     assert "| `gan` | principled | `mitsuba` | 2.0e-07 | 3.0e-07 |" in text and "| principled | wrong |" in text

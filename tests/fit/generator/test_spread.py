@@ -14,7 +14,8 @@ from mitsvbrdf.material.made import make_material
 
 def method_of(capture, kind, **settings):
     config = GanConfig(generator=kind, width=4, precision="float32", **settings)
-    return make_method(FitTask(capture, ANALYTIC, config, guess_diffuse(capture, "min")))  # the same in any order
+    # the same in any order
+    return make_method(FitTask(capture, ANALYTIC, config, guess_diffuse(capture, "min")))
 
 
 def untrained_change(method):
@@ -44,13 +45,15 @@ def test_alike_maps_have_none_and_one_map_is_refused():
         spread_of([material])
 
 
-@pytest.mark.parametrize("kind, spreads", [("two-stream", True), ("all-photos", True), ("variational", False)])
+@pytest.mark.parametrize("kind, spreads", [("two-stream", True), ("all-photos", True),
+                                           ("variational", False)])
 def test_every_generator_has_one(capture, kind, spreads):
     method = method_of(capture, kind)
     assert input_spread(method)["mean"] == 0  # it begins at the start, whichever photo it sees
     untrained_change(method)
     found = input_spread(method)
-    assert all(value > 1e-3 for value in found.values()) if spreads else all(value < 1e-4 for value in found.values())
+    assert all(value > 1e-3 for value in found.values()) if spreads else all(value < 1e-4
+                                                                             for value in found.values())
 
 
 def test_the_maps_from_a_photo_are_the_estimate_of_a_fit_that_has_it_first():

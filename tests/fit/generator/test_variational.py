@@ -5,7 +5,12 @@ from helpers import GRID, photos_of
 from torch.distributions import Normal, kl_divergence
 
 from mitsvbrdf.capture import guess_diffuse
-from mitsvbrdf.fit.generator.variational import VariationalGenerator, condition_of, divergence, product_of_experts
+from mitsvbrdf.fit.generator.variational import (
+    VariationalGenerator,
+    condition_of,
+    divergence,
+    product_of_experts,
+)
 from mitsvbrdf.fit.parameters import STREAMS
 from mitsvbrdf.material.made import make_material
 
@@ -44,7 +49,8 @@ def test_any_number_of_photos_in_any_order():
     for name, value in one.items():
         # float32 sums in another order; instance norms of a coarse level enlarge the difference
         assert torch.allclose(value, other[name], atol=1e-4)
-        assert value.shape == single[name].shape == two[name].shape and not torch.allclose(single[name], two[name], atol=1e-3)
+        assert value.shape == single[name].shape == two[name].shape and not torch.allclose(single[name],
+                                                                                           two[name], atol=1e-3)
 
 
 def test_codes_are_drawn_in_training_and_their_mean_makes_the_result():
@@ -60,4 +66,5 @@ def test_codes_are_drawn_in_training_and_their_mean_makes_the_result():
 def test_it_begins_at_the_start():
     shots = photos_of(make_material("inlay", 16))
     generator = VariationalGenerator(STREAMS["roughconductor"], 4)
-    assert all(value.abs().max() == 0 for value in generator(condition_of(shots, guess_diffuse(shots, "min"))).values())
+    assert all(value.abs().max() == 0 for value in generator(condition_of(shots,
+                                                                          guess_diffuse(shots, "min"))).values())

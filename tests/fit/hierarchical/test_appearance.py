@@ -14,7 +14,8 @@ from mitsvbrdf.views import Views, nine_view_grid
 def test_a_patch_of_two_colours_splits_in_two():
     left = (torch.arange(16) < 8).float()[None, :, None].expand(16, 16, 1)
     material = flat(16, specular=0.04, roughness=0.4)
-    material.maps["diffuse"] = left * torch.tensor([0.5, 0.2, 0.1]) + (1 - left) * torch.tensor([0.1, 0.25, 0.45])
+    material.maps["diffuse"] = (left * torch.tensor([0.5, 0.2, 0.1])
+                                + (1 - left) * torch.tensor([0.1, 0.25, 0.45]))
     capture = photos_of(material, noise=0.002)
     seen = appearance_of(capture, material["diffuse"])
     assert seen.shape == (256, 5) and float(seen.min()) > -0.3 and float(seen.max()) < 0.6
@@ -26,11 +27,13 @@ def test_a_patch_of_two_colours_splits_in_two():
         of_left, of_right = (member[left.flatten() == side].sum(dim=0) for side in (1, 0))
         assert float((of_left * of_right).sum().sqrt()) < 1e-3 * 128  # no basis material is of both
     # Kernels far wider than looks are apart: all alike.
-    assert torch.allclose(membership(seen, basis_materials(seen, 2, 0), 100.0), torch.full((256, 2), 0.5), atol=1e-3)
+    assert torch.allclose(membership(seen, basis_materials(seen, 2, 0), 100.0), torch.full((256, 2), 0.5),
+                          atol=1e-3)
 
 
 def test_looks_do_not_depend_on_the_light():
-    # A matt patch looks the same from wherever it is lit, at any power and with either falloff; and brightness shows.
+    # A matt patch looks the same from wherever it is lit, at any power and with either falloff; and
+    # brightness shows.
     grey = flat(8, diffuse=0.3, specular=0.0, roughness=1.0)
     near, far = nine_view_grid(1.5), nine_view_grid(4.0, 0.8)
     for views in (near, far, Views.of(near.camera, intensity=near.intensity / 3),
@@ -57,8 +60,10 @@ def test_groups_depend_on_the_seed_and_on_nothing_else():
     first = basis_materials(seen, 20, 3)
     basis_materials(torch.rand(50, 5, generator=random), 7, 1)
     torch.rand(5)
-    assert torch.equal(basis_materials(seen, 20, 3), first) and not torch.equal(basis_materials(seen, 20, 4), first)
-    # The order of the texels changes which ones k-means starts from, not how well it does: within 10 % in mean distance.
+    assert torch.equal(basis_materials(seen, 20, 3), first) and not torch.equal(basis_materials(seen, 20, 4),
+                                                                                first)
+    # The order of the texels changes which ones k-means starts from, not how well it does: within 10 % in
+    # mean distance.
     turned = basis_materials(seen.flip(0), 20, 3)
     spread = [float(torch.cdist(seen, centres).amin(dim=1).mean()) for centres in (first, turned)]
     assert spread[0] == pytest.approx(spread[1], rel=0.1)

@@ -1,4 +1,6 @@
-"""How far photos are believed at full size: predictions of photos left out against a float64 twin, and the choice."""
+"""How far photos are believed at full size: predictions of photos left out against a float64 twin, and the
+choice.
+"""
 
 from dataclasses import replace
 
@@ -17,7 +19,8 @@ from mitsvbrdf.material.made import make_material
 def test_the_least_noise_that_is_as_good():
     same = torch.tensor([[4.0, 4.0, 4.0, 4.0], [1.0, 1.1, 0.9, 1.0], [1.0, 1.0, 1.0, 1.0]])
     assert least_as_good(same) == 1
-    # A difference of 0.1 in the mean: one standard error of four differences is 0.058 here, and 0 in the second case.
+    # A difference of 0.1 in the mean: one standard error of four differences is 0.058 here, and 0 in the
+    # second case.
     assert least_as_good(torch.tensor([[1.1, 1.1, 1.1, 1.1], [1.0, 1.0, 1.0, 1.0]])) == 1
     assert least_as_good(torch.tensor([[1.0, 1.2, 1.0, 1.2], [1.0, 1.0, 1.0, 1.0]])) == 1
     assert least_as_good(torch.tensor([[1.4, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.0]])) == 0  # 0.1 and 0.1
@@ -42,7 +45,8 @@ def test_texels_that_may_not_move_predict_what_the_twin_draws(case, capture):
     x[ties.slopes] += 0.2  # of another material
     held = ties.free(truth._replace(x=x))
     held = held._replace(precision=torch.full_like(x, 1e12))
-    errors = prediction_errors(photos, solver, ties, dict.fromkeys(range(len(photos.photos)), held), [0.05, 0.18])
+    errors = prediction_errors(photos, solver, ties, dict.fromkeys(range(len(photos.photos)), held),
+                               [0.05, 0.18])
     shown = color.encode(TWIN.render(solver.svbrdf(x.double()), photos.views))
     error = torch.where(photos.photos >= 0.995, (shown - photos.photos).clamp_max(0), shown - photos.photos)
     wanted = error.square().mean(dim=(1, 2, 3)).expand(2, -1)  # 0.002 to 0.005
@@ -61,7 +65,8 @@ def test_no_photo_helps_to_predict_itself(case):
 
 
 @pytest.mark.parametrize("count, left_out", [
-    (3, []), (4, [0, 1, 2, 3]), (9, [*range(9)]), (10, [0, 2, 4, 6, 8]), (25, [0, 3, 6, 9, 12, 15, 18, 21, 24])])
+    (3, []), (4, [0, 1, 2, 3]), (9, [*range(9)]), (10, [0, 2, 4, 6, 8]),
+    (25, [0, 3, 6, 9, 12, 15, 18, 21, 24])])
 def test_which_photos_are_left_out_in_turn(count, left_out):
     assert [*in_turn(count)] == left_out
 
@@ -84,7 +89,8 @@ def detail_of(capture):
 @pytest.mark.slow
 def test_detail_that_other_photos_confirm_is_believed_and_other_detail_is_not(two_stages, phone):
     clean = photos_of(make_material("leather", SIDE))
-    glitter = 0.25 * torch.randn(clean.photos.shape[:3], generator=torch.Generator().manual_seed(0))[..., None]
+    glitter = 0.25 * torch.randn(clean.photos.shape[:3], generator=torch.Generator().manual_seed(0))[...,
+                                                                                                     None]
     spoilt = replace(clean, photos=(clean.photos * (1 + glitter)).clamp(0, 1))
     assert detail_of(clean)[1] == pytest.approx(NOISES[0])
     assert detail_of(spoilt)[1] > NOISES[1]

@@ -1,4 +1,6 @@
-"""Matte materials are told by their photos, and then fitted without a lobe; where a lobe may be, the search goes on."""
+"""Matte materials are told by their photos, and then fitted without a lobe; where a lobe may be, the search
+goes on.
+"""
 
 from dataclasses import replace
 
@@ -42,8 +44,10 @@ def test_a_weak_lobe_and_one_texel_that_shines_are_no_matte_material(found):
     assert not left_alone(photos_of(found)).stages.matte
 
 
-@pytest.mark.parametrize("specular, roughness", [(0.04, 0.9), (spot(0.04, side=32), 0.3), (spot(0.5, side=32), 0.15)])
-def test_nor_are_they_in_noise_in_which_a_matte_material_is_told(specular, roughness):  # it is below: plates, 0.001
+@pytest.mark.parametrize("specular, roughness", [(0.04, 0.9), (spot(0.04, side=32), 0.3),
+                                                 (spot(0.5, side=32), 0.15)])
+# it is below: plates, 0.001
+def test_nor_are_they_in_noise_in_which_a_matte_material_is_told(specular, roughness):
     found = material(specular, roughness, "plates", 32)
     assert not left_alone(photos_of(found, noise=0.001), exact=True).stages.matte
 
@@ -59,16 +63,19 @@ def test_a_texel_clipped_in_every_photo_says_nothing(specular):
     assert left_alone(photos_of(SVBRDF(found.bsdf, maps), views), exact=True).stages.matte == (specular == 0)
 
 
-@pytest.mark.parametrize("name, noise, side", [("plates", 0.001, 32), pytest.param("leather", 0.0, 64, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name, noise, side",
+                         [("plates", 0.001, 32), pytest.param("leather", 0.0, 64, marks=pytest.mark.slow)])
 def test_other_matte_materials_with_noise_and_larger(name, noise, side):
     assert left_alone(photos_of(material(0.0, name=name, side=side), noise=noise)).stages.matte
 
 
-@pytest.mark.parametrize("settings", [{}, {"fix": ("normal=flat",)}, {"grey_specular": True}, {"exact": True}])
+@pytest.mark.parametrize("settings", [{}, {"fix": ("normal=flat",)}, {"grey_specular": True},
+                                      {"exact": True}])
 def test_a_matte_material_is_fitted_without_a_lobe(settings):
     truth = material(0.0)
     if "fix" in settings:
-        truth = SVBRDF(truth.bsdf, dict(truth.maps) | {"normal": torch.tensor([0.0, 0.0, 1.0]).expand(SIDE, SIDE, 3)})
+        truth = SVBRDF(truth.bsdf, dict(truth.maps) | {"normal": torch.tensor([0.0, 0.0, 1.0]).expand(SIDE,
+                                                                                                      SIDE, 3)})
     method = left_alone(photos_of(truth), **settings)
     assert method.stages.matte and method.stages.stage == Stage.FINE
     assert {skipped.LOBE, skipped.RIVALS, skipped.TIED} <= set(dict(method.left_out))
@@ -79,8 +86,8 @@ def test_a_matte_material_is_fitted_without_a_lobe(settings):
     assert off < 0.005  # a step of 8 bits is 0.004
 
 
-@pytest.mark.parametrize("settings", [{"bsdf": "principled"}, {"fix": ("roughness=0.5",)}, {"fix": ("specular=0.04",)},
-                                      {"exact": False}])
+@pytest.mark.parametrize("settings", [{"bsdf": "principled"}, {"fix": ("roughness=0.5",)},
+                                      {"fix": ("specular=0.04",)}, {"exact": False}])
 def test_who_is_not_asked(settings, black):
     method = left_alone(black, **settings)
     assert not method.stages.matte
@@ -120,7 +127,8 @@ def test_it_resumes_to_the_bit_and_goes_back(black, tmp_path):
         resumed = fit_svbrdf(black, MITSUBA, config, resume=tmp_path / f"{at}.safetensors").svbrdf
         assert all(torch.equal(whole[name], resumed[name]) for name in whole.maps)
     loop.method.load_state(before[first])  # a bad step is taken back to before it was decided
-    assert not loop.method.stages.matte and loop.method.answer.x.shape[0] == len(loop.method.ties.unknowns.names) == 9
+    assert not loop.method.stages.matte and loop.method.answer.x.shape[0] == len(
+        loop.method.ties.unknowns.names) == 9
     step(0.0)
     assert loop.method.stages.matte
 
@@ -140,14 +148,16 @@ def test_blocks_are_sums_over_all_sizes():
     sums = [each for (each,) in matte.blocks(plane)]
     assert [len(each) for each in sums] == [6, 3, 2, 1]
     assert torch.equal(sums[0], plane.double()) and float(sums[-1]) == float(plane.sum())
-    assert float(sums[1][1, 2]) == float(plane[2:4, 4:6].sum()) and float(sums[2][1, 1]) == float(plane[4:, 4:].sum())
+    assert float(sums[1][1, 2]) == float(plane[2:4, 4:6].sum()) and float(sums[2][1, 1]) == float(plane[4:,
+                                                                                                        4:].sum())
 
 
 def test_noise_rarely_needs_a_lobe_and_one_texel_is_found():
     draw = torch.Generator().manual_seed(0)
     alarms = 0
     for _ in range(40):
-        saved, rest = (torch.randn(count, SIDE, SIDE, generator=draw).double().square().sum(dim=0) for count in (4, 18))
+        saved, rest = (torch.randn(count, SIDE, SIDE, generator=draw).double().square().sum(dim=0)
+                       for count in (4, 18))
         values = torch.full((SIDE, SIDE), 27.0).double()
         alarms += matte.needed(saved + rest, rest, values, 5, 9)
         saved[3, 4] += 40 * rest[3, 4]

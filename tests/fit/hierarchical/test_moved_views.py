@@ -34,8 +34,10 @@ def test_how_far_views_are_off_is_learned(exposure, height):
         missed.append(float((views.change - change)[:, [2, 6]].abs().max()))
     true = [off * (2 / 3) ** 0.5 for off in (height, exposure)]  # two of three photos
     for off, usual, wanted in zip(views.off.tolist(), USUAL, true):
-        assert off == pytest.approx(max(wanted, usual), rel=0.05)  # never surer than usual; measured: within 1.3 %
-    # Measured: 0.020, 0.022, 0.008 and 0.027 after the first time, 0.009, 0.009, 0.008 and 0.010 after the last.
+        # never surer than usual; measured: within 1.3 %
+        assert off == pytest.approx(max(wanted, usual), rel=0.05)
+    # Measured: 0.020, 0.022, 0.008 and 0.027 after the first time, 0.009, 0.009, 0.008 and 0.010 after the
+    # last.
     assert missed[-1] < (0.6 * missed[0] if exposure or height else 1.01 * missed[0])
     again = MovedViews(capture, "unless exact", True)
     again.load_state(views.state())

@@ -22,7 +22,8 @@ from mitsvbrdf.views import Views
 def sane(result, resolution, bsdf="roughconductor"):
     result.svbrdf.check()
     assert result.svbrdf.resolution == resolution and result.svbrdf.bsdf == bsdf and not result.undone
-    assert all(torch.isfinite(t).all() for t in (*result.svbrdf.maps.values(), *result.deviations.values(), result.rerendered))
+    assert all(torch.isfinite(t).all() for t in (*result.svbrdf.maps.values(), *result.deviations.values(),
+                                                 result.rerendered))
     assert all(math.isfinite(v) for entry in result.trace for v in entry.values())
     result.views.check()
 
@@ -47,7 +48,8 @@ PHOTOS = {
     "one": lambda shots: shots.pick([0]), "two": lambda shots: shots.pick([0, 3]),
     "nine identical": lambda shots: Capture(shots.photos[:1].expand(9, -1, -1, -1).contiguous(), shots.views),
     "one photo nine times": lambda shots: Capture(shots.photos[[0] * 9], shots.views.pick([0] * 9)),
-    "uncalibrated": lambda shots: Capture(shots.photos, Views.of([[0.0, 0.0, 2.0]] * 9, intensity=4 * math.pi),
+    "uncalibrated": lambda shots: Capture(shots.photos, Views.of([[0.0, 0.0, 2.0]] * 9,
+                                                                 intensity=4 * math.pi),
                                           calibration="none"),
     "black": black, "one black": lambda shots: dataclasses.replace(
         shots, photos=torch.cat((torch.zeros_like(shots.photos[:1]), shots.photos[1:]))),
@@ -55,7 +57,8 @@ PHOTOS = {
     "grey": lambda shots: dataclasses.replace(shots, photos=torch.full_like(shots.photos, 0.5)),
     "noise": lambda shots: dataclasses.replace(
         shots, photos=torch.rand(shots.photos.shape, generator=torch.Generator().manual_seed(0))),
-    "paper's light": lambda shots: dataclasses.replace(shots, views=dataclasses.replace(shots.views, falloff="none")),
+    "paper's light": lambda shots: dataclasses.replace(shots, views=dataclasses.replace(shots.views,
+                                                                                        falloff="none")),
     "srgb, centimetres": lambda shots: dataclasses.replace(shots, transfer="srgb", views=Views.of(
         shots.views.camera * 20, intensity=shots.views.intensity * 400, size=20.0)),
 }
@@ -72,7 +75,8 @@ def test_any_photos(change, capture):
 
 OPTIONS = {
     "grey": {"grey_specular": True}, "principled": {"bsdf": "principled"}, "min": {"guess": "min"},
-    "no neighbours": {"neighbours": False}, "one material": {"materials": 1}, "more than texels": {"materials": 1000},
+    "no neighbours": {"neighbours": False}, "one material": {"materials": 1},
+    "more than texels": {"materials": 1000},
     "own 0": {"own": 0.0}, "own tiny": {"own": 1e-20},
     "tails 0": {"tails": 0.0}, "trend": {"independent": False}, "views": {"calibrate": False},
     "no offset": {"flash_offset": False}, "sharp": {"likeness": 1e-6}, "alike": {"likeness": 100.0},
@@ -88,9 +92,12 @@ OPTIONS = {
 OF_TWO_SIZES = "matt", "diffuse only", "normal only", "own 0", "own tiny"
 # Options that have nothing to do with each other, in one fit; each alone is in the slow suite.
 TOGETHER = {
-    "grey, min, no offset, more than texels, own tiny": "exact", "no neighbours, one material, tails 0, views, sharp": "phone",
-    "principled, fix base_color, trend, alike": "phone", "fix diffuse, fix specular, own 0": "phone, two sizes",
-    "fix roughness, fix normal, grey": "exact", "principled, fix metallic": "exact", "diffuse only": "exact, two sizes",
+    "grey, min, no offset, more than texels, own tiny": "exact", "no neighbours, one material, tails 0, "
+                                                                 "views, sharp": "phone",
+    "principled, fix base_color, trend, alike": "phone",
+    "fix diffuse, fix specular, own 0": "phone, two sizes",
+    "fix roughness, fix normal, grey": "exact", "principled, fix metallic": "exact",
+    "diffuse only": "exact, two sizes",
     "normal only": "phone, two sizes", "roughness only": "phone", "matt": "phone, two sizes"}
 
 
@@ -110,7 +117,8 @@ def test_any_options(options, kind, tiles, monkeypatch):
         monkeypatch.setattr(stages, "EXACT", 0.0)
     if "two sizes" in kind:
         monkeypatch.setattr(scales, "COARSE", 6)
-    config = HierarchicalConfig(iterations=12, **settings_of(options))  # of which the phone's third to sixth tie the texels
+    # of which the phone's third to sixth tie the texels
+    config = HierarchicalConfig(iterations=12, **settings_of(options))
     result = fit_svbrdf(tiles, MITSUBA, config)
     sane(result, 12, config.bsdf)
     assert result.rerender_rmse < result.trace[0]["rerender_rmse"]
@@ -137,8 +145,10 @@ def test_one_iteration(capture):
     assert result.stopped == "iterations" and len(result.trace) == 2
 
 
-@pytest.mark.parametrize("wrong", [{"materials": 0}, {"likeness": 0.0}, {"spread": -1.0}, {"relief": 0.0}, {"own": -0.1},
-                                   {"tails": math.nan}, {"fix": ("gloss=1",)}, {"grey_specular": True, "bsdf": "principled"}])
+@pytest.mark.parametrize("wrong", [{"materials": 0}, {"likeness": 0.0}, {"spread": -1.0}, {"relief": 0.0},
+                                   {"own": -0.1},
+                                   {"tails": math.nan}, {"fix": ("gloss=1",)},
+                                   {"grey_specular": True, "bsdf": "principled"}])
 def test_what_cannot_be_asked_for(wrong, capture):
     with pytest.raises(MitsvbrdfError):
         fit_svbrdf(capture, MITSUBA, HierarchicalConfig(**wrong))

@@ -49,7 +49,8 @@ def timed(shots, monkeypatch):
 
         for where in (rounds, left_out, matte):
             monkeypatch.setattr(where, "stepped", stepped)
-        monkeypatch.setattr(method.moved, "refine", lambda maps, _: clock.work("views", maps.resolution, method.moved.work))
+        monkeypatch.setattr(method.moved, "refine", lambda maps, _: clock.work("views", maps.resolution,
+                                                                               method.moved.work))
         method.pace.clock = clock
         return method, clock
 
@@ -121,8 +122,8 @@ def test_the_question_whether_a_material_is_matte_is_not_asked_where_it_cannot_e
 
 
 def test_the_turns_are_foreseen_as_they_are_made(timed):
-    # Everything between the stage at the coarse size and the first round at full size, by the solver's steps; variances, which
-    # count as one each, are not seen by this clock.
+    # Everything between the stage at the coarse size and the first round at full size, by the solver's steps;
+    # variances, which count as one each, are not seen by this clock.
     method, clock = timed(AMPLE)
     while method.stages.stage != Stage.TOGETHER or not method.stages.finished:
         method.step(0.0)
@@ -141,7 +142,8 @@ def test_a_round_that_was_cut_is_made_again(timed):
     method.pace.end = clock.now + LAST_STEPS + STEPS + OTHER_STEPS
     clock.calls.clear()
     method.step(0.5)
-    assert clock.calls == [("solver", SIDE, STEPS), ("solver", SIDE, OTHER_STEPS)] and method.stages.rounds == 1
+    assert clock.calls == [("solver", SIDE, STEPS),
+                           ("solver", SIDE, OTHER_STEPS)] and method.stages.rounds == 1
     method.step(0.5)
     assert clock.calls[2:] == [("solver", SIDE, LAST_STEPS)] and clock.now == method.pace.end
     method.pace.end = AMPLE * 2
@@ -166,7 +168,8 @@ def test_a_stage_that_ends_before_its_refinement_of_the_views_says_so(shots):
 
     assert short("always", Stage.ALONE, 11, False) and short("unless exact", Stage.TOGETHER, 8, True)
     assert not short("always", Stage.ALONE, 12, False) and not short("unless exact", Stage.TOGETHER, 9, True)
-    assert not short("unless exact", Stage.ALONE, 11, False) and not short("never", Stage.TOGETHER, 8, True)  # nothing moves
+    # nothing moves
+    assert not short("unless exact", Stage.ALONE, 11, False) and not short("never", Stage.TOGETHER, 8, True)
     assert not short("always", Stage.RIVALS, 1, False)  # which has none
 
 
@@ -187,7 +190,8 @@ def test_the_pace():
     with pace.timed("views", 10):
         clock.now += 1
     assert pace.in_time(32, "views") and not pace.in_time(33, "views")
-    for seconds, least in ((3, 0.1), (0.5, 0.05)):  # a slow call may have made a kernel too, or met another program
+    # a slow call may have made a kernel too, or met another program
+    for seconds, least in ((3, 0.1), (0.5, 0.05)):
         with pace.timed("views", 10):
             clock.now += seconds
         assert pace.rates["views"] == least and pace.rates["solver"] == 0.05

@@ -27,9 +27,9 @@ def flash_beside(offset):
 
 # ---- known materials ----
 
-# Mean map RMSE at 32 px, worst of seeds 0 to 9: inlay 0.0151, tiles 0.0104, leather 0.0041, plates 0.0161. From one start
-# alone, seeds 1 to 5 and 7 of tiles ended at 0.026, and all of plates at 0.038, as the last bits decide. `direct` after 150
-# steps: 0.078, 0.067, 0.014, 0.046. A third more is allowed.
+# Mean map RMSE at 32 px, worst of seeds 0 to 9: inlay 0.0151, tiles 0.0104, leather 0.0041, plates 0.0161.
+# From one start alone, seeds 1 to 5 and 7 of tiles ended at 0.026, and all of plates at 0.038, as the last
+# bits decide. `direct` after 150 steps: 0.078, 0.067, 0.014, 0.046. A third more is allowed.
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("name, error", mostly_slow([
     ("inlay", 0.020), ("tiles", 0.014), ("leather", 0.0055), ("plates", 0.021)], "tiles"))
@@ -46,8 +46,8 @@ def test_known_materials_come_back(name, error, seed):
         assert mean < 0.5 * map_rmse(direct.svbrdf, truth)["mean"]
 
 
-# Any level of F0 comes back, not the usual one alone. Where that counted for each texel instead of each basis material, the
-# same ended at 0.0519, 0.0125 and 0.0381.
+# Any level of F0 comes back, not the usual one alone. Where that counted for each texel instead of each basis
+# material, the same ended at 0.0519, 0.0125 and 0.0381.
 @pytest.mark.parametrize("name, f0, error", mostly_slow([
     ("plates", 0.3, 0.0165), ("leather", 0.1, 0.0040), ("tiles", 0.02, 0.0330)], "plates"))
 def test_levels_that_are_not_the_usual_one_come_back(name, f0, error):
@@ -60,7 +60,8 @@ def test_levels_that_are_not_the_usual_one_come_back(name, f0, error):
 def test_a_broad_lobe_that_photos_leave_open_has_the_usual_level():
     # Measured: specular 0.0021, and 0.0535 where the usual level does not count; the mean 0.0125 and 0.031.
     made = make_material("leather", SIDE)
-    broad = {"roughness": torch.full_like(made["roughness"], 0.95), "specular": torch.full_like(made["specular"], 0.04)}
+    broad = {"roughness": torch.full_like(made["roughness"], 0.95),
+             "specular": torch.full_like(made["specular"], 0.04)}
     truth = SVBRDF(made.bsdf, {**made.maps, **broad})
     errors = map_rmse(fit_svbrdf(photos_of(truth, noise=0.003), MITSUBA, HierarchicalConfig()).svbrdf, truth)
     assert errors["specular"] < 0.012 and errors["mean"] < 0.02
@@ -108,8 +109,9 @@ def badly_aligned(material):
 
 @pytest.mark.parametrize("wrong", [camera_elsewhere, automatic_exposure, badly_aligned])
 def test_photos_that_do_not_follow_the_model_are_not(wrong):
-    # Measured 0.041, 0.016, 0.023; the limit is 0.006. Nine photos of a texel do not show that its lobe is no GGX (0.0007),
-    # nor how they encode light (0.0004), and a flash beside the lens looks like tilted normals (0.0011).
+    # Measured 0.041, 0.016, 0.023; the limit is 0.006. Nine photos of a texel do not show that its lobe is no
+    # GGX (0.0007), nor how they encode light (0.0004), and a flash beside the lens looks like tilted normals
+    # (0.0011).
     method = left_alone(Capture(wrong(make_material("inlay", SIDE)), GRID))
     assert not method.stages.exact and method.stages.stage == Stage.TOGETHER and method.stages.tied
     assert method.moved.may_move(method.stages.tied)
@@ -119,7 +121,8 @@ def test_photos_that_do_not_follow_the_model_are_not(wrong):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["tiles", "inlay", "leather"])
 def test_flash_beside_the_lens_is_found(name, phone):
-    # Measured (-0.061, 0.020), (-0.041, 0.014) and (-0.047, -0.013): tilted normals keep a part. Off by 0.05 to 0.08 of 0.11.
+    # Measured (-0.061, 0.020), (-0.041, 0.014) and (-0.047, -0.013): tilted normals keep a part. Off by 0.05
+    # to 0.08 of 0.11.
     offset = torch.tensor([-0.1, 0.05])
     shots = dataclasses.replace(photos_of(make_material(name, SIDE), flash_beside(offset)), views=GRID)
     result = fit_svbrdf(shots, MITSUBA)

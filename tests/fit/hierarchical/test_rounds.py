@@ -17,14 +17,17 @@ from mitsvbrdf.material.maps import CHANNELS
 
 
 def cost_of(method, x, mean, precision):
-    """The cost of each texel at x in float64, by the analytic renderer: robust errors over noise, and the prior."""
+    """The cost of each texel at x in float64, by the analytic renderer: robust errors over noise, and the
+    prior.
+    """
     seen, noise = method.observations(method.scale, method.answer), float(method.stages.noise)
     shown = color.encode(TWIN.render(method.scale.solver.svbrdf(x.double()), seen.views), seen.transfer)
     error = shown - seen.photos.double()
     error = torch.where(seen.photos >= 0.995, error.clamp_max(0), error) / noise
     weight = seen.weights
     far = 10 if method.stages.tied and method.stages.stage == Stage.FINE else 3
-    rho = 2 * far**2 * (torch.sqrt(1 + error.square() / far**2) - 1) * (1 if weight is None else weight.double()[..., None])
+    rho = (2 * far**2 * (torch.sqrt(1 + error.square() / far**2) - 1)
+           * (1 if weight is None else weight.double()[..., None]))
     return rho.sum(dim=(0, 3)) + (precision * (x - mean).square()).double().sum(dim=0)
 
 
@@ -46,7 +49,8 @@ def test_a_round_raises_no_texels_cost(exact, capture, monkeypatch):
     while not method.done:
         method.step(0.0)
     assert len(rises) > 20
-    # Measured: a fall of 84 % in the first round, and of 1e-6 at the end even where it is least; float32 counts to 1e-5.
+    # Measured: a fall of 84 % in the first round, and of 1e-6 at the end even where it is least; float32
+    # counts to 1e-5.
     assert max(rises) < 1e-5 and rises[0] < -0.5
 
 
@@ -84,7 +88,8 @@ def test_a_step_taken_back_into_the_stage_before(two_stages, phone, capture):
     # The state before goes with the photos of its own stage: the same step from there gives the same bits.
     method = left_alone(capture)
     kept, views = method.state(), method.estimate()[1]
-    assert method.scale.capture is method.scales.captures[Stage.TOGETHER] and torch.equal(views.camera, capture.views.camera)
+    assert method.scale.capture is method.scales.captures[Stage.TOGETHER] and torch.equal(views.camera,
+                                                                                          capture.views.camera)
     fresh = method_of(capture)
     early = fresh.state()
     fresh.step(0.0)
@@ -97,7 +102,8 @@ def test_a_step_taken_back_into_the_stage_before(two_stages, phone, capture):
 
 
 @pytest.mark.parametrize("stated, stage", [
-    ({}, Stage.RIVALS), ({"exact": False}, Stage.TOGETHER), ({"exact": True}, Stage.RIVALS), ({"rivals": False}, Stage.FINE)])
+    ({}, Stage.RIVALS), ({"exact": False}, Stage.TOGETHER), ({"exact": True}, Stage.RIVALS),
+    ({"rivals": False}, Stage.FINE)])
 def test_stages_that_were_stated(stated, stage, capture):
     method = method_of(capture.averaged(8), **stated)
     assert not method.stages.exact and not method.stages.tied  # before anybody looked
@@ -109,8 +115,10 @@ def test_stages_that_were_stated(stated, stage, capture):
 def test_settled_and_nothing_left(capture, tmp_path):
     small, path = capture.averaged(16), tmp_path / "c.safetensors"
     result = fit_svbrdf(small, MITSUBA, checkpoint=path)
-    assert result.stopped == "settled" and result.trace[-1]["iteration"] == 3 * 26 + 14  # rounds: three starts, the last stage
-    assert result.rerender_rmse == result.trace[-1]["rerender_rmse"]  # the last, whether it is the lowest or not
+    # rounds: three starts, the last stage
+    assert result.stopped == "settled" and result.trace[-1]["iteration"] == 3 * 26 + 14
+    # the last, whether it is the lowest or not
+    assert result.rerender_rmse == result.trace[-1]["rerender_rmse"]
     again = fit_svbrdf(small, MITSUBA, HierarchicalConfig(budget=1e4), resume=path)
     assert again.stopped == "settled"
     assert [(e["iteration"], e["rerender_rmse"]) for e in again.trace] == [

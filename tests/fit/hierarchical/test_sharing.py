@@ -9,29 +9,36 @@ import torch
 from mitsvbrdf import color
 from mitsvbrdf.fit.hierarchical.sharing import COMMON, FARTHEST, LEAST_SPREAD, ROUNDS, TYPICAL, Shared, shared
 
-TWO = torch.tensor([[1.0, 0.0], [0.0, 1.0]]).repeat_interleave(50, dim=0)  # 50 texels each of two basis materials
+# 50 texels each of two basis materials
+TWO = torch.tensor([[1.0, 0.0], [0.0, 1.0]]).repeat_interleave(50, dim=0)
 FIRST, SECOND = slice(0, 50), slice(50, 100)
 
 
 def told(alone, sure, member=TWO, spread=0.1, prior=(0.5, 100.0), name="roughness", photos=0):
-    """Give texels whose photos alone say ``alone`` with precision ``sure``, solved under a prior (mean, precision)."""
+    """Give texels whose photos alone say ``alone`` with precision ``sure``, solved under a prior (mean,
+    precision).
+    """
     alone, sure = (torch.as_tensor(v, dtype=torch.float32).expand(len(member)) for v in (alone, sure))
     mean, precision = (torch.full_like(alone, p) for p in prior)
     total = sure + precision
     x = (sure * alone + precision * mean) / total
-    found = shared([name], x[None], 1 / total[None], mean[None], precision[None], member, torch.tensor([spread]), photos)
+    found = shared([name], x[None], 1 / total[None], mean[None], precision[None], member,
+                   torch.tensor([spread]), photos)
     return Shared(found.mean[0], found.tau[0], float(found.spread[0]))
 
 
 def twin(alone, sure, member, tau2):
-    """The same by numpy in float64, from nothing but the definition: means, tau of each texel, and over all."""
+    """The same by numpy in float64, from nothing but the definition: means, tau of each texel, and over
+    all.
+    """
     alone, sure, member = (np.asarray(v, dtype=np.float64) for v in (alone, sure, member))
     share, tau2 = member / member.sum(axis=0), np.full(len(sure), tau2)
     for _ in range(ROUNDS):
         weight = 1 / (1 / sure + tau2)
         materials = (member * (weight * alone)[:, None]).sum(axis=0) / (member * weight[:, None]).sum(axis=0)
         mean = member @ materials
-        # Of y ~ N(z, 1 / sure), z ~ N(mean, tau2): expectation and variance of z, and their mean square around the mean.
+        # Of y ~ N(z, 1 / sure), z ~ N(mean, tau2): expectation and variance of z, and their mean square
+        # around the mean.
         variance = tau2 / (1 + sure * tau2)
         expected = mean + sure * tau2 / (1 + sure * tau2) * (alone - mean)
         square = (expected - mean) ** 2 + variance
@@ -41,7 +48,8 @@ def twin(alone, sure, member, tau2):
 
 
 def test_two_groups_of_equal_noise_in_closed_form():
-    # Values a +- d measured with standard deviation s: the mean is a, and tau^2 = d^2 - s^2 is where maximisation stays.
+    # Values a +- d measured with standard deviation s: the mean is a, and tau^2 = d^2 - s^2 is where
+    # maximisation stays.
     d, s = 0.05, 0.03
     signs = torch.tensor([1.0, -1.0]).repeat(50)
     levels = torch.cat((torch.full((50,), 0.45), torch.full((50,), 0.55)))
@@ -49,7 +57,8 @@ def test_two_groups_of_equal_noise_in_closed_form():
     assert torch.allclose(mean, levels, atol=1e-5)  # all share one part in a million
     assert spread == pytest.approx(math.sqrt(d**2 - s**2), rel=1e-3)
     # From elsewhere it gets there, by a factor of d^2 - tau^2 - s^2 each time.
-    assert told(levels + d * signs, s**-2, spread=0.2).spread == pytest.approx(math.sqrt(d**2 - s**2), rel=0.1)
+    assert told(levels + d * signs, s**-2, spread=0.2).spread == pytest.approx(math.sqrt(d**2 - s**2),
+                                                                               rel=0.1)
 
 
 def test_unequal_noise_and_soft_groups_as_the_twin():
@@ -65,7 +74,8 @@ def test_unequal_noise_and_soft_groups_as_the_twin():
 
 
 def test_each_group_has_its_own_spread():
-    # Two groups as wide as 0.02 and 0.1, seen without noise: 50 texels of each, drawn to all as 20 texels' worth.
+    # Two groups as wide as 0.02 and 0.1, seen without noise: 50 texels of each, drawn to all as 20 texels'
+    # worth.
     signs = torch.tensor([1.0, -1.0]).repeat(50)
     wide = torch.cat((torch.full((50,), 0.02), torch.full((50,), 0.1)))
     found = told(0.5 + wide * signs, 1e8)
@@ -76,12 +86,15 @@ def test_each_group_has_its_own_spread():
 
 
 def test_the_prior_itself_is_no_evidence():
-    # Texels that photos tell nothing have the posterior of their prior, 0.5. Few of their group that know outweigh them.
+    # Texels that photos tell nothing have the posterior of their prior, 0.5. Few of their group that know
+    # outweigh them.
     sure = torch.zeros(100)
     sure[:5] = 1e4
     mean, *_ = told(torch.full((100,), 0.4), sure, prior=(0.5, 400.0))
-    assert torch.allclose(mean[FIRST], torch.full((50,), 0.4), atol=2e-3)  # 45 texels count 1e-3 each, five 100 each
-    assert torch.allclose(mean[SECOND], torch.full((50,), 0.5), atol=1e-3)  # a group without any stays where it was
+    # 45 texels count 1e-3 each, five 100 each
+    assert torch.allclose(mean[FIRST], torch.full((50,), 0.4), atol=2e-3)
+    # a group without any stays where it was
+    assert torch.allclose(mean[SECOND], torch.full((50,), 0.5), atol=1e-3)
 
 
 def test_limits():
@@ -97,7 +110,8 @@ def test_what_is_typical_decides_where_nothing_is_known():
     assert color.decode(torch.tensor(usual)).item() == pytest.approx(0.04, rel=1e-4)
     unknown = told(0.5, 0.0, name="specular", photos=9).mean
     assert torch.allclose(unknown, torch.full((100,), usual), atol=2e-3)
-    assert torch.allclose(told(0.5, 0.0, photos=9).mean, torch.full((100,), 0.5), atol=1e-5)  # roughness has no usual
+    # roughness has no usual
+    assert torch.allclose(told(0.5, 0.0, photos=9).mean, torch.full((100,), 0.5), atol=1e-5)
     # One group is known to be usual, the other not known at all.
     sure = torch.cat((torch.full((50,), 1e5), torch.zeros(50)))
     mean, *_ = told(usual, sure, prior=(0.3, 50.0), name="specular", photos=9)

@@ -1,4 +1,6 @@
-"""The solver of texels against a float64 twin made of the analytic renderer and torch's autograd, and on known materials."""
+"""The solver of texels against a float64 twin made of the analytic renderer and torch's autograd, and on
+known materials.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ HIGH = {name: 1.5 if name == "normal" else 1.0 for name in LOW}
 
 @dataclasses.dataclass
 class Case:
-    """A solver and what it is given; the photos are those of another material, so that errors are large and some clipped."""
+    """A solver and what it is given; the photos are those of another material, so that errors are large and
+    some clipped.
+    """
 
     bsdf: str = "roughconductor"
     held: tuple[str, ...] = ()
@@ -40,23 +44,25 @@ class Case:
     def __post_init__(self):
         material = random_material(self.bsdf, SIDE, seed=1)
         self.solver = TexelSolver(self.bsdf, {name: material[name] for name in self.held}, self.grey)
-        self.low, self.high = (torch.tensor([ends[name] for name in self.solver.unknowns.names]) for ends in (LOW, HIGH))
+        self.low, self.high = (torch.tensor([ends[name] for name in self.solver.unknowns.names])
+                               for ends in (LOW, HIGH))
         self.x = self.solver.numbers(material)
-        for u, (low, high) in enumerate(zip(self.low, self.high)):  # some at their bounds, a few of them all at once
+        # some at their bounds, a few of them all at once
+        for u, (low, high) in enumerate(zip(self.low, self.high)):
             if high == 1:
                 self.x[u, u], self.x[u, -1 - u], self.x[u, -1, :2] = low, high, low
         truth = TWIN.render(random_material(self.bsdf, SIDE, seed=2), self.views)
         random = torch.Generator().manual_seed(3)
         weights = torch.rand(len(self.views), SIDE, SIDE, generator=random) if self.weighted else None
-        self.observations = Observations(color.to_display(truth, self.transfer).float(), self.views, self.transfer, 0.02,
-                                         self.robust, weights)
+        self.observations = Observations(color.to_display(truth, self.transfer).float(), self.views,
+                                         self.transfer, 0.02, self.robust, weights)
         self.mean = torch.rand(self.x.shape, generator=random)
         self.precision = 12 + 100 * torch.rand(self.x.shape, generator=random)
 
     def solve(self, x, iterations, damping=0.01, precision=None, **options):
         precision = self.precision if precision is None else precision
-        return self.solver.solve(self.observations, x, torch.full((SIDE, SIDE), damping), self.mean, precision, self.low,
-                                 self.high, iterations, **options)
+        return self.solver.solve(self.observations, x, torch.full((SIDE, SIDE), damping), self.mean,
+                                 precision, self.low, self.high, iterations, **options)
 
 
 CASES = {
@@ -81,7 +87,8 @@ class Twin:
         self.solver = TexelSolver(case.bsdf, {n: m.double() for n, m in case.solver.fixed.items()}, case.grey)
         e = case.observations
         self.photos = e.photos.double()
-        self.weights = (torch.ones(SIDE, SIDE) if e.weights is None else e.weights).double()[..., None] / e.noise**2
+        self.weights = ((torch.ones(SIDE, SIDE) if e.weights is None else e.weights).double()[..., None]
+                        / e.noise**2)
 
     def errors(self, x):
         shown = color.encode(AnalyticRenderer(torch.float64).render(self.solver.svbrdf(x), self.case.views),
@@ -91,7 +98,8 @@ class Twin:
 
     def cost(self, x):
         square, s = self.errors(x).square(), self.case.observations.robust
-        return (self.weights * (square if s is None else 2 * s**2 * (torch.sqrt(1 + square / s**2) - 1))).sum(dim=(0, 3))
+        return (self.weights * (square if s is None else 2 * s**2 * (torch.sqrt(1 + square / s**2) - 1))).sum(
+            dim=(0, 3))
 
     def prior(self, x):
         return (self.case.precision * (x - self.case.mean) ** 2).sum(dim=0)
@@ -104,13 +112,15 @@ class Twin:
         jacobian = torch.stack(rows).permute(2, 3, 0, 1)  # R x R x 3 N x U
         error, s = error.detach(), self.case.observations.robust
         weights = self.weights / (1 if s is None else torch.sqrt(1 + error.square() / s**2))
-        weights, error = (t.expand_as(self.photos).permute(1, 2, 0, 3).flatten(2)[..., None] for t in (weights, error))
+        weights, error = (t.expand_as(self.photos).permute(1, 2, 0, 3).flatten(2)[..., None]
+                          for t in (weights, error))
         return (jacobian.mT @ (weights * error))[..., 0], jacobian.mT @ (weights * jacobian)
 
     def step(self, x, damping):
         """One Levenberg-Marquardt step from x, whether it is an improvement or not."""
         slope, curve = self.normal_equations(x)
-        x, low, high, precision, mean = (t.double() for t in (x.permute(1, 2, 0), self.case.low, self.case.high,
+        x, low, high, precision, mean = (t.double() for t in (x.permute(1, 2, 0), self.case.low,
+                                                              self.case.high,
                                                              self.case.precision.permute(1, 2, 0),
                                                              self.case.mean.permute(1, 2, 0)))
         down = precision * (mean - x) - slope
@@ -128,8 +138,8 @@ def case(request) -> Case:
 
 
 def test_normal_equations(case):
-    # Measured over all texels and entries, worst case of all: cost 1.8e-6, slopes 9.6e-6, curvature 2.2e-5 (at texels with an
-    # unknown at its bound; elsewhere 5e-6).
+    # Measured over all texels and entries, worst case of all: cost 1.8e-6, slopes 9.6e-6, curvature 2.2e-5
+    # (at texels with an unknown at its bound; elsewhere 5e-6).
     cost, slope, curve = case.solver.normal_equations(case.observations, case.x)
     twin = Twin(case)
     true_slope, true_curve = twin.normal_equations(case.x)
@@ -144,8 +154,8 @@ def test_normal_equations(case):
 
 
 def test_variances(case):
-    # Measured: 2.2e-5 at worst (metallic at 1), else 5e-6; log determinants, about 100, 3.3e-5 at worst. Variances summed in
-    # float32 would be off by up to 0.8 where a highlight outweighs the prior.
+    # Measured: 2.2e-5 at worst (metallic at 1), else 5e-6; log determinants, about 100, 3.3e-5 at worst.
+    # Variances summed in float32 would be off by up to 0.8 where a highlight outweighs the prior.
     _, curve = Twin(case).normal_equations(case.x)
     curve = curve + torch.diag_embed(case.precision.double().permute(1, 2, 0))
     truth = torch.linalg.inv(curve).diagonal(dim1=-2, dim2=-1)
@@ -155,7 +165,8 @@ def test_variances(case):
 
 
 def test_one_step(case):
-    # Measured: steps 1.1e-5 at worst of unknowns whose range is about 1; costs at the new place 6.1e-6, of the prior 2.4e-7.
+    # Measured: steps 1.1e-5 at worst of unknowns whose range is about 1; costs at the new place 6.1e-6, of
+    # the prior 2.4e-7.
     one, twin = case.solve(case.x, 1), Twin(case)
     step = twin.step(case.x, 0.01)
     better = (twin.cost(step) + twin.prior(step) < twin.cost(case.x.double()) + twin.prior(case.x.double()))
@@ -180,14 +191,15 @@ def test_no_step_raises_the_cost_or_leaves_the_bounds():
     together = case.solve(case.x, 8, damping=0.01)
     apart, damping = case.x, torch.full((SIDE, SIDE), 0.01)
     for _ in range(8):
-        solved = case.solver.solve(case.observations, apart, damping, case.mean, case.precision, case.low, case.high, 1)
+        solved = case.solver.solve(case.observations, apart, damping, case.mean, case.precision, case.low,
+                                   case.high, 1)
         apart, damping = solved.x, solved.damping
     assert torch.equal(together.x, apart) and torch.equal(together.damping, damping)
 
 
 def test_ends_at_a_minimum():
-    # No undamped step of the float64 twin gains anything more. Measured over the texels: 95 % would gain less than 1e-8 of the
-    # cost, 98 % less than 2e-5; the rest still crawls along a valley.
+    # No undamped step of the float64 twin gains anything more. Measured over the texels: 95 % would gain less
+    # than 1e-8 of the cost, 98 % less than 2e-5; the rest still crawls along a valley.
     case = CASES["grey, robust"]()
     twin, end = Twin(case), case.solve(case.x, 60).x.double()
     cost, step = twin.cost(end) + twin.prior(end), twin.step(end, 0.0)
@@ -198,7 +210,9 @@ def test_ends_at_a_minimum():
 
 @pytest.mark.parametrize("name", ["leather", "inlay"])
 def test_finds_known_maps(name):
-    """From photos of 8 bits, started from one colour, one roughness and flat normals, with a prior that says little."""
+    """From photos of 8 bits, started from one colour, one roughness and flat normals, with a prior that says
+    little.
+    """
     material, side = make_material(name, 32), 32
     solver = TexelSolver("roughconductor")
     truth = solver.numbers(material)
@@ -210,11 +224,12 @@ def test_finds_known_maps(name):
     precision = torch.full_like(x, 12.0)  # that of a number anywhere between 0 and 1
     solved = solver.solve(observations, x, torch.full((side, side), 0.01), x, precision, low, high, 60)
     deviation = solver.variances(observations, solved.x, precision).sqrt()
-    explained = solved.data < 27  # 9 photos, 3 values each, no further off than the noise; else stuck at a wrong highlight
+    # 9 photos, 3 values each, no further off than the noise; else stuck at a wrong highlight
+    explained = solved.data < 27
     sure = explained & (deviation < 0.05)
     error = (solved.x - truth).abs()
-    # Measured: all and 99.9 % explained; 92 and 97 % of the numbers are sure, off by 0.0075 and 0.0077 (worst map 0.010 and
-    # 0.012) where no photo is off by more than 0.002; in standard deviations 0.31 and 0.49.
+    # Measured: all and 99.9 % explained; 92 and 97 % of the numbers are sure, off by 0.0075 and 0.0077 (worst
+    # map 0.010 and 0.012) where no photo is off by more than 0.002; in standard deviations 0.31 and 0.49.
     assert explained.double().mean() > 0.99
     assert sure.double().mean() > 0.9
     assert max(off[of].square().mean().sqrt() for off, of in zip(error, sure)) < 0.02
@@ -250,7 +265,9 @@ def test_what_is_not_finite_stays_in_its_texel():
 
 
 def test_traced_once(monkeypatch):
-    """Other numbers, views, steps and noise need no new trace; garbage waits while Dr.Jit records, or it would abort."""
+    """Other numbers, views, steps and noise need no new trace; garbage waits while Dr.Jit records, or it
+    would abort.
+    """
     case = CASES["all free"]()
     collecting = []
     encode = kernel.traced_encode

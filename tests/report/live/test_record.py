@@ -9,18 +9,27 @@ from helpers.live_fits import FAST, SIDE, fit_into, served, state_of
 
 from mitsvbrdf import cli
 from mitsvbrdf.capture import write_capture
-from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf, make_method
+from mitsvbrdf.fit import (
+    DirectConfig,
+    FitTask,
+    GanConfig,
+    HierarchicalConfig,
+    HybridConfig,
+    fit_svbrdf,
+    make_method,
+)
 from mitsvbrdf.fit import live as fit_live
 from mitsvbrdf.fit.checkpoint import load_tensors
 from mitsvbrdf.fit.live import LiveRecord
 from mitsvbrdf.fit.loop import Loop
+from mitsvbrdf.io import result_folder
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.system import result_folder
 
 
 def test_pictures_are_the_maps(tmp_path, capture, every_step):
-    # The maps of the state measured last, here that of the result, in display values by the standards' own formulas.
+    # The maps of the state measured last, here that of the result, in display values by the standards' own
+    # formulas.
     out, shown = tmp_path / "out", {}
 
     def look(entry, share):
@@ -35,9 +44,11 @@ def test_pictures_are_the_maps(tmp_path, capture, every_step):
     for name, picture in shown.items():
         value = result.svbrdf[name].double().numpy()
         if name in ("diffuse", "specular"):
-            value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)  # IEC 61966-2-1
+            # IEC 61966-2-1
+            value = np.where(value <= 0.0031308, 12.92 * value, 1.055 * value ** (1 / 2.4) - 0.055)
         value = (value + 1) / 2 if name == "normal" else value
-        # Half a step of 8 bits, and what float16 keeps of the value: 2^-11, times 12.92 / 2.4 where sRGB is steep.
+        # Half a step of 8 bits, and what float16 keeps of the value: 2^-11, times 12.92 / 2.4 where sRGB is
+        # steep.
         assert np.abs(picture - value).max() < 0.5 / 255 + 0.0005, name
 
 
@@ -47,7 +58,8 @@ def test_maps_are_the_latest_not_the_best(tmp_path, capture, every_step):
     loop = Loop(method, capture, ANALYTIC, FAST, live=LiveRecord(tmp_path / result_folder.LIVE))
     loop.best = 0.0, make_material("tiles", SIDE), capture.views  # nothing is better than that
     loop.run()
-    assert torch.equal(load_tensors(tmp_path / result_folder.LIVE)[0]["diffuse"], method.estimate()[0]["diffuse"].half())
+    assert torch.equal(load_tensors(tmp_path / result_folder.LIVE)[0]["diffuse"],
+                       method.estimate()[0]["diffuse"].half())
     assert loop.best[0] == 0.0
 
 
@@ -76,7 +88,8 @@ def test_a_fit_has_the_same_bits_unwatched(name, config, tmp_path, capture, ever
     assert records and records[0]["method"] == name
     assert all(torch.equal(watched.svbrdf[key], alone.svbrdf[key]) for key in alone.svbrdf.maps)
     assert torch.equal(watched.views.light, alone.views.light)
-    without = [[{k: v for k, v in row.items() if k != "seconds"} for row in r.trace] for r in (watched, alone)]
+    without = [[{k: v for k, v in row.items() if k != "seconds"} for row in r.trace] for r in (watched,
+                                                                                               alone)]
     assert without[0] == without[1]
 
 
@@ -136,7 +149,8 @@ def test_the_command_leaves_no_record(tmp_path, capture, monkeypatch):
     monkeypatch.setattr(LiveRecord, "write", watched)
     write_capture(capture, tmp_path / "photos")
     out = tmp_path / "out"
-    assert cli.main(["fit", str(tmp_path / "photos"), "-o", str(out), "--method", "direct", "--renderer", "analytic",
+    assert cli.main(["fit", str(tmp_path / "photos"), "-o", str(out), "--method", "direct", "--renderer",
+                     "analytic",
                      "--resolution", str(SIDE), "--iterations", "3"]) == 0
     assert len(seen) >= 2 and set(seen) == {result_folder.partial_folder(out).resolve() / result_folder.LIVE}
     assert not list(out.rglob(f"*{result_folder.LIVE}*")) and (out / "fit.json").is_file()

@@ -13,8 +13,8 @@ from helpers.live_fits import served
 
 from mitsvbrdf import cli
 from mitsvbrdf.errors import ConfigError
+from mitsvbrdf.io import result_folder
 from mitsvbrdf.report.live import ADDRESS, PORT, FitSite, Watch, make_server
-from mitsvbrdf.system import result_folder
 
 # ---- the server ----
 
@@ -27,8 +27,10 @@ def test_only_this_machine(tmp_path):
 
 
 @pytest.mark.parametrize("host, status", [
-    ("127.0.0.1", 200), ("localhost:8350", 200), ("LOCALHOST", 200), ("[::1]:9000", 200),  # forwarded ports have another number
-    ("evil.example", 403), ("evil.example:8350", 403), ("127.0.0.1.evil.example:80", 403), ("localhost.evil.example", 403),
+    # forwarded ports have another number
+    ("127.0.0.1", 200), ("localhost:8350", 200), ("LOCALHOST", 200), ("[::1]:9000", 200),
+    ("evil.example", 403), ("evil.example:8350", 403), ("127.0.0.1.evil.example:80", 403),
+    ("localhost.evil.example", 403),
     ("", 403), ("127.0.0.1@evil.example", 403), ("evil.example#127.0.0.1:80", 403)])
 def test_a_foreign_name_that_leads_here_is_refused(host, status, tmp_path):
     (tmp_path / "report.html").write_text("secret")
@@ -41,20 +43,24 @@ def test_a_foreign_name_that_leads_here_is_refused(host, status, tmp_path):
 
 def test_a_request_without_a_name_or_with_two_is_refused(tmp_path):
     with served(tmp_path) as ask:
-        for lines in (b"GET / HTTP/1.1\r\n\r\n", b"GET / HTTP/1.1\r\nHost: localhost\r\nHost: evil.example\r\n\r\n"):
+        for lines in (b"GET / HTTP/1.1\r\n\r\n",
+                      b"GET / HTTP/1.1\r\nHost: localhost\r\nHost: evil.example\r\n\r\n"):
             with socket.create_connection((ADDRESS, ask.port), timeout=5) as raw:
                 raw.sendall(lines)
                 assert raw.recv(100).split()[1] == b"403"
 
 
 @pytest.mark.parametrize("path", [
-    "/fit.json", "/secret.txt", "/../secret.txt", "/maps/../../secret.txt", "/maps/%2e%2e/secret.png", "/maps/..%2fsecret.png",
+    "/fit.json", "/secret.txt", "/../secret.txt", "/maps/../../secret.txt", "/maps/%2e%2e/secret.png",
+    "/maps/..%2fsecret.png",
     "/report.html/", "/./report.html", "report.html", "http://localhost/report.html", "/maps/", "/maps/.png",
-    "/maps/secret.png", "/maps", "/checkpoint.safetensors", "/.partial/live.safetensors", "/.mitsvbrdf", "/%72eport.html"])
+    "/maps/secret.png", "/maps", "/checkpoint.safetensors", "/.partial/live.safetensors", "/.mitsvbrdf",
+    "/%72eport.html"])
 def test_nothing_else_is_served(path, tmp_path):
     out = tmp_path / "out"
     (out / "maps").mkdir(parents=True)
-    for name in ("fit.json", "report.html", "secret.txt", "maps/secret.png", "checkpoint.safetensors", ".mitsvbrdf"):
+    for name in ("fit.json", "report.html", "secret.txt", "maps/secret.png", "checkpoint.safetensors",
+                 ".mitsvbrdf"):
         (out / name).write_text("secret")
     (tmp_path / "secret.txt").write_text("secret")
     with served(out) as ask:
@@ -69,7 +75,8 @@ def test_only_reading(tmp_path):
             status, headers, _ = ask("/", method=method)
             assert status == 405 and headers["Allow"] == "GET, HEAD"
         for path, status in (("/", b"200"), ("/state.json", b"200"), ("/nothing", b"404")):
-            with socket.create_connection((ADDRESS, ask.port), timeout=5) as raw, raw.makefile("rb") as answer:
+            with socket.create_connection((ADDRESS, ask.port),
+                                          timeout=5) as raw, raw.makefile("rb") as answer:
                 raw.sendall(f"HEAD {path} HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
                 head, blank, content = answer.read().partition(b"\r\n\r\n")
             assert head.split()[1] == status and blank and not content
@@ -105,7 +112,8 @@ def test_pages_may_ask_nobody_else(tmp_path):
     assert "unsafe" not in re.search("script-src [^;]*", rules)[0]
 
 
-@pytest.mark.parametrize("error, told", [(ConnectionResetError, False), (TimeoutError, False), (ZeroDivisionError, True)])
+@pytest.mark.parametrize("error, told", [(ConnectionResetError, False), (TimeoutError, False),
+                                         (ZeroDivisionError, True)])
 def test_a_browser_that_goes_away_is_no_error(error, told, tmp_path, capfd):
     with make_server(FitSite(tmp_path), 0) as server:
         try:
@@ -125,7 +133,8 @@ def test_what_is_no_fits_folder_is_refused(tmp_path, capsys, monkeypatch):
     (tmp_path / "capture").mkdir()
     for name in ("capture.json", result_folder.MANIFEST):
         (tmp_path / "capture" / name).write_text("[]")
-    for name, word, way_out in (("file", "the file", "such a folder"), ("photos", "holds photos", "such a folder"),
+    for name, word, way_out in (("file", "the file", "such a folder"),
+                                ("photos", "holds photos", "such a folder"),
                                 ("capture", "holds photos", "such a folder"),
                                 ("missing/out", "there is no", "start the fit or the batch first")):
         assert cli.main(["view", str(tmp_path / name)]) == 2
@@ -146,7 +155,8 @@ def test_ports(tmp_path, capsys):
     for port in (-1, 65536):
         with pytest.raises(ConfigError, match="--port"):
             make_server(FitSite(tmp_path), port)
-    first, second = make_server(FitSite(tmp_path)), make_server(FitSite(tmp_path))  # two at once: the second takes a free one
+    # two at once: the second takes a free one
+    first, second = make_server(FitSite(tmp_path)), make_server(FitSite(tmp_path))
     ports = {server.server_address[1] for server in (first, second)}
     first.server_close(), second.server_close()
     assert len(ports) == 2
@@ -158,7 +168,8 @@ def test_ports(tmp_path, capsys):
 
 
 def test_ctrl_c_ends_the_command_well(tmp_path):
-    process = subprocess.Popen([sys.executable, "-m", "mitsvbrdf", "view", str(tmp_path / "out"), "--port", "0"], text=True,
+    process = subprocess.Popen([sys.executable, "-m", "mitsvbrdf", "view", str(tmp_path / "out"), "--port",
+                                "0"], text=True,
                                stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     try:
         line = process.stdout.readline()

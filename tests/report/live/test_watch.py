@@ -13,8 +13,8 @@ from helpers.half_put import half_put
 from helpers.live_fits import FAST, fit_into, served, state_of
 
 from mitsvbrdf.fit.checkpoint import load_tensors, save_tensors
+from mitsvbrdf.io import files, result_folder
 from mitsvbrdf.report.live import Watch
-from mitsvbrdf.system import files, result_folder
 
 # ---- the page follows a fit ----
 
@@ -29,16 +29,19 @@ def test_a_fit_is_followed_from_before_it_starts_to_after_it_ends(tmp_path, capt
 
     with served(out) as ask:
         before = state_of(ask)
-        assert before["phase"] == "waiting" and str(out) in before["says"] and before["fit"] is before["report"] is None
+        assert before["phase"] == "waiting" and str(out) in before["says"] and before["fit"] is before[
+            "report"] is None
         assert ask("/report.html")[0] == ask("/maps/diffuse.png")[0] == 404
         result = fit_into(out, capture, FAST, look)
         after = state_of(ask)
         assert ask("/report.html")[2].decode() == f"<p>{result.rerender_rmse}</p>"
 
-    # The report of a measurement comes before the record of that step: the page is one measurement behind, at most.
+    # The report of a measurement comes before the record of that step: the page is one measurement behind, at
+    # most.
     assert [s["phase"] for s in seen] == ["starting", "running", "running", "writing"]
     assert [s["fit"]["iteration"] for s in seen[1:]] == [9, 19, 20]
-    assert [s["fit"]["trace"] for s in seen[1:]] == [rows[:1], rows[:2], rows[:3]] and rows[2] == result.trace[2]
+    assert [s["fit"]["trace"] for s in seen[1:]] == [rows[:1], rows[:2],
+                                                     rows[:3]] and rows[2] == result.trace[2]
     assert seen[1]["fit"]["latest"]["iteration"] == 9 and seen[1]["fit"]["latest"]["photometric"] > 0
     assert [round(s["fit"]["share"], 3) for s in seen[1:]] == [0.45, 0.95, 1.0]
     assert len({s["fit"]["run"] for s in seen[1:]}) == 1 and len({s["fit"]["version"] for s in seen[1:]}) == 3
@@ -59,7 +62,8 @@ def test_a_fit_that_starts_anew_is_followed_again(tmp_path, capture, every_step)
         last = state_of(ask)
         assert ask("/maps/diffuse.png")[0] == 404  # no running fit's any more
     assert [s["phase"] for s in seen] == ["starting", "running", "running", "writing"]
-    assert seen[0]["fit"] is None and seen[1]["report"] == first["report"]  # the earlier report is still there
+    # the earlier report is still there
+    assert seen[0]["fit"] is None and seen[1]["report"] == first["report"]
     assert first["phase"] == last["phase"] == "done" and first["report"] != last["report"]
 
 
@@ -97,12 +101,14 @@ def test_a_fit_that_fails_shows_its_last_state(tmp_path, capture, every_step):
     with served(out) as ask:
         fit_into(out, capture, FAST)
         with pytest.raises(ZeroDivisionError):
-            fit_into(out, capture, FAST, lambda *_: seen.append(state_of(ask)), overwrite=True, fails=ZeroDivisionError())
+            fit_into(out, capture, FAST, lambda *_: seen.append(state_of(ask)), overwrite=True,
+                     fails=ZeroDivisionError())
         died = state_of(ask)
         assert ask("/maps/normal.png")[0] == 200
         again = []
         with pytest.raises(ZeroDivisionError):
-            fit_into(out, capture, FAST, lambda *_: again.append(state_of(ask)), overwrite=True, fails=ZeroDivisionError())
+            fit_into(out, capture, FAST, lambda *_: again.append(state_of(ask)), overwrite=True,
+                     fails=ZeroDivisionError())
     assert again[0]["phase"] == "starting" and again[0]["fit"] is None  # not the state of the fit before
     assert died["phase"] == "died" and died["fit"] == seen[-1]["fit"] and died["report"]  # the earlier fit's
     assert "without a result" in died["says"] and "--resume" in died["says"]
@@ -134,7 +140,8 @@ fit_into(Path({str(out)!r}), capture, FAST, die)
     assert (result_folder.partial_folder(out) / result_folder.LOCK).exists()
     with served(out) as ask:
         died = state_of(ask)
-        assert died["phase"] == "died" and died["fit"]["iteration"] == 9 and ask("/maps/diffuse.png")[0] == 200
+        assert died["phase"] == "died" and died["fit"]["iteration"] == 9 and ask("/maps/diffuse.png")[
+            0] == 200
         assert "anew" in died["says"]  # no checkpoint yet
         fit_into(out, capture, FAST)
         assert state_of(ask)["phase"] == "done"
@@ -154,7 +161,8 @@ def test_a_fit_that_ends_while_somebody_looks_has_not_died(tmp_path, capture, ev
     out, states = tmp_path / "out", []
     watch = Watch(out)
 
-    def ends_just_before(folder):  # the record was read a moment ago; now everything is in its place, and the lock is free
+    # the record was read a moment ago; now everything is in its place, and the lock is free
+    def ends_just_before(folder):
         files.write_json(out / "fit.json", {})
         return False
 
@@ -194,7 +202,8 @@ def test_records_of_others_do_no_harm(tmp_path, capture):
     strange = [{}, {"bsdf": "none"}, {"bsdf": "roughconductor"}, {"bsdf": ["list"]}]
     with served(out) as ask, result_folder.output_folder(out, False) as folder:
         for note in strange:
-            save_tensors(folder / result_folder.LIVE, {"diffuse": torch.zeros(3), "../../passwd": torch.zeros(2, 2, 3)}, note)
+            save_tensors(folder / result_folder.LIVE,
+                         {"diffuse": torch.zeros(3), "../../passwd": torch.zeros(2, 2, 3)}, note)
             assert state_of(ask)["phase"] == "starting"
         for name, content in (("fit.json", b"[]"), ("fit.json", b'{"trace": NaN}'), ("fit.json", b"\xff")):
             (out / name).write_bytes(content)

@@ -10,15 +10,23 @@ from helpers.one_sweep import FEW
 
 from mitsvbrdf.fit.losses import photometric
 from mitsvbrdf.material.maps import SVBRDF, flat
-from mitsvbrdf.verify.stability.conditioning import condition, disturbed, jacobian, largest_step, tangents, valid
+from mitsvbrdf.verify.stability.conditioning import (
+    condition,
+    disturbed,
+    jacobian,
+    largest_step,
+    tangents,
+    valid,
+)
 from mitsvbrdf.verify.stability.sweeps import material, tilted
 from mitsvbrdf.views import Views
 
 
 def test_singular_values_in_closed_form():
-    # Co-located straight above an upright texel: D = 1 / (pi r^4), so radiance is E (rho / pi + F0 / (4 pi r^4)), with E the
-    # irradiance of each view. Per channel the row E (1 / pi, 1 / (4 pi r^4), -F0 / (pi r^5)); tilting changes nothing to
-    # first order in n.h, and 1 - cos is flat. So J J^T is a multiple of the identity plus an outer product.
+    # Co-located straight above an upright texel: D = 1 / (pi r^4), so radiance is E (rho / pi + F0 / (4 pi
+    # r^4)), with E the irradiance of each view. Per channel the row E (1 / pi, 1 / (4 pi r^4), -F0 / (pi
+    # r^5)); tilting changes nothing to first order in n.h, and 1 - cos is flat. So J J^T is a multiple of the
+    # identity plus an outer product.
     r, f0, heights = 0.5, (0.1, 0.3, 0.7), (1.0, 2.0, 4.0)
     maps = dict(flat(1, roughness=r).maps) | {"specular": torch.tensor(f0).expand(1, 1, 3)}
     views = Views.of([[0, 0, z] for z in heights])
@@ -28,20 +36,25 @@ def test_singular_values_in_closed_form():
     u2 = sum((torch.tensor(f0).double() / (math.pi * r**5)) ** 2).item()
     expected = [math.sqrt(power * x) for x in (base + u2, base, base)]
     assert j.shape == (1, 9, 9)
-    assert torch.linalg.svdvals(j)[0, :3].tolist() == pytest.approx(expected, rel=1e-6)  # the maps are float32
+    # the maps are float32
+    assert torch.linalg.svdvals(j)[0, :3].tolist() == pytest.approx(expected, rel=1e-6)
     found = condition(j)
-    assert found["rank"] == 3 and found["unknowns"] == 9 and found["median"] is None and found["worst"] is None
+    assert found["rank"] == 3 and found["unknowns"] == 9 and found["median"] is None and found[
+        "worst"] is None
 
 
 def test_condition_of_known_matrices():
     # Orthogonal matrices around a diagonal: the condition number is the diagonal's.
-    q = torch.linalg.qr(torch.randn(3, 6, 6, generator=torch.Generator().manual_seed(0), dtype=torch.float64)).Q
+    q = torch.linalg.qr(torch.randn(3, 6, 6, generator=torch.Generator().manual_seed(0),
+                                    dtype=torch.float64)).Q
     diagonals = torch.tensor([[8.0, 4, 2], [100, 10, 1], [5, 5, 5]], dtype=torch.float64)
     found = condition(q[..., :3] @ torch.diag_embed(diagonals) @ q[:, :3, :3].mT)
     assert found["rank"] == 3
     # The middle of 1, 4 and 100 up to the angle between the random blocks: recompute it the slow way.
-    slow = sorted(float(torch.linalg.cond(m)) for m in q[..., :3] @ torch.diag_embed(diagonals) @ q[:, :3, :3].mT)
-    assert found["median"] == pytest.approx(slow[1], rel=1e-9) and found["worst"] == pytest.approx(slow[2], rel=1e-9)
+    slow = sorted(float(torch.linalg.cond(m)) for m in q[..., :3] @ torch.diag_embed(diagonals) @ q[:, :3,
+                                                                                                    :3].mT)
+    assert found["median"] == pytest.approx(slow[1], rel=1e-9) and found["worst"] == pytest.approx(slow[2],
+                                                                                                   rel=1e-9)
 
 
 def test_tangents_are_an_orthonormal_frame():
@@ -60,12 +73,14 @@ def test_the_largest_step_descends_and_twice_as_much_does_not(transfer):
     slopes = dict(zip(start.maps, torch.autograd.grad(loss, list(start.maps.values()))))
 
     def after(step):
-        moved = valid(SVBRDF("roughconductor", {k: v.detach() - step * slopes[k] for k, v in start.maps.items()}))
+        moved = valid(SVBRDF("roughconductor",
+                             {k: v.detach() - step * slopes[k] for k, v in start.maps.items()}))
         return photometric(TWIN.render(moved, views), photos, transfer) * 16
 
     step = largest_step(TWIN, svbrdf, views, transfer)
     assert after(step) < loss <= after(2 * step)
-    assert largest_step(TWIN, svbrdf, views, transfer, first=64 * step) <= 64 * step  # found from above as well
+    # found from above as well
+    assert largest_step(TWIN, svbrdf, views, transfer, first=64 * step) <= 64 * step
 
 
 def test_no_step_where_nothing_is_seen():

@@ -48,9 +48,11 @@ def test_clamps_act_where_they_say():
 
 
 @pytest.mark.parametrize("camera, light, intensity, size, expected", [
-    ((0, 0, 0.9 * NEAREST), None, 1, 1, "patch sides away"), ((0, 0, 2), (0, 1.1 * FARTHEST, 2), 1, 1, "patch sides away"),
+    ((0, 0, 0.9 * NEAREST), None, 1, 1, "patch sides away"), ((0, 0, 2), (0, 1.1 * FARTHEST, 2), 1, 1,
+                                                              "patch sides away"),
     ((0, 0, 2), None, 1, 1e-30, "patch sides away"), ((0, 0, 20), None, 3000, 1e6, "patch sides away"),
-    ((0, 0, 2), None, 4.1 * BRIGHTEST, 1, "squared distance"), ((3, 0, 0.01), (0.2, 0, 0.01), 2e-4 * BRIGHTEST, 1, "squared"),
+    ((0, 0, 2), None, 4.1 * BRIGHTEST, 1, "squared distance"), ((3, 0, 0.01), (0.2, 0, 0.01),
+                                                                2e-4 * BRIGHTEST, 1, "squared"),
 ])
 def test_lengths_that_do_not_go_together_are_refused(camera, light, intensity, size, expected):
     with pytest.raises(CaptureError, match=expected):
@@ -81,7 +83,8 @@ ROUGHNESS = st.one_of(some(1e-30, 1e-4, 0.01, 1.0), st.floats(2**-60, 1, width=3
 HEIGHTS = st.one_of(some(NEAREST, 1.0, FARTHEST), st.floats(NEAREST, 100))
 
 
-# Every other one straight above a texel, whose normal may well be upright: there a mirror's D is what overflows.
+# Every other one straight above a texel, whose normal may well be upright: there a mirror's D is what
+# overflows.
 PLACES = st.one_of(st.tuples(st.just(0.25), st.just(0.25), HEIGHTS),
                    st.tuples(some(0.0, -0.25, 3.0, 1e3, -FARTHEST), some(0.0, -2.0, 1e4), HEIGHTS))
 TILTED = st.tuples(some(1.0, 45.0, 80.0, 89.0, 89.9, 89.999), some(0.0, 30.0, 90.0, 180.0, 271.0))
@@ -97,7 +100,8 @@ def scenes(draw):
             values = [[math.sin(t) * math.cos(a), math.sin(t) * math.sin(a), math.cos(t)] for t, a in turns]
         else:
             number = ROUGHNESS if name == "roughness" else UNIT_VALUES
-            values = draw(st.lists(st.lists(number, min_size=channels, max_size=channels), min_size=4, max_size=4))
+            values = draw(st.lists(st.lists(number, min_size=channels, max_size=channels), min_size=4,
+                                   max_size=4))
         maps[name] = torch.tensor(values, dtype=torch.float32).reshape(2, 2, channels)
     cameras = [draw(PLACES) for _ in range(2)]
     lights = [draw(PLACES) for _ in range(2)] if draw(st.booleans()) else cameras

@@ -35,7 +35,8 @@ class Broken(AnalyticRenderer):
         return super().render(SVBRDF(svbrdf.bsdf, maps), views)
 
 
-@pytest.mark.parametrize("how, expected", [("nan at grazing", "not finite: 1536 of image"), ("refuses", "refused: expected"),
+@pytest.mark.parametrize("how, expected", [("nan at grazing", "not finite: 1536 of image"),
+                                           ("refuses", "refused: expected"),
                                            ("silent", "wrong: "), ("wrong slope", "wrong: diffuse 0.001")])
 def test_a_broken_renderer_is_found_out(one_case, monkeypatch, tmp_path, how, expected):
     monkeypatch.setattr("mitsvbrdf.cli.stability.make_renderer", lambda name, variant: Broken(how))

@@ -6,7 +6,8 @@ from mitsvbrdf.measure.tolerances import SWEEP_TOLERANCES
 from mitsvbrdf.verify.stability.verdict import VERDICTS, verdict
 
 IMAGE, GRADIENT = SWEEP_TOLERANCES["image"], SWEEP_TOLERANCES["gradient"]
-GOOD = {"errors": {"image": IMAGE / 3, "roughness": GRADIENT / 3}, "not_finite": {"image": 0}, "silenced": {"roughness": 0}}
+GOOD = {"errors": {"image": IMAGE / 3, "roughness": GRADIENT / 3}, "not_finite": {"image": 0},
+        "silenced": {"roughness": 0}}
 
 
 def changed(**errors):

@@ -1,0 +1,182 @@
+"""Files written whole or not at all, and read and named without being led elsewhere.
+
+A write goes beside its target and is then renamed onto it. What a user names may be a symbolic link; what
+lies inside a folder of results may not: there a link, a pipe or a device is refused.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import hashlib
+import io
+import json
+import os
+import shutil
+import stat
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+from ..errors import ConfigError, OutputError
+
+# No link is followed, no pipe waited for. Each is a flag of some systems only.
+_CAREFULLY = sum(getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
+
+
+def write_json(path: Path, value: object) -> None:
+    """Indented JSON; NaN and infinity are refused, since JSON has none."""
+    write_bytes(path, (json.dumps(value, indent=1, allow_nan=False) + "\n").encode())
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Replace a file's content in one step."""
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(data)
+
+
+@contextlib.contextmanager
+def atomic_write(path: Path) -> Iterator[Path]:
+    """A temporary name in the same folder, renamed onto ``path`` when the block ends well, else removed.
+
+    A symbolic link stays one: what it points to is replaced.
+
+    Raises:
+        OutputError: when the folder cannot be made or written to, or something other than a file has this
+            name.
+    """
+    path, temporary = _places(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        os.replace(temporary, path)
+    except OSError as reason:
+        forbidden = reason.errno in (errno.EACCES, errno.EPERM, errno.EROFS)
+        raise OutputError(f"to write {path}", reason.strerror or str(reason),
+                          f"{'check your rights' if forbidden else 'free space'} or choose another place") from None
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a regular file's content, in hex."""
+    with open_regular(Path(os.path.realpath(path))) as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def open_regular(path: Path, flags: int = os.O_RDONLY) -> io.BufferedReader:
+    """A regular file, open as bytes.
+
+    Args:
+        path: of the file.
+        flags: of :func:`os.open`; with ``O_RDWR | O_CREAT`` a file to lock, which keeps its content.
+
+    Raises:
+        OSError: there is none, or a link, a pipe, a device or a folder has its name.
+    """
+    descriptor = os.open(path, flags | _CAREFULLY, 0o666)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(errno.EINVAL, "no regular file", str(path))
+    return open(descriptor, "rb")
+
+
+def is_regular(path: Path | None) -> bool:
+    """Whether a regular file has this name, and no link to one; no name is none."""
+    try:
+        return path is not None and stat.S_ISREG(path.lstat().st_mode)
+    except (OSError, ValueError):
+        return False
+
+
+def stays_inside(name: object) -> bool:
+    """Whether a name that a file states is that of something inside a folder, as far as words tell."""
+    if not isinstance(name, str) or "\0" in name:
+        return False
+    try:
+        os.fsencode(name)
+    except UnicodeEncodeError:  # text that no file can be called
+        return False
+    path = Path(name)
+    return bool(path.parts) and not path.anchor and ".." not in path.parts
+
+
+def is_entry(name: object) -> bool:
+    """Whether a name that a file states is that of something right inside a folder, and no pattern of several
+    names.
+    """
+    return stays_inside(name) and Path(str(name)).parts == (name,) and not set("*?[\\") & set(str(name))
+
+
+def inside(folder: Path, name: str) -> Path | None:
+    """Where a name that a file states lies in a folder; None where it leads out of it, or over a link."""
+    if not stays_inside(name):
+        return None
+    path = Path(folder)
+    for part in Path(name).parts:
+        path /= part
+        if path.is_symlink():
+            return None
+    return path
+
+
+def remove(path: Path) -> None:
+    """Take away a file, or a folder with all in it; of a link the link alone."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)
+
+
+def to_disk(path: Path) -> None:
+    """Have a file or a folder written, not only promised.
+
+    Raises:
+        OSError: it cannot be, as with folders on some systems.
+    """
+    descriptor = os.open(path, os.O_RDONLY | _CAREFULLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def check_output(*paths: Path | None) -> None:
+    """Raise OutputError now for files that :func:`atomic_write` could not write once the work is done; None stands
+    for no file.
+
+    Nothing is left behind, and folders that are missing are not made yet.
+    """
+    for path in filter(None, paths):
+        target, temporary = _places(path)
+        try:
+            probe = next(folder for folder in target.parents if os.path.lexists(folder)) / temporary.name
+            probe.touch()
+            probe.unlink()
+        except OSError as reason:
+            raise OutputError(f"to write {path}", reason.strerror or str(reason),
+                              "choose another place") from None
+
+
+def check_names(*names: str | Path) -> None:
+    """Raise ConfigError for names of files that are no text: what is not UTF-8 no page and no record can
+    state.
+    """
+    for name in map(str, names):
+        try:
+            name.encode()
+        except UnicodeEncodeError:
+            raise ConfigError("names of files in UTF-8", name.encode("utf-8", "backslashreplace").decode(),
+                              "rename the file or folder") from None
+
+
+def _places(path: Path) -> tuple[Path, Path]:
+    """The file that a path stands for, links followed, and the temporary name beside it."""
+    target = Path(os.path.realpath(path))
+    # a rename would replace a device or a pipe by a file
+    if os.path.lexists(target) and not target.is_file():
+        raise OutputError("a file to write",
+                          f"{path}, which is {'a folder' if target.is_dir() else 'no regular file'}",
+                          "give another name")
+    return target, target.with_name(f".{target.stem}-{uuid.uuid4().hex[:8]}{target.suffix}")

@@ -1,0 +1,136 @@
+"""Image files to tensors and back: PNG and JPEG as display values, EXR as it is; row 0 at the top, RGB order.
+
+Photos with EXIF, HEIC or raw data are read by :mod:`mitsvbrdf.capture.photo`, whole sets of maps by
+:mod:`mitsvbrdf.material.map_files`.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .. import color
+from ..errors import MitsvbrdfError
+from .decode import check_size, decoded, header, upright
+from .files import atomic_write, write_bytes
+
+BAND = 2**22  # pixels that are averaged at a time
+
+
+def read_image(path: Path, error: type[MitsvbrdfError]) -> Tensor:
+    """An image file as float32 H x W x C, row 0 at the top, RGB order, turned as its EXIF says.
+
+    8- and 16-bit files give display values in [0, 1]; EXR files give what they hold. Alpha is dropped.
+
+    Args:
+        path: png, jpg or exr.
+        error: the error type to raise when the file is missing or is no image.
+
+    Warns:
+        InputWarning: see :func:`~mitsvbrdf.io.decode.decoded`.
+    """
+    path = Path(path)
+    if path.suffix.lower() == ".exr":
+        return _read_exr(path, error)
+    about = header(path, error)
+    return torch.from_numpy(display(upright(decoded(path, error), about.orientation)))
+
+
+def display(pixels: np.ndarray) -> np.ndarray:
+    """Display values in [0, 1], contiguous float32, of pixels of 8 or 16 bits; floats as they are."""
+    if pixels.dtype == np.float32:
+        return np.ascontiguousarray(pixels)
+    return np.divide(pixels, np.float32(np.iinfo(pixels.dtype).max), dtype=np.float32, order="C")
+
+
+def averaged(pixels: np.ndarray, side: int) -> np.ndarray:
+    """Square pixels (S x S x 3, 8 or 16 bits or float32) as display values in ``side`` pixels a side, by area
+    averages.
+
+    A band of rows at a time, so that little more than the pixels is held; bands meet where rows of the result
+    do.
+    """
+    import cv2
+
+    height, width = pixels.shape[:2]
+    if side == height:
+        return display(pixels)
+    unit = height // math.gcd(height, side)
+    rows = unit * max(1, BAND // (unit * width))
+    out = np.empty((side, side, 3), np.float32)
+    for first in range(0, height, rows):
+        band = display(pixels[first:first + rows])
+        begin, end = first * side // height, (first + len(band)) * side // height
+        out[begin:end] = cv2.resize(band, (side, end - begin), interpolation=cv2.INTER_AREA)
+    return out
+
+
+def _read_exr(path: Path, error: type[MitsvbrdfError]) -> Tensor:
+    import OpenEXR
+
+    if not path.is_file():
+        raise error("an image file", f"no file at {path}", "check the name")
+    try:
+        parts = OpenEXR.File(str(path), header_only=True).parts
+        kinds = [str(part.header["type"]) for part in parts]
+        if len(parts) > 1 or "deep" in kinds[0].lower():
+            raise error("an EXR of one flat picture", f"{path} of {len(parts)} parts ({', '.join(kinds)})",
+                        "export it flat")
+        check_size(path, (parts[0].width(), parts[0].height()), error)
+        channels = OpenEXR.File(str(path)).channels()
+    except MitsvbrdfError:
+        raise
+    except Exception as reason:  # OpenEXR raises plain RuntimeError and others
+        raise error("a readable EXR file", f"{path}: {reason}", "export it again") from None
+    for name in ("RGB", "RGBA"):
+        if name in channels:
+            return torch.from_numpy(np.array(channels[name].pixels[..., :3], dtype=np.float32))
+    if all(c in channels for c in "RGB"):
+        return torch.from_numpy(np.stack([channels[c].pixels for c in "RGB"], axis=-1).astype(np.float32))
+    if len(channels) == 1:
+        (channel,) = channels.values()
+        return torch.from_numpy(np.array(channel.pixels, dtype=np.float32)[..., None])
+    raise error("an EXR with R, G, B or one channel", f"{path} with {sorted(channels)}", "export it again")
+
+
+def write_exr(path: Path, image: Tensor) -> None:
+    """A float32 EXR of an H x W x 3 (R, G, B) or H x W x 1 (Y) tensor, ZIP-compressed."""
+    import OpenEXR
+
+    pixels = np.ascontiguousarray(image.detach().to(torch.float32).numpy())
+    channels = {"RGB": pixels} if pixels.shape[2] == 3 else {"Y": np.ascontiguousarray(pixels[..., 0])}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with atomic_write(path) as temporary:
+        try:
+            OpenEXR.File(header, channels).write(str(temporary))
+        except RuntimeError as reason:  # what OpenEXR makes of a full disk; plain bytes tell its number
+            temporary.write_bytes(pixels.tobytes())
+            raise OSError(str(reason)) from None
+
+
+def write_png(path: Path, image: Tensor, bits: int = 8) -> None:
+    """An 8- or 16-bit PNG of display values in [0, 1] (clipped), H x W x 3 or H x W x 1."""
+    write_bytes(path, encode_png(image, bits))
+
+
+def encode_png(image: Tensor, bits: int = 8) -> bytes:
+    """The content of the file that :func:`write_png` writes."""
+    import cv2
+
+    kind = np.uint8 if bits == 8 else np.uint16
+    top = np.iinfo(kind).max
+    pixels = np.rint(image.detach().clamp(0, 1).to(torch.float64).numpy() * top).astype(kind)
+    ok, data = cv2.imencode(".png", np.ascontiguousarray(pixels[..., ::-1] if pixels.shape[2] == 3
+                                                         else pixels))
+    assert ok
+    return data.tobytes()
+
+
+def write_linear(stem: Path, image: Tensor, transfer: color.Transfer) -> None:
+    """A linear image as ``stem.exr`` (float32) and as ``stem.png`` (8-bit display values)."""
+    write_exr(stem.with_suffix(".exr"), image)
+    write_png(stem.with_suffix(".png"), color.to_display(image, transfer))

@@ -1,0 +1,53 @@
+"""Named parts of a vector: least squares wants one vector, its reader wants names."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+class Layout:
+    """Which numbers of a vector are what: named arrays that lie one after the other.
+
+        lens = Layout(log_focal=(), centre=(2,), distortion=(2,))
+        lens.size                    # 5
+        lens["centre"]               # slice(1, 3)
+        lens.unpack(x).distortion    # the last two numbers of x
+        lens.pack(centre=0.5)        # (0, 0.5, 0.5, 0, 0)
+
+    Args:
+        shapes: shape of each part by name, in the order of the vector; () is one number.
+    """
+
+    def __init__(self, **shapes: tuple[int, ...]) -> None:
+        self.shapes, self.size = shapes, 0
+        self.slices: dict[str, slice] = {}  # where each part lies
+        for name, shape in shapes.items():
+            self.slices[name] = slice(self.size, self.size + math.prod(shape))
+            self.size += math.prod(shape)
+
+    def __getitem__(self, name: str) -> slice:
+        """Where a part lies."""
+        return self.slices[name]
+
+    def unpack(self, vector: Any) -> SimpleNamespace:
+        """The parts by name, each in its shape; of an array or tensor (... x size) ... x shape."""
+        return SimpleNamespace(**{name: vector[..., self[name]].reshape((*vector.shape[:-1], *shape))
+                                  for name, shape in self.shapes.items()})
+
+    def pack(self, **parts: ArrayLike) -> NDArray[np.float64]:
+        """The vector of these parts, float64; numbers and smaller arrays are repeated, parts left out are
+        0.
+        """
+        return np.concatenate([np.broadcast_to(np.asarray(parts.get(name, 0.0), dtype=np.float64),
+                                               shape).ravel()
+                               for name, shape in self.shapes.items()])
+
+    @property
+    def numbers(self) -> SimpleNamespace:
+        """By name, the places of a part's numbers in the vector, in its shape."""
+        return self.unpack(np.arange(self.size))

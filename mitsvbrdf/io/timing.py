@@ -1,0 +1,66 @@
+"""Seconds of jobs: of one, of several in turn, and what repeated timings come to.
+
+:mod:`~mitsvbrdf.io.profile` says where the time of a fit goes; this module compares whole jobs with each
+other.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import ParamSpec, TypeVar
+
+K = TypeVar("K")
+T = TypeVar("T")
+P = ParamSpec("P")
+
+
+def timed(job: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> tuple[T, float]:
+    """What a job returns for these arguments, and the wall-clock seconds it took."""
+    started = time.perf_counter()
+    found = job(*args, **kwargs)
+    return found, time.perf_counter() - started
+
+
+def spread(seconds: Sequence[float]) -> dict[str, float]:
+    """``median``, ``low`` and ``high`` (quartiles) of repeated timings, and how many they were."""
+    quarters = (statistics.quantiles(seconds, n=4, method="inclusive") if len(seconds) > 1
+                else [seconds[0]] * 3)
+    return {"median": quarters[1], "low": quarters[0], "high": quarters[2], "repeats": len(seconds)}
+
+
+def side_by_side(jobs: Mapping[str, Callable[[], object]], repeats: int = 5) -> dict[str, dict[str, float]]:
+    """Time several jobs fairly: each once unmeasured, then in turn (:func:`in_turns`).
+
+    Args:
+        jobs: what to run, by name.
+        repeats: measured turns.
+
+    Returns:
+        :func:`spread` of the seconds of each job.
+    """
+    turns = in_turns({name: partial(timed, job) for name, job in jobs.items()}, repeats)
+    return {name: spread([seconds for _, seconds in each]) for name, each in turns.items()}
+
+
+def in_turns(jobs: Mapping[K, Callable[[], T]], repeats: int = 5, unmeasured: int = 1,
+             report: Callable[[float], object] = lambda share: None) -> dict[K, list[T]]:
+    """Run all jobs in turn, again and again, so that drift of the machine hits all alike.
+
+    Args:
+        jobs: what to run, by name.
+        repeats: turns that count.
+        unmeasured: turns before these, which compile and warm up; 0 where the jobs have run already.
+        report: told the share done after each run.
+
+    Returns:
+        What each job returned in the turns that count.
+    """
+    found: dict[K, list[T]] = {name: [] for name in jobs}
+    for turn in range(unmeasured + repeats):
+        for number, (name, job) in enumerate(jobs.items(), 1):
+            found[name].append(job())
+            report((turn + number / len(jobs)) / (unmeasured + repeats))
+    return {name: each[unmeasured:] for name, each in found.items()}

@@ -1,0 +1,178 @@
+"""Photos that end early, are damaged or absurdly large are named; whole ones are read to the last bit as
+others read them.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+import subprocess
+import sys
+import warnings
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image, ImageOps
+
+from mitsvbrdf.errors import CaptureError, InputWarning, MitsvbrdfError, strict
+from mitsvbrdf.io.decode import decoded, header, upright
+
+PIXELS = (np.random.default_rng(0).random((64, 48, 3)) * 255).astype(np.uint8)
+
+
+def encoded(kind, pixels=PIXELS, **options):
+    data = io.BytesIO()
+    Image.fromarray(pixels).save(data, kind, **options)
+    return data.getvalue()
+
+
+def png_header(width, height):
+    """A PNG that ends after its header and the begin of its pixels."""
+    def chunk(name, content):
+        return (struct.pack(">I", len(content)) + name + content
+                + struct.pack(">I", zlib.crc32(name + content)))
+
+    return (b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+            + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b""))
+
+
+def read(tmp_path, data):
+    path = tmp_path / "photo"  # what it is stands in its content
+    path.write_bytes(data)
+    return decoded(path, CaptureError)
+
+
+WHOLE = {
+    "jpeg": encoded("JPEG"), "progressive": encoded("JPEG", quality=30, progressive=True),
+    "grey": encoded("JPEG", PIXELS[..., 0]), "colour in full": encoded("JPEG", subsampling=0),
+    "one pixel": encoded("JPEG", PIXELS[:1, :1]),
+    "odd": encoded("JPEG", PIXELS[:7, :41]), "png": encoded("PNG"), "png of one pixel": encoded("PNG",
+                                                                                                PIXELS[:1, :1]),
+    "16 bits": encoded("PNG", PIXELS.astype(np.uint16)[..., 0] * 256),
+    "more behind": encoded("JPEG") + b"what phones write behind a picture" * 50}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", WHOLE)
+def test_whole_pictures_are_read_as_opencv_reads_them(kind, tmp_path):
+    pixels = read(tmp_path, WHOLE[kind])
+    other = cv2.imdecode(np.frombuffer(WHOLE[kind], np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)[...,
+                                                                                                       ::-1]
+    assert pixels.dtype == other.dtype and np.array_equal(pixels, other)
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "PNG"])
+def test_the_header_alone(kind, tmp_path):
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    (tmp_path / "photo").write_bytes(encoded(kind, exif=exif)[:900])
+    assert header(tmp_path / "photo", CaptureError) == (kind, (48, 64), 6, "RGB")
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_pictures_are_turned_as_pillow_turns_them(orientation):
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    turned = ImageOps.exif_transpose(Image.open(io.BytesIO(encoded("PNG", exif=exif))))
+    assert np.array_equal(upright(PIXELS, orientation), np.asarray(turned))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 0.9])
+@pytest.mark.parametrize("kind", ["JPEG", "PNG"])
+def test_a_picture_that_ends_early_is_refused_by_name(tmp_path, kind, share):
+    data = encoded(kind)
+    with pytest.raises(CaptureError, match=f"a whole PNG or JPEG, got {tmp_path}/photo"):
+        read(tmp_path, data[:int(share * len(data))])
+
+
+def test_a_png_with_a_wrong_checksum_is_refused(tmp_path):
+    data = bytearray(encoded("PNG"))
+    data[len(data) // 2] ^= 1
+    with pytest.raises(CaptureError, match="a whole PNG"):
+        read(tmp_path, bytes(data))
+
+
+def test_what_is_no_picture_is_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe")  # opening it would wait for ever
+    for data in (b"<html>404</html>", encoded("BMP"), bytes(1000)):
+        with pytest.raises(CaptureError, match="a whole PNG or JPEG"):
+            read(tmp_path, data)
+    for path in (tmp_path / "pipe", tmp_path, tmp_path / "none"):
+        with pytest.raises(CaptureError, match=f"no file at {path}"):
+            decoded(path, CaptureError)
+
+
+def flipped(count):
+    """JPEGs with one bit turned over in what follows the header."""
+    data = encoded("JPEG", quality=80)
+    begin = data.index(b"\xff\xda") + 14
+    for place in np.random.default_rng(0).integers(8 * begin, 8 * (len(data) - 2), count):
+        wrong = bytearray(data)
+        wrong[place // 8] ^= 1 << place % 8
+        yield bytes(wrong)
+
+
+def heard_by_opencv(folder):
+    """For each file by its name, what OpenCV's decoder prints, in a process of its own."""
+    code = """
+import os, sys, cv2
+for name in sorted(os.listdir(sys.argv[1])):
+    os.write(2, f"\\nfile {name}\\n".encode())
+    cv2.imread(os.path.join(sys.argv[1], name))
+"""
+    printed = subprocess.run([sys.executable, "-c", code, folder], capture_output=True, text=True,
+                             check=True).stderr
+    return {part.split("\n")[0]: "Corrupt JPEG" in part or "Premature end" in part
+            for part in printed.split("\nfile ")[1:]}
+
+
+def test_a_decoder_that_complains_is_heard(tmp_path):
+    for number, data in enumerate(flipped(40)):
+        (tmp_path / f"{number:02d}").write_bytes(data)
+    complained = heard_by_opencv(tmp_path)
+    assert 5 < sum(complained.values()) < 40  # else this tests nothing
+    for name, loud in complained.items():
+        with warnings.catch_warnings(record=True) as heard:
+            warnings.simplefilter("always")
+            try:
+                decoded(tmp_path / name, CaptureError)
+            except CaptureError as error:
+                heard.append(error)
+        assert bool(heard) == loud, name
+        assert all(str(tmp_path / name) in str(getattr(each, "message", each)) for each in heard)
+        if loud:
+            with pytest.raises(MitsvbrdfError, match=f"{tmp_path / name}"), strict():
+                decoded(tmp_path / name, CaptureError)
+
+
+def test_what_is_read_of_a_damaged_picture_is_what_opencv_reads(tmp_path):
+    for data in flipped(10):
+        with warnings.catch_warnings(action="ignore", category=InputWarning):
+            try:
+                pixels = read(tmp_path, data)
+            except CaptureError:
+                continue
+        assert np.array_equal(pixels, cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[...,
+                                                                                                    ::-1])
+
+
+@pytest.mark.parametrize("size, passes", [((15_811, 15_811), True), ((25_000, 10_000), True),
+                                          ((25_000, 10_001), False), ((2**31 - 1, 2**31 - 1), False)])
+def test_more_pixels_than_any_camera_has_are_refused_by_the_header(tmp_path, size, passes):
+    (tmp_path / "photo").write_bytes(png_header(*size))
+    if passes:
+        assert header(tmp_path / "photo", CaptureError).size == size
+        return
+    with pytest.raises(CaptureError, match=f"at most 250 megapixels, got .* of {size[0]} x {size[1]} pixels"):
+        header(tmp_path / "photo", CaptureError)
+
+
+def test_the_limit_of_pillow_stays_as_it_was(tmp_path, monkeypatch):
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 12345)
+    read(tmp_path, encoded("PNG"))
+    with pytest.raises(CaptureError):
+        read(tmp_path, b"")
+    assert Image.MAX_IMAGE_PIXELS == 12345

@@ -1,0 +1,177 @@
+"""What is seen while something runs: on a terminal, without one, and in a notebook."""
+
+import os
+import pty
+import subprocess
+import sys
+
+import notebooks
+import pytest
+from rich.table import Table
+
+from mitsvbrdf.io import progress
+from mitsvbrdf.io.progress import Cell, Progress, print_numbers, print_rich, progress_bar
+
+ENTRY = {"seconds": 1.5, "iteration": 6, "cost": 2.0, "rerender_rmse": 0.125}
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    """A clock that stands still but for what is added to its one entry."""
+    now = [1000.0]
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: now[0])
+    return now
+
+
+@pytest.fixture
+def displays(monkeypatch):
+    """Every text that a notebook would be sent, beside whether it replaces the one before."""
+    pytest.importorskip("IPython")
+    sent = []
+
+    class Handle:
+        def display(self, data, raw):
+            sent.append((False, data["text/plain"]))
+
+        def update(self, data, raw):
+            sent.append((True, data["text/plain"]))
+
+    monkeypatch.setattr("IPython.display.DisplayHandle", Handle)
+    monkeypatch.setattr(progress.console, "is_jupyter", True)
+    return sent
+
+
+def bar(text):
+    return text.count("━") / (text.count("━") + text.count("─"))
+
+
+def test_without_a_terminal_a_line_every_ten_seconds(capsys, clock):
+    with Progress("a fit") as report:
+        for second in range(26):
+            report(ENTRY | {"iteration": second, "seconds": float(second)}, second / 100)
+            clock[0] += 1
+        report(ENTRY, 1.0)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "a fit" and len(lines) == 1 + 3 + 1  # at 0, 11 and 22 s, and the last
+    assert [line.split()[0] for line in lines[1:]] == ["0%", "11%", "22%", "100%"]
+    assert "iteration 11  rmse 0.1250  cost 2.0000  1.0 it/s  at most 89 s left" in lines[2]
+    assert lines[-1].endswith("it/s  ended") and "left" not in lines[-1]
+
+
+# set up for long; gone on from 60 s
+@pytest.mark.parametrize("before, seconds, share", [(30, 2.0, 0.02), (0, 60.0, 0.6)])
+def test_the_time_left_is_that_of_the_limit(before, seconds, share, capsys, clock):
+    with Progress("a fit") as report:
+        clock[0] += before
+        report(ENTRY | {"seconds": seconds}, share)
+    assert f"at most {100 - seconds:.0f} s left" in capsys.readouterr().out
+
+
+def test_a_bar_without_a_terminal(capsys, clock):
+    with progress_bar("a sweep") as report:
+        for second in range(26):
+            report(f"case {second}", second / 26)
+            clock[0] += 1
+    assert capsys.readouterr().out.splitlines() == ["a sweep", " 42%  case 11", " 85%  case 22"]
+
+
+def first_column(text):
+    """What stands in the first column of a table, put together again."""
+    return "".join(line.split("│")[1].strip() for line in text.splitlines() if "│" in line)
+
+
+def test_no_name_in_a_table_is_cut_or_read_as_markup(capsys):
+    long = "IMG_" + "0123456789" * 50 + "[red].jpg"  # wider than any terminal
+    print_numbers("title", {long: 0.125})
+    said = capsys.readouterr().out
+    assert first_column(said) == long and "0.1250" in said
+
+
+def test_what_may_not_wrap_is_seen_to_be_cut(capsys):
+    table = Table(show_header=False)
+    table.add_column(no_wrap=True)
+    table.add_row("a" * 500)
+    print_rich(table)
+    assert "aaa…" in capsys.readouterr().out
+
+
+def on_a_terminal(code):
+    """What this Python code writes to a terminal."""
+    ours, theirs = pty.openpty()
+    subprocess.run([sys.executable, "-c", code], stdout=theirs, check=True, timeout=60,
+                   env=os.environ | {"PYTHONPATH": str(notebooks.ROOT), "TERM": "xterm-256color",
+                                     "COLUMNS": "200"})
+    os.close(theirs)
+    return os.read(ours, 100_000).decode()
+
+
+def test_a_bar_on_a_terminal_shows_names_as_they_are():
+    said = on_a_terminal("from mitsvbrdf.io.progress import progress_bar\n"
+                         "with progress_bar('relight wall[red]') as report:\n    report('one', 0.5)\n")
+    assert "relight wall[red]: one" in said and "50%" in said
+
+
+def test_on_a_terminal_one_live_line():
+    said = on_a_terminal("from mitsvbrdf.io.progress import Progress\n"
+                         f"with Progress('a fit') as report:\n    report({ENTRY}, 0.25)\n    "
+                         f"report({ENTRY}, 1.0)\n")
+    assert "a fit" in said and "100%" in said and "rmse 0.1250" in said
+    # the cursor is hidden, and shown again
+    assert "\x1b[?25l" in said and said.rindex("\x1b[?25h") > said.rindex("100%")
+
+
+def test_in_a_notebook_four_times_a_second_and_the_last(displays, clock):
+    with Progress("a fit") as report:
+        for step in range(2000):  # two seconds, a thousand reports in each
+            report(ENTRY | {"iteration": step}, step / 4000)
+            clock[0] += 1e-3
+    assert 8 <= len(displays) <= 1 + 4 * 2 + 1  # title, four a second, what came last
+    assert [update for update, _ in displays] == [False] + [True] * (len(displays) - 1)
+    text = displays[-1][1]
+    assert text.startswith("a fit  ━") and "iteration 1999" in text and "50%" in text
+    assert bar(text) == pytest.approx(0.5, abs=1 / Cell.WIDTH) and text.count("\n") == 1
+    assert bar(displays[0][1]) == 0
+
+
+def test_in_a_notebook_the_end_is_shown_at_once(displays, clock):
+    report = Progress("a fit")  # not as a context manager
+    assert not displays  # a title alone is no output
+    report(ENTRY, 0.0)
+    report(ENTRY, 0.5)
+    report(ENTRY, 1.0)
+    assert len(displays) == 2 and bar(displays[-1][1]) == 1 and "\n100% " in displays[-1][1]
+
+
+def test_a_bar_in_a_notebook_stays_where_it_broke_off(displays, clock):
+    with pytest.raises(ZeroDivisionError), progress_bar("a sweep") as report:
+        report("one", 0.25)
+        report("two", 0.75)
+        raise ZeroDivisionError
+    assert "75%  two" in displays[-1][1] and bar(displays[-1][1]) == 0.75
+
+
+def test_a_real_kernel_keeps_the_last_of_it(tmp_path, monkeypatch):
+    nbformat = pytest.importorskip("nbformat")
+    cells = ["import sys\nprint(sys.executable)\nfrom mitsvbrdf.io.progress import Progress, "
+             "progress_bar\n"
+             f"entry = {ENTRY}",
+             "with Progress('first') as report:\n    for i in range(5000):\n        report(entry | "
+             "{'iteration': i}, i / 1e4)",
+             "report = Progress('second')\nreport(entry, 0.5)\nreport(entry, 1.0)",
+             "with progress_bar('third') as report:\n    report('nearly', 0.9)",
+             "'torch' in sys.modules"]
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in cells])
+    messages = notebooks.run(notebook, tmp_path, monkeypatch)
+    outputs = [cell.outputs for cell in notebook.cells]
+    assert outputs[0][0].text.strip() == sys.executable
+    assert outputs[4][0].data["text/plain"] == "False"
+    shown = []
+    for (output,) in outputs[1:4]:  # one display a cell, replaced in place, and no other output
+        assert output.output_type == "display_data" and set(output.data) == {"text/plain"}
+        shown.append(output.data["text/plain"])
+    assert "iteration 4999" in shown[0] and bar(shown[0]) == 0.5
+    assert bar(shown[1]) == 1 and "100%" in shown[1]
+    assert "90%  nearly" in shown[2] and bar(shown[2]) == pytest.approx(0.9, abs=1 / Cell.WIDTH)
+    assert messages.count("display_data") == 3
+    # of 5001 reports; four a second if the machine keeps up
+    assert 2 <= messages.count("update_display_data") < 500
