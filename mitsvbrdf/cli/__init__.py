@@ -22,6 +22,7 @@ from .. import __version__
 from ..errors import LARGEST, ConfigError, exit_code, plain_warnings
 from ..errors import strict as refused
 from ..io.files import check_names
+from .renamed import with_new_names
 
 # What each command does, the first line of its docstring. ``leave-out`` is the function leave_out of the
 # module leave_out.
@@ -85,7 +86,7 @@ def main(arguments: list[str] | None = None) -> int:
     Returns:
         The exit code.
     """
-    arguments = sys.argv[1:] if arguments is None else arguments
+    arguments = with_new_names(sys.argv[1:] if arguments is None else arguments)
     if arguments == ["--version"]:
         print(f"mitsvbrdf {__version__}")
         return 0

@@ -1,0 +1,48 @@
+"""Old names of commands and options: they work for one version, hidden in help, and say their new name."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+# An option renamed in several commands has a line in each. A flag that help shows as --no-NAME has a line for
+# that form.
+RENAMED_COMMANDS: dict[str, str] = {}
+RENAMED: dict[str, dict[str, str]] = {
+    "fit": {},
+    "batch": {},
+}
+
+
+def with_new_names(arguments: Sequence[str]) -> list[str]:
+    """Arguments with old names of commands and options replaced, each said once on standard error.
+
+    Only whole words change: the value of ``--name=--own`` stays, and so does all after ``--``.
+
+    Args:
+        arguments: of the command line, the command among them.
+    """
+    place = next((i for i, word in enumerate(arguments) if not word.startswith("-")), None)
+    if place is None:
+        return list(arguments)
+    found = list(arguments)
+    command = found[place].replace("_", "-")
+    if command in RENAMED_COMMANDS:
+        _say(command, RENAMED_COMMANDS[command])
+        found[place] = command = RENAMED_COMMANDS[command]
+    options, said = RENAMED.get(command, {}), set[str]()
+    for i, word in enumerate(found):
+        if word == "--":
+            break
+        name, equals, value = word.partition("=")
+        old = name.replace("_", "-")  # both spellings are options
+        if old in options:
+            if old not in said:
+                _say(old, options[old])
+            said.add(old)
+            found[i] = options[old] + equals + value
+    return found
+
+
+def _say(old: str, new: str) -> None:
+    print(f"{old} is now {new}", file=sys.stderr)
