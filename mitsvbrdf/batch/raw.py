@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..capture import write_capture
-from ..capture.make import OnePlace, capture_keys, make_capture, refuse_tags
+from ..capture.stages import OnePlace, capture_keys, make_capture, refuse_tags
 from ..capture.page import write_quality
 from ..capture.photo import Photo, photos_in
 from ..capture.rig import LEAST_PHOTOS

@@ -116,7 +116,7 @@ class CaptureJob:
 
     def _material(self, folder: Path, report: Callable[[float], object]) -> tuple[dict[str, float],
                                                                                   dict[str, float]]:
-        from ..capture.make import capture_keys, make_capture
+        from ..capture.stages import capture_keys, make_capture
         from ..capture.photo import Photo, photos_in
         from ..synth.traced import HandheldRenderer
 

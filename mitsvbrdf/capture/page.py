@@ -20,13 +20,13 @@ from ..pages.canvas import LABEL_HEIGHT, PICTURE_GAP, SHEET_MARGIN, SHEET_WIDTH,
 from ..pages.colours import SHEET_ACCENT, SHEET_BACK, SHEET_QUIET, SHEET_TEXT
 from ..pages.page import write_page
 from ..pages.pictures import at_most, picture_uri, png_uri
-from .make import CaptureResult
+from .stages import CaptureResult
 from .photo import Photo
 from .quality.next_view import HIGHLIGHT_ANGLE
 
 SCHEMA_VERSION = 1
-A_ROW, SMALL_A_ROW = 5, 8  # photos in a row of the contact sheet; used, left out
-THUMBNAIL, FULL = 240, 400  # pixels on the page, and of a left-out photo as it is read
+A_ROW, SMALL_A_ROW = 5, 8  # photos in a row of the contact sheet: used, rejected
+THUMBNAIL, FULL = 240, 400  # pixels on the page, and of a rejected photo as it is read
 PLAN_REACH = 0.75  # half the side of the plan, patch sides, at least
 # of the coverage map; readable beside each other in grey, too
 SEEN, UNSEEN = (0.93, 0.80, 0.50), (0.36, 0.42, 0.50)
@@ -39,12 +39,12 @@ def write_quality(result: CaptureResult, folder: str | Path) -> None:
         OutputError: the folder cannot be written to.
     """
     folder, record = Path(folder), quality_record(result)
-    left_out = {photo.name: _shown(photo) for photo in result.photos if photo.name in result.rig.left_out}
+    rejected = {photo.name: _shown(photo) for photo in result.photos if photo.name in result.rig.rejected}
     files.write_json(folder / "quality.json", record)
-    _contact_sheet(folder / "contact.jpg", result, record, left_out)
+    _contact_sheet(folder / "contact.jpg", result, record, rejected)
     pictures = {name: picture_uri(at_most(photo, THUMBNAIL), 0) for name, photo in
                 [*zip(result.used, result.capture.photos),
-                 *((n, p) for n, p in left_out.items() if p is not None)]}
+                 *((n, p) for n, p in rejected.items() if p is not None)]}
     write_page(folder / "quality.html", "capture/page.html", title=f"Capture: {_name(result)}", record=record,
                pictures=pictures, coverage=png_uri(_coverage_picture(result.coverage)), plan=_plan(result))
 
@@ -58,7 +58,7 @@ def quality_record(result: CaptureResult) -> dict:
         pose = result.rig.poses.get(name)
         numbers = {key: value for key, value in vars(quality).items() if key != "name"} if quality else {}
         rows.append({"name": name, "used": name in number, "number": number.get(name),
-                     "reason": result.rig.left_out.get(name),
+                     "reason": result.rig.rejected.get(name),
                      "reprojection_error": result.rig.errors.get(name), "exif": photo.exif,
                      "camera": None if pose is None else np.asarray(pose.position).tolist(), **numbers})
     next_view, shading = result.next_view, result.shading
@@ -115,16 +115,16 @@ def _plan(result: CaptureResult) -> dict:
 
 
 def _contact_sheet(path: Path, result: CaptureResult, record: dict,
-                   left_out: dict[str, Tensor | None]) -> None:
-    """Rectified photos with their numbers and a dot below each camera, then the left-out ones with the
+                   rejected: dict[str, Tensor | None]) -> None:
+    """Rectified photos with their numbers and a dot below each camera, then the rejected ones with the
     reason.
     """
     large = (SHEET_WIDTH - 2 * SHEET_MARGIN - (A_ROW - 1) * PICTURE_GAP) // A_ROW
     small = (SHEET_WIDTH - 2 * SHEET_MARGIN - (SMALL_A_ROW - 1) * PICTURE_GAP) // SMALL_A_ROW
     header, reason_height = 96, 112
-    rows, small_rows = -(-len(result.used) // A_ROW), -(-len(left_out) // SMALL_A_ROW)
+    rows, small_rows = -(-len(result.used) // A_ROW), -(-len(rejected) // SMALL_A_ROW)
     below = header + rows * (large + LABEL_HEIGHT)
-    sheet = Canvas(below + 10 + (LABEL_HEIGHT if left_out else 0) + small_rows * (small + reason_height))
+    sheet = Canvas(below + 10 + (LABEL_HEIGHT if rejected else 0) + small_rows * (small + reason_height))
     sheet.text(SHEET_MARGIN, 52, _name(result), 22, SHEET_TEXT, weight="bold")
     sheet.text(SHEET_WIDTH - SHEET_MARGIN, 52, f"{len(result.used)} of {len(result.photos)} photos used", 16,
                SHEET_ACCENT, weight="bold", ha="right")
@@ -138,9 +138,9 @@ def _contact_sheet(path: Path, result: CaptureResult, record: dict,
         for points, colour in ((18, SHEET_BACK), (13, SHEET_ACCENT)):
             sheet.text(x + right, y + down, "●", points, colour, ha="center", va="center")
         sheet.text(x, y + large + 20, f"{i:02d}  {name}", 10, SHEET_TEXT)
-    if left_out:
-        sheet.text(SHEET_MARGIN, below + 22, "Left out", 12, SHEET_TEXT)
-    for i, (name, photo) in enumerate(left_out.items()):
+    if rejected:
+        sheet.text(SHEET_MARGIN, below + 22, "Rejected", 12, SHEET_TEXT)
+    for i, (name, photo) in enumerate(rejected.items()):
         x = SHEET_MARGIN + i % SMALL_A_ROW * (small + PICTURE_GAP)
         y = below + LABEL_HEIGHT + i // SMALL_A_ROW * (small + reason_height)
         if photo is not None:
@@ -149,7 +149,7 @@ def _contact_sheet(path: Path, result: CaptureResult, record: dict,
             top, left = (side - photo.shape[0]) // 2, (side - photo.shape[1]) // 2
             framed[top : top + photo.shape[0], left : left + photo.shape[1]] = photo
             sheet.image(x, y, small, framed)
-        reason = textwrap.wrap(result.rig.left_out[name], 30, max_lines=5, placeholder=" …")
+        reason = textwrap.wrap(result.rig.rejected[name], 30, max_lines=5, placeholder=" …")
         for n, line in enumerate([name, *reason]):
             sheet.text(x, y + small + 16 + 16 * n, line, 8, SHEET_QUIET if n else SHEET_TEXT)
     data = io.BytesIO()

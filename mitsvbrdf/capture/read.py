@@ -47,7 +47,7 @@ def read_capture(
       photos are rectified;
     - ``camera_pos.txt``, ``image_size.txt``, ``light_power.txt`` and where given ``light_pos.txt`` beside the
       photos ``00.png|jpg``, ... (MaterialGAN);
-    - photos alone, as a phone wrote them: three or more as :func:`~mitsvbrdf.capture.make.make_capture` sees
+    - photos alone, as a phone wrote them: three or more as :func:`~mitsvbrdf.capture.stages.make_capture` sees
       them, upright as the first; fewer, the first by name alone, with the stated default geometry.
 
     Args:
@@ -112,7 +112,7 @@ def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None
     16.
 
     Args:
-        keys: more for the JSON, as :func:`~mitsvbrdf.capture.make.capture_keys` makes them.
+        keys: more for the JSON, as :func:`~mitsvbrdf.capture.stages.capture_keys` makes them.
 
     Raises:
         OutputError: the folder cannot be written to.
@@ -135,7 +135,7 @@ def _from_plain(folder: Path, falloff: Falloff, resolution: int | None, transfer
 
     Photos that show everything in the same place are taken for rectified.
     """
-    from .make import OnePlace, make_capture, refuse_tags
+    from .stages import OnePlace, make_capture, refuse_tags
     from .rig import LEAST_PHOTOS
 
     photos = [Photo.open(path) for path in photos_in(folder)]
@@ -151,9 +151,9 @@ def _from_plain(folder: Path, falloff: Falloff, resolution: int | None, transfer
         except CaptureError as error:
             reason = error.got
         else:
-            left_out = [f"{name} is left out: {why}" for name, why in made.rig.left_out.items()]
+            rejected = [f"{name} is rejected: {why}" for name, why in made.rig.rejected.items()]
             return replace(made.capture, views=replace(made.capture.views, falloff=falloff), source=folder,
-                           notes=(*made.warnings, *left_out))
+                           notes=(*made.warnings, *rejected))
     return _single(photos, falloff, folder, resolution, reason)
 
 
@@ -177,7 +177,7 @@ def _rectified(photos: Sequence[Photo], falloff: Falloff, folder: Path, resoluti
     """
     size = Counter(photo.size for photo in photos).most_common(1)[0][0]
     kept = [photo for photo in photos if photo.size == size]
-    others = [f"{photo.name} is left out: it has another size" for photo in photos if photo.size != size]
+    others = [f"{photo.name} is rejected: it has another size" for photo in photos if photo.size != size]
     note = "the photos show everything in the same place, so they are taken for rectified; nothing is known of their views"
     notes = [*differences(photos), *others, note]
     return _unposed(kept, falloff, folder, resolution, notes, [photos.index(photo) for photo in kept])

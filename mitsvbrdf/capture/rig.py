@@ -26,7 +26,7 @@ class Rig:
             1).
         source: what the poses come from.
         errors: RMS reprojection error in pixels of the photo, by name.
-        left_out: reason, by name of each photo that is not used.
+        rejected: reason, by name of each photo that is not used.
         deviations: standard deviation of a camera's position in ``unit``, by name, where it is known.
         notes: what the user should know about it.
     """
@@ -37,7 +37,7 @@ class Rig:
     unit: Literal["cm", "patch sides"]
     source: Literal["sheet", "photos"]
     errors: dict[str, float] = field(default_factory=dict)
-    left_out: dict[str, str] = field(default_factory=dict)
+    rejected: dict[str, str] = field(default_factory=dict)
     deviations: dict[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
@@ -52,7 +52,7 @@ def rig_to_json(rig: Rig) -> dict:
                     "rotation": np.asarray(pose.rotation).tolist()}
              for name, pose in rig.poses.items()}
     return {"lens": lens, "poses": poses, "size": rig.size, "unit": rig.unit, "source": rig.source,
-            "errors": dict(rig.errors), "left_out": dict(rig.left_out),
+            "errors": dict(rig.errors), "rejected": dict(rig.rejected),
             "deviations": dict(rig.deviations), "notes": list(rig.notes)}
 
 
@@ -69,7 +69,7 @@ def rig_from_json(value: dict) -> Rig:
                             np.array(pose["rotation"], dtype=np.float64).reshape(3, 3))
                  for name, pose in value["poses"].items()}
         return Rig(Lens(**lens), poses, float(value["size"]), value["unit"], value["source"],
-                   dict(value.get("errors", {})), dict(value.get("left_out", {})),
+                   dict(value.get("errors", {})), dict(value.get("rejected", value.get("left_out", {}))),
                    dict(value.get("deviations", {})), tuple(value.get("notes", ())))
     except (KeyError, TypeError, ValueError, AttributeError) as reason:
         raise CaptureError("a rig of lens and poses", f"{type(reason).__name__}: {reason}",

@@ -17,7 +17,7 @@ from ..io.progress import print_rich, progress_bar, say
 from .options import Out, Overwrite
 
 if TYPE_CHECKING:
-    from ..capture.make import CaptureResult
+    from ..capture.stages import CaptureResult
 
 PAPER_THICKNESS = 0.01  # cm
 
@@ -51,7 +51,7 @@ def capture(photos: Annotated[Positional[Path],
     where to stand for one more photo; contact.jpg and quality.json beside it.
     """
     from ..capture import write_capture
-    from ..capture.make import capture_keys, make_capture, refuse_tags
+    from ..capture.stages import capture_keys, make_capture, refuse_tags
     from ..capture.page import write_quality
     from ..capture.photo import Photo, photos_in
 
@@ -95,7 +95,7 @@ def _print(result: CaptureResult, asked: int) -> None:
     number = {name: f"used as {i:02d}" for i, name in enumerate(result.used)}
     for photo in result.photos:
         quality, error = result.qualities.get(photo.name), result.rig.errors.get(photo.name)
-        table.add_row(photo.name, result.rig.left_out.get(photo.name) or number[photo.name],
+        table.add_row(photo.name, result.rig.rejected.get(photo.name) or number[photo.name],
                       "" if error is None else f"{error:.2f} px", f"{quality.sharpness:.2f}" if quality
                       else "",
                       f"{quality.clipped:.0%}" if quality else "")

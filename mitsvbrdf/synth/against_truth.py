@@ -46,7 +46,7 @@ def compare_with_truth(capture: str | Path | Rig, truth: str | Path | Truth) -> 
         difference of the transmission), ``flash`` (cm, found less true, three axes). ``power``: of the lights
         (a folder's only): ``ratio`` (geometric mean of found over true), ``spread`` (RMS of each photo's
         logarithm around that). ``photos``: ``used``; ``wrongly_used`` with what is odd about them,
-        ``wrongly_left_out`` and ``rightly_left_out`` with the reasons given.
+        ``wrongly_rejected`` and ``rightly_rejected`` with the reasons given.
 
     Raises:
         CaptureError: no photo of the rig is among the true ones, or the photos have another size.
@@ -116,9 +116,9 @@ def _choice(rig: Rig, truth: Truth) -> dict[str, Any]:
     for name, odd in list(wrong.items()):
         if "of" in odd and name in rig.poses and odd["of"] not in rig.poses:
             wrong[odd["of"]] = wrong.pop(name)
-    reasons = {name: rig.left_out.get(name, "") for name in truth.rig.poses if name not in rig.poses}
+    reasons = {name: rig.rejected.get(name, "") for name in truth.rig.poses if name not in rig.poses}
     return {"used": [name for name in rig.poses if name in truth.rig.poses],
             "wrongly_used": {name: wrong[name]["kind"] for name in rig.poses if name in wrong},
-            "wrongly_left_out": {name: why for name, why in reasons.items() if name not in wrong},
-            "rightly_left_out": {name: {"kind": wrong[name]["kind"], "reason": why}
+            "wrongly_rejected": {name: why for name, why in reasons.items() if name not in wrong},
+            "rightly_rejected": {name: {"kind": wrong[name]["kind"], "reason": why}
                                  for name, why in reasons.items() if name in wrong}}

@@ -17,7 +17,7 @@ def test_a_rig_survives_json():
     rig = Rig(lens, poses, 11.52, "cm", "sheet", {"b.png": 0.25}, {"c.jpg": "blurred"})
     back = rig_from_json(json.loads(json.dumps(rig_to_json(rig))))
     assert (back.lens, back.size, back.unit, back.source) == (rig.lens, rig.size, rig.unit, rig.source)
-    assert (back.errors, back.left_out, list(back.poses)) == (rig.errors, rig.left_out, list(rig.poses))
+    assert (back.errors, back.rejected, list(back.poses)) == (rig.errors, rig.rejected, list(rig.poses))
     for name, pose in poses.items():
         np.testing.assert_array_equal(back.poses[name].position, pose.position)
         np.testing.assert_array_equal(back.poses[name].rotation, pose.rotation)

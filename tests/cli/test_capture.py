@@ -7,10 +7,10 @@ import pytest
 from mitsvbrdf.cli.capture import _print
 
 
-def result(resolution, photos=("IMG_1.jpg", "blurred[red].jpg", "IMG_2.jpg"), left_out="blurred[red].jpg"):
-    """Three photos, the second of them left out, rectified to so many pixels."""
-    used = [name for name in photos if name != left_out]
-    rig = SimpleNamespace(left_out={left_out: "blurred: 0.2"}, errors=dict.fromkeys(used, 0.25))
+def result(resolution, photos=("IMG_1.jpg", "blurred[red].jpg", "IMG_2.jpg"), rejected="blurred[red].jpg"):
+    """Three photos, the second of them rejected, rectified to so many pixels."""
+    used = [name for name in photos if name != rejected]
+    rig = SimpleNamespace(rejected={rejected: "blurred: 0.2"}, errors=dict.fromkeys(used, 0.25))
     return SimpleNamespace(used=used, photos=[SimpleNamespace(name=name) for name in photos], rig=rig,
                            qualities={}, warnings=("the photos are small",), covered=0.5, next_view=None,
                            capture=SimpleNamespace(resolution=resolution))

@@ -31,7 +31,7 @@ def moved(rig: Rig, by: Similarity = MOVED) -> Rig:
     """The same rig in a world of its own, as photos without a sheet would give it."""
     poses = {name: Pose(by.back(pose.position), pose.rotation @ by.turn) for name, pose in rig.poses.items()}
     lens = replace(rig.lens, flash=tuple(np.array(rig.lens.flash) / by.scale))
-    return Rig(lens, poses, 0.95, "patch sides", "photos", {}, rig.left_out)
+    return Rig(lens, poses, 0.95, "patch sides", "photos", {}, rig.rejected)
 
 
 @pytest.mark.parametrize("world", [lambda rig: rig, moved])
@@ -45,8 +45,8 @@ def test_an_exact_rig_has_no_errors(truth, world):
     want = MOVED if world is moved else Similarity()
     np.testing.assert_allclose([placed["scale"], math.radians(placed["degrees"]), *placed["shift"]],
                                [want.scale, want.angle, *want.shift], atol=1e-9)
-    assert found["photos"]["wrongly_used"] == {} and found["photos"]["wrongly_left_out"] == {}
-    assert found["photos"]["rightly_left_out"]["IMG_0011.jpg"] == {"kind": "blurred", "reason": "blurred"}
+    assert found["photos"]["wrongly_used"] == {} and found["photos"]["wrongly_rejected"] == {}
+    assert found["photos"]["rightly_rejected"]["IMG_0011.jpg"] == {"kind": "blurred", "reason": "blurred"}
     json.dumps(found, allow_nan=False)
 
 
@@ -107,8 +107,8 @@ def test_which_photos_were_chosen(truth):
     del poses["IMG_0011.jpg"], poses["IMG_0003.jpg"], poses["IMG_0001.jpg"]  # one of two alike will do
     rig = replace(rig, poses=poses, left_out={"IMG_0003.jpg": "twice", "IMG_0001.jpg": "dark"})
     one = compare_with_truth(rig, truth)["photos"]
-    assert one["wrongly_used"] == {} and one["wrongly_left_out"] == {"IMG_0001.jpg": "dark"}
-    assert one["rightly_left_out"]["IMG_0003.jpg"] == {"kind": "duplicate", "reason": "twice"}
+    assert one["wrongly_used"] == {} and one["wrongly_rejected"] == {"IMG_0001.jpg": "dark"}
+    assert one["rightly_rejected"]["IMG_0003.jpg"] == {"kind": "duplicate", "reason": "twice"}
 
 
 def test_maps_of_just_the_patch(truth):

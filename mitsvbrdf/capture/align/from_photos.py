@@ -61,30 +61,30 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
     """
     report = report or (lambda text, share: None)
     by_name = {photo.name: photo for photo in sorted(photos, key=lambda p: p.name)}
-    left_out = _of_another_lens(by_name)
+    rejected = _of_another_lens(by_name)
     features = {}
     for n, name in enumerate(by_name):
         report(f"features of {name}", 0.4 * n / len(photos))
-        if name not in left_out:
+        if name not in rejected:
             features[name] = find_features(by_name[name])
             if len(features[name]) < LEAST_INLIERS:
-                left_out[name] = f"{len(features.pop(name))} features, too few to align: blurred, dark or without detail"
-    _enough(features, left_out)
+                rejected[name] = f"{len(features.pop(name))} features, too few to align: blurred, dark or without detail"
+    _enough(features, rejected)
     size = by_name[next(iter(features))].size
     pairs = find_pairs(features, size, lambda share: report("features in common", 0.4 + 0.3 * share))
     hub, warps = chained_pairs(features, pairs)
-    left_out |= {name: apart(name, pairs) for name in features if name not in warps}
-    _enough(warps, left_out)
+    rejected |= {name: apart(name, pairs) for name in features if name not in warps}
+    _enough(warps, rejected)
 
     report("poses", 0.7)
     lens, stated = expected_lens([by_name[name] for name in warps], size)
     focal_share = FOCAL_SHARE if stated else FOCAL_SHARE_ASSUMED
     pairs = [p for p in pairs if p.a in warps and p.b in warps]
-    lens, poses, matches, unsure = _posed(lens, focal_share, hub, warps, pairs, left_out)
-    _enough(poses, left_out)
+    lens, poses, matches, unsure = _posed(lens, focal_share, hub, warps, pairs, rejected)
+    _enough(poses, rejected)
 
     placed, dropped = _placed(lens, poses, by_name, reference)
-    left_out |= {name: "it shows too little of what the others show" for name in dropped}
+    rejected |= {name: "it shows too little of what the others show" for name in dropped}
     errors = _errors(lens, poses, matches)
     notes = [] if stated else [
         f"no EXIF states the focal length; the photos agree best with {_angle(lens):.0f} degrees across the "
@@ -97,7 +97,7 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
                      "by whole repeats, "
                      "and views as wrong as that; lay a printed sheet around it (`mitsvbrdf sheet`), or "
                      "something with marks")
-    return Rig(lens, placed, 1.0, "patch sides", "photos", {name: errors[name] for name in placed}, left_out,
+    return Rig(lens, placed, 1.0, "patch sides", "photos", {name: errors[name] for name in placed}, rejected,
                notes=tuple(notes))
 
 
@@ -120,11 +120,11 @@ def _of_another_lens(photos: dict[str, Photo]) -> dict[str, str]:
     return out
 
 
-def _enough(kept: Sized, left_out: dict[str, str]) -> None:
+def _enough(kept: Sized, rejected: dict[str, str]) -> None:
     if len(kept) < LEAST_PHOTOS:
-        reasons = [f"{name}: {why}" for name, why in left_out.items()]
+        reasons = [f"{name}: {why}" for name, why in rejected.items()]
         more = [f"and {len(reasons) - 3} more"] if len(reasons) > 3 else []
-        got = "; ".join((f"{len(kept)} of {len(kept) + len(left_out)}", *reasons[:3], *more))
+        got = "; ".join((f"{len(kept)} of {len(kept) + len(rejected)}", *reasons[:3], *more))
         raise CaptureError(f"{LEAST_PHOTOS} or more photos that show the same part of a flat material", got,
                            "take nine from somewhat different places, sharp, with much overlap; where a "
                            "material has no marks "
@@ -147,10 +147,10 @@ def _angle(lens: Lens) -> float:
 
 
 def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pairs: list[Pair],
-           left_out: dict[str, str]) -> tuple[Lens, dict[str, Pose], list[Match], float]:
+           rejected: dict[str, str]) -> tuple[Lens, dict[str, Pose], list[Match], float]:
     """Lens, poses, the matches that agree with them, and how far the focal length may be off, as a share.
 
-    Photos that do not agree are added to ``left_out``.
+    Photos that do not agree are added to ``rejected``.
     """
     focal = lens.focal
     agreed = [p.matches.pick(p.agree) for p in pairs if p.warp is not None]
@@ -165,7 +165,7 @@ def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pa
         shares = {name: _agreeing(name, pairs, matches) for name in poses}
         worst = min(shares, key=shares.__getitem__)
         if shares[worst] < AGREEING:
-            left_out[worst] = f"only {shares[worst]:.0%} of what it has in common with other photos fits a place of the camera"
+            rejected[worst] = f"only {shares[worst]:.0%} of what it has in common with other photos fits a place of the camera"
             del poses[worst]
             pairs = [p for p in pairs if worst not in (p.a, p.b)]
             if len(poses) < LEAST_PHOTOS:

@@ -55,33 +55,33 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
 
     Returns:
         The rig, with the standard deviation of each camera position; photos that do not help are in
-        ``left_out``.
+        ``rejected``.
 
     Raises:
         CaptureError: fewer than three photos show the sheet.
     """
     sheet, seen = Sheet(size_cm), {}
-    size, left_out = other_sizes(photos)
+    size, rejected = other_sizes(photos)
     for i, photo in enumerate(photos):
         report(f"tags of {photo.name}", 0.8 * i / len(photos))
-        if photo.name in left_out:
+        if photo.name in rejected:
             continue
         edges = find_edges(photo, sheet)
         if reason := _too_few(edges, sheet):
-            left_out[photo.name] = reason
+            rejected[photo.name] = reason
         else:
             seen[photo.name] = edges
     lens, stated = expected_lens([photo for photo in photos if photo.name in seen], size)
     start = lens, FOCAL_SHARE if stated else FOCAL_SHARE_UNKNOWN
     while True:
-        _check(seen, left_out, len(photos))
+        _check(seen, rejected, len(photos))
         report("poses", 0.8)
         lens, poses, errors, deviations, focal = _bundle(*start, sheet, depth_cm, seen)
         limit = max(LARGE * max(size), TIMES_MEDIAN * float(np.median(list(errors.values()))))
         worst = max(errors, key=lambda name: errors[name])
         if errors[worst] <= limit:
             break
-        left_out[worst] = (f"its tags are {errors[worst]:.1f} pixels beside where a flat sheet would have "
+        rejected[worst] = (f"its tags are {errors[worst]:.1f} pixels beside where a flat sheet would have "
                            "them: bent, moved, "
                            "or seen by another lens")
         del seen[worst]
@@ -91,7 +91,7 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
         notes.append(f"the tags of all photos are some {usual:.1f} pixels beside where those of a flat "
                      "sheet would be, and all "
                      "views as uncertain as that: flatten the sheet, and take all photos with one lens")
-    return Rig(lens, poses, sheet.patch, "cm", "sheet", errors, left_out, deviations, tuple(notes))
+    return Rig(lens, poses, sheet.patch, "cm", "sheet", errors, rejected, deviations, tuple(notes))
 
 
 def _too_few(edges: Edges, sheet: Sheet) -> str | None:
@@ -105,9 +105,9 @@ def _too_few(edges: Edges, sheet: Sheet) -> str | None:
     return None
 
 
-def _check(seen: dict[str, Edges], left_out: dict[str, str], count: int) -> None:
+def _check(seen: dict[str, Edges], rejected: dict[str, str], count: int) -> None:
     if len(seen) < LEAST_PHOTOS:
-        reasons = "".join(f"; {name}: {reason}" for name, reason in left_out.items())
+        reasons = "".join(f"; {name}: {reason}" for name, reason in rejected.items())
         raise CaptureError(f"{LEAST_PHOTOS} photos or more that show the sheet",
                            f"{len(seen)} of {count}{reasons}",
                            "take photos with all tags in view, sharp and of one size")

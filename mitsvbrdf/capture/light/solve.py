@@ -66,7 +66,7 @@ class _Found:
     error: Array  # of each point, in log radiance
     weights: Array
     evenness: dict[str, float]
-    left_out: tuple[str, ...]
+    unlit: tuple[str, ...]
 
     @property
     def lens(self) -> Lens:
@@ -86,8 +86,8 @@ class _Found:
                      (*self.deviations.flash.tolist(), *self.deviations.vignetting.tolist()))
         squares, total = (np.bincount(photo, w, len(names)) for w in (self.weights * self.error**2,
                                                                       self.weights))
-        if self.left_out:
-            notes += (f"no flash in {', '.join(self.left_out)}: light is even there",)
+        if self.unlit:
+            notes += (f"no flash in {', '.join(self.unlit)}: light is even there",)
         elif even := sum(e > EVEN for e in self.evenness.values()):
             notes += (f"light does not fall off as a flash's in {even} of {len(names)} photos: where it "
                       "comes from is a guess",)
@@ -105,7 +105,7 @@ def solve_light(rig: Rig, samples: Samples) -> _Found:
     even = np.array([found.evenness[name] > EVEN for name in samples.names])
     if even.any() and 2 * even.sum() < len(even):
         again = _most_probable(rig, samples, 1.0 - even)
-        found = replace(again, left_out=tuple(name for name, e in zip(samples.names, even) if e))
+        found = replace(again, unlit=tuple(name for name, e in zip(samples.names, even) if e))
     return found
 
 

@@ -41,7 +41,7 @@ def nine_rig(nine):
 
 def test_poses_and_alignment(nine, nine_rig):
     poses, _ = nine
-    assert set(nine_rig.poses) == set(poses) and not nine_rig.left_out and not nine_rig.notes
+    assert set(nine_rig.poses) == set(poses) and not nine_rig.rejected and not nine_rig.notes
     assert (nine_rig.size, nine_rig.unit, nine_rig.source) == (1.0, "patch sides", "photos")
     assert position_errors(nine_rig, poses).max() < 0.001  # measured 0.0003
     assert misalignment(nine_rig, poses) < 0.06  # pixels at 512; measured 0.025
@@ -97,11 +97,11 @@ def test_what_cannot_be_used_is_named(tmp_path):
     photos.append(save(tmp_path, "upright.png", np.rot90(photo_of(texture(), LENS, poses["6.png"], 6))))
     rig = rig_from_photos(photos)
     assert set(rig.poses) == set(good) and position_errors(rig, good).max() < 0.001  # measured 0.0001
-    assert set(rig.left_out) == {"blank.png", "other.png", "zoomed.png", "upright.png"}
+    assert set(rig.rejected) == {"blank.png", "other.png", "zoomed.png", "upright.png"}
     for name, reason in (("blank", "too few"), ("other", "another material"),
                          ("zoomed", "52 mm, most have 27 mm"),
                          ("upright", "360 x 480 pixels, the others have 480 x 360")):
-        assert reason in rig.left_out[f"{name}.png"]
+        assert reason in rig.rejected[f"{name}.png"]
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
@@ -137,4 +137,4 @@ def test_a_photo_that_shows_another_part(tmp_path):
     poses = held(5, seed=4)
     poses["3.png"] = Pose.looking_at((0.1, 0.65, 1.5), (0.1, 0.65, 0.0))
     rig = rig_from_photos(take(tmp_path, poses))
-    assert rig.left_out == {"3.png": "it shows too little of what the others show"} and len(rig.poses) == 4
+    assert rig.rejected == {"3.png": "it shows too little of what the others show"} and len(rig.poses) == 4

@@ -28,7 +28,7 @@ def check(rig, poses, lens=LENS, position=0.001, texels=0.05):
 def test_a_rig_from_photos(photos):
     told = []
     rig = rig_from_sheet(photos, 18.0, report=lambda text, share: told.append((text, share)))
-    assert (rig.unit, rig.source, rig.size, rig.left_out, rig.notes) == ("cm", "sheet", SHEET.patch, {}, ())
+    assert (rig.unit, rig.source, rig.size, rig.rejected, rig.notes) == ("cm", "sheet", SHEET.patch, {}, ())
     assert told[2][0] == "tags of c.png" and told[-1][0] == "poses"
     assert [share for _, share in told] == pytest.approx([0, 0.16, 0.32, 0.48, 0.64, 0.8])
     poses = {photo.name: pose for photo, pose in zip(photos, POSES)}
@@ -82,12 +82,12 @@ def test_photos_that_do_not_help_are_named(tmp_path, photos):
     bent = photograph(tmp_path / "bent.jpg", POSES[1], picture=bent)
     rig = rig_from_sheet([turned, row, *photos, three, bent, empty, cropped, four], 18.0)
     assert set(rig.poses) == {*(photo.name for photo in photos), "four.jpg"}
-    assert rig.left_out["three.jpg"] == "3 of 16 tags seen, 4 needed"
-    assert rig.left_out["empty.jpg"] == "none of 16 tags seen, 4 needed"
-    assert rig.left_out["row.jpg"] == "5 of 16 tags seen, all in one line"
-    assert "turned when it was stored" in rig.left_out["turned.jpg"]
-    assert "800 x 750 pixels, the others have 1000 x 750" in rig.left_out["cropped.jpg"]
-    assert "where a flat sheet would have them" in rig.left_out["bent.jpg"]
+    assert rig.rejected["three.jpg"] == "3 of 16 tags seen, 4 needed"
+    assert rig.rejected["empty.jpg"] == "none of 16 tags seen, 4 needed"
+    assert rig.rejected["row.jpg"] == "5 of 16 tags seen, all in one line"
+    assert "turned when it was stored" in rig.rejected["turned.jpg"]
+    assert "800 x 750 pixels, the others have 1000 x 750" in rig.rejected["cropped.jpg"]
+    assert "where a flat sheet would have them" in rig.rejected["bent.jpg"]
     poses = {photo.name: pose for photo, pose in zip(photos, POSES)}
     check(rig, poses | {"four.jpg": POSES[2]})
 

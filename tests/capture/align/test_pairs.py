@@ -47,10 +47,10 @@ def test_a_photo_that_agrees_with_each_other_differently_is_left_out():
         warp, agree = homography(at_a, at_b, 1.0)
         pairs.append(Pair(Match(a, b, at_a, at_b, SIGMA), agree, warp))
     hub, warps = chained_pairs(poses, pairs)
-    left_out = {}
+    rejected = {}
     lens, found, _, _ = from_photos._posed(replace(LENS, distortion=(0.0, 0.0)), 0.02, hub, warps, pairs,
-                                           left_out)
-    assert list(left_out) == ["4.png"] and "fits a place of the camera" in left_out["4.png"]
+                                           rejected)
+    assert list(rejected) == ["4.png"] and "fits a place of the camera" in rejected["4.png"]
     # Measured 0.001 off: what is expected of lens, heights and tilts holds a little against exact matches.
     first, other = ((p["1.png"].position - p["0.png"].position) / p["0.png"].position[2] for p in (found,
                                                                                                    poses))

@@ -1,4 +1,4 @@
-"""From raw photos with a sheet to a capture, and what is left out."""
+"""From raw photos with a sheet to a capture, and what is rejected."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from PIL import Image
 from mitsvbrdf import cli
 from mitsvbrdf.capture import read_capture
 from mitsvbrdf.capture.lens import Pose, project
-from mitsvbrdf.capture.make import make_capture, refuse_tags
+from mitsvbrdf.capture.stages import make_capture, refuse_tags
 from mitsvbrdf.capture.photo import Photo, photos_in
 from mitsvbrdf.capture.rig import rig_from_json
 from mitsvbrdf.errors import CaptureError, ConfigError
@@ -110,7 +110,7 @@ def test_what_capture_json_says(made, truth):
     # svbrdf-diff-renderer's
     assert {"camera_pos", "light_pos", "light_pow", "im_size", "idx", "target_dir"} <= set(stated)
     assert (stated["unit"], stated["calibration"], stated["photos"]) == ("cm", "sheet", list(truth))
-    assert len(stated["left_out"]) == 9 and stated["uncertainty"]["flash_x"] < 0.1
+    assert len(stated["rejected"]) == 9 and stated["uncertainty"]["flash_x"] < 0.1
     rig = rig_from_json(stated["rig"])
     pixel = project(rig.lens, rig.poses["IMG_3.jpg"], np.zeros((1, 3)))
     # measured 0.01

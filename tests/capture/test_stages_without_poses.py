@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 from mitsvbrdf.capture import read_capture
-from mitsvbrdf.capture.make import OnePlace, make_capture
+from mitsvbrdf.capture.stages import OnePlace, make_capture
 from mitsvbrdf.capture.photo import Photo, photos_in
 from mitsvbrdf.views import default_views, field_of_view
 

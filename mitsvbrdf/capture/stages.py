@@ -53,7 +53,7 @@ class CaptureResult:
     Args:
         capture: the photos that are used, rectified, in their order.
         photos: all that were given.
-        rig: lens and poses of those used; ``left_out`` has the reason of each other photo.
+        rig: lens and poses of those used; ``rejected`` has the reason of each other photo.
         shading: what light and lens were found to be; None: nothing, the flash is taken to be at the lens.
         qualities: how good each photo is that a pose was found of, by name.
         coverage: smallest angle (rad) between half vector and upright that a photo shows, 64 x 64, row 0 at
@@ -121,14 +121,14 @@ def _made(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, tran
         warnings.append("no photo was taken with the flash (says their EXIF); highlights then are those of "
                         "the room's lights")
     transfer = transfer or ("linear" if photos[0].linear else "srgb")
-    left, left_out = list(photos), other_sizes(photos)[1]
+    left, rejected = list(photos), other_sizes(photos)[1]
     found: dict[str, PhotoQuality] = {}
-    _enough(photos, left_out)
+    _enough(photos, rejected)
     for attempt in (0, 1):
-        left = [photo for photo in left if photo.name not in left_out]
+        left = [photo for photo in left if photo.name not in rejected]
         told = _within(report, 0.5 * attempt, 0.5 * attempt + 0.5)
         rig = _rig(left, sheet_cm, depth_cm, reference, _within(told, 0, 0.6))
-        left_out |= rig.left_out
+        rejected |= rig.rejected
         _from_places(rig)
         with profiled("rectifying"):
             rectified = Rectified.of(rig, left, resolution, _within(told, 0.6, 1))
@@ -139,8 +139,8 @@ def _made(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, tran
             found |= {quality.name: quality for quality in qualities}
             fired = {photo.name: str(photo.exif["flash"]) for photo in left if "flash" in photo.exif}
             bad = verdicts(qualities, lit.pictures, lit.views, fired)
-        left_out |= bad
-        _enough(photos, left_out)
+        rejected |= bad
+        _enough(photos, rejected)
         # tags that were seen are where they are
         if rig.source == "sheet" or not any(map(spoils, bad.values())):
             break
@@ -148,13 +148,13 @@ def _made(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, tran
         rig = replace(rig, poses={name: pose for name, pose in rig.poses.items() if name not in bad})
         lit = _Lit.of(rig, rectified, sheet_cm, depth_cm, transfer)
     with profiled("quality"):
-        without_pose = [photo for photo in photos if photo.name in left_out and photo.name not in found]
-        left_out |= _blurred(without_pose, left_out, rectified)
+        without_pose = [photo for photo in photos if photo.name in rejected and photo.name not in found]
+        rejected |= _blurred(without_pose, rejected, rectified)
         next_view = next_best_view(lit.views, lit.names, rig.unit)
         coverage = coverage_angle(lit.views, COVERAGE_SIDE)
     index = tuple(i for i, photo in enumerate(photos) if photo.name in lit.names)
     capture = Capture(lit.pictures, lit.views, transfer, index, rig.source, photos[0].path.parent)
-    return CaptureResult(capture, tuple(photos), replace(lit.rig, left_out=left_out), lit.shading, found,
+    return CaptureResult(capture, tuple(photos), replace(lit.rig, rejected=rejected), lit.shading, found,
                          coverage, next_view, (*warnings, *rig.notes, *rectified.notes, *lit.notes), {})
 
 
@@ -178,16 +178,16 @@ def _check(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, res
         raise CaptureError("photos of one kind", "RAW files among others", "give one kind alone")
 
 
-def _enough(photos: Sequence[Photo], left_out: Mapping[str, str]) -> None:
-    if len(photos) - len(left_out) < LEAST_PHOTOS:
+def _enough(photos: Sequence[Photo], rejected: Mapping[str, str]) -> None:
+    if len(photos) - len(rejected) < LEAST_PHOTOS:
         named: dict[str, list[str]] = {}
-        for name, reason in left_out.items():
+        for name, reason in rejected.items():
             named.setdefault(reason, []).append(name)
         reasons = "".join(f"; {', '.join(names)}: {reason}" for reason, names in named.items())
         sheet = ("; if no sheet lies there, leave --sheet out"
                  if any("tags seen" in reason for reason in named) else "")
         raise CaptureError(f"{LEAST_PHOTOS} photos or more that can be used",
-                           f"{len(photos) - len(left_out)} of "
+                           f"{len(photos) - len(rejected)} of "
                            f"{len(photos)}{reasons}", "take more photos from different places, flash on"
                            + sheet)
 
@@ -326,6 +326,6 @@ def capture_keys(result: CaptureResult) -> dict:
         exposures = {name: sd for name, sd in result.shading.exposure_deviations.items()
                      if name in result.used}
         uncertainty = dict(result.shading.deviations) | {"log_exposure": exposures}
-    return {"unit": result.rig.unit, "photos": result.used, "left_out": result.rig.left_out,
+    return {"unit": result.rig.unit, "photos": result.used, "rejected": result.rig.rejected,
             "rig": rig_to_json(result.rig),
             "uncertainty": uncertainty}
