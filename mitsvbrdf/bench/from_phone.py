@@ -116,8 +116,8 @@ class CaptureJob:
 
     def _material(self, folder: Path, report: Callable[[float], object]) -> tuple[dict[str, float],
                                                                                   dict[str, float]]:
-        from ..capture.stages import capture_keys, make_capture
         from ..capture.photo import Photo, photos_in
+        from ..capture.stages import capture_keys, make_capture
         from ..synth.traced import HandheldRenderer
 
         made = self.source.startswith("builtin:")

@@ -20,9 +20,9 @@ from ..pages.canvas import LABEL_HEIGHT, PICTURE_GAP, SHEET_MARGIN, SHEET_WIDTH,
 from ..pages.colours import SHEET_ACCENT, SHEET_BACK, SHEET_QUIET, SHEET_TEXT
 from ..pages.page import write_page
 from ..pages.pictures import at_most, picture_uri, png_uri
-from .stages import CaptureResult
 from .photo import Photo
 from .quality.next_view import HIGHLIGHT_ANGLE
+from .stages import CaptureResult
 
 SCHEMA_VERSION = 1
 A_ROW, SMALL_A_ROW = 5, 8  # photos in a row of the contact sheet: used, rejected

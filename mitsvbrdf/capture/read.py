@@ -135,8 +135,8 @@ def _from_plain(folder: Path, falloff: Falloff, resolution: int | None, transfer
 
     Photos that show everything in the same place are taken for rectified.
     """
-    from .stages import OnePlace, make_capture, refuse_tags
     from .rig import LEAST_PHOTOS
+    from .stages import OnePlace, make_capture, refuse_tags
 
     photos = [Photo.open(path) for path in photos_in(folder)]
     reason = f"{LEAST_PHOTOS} or more are needed to find out where they were taken from"

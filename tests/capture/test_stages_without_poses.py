@@ -11,8 +11,8 @@ import torch
 from PIL import Image
 
 from mitsvbrdf.capture import read_capture
-from mitsvbrdf.capture.stages import OnePlace, make_capture
 from mitsvbrdf.capture.photo import Photo, photos_in
+from mitsvbrdf.capture.stages import OnePlace, make_capture
 from mitsvbrdf.views import default_views, field_of_view
 
 WIDTH, HEIGHT = 400, 300
