@@ -45,3 +45,7 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return __all__
+
+
+if "IPython" in sys.modules:
+    importlib.import_module(".report", __name__).show_in_notebooks()

@@ -16,7 +16,7 @@ from rich.table import Table as Shown
 
 from ..io import files
 from ..io.progress import print_rich
-from ..pages.page import svg_file
+from ..report.charts import svg_file
 from . import summary
 from .commands import commands
 from .in_short import in_short, listed, plural

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
-from ..pages.colours import CHART_AXIS, CHART_FAINT, CHART_GRID, CHART_LINES, CHART_QUIET, CHART_TEXT
+from ..report.colours import CHART_AXIS, CHART_FAINT, CHART_GRID, CHART_LINES, CHART_QUIET, CHART_TEXT
 from . import summary
 from .published import BLIND
 from .tables import unfair

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..errors import ConfigError
 from ..io import files
-from ..pages.page import figure
+from ..report.page import figure
 from . import summary
 from .methods import method_table
 from .page import markdown

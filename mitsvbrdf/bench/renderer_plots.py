@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from ..measure.tolerances import TOLERANCES
-from ..pages.colours import CHART_LINES, CHART_QUIET, CHART_TEXT
+from ..report.colours import CHART_LINES, CHART_QUIET, CHART_TEXT
 from .plots import FONT_SIZES, WIDTH, headed, plain
 
 # The twin has no error to show.

@@ -7,7 +7,7 @@ from __future__ import annotations
 import statistics
 from collections.abc import Callable, Mapping
 
-from ..pages.page import figure
+from ..report.page import figure
 from .tables import Table, best_in_row
 
 # Of the suite capture: what a table shows, by heading, in per cent (%), as a ratio (x) or as it is.

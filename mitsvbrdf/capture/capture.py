@@ -12,14 +12,9 @@ from torch import Tensor
 from .. import color
 from ..errors import CaptureError, ConfigError
 from ..material.resample import area_averaged, sampled
-from ..pages.notebook import SHOWN, count_words, html_of, point_words, uri_of
 from ..views import Views, whole_numbers
 
 LEAST_SIDE = 8  # pixels
-
-KNOWN = {"given": "as calibrated", "sheet": "from a sheet of tags",
-         "photos": "from features that the photos share",
-         "none": "of no calibration"}
 
 # Where the views of a capture come from: its maker, a marker sheet, the features that raw photos share, or
 # nowhere.
@@ -122,10 +117,6 @@ class Capture:
         rows = [self.index.index(i) for i in index]
         return replace(self, photos=self.photos[rows], views=self.views.pick(rows), index=tuple(index))
 
-    def _repr_html_(self) -> str:
-        """The photos as small pictures with their positions, for notebooks."""
-        return capture_html(self)
-
 
 def _checked(photos: Tensor) -> Tensor:
     """Photos as float32, when their shape and values are those of photos."""
@@ -142,15 +133,3 @@ def _checked(photos: Tensor) -> Tensor:
     return photos.float()
 
 
-def capture_html(capture: Capture) -> str:
-    """The photos with the positions of camera and light in patch sides, at most nine, as an HTML fragment."""
-    sides, photos = capture.views.in_patch_sides(), []
-    for name, photo, view in zip(capture.names, capture.photos[:SHOWN], sides):
-        light = "light the same" if view.light == view.camera else f"light {point_words(view.light)}"
-        photos.append((f"{name} · camera {point_words(view.camera)}, {light}", uri_of(photo)))
-    height, width = capture.photos.shape[1:3]
-    facts = [f"transfer {capture.transfer}, falloff {capture.views.falloff}; positions in patch sides, "
-             f"{KNOWN[capture.calibration]}"]
-    name = capture.source.name if capture.source else "without a folder"
-    title = f"Capture · {name} · {count_words(len(capture))}, {width} × {height} px"
-    return html_of(title, [("", photos)], facts, capture.notes)

@@ -51,9 +51,9 @@ def capture(photos: Annotated[Positional[Path],
     where to stand for one more photo; contact.jpg and quality.json beside it.
     """
     from ..capture import write_capture
-    from ..capture.page import write_quality
     from ..capture.photo import Photo, photos_in
     from ..capture.stages import capture_keys, make_capture, refuse_tags
+    from ..report.capture_page import write_quality
 
     if os.path.realpath(photos) in (os.path.realpath(out), os.path.realpath(out / "target")):
         raise ConfigError("an output folder of its own", f"{out}, which holds the photos",

@@ -65,8 +65,8 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
     from ..calibrate.refine import Priors
     from ..evaluate import evaluate_maps
     from ..evaluate.compare import compare as measure
-    from ..evaluate.compare_page import write_compare_page
     from ..measure.metrics import map_rmse
+    from ..report.compare_page import write_compare_page
 
     if not maps:
         raise ConfigError("one or more folders of maps", "none", "name them before --capture")

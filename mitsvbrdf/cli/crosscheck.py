@@ -76,7 +76,7 @@ def crosscheck(
     if json_file:
         files.write_json(json_file, record)
     if html_file:
-        from ..verify.crosscheck_page import write_crosscheck_page
+        from ..report.crosscheck_page import write_crosscheck_page
         write_crosscheck_page(html_file, record, error_maps)
     _print(record)
     say_written(json_file, html_file)
@@ -130,7 +130,7 @@ def _print(record: dict) -> None:
 
 def _table(record: dict, texels: str, bsdf: str, rows: list[dict]) -> Table:
     """The summary of one BSDF: a row for each figure, a column for each renderer."""
-    from ..pages.page import figure, seconds
+    from ..report.page import figure, seconds
 
     count = rows[0]["materials"]
     bound = f"{'>=' if texels == 'rough' else '<'} {record['rough_from']}"
@@ -165,7 +165,7 @@ def _table(record: dict, texels: str, bsdf: str, rows: list[dict]) -> Table:
 
 
 def _verdict(record: dict) -> int:
-    from ..pages.page import figure
+    from ..report.page import figure
 
     for found in record["violations"]:
         limit = f" (float32 limit {figure(found['limit'])})" if found["limit"] else ""

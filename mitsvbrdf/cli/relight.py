@@ -173,9 +173,9 @@ def _check(mi: ModuleType, svbrdf: SVBRDF, views: Views | None, seed: int) -> in
 def _finish(stage: Stage, record: Record, folder: Path, kinds: list[str], exposure: float,
             stop: Stop) -> None:
     """Curve and a line for a preset, and its movie where all frames are there."""
-    from ..relight.curve import error_curve
     from ..relight.frames import display_frames
     from ..relight.movie import write_gif, write_mp4
+    from ..report.charts import error_curve
 
     frames = record.presets[stage.name]["frames"]
     if len(record.of(stage.name)) == stage.frames > 1:

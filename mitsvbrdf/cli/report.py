@@ -26,8 +26,8 @@ def report(out: Positional[Annotated[Path,
     """
     from ..capture import read_capture
     from ..fit.record import read_whole_fit
-    from ..pages.page import figure
     from ..report.fit_page import check_photos, keep_photos, write_report
+    from ..report.page import figure
 
     found = read_whole_fit(out)
     left_out = None

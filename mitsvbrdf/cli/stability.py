@@ -122,7 +122,7 @@ def _renderers(renderer: Literal["all"] | RendererName, only: tuple[Sweep, ...],
         raise ConfigError("--md with every sweep and renderer", "--only or --renderer beside it",
                           "leave them out, or use --html: the page in the docs is replaced as a whole")
     if md:
-        from ..verify.stability.page import around_tables
+        from ..report.stability_page import around_tables
         around_tables(md)  # refused now rather than after the work
     names: tuple[RendererName, ...] = RENDERERS if renderer == "all" else (renderer,)
     renderers = [make_renderer(name, variant) for name in names]
@@ -131,7 +131,7 @@ def _renderers(renderer: Literal["all"] | RendererName, only: tuple[Sweep, ...],
     if json_file:
         files.write_json(json_file, record)
     if html_file or md:
-        from ..verify.stability.page import write_stability_markdown, write_stability_page
+        from ..report.stability_page import write_stability_markdown, write_stability_page
         if html_file:
             write_stability_page(html_file, record)
         if md:
@@ -155,7 +155,7 @@ def _table(title: str, rows: list[dict], renderers: list[str]) -> Table:
     """Verdict and largest error of each renderer, beside what one rounding of the normals makes; fits 80
     columns.
     """
-    from ..verify.stability.page import largest
+    from ..report.stability_page import largest
 
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     table.add_column("")

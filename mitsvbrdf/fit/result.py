@@ -7,13 +7,10 @@ from dataclasses import dataclass, field
 
 from torch import Tensor
 
-from .. import color
-from ..material.maps import SVBRDF, maps_html, shown_map
-from ..pages.notebook import SHOWN, count_words, html_of, uri_of
+from ..material.maps import SVBRDF
 from ..views import Views
 from .config import FitConfig
 from .methods import method_name
-from .view_record import about_views
 
 
 @dataclass(frozen=True)
@@ -82,28 +79,3 @@ class FitResult:
         return (f"FitResult({method_name(self.config)}, {self.svbrdf!r}, re-rendering RMSE "
                 f"{self.rerender_rmse:.4f}, "
                 f"{self.stopped})")
-
-    def _repr_html_(self) -> str:
-        """Maps, re-rendered photos, error and why the fit ended, as small pictures for notebooks."""
-        return result_html(self)
-
-
-def result_html(result: FitResult) -> str:
-    """Error and why the fit ended, maps, guessed diffuse map, at most nine re-rendered photos, and warnings,
-    as HTML.
-    """
-    end = result.trace[-1] if result.trace else {}
-    took = (f" after {end['seconds']:.1f} s, {end['iteration']} iterations"
-            if {"seconds", "iteration"} <= set(end) else "")
-    stated = ("" if result.calibrated_rmse is None
-              else f" with views as fitted, {result.calibrated_rmse:.4f} as calibrated")
-    again = [(f"#{number} · {error:.4f}", uri_of(color.to_display(image, "srgb")))
-             for number, (image, error) in enumerate(zip(result.rerendered[:SHOWN], result.per_photo), 1)]
-    return html_of(f"FitResult · {method_name(result.config)} · {result.renderer} · {result.svbrdf.bsdf}",
-                 [("Maps", maps_html(result.svbrdf)
-                   + [("Guessed diffuse", uri_of(shown_map("diffuse", result.guess)))]),
-                  ("Re-rendered, in sRGB, with the RMSE in display values", again)],
-                 [f"re-rendering RMSE {result.rerender_rmse:.4f} over "
-                  f"{count_words(len(result.per_photo))}{stated}; "
-                  f"stopped: {result.stopped}{took}", *filter(None, [about_views(result.calibration)])],
-                 [f"warning: {warning}" for warning in result.warnings])

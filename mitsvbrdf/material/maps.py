@@ -16,8 +16,6 @@ from torch import Tensor
 
 from .. import color
 from ..errors import ConfigError, MapsError
-from ..pages.notebook import Picture, html_of, uri_of
-from ..pages.page import figure
 from .resample import resized
 
 TITLES = {"diffuse": "Diffuse", "specular": "Specular", "roughness": "Roughness", "normal": "Normal",
@@ -148,10 +146,6 @@ class SVBRDF:
         maps["normal"] = F.normalize(maps["normal"], dim=-1)
         return SVBRDF(self.bsdf, maps)
 
-    def _repr_html_(self) -> str:
-        """The maps as small pictures, for notebooks."""
-        return svbrdf_html(self)
-
 
 def flat(resolution: int, bsdf: Bsdf = "roughconductor", dtype: torch.dtype = torch.float32,
          **values: float) -> SVBRDF:
@@ -170,22 +164,6 @@ def flat(resolution: int, bsdf: Bsdf = "roughconductor", dtype: torch.dtype = to
             maps[name] = torch.full((resolution, resolution, channels), values.get(name, defaults[name]),
                                     dtype=dtype)
     return SVBRDF(bsdf, maps)
-
-
-def svbrdf_html(svbrdf: SVBRDF) -> str:
-    """The maps, each with the smallest and the largest of its values, as an HTML fragment."""
-    side = svbrdf.resolution
-    return html_of(f"SVBRDF · {svbrdf.bsdf} · {side} × {side} px", [("", maps_html(svbrdf))])
-
-
-def maps_html(svbrdf: SVBRDF) -> list[Picture]:
-    """The maps with their ranges, for a page in a notebook."""
-    found = []
-    for name in CHANNELS[svbrdf.bsdf]:
-        value = svbrdf[name].detach()
-        span = "" if name == "normal" else f" {figure(float(value.min()))} to {figure(float(value.max()))}"
-        found.append((TITLES[name] + span, uri_of(shown_map(name, value))))
-    return found
 
 
 def shown_map(name: str, value: Tensor) -> Tensor:

@@ -1,1 +1,26 @@
-"""The page of a fit: what it says, its pictures and live viewer; live/ shows a fit while it runs."""
+"""Every page of the package: of a fit, a capture, a comparison, a cross-check; and values in notebooks.
+
+A page is one HTML file that opens from disk and asks nothing of a network. It computes nothing: it shows numbers
+that stand in a JSON, and pictures of tensors. ``page`` fills a template, ``base.html`` is the look that pages share.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+SHOWN_IN_NOTEBOOKS = {"SVBRDF": "material.maps", "Capture": "capture.capture", "FitResult": "fit.result"}
+
+
+def show_in_notebooks() -> None:
+    """Let IPython show materials, captures and fits as pictures, where it runs; nothing is loaded for that."""
+    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
+    if shell is not None:
+        html = shell.display_formatter.formatters["text/html"]
+        for name, module in SHOWN_IN_NOTEBOOKS.items():
+            html.for_type_by_name(f"mitsvbrdf.{module}", name, _html)
+
+
+def _html(value: Any) -> str:
+    from .notebook import html_of
+    return html_of(value)

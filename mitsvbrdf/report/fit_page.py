@@ -22,13 +22,13 @@ from ..io import files, images
 from ..io.json_files import NUMBER, load, shape_error
 from ..material.maps import CHANNELS, TITLES, shown_map
 from ..measure.metrics import photo_rmse
-from ..pages.curves import curves
-from ..pages.page import write_page
-from ..pages.pictures import at_most, magma, picture_uri
 from ..render import Renderer
 from .checks import fit_report
-from .front import front
-from .look_page import write_look_page
+from .curves import curves
+from .detail_page import write_detail_page
+from .header import header
+from .page import write_page
+from .pictures import at_most, magma, picture_uri
 from .viewer import viewer_html
 
 LARGEST_MAP = 512  # pixels a side on the page
@@ -167,12 +167,12 @@ def _write_page(found: SavedFit, record: dict, into: Path) -> None:
     side = int(max(SMALLEST_PHOTO, min(LARGEST_PHOTO, PHOTOS_WIDE / len(record["photos"])**0.5)))
     title = f"{fit['capture'].get('name') or 'Capture'}: recovered material"
     write_page(into / "report.html", "report/report.html", title=title, fit=fit, record=record,
-               maps=_maps(found), front=front(found, record["quick"]),
+               maps=_maps(found), front=header(found, record["quick"]),
                photos=[_photo(photo, side, into, found.path) for photo in record["photos"]],
                viewer=viewer_html(found.svbrdf),
                curves=_curves(fit["trace"]), measured=_thinned(fit["trace"]), unknown=UNKNOWN, ramp=_ramp(),
                titles=TITLES,
-               look=write_look_page(found, into), scalar=_scalar,
+               look=write_detail_page(found, into), scalar=_scalar,
                from_where=about_views(fit.get("calibration") or {}))
 
 

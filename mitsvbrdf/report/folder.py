@@ -18,8 +18,9 @@ from ..io.images import write_linear
 from ..io.progress import say
 from ..io.result_folder import output_folder
 from ..material.map_files import save_maps
+from .charts import loss_curve
 from .fit_page import check_apart, keep_photos, write_report
-from .sheet import loss_curve, write_sheet
+from .overview import write_sheet
 
 
 @entry()

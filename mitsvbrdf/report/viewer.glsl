@@ -16,7 +16,7 @@ const int LIT = 0, COLOUR = 1, SECOND = 2, ROUGHNESS = 3, NORMAL = 4;  // show
 uniform sampler2D colourMap;  // rgb: diffuse or base colour; a: roughness
 uniform sampler2D secondMap;  // rgb: specular; r: metallic
 uniform sampler2D normalMap;
-uniform sampler2D lobes, diffuseLight, shares;  // of report/studio.py
+uniform sampler2D lobes, diffuseLight, shares;  // of report/viewer_lighting.py
 uniform vec3 camera, light, intensity;
 uniform mat3 turned;          // from here to the studio's axes: right, ahead, up
 uniform mat3 axes;            // of the camera: right, up, back

@@ -15,17 +15,17 @@ import zlib
 import numpy as np
 
 from ..material.maps import CHANNELS, COLOURS, DIELECTRIC_F0, SVBRDF, TITLES
-from ..pages.page import page_text
 from ..render.analytic import MIN_ALPHA
 from ..render.bsdf import F0_RANGE
-from . import studio
+from . import viewer_lighting
+from .page import page_text
 
 VIEWER_SIDE = 512  # texels along a side; maps of noise are 5.3 MB then, those of materials 2 to 4.5 MB
 TOP_LEVELS = {"square": 4095, "plain": 65535, "octahedral": 65535}  # highest integer of each coding
 
 
 def viewer_html(svbrdf: SVBRDF, *, largest: int = VIEWER_SIDE) -> str:
-    """The viewer as an HTML fragment, to be put once into a page that extends ``pages/base.html``, marked
+    """The viewer as an HTML fragment, to be put once into a page that extends ``report/base.html``, marked
     ``|safe``.
 
     It asks nothing of the network, opens from disk, and puts ``window.mitsvbrdfViewer`` into the page
@@ -42,14 +42,14 @@ def viewer_html(svbrdf: SVBRDF, *, largest: int = VIEWER_SIDE) -> str:
     if svbrdf.resolution > largest:
         svbrdf = svbrdf.resized(largest)
     about, planes = encode_maps(svbrdf)
-    shares = studio.shares(MIN_ALPHA[svbrdf.bsdf])
-    coded = [encode("lobes", studio.lobes(), "square"), encode("diffuseLight", studio.diffuse(), "square"),
+    shares = viewer_lighting.shares(MIN_ALPHA[svbrdf.bsdf])
+    coded = [encode("lobes", viewer_lighting.lobes(), "square"), encode("diffuseLight", viewer_lighting.diffuse(), "square"),
              encode("shares", shares, "plain")]
     about["studio"] = [entry for entry, _ in coded]
     planes += [plane for _, each in coded for plane in each]
     about |= {"bsdf": svbrdf.bsdf, "resolution": svbrdf.resolution, "f0_range": F0_RANGE,
               "dielectric_f0": DIELECTRIC_F0,
-              "min_alpha": MIN_ALPHA[svbrdf.bsdf], "lobe_levels": studio.LEVELS,
+              "min_alpha": MIN_ALPHA[svbrdf.bsdf], "lobe_levels": viewer_lighting.LEVELS,
               "titles": {name: TITLES[name] for name in CHANNELS[svbrdf.bsdf]}}
     payload = base64.b64encode(zlib.compress(b"".join(planes), 9)).decode()
     return page_text("report/viewer.html", about=about, payload=payload)

@@ -19,8 +19,8 @@ from .. import color
 from ..errors import BackendError, OutputError
 from ..io import files
 from ..measure.metrics import flip, relative_error
-from ..pages.page import write_page
-from ..pages.pictures import at_most, error_picture, magma, png_uri, shrunk
+from ..report.page import write_page
+from ..report.pictures import at_most, error_picture, magma, png_uri, shrunk
 from .running import current
 
 PICTURE_SIDE = 256  # pixels along a side of the pictures in a page
@@ -68,7 +68,7 @@ def failure(title: str, figures: Sequence[Figure], rows: Callable[[], list[Row]]
     """
     lines = [title, *(f"  {f.name}: {f.value:.3g}, limit {f.limit:.3g}" for f in figures if f.missed),
              *(f"  {note}" for note in notes)]
-    page = left_behind(suffix, lambda path: write_page(path, "testing/comparison.html", title=title,
+    page = left_behind(suffix, lambda path: write_page(path, "report/comparison.html", title=title,
                                                        test=current().id,
                                                        figures=figures, rows=rows(), notes=notes))
     return AssertionError("\n".join([*lines, f"  page: {page}"]))

@@ -10,7 +10,7 @@ import torch
 from browser import opened
 
 from mitsvbrdf.material.maps import SVBRDF
-from mitsvbrdf.pages.page import page_text
+from mitsvbrdf.report.page import page_text
 from mitsvbrdf.report.viewer import viewer_html
 
 
@@ -26,7 +26,7 @@ def shown(svbrdf: SVBRDF, folder, width: int = 420, **window):
     soon.
     """
     file = folder / "viewer.html"
-    file.write_text(page_text("pages/base.html", title="A material").replace("</body>", viewer_html(svbrdf)
+    file.write_text(page_text("report/base.html", title="A material").replace("</body>", viewer_html(svbrdf)
                                                                              + "</body>"))
     with opened(file, width=width, **window) as page:
         assert page.evaluate("mitsvbrdfViewer.ready") is True

@@ -6,9 +6,9 @@ from mitsvbrdf.cli.relight import relight
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.relight.check import check_novel
-from mitsvbrdf.relight.curve import error_curve
 from mitsvbrdf.render.analytic import AnalyticRenderer
 from mitsvbrdf.render.needs import Needs
+from mitsvbrdf.report.charts import error_curve
 
 
 def test_error_curve_shows_target_and_frames(tmp_path):

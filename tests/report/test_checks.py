@@ -14,9 +14,9 @@ from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import load_maps
 from mitsvbrdf.material.maps import SVBRDF
 from mitsvbrdf.measure.gradients import fixed_cotangent
-from mitsvbrdf.pages.page import figure
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.report.checks import fit_report
+from mitsvbrdf.report.page import figure
 
 
 def test_the_quick_check_is_the_error_of_the_fits_renderer(fitted):

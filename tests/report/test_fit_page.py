@@ -21,9 +21,9 @@ from mitsvbrdf.fit import DirectConfig, fit_svbrdf
 from mitsvbrdf.io import images
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import SVBRDF
-from mitsvbrdf.pages.page import figure
 from mitsvbrdf.report.fit_page import write_report
 from mitsvbrdf.report.folder import write_fit
+from mitsvbrdf.report.page import figure
 
 
 def shown(path):

@@ -9,7 +9,7 @@ from helpers.viewer_pages import canvas_picture, shown
 
 from mitsvbrdf import make_material
 from mitsvbrdf.material.maps import flat
-from mitsvbrdf.pages.page import page_text
+from mitsvbrdf.report.page import page_text
 from mitsvbrdf.report.viewer import viewer_html
 
 
@@ -151,7 +151,7 @@ def test_a_lost_context_comes_back(tmp_path):
 @pytest.mark.slow
 def test_without_webgl_a_sentence_says_so(tmp_path):
     file = tmp_path / "viewer.html"
-    file.write_text(page_text("pages/base.html", title="A material").replace("</body>", viewer_html(flat(8))
+    file.write_text(page_text("report/base.html", title="A material").replace("</body>", viewer_html(flat(8))
                                                                              + "</body>"))
     with opened(file, flags=(FLAGS[0], "--disable-3d-apis")) as page:
         assert page.evaluate("mitsvbrdfViewer.ready") is False

@@ -14,8 +14,8 @@ from mitsvbrdf.material.made import make_material
 from mitsvbrdf.measure.gradients import render_and_gradients
 from mitsvbrdf.measure.metrics import image_error
 from mitsvbrdf.measure.tolerances import TOLERANCES
+from mitsvbrdf.report.crosscheck_page import error_against_time, write_crosscheck_page
 from mitsvbrdf.verify.crosscheck import crosscheck
-from mitsvbrdf.verify.crosscheck_page import error_against_time, write_crosscheck_page
 
 NUMBER = (int, float)
 IMAGE = {"mean": NUMBER, "p99.9": NUMBER, "worst": NUMBER, "bias": NUMBER, "not_finite": int}

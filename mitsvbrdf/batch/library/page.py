@@ -16,7 +16,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from ...io import files
-from ...pages.page import page_text
+from ...report.page import page_text
 from .where import SEARCHED, STATES, described
 
 PAGE_FILE, DATA_FILE = "index.html", "library.js"

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
-from ...pages.colours import CHART_GRID, CHART_LINES, CHART_QUIET, CHART_TEXT
+from ...report.colours import CHART_GRID, CHART_LINES, CHART_QUIET, CHART_TEXT
 
 PERCENT = ("slow_nodes", "hangs", "refused")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 
-from ...pages.page import figure
+from ...report.page import figure
 from .renders import SUITE as RENDERS
 from .verdict import NEEDED, NOT_NEEDED, UNSEEN, items
 

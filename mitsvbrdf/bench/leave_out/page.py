@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from ...io import files
-from ...pages.page import figure, seconds
+from ...report.page import figure, seconds
 from ..page import made_on, markdown, print_tables
 from ..tables import Table
 from .fits import SUITE as FITS

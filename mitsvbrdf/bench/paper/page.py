@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ...io import files
-from ...pages.page import svg_file
+from ...report.charts import svg_file
 from .. import summary
 from ..commands import commands
 from ..page import left_out_by, made_on, markdown, print_tables

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 
 from matplotlib.figure import Figure
 
-from ...pages.canvas import PlainNumbers
-from ...pages.colours import CHART_GRID, CHART_LINES, CHART_TEXT
+from ...report.charts import PlainNumbers
+from ...report.colours import CHART_GRID, CHART_LINES, CHART_TEXT
 from ..plots import FONT_SIZES
 from .tables import SCHEDULE_ERRORS, schedule_title, schedules
 

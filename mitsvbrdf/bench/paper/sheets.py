@@ -17,9 +17,9 @@ from ...color import to_display
 from ...evaluate import evaluate_maps
 from ...fit import FitConfig
 from ...material.maps import SVBRDF, TITLES, shown_map
-from ...pages.canvas import HEADER_HEIGHT, LABEL_HEIGHT, PICTURE_GAP, SHEET_MARGIN, Canvas, square_side
-from ...pages.colours import SHEET_QUIET, SHEET_TEXT
 from ...render import Renderer
+from ...report.canvas import HEADER_HEIGHT, LABEL_HEIGHT, PICTURE_GAP, SHEET_MARGIN, Canvas, square_side
+from ...report.colours import SHEET_QUIET, SHEET_TEXT
 from ..code import own_code
 from ..methods import as_lit, fit, settings_of
 from ..tasks import KnownMaterial, novel_views

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from ...io import files
-from ...pages.page import svg_file
+from ...report.charts import svg_file
 from ..page import made_on, markdown, print_tables
 from .fits import NEAR, SUITE
 from .plots import convergence_figure

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator
 
-from ...pages.colours import CHART_AXIS, CHART_LINES, CHART_QUIET, CHART_TEXT
+from ...report.colours import CHART_AXIS, CHART_LINES, CHART_QUIET, CHART_TEXT
 from ..plots import FONT_SIZES, headed, plain
 from .scenes import SERIES
 from .tables import fits_of

@@ -9,8 +9,8 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from ...fit.confidence import DETERMINED
-from ...pages.page import figure
-from ...verify.stability.page import condition_text
+from ...report.page import figure
+from ...report.stability_page import condition_text
 from ..tables import Table
 from .fits import SUITE
 from .verdict import far_off, faults, scene_of, verdict, warned

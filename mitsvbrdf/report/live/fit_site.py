@@ -9,7 +9,7 @@ import secrets
 from pathlib import Path
 
 from ...io.files import open_regular
-from ...pages.page import page_text
+from ..page import page_text
 from .server import HTML, LIVE_POLICY, REPORT_POLICY, Answer
 from .watch import REPORT_FILE, SHEET_FILE, Watch
 

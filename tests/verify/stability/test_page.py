@@ -8,8 +8,8 @@ from helpers import ANALYTIC, ROOT
 
 from mitsvbrdf import cli
 from mitsvbrdf.errors import OutputError
+from mitsvbrdf.report.stability_page import BEGIN, END, write_stability_markdown, write_stability_page
 from mitsvbrdf.verify.stability import SWEEPS, clamps, stability
-from mitsvbrdf.verify.stability.page import BEGIN, END, write_stability_markdown, write_stability_page
 from mitsvbrdf.verify.stability.verdict import VERDICTS
 
 

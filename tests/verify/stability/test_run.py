@@ -12,8 +12,8 @@ from mitsvbrdf import cli
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.material.maps import SVBRDF
 from mitsvbrdf.render.analytic import AnalyticRenderer
+from mitsvbrdf.report.stability_page import write_stability_markdown
 from mitsvbrdf.verify.stability import functions, run, stability
-from mitsvbrdf.verify.stability.page import write_stability_markdown
 from mitsvbrdf.verify.stability.sweeps import Case, material, tilted
 
 

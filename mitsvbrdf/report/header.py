@@ -15,15 +15,15 @@ from ..export import ExportSettings
 from ..export.maps import write_maps
 from ..fit.record import SavedFit
 from ..material.maps import SVBRDF
-from ..pages.pictures import picture_uri
 from ..relight.sphere import sphere
+from .pictures import picture_uri
 
 # texels a side of the textures: the first whose zip has at most so many bytes
 SIDES, HEAVIEST = (512, 256), 2 * 2**20
 QUICK, FULL = 256, 512  # pixels of the sphere
 
 
-def front(found: SavedFit, quick: bool) -> dict:
+def header(found: SavedFit, quick: bool) -> dict:
     """Picture, verdict and textures of a fit.
 
     Args:

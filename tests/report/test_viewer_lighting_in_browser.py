@@ -14,7 +14,7 @@ from mitsvbrdf import make_material
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.relight import environment
 from mitsvbrdf.render.analytic import AnalyticRenderer
-from mitsvbrdf.report import studio
+from mitsvbrdf.report import viewer_lighting
 from mitsvbrdf.testing import random_material
 from mitsvbrdf.views import Views
 
@@ -25,7 +25,7 @@ def summed(svbrdf, camera, turn: float, rows: int = 192) -> np.ndarray:
     """Radiance of each texel: light from rows x 2 rows directions, each rendered for itself by the analytic
     renderer.
     """
-    picture = (environment.studio(192) * studio._scale()).permute(2, 0, 1)[None]
+    picture = (environment.studio(192) * viewer_lighting._scale()).permute(2, 0, 1)[None]
     picture = torch.cat((picture[..., -1:], picture, picture[..., :1]), dim=-1)  # around the back
     d = environment.directions(rows, 2 * rows).reshape(-1, 3)
     u, v = torch.atan2(d[:, 0], d[:, 1]) / (2 * math.pi) + 0.5, torch.acos(d[:, 2].clamp(-1, 1)) / math.pi

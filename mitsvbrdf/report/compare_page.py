@@ -8,10 +8,10 @@ from pathlib import Path
 from torch import Tensor
 
 from ..capture import Capture
+from ..evaluate.compare import Entry
 from ..material.maps import SVBRDF, TITLES, shown_map
-from ..pages.page import write_page
-from ..pages.pictures import at_most, png_uri
-from .compare import Entry
+from .page import write_page
+from .pictures import at_most, png_uri
 
 LARGEST = 256  # pixels along a side of a picture
 MAPS = ("diffuse", "specular", "roughness", "normal")
@@ -48,7 +48,7 @@ def write_compare_page(path: str | Path, record: dict, entries: Sequence[Entry],
                                                                                                      pictures)]}
               for i, (name, photo) in enumerate(zip(record["photos"], capture.photos))]
     title = f"{record['capture'] or 'Capture'}: {', '.join(m['name'] for m in methods)}"
-    write_page(path, "evaluate/compare.html", title=title, record=record, rows=rows, photos=photos,
+    write_page(path, "report/compare.html", title=title, record=record, rows=rows, photos=photos,
                guess=_uri("diffuse", guess), groups=_table(record))
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import PIL.Image
 import torch
 
-from mitsvbrdf.pages.pictures import picture_uri
+from mitsvbrdf.report.pictures import picture_uri
 
 
 def test_pictures_that_would_be_large_become_jpegs():

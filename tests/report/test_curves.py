@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from mitsvbrdf.pages.curves import curves
+from mitsvbrdf.report.curves import curves
 
 
 def test_curves_are_logarithmic():

@@ -10,17 +10,17 @@ import torch
 from .. import color
 from ..fit.record import SavedFit
 from ..material.maps import CHANNELS, TITLES, shown_map
-from ..pages.page import write_page
-from ..pages.pictures import at_most, picture_uri
 from ..render.analytic import AnalyticRenderer
 from ..views import Views
+from .page import write_page
+from .pictures import at_most, picture_uri
 from .viewer import viewer_html
 
 PAGE = "look.html"
 LARGEST = 512  # pixels a side on the page
 
 
-def write_look_page(found: SavedFit, into: Path) -> str | None:
+def write_detail_page(found: SavedFit, into: Path) -> str | None:
     """Write ``look.html`` of a fit: maps, a light that no photo had, and the live viewer, all of its look.
 
     Args:
@@ -46,7 +46,7 @@ def write_look_page(found: SavedFit, into: Path) -> str | None:
     maps = [(TITLES[name], picture_uri(at_most(shown_map(name, found.look[name]), LARGEST)))
             for name in CHANNELS[found.look.bsdf]]
     name = found.record["capture"].get("name") or "Capture"
-    write_page(into / PAGE, "report/look.html", title=f"{name}: look", finish=finish, maps=maps, relit=relit,
+    write_page(into / PAGE, "report/detail.html", title=f"{name}: look", finish=finish, maps=maps, relit=relit,
                solved_rmse=found.record["rerender_rmse"], viewer=viewer_html(found.look))
     return PAGE
 

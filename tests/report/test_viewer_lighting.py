@@ -12,7 +12,7 @@ import torch
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.relight import environment
 from mitsvbrdf.render.analytic import MIN_ALPHA, AnalyticRenderer
-from mitsvbrdf.report import studio
+from mitsvbrdf.report import viewer_lighting
 from mitsvbrdf.testing import random_material
 from mitsvbrdf.views import Views
 
@@ -21,11 +21,11 @@ def weighted(directions: torch.Tensor, kernel) -> np.ndarray:
     """The studio under a kernel of the cosine, one direction after the other, each pixel as large as it is in
     the middle.
     """
-    rows = 2 * studio.ROWS
+    rows = 2 * viewer_lighting.ROWS
     light, ways = environment.studio(rows).reshape(-1, 3), environment.directions(rows, 2 * rows).reshape(-1,
                                                                                                           3)
     weight = kernel(directions @ ways.T) * (1 - ways[:, 2] ** 2).clamp_min(0).sqrt()
-    return ((weight @ light) / weight.sum(-1, keepdim=True)).numpy() * studio._scale()
+    return ((weight @ light) / weight.sum(-1, keepdim=True)).numpy() * viewer_lighting._scale()
 
 
 def lobe(alpha: float, cosine: torch.Tensor) -> torch.Tensor:
@@ -37,28 +37,28 @@ def lobe(alpha: float, cosine: torch.Tensor) -> torch.Tensor:
 
 def test_lobes_and_irradiance_are_plain_sums():
     some = [0, 500, 1234, 2345, 4607]
-    ways = environment.directions(studio.ROWS, 2 * studio.ROWS).reshape(-1, 3)
-    pictures = studio.lobes().reshape(studio.LEVELS, -1, 3)
+    ways = environment.directions(viewer_lighting.ROWS, 2 * viewer_lighting.ROWS).reshape(-1, 3)
+    pictures = viewer_lighting.lobes().reshape(viewer_lighting.LEVELS, -1, 3)
     for level in (2, 5, 8):
         # The plain sum leaves out the zenith, where the first of these lies; measured: 5e-3 at level 2, 4e-4
         # above.
         assert np.allclose(pictures[level][some],
                            weighted(ways[some], functools.partial(lobe, (level / 8) ** 2)), rtol=8e-3)
     ways = environment.directions(16, 32).reshape(-1, 3)
-    assert np.allclose(studio.diffuse().reshape(-1, 3)[::37], weighted(ways[::37], lambda c: c.clamp_min(0)),
+    assert np.allclose(viewer_lighting.diffuse().reshape(-1, 3)[::37], weighted(ways[::37], lambda c: c.clamp_min(0)),
                        rtol=2e-3)
 
 
 def test_white_that_faces_the_camera_has_luminance_0_8():
     ahead = environment.directions(16, 32)[..., 1]
-    facing = studio.diffuse()[ahead < ahead.min() + 1e-9]
+    facing = viewer_lighting.diffuse()[ahead < ahead.min() + 1e-9]
     # half a pixel aside
     assert (facing @ environment.LUMINANCE.numpy()).mean() == pytest.approx(0.8, rel=0.01)
 
 
 @pytest.mark.parametrize("row, column", [(5, 28), (12, 9), (20, 20), (31, 31), (31, 4)])
 def test_shares_are_what_the_analytic_renderer_reflects_of_light_from_everywhere(row, column):
-    roughness, n_v = (row + 0.5) / studio.SHARES, (column + 0.5) / studio.SHARES
+    roughness, n_v = (row + 0.5) / viewer_lighting.SHARES, (column + 0.5) / viewer_lighting.SHARES
     # Middles of cells of equal solid angle, as lights far away.
     count = 150
     middles = (torch.arange(count, dtype=torch.float64) + 0.5) / count
@@ -74,5 +74,5 @@ def test_shares_are_what_the_analytic_renderer_reflects_of_light_from_everywhere
                   "roughness": torch.full((1, 1, 1), roughness), "normal": flat(2)["normal"][:1, :1]}
         svbrdf = type(flat(2))("principled", {name: value.double() for name, value in metal.items()})
         reflected[colour] = float(AnalyticRenderer(torch.float64).render(svbrdf, views)[..., 0].sum())
-    found = studio.shares(MIN_ALPHA["principled"])[row, column]
+    found = viewer_lighting.shares(MIN_ALPHA["principled"])[row, column]
     assert found == pytest.approx([reflected[1.0], reflected[0.0]], rel=0.02, abs=2e-4)

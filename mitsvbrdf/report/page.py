@@ -1,33 +1,25 @@
 """Self-contained HTML pages: one file that opens from disk, in light and dark, with no network request.
 
 A page computes nothing: it gets numbers that stand in a JSON, and pictures that are made here from tensors or
-by matplotlib. Its template stands beside the module that fills it; ``pages/base.html`` holds the look they
+by matplotlib. Its template stands beside the module that fills it; ``report/base.html`` holds the look they
 share. Jinja2 and matplotlib are loaded with the first page.
 """
 
 from __future__ import annotations
 
 import functools
-import io
 import math
-import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ..io import files
 
 if TYPE_CHECKING:
     import jinja2
-    from matplotlib.figure import Figure
-
-# of one width; GitHub shows an SVG without fonts from elsewhere
-SVG_FONTS = ["DejaVu Sans", "Verdana", "sans-serif"]
-SVG_PLACES = re.compile(r' (?:d|x|y|transform)="[^"]*"')
-LONG_NUMBER = re.compile(r"-?\d+\.\d{3,}(?:e-\d+)?")
 
 
 def write_page(path: str | Path, template: str, **context: object) -> None:
-    """Render a template (which extends ``pages/base.html``) into one file, beside first, then renamed.
+    """Render a template (which extends ``report/base.html``) into one file, beside first, then renamed.
 
     Args:
         path: the file to write.
@@ -66,32 +58,3 @@ def figure(value: float | None) -> str:
 def seconds(value: float) -> str:
     """Seconds as people read them: 31 ms, 2.4 s."""
     return f"{value * 1e3:.3g} ms" if value < 1 else f"{value:.3g} s"
-
-
-def svg(drawing: Figure) -> str:
-    """A matplotlib figure as inline SVG text, transparent, to be marked ``|safe`` in a template."""
-    text = _svg_text(drawing, transparent=True).decode()
-    return text[text.index("<svg"):]
-
-
-def svg_file(drawing: Figure) -> bytes:
-    """A matplotlib figure as the content of an SVG file: white ground, text as text, the same bytes for the
-    same figure.
-    """
-    return _svg_text(drawing, facecolor="white")
-
-
-def _svg_text(drawing: Figure, **look: Any) -> bytes:
-    import matplotlib
-
-    data = io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": "mitsvbrdf", "svg.fonttype": "none",
-                                "font.sans-serif": SVG_FONTS}):
-        drawing.savefig(data, format="svg", metadata={"Date": None}, **look)
-    return _shortened(data.getvalue().decode()).encode()
-
-
-def _shortened(text: str) -> str:
-    """An SVG whose places and paths have two decimals: hundredths of a pixel."""
-    return SVG_PLACES.sub(lambda places: LONG_NUMBER.sub(lambda number: f"{float(number[0]):.2f}", places[0]),
-                          text)

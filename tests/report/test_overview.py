@@ -10,11 +10,12 @@ from mitsvbrdf.errors import CaptureError, OutputError
 from mitsvbrdf.io import images
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import flat
-from mitsvbrdf.pages.canvas import HEADER_HEIGHT as HEADER
-from mitsvbrdf.pages.canvas import LABEL_HEIGHT as LABEL
-from mitsvbrdf.pages.canvas import PICTURE_GAP as GAP
-from mitsvbrdf.pages.canvas import SHEET_MARGIN as MARGIN
-from mitsvbrdf.report.sheet import loss_curve, write_sheet
+from mitsvbrdf.report.canvas import HEADER_HEIGHT as HEADER
+from mitsvbrdf.report.canvas import LABEL_HEIGHT as LABEL
+from mitsvbrdf.report.canvas import PICTURE_GAP as GAP
+from mitsvbrdf.report.canvas import SHEET_MARGIN as MARGIN
+from mitsvbrdf.report.charts import loss_curve
+from mitsvbrdf.report.overview import write_sheet
 
 
 def sheet(path, svbrdf, count=9, **options):

@@ -14,15 +14,15 @@ import torch
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from torch import Tensor
 
+from ..capture.photo import Photo
+from ..capture.quality.next_view import HIGHLIGHT_ANGLE
+from ..capture.stages import CaptureResult
 from ..io import files
 from ..io.provenance import machine, versions
-from ..pages.canvas import LABEL_HEIGHT, PICTURE_GAP, SHEET_MARGIN, SHEET_WIDTH, Canvas
-from ..pages.colours import SHEET_ACCENT, SHEET_BACK, SHEET_QUIET, SHEET_TEXT
-from ..pages.page import write_page
-from ..pages.pictures import at_most, picture_uri, png_uri
-from .photo import Photo
-from .quality.next_view import HIGHLIGHT_ANGLE
-from .stages import CaptureResult
+from .canvas import LABEL_HEIGHT, PICTURE_GAP, SHEET_MARGIN, SHEET_WIDTH, Canvas
+from .colours import SHEET_ACCENT, SHEET_BACK, SHEET_QUIET, SHEET_TEXT
+from .page import write_page
+from .pictures import at_most, picture_uri, png_uri
 
 SCHEMA_VERSION = 1
 A_ROW, SMALL_A_ROW = 5, 8  # photos in a row of the contact sheet: used, rejected
@@ -45,7 +45,7 @@ def write_quality(result: CaptureResult, folder: str | Path) -> None:
     pictures = {name: picture_uri(at_most(photo, THUMBNAIL), 0) for name, photo in
                 [*zip(result.used, result.capture.photos),
                  *((n, p) for n, p in rejected.items() if p is not None)]}
-    write_page(folder / "quality.html", "capture/page.html", title=f"Capture: {_name(result)}", record=record,
+    write_page(folder / "quality.html", "report/capture.html", title=f"Capture: {_name(result)}", record=record,
                pictures=pictures, coverage=png_uri(_coverage_picture(result.coverage)), plan=_plan(result))
 
 
@@ -86,8 +86,8 @@ def _name(result: CaptureResult) -> str:
 
 def _shown(photo: Photo) -> Tensor | None:
     """A photo as its owner knows it, upright and small; None where it cannot be read."""
+    from ..capture.photo import UNTURNED
     from ..errors import CaptureError
-    from .photo import UNTURNED
     try:
         pixels = photo.pixels(FULL)
     except CaptureError:

@@ -4,33 +4,26 @@ none.
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import matplotlib
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
 from torch import Tensor
 
 from ..errors import CaptureError
-from ..io import files
 from ..material.maps import CHANNELS, SVBRDF, TITLES, shown_map
-from ..pages.canvas import (
+from .canvas import (
     HEADER_HEIGHT,
     LABEL_HEIGHT,
     PICTURE_GAP,
     SHEET_MARGIN,
     SHEET_WIDTH,
     Canvas,
-    PlainNumbers,
     square_side,
 )
-from ..pages.colours import SHEET_ACCENT, SHEET_QUIET, SHEET_TEXT
-from ..pages.notebook import SHOWN
+from .colours import SHEET_ACCENT, SHEET_QUIET, SHEET_TEXT
 
-LARGEST_MAP, LARGEST_PHOTO = 397, 264
+LARGEST_MAP, LARGEST_PHOTO = 397, 264  # pixels a side
+SHOWN = 9  # photos
 
 
 def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Tensor, *, rmse: float,
@@ -99,53 +92,3 @@ def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Te
         sheet.text(x, y, names[i], 10, SHEET_QUIET)
         sheet.text(x + small, y, f"{per_photo[i]:.4f}", 10, SHEET_TEXT, ha="right")
     sheet.write(Path(path))
-
-
-def loss_curve(path: str | Path, trace: Sequence[dict]) -> None:
-    """An SVG of the re-rendering error, and below it of each loss, against seconds; all axes logarithmic.
-
-    Points at 0 seconds and values that are not positive have no place on these axes and are left out.
-
-    Args:
-        path: the SVG to write or replace.
-        trace: one dict a measurement: ``seconds``, ``rerender_rmse``, and each loss under its name.
-
-    Raises:
-        OutputError: the file cannot be written.
-    """
-    losses = list(dict.fromkeys(name for row in trace for name in row))
-    losses = [name for name in losses if name not in ("seconds", "iteration", "rerender_rmse")]
-    figure = Figure(figsize=(6.4, 4.6 if losses else 2.8))  # its margins have room for what is written there
-    panels = figure.subplots(2 if losses else 1, 1, sharex=True, squeeze=False, gridspec_kw={
-        "left": 0.1, "right": 0.8 if losses else 0.97, "top": 0.93, "bottom": 0.09 if losses else 0.15,
-        "hspace": 0.16})[:, 0]
-    _curves(panels[0], trace, {"rerender_rmse": "#c2571a"}, 1.8)
-    panels[0].set_title("Re-rendering RMSE", loc="left", fontsize=9)
-    if losses:
-        palette = matplotlib.colormaps["tab10"]
-        _curves(panels[1], trace, {name: palette(i % 10) for i, name in enumerate(losses)}, 1.1)
-        panels[1].set_title("Losses", loc="left", fontsize=9)
-        panels[1].legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
-    panels[-1].set_xlabel("seconds", fontsize=8)
-    data = io.BytesIO()
-    # Text stays text, and the same trace gives the same file.
-    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "mitsvbrdf"}):
-        FigureCanvasSVG(figure).print_svg(data, metadata={"Date": None})
-    files.write_bytes(Path(path), data.getvalue())
-
-
-def _curves(axes: Axes, rows: Sequence[dict], colours: dict, width: float) -> None:
-    drawn = 0
-    for name, colour in colours.items():
-        points = [(row["seconds"], row[name]) for row in rows if row["seconds"] > 0 and row.get(name, 0) > 0]
-        axes.plot([x for x, _ in points], [y for _, y in points], color=colour, linewidth=width, label=name,
-                  marker="o" if len(points) == 1 else None)
-        drawn += len(points)
-    if drawn:  # matplotlib refuses logarithmic axes without a point
-        axes.set(xscale="log", yscale="log")
-        for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_formatter(PlainNumbers())
-            axis.set_minor_formatter(PlainNumbers())
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(True, which="major", color="#e3e5e8", linewidth=0.6)
-    axes.tick_params(labelsize=7, which="both", color="#9aa0a8")

@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from torch import Tensor
 
-from ..pages.colours import CHART_FAINT
-from ..pages.page import figure, svg, write_page
-from ..pages.pictures import error_picture, png_uri
-from .charts import BSDF_MARKS, bounded_panel
-from .crosscheck import left_out
+from ..verify.crosscheck import left_out
+from .charts import BSDF_MARKS, bounded_panel, svg
+from .colours import CHART_FAINT
+from .page import figure, write_page
+from .pictures import error_picture, png_uri
 
 # Error maps of all configurations share these ends of their log scale, so that they can be compared by eye.
 LEAST_SHOWN, MOST_SHOWN = 1e-8, 1e-4
@@ -39,7 +39,7 @@ def write_crosscheck_page(path: str | Path, record: dict, error_maps: Mapping[tu
                  for bsdf, how in material["converted"].items()}
     materials = {name: [c for c in record["configurations"] if c["material"] == name]
                  for name in record["materials"]}
-    write_page(path, "verify/crosscheck.html", title="Renderers against float64", record=record,
+    write_page(path, "report/crosscheck.html", title="Renderers against float64", record=record,
                materials=materials,
                error_maps=maps, ramp=png_uri(error_picture(ramp, MOST_SHOWN, LEAST_SHOWN)),
                darkest=LEAST_SHOWN,

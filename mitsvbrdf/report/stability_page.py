@@ -12,14 +12,14 @@ from typing import Any
 import matplotlib
 from matplotlib.figure import Figure
 
-from ...errors import OutputError
-from ...io import files
-from ...io.shared_file import held
-from ...pages.colours import CHART_FAINT
-from ...pages.page import figure, svg, write_page
-from ..charts import BSDF_MARKS, bounded_panel
-from .clamps import CLAMPS
-from .verdict import VERDICTS
+from ..errors import OutputError
+from ..io import files
+from ..io.shared_file import held
+from ..verify.stability.clamps import CLAMPS
+from ..verify.stability.verdict import VERDICTS
+from .charts import BSDF_MARKS, bounded_panel, svg
+from .colours import CHART_FAINT
+from .page import figure, write_page
 
 BEGIN, END = "<!-- from here on written by mitsvbrdf stability --md -->", "<!-- up to here -->"
 PLOTTED = {"roughness": "roughness", "distance": "distance, patch sides",
@@ -41,7 +41,7 @@ def write_stability_page(path: str | Path, record: dict) -> None:
     plots = [(key, svg(errors_along(record, key))) for key in PLOTTED if key in record["sweeps"]]
     counts = {name: Counter(row["renderers"][name]["verdict"] for row in record["rows"])
               for name in record["renderers"]}
-    write_page(path, "verify/stability/stability.html", title="Numerical stability of the renderers",
+    write_page(path, "report/stability.html", title="Numerical stability of the renderers",
                record=record,
                plots=plots, clamps=CLAMPS, counts=counts, verdicts=VERDICTS, worst=worst_errors,
                largest=largest, condition=condition_text, step=step_text, because=because)

@@ -14,7 +14,6 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import BboxImage
-from matplotlib.ticker import LogFormatter
 from matplotlib.transforms import Bbox
 from torch import Tensor
 
@@ -72,11 +71,3 @@ class Canvas:
             if len(data) <= most:
                 break
         files.write_bytes(path, data)
-
-
-class PlainNumbers(LogFormatter):
-    """Numbers as 0.02, at the ticks that matplotlib would label."""
-
-    def __call__(self, x: float, pos: int | None = None) -> str:
-        """The tick at x; empty where matplotlib labels none."""
-        return f"{x:g}" if super().__call__(x, pos) else ""

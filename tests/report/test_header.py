@@ -15,8 +15,8 @@ from mitsvbrdf.errors import BackendError
 from mitsvbrdf.export import ExportSettings
 from mitsvbrdf.export.maps import write_maps
 from mitsvbrdf.fit.record import read_whole_fit
-from mitsvbrdf.report import front as front_page
-from mitsvbrdf.report.front import front, judged, packed
+from mitsvbrdf.report import header as header_page
+from mitsvbrdf.report.header import header, judged, packed
 
 
 @pytest.mark.parametrize("stopped, warnings, good, words", [
@@ -60,12 +60,12 @@ def test_pages_go_without_mitsuba(fitted, monkeypatch):
     def missing(*_):
         raise BackendError("libLLVM 19 or newer", "none", "install libllvm19")
 
-    monkeypatch.setattr(front_page, "sphere", missing)
-    assert front(read_whole_fit(fitted), quick=True)["picture"] is None
+    monkeypatch.setattr(header_page, "sphere", missing)
+    assert header(read_whole_fit(fitted), quick=True)["picture"] is None
 
 
 def test_heavy_textures_are_smaller_on_the_page(fitted, monkeypatch):
-    monkeypatch.setattr(front_page, "SIDES", (32, 16))
-    assert front(read_whole_fit(fitted), quick=True)["side"] == 32
-    monkeypatch.setattr(front_page, "HEAVIEST", 1000)
-    assert front(read_whole_fit(fitted), quick=True)["side"] == 16
+    monkeypatch.setattr(header_page, "SIDES", (32, 16))
+    assert header(read_whole_fit(fitted), quick=True)["side"] == 32
+    monkeypatch.setattr(header_page, "HEAVIEST", 1000)
+    assert header(read_whole_fit(fitted), quick=True)["side"] == 16
