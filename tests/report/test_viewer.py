@@ -17,7 +17,7 @@ from mitsvbrdf import make_material
 from mitsvbrdf.errors import MapsError
 from mitsvbrdf.material.maps import CHANNELS, COLOURS, SVBRDF, TITLES, flat
 from mitsvbrdf.render.analytic import MIN_ALPHA
-from mitsvbrdf.report import studio
+from mitsvbrdf.report import viewer_lighting
 from mitsvbrdf.report.viewer import viewer_html
 from mitsvbrdf.testing import random_material
 
@@ -61,11 +61,11 @@ def steepest(resolution: int) -> SVBRDF:
 def test_the_studio_survives_the_way():
     found = decoded(viewer_html(flat(2)), "studio")
     assert list(found) == ["lobes", "diffuseLight", "shares"]
-    for name, truth in {"lobes": studio.lobes(), "diffuseLight": studio.diffuse()}.items():
+    for name, truth in {"lobes": viewer_lighting.lobes(), "diffuseLight": viewer_lighting.diffuse()}.items():
         # Half a step of the square root, of 4095 from the darkest to the brightest.
         assert np.abs(np.sqrt(found[name]) - np.sqrt(truth)).max() <= 0.5 / 4095 * np.sqrt(
             truth.max()) + 1e-12
-    assert np.abs(found["shares"] - studio.shares(MIN_ALPHA["roughconductor"])).max() <= 0.5 / 65535 + 1e-12
+    assert np.abs(found["shares"] - viewer_lighting.shares(MIN_ALPHA["roughconductor"])).max() <= 0.5 / 65535 + 1e-12
 
 
 @pytest.mark.parametrize("material", [random_material("roughconductor", 32), random_material("principled",
