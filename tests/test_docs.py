@@ -26,11 +26,11 @@ SHORTER = [(r"--budget \d+", "--iterations 3"), (r"budget=\d+", "iterations=3"),
            (r"\(seed=0\)", "(seed=0, iterations=3)"),
            (r"(make_material\(\S+,) \d+", r"\1 32"), (r"error<\S+\b", "error<1")]
 QUICK = {"crosscheck": ["--repeats", "1", "--bsdf", "roughconductor", "--resolution", "32"],
-         "leave-out": ["--resolution", "16", "--repeats", "1"], "capture": ["--resolution", "64"],
+         "capture": ["--resolution", "64"],
          "report": ["--quick"],
          "stability": ["--only", "clipped", "--renderer", "analytic"],
          "relight": ["--size", "24", "--frames", "1", "--samples", "2"],
-         "bench": ["--suite", "methods", "--methods", "direct", "--budgets", "0.3", "--resolution", "16"]}
+         "bench": ["--methods", "direct", "--budgets", "0.3", "--resolution", "16"]}
 
 
 def shortened(text):

@@ -1,13 +1,13 @@
-"""What is fitted: photos of known materials, judged by their maps, and real photos, judged by some that were
-left out.
-"""
+"""What is fitted: photos of known materials, and real captures of which some photos are held out."""
 
 from __future__ import annotations
 
 import math
+import os
 import statistics
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import ClassVar
 
@@ -18,26 +18,38 @@ from ..capture import Capture, read_capture
 from ..color import Transfer, to_display
 from ..errors import ConfigError
 from ..evaluate import evaluate_maps
-from ..material.made import make_material
+from ..evaluate.placement import named_views
+from ..io.json_files import read_json
+from ..material.made import MATERIALS, make_material
 from ..material.map_files import load_maps
 from ..material.maps import SVBRDF
 from ..measure.metrics import flip, map_rmse, photo_rmse
 from ..render import Renderer, make_renderer
 from ..synth import photograph
 from ..views import Views
-from .methods import Fitted
-from .schema import USUAL_LEFT_OUT
+
+HELD_OUT = (4, 7)  # photos of a real capture that no fit sees, where nothing else is said
+PUBLISHED_SIDE = 256  # published numbers are for photos and maps of this size
+PEERS = {"materialgan": "MaterialGAN", "gao2019": "Gao 2019", "deschaintre2019": "Deschaintre 2019",
+         "deschaintre2019-gao2019": "Deschaintre + Gao 2019"}
+PEERS_HELD_OUT = (7, 8)  # photos that the field's protocol holds out
+PEERS_BLIND = "left_out_7_8_rmse_256"  # key in peers.json: errors of methods that did not see these
+MAPS = ("diffuse", "specular", "roughness", "normal")
+
+# Images that a fit predicts for photos: N x R x R x 3 linear, and the RMSE over all in display values.
+Predict = Callable[[Capture], tuple[Tensor, float]]
 
 
 @dataclass(frozen=True)
 class KnownMaterial:
-    """Made photos of known maps.
+    """Simulated photos of known maps.
 
     Args:
         name: of the material.
         truth: its maps.
         folder: where they were read; None for a made material.
         photos: what is fitted.
+        seen_from: the capture whose views the photos have, by name.
     """
 
     kind: ClassVar = "material"
@@ -45,65 +57,80 @@ class KnownMaterial:
     truth: SVBRDF
     folder: Path | None
     photos: Capture
+    seen_from: str = "builtin:grid"
 
     @property
     def key(self) -> dict:
-        """What identifies it in a record."""
-        return {"kind": self.kind, "name": self.name}
+        """What identifies the task in a record."""
+        return {"kind": self.kind, "name": self.name, "resolution": self.photos.resolution,
+                "views": self.seen_from}
 
-    def errors(self, found: Fitted) -> dict[str, float]:
-        """RMSE of each map and their ``mean``, of pictures under ``novel_light``, and of the ``photos``
-        themselves.
+    def errors(self, svbrdf: SVBRDF, predict: Predict) -> dict[str, float]:
+        """Errors of a fit.
+
+        Args:
+            svbrdf: the maps it found.
+            predict: what it predicts for photos.
+
+        Returns:
+            RMSE of each map and their ``mean``, of images under ``novel_light``, of the ``photos``; mean FLIP
+            of these images where flip-evaluator is installed.
         """
-        maps = (map_rmse(found.svbrdf, self.truth) if self.folder is None
-                else evaluate_maps(found.svbrdf, self.folder))
-        novel = novel_light_rmse(found.svbrdf, self.truth, self.photos.views)
-        return maps | {"novel_light": novel, "photos": found.rmse}
-
-    def looks(self, found: Fitted) -> dict[str, float]:
-        """Mean FLIP of pictures under ``flip_novel_light``, and of the ``flip_photos`` themselves."""
-        return {"flip_novel_light": mean_flip(*novel_pictures(found.svbrdf, self.truth, self.photos.views)),
-                "flip_photos": mean_flip(found.predict(self.photos)[0], self.photos.linear,
-                                         self.photos.transfer)}
+        maps = map_rmse(svbrdf, self.truth) if self.folder is None else evaluate_maps(svbrdf, self.folder)
+        found, exact = novel_images(svbrdf, self.truth, self.photos.views)
+        images, rmse = predict(self.photos)
+        looks = {"novel_light": mean_flip(found, exact),
+                 "photos": mean_flip(images, self.photos.linear, self.photos.transfer)}
+        return maps | {"novel_light": photo_rmse(found, to_display(exact))[0], "photos": rmse} | _named(looks)
 
 
 @dataclass(frozen=True)
 class RealCapture:
-    """Real photos, some of them left out.
+    """Real photos, some of them held out.
 
     Args:
         name: of the capture.
         photos: what is fitted.
-        unseen: what is predicted; None where the capture has none of these photos, or states no views to
-            predict from.
-        left_out: the numbers of the photos that were to be left out.
+        unseen: the photos held out; None where there are none, or no views to predict them from.
+        held_out: the numbers of the photos that were to be held out.
     """
 
     kind: ClassVar = "capture"
     name: str
     photos: Capture
     unseen: Capture | None
-    left_out: tuple[int, ...] = USUAL_LEFT_OUT
+    held_out: tuple[int, ...] = HELD_OUT
 
     @property
     def key(self) -> dict:
-        """What identifies it in a record."""
-        return {"kind": self.kind, "name": self.name, "left_out": list(self.left_out)}
+        """What identifies the task in a record."""
+        return {"kind": self.kind, "name": self.name, "resolution": self.photos.resolution,
+                "held_out": list(self.held_out)}
 
-    def errors(self, found: Fitted) -> dict[str, float]:
-        """RMSE in display values of the photos ``seen`` and, where there are any, ``left_out``."""
-        predicted = {} if self.unseen is None else {"left_out": found.predict(self.unseen)[1]}
-        return {"seen": found.rmse} | predicted
+    def errors(self, svbrdf: SVBRDF, predict: Predict) -> dict[str, float]:
+        """RMSE of the photos ``seen`` and ``held_out`` in display values, and mean FLIP of both; arguments as
+        of :meth:`KnownMaterial.errors`.
+        """
+        parts = {"seen": self.photos} | ({} if self.unseen is None else {"held_out": self.unseen})
+        found = {name: predict(shots) for name, shots in parts.items()}
+        looks = {name: mean_flip(found[name][0], shots.linear, shots.transfer)
+                 for name, shots in parts.items()}
+        return {name: rmse for name, (_, rmse) in found.items()} | _named(looks)
 
-    def looks(self, found: Fitted) -> dict[str, float]:
-        """Mean FLIP of the photos ``flip_seen`` and, where there are any, ``flip_left_out``."""
-        parts = {"flip_seen": self.photos, "flip_left_out": self.unseen}
-        return {name: mean_flip(found.predict(shots)[0], shots.linear, shots.transfer)
-                for name, shots in parts.items() if shots is not None}
+
+Task = KnownMaterial | RealCapture
 
 
-def known_material(name: str, resolution: int, views: Views, renderer: Renderer) -> KnownMaterial:
-    """A task from ``builtin:NAME`` or a folder of maps: 8-bit photos without noise, for these views.
+def known_material(name: str, resolution: int, views: Views, renderer: Renderer,
+                   seen_from: str = "builtin:grid") -> KnownMaterial:
+    """A task from ``builtin:NAME`` or a folder of maps: 8-bit photos without noise.
+
+    Args:
+        name: of the material, or its folder.
+        resolution: of the fit.
+        views: of the photos.
+        renderer: takes the photos.
+        seen_from: what these views are called in records.
 
     Raises:
         MapsError, ConfigError: no such material.
@@ -113,61 +140,162 @@ def known_material(name: str, resolution: int, views: Views, renderer: Renderer)
     else:
         truth, folder = load_maps(name), Path(name)
     shown = truth.resized(min(resolution, truth.resolution))
-    return KnownMaterial(name.removeprefix("builtin:") if folder is None else folder.name, truth, folder,
-                         photograph(shown, views, renderer))
+    return KnownMaterial(_label(name), truth, folder, photograph(shown, views, renderer), seen_from)
 
 
-def real_capture(folder: Path, resolution: int, left_out: Sequence[int] = USUAL_LEFT_OUT) -> RealCapture:
+def real_capture(folder: Path, resolution: int, held_out: Sequence[int] = HELD_OUT) -> RealCapture:
     """A task from a folder of photos.
 
     Args:
         folder: of the capture.
         resolution: of the fit.
-        left_out: numbers of the photos that it does not see.
+        held_out: numbers of the photos that no fit sees.
 
     Raises:
-        CaptureError, ConfigError: photos that cannot be used, or none that is not left out.
+        CaptureError, ConfigError: photos that cannot be used, or all of them held out.
     """
     shots = read_capture(folder, resolution=resolution)
-    seen = [i for i in shots.index if i not in left_out]
+    seen = [i for i in shots.index if i not in held_out]
     if not seen:
-        raise ConfigError(f"photos besides {tuple(left_out)}", f"{list(shots.index)} in {folder}",
-                          "give a capture with more photos")
-    held = [i for i in shots.index if i in left_out and shots.calibrated]
-    return RealCapture(folder.name, shots.pick(seen), shots.pick(held) if held else None, tuple(left_out))
+        raise ConfigError(f"photos besides {tuple(held_out)}", f"{list(shots.index)} in {folder}",
+                          "hold out fewer, or give a capture with more photos")
+    rest = [i for i in shots.index if i in held_out and shots.calibrated]
+    return RealCapture(_label(str(folder)), shots.pick(seen), shots.pick(rest) if rest else None,
+                       tuple(held_out))
 
 
-def novel_light_rmse(svbrdf: SVBRDF, truth: SVBRDF, views: Views) -> float:
-    """How different two materials look under lights that no photo had: RMSE in display values, over
-    :func:`novel_views`.
+def find_tasks(materials: Sequence[str] | None, captures: Sequence[str] | None, data: Path | None,
+               resolution: int, held_out: Sequence[int], views: str | None, renderer: Renderer) -> list[Task]:
+    """Tasks by name.
+
+    Args:
+        materials: ``builtin:NAME``, folders, or bare names of made materials or of those in the data; "none"
+            is skipped. None: all of both.
+        captures: folders, or names in the data; "none" is skipped. None: all in the data.
+        data: folder with ``captures/`` and ``materials/``, as :func:`data_folder` finds it.
+        resolution: of the fits.
+        held_out: numbers of the photos of captures that no fit sees.
+        views: the capture whose views photos of known materials have, or builtin:grid; None: cards-blue of
+            the data, else builtin:grid.
+        renderer: takes the photos of known materials.
+
+    Raises:
+        ConfigError, CaptureError, MapsError: one that is not there, two of one name, or none at all.
+    """
+    there = {what: {p.name: str(p) for p in _folders(data, what)} for what in ("materials", "captures")}
+    made = {name: f"builtin:{name}" for name in MATERIALS}
+    names = _chosen(materials, there["materials"] | made)
+    shots = _chosen(captures, there["captures"])
+    if not names and not shots:
+        raise ConfigError("a material or capture to fit", "none", "give --materials or --captures")
+    source = there["captures"].get(views or "cards-blue", views or "builtin:grid")
+    tasks: list[Task] = []
+    if names:
+        lit = named_views(source, "inverse-square")[1]
+        seen_from = source if source.startswith("builtin:") else _label(source)
+        tasks += [known_material(name, resolution, lit, renderer, seen_from) for name in names]
+    return tasks + [real_capture(Path(name), resolution, held_out) for name in shots]
+
+
+def _chosen(asked: Sequence[str] | None, known: Mapping[str, str]) -> list[str]:
+    """Names as ``builtin:NAME`` or folders, each once and there."""
+    names = list(known.values()) if asked is None else [
+        name if Path(name).is_dir() else known.get(name, name) for name in asked if name != "none"]
+    missing = [name for name in names if not name.startswith("builtin:") and not Path(name).is_dir()]
+    if missing:
+        raise ConfigError("materials and captures that are there", f"none called {missing[0]}",
+                          "name folders, or those in --data; without the option all are taken")
+    labels = list(map(_label, names))
+    if twice := [label for label in labels if labels.count(label) > 1]:
+        raise ConfigError("each material and capture once, by a name of its own", f"{twice[0]} twice",
+                          "rename a folder")
+    return names
+
+
+def data_folder(folder: Path | None = None) -> Path | None:
+    """The folder of real captures and known materials: as named, else MITSVBRDF_DATA; None: there is none.
+
+    Raises:
+        ConfigError: it has neither ``captures/`` nor ``materials/``.
+    """
+    named = folder or (Path(os.environ["MITSVBRDF_DATA"]) if os.environ.get("MITSVBRDF_DATA") else None)
+    if named is not None and not ((named / "captures").is_dir() or (named / "materials").is_dir()):
+        raise ConfigError("a folder with captures/ or materials/", str(named),
+                          "check --data and MITSVBRDF_DATA")
+    return named
+
+
+def published(path: Path, tasks: Sequence[Task]) -> list[dict]:
+    """Errors that authors of other methods published for these tasks; only tasks of their size have some.
+
+    MaterialGAN saw all photos of a capture: its error of those held out has the name "MaterialGAN, which saw
+    them". Where photos 7 and 8 are held out, there are also errors of methods that did not see them.
+
+    Args:
+        path: ``peers.json``; a missing file has nothing.
+        tasks: what is fitted.
+
+    Returns:
+        Rows like records, with ``method``, the task's key and ``errors``.
+
+    Raises:
+        ConfigError: the file cannot be understood.
+    """
+    if not path.is_file():
+        return []
+    what, fix = "peers.json with materials and captures", "mend it, or take it away"
+    stated = read_json(path, ConfigError, what, fix)
+    try:
+        return [{"method": who, **task.key, "errors": errors}
+                for task in tasks if task.photos.resolution == PUBLISHED_SIDE
+                for who, errors in (_of_material(stated, task) if isinstance(task, KnownMaterial)
+                                    else _of_capture(stated, task)).items()]
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError) as reason:
+        raise ConfigError(what, f"{path}: {reason!r}", fix) from None
+
+
+def _of_material(stated: Mapping, task: KnownMaterial) -> dict[str, dict[str, float]]:
+    found = {}
+    for who, errors in (stated["materials"].get(task.name, {}) if task.folder else {}).items():
+        maps = {name: float(errors[name]) for name in MAPS}
+        found[PEERS.get(who, who)] = maps | {"mean": statistics.fmean(maps.values())}
+    return found
+
+
+def _of_capture(stated: Mapping, task: RealCapture) -> dict[str, dict[str, float]]:
+    numbers = stated["captures"].get(task.name)
+    if numbers is None:
+        return {}
+
+    def together(shots: Capture) -> float:
+        return math.sqrt(statistics.fmean(numbers["per_view"][i] ** 2 for i in shots.index))
+
+    found = {"MaterialGAN": {"seen": together(task.photos)}}
+    if task.unseen is not None:
+        if task.unseen.index == PEERS_HELD_OUT:
+            for who, error in numbers.get(PEERS_BLIND, {}).items():
+                found.setdefault(PEERS.get(who, who), {})["held_out"] = float(error)
+        found["MaterialGAN, which saw them"] = {"held_out": together(task.unseen)}
+    return found
+
+
+def novel_images(svbrdf: SVBRDF, truth: SVBRDF, views: Views) -> tuple[Tensor, Tensor]:
+    """Images of two materials under :func:`novel_views`, N x R x R x 3 linear; R is the smaller resolution.
 
     Args:
         svbrdf: the estimate.
         truth: the known material; the larger of both is area-averaged to the smaller.
         views: those of the photos.
     """
-    found, exact = novel_pictures(svbrdf, truth, views)
-    return photo_rmse(found, to_display(exact))[0]
-
-
-def novel_pictures(svbrdf: SVBRDF, truth: SVBRDF, views: Views) -> tuple[Tensor, Tensor]:
-    """The pictures that :func:`novel_light_rmse` compares, of both materials, N x R x R x 3 linear; R of the
-    smaller one.
-    """
-    size, renderer, lit = min(svbrdf.resolution,
-                              truth.resolution), make_renderer("analytic"), novel_views(views)
+    size = min(svbrdf.resolution, truth.resolution)
+    renderer, lit = make_renderer("analytic"), novel_views(views)
     with torch.no_grad():
         found, exact = (renderer.render(m.as_roughconductor().resized(size), lit) for m in (svbrdf, truth))
     return found, exact
 
 
-def mean_flip(images: Tensor, exact: Tensor, transfer: Transfer = "gamma2.2") -> float:
-    """Mean FLIP over all pixels of N pictures, linear, as screens with this transfer curve show them."""
-    return statistics.fmean(float(flip(image, other, transfer).mean()) for image, other in zip(images, exact))
-
-
 def novel_views(views: Views, tilts: Sequence[float] = (25.0, 50.0), around: int = 4) -> Views:
-    """Seen from straight above and lit from the side: lights off the lens, as no photo with a flash has them.
+    """Views from straight above with lights far off the lens, as no photo with a flash has them.
 
     Args:
         views: those of the photos; their mean height is the distance of camera and lights.
@@ -175,8 +303,7 @@ def novel_views(views: Views, tilts: Sequence[float] = (25.0, 50.0), around: int
         around: lights of each tilt.
 
     Returns:
-        Views in patch sides; a white diffuse texel straight below such a light, were it upright, has radiance
-        1.
+        Views in patch sides; an upright white diffuse texel below such a light has radiance 1.
     """
     height = float(views.in_patch_sides().camera[:, 2].mean())
     lights = []
@@ -188,4 +315,21 @@ def novel_views(views: Views, tilts: Sequence[float] = (25.0, 50.0), around: int
     return Views.of([[0.0, 0.0, height]] * len(lights), lights, math.pi * height**2)
 
 
-Task = KnownMaterial | RealCapture
+def mean_flip(images: Tensor, exact: Tensor, transfer: Transfer = "gamma2.2") -> float | None:
+    """Mean FLIP over all pixels of N linear images; None without flip-evaluator."""
+    if find_spec("flip_evaluator") is None:
+        return None
+    return statistics.fmean(float(flip(a, b, transfer).mean()) for a, b in zip(images, exact))
+
+
+def _named(looks: Mapping[str, float | None]) -> dict[str, float]:
+    return {f"flip_{name}": value for name, value in looks.items() if value is not None}
+
+
+def _folders(data: Path | None, what: str) -> list[Path]:
+    folder = data / what if data else None
+    return sorted(p for p in folder.iterdir() if p.is_dir()) if folder and folder.is_dir() else []
+
+
+def _label(source: str) -> str:
+    return Path(os.path.abspath(source.removeprefix("builtin:"))).name

@@ -24,8 +24,7 @@ from ..errors import strict as refused
 from ..io.files import check_names
 from .renamed import with_new_names
 
-# What each command does, the first line of its docstring. ``leave-out`` is the function leave_out of the
-# module leave_out.
+# What each command does, the first line of its docstring.
 COMMANDS = {
     "capture": "Make a capture of raw photos, for `mitsvbrdf fit`: find out where the phone was, rectify, "
                "leave bad photos out.",
@@ -41,13 +40,10 @@ COMMANDS = {
     "compare": "Show maps of several methods side by side: input, maps, errors, and every photo beside its "
                "re-renderings.",
     "crosscheck": "Hold every renderer and BSDF against the float64 twin: images, gradients, run time.",
-    "leave-out": "Measure what is left out of a scene that does not need it: image difference, and time "
-                 "with and without.",
     "stability": "Sweep every parameter to its ends: errors, gradients, conditioning, step sizes, and a "
                  "verdict on "
                  "each renderer.",
-    "bench": "Measure error against run time: renderers against float64, methods against known maps and "
-             "photos left out.",
+    "bench": "Measure error against run time: methods x materials and captures x budgets x seeds.",
     "synth": "Take photos of known maps: rectified ones with their calibration, to test fits on, or raw "
              "ones by a "
              "simulated phone.",
@@ -73,7 +69,7 @@ READING = ("capture", "fit", "batch", "guess", "render", "evaluate", "compare", 
 MOST = {"resolution": 16384, "size": 16384, "repeats": 10_000, "frames": 100_000}
 RESUMED = ("fit", "relight")  # what these leave unfinished goes on with --resume
 # what these print is their result
-PRINTING = ("library", "evaluate", "crosscheck", "leave-out", "stability", "doctor")
+PRINTING = ("library", "evaluate", "crosscheck", "stability", "doctor")
 PRINTS = ("--help", "-h", "--explain", "--check")  # with these so do all others
 
 

@@ -11,6 +11,7 @@ RENAMED_COMMANDS: dict[str, str] = {}
 RENAMED: dict[str, dict[str, str]] = {
     "fit": {},
     "batch": {},
+    "bench": {"--left-out": "--held-out"},
 }
 
 

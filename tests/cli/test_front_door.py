@@ -52,13 +52,6 @@ def test_a_sheet_needs_no_torch(tmp_path):
     assert code == 0 and "tags.svg" in said and (tmp_path / "tags.svg").is_file() and "torch" not in heavy
 
 
-def test_a_command_is_known_by_either_spelling(capsys):
-    for name in ("leave-out", "leave_out"):
-        with pytest.raises(SystemExit) as stop:
-            cli.main([name, "--help"])
-        assert stop.value.code == 0 and "--repeats" in capsys.readouterr().out
-
-
 def test_the_shell_completes_options_of_every_command(tmp_path):
     script = tmp_path / "mitsvbrdf"
     with pytest.raises(SystemExit) as stop:

@@ -20,20 +20,19 @@ def test_output_that_cannot_be_written(shots, tmp_path, capsys):
 
 
 WRITING = [
-    ["crosscheck", "--json"], ["crosscheck", "--html"], ["leave-out", "--md"], ["stability", "--json"],
+    ["crosscheck", "--json"], ["crosscheck", "--html"], ["stability", "--json"],
     ["stability", "--html"], ["evaluate", "builtin:tiles", "--reference", "builtin:tiles", "--json"],
     ["compare", "builtin:tiles", "--capture", "shots", "-o"],
     ["compare", "builtin:tiles", "--capture", "shots", "-o", "../c.html", "--json"],
-    ["bench", "--suite", "renderers", "--page"], ["bench", "--suite", "renderers", "--gan-page"],
+    ["bench", "--page"],
     ["sheet", "-o"], ["pretrain", "shots", "-o"]]
 
 
 @pytest.fixture
 def lazy(tmp_path, monkeypatch):
     """No command may begin its work; one file that is the user's own."""
-    for name in ("verify.crosscheck.crosscheck", "bench.leave_out.plan.LeaveOutPlan.jobs",
-                 "verify.stability.stability",
-                 "material.made.make_material", "capture.read_capture", "bench.plan.Plan.jobs",
+    for name in ("verify.crosscheck.crosscheck", "verify.stability.stability",
+                 "material.made.make_material", "capture.read_capture", "bench.tasks.find_tasks",
                  "capture.align.sheet.write_sheet", "cli.fit.read_photos"):
         monkeypatch.setattr(f"mitsvbrdf.{name}", lambda *_, **__: pytest.fail("worked first"))
     monkeypatch.chdir(tmp_path)
@@ -41,8 +40,7 @@ def lazy(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("command", [*WRITING, ["stability", "--md"], ["bench", "--json"],
-                                     ["leave-out", "--json"]])
+@pytest.mark.parametrize("command", [*WRITING, ["stability", "--md"], ["bench", "--json"]])
 def test_bad_outputs_are_found_before_the_work(command, lazy, capsys):
     fails(capsys, lazy, [*command, lazy], "a file to write")
     fails(capsys, lazy, [*command, lazy / "file/record"], "file/record")
@@ -57,17 +55,16 @@ def test_files_that_are_there_are_replaced_only_when_asked(command, lazy, capsys
     fails(capsys, lazy, [*command, "link"], "link, which exists", "--overwrite")
 
 
-@pytest.mark.parametrize("name", ["p-methods.svg", "p-material.svg", "g-schedule.svg"])
-def test_pictures_beside_a_page_are_no_less(name, lazy, capsys):
-    (lazy / name).write_text("mine")
-    fails(capsys, lazy, ["bench", "--page", "p.md", "--gan-page", "g.md"], name, "--overwrite")
+def test_pictures_beside_a_page_are_no_less(lazy, capsys):
+    (lazy / "p.svg").write_text("mine")
+    fails(capsys, lazy, ["bench", "--page", "p.md"], "p.svg", "--overwrite")
 
 
 @pytest.mark.parametrize("command", [
     ["crosscheck", "--json", "a", "--html", "./a"], ["crosscheck", "--json", "a", "--html", "a/b"],
     ["crosscheck", "--json", "a/b", "--html", "a"], ["crosscheck", "--json", "a", "--html", "b/../a"],
     ["compare", "builtin:tiles", "--capture", "shots", "-o", "a", "--json", "a"],
-    ["bench", "--page", "a", "--gan-page", "a"], ["bench", "--page", "a-schedule.svg", "--gan-page", "a"]])
+    ["bench", "--page", "a.svg"]])
 def test_two_outputs_are_two_files(command, lazy, capsys):
     fails(capsys, lazy, command, "a file of its own")
 

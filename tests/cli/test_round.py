@@ -253,8 +253,7 @@ def test_help_shows_the_options_of_the_method(capsys):
     assert "--preset" in text and "--flash-offset" not in text
 
 
-@pytest.mark.parametrize("command, resumes", [("fit", True), ("crosscheck", False), ("leave-out", False),
-                                              ("stability", False)])
+@pytest.mark.parametrize("command, resumes", [("fit", True), ("crosscheck", False), ("stability", False)])
 def test_only_a_fit_goes_on_after_ctrl_c(command, resumes, monkeypatch, capsys):
     def interrupted(*_, **__):
         raise KeyboardInterrupt

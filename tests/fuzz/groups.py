@@ -217,10 +217,13 @@ def lists() -> Drawn[Case]:
 def records() -> Drawn[Case]:
     """Records of a benchmark."""
     path = "in/bench/bench.json"
-    call = f"bench --suite none --json ../{path}"
+    call = f"bench --json ../{path} {BENCH}"
     return cases("bench", "bench", st.one_of(stated(path), stated(path), replaced(path)), call,
                  call + " --page page.md", out="work")
 
+
+BENCH = ("--materials inlay --captures none --methods direct --budgets 0.1 --seeds 0 --resolution 16 "
+         "--renderer analytic")
 
 # A call of each command that works and is quick, behind which options are put.
 CALLS = tuple(call.strip() for call in f"""
@@ -238,7 +241,7 @@ CALLS = tuple(call.strip() for call in f"""
     view ../in/fit
     library ../in/library
     batch ../in/capture -o out {FIT}
-    bench --suite none --json ../in/bench/bench.json
+    bench --json ../in/bench/bench.json {BENCH}
     crosscheck ../in/maps --renderer analytic --resolution 8 --repeats 1
     pretrain ../in/capture -o out --resolution 16 --renderer analytic --iterations 1
     doctor

@@ -7,7 +7,6 @@ import os
 
 import pytest
 
-from mitsvbrdf.bench.store import read_benchmark
 from mitsvbrdf.capture import read_capture
 from mitsvbrdf.errors import CaptureError, MitsvbrdfError
 from mitsvbrdf.fit.record import read_fit
@@ -72,8 +71,7 @@ READERS = {
     "capture.json": read_capture, "fit.json": read_fit, "material.json": read_material_json,
     "truth/truth.json": Truth.read,
     "rig/capture.json": lambda folder: rig_of(folder / "rig"), "relight.json": lambda folder: go_on({},
-                                                                                                    folder, folder),
-    "benchmark.json": lambda folder: read_benchmark(folder / "benchmark.json")}
+                                                                                                    folder, folder)}
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, '{"a": NaN}', '{"a": 1, "a": 1}', "[]", "{"],

@@ -84,7 +84,7 @@ def test_a_reader_that_has_seen_enough_is_no_mistake(tmp_path):
     ([], True), (["--version"], True), (["library", "x"], True), (["doctor"], True),
     (["fit", "--help"], True),
     (["fit", "x", "-o", "y"], False), (["relight", "x"], False), (["relight", "x", "--check"], True),
-    (["leave_out"], True)])
+    (["crosscheck"], True)])
 def test_what_is_printed_is_the_result_of_some_commands(arguments, prints):
     assert only_prints(arguments) == prints
 

@@ -12,8 +12,6 @@ import pytest
 from helpers import ROOT
 
 import mitsvbrdf
-from mitsvbrdf.batch.planning import costs, simulate, ways
-from mitsvbrdf.errors import OutputError
 
 TOOL = """if True:
     import os, sys
@@ -84,11 +82,3 @@ def test_there_is_one_way_in():
     found = {str(path.relative_to(folder)) for path in folder.rglob("*.py") if re.search(r"tyro\.cli\(",
                                                                                          path.read_text())}
     assert found == {"cli/__init__.py", "cli/batch.py", "io/tool.py"}
-
-
-@pytest.mark.parametrize("tool, work", [(costs, "measured"), (simulate, "cases"), (ways, "entries")])
-def test_what_a_tool_cannot_write_it_says_before_the_work(tool, work, tmp_path, monkeypatch):
-    monkeypatch.setattr(tool, work, lambda *_: pytest.fail("worked first"))
-    (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match="to write"):
-        tool.main(out=tmp_path / "file/out", **({"captures": []} if tool is ways else {}))

@@ -1,0 +1,278 @@
+"""Fits of every method on every task with every budget and seed, each kept as one line of a file."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import math
+import os
+import subprocess
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Literal, NotRequired, TypedDict, get_args, get_type_hints
+
+import msgspec
+from torch import Tensor
+
+from .. import __version__
+from ..capture import Capture
+from ..errors import ConfigError, MitsvbrdfError
+from ..evaluate import as_fitted
+from ..evaluate.placement import predict
+from ..fit import DirectConfig, FitConfig, FitResult, HierarchicalConfig, fit_svbrdf
+from ..fit.hierarchical.stages import DEADLINE
+from ..fit.methods import METHODS
+from ..io import files
+from ..io.provenance import machine
+from ..io.timing import timed
+from ..render import Renderer
+from .tasks import Predict, Task
+
+Report = Callable[[str, float], None]  # told what is going on, and the share done
+
+
+class Record(TypedDict):
+    """One fit: its key, and what came of it.
+
+    ``seconds`` by the loop's clock, ``wall`` with the preparation before and the diagnosis after it;
+    ``errors`` as the task has them, none of a fit that failed, which ``why`` explains; ``same_as``: the
+    shorter budget that gave the same result, for the fit ended by itself.
+    """
+
+    method: str
+    kind: Literal["material", "capture"]
+    name: str
+    resolution: int
+    views: NotRequired[str]
+    held_out: NotRequired[list[int]]
+    config: dict[str, Any]
+    renderer: str
+    budget: float
+    seed: int
+    version: str
+    machine: dict[str, Any]
+    seconds: float
+    wall: float
+    iterations: int
+    stopped: str
+    why: str | None
+    errors: dict[str, float]
+    same_as: NotRequired[float]
+
+
+RESULTS = ("seconds", "wall", "iterations", "stopped", "why", "errors", "same_as")  # the others are the key
+
+
+@dataclass(frozen=True)
+class Job:
+    """One fit to be done; its parts are those of its record."""
+
+    method: str
+    task: Task
+    config: FitConfig
+    budget: float
+    seed: int
+
+    @property
+    def title(self) -> str:
+        """For the progress line."""
+        return f"{self.method}, {self.task.name}, {self.budget:g} s, seed {self.seed}"
+
+    def key(self, renderer: Renderer) -> dict[str, Any]:
+        """What identifies its record."""
+        return {"method": self.method, **self.task.key, "config": settings_of(self.config),
+                "renderer": f"{renderer.name} {renderer.variant or ''}".strip(), "budget": float(self.budget), "seed": self.seed,
+                "version": version(), "machine": machine()}
+
+
+def method_table() -> dict[str, FitConfig]:
+    """Name -> settings: the methods of ``fit``, and one more entry for each further preset."""
+    table: dict[str, FitConfig] = {}
+    for name, (config, *_) in METHODS.items():
+        table[name] = default = config()
+        presets = (get_args(get_type_hints(config)["preset"])
+                   if any(f.name == "preset" for f in fields(config)) else ())
+        table |= {f"{name}-{preset.removeprefix('paper-')}": config(preset=preset)  # type: ignore[call-arg]
+                  for preset in presets if preset != getattr(default, "preset", None)}
+    return table
+
+
+def run(methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequence[float],
+        seeds: Sequence[int], renderer: Renderer, path: Path,
+        report: Report = lambda text, share: None) -> list[Record]:
+    """Do the fits whose records are missing; keep each record as soon as it is there.
+
+    Methods take turns, so that drift of the machine hits all; the first seed is done before the next one, and
+    short budgets before long ones. A method without randomness has the first seed alone. A fit that would
+    repeat one of a shorter budget bit for bit is not done: its record is a copy that says so.
+
+    Args:
+        methods: settings by name; each fit sets budget and seed.
+        tasks: what is fitted.
+        budgets: seconds.
+        seeds: of the fits.
+        renderer: carries the gradients.
+        path: of the file of records, one JSON object a line; a file that is there is gone on with.
+        report: told what is going on and the share done.
+
+    Returns:
+        The records asked for, of this version and machine, in the order of the fits.
+
+    Raises:
+        ConfigError, OutputError: a file that holds something else, or cannot be written.
+        KeyboardInterrupt: after Ctrl-C; the records of finished fits are kept.
+    """
+    jobs = [Job(method, task, config, budget, seed)
+            for seed in seeds for budget in sorted(budgets) for task in tasks
+            for method, config in methods.items() if seed == seeds[0] or not isinstance(config, DirectConfig)]
+    path, found, warm = Path(path), dict[str, Record](), set[tuple]()
+    if path.exists():
+        found = {identity(record): record for record in read_records(path)}
+        _end_of_lines(path)
+    keys = [job.key(renderer) for job in jobs]
+    missing = [(job, key) for job, key in zip(jobs, keys) if identity(key) not in found]
+    for number, (job, key) in enumerate(missing):
+        def tell(share: float, number: int = number, title: str = job.title) -> None:
+            report(f"{title} ({number + 1} of {len(missing)})", (number + share) / len(missing))
+
+        tell(0.0)
+        record = _copied(key, found.values())
+        if record is None:
+            _warm_up(job, renderer, warm)
+            record = _fitted(job, key, renderer, tell)
+        append(path, record)
+        found[identity(key)] = record
+    return [found[identity(key)] for key in keys]
+
+
+def read_records(path: Path) -> list[Record]:
+    """The records of a file; an unfinished last line, as a killed run leaves it, is no record.
+
+    Raises:
+        ConfigError: it cannot be read, or holds something else.
+    """
+    what, fix = "records of a benchmark, one JSON object a line", "choose another --json"
+    try:
+        with files.open_regular(Path(os.path.realpath(path))) as file:
+            lines = file.read().split(b"\n")[:-1]
+    except OSError as reason:
+        raise ConfigError(what, f"{path}: {reason.strerror or reason}", fix) from None
+    found = []
+    for number, line in enumerate(lines, 1):
+        try:
+            found.append(msgspec.json.decode(line, type=Record))
+        except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as reason:
+            raise ConfigError(what, f"{path}, line {number}: {reason}", fix) from None
+    return found
+
+
+def append(path: Path, record: Record) -> None:
+    """Add one record to a file, in one write that reaches the disk."""
+    files.check_output(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("ab", buffering=0) as file:
+        file.write(msgspec.json.encode(record) + b"\n")
+        os.fsync(file.fileno())
+
+
+def identity(record: Mapping[str, Any]) -> str:
+    """The key of a record as text."""
+    key = {name: value for name, value in record.items() if name not in RESULTS}
+    return msgspec.json.encode(key, order="sorted").decode()
+
+
+def settings_of(config: FitConfig) -> dict[str, Any]:
+    """The class and the settings that are not the class's own, as JSON has them; each fit sets budget and
+    seed.
+    """
+    own = asdict(type(config)())
+    changed = {name: value for name, value in asdict(config).items()
+               if value != own[name] and name not in ("budget", "seed")}
+    return msgspec.to_builtins({"class": type(config).__name__} | changed, enc_hook=str)
+
+
+@functools.cache
+def version() -> str:
+    """The version of mitsvbrdf; where it runs from its repository, with the commit, ``-dirty`` if changed."""
+    def git(*words: str) -> str:
+        done = subprocess.run(["git", "-C", str(Path(__file__).parent), *words], capture_output=True, text=True)
+        return done.stdout.strip() if done.returncode == 0 else ""
+
+    try:
+        commit = git("ls-files", Path(__file__).name) and git("describe", "--always", "--dirty", "--exclude=*")
+    except OSError:  # no git here
+        commit = ""
+    return f"{__version__}+{commit}" if commit else __version__
+
+
+def fit(capture: Capture, renderer: Renderer, config: FitConfig,
+        report: Callable[[float], None]) -> tuple[FitResult, Predict]:
+    """One fit, and what it predicts for photos. The light falls off as the method takes for granted.
+
+    Raises:
+        KeyboardInterrupt: Ctrl-C ended it.
+        MitsvbrdfError: it cannot be done, or its budget ends before the first step.
+    """
+    def lit(shots: Capture) -> Capture:
+        return replace(shots, views=replace(shots.views, falloff=config.falloff))
+
+    result = fit_svbrdf(lit(capture), renderer, config, report=lambda entry, share: report(share))
+    if result.stopped == "interrupted":
+        raise KeyboardInterrupt
+    if result.trace[-1]["iteration"] == 0:
+        raise ConfigError("a fit of one step or more", "none in the budget", "give a longer budget")
+
+    def predicted(shots: Capture) -> tuple[Tensor, float]:
+        return predict(result.svbrdf, *as_fitted(result, lit(shots)))[:2]
+
+    return result, predicted
+
+
+def _fitted(job: Job, key: dict, renderer: Renderer, tell: Callable[[float], None]) -> Record:
+    """The record of one fit. A fit that cannot be done is a result too: it has no errors, and says why."""
+    config = replace(job.config, budget=job.budget, seed=job.seed)
+    try:
+        (result, predicted), wall = timed(fit, job.task.photos, renderer, config, tell)
+        errors = job.task.errors(result.svbrdf, predicted)
+        if wrong := [name for name, value in errors.items() if not math.isfinite(value)]:
+            raise ConfigError("finite errors", f"{', '.join(wrong)} not finite", "report it")
+    except MitsvbrdfError as reason:
+        return {**key, "seconds": 0.0, "wall": 0.0, "iterations": 0, "stopped": "failed", "why": str(reason),
+                "errors": {}}  # type: ignore[typeddict-item]
+    last = result.trace[-1]
+    return {**key, "seconds": last["seconds"], "wall": wall, "iterations": last["iteration"],
+            "stopped": result.stopped, "why": None, "errors": errors}  # type: ignore[typeddict-item]
+
+
+def _copied(key: Mapping[str, Any], records: Iterable[Record]) -> Record | None:
+    """The record of a longer budget that gives the same bits: the default method ended by itself, before the
+    first of its deadlines.
+    """
+    if key["config"]["class"] != HierarchicalConfig.__name__:
+        return None
+    for record in sorted(records, key=lambda r: r["budget"]):
+        settled = (record["stopped"] == "settled"
+                   and record["seconds"] <= min(DEADLINE.values()) * record["budget"])
+        if (settled and record["budget"] < key["budget"]
+                and identity({**record, "budget": key["budget"]}) == identity(key)):
+            return {**record, "budget": key["budget"], "same_as": record["budget"]}
+    return None
+
+
+def _warm_up(job: Job, renderer: Renderer, warm: set[tuple]) -> None:
+    """Two steps before the first fit of a shape, so that no fit that counts waits for kernels."""
+    photos = job.task.photos
+    shape = job.method, len(photos), photos.resolution
+    if shape not in warm:
+        warm.add(shape)
+        with contextlib.suppress(MitsvbrdfError):  # the fit itself tells
+            fit(photos, renderer, replace(job.config, budget=None, iterations=2, seed=job.seed),
+                lambda share: None)
+
+
+def _end_of_lines(path: Path) -> None:
+    """Cut off an unfinished last line."""
+    with path.open("r+b") as file:
+        whole = file.read().rfind(b"\n") + 1
+        file.truncate(whole)

@@ -1,0 +1,129 @@
+"""One table: median and spread over seeds, of every method at every budget, beside published numbers."""
+
+from __future__ import annotations
+
+import statistics
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import pandas as pd
+
+# The errors that are judged by, of each kind of task, and what they are called.
+ERRORS = {"material": {"mean": "maps", "novel_light": "images under new light"},
+          "capture": {"held_out": "held-out photos", "seen": "photos seen"}}
+KINDS = {"material": "known materials", "capture": "real captures"}
+BY_ITSELF = ("iterations", "settled")  # how fits end before their budget does
+
+
+class Judged(NamedTuple):
+    """Fits that one error judges."""
+
+    title: str
+    error: str
+    records: list[Mapping[str, Any]]
+    published: list[Mapping[str, Any]]
+
+
+def judged(records: Iterable[Mapping[str, Any]],
+           published: Iterable[Mapping[str, Any]] = ()) -> Iterator[Judged]:
+    """Records by what judges them: materials, and captures by the photos held out; each by its errors."""
+    groups: dict[tuple, list[Mapping]] = {}
+    for record in records:
+        groups.setdefault((record["kind"], tuple(record.get("held_out", ()))), []).append(record)
+    for (kind, held_out), group in groups.items():
+        names = {record["name"] for record in group}
+        theirs = [row for row in published if row["kind"] == kind and row["name"] in names
+                  and tuple(row.get("held_out", ())) == held_out]
+        without = f" without photos {' and '.join(map(str, held_out))}" if held_out else ""
+        for error, what in ERRORS[kind].items():
+            if any(error in record["errors"] for record in group):
+                yield Judged(f"RMSE of {what}: mean of {len(names)} {KINDS[kind]}{without}", error, group, theirs)
+
+
+def summary(records: Iterable[Mapping[str, Any]], error: str) -> pd.DataFrame:
+    """What every method reaches at every budget.
+
+    The error of a seed is the mean over tasks. A seed that lacks a task, or failed at one, does not count.
+
+    Args:
+        records: fits of one kind, as :func:`~mitsvbrdf.bench.run.run` returns them.
+        error: a name in their ``errors``.
+
+    Returns:
+        By method (in the order of the records) and budget: ``median``, ``low`` and ``high`` (quartiles) over
+        ``seeds`` seeds; ``seconds`` of the loop and on the ``wall``, medians; whether all ``ended`` by
+        themselves.
+    """
+    records = list(records)
+    tasks = len({record["name"] for record in records})
+    rows = pd.DataFrame(
+        [{"method": r["method"], "budget": r["budget"], "seed": r["seed"], "error": r["errors"].get(error),
+          "seconds": r["seconds"], "wall": r["wall"], "ended": r["stopped"] in BY_ITSELF} for r in records],
+    ).dropna(subset=["error"])
+    by_seed = rows.groupby(["method", "budget", "seed"], sort=False).agg(
+        error=("error", "mean"), tasks=("error", "size"), seconds=("seconds", "mean"), wall=("wall", "mean"),
+        ended=("ended", "all"))
+    found = by_seed[by_seed["tasks"] == tasks].groupby(["method", "budget"], sort=False).agg(
+        median=("error", "median"), low=("error", lambda e: e.quantile(0.25)),
+        high=("error", lambda e: e.quantile(0.75)), seeds=("error", "size"), seconds=("seconds", "median"),
+        wall=("wall", "median"), ended=("ended", "all"))
+    order = list(dict.fromkeys(record["method"] for record in records))
+    return found.sort_index(key=lambda level: level.map(order.index) if level.name == "method" else level)
+
+
+def published_means(group: Judged) -> dict[str, float]:
+    """Whose -> mean of the published errors, of those that have one for each task."""
+    names = {record["name"] for record in group.records}
+    found: dict[str, dict[str, float]] = {}
+    for row in group.published:
+        if group.error in row["errors"]:
+            found.setdefault(row["method"], {})[row["name"]] = row["errors"][group.error]
+    return {who: statistics.fmean(each.values()) for who, each in found.items() if set(each) == names}
+
+
+def table(group: Judged) -> pd.DataFrame:
+    """Text for readers: a row for each method, a column for each budget, the best of each budget in bold."""
+    found = summary(group.records, group.error)
+    budgets = sorted({record["budget"] for record in group.records})
+    theirs = published_means(group)
+    best = {budget: found.xs(budget, level="budget")["median"].min() for budget in budgets
+            if budget in found.index.get_level_values("budget")}
+    rows = {}
+    for method in dict.fromkeys(record["method"] for record in group.records):
+        rows[f"`{method}`"] = [
+            _cell(found.loc[method, budget], best[budget]) if (method, budget) in found.index
+            else _absent(group.records, method, budget) for budget in budgets]
+    for who, error in theirs.items():
+        rows[f"{who}, published"] = [f"{error:.4f}"] * len(budgets)
+    return pd.DataFrame.from_dict(rows, orient="index", columns=[f"{budget:g} s" for budget in budgets])
+
+
+def markdown(groups: Sequence[Judged]) -> str:
+    """The tables of all groups as Markdown, with a note below each."""
+    parts = []
+    for group in groups:
+        found = summary(group.records, group.error)
+        seeds, ended = found["seeds"].max(), found[found["ended"]].groupby("method", sort=False)["seconds"].min()
+        ends = "; ".join(f"`{method}` after {seconds:.3g} s" for method, seconds in ended.items())
+        note = f"Median of {seeds} seeds (quartiles)." if seeds > 1 else "One seed."
+        note += f" † ended by itself: {ends}." if ends else ""
+        parts.append(f"## {group.title}\n\n{as_markdown(table(group))}\n\n{note}\n")
+    return "\n".join(parts)
+
+
+def as_markdown(cells: pd.DataFrame) -> str:
+    """A table of text as Markdown: its index at the left, all else at the right."""
+    return cells.to_markdown(colalign=("left", *["right"] * len(cells.columns)), disable_numparse=True)
+
+
+def _cell(found: pd.Series, best: float) -> str:
+    spread = f" ({found['low']:.4f}–{found['high']:.4f})" if found["seeds"] > 1 else ""
+    text = f"{found['median']:.4f}{spread}{' †' if found['ended'] else ''}"
+    return f"**{text}**" if found["median"] == best else text
+
+
+def _absent(records: Iterable[Mapping[str, Any]], method: str, budget: float) -> str:
+    """Why there is no figure."""
+    here = [r for r in records if r["method"] == method and r["budget"] == budget]
+    failed = sorted({r["name"] for r in here if r["stopped"] == "failed"})
+    return f"fails on {', '.join(failed)}" if failed else "incomplete" if here else "not run"

@@ -1,0 +1,91 @@
+"""What is fitted, and what nobody's fit may see."""
+
+import json
+
+import pytest
+import torch
+from helpers import ANALYTIC, GRID, photos_of
+
+from mitsvbrdf.bench.tasks import find_tasks, known_material, novel_views, published, real_capture
+from mitsvbrdf.capture import write_capture
+from mitsvbrdf.errors import ConfigError
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.map_files import save_maps
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("data")
+    for name in ("cards-blue", "wood"):
+        write_capture(photos_of(make_material("inlay", 16)), folder / "captures" / name)
+    save_maps(make_material("leather", 16), folder / "materials/hide")
+    return folder
+
+
+def found(data, materials=None, captures=None, views=None):
+    return find_tasks(materials, captures, data, 16, (4, 7), views, ANALYTIC)
+
+
+def test_photos_held_out_are_in_no_fit(data):
+    whole, task = (real_capture(data / "captures/wood", 16, held) for held in ((99,), (7, 8)))
+    assert task.photos.index == (0, 1, 2, 3, 4, 5, 6) and task.unseen.index == (7, 8)
+    for seen in task.photos.photos:
+        assert not any(torch.equal(seen, whole.photos.photos[number]) for number in (7, 8))
+    assert torch.equal(task.unseen.photos, whole.photos.photos[7:]) and whole.unseen is None
+    with pytest.raises(ConfigError, match="photos besides"):
+        real_capture(data / "captures/wood", 16, range(9))
+
+
+def test_tasks_are_found_by_name(data):
+    assert [t.name for t in found(data)] == ["hide", "inlay", "tiles", "leather", "plates", "cards-blue",
+                                             "wood"]
+    (hide, wood) = found(data, ["hide"], ["wood"])
+    assert hide.folder == data / "materials/hide" and hide.key["views"] == "cards-blue"
+    assert wood.key == {"kind": "capture", "name": "wood", "resolution": 16, "held_out": [4, 7]}
+    assert found(data, ["inlay"], ["none"], "builtin:grid")[0].key["views"] == "builtin:grid"
+    for materials, captures in ((["none"], ["none"]), (["nowhere"], None), (["inlay"], ["nowhere"]),
+                                (["inlay", "builtin:inlay"], None)):
+        with pytest.raises(ConfigError):
+            found(data, materials, captures)
+
+
+def test_a_perfect_fit_has_no_error_and_a_wrong_one_has(data):
+    task = known_material("builtin:inlay", 16, GRID, ANALYTIC)
+
+    def predict_of(svbrdf):
+        return lambda shots: (ANALYTIC.render(svbrdf, shots.views), 0.25)
+
+    right = task.errors(task.truth, predict_of(task.truth))
+    wrong = task.errors(make_material("plates", 16), predict_of(task.truth))
+    assert right["mean"] == right["novel_light"] == 0 and right["photos"] == 0.25
+    assert wrong["mean"] > 0.05 and wrong["novel_light"] > 0.05
+    assert right["flip_novel_light"] < 1e-6 and right["flip_photos"] < 0.02  # photos have 8 bits
+
+
+def test_new_lights_are_far_from_the_lens():
+    views = novel_views(GRID)
+    ray = torch.nn.functional.normalize(views.light.double(), dim=-1)
+    upright = torch.nn.functional.normalize(views.camera.double(), dim=-1)
+    angles = torch.rad2deg(torch.arccos((ray * upright).sum(-1)))
+    assert torch.allclose(angles, torch.tensor([25.0] * 4 + [50.0] * 4, dtype=torch.float64), atol=1e-3)
+
+
+def test_published_numbers_stand_beside_what_saw_the_same_photos(data, tmp_path):
+    path, per_view = tmp_path / "peers.json", [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.3, 0.4]
+    maps = {"diffuse": 0.1, "specular": 0.2, "roughness": 0.3, "normal": 0.4}
+    path.write_text(json.dumps({
+        "materials": {"hide": {"materialgan": maps}, "inlay": {"materialgan": maps}},
+        "captures": {"wood": {"per_view": per_view, "left_out_7_8_rmse_256": {"gao2019": 0.2}}}}))
+    tasks = [known_material(str(data / "materials/hide"), 256, GRID, ANALYTIC),
+             known_material("builtin:inlay", 256, GRID, ANALYTIC),
+             *(real_capture(data / "captures/wood", 256, held) for held in ((7, 8), (4, 7)))]
+    if tasks[0].photos.resolution != 256:  # maps of 16 texels make photos of 16
+        tasks[0] = known_material("builtin:inlay", 256, GRID, ANALYTIC)
+    found = {(row["method"], tuple(row.get("held_out", ()))): row["errors"] for row in published(path, tasks)}
+    assert found["Gao 2019", (7, 8)] == {"held_out": 0.2} and ("Gao 2019", (4, 7)) not in found
+    assert found["MaterialGAN, which saw them", (7, 8)]["held_out"] == pytest.approx(0.125**0.5)
+    assert found["MaterialGAN", (7, 8)]["seen"] == pytest.approx((sum(e * e for e in per_view[:7]) / 7) ** 0.5)
+    assert published(path, [real_capture(data / "captures/wood", 16, (7, 8))]) == []  # another size
+    path.write_text('{"materials": {}, "captures": {"wood": {}}}')
+    with pytest.raises(ConfigError, match="peers.json"):
+        published(path, tasks)
