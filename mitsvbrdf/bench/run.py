@@ -82,8 +82,8 @@ class Job:
     def key(self, renderer: Renderer) -> dict[str, Any]:
         """What identifies its record."""
         return {"method": self.method, **self.task.key, "config": settings_of(self.config),
-                "renderer": f"{renderer.name} {renderer.variant or ''}".strip(), "budget": float(self.budget), "seed": self.seed,
-                "version": version(), "machine": machine()}
+                "renderer": f"{renderer.name} {renderer.variant or ''}".strip(), "budget": float(self.budget),
+                "seed": self.seed, "version": version(), "machine": machine()}
 
 
 def method_table() -> dict[str, FitConfig]:

@@ -57,9 +57,10 @@ def bench(
     Each record is kept as soon as its fit is done: Ctrl-C loses one fit at most, and the same command
     continues. Nothing else should run meanwhile. docs/evaluation.md explains the errors.
     """
+    from ..bench.peers import published
     from ..bench.run import method_table, run
     from ..bench.table import judged
-    from ..bench.tasks import data_folder, find_tasks, published
+    from ..bench.tasks import data_folder, find_tasks
 
     picture = page.with_suffix(".svg") if page else None
     check_new_files(page, picture, overwrite=overwrite, read=[json_file])

@@ -87,8 +87,8 @@ def test_a_fit_that_ended_by_itself_is_not_done_again_with_a_longer_budget(task,
 
 
 def test_a_fit_that_cannot_be_done_is_a_result_that_says_why(task, tmp_path):
-    (record,) = measured(task, tmp_path / "b.jsonl", {"direct": DirectConfig(bsdf="principled")}, [1e-9], [0])
-    assert record["stopped"] == "failed" and record["errors"] == {} and "budget" in record["why"]
+    (record,) = measured(task, tmp_path / "b.jsonl", {"direct": DirectConfig(fix=("metallic=0",))}, [0.1], [0])
+    assert record["stopped"] == "failed" and record["errors"] == {} and "metallic" in record["why"]
 
 
 def test_real_photos_are_judged_by_those_held_out(tmp_path):
