@@ -1,6 +1,6 @@
-"""Notebooks run by a kernel of the Python that runs this, whatever other kernels the machine offers.
+"""Run notebooks with a kernel of this Python.
 
-``python tests/notebooks.py docs/tutorial.ipynb`` renews the outputs that a notebook is kept with.
+``python tests/notebooks.py docs/tutorial.ipynb`` renews the kept outputs of a notebook.
 """
 
 from __future__ import annotations
@@ -15,15 +15,14 @@ ROOT = Path(__file__).parents[1]
 
 
 def run(notebook, folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Run a notebook (of nbformat) in place, in this folder; an error in a cell is raised.
+    """Run a notebook (of nbformat) in place, in this folder. An error in a cell is raised.
 
     Returns:
-        The types of all messages that came from the kernel, in their order.
+        The types of all messages from the kernel, in their order.
     """
-    client = pytest.importorskip("nbclient", reason="needs nbclient and ipykernel: pip install "
-                                                    "mitsvbrdf[test]")
-    kernelspec = pytest.importorskip("ipykernel.kernelspec", reason="needs ipykernel: pip install "
-                                                                    "mitsvbrdf[test]")
+    needs = "needs nbclient and ipykernel: pip install mitsvbrdf[test]"
+    client = pytest.importorskip("nbclient", reason=needs)
+    kernelspec = pytest.importorskip("ipykernel.kernelspec", reason=needs)
     kernelspec.write_kernel_spec(folder / "jupyter/kernels/python3")
     monkeypatch.setenv("JUPYTER_PATH", str(folder / "jupyter"))  # is searched first
     monkeypatch.setenv("IPYTHONDIR", str(folder / "ipython"))  # no start-up files of a user
@@ -41,9 +40,7 @@ def run(notebook, folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def main(*paths: str) -> None:
-    """Run notebooks as they are and write them with their outputs, without what tells machines and moments
-    apart.
-    """
+    """Run notebooks and write them with their outputs, without the marks of a machine or a moment."""
     import nbformat
 
     for path in paths:

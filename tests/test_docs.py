@@ -1,6 +1,4 @@
-"""Commands in README and docs are understood; the slow suite runs them, in their order, on made photos and
-shortened.
-"""
+"""Commands in README and docs parse; the slow suite runs them in their order, shortened, on made photos."""
 
 import functools
 import json
@@ -20,8 +18,7 @@ from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.render.exclusive import using_mitsuba
 
-SHORTER = [(r"--budget \d+", "--iterations 3"), (r"budget=\d+", "iterations=3"),
-           (r"resolution=\d+", "resolution=32"),
+SHORTER = [(r"--budget \d+", "--iterations 3"), (r"resolution=\d+", "resolution=32"),
            (r"--megapixels \d+", "--megapixels 0.7"), (r"--target-error \S+ ?", ""),
            (r"\(seed=0\)", "(seed=0, iterations=3)"),
            (r"(make_material\(\S+,) \d+", r"\1 32"), (r"error<\S+\b", "error<1")]
@@ -58,8 +55,8 @@ TASKS = ["docs/index.md", "docs/start-phone.md", "docs/start-capture.md", "docs/
 
 
 @pytest.mark.parametrize("line", dict.fromkeys(TYPED))
-def test_commands_are_understood(line, monkeypatch):
-    """Parsed as typed, with the command itself left out."""
+def test_commands_parse(line, monkeypatch):
+    """The command itself does not run."""
     called, of = [], cli.command
 
     def parsed(name, arguments):
@@ -121,13 +118,15 @@ def test_what_the_first_pages_make_is_not_taken_for_source(name):
     assert made or name == "docs/index.md"
 
 
-def test_links_between_the_first_pages():
-    """A newcomer gets from the first page to each task, and from each task on."""
-    first = (ROOT / "docs/index.md").read_text()
-    for name in TASKS[1:]:
-        assert f"]({Path(name).name})" in first
-        page = (ROOT / name).read_text()
-        assert "## If it does not work" in page and len(page.splitlines()) <= 60
+def test_the_first_page_leads_to_every_user_page():
+    linked = re.findall(r"\]\((\w[\w-]*\.md)", (ROOT / "docs/index.md").read_text())
+    assert {path.name for path in (ROOT / "docs").glob("*.md")} - {"index.md"} <= set(linked)
+
+
+def test_user_pages_are_short():
+    words = {path.name: len(path.read_text().split()) for path in (ROOT / "docs").glob("*.md")}
+    assert not {name: count for name, count in words.items() if count > 1500}
+    assert sum(words.values()) <= 22_000
 
 
 @pytest.mark.slow
@@ -146,21 +145,19 @@ def test_commands_for_a_fit(name, photos):
 
 @pytest.mark.slow
 def test_batch_page_commands(photos):
-    # it waits for Ctrl-C
-    run_shortened([line for line in commands(ROOT / "docs/batch.md") if not line.startswith("view ")])
+    run_shortened(commands(ROOT / "docs/batch.md"))
     assert list(Path("exported").rglob("material.glb"))
 
 
 @pytest.mark.slow
 def test_evaluation_page_commands(photos):
-    """But for those that reproduce the paper's tables, in hours."""
     for folder in ("published", "known"):
         save_maps(make_material("inlay", 32), folder)
-    run_shortened([line for line in commands(ROOT / "docs/evaluation.md") if "gan.json" not in line])
+    run_shortened([line for line in commands(ROOT / "docs/evaluation.md") if line != "bench --help"])
 
 
 def test_python_of_the_formats_page(photos):
-    """What loads the material of an export for Mitsuba."""
+    """It loads the exported material into Mitsuba."""
     import mitsuba as mi
 
     assert cli.main(["export", "builtin:inlay", "--to", "mitsuba", "-o", "out/export", "--no-preview"]) == 0
@@ -191,7 +188,6 @@ def test_what_to_cite_is_this_version():
     import mitsvbrdf
 
     assert f"\nversion: {mitsvbrdf.__version__}\n" in (ROOT / "CITATION.cff").read_text()
-    assert f"{{{mitsvbrdf.__version__}}}" in (ROOT / "docs/citation.md").read_text()
 
 
 @pytest.mark.slow
@@ -211,7 +207,7 @@ def test_capture_page_commands(tmp_path, monkeypatch):
 
 
 def test_links_lead_somewhere():
-    for page in PAGES:
+    for page in [*PAGES, ROOT / "docs/tutorial.ipynb"]:
         for target in re.findall(r"\]\((?!http)([^)#]+)", page.read_text()):
             assert (page.parent / target).exists(), f"{page.name}: {target}"
 

@@ -1,6 +1,4 @@
-"""The script that sets everything up: clean POSIX sh, a help that exits sensibly, and no work once all is
-there.
-"""
+"""The set-up script: POSIX sh, help with the right exit codes, and no work once everything is installed."""
 
 from __future__ import annotations
 
@@ -15,8 +13,8 @@ RUN = ROOT / "run"
 
 
 def sh(*arguments: object, **options) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([str(a) for a in arguments], capture_output=True, encoding="utf-8", timeout=20,
-                          **options)
+    words = [str(each) for each in arguments]
+    return subprocess.run(words, capture_output=True, encoding="utf-8", timeout=20, **options)
 
 
 @pytest.mark.parametrize("shell", [s for s in ("sh", "dash", "bash", "busybox") if shutil.which(s)])
@@ -27,9 +25,8 @@ def test_every_shell_reads_it(shell):
 
 
 def test_help_names_the_commands():
-    shown = sh(RUN, "help").stdout
-    assert all(f"./run {command}" in shown for command in ("demo", "test", "check", "slow", "docs", "soak",
-                                                           "setup"))
+    shown, names = sh(RUN, "help").stdout, "demo test check slow docs soak setup".split()
+    assert all(f"./run {name}" in shown for name in names)
 
 
 @pytest.mark.parametrize("arguments", [[], ["tset"]])
@@ -40,7 +37,7 @@ def test_no_or_an_unknown_command_is_an_error_with_the_help_on_stderr(arguments)
 
 @pytest.fixture
 def checkout(tmp_path):
-    """A checkout under an awkward name, its set-up done by a stand-in that prints how it is called."""
+    """A checkout under an awkward name, set up with stand-ins that print how they are called."""
     root = tmp_path / "a chéckout"
     (root / ".venv" / "bin").mkdir(parents=True)
     for name in ("run", "pyproject.toml", "constraints.txt"):
@@ -60,9 +57,7 @@ def stamp(root: Path) -> str:
 
 
 def test_a_set_up_checkout_runs_at_once_from_anywhere(checkout, tmp_path):
-    """PATH has no pip, apt or Python here and HOME is unset, so anything but starting the program would
-    fail.
-    """
+    """PATH has no pip, apt or Python here, and HOME is unset: only starting the program can succeed."""
     environment = {"PATH": "/usr/bin:/bin", "LC_ALL": "C"}
     demo = sh(checkout / "run", "demo", "--out", "my maps", cwd=tmp_path, env=environment)
     assert demo.stdout == f"{tmp_path}|mitsvbrdf|demo|--out|my maps|", demo.stderr
@@ -85,8 +80,8 @@ def breaks(checkout: Path, *programs: str) -> None:
 
 def test_check_says_a_line_for_each_and_goes_on_after_a_red_one(checkout):
     green = sh(checkout / "run", "check")
-    assert (green.returncode, green.stdout.split()) == (0,
-                                                        "style ok types ok imports ok lengths ok".split()), green.stderr
+    assert green.stdout.split() == "style ok types ok imports ok lengths ok".split(), green.stderr
+    assert green.returncode == 0
     breaks(checkout, "ruff", "lint-imports")
     red = sh(checkout / "run", "check")
     assert red.returncode == 1 and red.stdout.splitlines() == [
@@ -134,13 +129,12 @@ def test_changed_requirements_are_set_up_again(checkout):
     assert (checkout / ".venv" / "stamp").read_text() == stamp(checkout)
 
 
-UV_WAYS = """printf '%s\\n' "$UV_DEFAULT_INDEX" "$UV_INDEX" "$UV_FIND_LINKS" "$SSL_CERT_FILE" "$UV_HTTP_TIMEOUT" "$@" >&2"""
+UV_WAYS = """printf '%s\\n' "$UV_DEFAULT_INDEX" "$UV_INDEX" "$UV_FIND_LINKS" "$SSL_CERT_FILE" \
+    "$UV_HTTP_TIMEOUT" "$@" >&2"""
 
 
 def told(checkout: Path, settings: str | None, uv: str) -> tuple[str, list[str]]:
-    """What `run setup` says where pip has these settings (None: tells none), and pip's calls to install; with
-    this as uv.
-    """
+    """Messages of `run setup` with these settings of pip (None: unreadable) and this uv; pip's installs."""
     (checkout / ".venv" / "stamp").unlink()
     programs, calls = checkout / ".venv" / "bin", checkout / "calls"
     if settings is not None:
@@ -157,34 +151,33 @@ def told(checkout: Path, settings: str | None, uv: str) -> tuple[str, list[str]]
 
 @pytest.mark.parametrize("timeout", ["timeout", "default-timeout"])
 def test_uv_looks_for_packages_where_pip_does(checkout, timeout):
-    said, by_pip = told(checkout,
-                        f":env:.{timeout}='180'\nglobal.index-url='https://a/simple?x=1'\nglobal.find-links='/b /c'\n"
-                        "global.cert='/d.crt'\nuser.extra-index-url='\\nhttps://e\\nfile:///f'\n"
-                        "site.extra-index-url='https://g'\nuser.find-links='/h'\nuser.index-url='https://a/simple?x=1'\n"
-                        "global.retries='9'\nglobal.no-input='true'\nglobal.cache-dir='/i'\n"
-                        "global.disable-pip-version-check='true'\n", UV_WAYS)
+    settings = [f":env:.{timeout}='180'", "global.index-url='https://a/simple?x=1'",
+                "global.find-links='/b /c'", "global.cert='/d.crt'",
+                "user.extra-index-url='\\nhttps://e\\nfile:///f'", "site.extra-index-url='https://g'",
+                "user.find-links='/h'", "user.index-url='https://a/simple?x=1'", "global.retries='9'",
+                "global.no-input='true'", "global.cache-dir='/i'",
+                "global.disable-pip-version-check='true'\n"]
+    messages, by_pip = told(checkout, "\n".join(settings), UV_WAYS)
     assert by_pip == ["uv"]
-    lines, limits = said.splitlines(), f"{checkout}/constraints.txt"
+    lines, limits = messages.splitlines(), f"{checkout}/constraints.txt"
     at = lines.index("https://a/simple?x=1")
     assert lines[at + 1 : at + 5] == ["https://e file:///f https://g", "/b,/c,/h", "/d.crt", "180"]
-    assert lines[at + 5 : at + 17] == ["pip", "install", "-q", "--python", f"{checkout}/.venv/bin/python",
-                                       "--index-strategy",
-                                       "unsafe-best-match", "-c", limits, "-b", limits, "-e"]
-    assert lines[at + 17] == f"{checkout}[test,dev]"
+    assert lines[at + 5 : at + 18] == [
+        "pip", "install", "-q", "--python", f"{checkout}/.venv/bin/python", "--index-strategy",
+        "unsafe-best-match", "-c", limits, "-b", limits, "-e", f"{checkout}[test,dev]"]
 
 
 def test_uv_installs_where_pip_is_told_nothing(checkout):
     assert told(checkout, "", UV_WAYS)[1] == ["uv"]
 
 
-@pytest.mark.parametrize("settings, uv", [("global.no-index='true'\n", UV_WAYS), ("", "exit 2"),
-                                          (None, UV_WAYS),
-                                          ("global.index-url='https://a'\nuser.index-url='https://b'\n",
-                                           UV_WAYS)])
+@pytest.mark.parametrize("settings, uv", [
+    ("global.no-index='true'\n", UV_WAYS), ("", "exit 2"), (None, UV_WAYS),
+    ("global.index-url='https://a'\nuser.index-url='https://b'\n", UV_WAYS)])
 def test_pip_installs_what_uv_does_not(checkout, settings, uv):
-    said, by_pip = told(checkout, settings, uv)
-    assert by_pip == ["uv", "hatchling editables",
-                      f"--no-build-isolation -e {checkout}[test,dev]"] and "pip, which" in said
+    messages, by_pip = told(checkout, settings, uv)
+    assert by_pip == ["uv", "hatchling editables", f"--no-build-isolation -e {checkout}[test,dev]"]
+    assert "pip, which" in messages
 
 
 def test_without_a_fitting_python_it_says_so(tmp_path):
