@@ -35,7 +35,8 @@ CONTENTS = {
         "Reference": ["/docs/commands", "/docs/python", "/docs/formats", "/docs/conventions"],
         "Project": ["All at a glance </README>", "/CONTRIBUTING", "/CHANGELOG", "/SECURITY"],
     },
-    "docs/results/README": {"": ["/docs/results/*"]},
+    "docs/results/README": {"": ["/docs/benchmark", "/docs/stability", "/docs/stability-fits", "/docs/leave-out",
+                                 "/docs/batch-planning", "/docs/results/finish-256/finish", "/docs/results/*"]},
 }
 
 project, author, copyright = "mitsvbrdf", "the mitsvbrdf developers", "the mitsvbrdf developers"
