@@ -18,6 +18,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .errors import CaptureError, ConfigError
+from .kinds import check_fields
 
 FIELD_OF_VIEW = 60.0  # degrees across the long side where no EXIF says it: a phone's wide camera has 60 to 70
 
@@ -63,6 +64,7 @@ class Views:
     falloff: Falloff = "inverse-square"
 
     def __post_init__(self) -> None:
+        check_fields(self, "size", "falloff")
         for name in ("camera", "light", "intensity"):
             value = getattr(self, name)
             if not isinstance(value, Tensor) or not value.is_floating_point():
@@ -115,21 +117,27 @@ class Views:
         """
         if not (self.size > 0 and torch.isfinite(torch.tensor(self.size))):
             raise CaptureError("a patch size > 0", str(self.size), "check im_size / image_size")
+        self.check_finite()
         for name in ("camera", "light"):
             for row, position in enumerate(getattr(self, name).tolist()):
-                if not all(map(_finite, position)):
-                    raise CaptureError("finite positions", f"{name} {row} at {position}",
-                                       "check the calibration for NaN")
                 if position[2] <= 0:
                     raise CaptureError("cameras and lights above the plane (z > 0)",
                                        f"{name} {row} at {position}",
                                        "z points from the material toward the camera; check signs and "
                                        "column order")
         for row, power in enumerate(self.intensity.tolist()):
-            if not all(map(_finite, power)) or min(power) < 0 or max(power) == 0:
+            if min(power) < 0 or max(power) == 0:
                 raise CaptureError("a light intensity >= 0, not all 0", f"light {row} with {power}",
                                    "check light_pow")
         self._check_scale()
+
+    def check_finite(self) -> None:
+        """Raise CaptureError, naming the row, unless every number is finite."""
+        for name, what in (("camera", "positions"), ("light", "positions"), ("intensity", "light intensities")):
+            for row, numbers in enumerate(getattr(self, name).tolist()):
+                if not all(map(math.isfinite, numbers)):
+                    raise CaptureError(f"finite {what}", f"{name} {row} at {numbers}",
+                                       "check the calibration for NaN")
 
     def _check_scale(self) -> None:
         """Distances beside the patch, and light beside distances: both are plain numbers, whatever the unit
@@ -208,10 +216,6 @@ def shift_lights(views: Views, flash_offset: tuple[float, float] | None) -> View
     if flash_offset is None:
         return views
     return replace(views, light=views.light + views.light.new_tensor([*flash_offset, 0.0]) * views.size)
-
-
-def _finite(x: float) -> bool:
-    return x == x and abs(x) != float("inf")
 
 
 def texel_positions(resolution: int, dtype: torch.dtype = torch.float64) -> Tensor:

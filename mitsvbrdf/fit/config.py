@@ -11,6 +11,7 @@ from tyro.conf import arg
 
 from ..capture.guess import GuessMethod
 from ..errors import LARGEST, ConfigError
+from ..kinds import check_fields
 from ..material.maps import Bsdf
 from ..views import Falloff
 from . import losses
@@ -57,7 +58,8 @@ class FitConfig:
     """One grey specular level a texel instead of three channels."""
 
     def check(self) -> None:
-        """Raise ConfigError for numbers out of range, and for words that are no choice."""
+        """Raise ConfigError for other kinds, numbers out of range, and words that are no choice."""
+        check_fields(self)
         for name, kind in get_type_hints(type(self)).items():
             if get_origin(kind) is Literal and getattr(self, name) not in get_args(kind):
                 raise ConfigError(f"{name} of {get_args(kind)}", repr(getattr(self, name)),
