@@ -278,14 +278,6 @@ def default_views(count: int, field_of_view: float = FIELD_OF_VIEW, share: float
     return Views.of([[0.0, 0.0, distance]] * count, intensity=math.pi * distance**2)
 
 
-def field_of_view(focal_35mm: float, width: int, height: int) -> float:
-    """Degrees across the long side of a photo, from its 35 mm equivalent focal length (equal diagonals, 43.27
-    mm).
-    """
-    focal = focal_35mm / math.hypot(36, 24) * math.hypot(width, height)
-    return math.degrees(2 * math.atan(max(width, height) / 2 / focal))
-
-
 def geometry(views: Views, resolution: int) -> tuple[Tensor, Tensor, Tensor]:
     """Unit vectors to the light and half way to the camera, and the irradiance of flat texels: N x R x R x 3
     each.

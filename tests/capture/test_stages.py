@@ -17,10 +17,11 @@ from PIL import Image
 
 from mitsvbrdf import cli
 from mitsvbrdf.capture import read_capture
+from mitsvbrdf.capture.align.from_sheet import refuse_tags
 from mitsvbrdf.capture.lens import Pose, project
 from mitsvbrdf.capture.photo import Photo, photos_in
 from mitsvbrdf.capture.rig import rig_from_json
-from mitsvbrdf.capture.stages import make_capture, refuse_tags
+from mitsvbrdf.capture.stages import make_capture
 from mitsvbrdf.errors import CaptureError, ConfigError
 
 
