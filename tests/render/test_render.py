@@ -200,8 +200,8 @@ def test_needs():
     material = random_material("roughconductor")
     together, apart = (scene_needs(material, v, "mitsuba") for v in (GRID, APART))
     assert not together.fresnel_curve and apart.fresnel_curve
-    assert "Fresnel curve" in dict(together.left_out) and "Fresnel curve" not in dict(apart.left_out)
-    assert "ray tracing" not in dict(scene_needs(material, GRID, "mitsuba-scene").left_out)
+    assert "Fresnel curve" in dict(together.omitted) and "Fresnel curve" not in dict(apart.omitted)
+    assert "ray tracing" not in dict(scene_needs(material, GRID, "mitsuba-scene").omitted)
 
 
 def test_leaving_out_the_fresnel_curve_costs_less_than_it_says():

@@ -103,6 +103,6 @@ def stepped(task):
 def test_the_traced_scene_leaves_the_flash_where_it_is(kind, shots):
     result = fit_svbrdf(shots, THROUGH["mitsuba-scene"], kind(width=4, iterations=2))
     assert result.config.flash_offset and result.flash_offset is None and not result.undone
-    assert ("flash offset", "mitsuba-scene has no gradient to the lights") in result.left_out
+    assert ("flash offset", "mitsuba-scene has no gradient to the lights") in result.omitted
     assert torch.equal(result.views.light, shots.views.light)
 
