@@ -8,7 +8,7 @@ import pytest
 from helpers.fit_pages import Page
 
 from mitsvbrdf import cli
-from mitsvbrdf.fit.generator.detail import Finish
+from mitsvbrdf.fit.generator.detail import DetailTraining
 from mitsvbrdf.io import images
 from mitsvbrdf.material.map_files import load_maps
 
@@ -78,13 +78,13 @@ def test_a_whole_fit_resumes_into_its_detail(folders, shots, tmp_path, capsys):
 def test_ctrl_c_during_plausible_detail_keeps_the_maps(shots, tmp_path, monkeypatch, capsys):
     import signal
 
-    step = Finish.step
+    step = DetailTraining.step
 
     def interrupted(self, progress):
         signal.raise_signal(signal.SIGINT)
         return step(self, progress)
 
-    monkeypatch.setattr(Finish, "step", interrupted)
+    monkeypatch.setattr(DetailTraining, "step", interrupted)
     out = tmp_path / "out"
     assert cli.main(["fit", str(shots), "-o", str(out), *QUICK, "--detail", "gan"]) == 0
     assert "without plausible detail" in capsys.readouterr().out

@@ -19,7 +19,7 @@ from mitsvbrdf.fit.generator.highlight_discriminator import (
     HighlightDiscriminator,
     patch_distance,
 )
-from mitsvbrdf.fit.generator.novel_lights import draw, moved_views
+from mitsvbrdf.fit.generator.novel_lights import draw, novel_views
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.measure.metrics import photo_rmse
 from mitsvbrdf.measure.patch_statistics import patches_of
@@ -117,7 +117,7 @@ def test_a_moved_light_shows_elsewhere_what_its_photo_shows(falloff):
     random, carried = torch.Generator().manual_seed(0), set()
     for _ in range(12):
         light = draw(views, torch.zeros(32, 32, 3), 12, 4, random)
-        moved = moved_views(views, [light], 32)
+        moved = novel_views(views, [light], 32)
         new, old = ANALYTIC.render(material, moved)[0], ANALYTIC.render(material,
                                                                         views.pick([light.photo]))[0]
         assert torch.allclose(light.under_it(new, 12), light.in_photo(old, 12), rtol=1e-4)

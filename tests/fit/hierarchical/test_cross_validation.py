@@ -46,7 +46,7 @@ def case(capture):
 
 def test_texels_that_may_not_move_predict_what_the_twin_draws(case, capture):
     _, solver, photos, truth = case
-    prior = method_of(capture, detail_spread=0.0).ties
+    prior = method_of(capture, detail_spread=0.0).prior
     x = truth.x.clone()
     x[prior.slopes] += 0.2  # of another material
     held = prior.free(truth._replace(x=x))

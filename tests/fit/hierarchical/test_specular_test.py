@@ -78,7 +78,7 @@ def test_a_matte_material_is_fitted_without_a_lobe(settings):
                                                                                                       SIDE, 3)})
     method = left_alone(photos_of(truth), **settings)
     assert method.stages.matte and method.stages.stage == Stage.FINE
-    assert {skipped.LOBE, skipped.MULTI_START, skipped.TIED} <= set(dict(method.omitted))
+    assert {omitted.LOBE, omitted.MULTI_START, omitted.TIED} <= set(dict(method.omitted))
     method.step(0.0)
     found, _ = method.estimate()
     assert not found["specular"].any() and len(found["roughness"].unique()) == 1

@@ -102,9 +102,9 @@ def test_a_resumed_fit_knows_what_steps_took(timed):
     again, later = timed(clock.now + 400)
     later.now = clock.now
     again.load_state(method.state())
-    assert again.pace.rates == method.budget.rates and len(again.pace.rates) == 2
-    assert again.pace.end == again.pace.budget
-    run(again, later, again.pace.budget)
+    assert again.budget.rates == method.budget.rates and len(again.budget.rates) == 2
+    assert again.budget.end == again.budget.budget
+    run(again, later, again.budget.budget)
     assert again.done and "views" not in [kind for kind, *_ in later.calls]
     assert again.stages.rounds == 6 and f"further {VIEWS}" in dict(again.omitted)
 
