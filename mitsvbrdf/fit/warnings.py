@@ -16,7 +16,6 @@ from .confidence import DETERMINED, confidence
 from .config import HierarchicalConfig, HybridConfig
 from .fixed_maps import described
 from .gan_config import GanConfig
-from .omitted import TIED
 from .result import FitResult
 
 # Behind each number, what twelve real captures of nine photos had, fitted with `hybrid` and `direct` at 64
@@ -211,6 +210,7 @@ def _refined_for_nothing(result: FitResult, capture: Capture) -> Iterator[str]:
     """Whether stated views were refined, as asked for, where exact photos said as much with the views as they
     were.
     """
+    from .hierarchical.omitted import TIED
     from .hierarchical.view_corrections import TILTED  # with OpenCV, which results alone do not need
 
     stated, offset = result.calibrated_rmse, math.hypot(*(result.flash_offset or (0.0, 0.0)))

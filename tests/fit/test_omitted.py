@@ -18,7 +18,7 @@ from mitsvbrdf.fit import (
     losses,
     make_method,
 )
-from mitsvbrdf.fit import omitted as parts
+from mitsvbrdf.fit.hierarchical import omitted as parts
 from mitsvbrdf.fit.hierarchical.stages import ROUNDS, Stage, Stages
 from mitsvbrdf.fit.omitted import decided_later, known_before, omitted_by, used
 from mitsvbrdf.fit.record import read_whole_fit

@@ -37,14 +37,15 @@ from ...io.profile import profiled
 from ...material.maps import SVBRDF
 from ...material.resample import enlarged
 from ...render import make_renderer
+from ...render.needs import Omitted
 from ...views import Views
 from ..config import HierarchicalConfig
 from ..method import Method
-from ..omitted import Omitted, omitted_stages
 from ..start import robust_start
 from ..task import FitTask
 from .cross_validation import AGREED, NOISES, in_turn, least_as_good, prediction_errors, steps_of_turns
 from .observations import ROBUST_END, ObservationModel
+from .omitted import omitted_stages
 from .scales import Scale, Scales
 from .sharing import marginalised
 from .solver import Observations, Solved

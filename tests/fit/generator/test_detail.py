@@ -81,7 +81,7 @@ def test_a_seed_decides_the_draw(result, capture):
 
 
 def test_the_look_starts_as_the_maps(result, capture):
-    start = Finish(result, capture, ANALYTIC, QUICK).material()
+    start = DetailTraining(result, capture, ANALYTIC, QUICK).material()
     for name, value in result.svbrdf.maps.items():
         # There and back through the numbers that deviations are stated in, float32; a slope of 1e-3 near the
         # upright z = 1.

@@ -9,8 +9,8 @@ import torch
 from helpers import GRID, MITSUBA, photos_of
 from helpers.hierarchical_fits import left_alone
 
-from mitsvbrdf.fit import FitTask, HierarchicalConfig, fit_svbrdf, make_method, omitted
-from mitsvbrdf.fit.hierarchical import specular_test
+from mitsvbrdf.fit import FitTask, HierarchicalConfig, fit_svbrdf, make_method
+from mitsvbrdf.fit.hierarchical import omitted, specular_test
 from mitsvbrdf.fit.hierarchical.stages import ROUNDS, Stage
 from mitsvbrdf.fit.loop import Loop
 from mitsvbrdf.material.made import make_material

@@ -4,10 +4,9 @@ import pytest
 import torch
 from helpers import photos_of
 from helpers.hierarchical_fits import method_of
-from mitsvbrdf.fit.hierarchical.omitted import IN_TURN, VIEWS
 
-from mitsvbrdf.fit import omitted
-from mitsvbrdf.fit.hierarchical import rounds, scales, specular_test, starts
+from mitsvbrdf.fit.hierarchical import omitted, rounds, scales, specular_test, starts
+from mitsvbrdf.fit.hierarchical.omitted import IN_TURN, VIEWS
 from mitsvbrdf.fit.hierarchical.stages import Stage, Stages
 from mitsvbrdf.fit.hierarchical.time_budget import LAST_STEPS, OTHER_STEPS, STEPS, TimeBudget
 from mitsvbrdf.fit.hierarchical.view_corrections import ViewCorrections
