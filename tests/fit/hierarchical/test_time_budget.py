@@ -6,7 +6,7 @@ from helpers import photos_of
 from helpers.hierarchical_fits import method_of
 
 from mitsvbrdf.fit.hierarchical import omitted, rounds, scales, specular_test, starts
-from mitsvbrdf.fit.hierarchical.omitted import IN_TURN, VIEWS
+from mitsvbrdf.fit.hierarchical.omitted import CROSS_VALIDATION, VIEWS
 from mitsvbrdf.fit.hierarchical.stages import Stage, Stages
 from mitsvbrdf.fit.hierarchical.time_budget import LAST_STEPS, OTHER_STEPS, STEPS, TimeBudget
 from mitsvbrdf.fit.hierarchical.view_corrections import ViewCorrections
@@ -83,7 +83,7 @@ def test_an_ample_budget_changes_nothing(timed):
     assert (passed, clock.calls) == (run(free, other, AMPLE)[0], other.calls) and free.done
     assert all(torch.equal(value, free.estimate()[0][name]) for name, value in found.maps.items())
     assert ("views", SIDE, method.corrections.work) in clock.calls
-    assert not {IN_TURN, f"further {VIEWS}"} & dict(method.omitted).keys()
+    assert not {CROSS_VALIDATION, f"further {VIEWS}"} & dict(method.omitted).keys()
 
 
 def test_what_cannot_end_in_time_is_not_begun_and_said(timed):
@@ -91,7 +91,7 @@ def test_what_cannot_end_in_time_is_not_begun_and_said(timed):
     run(method, clock, 1000)
     assert ("views", SIDE // 2, method.corrections.work) in clock.calls  # a quarter of what it takes at full size
     assert ("views", SIDE, method.corrections.work) not in clock.calls
-    assert {IN_TURN, f"further {VIEWS}"} <= dict(method.omitted).keys()
+    assert {CROSS_VALIDATION, f"further {VIEWS}"} <= dict(method.omitted).keys()
 
 
 def test_a_resumed_fit_knows_what_steps_took(timed):
