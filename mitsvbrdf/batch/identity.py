@@ -12,7 +12,7 @@ from pathlib import Path
 
 from .. import __version__
 from ..capture.photo import SUFFIXES
-from ..io.json_files import load
+from ..io.json import load
 from .places.address import is_url
 from .places.remote import CALIBRATIONS, remote_contents
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ..capture import Capture
 from ..errors import ConfigError
-from ..io.json_files import read_json
+from ..io.json import read_json
 from .tasks import KnownMaterial, RealCapture, Task
 
 PUBLISHED_SIDE = 256  # published numbers are for photos and maps of this size

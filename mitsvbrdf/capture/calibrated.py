@@ -16,7 +16,7 @@ from .. import color
 from ..errors import CaptureError
 from ..io.decode import decoded, header, upright
 from ..io.images import averaged
-from ..io.json_files import read_json
+from ..io.json import read_json
 from ..views import Falloff, Views, default_views
 from .capture import LEAST_SIDE, Calibration, Capture
 

@@ -17,11 +17,9 @@ from ..io import files
 from ..io.decode import upright
 from ..io.entry import entry
 from ..io.images import averaged, write_png
-from ..io.result_folder import settle
-from ..views import FIELD_OF_VIEW, Falloff, default_views
+from ..views import FIELD_OF_VIEW, Falloff, default_views, field_of_view
 from .calibrated import from_json, from_text
 from .capture import LEAST_SIDE, Capture
-from .lens import field_of_view
 from .photo import Photo, Unreadable, differences, photos_in
 
 MOST_SQUARE = 2048  # pixels a side of what is read of a photo without calibration
@@ -83,7 +81,6 @@ def read_capture(
     if transfer is not None and transfer not in get_args(color.Transfer):
         raise ConfigError(f"a transfer function of {get_args(color.Transfer)}", repr(transfer),
                           "choose one of these")
-    settle(path.parent if path.suffix.lower() == ".json" else path)
     if path.is_file() and path.suffix.lower() == ".json":
         capture = from_json(path, falloff, resolution)
     elif not path.is_dir():
@@ -136,9 +133,8 @@ def _from_plain(folder: Path, falloff: Falloff, resolution: int | None, transfer
 
     Photos that show everything in the same place are taken for rectified.
     """
-    from .align.from_sheet import refuse_tags
-    from .rig import LEAST_PHOTOS, OnePlace
-    from .stages import make_capture
+    from .rig import LEAST_PHOTOS
+    from .stages import OnePlace, make_capture, refuse_tags
 
     photos = [Photo.open(path) for path in photos_in(folder)]
     reason = f"{LEAST_PHOTOS} or more are needed to find out where they were taken from"

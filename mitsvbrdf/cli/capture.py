@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import Positional, arg
 
 from ..errors import ConfigError
-from ..io import result_folder
+from ..io import results
 from ..io.interrupts import deferred_signals
 from ..io.progress import print_rich, progress_bar, say
 from .options import Out, Overwrite
@@ -51,9 +51,8 @@ def capture(photos: Annotated[Positional[Path],
     where to stand for one more photo; contact.jpg and quality.json beside it.
     """
     from ..capture import write_capture
-    from ..capture.align.from_sheet import refuse_tags
     from ..capture.photo import Photo, photos_in
-    from ..capture.stages import capture_keys, make_capture
+    from ..capture.stages import capture_keys, make_capture, refuse_tags
     from ..report.capture_page import write_quality
 
     if os.path.realpath(photos) in (os.path.realpath(out), os.path.realpath(out / "target")):
@@ -68,7 +67,7 @@ def capture(photos: Annotated[Positional[Path],
     raw = [Photo.open(path) for path in photos_in(photos)]
     if sheet is None:
         refuse_tags(raw)
-    with contextlib.ExitStack() as last, result_folder.output_folder(out, overwrite) as folder:
+    with contextlib.ExitStack() as last, results.output_folder(out, overwrite) as folder:
         with progress_bar("capture") as report:
             result = make_capture(raw, sheet, depth, None if transfer == "auto" else transfer, resolution,
                                   reference, report)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..io import result_folder
+from ..io import results
 from ..io.progress import print_numbers, say
 from .options import Out, Overwrite
 
@@ -21,7 +21,7 @@ def demo(out: Out = Path("demo"), budget: float = 75.0, overwrite: Overwrite = T
     truth, photos, result = out / "material", out / "capture", out / "fit"
     if result.exists():
         say(f"replacing the earlier demo in {out}")
-    with result_folder.output_folder(truth, overwrite) as folder:
+    with results.output_folder(truth, overwrite) as folder:
         save_maps(make_material("inlay", 256), folder)
     synth(str(truth), photos, noise=0.003, overwrite=overwrite)
     fit(photos, result, HierarchicalConfig(budget=budget), overwrite=overwrite)

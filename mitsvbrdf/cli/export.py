@@ -12,7 +12,7 @@ from tyro.conf import Positional, arg
 from ..errors import BackendError, ConfigError
 from ..export import FORMATS, check_options, export_material
 from ..export.textures import Bits, Export, ExportSettings, Naming, NormalConvention
-from ..io import images, result_folder
+from ..io import images, results
 from ..io.progress import say
 from .options import (
     Material,
@@ -74,7 +74,7 @@ def export(maps: Positional[Material],
     keep_apart_from_maps(maps, out)
     if tile:
         svbrdf, side = _tiled(svbrdf, side)
-    with result_folder.output_folder(out, overwrite) as folder:
+    with results.output_folder(out, overwrite) as folder:
         done = export_material(svbrdf, folder, formats, settings=replace(settings, side=side),
                                views=fit.views)
         if zip:
@@ -87,15 +87,11 @@ def export(maps: Positional[Material],
 
 
 def _tiled(svbrdf: SVBRDF, side: float | None) -> tuple[SVBRDF, float | None]:
-    from ..material.tiling import seam, seamless
+    from ..material.tiling import seamless
 
     svbrdf, part = seamless(svbrdf)
-    times = f"the maps differ across them {seam(svbrdf):.1f} times as much as beside them"
-    if part == 1:
-        say(f"the edges meet already: {times}")
-        return svbrdf, side
-    left = f"{100 * part * side:.3g} of {100 * side:.3g} cm" if side else "its length is unknown"
-    say(f"the edges were joined: {times}; {part:.0%} of the patch's side is left ({left}), at the same resolution")
+    say("its edges meet already" if part == 1 else
+        f"edges meet now; {part:.0%} of the patch's side is left, at the same resolution")
     return svbrdf, part * side if side else None
 
 

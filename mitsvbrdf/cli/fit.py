@@ -16,13 +16,12 @@ from ..fit import FitTask, fit_svbrdf
 from ..fit.checkpoint import load_tensors
 from ..fit.confidence import DETERMINED, confidence
 from ..fit.config import FitConfig
-from ..fit.generator.detail import why_not, with_detail
+from ..fit.generator.finish import finished, why_not
+from ..fit.left_out import decided_later, known_before, used
 from ..fit.methods import METHODS, method_name
-from ..fit.omitted import decided_later, known_before, used
 from ..fit.options import FitOptions
 from ..fit.result import FitResult
-from ..io import result_folder
-from ..io.files import is_regular
+from ..io import results
 from ..io.interrupts import deferred_signals
 from ..io.profile import profiling
 from ..io.progress import Progress, print_numbers, print_profile, progress_bar, say
@@ -36,7 +35,7 @@ THREE_WAYS = "--calibrate", "--exact"  # on, off or left to the fit
 def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitArgPrefixes[FitOptions] = USUAL,
         method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"],
                           arg(help="How to fit; `fit --method gan --help` shows that method's own options.")] = "hierarchical",
-        explain: Annotated[bool, arg(help="Print what this fit would omit, and why, what it decides as "
+        explain: Annotated[bool, arg(help="Print what this fit would leave out, and why, what it decides as "
                                           "it "
                                                   "runs, and the networks it uses, and end without fitting.")] = False,
         profile: Annotated[bool, arg(help="Print where the time of a step goes: network, renderer, losses, "
@@ -59,13 +58,13 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitAr
 
     Ctrl-C ends the fit and keeps its best result. OUT then holds report.html, the page to look at, maps/,
     uncertainty/, guess/, photos/, rerendered/, sheet.png, curve.svg, scene.xml (for plain Mitsuba), fit.json,
-    report.json and the checkpoint that --resume goes on from; with --detail gan also detail/ and its page,
-    detail.html.
+    report.json and the checkpoint that --resume goes on from; with --finish gan also look/ and its page,
+    look.html.
     """
     shared.check(config)
     keep_apart(capture, out)
     if not explain:
-        result_folder.check_free(out, overwrite or resume, resume)
+        results.check_free(out, overwrite or resume, resume)
     photos = read_photos(capture, shared.resolution, None, shared.transfer, shared.light(config))
     shots = shared.chosen(photos)[0]
     engine = make_renderer(shared.renderer, shared.variant)
@@ -73,22 +72,22 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitAr
         return _explain(FitTask(shots, engine, config), shared)
     result, before = _fit_into(out, photos, engine, config, shared, profile, resume, overwrite)
     _say_result(result, shots, before)
-    if shared.detail != "none":
-        _say_detail(result)
+    if shared.finish != "none":
+        _say_finish(result)
     page = "report.html, " if (out / "report.html").is_file() else ""
-    also = ("uncertainty/, " if result.deviations else "") + ("detail/, " if result.detail else "")
+    also = ("uncertainty/, " if result.deviations else "") + ("look/, " if result.look else "")
     say(f"wrote {out}/{page}sheet.png, maps/, {also}rerendered/, scene.xml, fit.json")
     return 0
 
 
 def _explain(task: FitTask, options: FitOptions) -> int:
-    """Say what the fit omits and uses."""
+    """Say what the fit leaves out and uses."""
     for what, why in known_before(task):
-        say(f"omitted: {what} ({why})")
+        say(f"left out: {what} ({why})")
     for what, when in decided_later(task):
-        say(f"may be omitted: {what} ({when})")
-    if options.detail == "none":
-        say("omitted: plausible detail (not asked for)")
+        say(f"may be left out: {what} ({when})")
+    if options.finish == "none":
+        say("left out: adversarial finish (not asked for)")
     if networks := used(task):
         say("used: " + ", ".join(f"{what} ({how})" for what, how in networks))
     return 0
@@ -96,29 +95,27 @@ def _explain(task: FitTask, options: FitOptions) -> int:
 
 def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, options: FitOptions,
               profile: bool, resume: bool, overwrite: bool) -> tuple[FitResult, int | None]:
-    """Fit, add plausible detail where asked to, and write the result; also tells the iteration of the checkpoint gone on
+    """Fit, finish where asked to, and write the result; also tells the iteration of the checkpoint gone on
     from.
     """
     from ..report.folder import write_fit_files
 
-    places = ([folder / result_folder.CHECKPOINT for folder in (result_folder.partial_folder(out), out)]
-              if resume else [])
-    earlier = [path for path in places if is_regular(path)]
+    earlier = results.checkpoints(out) if resume else []
     if resume and not earlier:
         raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
     shots, shown = options.chosen(photos)
     title = f"fit {shots.source.name if shots.source else ''} · {method_name(config)} · {engine.name}"
-    with contextlib.ExitStack() as last, result_folder.output_folder(out, overwrite or resume,
+    with contextlib.ExitStack() as last, results.output_folder(out, overwrite or resume,
                                                                      resume) as folder:
         def fitted(checkpoint: Path | None) -> FitResult:
             with Progress(title) as progress, profiling() if profile else contextlib.nullcontext():
-                return fit_svbrdf(shots, engine, config, checkpoint=folder / result_folder.CHECKPOINT,
-                                  resume=checkpoint, report=progress, live=folder / result_folder.LIVE)
+                return fit_svbrdf(shots, engine, config, checkpoint=folder / results.CHECKPOINT,
+                                  resume=checkpoint, report=progress, live=folder / results.LIVE)
 
         result, before = _from_first_of(earlier, fitted) if resume else (fitted(None), None)
-        if settings := options.detail_config(config):
-            with progress_bar("plausible detail") as finish_report:
-                result = with_detail(result, shots, engine, settings, finish_report)
+        if finishing := options.finishing(config):
+            with progress_bar("adversarial finish") as finish_report:
+                result = finished(result, shots, engine, finishing, finish_report)
         last.enter_context(deferred_signals())  # until all is in place
         write_fit_files(result, shots, folder, command=options.record(shots), left_out=shown)
     return result, before
@@ -143,15 +140,15 @@ def _from_first_of(checkpoints: Sequence[Path], fitted: Callable[[Path], FitResu
     raise wrong[0]
 
 
-def _say_detail(result: FitResult) -> None:
-    if result.detail_record:
-        say(f"detail/ after {result.detail_record['seconds']:.0f} s: one plausible draw, for pictures; re-rendering "
+def _say_finish(result: FitResult) -> None:
+    if result.finish:
+        say(f"look/ after {result.finish['seconds']:.0f} s: one plausible draw, for pictures; re-rendering "
             "RMSE "
-            f"{result.detail_record['rerender_rmse']:.4f}")
+            f"{result.finish['rerender_rmse']:.4f}")
     elif why := why_not(result):
-        say(f"plausible detail omitted: {why}")
+        say(f"adversarial finish left out: {why}")
     else:
-        say("interrupted: the maps were kept, without plausible detail; the same command with --resume makes it")
+        say("interrupted: the maps were kept, without a look; the same command with --resume makes it")
 
 
 def _say_result(result: FitResult, shots: Capture, before: int | None) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from tyro.conf import Positional
 
 from ..capture.guess import GuessMethod
-from ..io import images, result_folder
+from ..io import images, results
 from ..io.progress import say
 from .options import Out, Overwrite, Photos, TransferOption, ViewList, keep_apart, read_photos
 
@@ -21,7 +21,7 @@ def guess(capture: Positional[Photos], out: Out, method: GuessMethod = "robust",
 
     keep_apart(capture, out)
     shots = read_photos(capture, resolution, views, transfer, "inverse-square")
-    with result_folder.output_folder(out, overwrite) as folder:
+    with results.output_folder(out, overwrite) as folder:
         images.write_linear(folder / "diffuse", guess_diffuse(shots, method), "srgb")
     say(f"wrote {out}/diffuse.exr, diffuse.png")
     return 0

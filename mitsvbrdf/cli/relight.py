@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from ..errors import ConfigError
-from ..io import result_folder
+from ..io import results
 from ..io.interrupts import stop_signals
 from ..io.progress import progress_bar, say
 from .options import (
@@ -122,7 +122,7 @@ def relight(maps: Positional[Material],
                     "target_error": stop.target_error, "budget": budget, "samples": samples, "seed": seed,
                     "variant": variant}
         title = f"relight {name_of(maps)}"
-        with result_folder.output_folder(out, overwrite or resume, resume, kept_names(PRESETS)) as folder:
+        with results.output_folder(out, overwrite or resume, resume, kept_names(PRESETS)) as folder:
             record = go_on(settings, out, folder) if resume else begin(settings)
             with contextlib.ExitStack() as stack:
                 stopping = stack.enter_context(stop_signals())

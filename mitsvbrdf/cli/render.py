@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from ..errors import MapsError
-from ..io import images, result_folder
+from ..io import images, results
 from ..io.progress import say
 from ..material.map_files import MAP_FOLDERS
 from ..material.maps import SVBRDF
@@ -53,7 +53,7 @@ def render(maps: Positional[Material], out: Out, views: ViewSource = "builtin:gr
     lit = shift_lights(lit, fit.flash_offset if flash_offset == "fitted" else None)
     transfer = (fit.transfer or "gamma2.2") if transfer == "auto" else transfer
     engine = make_renderer(renderer, variant)
-    with result_folder.output_folder(out, overwrite) as folder:
+    with results.output_folder(out, overwrite) as folder:
         for name, image in zip(names, engine.render(svbrdf, lit)):
             images.write_linear(folder / name, image, transfer)
     say(f"wrote {len(names)} images of {name_of(maps)} to {out}")

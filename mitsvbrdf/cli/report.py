@@ -7,7 +7,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from ..io import result_folder
+from ..io import results
 from ..io.progress import print_numbers, progress_bar, say, say_written
 from .options import keep_apart
 
@@ -40,7 +40,7 @@ def report(out: Positional[Annotated[Path,
         check_photos(found, used)
         others = [number for number in shots.index if number not in found.seen]
         left_out = shots if others else None
-    with result_folder.output_folder(out, overwrite=False, add=True) as folder:
+    with results.output_folder(out, overwrite=False, add=True) as folder:
         if capture is not None:
             keep_photos(folder, used)
         with progress_bar(f"report {out.name}") as tell:

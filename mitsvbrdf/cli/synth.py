@@ -13,7 +13,7 @@ from .. import color
 from ..capture import write_capture
 from ..errors import ConfigError
 from ..fit.config import check_seed
-from ..io import result_folder
+from ..io import results
 from ..io.progress import say
 from ..render import Renderer, RendererName, make_renderer
 from ..synth import photograph
@@ -92,7 +92,7 @@ def _rectified(material: str, out: Path, views: str, resolution: int, noise: flo
     if svbrdf.resolution < resolution:
         say(f"the maps have {svbrdf.resolution} px, so have the photos")
     svbrdf = svbrdf.resized(min(resolution, svbrdf.resolution))
-    with result_folder.output_folder(out, overwrite) as folder:
+    with results.output_folder(out, overwrite) as folder:
         write_capture(photograph(svbrdf, lit, renderer, noise, seed, transfer), folder)
     say(f"wrote {len(names)} photos and capture.json to {out}")
     return 0
@@ -105,7 +105,7 @@ def _handheld(material: str, out: Path, phone: HandheldPhone, spoil: str, resolu
     phone.check()
     svbrdf, kinds = material_of(material, resolution), tuple(kind.strip() for kind in spoil.split(",")
                                                              if kind.strip())
-    with result_folder.output_folder(out, overwrite) as folder:
+    with results.output_folder(out, overwrite) as folder:
         truth = write_handheld(
             svbrdf, phone, functools.partial(HandheldRenderer, variant=variant), folder,
             cast(tuple[Spoil, ...], kinds), material=name_of(material),

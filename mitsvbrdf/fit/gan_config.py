@@ -58,75 +58,86 @@ class Phase(NamedTuple):
 
 @dataclass(frozen=True)
 class GanConfig(FitConfig):
-    """A generator against a discriminator: adversarial and diffuse loss (III.D, III.F).
-
-    A setting that is not given is that of the preset.
+    """A generator against a discriminator: adversarial and diffuse loss (III.D, III.F); left out, a setting
+    is its preset's.
     """
 
     default_budget: ClassVar[float] = 300.0
 
     preset: Preset = "minutes"
-    """minutes: ours. paper-one-stage: 20,000 iterations. paper-two-stage: 10,000 on one picture, then 15,000."""
+    """minutes: ours; paper-one-stage: 20,000 iterations; paper-two-stage: 10,000 on one picture, 15,000 on
+    the photos."""
     pretrained: str | None = None
-    """Checkpoint of `--pretrain` from which the paper's second stage starts."""
+    """A checkpoint of `mitsvbrdf pretrain`, to start the paper's second stage from."""
     guess: GuessMethod = AS_PRESET
     """How the guessed diffuse map is made: robust (ours), min (the paper's), mean-blur (Zhao 2020)."""
     grey_specular: Switch = AS_PRESET
     """One grey specular level a texel (the paper's) instead of three channels."""
     generator: GeneratorKind = AS_PRESET
-    """all-photos: ours. two-stream: the paper's, sees one photo. variational: the paper's outlook."""
+    """A network that sees all photos; the paper's, which sees the one compared with; or variational, the
+    paper's outlook."""
     start: Switch = AS_PRESET
-    """Start at the guess, one specular level and one roughness. Off: start untrained (the paper's)."""
+    """Whether the generator starts at the guess and a robust constant specular and roughness; else untrained
+    (the paper's)."""
     guessed_normal: Switch = False
-    """Start at normals guessed from shading (Glencross 2008; the paper's outlook), not at flat ones."""
+    """Whether normals start at those guessed from shading (Glencross 2008; the paper's outlook); else they
+    start flat."""
     highlight_aware: Switch = False
-    """The first layers of the generator ignore saturated pixels (Guo Jie 2021; the paper's outlook)."""
+    """Whether the generator's first layers look past saturated pixels (Guo Jie 2021; the paper's outlook)."""
     kl: float = 0.01
-    """Weight of the divergence of the codes of the variational generator."""
+    """Weight of the divergence that the codes of the variational generator pay."""
     width: int = AS_PRESET
     """Channels of the first convolution of both networks."""
     learning_rate: float = AS_PRESET
     """Adam's step size of the generator."""
     head_start: float = AS_PRESET
-    """Share of each phase in which the generator's step size rises from 0."""
+    """Share of each phase in which the generator's step size rises from 0: a new discriminator's first
+    verdicts mean little."""
     decay: Switch = AS_PRESET
-    """Step sizes fall along a cosine to 2 % in each phase."""
+    """Whether step sizes fall along a cosine to 2 % in each phase."""
     normal_roughness_steps: int = AS_PRESET
     """Gradient steps of the normal/roughness decoder per step of the diffuse/specular decoder (III.F)."""
     fresh_pictures: Switch = AS_PRESET
-    """Each of these steps draws another photo or blend."""
+    """Whether each of these steps draws another photo or blend."""
     pictures: int = AS_PRESET
-    """Photos or blends compared in one step."""
+    """Photos or blends that a step compares."""
     crop: int = 0
-    """Side of random training crops in texels (stationary mode of Zhao 2020). 0: whole photos."""
+    """Side of random crops to train on, in texels (Zhao 2020's stationary mode: one photo is enough); 0 takes
+    all."""
     discriminator_rate: float = AS_PRESET
     """Adam's step size of the discriminator."""
     game: Game = AS_PRESET
-    """Adversarial loss: bce (the paper's), hinge, or relativistic (photo against rendering of its view)."""
+    """What the networks play: bce (the paper's), hinge, or relativistic (photo against the rendering of the
+    same view)."""
     level: Switch = AS_PRESET
-    """The discriminator sees the brightness of pictures: its first layer has no norm."""
+    """Whether the discriminator sees how bright pictures are: no norm in its first layer."""
     angles: Switch = AS_PRESET
-    """The discriminator sees where highlights would lie: two channels of the half vector."""
+    """Whether the discriminator sees where highlights would lie: two channels of the half vector."""
     paired: Switch = AS_PRESET
-    """The discriminator sees the photo beside the picture that it classifies."""
+    """Whether the discriminator sees the photo beside what it judges."""
     clipping: Switch = AS_PRESET
-    """Clip a rendering only where its photo is clipped. Off: everywhere, which stops gradients."""
+    """Whether a rendering is clipped where its photo is, and only there; else everywhere, which stops
+    gradients."""
     grow: Switch = AS_PRESET
-    """Train at a quarter and half the resolution first."""
+    """Whether a quarter and half the resolution come first."""
     average: float = AS_PRESET
-    """Decay of the running average of the generator's weights. 0: the weights themselves."""
+    """Decay of the running average of the generator's weights that makes the result; 0 takes the weights
+    themselves."""
     precision: Precision = "auto"
-    """Numbers of the networks; renderer and losses use float32. auto: bfloat16 where it measures faster."""
+    """What the networks compute in; renderer and losses stay in float32. auto: bfloat16 where it is faster
+    (measured)."""
     adversarial: float = AS_PRESET
     """Weight of the adversarial loss."""
     features: float = AS_PRESET
-    """Weight of feature matching: activations of the discriminator for rendering and photo."""
+    """Weight of feature matching: the distance between the discriminator's activations for rendering and
+    photo."""
     diffuse: float = AS_PRESET
     """Weight of the diffuse loss beside the adversarial loss (the paper prints none)."""
     smooth: float = AS_PRESET
     """Weight of the roughness of the specular and roughness maps (total variation)."""
     flash_offset: Switch = AS_PRESET
-    """Fit one sideways distance between lens and flash for all photos. The paper's is 0."""
+    """Whether the sideways distance between lens and flash is fitted, one for all photos; the paper's is
+    0."""
 
     def __post_init__(self) -> None:
         """Fill in what the preset has.

@@ -15,7 +15,7 @@ from torch import Tensor
 from ..capture import Capture
 from ..errors import ConfigError, MitsvbrdfError
 from ..io.interrupts import stop_signals
-from ..io.json_files import NUMBER, shape_error
+from ..io.json import NUMBER, shape_error
 from ..io.profile import STEP, profiled
 from ..material.maps import SVBRDF
 from ..measure.rerender import rerender

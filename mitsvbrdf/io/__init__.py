@@ -1,8 +1,7 @@
 """What every command needs of the machine, and nothing of materials.
 
-``files`` writes whole or not at all, ``result_folder`` does the same for a folder of results, by the moves in
-``journal``; ``shared_file`` lets several processes change one file. ``json_files`` reads JSON, ``decode``
-photos, ``images`` reads and writes pictures. ``progress`` talks to the user, ``streams`` lets no full disk
-end that, ``interrupts`` listens for Ctrl-C. ``profile`` says where a fit's time goes, ``timing`` compares
-jobs, ``provenance`` says on which machine and with which versions.
+``files`` writes whole or not at all and locks, ``results`` does the same for a folder of results, whose files
+``manifest`` lists. ``json`` reads JSON, ``decode`` photos, ``images`` reads and writes pictures. ``progress`` talks
+to the user, ``streams`` lets no full disk end that, ``interrupts`` listens for Ctrl-C. ``profile`` says where a
+fit's time goes, ``timing`` compares jobs, ``provenance`` names the machine and the versions.
 """

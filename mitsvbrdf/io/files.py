@@ -7,6 +7,7 @@ lies inside a folder of results may not: there a link, a pipe or a device is ref
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import errno
 import hashlib
 import io
@@ -18,8 +19,11 @@ import uuid
 from collections.abc import Iterator
 from pathlib import Path
 
+from filelock import FileLock, Timeout
+
 from ..errors import ConfigError, OutputError
 
+AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of Linux
 # No link is followed, no pipe waited for. Each is a flag of some systems only.
 _CAREFULLY = sum(getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
 
@@ -57,6 +61,60 @@ def atomic_write(path: Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def file_lock(path: Path, seconds: float = -1) -> Iterator[None]:
+    """Keep a file or folder for this process and thread until the block ends.
+
+    The lock is a file beside it, ``.NAME.lock``, which is there only while somebody holds it.
+
+    Args:
+        path: what is locked; it need not be there, its folder must be.
+        seconds: to wait for others; -1 for as long as it takes.
+
+    Raises:
+        OutputError: another one has it.
+        OSError: no lock can be made there.
+    """
+    place = _lock_file(path)
+    if os.path.lexists(place) and not is_regular(place):
+        raise OSError(errno.EEXIST, "there is no file, but a link, a pipe or a folder", str(place))
+    lock = FileLock(place, timeout=seconds, poll_interval=0.02)
+    try:
+        lock.acquire()
+    except Timeout:
+        raise taken(path) from None
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):  # Windows removes no open file
+            place.unlink()
+        lock.release()
+
+
+def in_use(path: Path) -> bool:
+    """Whether somebody holds :func:`file_lock` on this path."""
+    try:
+        if is_regular(_lock_file(path)):
+            with file_lock(path, 0):
+                pass
+        return False
+    except OutputError:
+        return True
+    except OSError:
+        return False
+
+
+def taken(path: Path) -> OutputError:
+    """What to raise where another run holds the lock."""
+    return OutputError("a place of its own for each run", f"{path}, in use by another run",
+                       "wait for it, or choose another place")
+
+
+def _lock_file(path: Path) -> Path:
+    path = Path(os.path.realpath(path))
+    return path.with_name(f".{path.name}.lock")
 
 
 def file_hash(path: Path) -> str:
@@ -119,6 +177,43 @@ def inside(folder: Path, name: str) -> Path | None:
         if path.is_symlink():
             return None
     return path
+
+
+def exchange(one: Path, other: Path) -> None:
+    """Exchange two folders in one step; where the system or its disk has no such step, by three renames.
+
+    A kill between the renames leaves ``other`` whole as ``.NAME.old``. The next command puts it back.
+    """
+    try:
+        renamed = ctypes.CDLL(None, use_errno=True).renameat2(
+            AT_FDCWD, os.fsencode(one), AT_FDCWD, os.fsencode(other), RENAME_EXCHANGE)
+        failure = ctypes.get_errno() if renamed else 0
+    except (AttributeError, OSError, TypeError):  # another system, or an old C library
+        failure = errno.ENOSYS
+    if failure in (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP):
+        spare = spare_name(other)
+        os.rename(other, spare)
+        try:
+            os.rename(one, other)
+        except BaseException:
+            os.rename(spare, other)
+            raise
+        os.rename(spare, one)
+    elif failure:
+        raise OSError(failure, os.strerror(failure), str(other))
+
+
+def spare_name(folder: Path) -> Path:
+    """Where :func:`exchange` by renames keeps a folder for a moment."""
+    return folder.with_name(f".{folder.name}.old")
+
+
+def linked(path: Path, target: Path) -> None:
+    """Give a file a second name; a copy where the disk has no hard links."""
+    try:
+        os.link(path, target, follow_symlinks=False)
+    except OSError:
+        shutil.copy2(path, target, follow_symlinks=False)
 
 
 def remove(path: Path) -> None:

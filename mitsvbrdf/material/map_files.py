@@ -16,8 +16,7 @@ from .. import color
 from ..errors import ConfigError, MapsError, MapsWarning
 from ..io import files, images
 from ..io.entry import entry
-from ..io.json_files import error_text, load
-from ..io.result_folder import settle
+from ..io.json import error_text, load
 from .maps import CHANNELS, COLOURS, LOWEST_Z, SVBRDF, Bsdf
 
 # How the fields' files are encoded, by the names that material.json and --encoding use.
@@ -27,8 +26,7 @@ ENCODINGS: dict[str, dict[str, str]] = {
     | {"metallic": "linear"},
     "srgb": dict.fromkeys(COLOURS, "srgb") | {"roughness": "linear", "metallic": "linear"},
 }
-DETAIL, FORMER_DETAIL = "detail", "look"
-MAP_FOLDERS = "maps", DETAIL, FORMER_DETAIL  # of a fit: expected values, and a plausible draw of what no photo shows
+MAP_FOLDERS = ("maps", "look")  # of a fit: the expected values, and one plausible draw of what no photo saw
 SHORT_NAMES = {"diffuse": "dif", "specular": "spe", "roughness": "rgh", "normal": "nom"}
 
 # Normals of published maps point into the surface at up to 0.2 % of the texels: noise of networks, empty
@@ -58,11 +56,8 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
 
     Raises:
         MapsError: naming what is missing or wrong.
-        OutputError: a command that was killed left the folder with files of two results, and it cannot be
-            written.
     """
     folder = Path(folder)
-    settle(folder.parent if folder.name in MAP_FOLDERS else folder)
     if (folder / "maps").is_dir():
         folder = folder / "maps"
     if not folder.is_dir():

@@ -14,9 +14,9 @@ from types import ModuleType
 from torch import Tensor
 
 from ..errors import ConfigError, MapsError, MitsvbrdfError
-from ..io import files, images, result_folder
+from ..io import files, images, results
 from ..io.entry import entry
-from ..io.json_files import load
+from ..io.json import load
 from ..io.provenance import machine, versions
 from .passes import Rendered, Stop, render_frame, shown
 from .stage import Stage
@@ -91,7 +91,7 @@ def go_on(settings: Mapping, out: Path, folder: Path) -> Record:
             continue
         if place != folder:
             for entry in folder.iterdir():  # of a run with other settings, which is given up
-                if entry.name != result_folder.LOCK:
+                if entry.name != results.MANIFEST:
                     files.remove(entry)
             for name in names:
                 (folder / name).parent.mkdir(parents=True, exist_ok=True)

@@ -27,7 +27,7 @@ from pathlib import Path
 from types import ModuleType
 
 from ..errors import BackendError
-from ..io.json_files import load
+from ..io.json import load
 from ..io.lock import PROCESS
 
 VARIABLE = "DRJIT_LIBLLVM_PATH"

@@ -19,7 +19,7 @@ from ..fit.confidence import UNKNOWN
 from ..fit.record import SavedFit, read_whole_fit
 from ..fit.view_record import about_views
 from ..io import files, images
-from ..io.json_files import NUMBER, load, shape_error
+from ..io.json import NUMBER, load, shape_error
 from ..material.maps import CHANNELS, TITLES, shown_map
 from ..measure.metrics import photo_rmse
 from ..render import Renderer
@@ -172,7 +172,7 @@ def _write_page(found: SavedFit, record: dict, into: Path) -> None:
                viewer=viewer_html(found.svbrdf),
                curves=_curves(fit["trace"]), measured=_thinned(fit["trace"]), unknown=UNKNOWN, ramp=_ramp(),
                titles=TITLES,
-               detail=write_detail_page(found, into), scalar=_scalar,
+               look=write_detail_page(found, into), scalar=_scalar,
                from_where=about_views(fit.get("calibration") or {}))
 
 

@@ -21,7 +21,7 @@ from ..capture import Capture, read_capture
 from ..capture.lens import on_plane, project
 from ..capture.rig import Rig, rig_from_json
 from ..errors import CaptureError
-from ..io.json_files import NUMBER, load, shape_error
+from ..io.json import NUMBER, load, shape_error
 from ..material.map_files import load_maps
 from ..material.maps import SVBRDF
 from ..views import Views, texel_positions

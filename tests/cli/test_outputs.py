@@ -6,7 +6,7 @@ import pytest
 from helpers.commands import FAST, fails
 
 from mitsvbrdf import cli
-from mitsvbrdf.io import files, result_folder
+from mitsvbrdf.io import files, results
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import flat
 
@@ -83,14 +83,14 @@ def test_two_outputs_are_two_files(command, lazy, capsys):
 def test_what_is_read_or_part_of_a_result_is_not_written(command, name, lazy, capsys):
     for file in ("shots/capture.json", "shots/target/00.png"):
         files.write_json(lazy / file, {})
-    with result_folder.output_folder(lazy / "fit", overwrite=False) as folder:
+    with results.output_folder(lazy / "fit", overwrite=False) as folder:
         for file in ("fit.json", "maps/diffuse.exr"):
             files.write_json(folder / file, {})
     fails(capsys, lazy, [*command, name, "--overwrite"], name)
 
 
 def test_a_file_of_ones_own_in_a_result_is_no_part_of_it(lazy, capsys):
-    with result_folder.output_folder(lazy / "fit", overwrite=False) as folder:
+    with results.output_folder(lazy / "fit", overwrite=False) as folder:
         save_maps(flat(8), folder / "maps")
     for options in ([], ["--overwrite"]):
         assert cli.main(["evaluate", "fit", "--reference", "fit/maps", "--json", "fit/e.json", *options]) == 0
@@ -105,16 +105,16 @@ def test_results_among_maps_would_take_their_place(command, tmp_path, capsys):
 
 
 def test_a_fit_reads_no_photo_for_a_place_that_is_taken(lazy, capsys):
-    with result_folder.output_folder(lazy / "done", overwrite=False) as folder:
+    with results.output_folder(lazy / "done", overwrite=False) as folder:
         (folder / "fit.json").touch()
-    with pytest.raises(ZeroDivisionError), result_folder.output_folder(lazy / "begun",
+    with pytest.raises(ZeroDivisionError), results.output_folder(lazy / "begun",
                                                                        overwrite=False) as folder:
-        (folder / result_folder.CHECKPOINT).touch()
+        (folder / results.CHECKPOINT).touch()
         raise ZeroDivisionError
     for out, words in (("done", "which has results"), ("begun", "no unfinished run"), ("file", "the file"),
                        ("file/out", "file/out")):
         fails(capsys, lazy, ["fit", "shots", "-o", out], words)
-    with result_folder.output_folder(lazy / "done", overwrite=True):
+    with results.output_folder(lazy / "done", overwrite=True):
         fails(capsys, lazy, ["fit", "shots", "-o", "done", "--overwrite"], "in use by another run")
 
 

@@ -10,7 +10,7 @@ import torch
 
 from helpers import ANALYTIC
 from mitsvbrdf.fit import DirectConfig, fit_svbrdf
-from mitsvbrdf.io import files, images, result_folder
+from mitsvbrdf.io import files, images, results
 from mitsvbrdf.report.live import FitSite, make_server
 
 SIDE = 16
@@ -51,9 +51,9 @@ def state_of(ask):
 
 def fit_into(out, capture, config, report=None, overwrite=False, fails=None):
     """What `mitsvbrdf fit` does with its folder, with results that a test can tell apart."""
-    with result_folder.output_folder(out, overwrite) as folder:
-        result = fit_svbrdf(capture, ANALYTIC, config, checkpoint=folder / result_folder.CHECKPOINT,
-                            live=folder / result_folder.LIVE, report=report)
+    with results.output_folder(out, overwrite) as folder:
+        result = fit_svbrdf(capture, ANALYTIC, config, checkpoint=folder / results.CHECKPOINT,
+                            live=folder / results.LIVE, report=report)
         if report:
             report(None, 1.0)
         if fails:

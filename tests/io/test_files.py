@@ -1,160 +1,19 @@
-"""Files are replaced whole or not at all, and nothing that is not ours is touched."""
+"""Files are replaced whole or not at all; locks keep processes apart; names lead nowhere else."""
 
 import errno
+import multiprocessing
 import os
-import shutil
-import signal
 from pathlib import Path
 
 import pytest
 import torch
 
 from mitsvbrdf.errors import OutputError
-from mitsvbrdf.io import files, images, result_folder
-
-
-def make(out, names, **options):
-    with result_folder.output_folder(out, **({"overwrite": True} | options)) as folder:
-        for name in names:
-            files.write_bytes(folder / name, b"new")
+from mitsvbrdf.io import files, images
 
 
 def names_in(folder):
-    return sorted(p.name for p in folder.iterdir() if p.name not in (result_folder.MANIFEST, '.partial'))
-
-
-def test_a_new_folder_appears_whole(tmp_path):
-    make(tmp_path / "a/out", ["one", "two/three"])
-    assert names_in(tmp_path / "a") == ["out"] and names_in(tmp_path / "a/out") == ["one", "two"]
-
-
-def test_a_failing_block_leaves_nothing_behind_and_the_old_results_alone(tmp_path):
-    make(tmp_path / "out", ["one"])
-    with pytest.raises(ZeroDivisionError), result_folder.output_folder(tmp_path / "out",
-                                                                       overwrite=True) as folder:
-        files.write_bytes(folder / "one", b"newer")
-        raise ZeroDivisionError
-    assert names_in(tmp_path) == ["out"] and (tmp_path / "out/one").read_bytes() == b"new"
-
-
-def test_overwriting_replaces_earlier_results_only(tmp_path):
-    out = tmp_path / "out"
-    make(out, ["00.png", "01.png"])
-    (out / "thesis.txt").write_text("mine")
-    make(out, ["00.png"])
-    assert names_in(out) == ["00.png", "thesis.txt"] and (out / "thesis.txt").read_text() == "mine"
-
-
-def test_results_are_not_replaced_unasked(tmp_path):
-    make(tmp_path / "out", ["one"])
-    with pytest.raises(OutputError, match="--overwrite"):
-        make(tmp_path / "out", ["two"], overwrite=False)
-    assert names_in(tmp_path) == ["out"] and names_in(tmp_path / "out") == ["one"]
-
-
-def test_overwriting_never_loses_a_file_of_somebody_else(tmp_path):
-    out = tmp_path / "out"
-    (out / "maps").mkdir(parents=True)
-    (out / "maps/mine.psd").write_text("mine")
-    (out / "one").write_text("mine")
-    make(out, ["one", "maps/two"])
-    assert (out / "maps/mine.psd").read_text() == "mine" and (out / "one.old").read_text() == "mine"
-    make(out, ["three"])
-    assert names_in(out) == ["maps", "one.old", "three"] and names_in(out / "maps") == ["mine.psd"]
-
-
-@pytest.mark.parametrize("failing", range(1, 9))  # the journal, three files that go, four that come
-def test_moving_into_place_is_undone_when_it_fails(tmp_path, monkeypatch, failing):
-    out = tmp_path / "out"
-    make(out, ["one", "two"])
-    replace, calls = os.replace, iter(range(1, 100))
-
-    def failing_once(source, target):
-        if next(calls) == failing:
-            raise OSError(18, "Invalid cross-device link")
-        replace(source, target)
-
-    with pytest.raises(OutputError, match="cross-device"), result_folder.output_folder(out,
-                                                                                       overwrite=True) as folder:
-        for name in ("one", "two", "three"):
-            (folder / name).write_bytes(b"newer")
-        monkeypatch.setattr(os, "replace", failing_once)
-    monkeypatch.undo()
-    assert names_in(out) == ["one",
-                             "two"] and (out / "one").read_bytes() == (out / "two").read_bytes() == b"new"
-    assert not result_folder.partial_folder(out).exists()
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_putting_results_in_place_is_not_interrupted(number, tmp_path, monkeypatch):
-    came, replace = [], os.replace
-
-    def interrupted(source, target):
-        os.kill(os.getpid(), number)
-        replace(source, target)
-
-    before = signal.signal(number, lambda *_: came.append(os.listdir(tmp_path / "out/.partial")))
-    try:
-        with result_folder.output_folder(tmp_path / "out", overwrite=False) as folder:
-            files.write_bytes(folder / "one", b"new")
-            monkeypatch.setattr(os, "replace", interrupted)
-        assert names_in(tmp_path / "out") == ["one"]
-        assert came == [[result_folder.LOCK]]  # heard, once all was in place
-    finally:
-        signal.signal(number, before)
-
-
-def test_two_runs_do_not_share_a_folder(tmp_path):
-    with result_folder.output_folder(tmp_path / "out", overwrite=False):
-        with pytest.raises(OutputError, match="in use"):
-            make(tmp_path / "out", ["one"])
-
-
-@pytest.mark.parametrize("kept", [False, True])
-def test_a_folder_is_in_use_until_it_is_cleaned_up(kept, tmp_path, monkeypatch):
-    pytest.importorskip("fcntl")
-    out, busy = tmp_path / "out", []
-
-    def watched(clean):
-        return lambda *arguments, **options: (busy.append(result_folder.in_use(out)),
-                                              clean(*arguments, **options))
-
-    with pytest.raises(ZeroDivisionError), result_folder.output_folder(out, overwrite=False) as folder:
-        if kept:
-            files.write_bytes(folder / result_folder.CHECKPOINT, b"state")
-        monkeypatch.setattr(shutil, "rmtree", watched(shutil.rmtree))
-        monkeypatch.setattr(result_folder, "_empty", watched(result_folder._empty))
-        raise ZeroDivisionError
-    assert busy == [True] and not result_folder.in_use(out)
-
-
-def test_a_lock_that_the_last_run_took_away_locks_nothing(tmp_path, monkeypatch):
-    # Opened while that run was there, locked after it removed the file: a third run would find another one.
-    fcntl = pytest.importorskip("fcntl")
-    out, flock = tmp_path / "out", fcntl.flock
-
-    def late(lock, how):
-        (result_folder.partial_folder(out) / result_folder.LOCK).unlink()
-        flock(lock, how)
-
-    monkeypatch.setattr(fcntl, "flock", late)
-    with pytest.raises(OutputError, match="in use"), result_folder.output_folder(out, overwrite=False):
-        pass
-
-
-def test_a_link_to_a_folder_stays_a_link(tmp_path):
-    (tmp_path / "real").mkdir()
-    (tmp_path / "out").symlink_to("real")
-    make(tmp_path / "out", ["one"])
-    assert (tmp_path / "out").is_symlink() and names_in(tmp_path / "real") == ["one"]
-
-
-def test_an_unfinished_run_with_a_checkpoint_is_kept(tmp_path):
-    with pytest.raises(ZeroDivisionError), result_folder.output_folder(tmp_path / "out",
-                                                                       overwrite=False) as folder:
-        files.write_bytes(folder / "checkpoint.safetensors", b"state")
-        raise ZeroDivisionError
-    assert names_in(result_folder.partial_folder(tmp_path / "out")) == ["checkpoint.safetensors"]
+    return sorted(path.name for path in folder.iterdir())
 
 
 def test_a_link_to_a_file_stays_a_link(tmp_path):
@@ -225,3 +84,55 @@ def test_what_cannot_be_written_is_told_with_the_way_out_that_helps(tmp_path, mo
     monkeypatch.setattr(files.os, "replace", refused)
     with pytest.raises(OutputError, match=f"{os.strerror(number)}; {way_out}"):
         files.write_bytes(tmp_path / "library.json", b"{}")
+
+
+def count_up(path):
+    for _ in range(60):
+        with files.file_lock(path):
+            files.write_bytes(path, str(int(path.read_text()) + 1).encode())
+
+
+def test_a_locked_file_is_changed_by_one_process_at_a_time(tmp_path):
+    path = tmp_path / "n"
+    path.write_text("0")
+    several = [multiprocessing.get_context("fork").Process(target=count_up, args=(path,)) for _ in range(3)]
+    for each in several:
+        each.start()
+    for each in several:
+        each.join()
+    assert path.read_text() == "180" and names_in(tmp_path) == ["n"]
+
+
+def test_a_lock_is_seen_and_waited_for_no_longer_than_asked(tmp_path):
+    path = tmp_path / "out"
+    assert not files.in_use(path)
+    with files.file_lock(path):
+        assert files.in_use(path)
+        with pytest.raises(OutputError, match="out"), files.file_lock(path, 0):
+            pass
+    assert not files.in_use(path) and not names_in(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["..", "../a", "a/../../b", "/etc/passwd", "", ".", "a\0b", "link/a",
+                                  "link"])
+def test_names_that_lead_out_of_a_folder(tmp_path, name):
+    (tmp_path / "link").symlink_to("/")
+    assert files.inside(tmp_path, name) is None
+
+
+def test_names_inside_a_folder(tmp_path):
+    for name in ("a", "a/b", "a//b", "./a", "...", "a..b"):
+        assert str(files.inside(tmp_path, name)).startswith(f"{tmp_path}/")
+
+
+def test_only_regular_files_are_opened(tmp_path):
+    (tmp_path / "file").write_text("x")
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("file")
+    for path in (tmp_path / "pipe", tmp_path / "link", tmp_path, os.devnull):
+        with pytest.raises(OSError):
+            files.open_regular(path)
+    with files.open_regular(tmp_path / "file") as file:
+        assert file.read() == b"x"
+    with pytest.raises(OSError, match="no regular file"):
+        files.file_hash(tmp_path / "pipe")

@@ -6,10 +6,10 @@ import json
 import os
 
 import pytest
+from helpers.unfinished import unfinished
 
 from mitsvbrdf.errors import OutputError
-from mitsvbrdf.io import files, result_folder
-from mitsvbrdf.io.journal import JOURNAL
+from mitsvbrdf.io import files, results
 
 
 @pytest.fixture
@@ -21,8 +21,7 @@ def outside(tmp_path):
         (folder / name).write_text("theirs")
     yield folder
     assert {str(path.relative_to(folder)): path.read_text() for path in folder.rglob("*")
-            if path.is_file()} == dict.fromkeys(
-        ("maps/a.exr", "a.exr", "report.html", "list"), "theirs")
+            if path.is_file()} == dict.fromkeys(("maps/a.exr", "a.exr", "report.html", "list"), "theirs")
 
 
 @pytest.fixture
@@ -32,14 +31,15 @@ def out(tmp_path):
     return tmp_path / "out"
 
 
-def make(out, text, *names, **options):
-    with result_folder.output_folder(out, **({"overwrite": False} | options)) as folder:
+def make(out, text, *names, overwrite=False, **options):
+    with results.output_folder(out, overwrite, **options) as folder:
         for name in names:
             files.write_bytes(folder / name, text.encode())
 
 
 def put(path, what, outside):
     """Something in place of a file or a folder."""
+    files.remove(path)
     path.parent.mkdir(exist_ok=True)
     if what == "pipe":
         os.mkfifo(path)
@@ -49,123 +49,64 @@ def put(path, what, outside):
         path.symlink_to(outside / {"folder": "maps", "file": "list"}[what])
 
 
-@pytest.mark.parametrize("options", [{}, {"overwrite": True}, {"overwrite": True, "resume": True},
-                                     {"add": True}])
-@pytest.mark.parametrize("name, what", [
-    (".partial", "folder"), (".partial", "nowhere"), *(
-        (f".partial/{name}", what) for name in (result_folder.LOCK, result_folder.CHECKPOINT, JOURNAL, "maps")
-        for what in ("file", "pipe", "nowhere", "folder"))])
-def test_links_and_pipes_where_a_result_is_made_are_refused(out, outside, name, what, options):
-    put(out / name, what, outside)
+@pytest.mark.parametrize("name", ["out.partial", f"out.partial/{results.CHECKPOINT}", ".out.lock"])
+@pytest.mark.parametrize("what", ["file", "pipe", "nowhere", "folder"])
+def test_links_and_pipes_where_a_result_is_made_are_not_followed(out, outside, name, what):
+    unfinished(out, "maps/half.exr")
+    put(out.parent / name, what, outside)
     with pytest.raises(OutputError):
-        make(out, "new", "maps/a.exr", **options)
-    assert os.path.lexists(out / name) and (out / "maps/a.exr").read_text() == "old"
-    assert not result_folder.in_use(out)
+        make(out, "new", "maps/a.exr", overwrite=True, resume=True)
+    assert os.path.lexists(out.parent / name) and (out / "maps/a.exr").read_text() == "old"
 
 
-@pytest.mark.parametrize("name", ["maps", "maps/a.exr", "report.html", result_folder.MANIFEST])
+def test_a_folder_of_others_with_the_name_of_an_unfinished_run_is_refused(out):
+    files.write_bytes(out.parent / "out.partial/thesis.txt", b"mine")
+    for options in ({}, {"resume": True}):
+        with pytest.raises(OutputError, match=r"unfinished run of ours, or nothing, at .*out\.partial"):
+            make(out, "new", "maps/a.exr", overwrite=True, **options)
+    assert (out.parent / "out.partial/thesis.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["maps", "maps/a.exr", "report.html", results.MANIFEST])
 @pytest.mark.parametrize("what", ["folder", "file", "pipe", "nowhere"])
 @pytest.mark.parametrize("options", [{"overwrite": True}, {"add": True}])
 def test_links_and_pipes_where_a_result_goes_are_somebody_elses(out, outside, name, what, options):
-    place = out / name
-    files.remove(place)
-    put(place, what, outside)
-    make(out, "new", "maps/a.exr", "report.html", **options)
-    for each in ("maps/a.exr", "report.html"):
-        assert (out / each).read_text() == "new" and (out / each).resolve() == out / each
-    assert files.is_regular(out / result_folder.MANIFEST)
-    aside = place.with_name(f"{place.name}.old")
-    assert aside.is_symlink() or aside.is_fifo()  # out of the way, not lost
+    put(out / name, what, outside)
+    with pytest.raises(OutputError):
+        make(out, "new", "maps/a.exr", "report.html", **options)
+    assert (out / name).is_symlink() or (out / name).is_fifo()
 
 
 @pytest.mark.parametrize("manifest", [
     ["../outside/a.exr"], ["maps/a.exr"], ["maps/../../outside/a.exr"], ["{outside}/a.exr"],
-    ["..", ".", "", "a\0b", "\ud800"],
-    ["linked/a.exr", 1, None, ["a"]], {"maps/a.exr": 1}, "maps/a.exr", 5, [".partial/.lock"],
-    ["deep/maps/a.exr"]])
+    ["..", ".", "", "a\0b", "\ud800"], ["linked/a.exr", 1, None, ["a"]], {"maps/a.exr": 1}, "maps/a.exr", 5,
+    {"files": 5}, {"files": {"maps/a.exr": 1}, "serial": "x"}, {"files": ["maps", "linked", "deep/maps/a.exr"]}])
 def test_a_manifest_deletes_nothing_outside(tmp_path, outside, manifest):
     out = tmp_path / "out"
     (out / "deep").mkdir(parents=True)
     for name in ("maps", "linked", "deep/maps"):
         (out / name).symlink_to(outside / "maps" if name != "linked" else outside)
-    (out / result_folder.MANIFEST).write_text(json.dumps(manifest).replace("{outside}", str(outside)))
-    make(out, "new", "one", overwrite=True)
-    assert (out / "one").read_text() == "new" and all((out / name).is_symlink() for name in ("maps", "linked",
-                                                                                             "deep/maps"))
+    (out / results.MANIFEST).write_text(json.dumps(manifest).replace("{outside}", str(outside)))
+    with pytest.raises(OutputError, match="with deep/maps, linked, maps; move"):
+        make(out, "new", "one", overwrite=True)
+    make(out, "new", "one", add=True)
+    assert all((out / name).is_symlink() for name in ("maps", "linked", "deep/maps"))
 
 
 def test_a_manifest_nested_without_end_is_none(out):
-    (out / result_folder.MANIFEST).write_text("[" * 100_000)
-    make(out, "new", "one", overwrite=True)
-    assert (out / "maps/a.exr").read_text() == "old" and (out / "one").read_text() == "new"
-
-
-@pytest.mark.parametrize("journal", [
-    {"new": ["../outside/a.exr"]}, {"earlier": ["../outside/a.exr"]}, {"new": ["{outside}/a.exr"]},
-    {"new": [".partial/.lock"]},
-    {"staged": ".."}, {"staged": "{outside}"}, {"staged": "linked"}, {"new": ["linked/a.exr"]}, {"new": 5},
-    {"new": [5]}, {"earlier": {}}, [], 5, None, "x"])
-def test_a_journal_moves_nothing_from_or_to_outside(out, outside, journal):
-    partial = result_folder.partial_folder(out)
-    partial.mkdir()
-    text = json.dumps({"staged": "", "earlier": [], "new": []} | journal if isinstance(journal, dict)
-                      else journal)
-    (partial / JOURNAL).write_text(text.replace("{outside}", str(outside)))
-    if journal == {"new": ["linked/a.exr"]}:
-        (partial / "linked").symlink_to(outside)
-    if journal == {"earlier": {}}:  # as good as a list of none
-        return result_folder.settle(out)
-    for read in (lambda: result_folder.settle(out), lambda: make(out, "new", "one", overwrite=True)):
-        with pytest.raises(OutputError):
-            read()
-    assert (out / "maps/a.exr").read_text() == "old" and (partial / JOURNAL).exists()
+    (out / results.MANIFEST).write_text("[" * 100_000)
+    with pytest.raises(OutputError, match="with maps/a.exr, report.html; move"):
+        make(out, "new", "one", overwrite=True)
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can give files away")
-@pytest.mark.parametrize("name", [".partial", ".partial/checkpoint.safetensors", ".partial/.journal",
-                                  ".partial/maps/a.exr"])
+@pytest.mark.parametrize("name", ["", results.CHECKPOINT])
 def test_files_of_another_user_are_not_gone_on_with(out, name):
-    files.write_bytes(result_folder.partial_folder(out) / "maps/a.exr", b"half")
-    (out / name).touch()
-    os.chown(out / name, 12345, 12345)
-    for options in ({"overwrite": True}, {"overwrite": True, "resume": True}, {"add": True}):
-        with pytest.raises(OutputError, match="of user 12345"):
-            make(out, "new", "maps/a.exr", **options)
+    partial = unfinished(out, results.CHECKPOINT)
+    os.chown(partial / name, 12345, 12345)
+    with pytest.raises(OutputError, match="of user 12345"):
+        make(out, "new", "maps/a.exr", overwrite=True, resume=True)
     assert (out / "maps/a.exr").read_text() == "old"
     os.chown(out, 12345, 12345)  # whose folder it is may go on in it, and so may we
-    (out / ".partial/.journal").unlink(missing_ok=True)
-    make(out, "new", "maps/a.exr", overwrite=True)
+    make(out, "new", "maps/a.exr", overwrite=True, resume=True)
     assert (out / "maps/a.exr").read_text() == "new"
-
-
-def test_what_the_user_names_may_be_a_link(tmp_path):
-    (tmp_path / "disk").mkdir()
-    (tmp_path / "out").symlink_to("disk")
-    make(tmp_path / "out", "new", "maps/a.exr")
-    make(tmp_path / "out", "newer", "maps/a.exr", overwrite=True)
-    assert (tmp_path / "disk/maps/a.exr").read_text() == "newer"
-
-
-@pytest.mark.parametrize("name", ["..", "../a", "a/../../b", "/etc/passwd", "", ".", "a\0b", "link/a",
-                                  "link"])
-def test_names_that_lead_out_of_a_folder(tmp_path, name):
-    (tmp_path / "link").symlink_to("/")
-    assert files.inside(tmp_path, name) is None
-
-
-def test_names_inside_a_folder(tmp_path):
-    for name in ("a", "a/b", "a//b", "./a", "...", "a..b"):
-        assert str(files.inside(tmp_path, name)).startswith(f"{tmp_path}/")
-
-
-def test_only_regular_files_are_opened(tmp_path):
-    (tmp_path / "file").write_text("x")
-    os.mkfifo(tmp_path / "pipe")
-    (tmp_path / "link").symlink_to("file")
-    for path in (tmp_path / "pipe", tmp_path / "link", tmp_path, os.devnull):
-        with pytest.raises(OSError):
-            files.open_regular(path)
-    with files.open_regular(tmp_path / "file") as file:
-        assert file.read() == b"x"
-    with pytest.raises(OSError, match="no regular file"):
-        files.file_hash(tmp_path / "pipe")

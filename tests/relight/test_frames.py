@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 import torch
 from helpers.relit import pictures, srgb
+from helpers.unfinished import unfinished
 from PIL import Image
 
 from mitsvbrdf.cli.relight import relight
 from mitsvbrdf.errors import BackendError, ConfigError, MitsvbrdfError, OutputError
-from mitsvbrdf.io import images, result_folder
+from mitsvbrdf.io import images, results
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.relight import frames as frames_module
@@ -85,14 +86,14 @@ def test_resumed_frames_are_those_of_an_uninterrupted_run(tmp_path, monkeypatch,
         assert not torch.allclose(expected[0], expected[1], rtol=0.01)
         for kind in ("mp4", "gif"):
             assert (tmp_path / "parts" / f"{preset}.{kind}").is_file()
-    assert not list(tmp_path.rglob(".partial"))
+    assert not list(tmp_path.rglob("*.partial"))
 
 
 def test_a_killed_run_goes_on_from_its_partial_folder(tmp_path):
     options = {"preset": "sweep", "frames": 2, "movie": "none"}
     run(tmp_path / "whole", **options)
-    partial = result_folder.partial_folder(tmp_path / "killed")
-    (partial / "sweep").mkdir(parents=True)
+    partial = unfinished(tmp_path / "killed")
+    (partial / "sweep").mkdir()
     found = record(tmp_path / "whole")
     found["presets"]["sweep"]["frames"].pop()
     (partial / "relight.json").write_text(json.dumps(found))
@@ -150,7 +151,7 @@ def test_a_run_goes_on_only_with_what_it_had(tmp_path, monkeypatch):
     def refused(error, why):
         with pytest.raises(error, match=why):
             relight(str(tmp_path / "m"), resume=True, **options)
-        assert not result_folder.partial_folder(tmp_path / "o").exists() and (
+        assert not results.partial_folder(tmp_path / "o").exists() and (
             tmp_path / "o" / "sphere.png").is_file()
 
     with monkeypatch.context() as patch:  # no mistake of the record
@@ -197,12 +198,12 @@ def test_an_unfinished_run_with_other_settings_does_not_hide_the_finished_one(tm
             (place / name).write_text(str(size))
         presets = {"sphere": {"frames": [{"frame": 0, "file": name, "stopped": "samples"} for name in names]}}
         (place / "relight.json").write_text(json.dumps({"settings": {"size": size}, "presets": presets}))
-    (folder / result_folder.LOCK).touch()
+    (folder / results.MANIFEST).touch()
     with pytest.raises(ConfigError, match="another size"):
         frames_module.go_on({"size": 3}, out, folder)
     assert (folder / "sweep/0000.exr").exists()
     assert frames_module.go_on({"size": 2}, out, folder).settings == {"size": 2}
-    assert sorted(path.name for path in folder.iterdir()) == [result_folder.LOCK, "sphere.exr"]
+    assert sorted(path.name for path in folder.iterdir()) == [results.MANIFEST, "sphere.exr"]
     assert (folder / "sphere.exr").read_text() == "2"
 
 

@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 import shutil
 import signal
 
@@ -11,14 +10,13 @@ import pytest
 import torch
 from helpers import GRID, photos_of
 from helpers.fit_pages import FAST, SIDE, Page
-from helpers.half_put import half_put
+from helpers.unfinished import unfinished
 
 from mitsvbrdf import cli
 from mitsvbrdf.capture import write_capture
-from mitsvbrdf.errors import OutputError
 from mitsvbrdf.export.mitsuba import write_scene
-from mitsvbrdf.fit.record import read_fit, read_whole_fit
-from mitsvbrdf.io import result_folder
+from mitsvbrdf.fit.record import read_whole_fit
+from mitsvbrdf.io import results
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import load_maps
 from mitsvbrdf.views import Views
@@ -54,46 +52,23 @@ def test_without_photos_the_renderings_are_shown_and_the_capture_brings_them_bac
         shutil.rmtree(copy / name)
     for name in ("report.html", "report.json"):
         (copy / name).unlink()
+    names = [name for name in results.own_files(copy) if name != "photos/00.png"]
+    (copy / results.MANIFEST).write_text(json.dumps({"serial": 1, "files": names}))
     (copy / "photos").mkdir()
-    (copy / "photos/00.png").write_text("mine")  # a file of somebody else, and no photo
-    (copy / result_folder.MANIFEST).write_text(json.dumps([n
-                                                           for n in json.loads((copy / result_folder.MANIFEST).read_text())
-                                                   if n != "photos/00.png"]))
-    (copy / "photos/00.png").rename(copy / "photos/mine")
+    (copy / "photos/mine").write_text("mine")  # a file of somebody else, and no photo
     assert cli.main(["report", str(copy), "--quick"]) == 0
     page = Page(copy / "report.html")
     assert "were not kept here" in page.text and "photo 00" not in page.pictures
     assert page.pixels("photo 00, re-rendered").shape == (SIDE, SIDE,
                                                           3) and "left out of the fit" not in page.text
     (copy / "photos/mine").rename(copy / "photos/00.png")
+    assert cli.main(["report", str(copy), "--quick", "--capture", str(photos)]) == 2  # replaces nobody's file
+    (copy / "photos/00.png").unlink()
     assert cli.main(["report", str(copy), "--quick", "--capture", str(photos)]) == 0
     assert json.loads((copy / "report.json").read_text())["photos"] == before["photos"]
     assert Page(copy / "report.html").pictures == Page(fitted / "report.html").pictures
-    assert (copy / "photos/00.png.old").read_text() == "mine"
-    written = set(json.loads((copy / result_folder.MANIFEST).read_text()))
+    written = set(results.own_files(copy))
     assert {"report.html", "report.json", "photos/00.png", "photos/04.png", "predicted/04.png"} <= written
-
-
-@pytest.mark.parametrize("read", [load_maps, lambda out: load_maps(out / "maps"), read_fit,
-                                  lambda out: read_fit(out / "maps"), read_whole_fit])
-def test_who_reads_a_result_that_a_kill_left_half_in_place_meets_the_whole(copy, capsys, read):
-    before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
-    half_put(copy)
-    read(copy)
-    assert "was killed while it put its result in place" in capsys.readouterr().out
-    assert {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()} == before
-
-
-def test_what_cannot_be_put_in_place_is_not_read(copy, monkeypatch):
-    def full(*_):
-        raise OSError(30, "Read-only file system")
-
-    half_put(copy)
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "replace", full)
-        with pytest.raises(OutputError, match="expected a whole result.*Read-only"):
-            load_maps(copy)
-    assert load_maps(copy).resolution == SIDE
 
 
 def test_ctrl_c_while_a_fit_is_written_is_heard_when_all_is_there(photos, tmp_path, monkeypatch, capsys):
@@ -105,17 +80,15 @@ def test_ctrl_c_while_a_fit_is_written_is_heard_when_all_is_there(photos, tmp_pa
 
     monkeypatch.setattr("mitsvbrdf.report.folder.write_scene", pressed)
     assert cli.main(["fit", str(photos), "-o", str(tmp_path / "out"), *FAST]) == 130
-    assert "interrupted" in capsys.readouterr().err and not result_folder.partial_folder(
+    assert "interrupted" in capsys.readouterr().err and not results.partial_folder(
         tmp_path / "out").exists()
     assert read_whole_fit(tmp_path / "out") and (tmp_path / "out/report.html").is_file()
 
 
 def test_an_unfinished_fit_is_no_matter_of_the_page(copy):
-    unfinished = result_folder.partial_folder(copy) / result_folder.CHECKPOINT
-    unfinished.parent.mkdir()
-    unfinished.write_bytes(b"state")
+    partial = unfinished(copy, results.CHECKPOINT)
     assert cli.main(["report", str(copy), "--quick"]) == 0
-    assert unfinished.read_bytes() == b"state" and [*unfinished.parent.iterdir()] == [unfinished]
+    assert (partial / results.CHECKPOINT).read_bytes() == b"state"
 
 
 def test_a_page_that_fails_leaves_the_earlier_one(copy, photos, monkeypatch):

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ... import __version__
 from ...errors import MapsError
 from ...io.files import write_json
-from ...io.json_files import load
+from ...io.json import load
 from ..manifest import FILE, Manifest, now
 from ..places.place import QUARANTINE, ROW
 

@@ -8,7 +8,7 @@ import threading
 from pathlib import Path
 
 from ...io.files import open_regular
-from ...io.json_files import parsed
+from ...io.json import parsed
 from ...report.live import HTML, LIVE_POLICY, REPORT_POLICY, Answer
 from ..manifest import FILE
 from ..places.place import QUARANTINE

@@ -19,7 +19,7 @@ from typing import Protocol
 
 from ...errors import OutputError
 from ...io.files import file_hash, inside, is_entry, is_regular, stays_inside, to_disk
-from ...io.json_files import load, shape_error
+from ...io.json import load, shape_error
 
 RECORD = "batch.json"  # of a result: which capture and options it is of, and what its files hold
 WORK, QUARANTINE = ".work", "quarantine"

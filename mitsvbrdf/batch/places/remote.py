@@ -13,7 +13,7 @@ from typing import Any
 from ...capture.photo import SUFFIXES
 from ...errors import BackendError, CaptureError, MitsvbrdfError, OutputError
 from ...io.files import stays_inside
-from ...io.json_files import parsed
+from ...io.json import parsed
 from .place import ASIDE, RECORD, checked_name, checked_record
 
 CALIBRATIONS = ("capture.json", "camera_pos.txt")

@@ -15,8 +15,8 @@ from ...errors import OutputError
 from ...fit.checkpoint import load_tensors
 from ...fit.record import FILE as FIT_FILE
 from ...fit.record import record_in
-from ...io import images, result_folder
-from ...io.journal import JOURNAL
+from ...io import images, results
+from ...io.files import in_use
 from ...material.maps import CHANNELS, TITLES, shown_map
 
 OPENED = "the OUT of `mitsvbrdf fit -o OUT` or the LIBRARY of `mitsvbrdf batch -o LIBRARY`"
@@ -50,14 +50,14 @@ class Watch:
 
     def __init__(self, out: Path) -> None:
         self.out = Path(os.path.abspath(out))
-        self.partial = result_folder.partial_folder(self.out)
+        self.partial = results.partial_folder(self.out)
         if self.out.exists() and not self.out.is_dir():
             raise OutputError(OPENED, f"the file {out}", "name such a folder")
         if not self.out.parent.is_dir():
             raise OutputError(OPENED, f"{out}, and there is no {self.out.parent}",
                               "check the name, or start the fit or the batch first")
         names = {path.name for path in self.out.iterdir()} if self.out.is_dir() else set()
-        ours = {FIT_FILE, REPORT_FILE, result_folder.MANIFEST, self.partial.name}
+        ours = {FIT_FILE, REPORT_FILE, results.MANIFEST, self.partial.name}
         if "capture.json" in names or names and not names & ours:
             photos = any(name == "capture.json" or os.path.splitext(name)[1].lower() in SUFFIXES
                          for name in names)
@@ -84,15 +84,15 @@ class Watch:
             # In this order: whatever happens in between, a fit that ends meanwhile is not taken for one that
             # died.
             there = self._read_record()
-            at_work = result_folder.in_use(self.out)
+            at_work = in_use(self.out)
             finished = _time(self.out / FIT_FILE)
             if at_work:
                 if not there:
                     self.record = None  # that of an earlier fit
                 stopped = self.record and self.record.note["stopped"]
                 phase = "starting" if self.record is None else "writing" if stopped else "running"
-            elif self.record and self.record_time > finished or max(
-                    _time(self.partial / name) for name in (result_folder.CHECKPOINT, JOURNAL)) > finished:
+            elif (self.record and self.record_time > finished
+                  or _time(self.partial / results.CHECKPOINT) > finished):
                 phase = "died"
             else:
                 self.record = None
@@ -106,10 +106,8 @@ class Watch:
     def _says(self, phase: str, shown: Shown | None) -> str:
         stopped = shown.note["stopped"] if shown else None
         why = ENDED.get(stopped, stopped) if stopped else None
-        if phase == "died" and _time(self.partial / JOURNAL):
-            return "A command was killed while it put its result in place; the next one that opens this folder does the rest."
         if phase == "died":
-            resumes = (self.partial / result_folder.CHECKPOINT).is_file()
+            resumes = (self.partial / results.CHECKPOINT).is_file()
             return ("The fit ended without a result. " if shown else "A fit was left unfinished here. ") + (
                 "The same command with --resume goes on from its checkpoint." if resumes
                 else "Its terminal may say why; the same command starts it anew.")
@@ -122,7 +120,7 @@ class Watch:
 
     def _read_record(self) -> bool:
         """Whether a live record is there; :attr:`record` is the last that could be read."""
-        path = self.partial / result_folder.LIVE
+        path = self.partial / results.LIVE
         version, written = _version(path), _time(path)
         if version and not (self.record and self.record.version == version):
             try:

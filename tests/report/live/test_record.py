@@ -22,7 +22,7 @@ from mitsvbrdf.fit import live as fit_live
 from mitsvbrdf.fit.checkpoint import load_tensors
 from mitsvbrdf.fit.live import LiveRecord
 from mitsvbrdf.fit.loop import Loop
-from mitsvbrdf.io import result_folder
+from mitsvbrdf.io import results
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.render import make_renderer
 
@@ -55,18 +55,18 @@ def test_pictures_are_the_maps(tmp_path, capture, every_step):
 def test_maps_are_the_latest_not_the_best(tmp_path, capture, every_step):
     # Where a fit gets worse for a while its maps are still seen to move.
     method = make_method(FitTask(capture, ANALYTIC, FAST, torch.full((SIDE, SIDE, 3), 0.3)))
-    loop = Loop(method, capture, ANALYTIC, FAST, live=LiveRecord(tmp_path / result_folder.LIVE))
+    loop = Loop(method, capture, ANALYTIC, FAST, live=LiveRecord(tmp_path / results.LIVE))
     loop.best = 0.0, make_material("tiles", SIDE), capture.views  # nothing is better than that
     loop.run()
-    assert torch.equal(load_tensors(tmp_path / result_folder.LIVE)[0]["diffuse"],
+    assert torch.equal(load_tensors(tmp_path / results.LIVE)[0]["diffuse"],
                        method.estimate()[0]["diffuse"].half())
     assert loop.best[0] == 0.0
 
 
 def test_larger_maps_are_shrunk_by_area(tmp_path, capture, monkeypatch):
     monkeypatch.setattr(fit_live, "SIDE", SIDE // 2)
-    result = fit_svbrdf(capture, ANALYTIC, FAST, live=tmp_path / result_folder.LIVE)
-    tensors, note = load_tensors(tmp_path / result_folder.LIVE)
+    result = fit_svbrdf(capture, ANALYTIC, FAST, live=tmp_path / results.LIVE)
+    tensors, note = load_tensors(tmp_path / results.LIVE)
     blocks = result.svbrdf["diffuse"].reshape(SIDE // 2, 2, SIDE // 2, 2, 3).mean(dim=(1, 3))
     assert torch.allclose(tensors["diffuse"].float(), blocks, rtol=2**-10, atol=1e-7)  # float16
     assert {t.dtype for t in tensors.values()} == {torch.float16} and note["resolution"] == SIDE
@@ -79,11 +79,11 @@ def test_a_fit_has_the_same_bits_unwatched(name, config, tmp_path, capture, ever
     records = []
 
     def look(entry, share):
-        if (tmp_path / result_folder.LIVE).exists():
-            records.append(load_tensors(tmp_path / result_folder.LIVE)[1])
+        if (tmp_path / results.LIVE).exists():
+            records.append(load_tensors(tmp_path / results.LIVE)[1])
 
     renderer = make_renderer("mitsuba") if name == "hierarchical" else ANALYTIC
-    watched = fit_svbrdf(capture, renderer, config, live=tmp_path / result_folder.LIVE, report=look)
+    watched = fit_svbrdf(capture, renderer, config, live=tmp_path / results.LIVE, report=look)
     alone = fit_svbrdf(capture, renderer, config)
     assert records and records[0]["method"] == name
     assert all(torch.equal(watched.svbrdf[key], alone.svbrdf[key]) for key in alone.svbrdf.maps)
@@ -97,11 +97,11 @@ def test_hierarchical_shows_each_round(tmp_path, capture, every_step):
     # Between measurements too: the maps then are those of its unknowns, at the size it works at.
     config, mitsuba = HierarchicalConfig(iterations=3), make_renderer("mitsuba")
     method = make_method(FitTask(capture, mitsuba, config, torch.full((SIDE, SIDE, 3), 0.3)))
-    loop = Loop(method, capture, mitsuba, config, live=LiveRecord(tmp_path / result_folder.LIVE))
+    loop = Loop(method, capture, mitsuba, config, live=LiveRecord(tmp_path / results.LIVE))
     maps, step = [], method.step
 
     def looking_step(progress):
-        maps.append(load_tensors(tmp_path / result_folder.LIVE)[0]["roughness"])
+        maps.append(load_tensors(tmp_path / results.LIVE)[0]["roughness"])
         assert torch.equal(maps[-1][..., 0], method.answer.x[method.ties.unknowns.of("roughness")][0].half())
         return step(progress)
 
@@ -135,7 +135,7 @@ def test_records_are_a_second_apart_and_take_five_percent(cost, step, tmp_path, 
 
 def test_a_record_that_cannot_be_written_ends_no_fit(tmp_path, capture, every_step):
     (tmp_path / "file").write_text("in the way")
-    result = fit_svbrdf(capture, ANALYTIC, FAST, live=tmp_path / "file" / result_folder.LIVE)
+    result = fit_svbrdf(capture, ANALYTIC, FAST, live=tmp_path / "file" / results.LIVE)
     assert result.stopped == "iterations" and [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
@@ -152,5 +152,5 @@ def test_the_command_leaves_no_record(tmp_path, capture, monkeypatch):
     assert cli.main(["fit", str(tmp_path / "photos"), "-o", str(out), "--method", "direct", "--renderer",
                      "analytic",
                      "--resolution", str(SIDE), "--iterations", "3"]) == 0
-    assert len(seen) >= 2 and set(seen) == {result_folder.partial_folder(out).resolve() / result_folder.LIVE}
-    assert not list(out.rglob(f"*{result_folder.LIVE}*")) and (out / "fit.json").is_file()
+    assert len(seen) >= 2 and set(seen) == {results.partial_folder(out).resolve() / results.LIVE}
+    assert not list(out.rglob(f"*{results.LIVE}*")) and (out / "fit.json").is_file()

@@ -13,7 +13,7 @@ from helpers.live_fits import served
 
 from mitsvbrdf import cli
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.io import result_folder
+from mitsvbrdf.io import results
 from mitsvbrdf.report.live import ADDRESS, PORT, FitSite, Watch, make_server
 
 # ---- the server ----
@@ -131,7 +131,7 @@ def test_what_is_no_fits_folder_is_refused(tmp_path, capsys, monkeypatch):
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "00.png").write_text("")
     (tmp_path / "capture").mkdir()
-    for name in ("capture.json", result_folder.MANIFEST):
+    for name in ("capture.json", results.MANIFEST):
         (tmp_path / "capture" / name).write_text("[]")
     for name, word, way_out in (("file", "the file", "such a folder"),
                                 ("photos", "holds photos", "such a folder"),

@@ -1,19 +1,17 @@
 """The page that follows a fit: from before it starts to after it ends, however it ends."""
 
-import json
 import signal
 import subprocess
 import sys
-import threading
 
 import pytest
 import torch
 from helpers import ROOT
-from helpers.half_put import half_put
 from helpers.live_fits import FAST, fit_into, served, state_of
+from helpers.unfinished import unfinished
 
 from mitsvbrdf.fit.checkpoint import load_tensors, save_tensors
-from mitsvbrdf.io import files, result_folder
+from mitsvbrdf.io import files, results
 from mitsvbrdf.report.live import Watch
 
 # ---- the page follows a fit ----
@@ -48,9 +46,9 @@ def test_a_fit_is_followed_from_before_it_starts_to_after_it_ends(tmp_path, capt
     assert pictures[0] != pictures[1] != pictures[2]
     assert seen[1]["says"] == "Fitting" and "all iterations done" in seen[3]["says"]
     assert after["phase"] == "done" and after["report"] and after["fit"]["trace"] == result.trace
-    assert not (out / result_folder.LIVE).exists()
-    assert result_folder.LIVE not in json.loads((out / result_folder.MANIFEST).read_text())
-    assert not result_folder.partial_folder(out).exists()
+    assert not (out / results.LIVE).exists()
+    assert results.LIVE not in results.own_files(out)
+    assert not results.partial_folder(out).exists()
 
 
 def test_a_fit_that_starts_anew_is_followed_again(tmp_path, capture, every_step):
@@ -68,30 +66,9 @@ def test_a_fit_that_starts_anew_is_followed_again(tmp_path, capture, every_step)
 
 
 def test_resuming_starts_with_the_checkpoint_alone(tmp_path):
-    partial = result_folder.partial_folder(tmp_path / "out")
-    (partial / "maps").mkdir(parents=True)
-    of_a_killed_fit = ("maps/half.exr", ".live-0123.safetensors")
-    for name in (result_folder.CHECKPOINT, result_folder.LIVE, result_folder.LOCK, *of_a_killed_fit):
-        (partial / name).write_bytes(b"old")
-    with result_folder.output_folder(tmp_path / "out", False, resume=True) as folder:
-        assert sorted(p.name for p in folder.iterdir()) == [result_folder.LOCK, result_folder.CHECKPOINT]
-
-
-def test_looking_at_the_lock_does_not_refuse_a_fit(tmp_path):
-    fcntl = pytest.importorskip("fcntl")
-    out = tmp_path / "out"
-    assert not result_folder.in_use(out)
-    with result_folder.output_folder(out, False) as folder:
-        assert result_folder.in_use(out)
-        (folder / "one").write_text("1")
-    assert not result_folder.in_use(out)
-    partial = result_folder.partial_folder(out)
-    partial.mkdir()
-    with (partial / result_folder.LOCK).open("w") as lock:  # that a look takes longer than any does
-        fcntl.flock(lock, fcntl.LOCK_SH)
-        threading.Timer(0.01, lambda: fcntl.flock(lock, fcntl.LOCK_UN)).start()
-        with result_folder.output_folder(out, True):
-            assert result_folder.in_use(out)
+    unfinished(tmp_path / "out", results.CHECKPOINT, results.LIVE, "maps/half.exr", ".live-0123.safetensors")
+    with results.output_folder(tmp_path / "out", False, resume=True) as folder:
+        assert sorted(path.name for path in folder.iterdir()) == [results.MANIFEST, results.CHECKPOINT]
 
 
 # ---- fits that end badly ----
@@ -137,7 +114,6 @@ def die(entry, share):
 fit_into(Path({str(out)!r}), capture, FAST, die)
 """
     assert subprocess.run([sys.executable, "-c", code]).returncode == -signal.SIGKILL
-    assert (result_folder.partial_folder(out) / result_folder.LOCK).exists()
     with served(out) as ask:
         died = state_of(ask)
         assert died["phase"] == "died" and died["fit"]["iteration"] == 9 and ask("/maps/diffuse.png")[
@@ -145,16 +121,6 @@ fit_into(Path({str(out)!r}), capture, FAST, die)
         assert "anew" in died["says"]  # no checkpoint yet
         fit_into(out, capture, FAST)
         assert state_of(ask)["phase"] == "done"
-
-
-def test_a_result_that_a_kill_left_half_in_place_is_told(tmp_path):
-    out = tmp_path / "out"
-    (out / "maps").mkdir(parents=True)
-    for name in ("fit.json", "maps/a.exr", result_folder.MANIFEST):
-        (out / name).write_text("{}")
-    half_put(out)
-    state = Watch(out).state()
-    assert state["phase"] == "died" and "the next one that opens this folder does the rest" in state["says"]
 
 
 def test_a_fit_that_ends_while_somebody_looks_has_not_died(tmp_path, capture, every_step, monkeypatch):
@@ -169,7 +135,7 @@ def test_a_fit_that_ends_while_somebody_looks_has_not_died(tmp_path, capture, ev
     def look(entry, share):
         if entry and entry["iteration"] == 10:
             with monkeypatch.context() as patch:
-                patch.setattr(result_folder, "in_use", ends_just_before)
+                patch.setattr("mitsvbrdf.report.live.watch.in_use", ends_just_before)
                 states.append(watch.state()["phase"])
 
     with pytest.raises(ZeroDivisionError):
@@ -184,7 +150,7 @@ def test_half_a_record_is_none(kept, tmp_path, capture, every_step):
     def look(entry, share):
         if entry and entry["iteration"] == 10:
             states.append(state_of(ask))
-            record = result_folder.partial_folder(out) / result_folder.LIVE
+            record = results.partial_folder(out) / results.LIVE
             record.write_bytes(record.read_bytes()[:kept])
             states.append(state_of(ask))
             assert ask("/maps/diffuse.png")[0] == 200
@@ -200,14 +166,16 @@ def test_half_a_record_is_none(kept, tmp_path, capture, every_step):
 def test_records_of_others_do_no_harm(tmp_path, capture):
     out = tmp_path / "out"
     strange = [{}, {"bsdf": "none"}, {"bsdf": "roughconductor"}, {"bsdf": ["list"]}]
-    with served(out) as ask, result_folder.output_folder(out, False) as folder:
+    with served(out) as ask, results.output_folder(out, False) as folder:
         for note in strange:
-            save_tensors(folder / result_folder.LIVE,
+            save_tensors(folder / results.LIVE,
                          {"diffuse": torch.zeros(3), "../../passwd": torch.zeros(2, 2, 3)}, note)
             assert state_of(ask)["phase"] == "starting"
+        out.mkdir()
         for name, content in (("fit.json", b"[]"), ("fit.json", b'{"trace": NaN}'), ("fit.json", b"\xff")):
             (out / name).write_bytes(content)
             assert state_of(ask)["phase"] == "starting"
+        (out / name).unlink()
 
 
 @pytest.mark.filterwarnings("error")
@@ -216,7 +184,7 @@ def test_numbers_that_neither_json_nor_a_picture_has(tmp_path, capture, every_st
 
     def look(entry, share):
         if entry and entry["iteration"] == 10:
-            record = result_folder.partial_folder(out) / result_folder.LIVE
+            record = results.partial_folder(out) / results.LIVE
             tensors, note = load_tensors(record)
             note["trace"][0]["rerender_rmse"] = float("nan")
             note["latest"]["photometric"] = float("inf")

@@ -1,0 +1,247 @@
+"""The adversarial finish: one plausible draw of what no photo saw, for pictures; the solved maps stay, for
+validation.
+
+Where no photo shows a highlight, the maps hold what is expected, or what the solver was left with there; a
+rendering under a new light shows it, and does not look like a photo. A small generator starts at the solved
+maps and puts out a change, bounded texel by texel by how unsure the fit is. It is rendered, through the fit's
+renderer, under lights that no photo had (:mod:`.moved_lights`), and two judges compare it with photos of
+other pieces of the material under the same light (:mod:`.judge`): a relativistic discriminator, which also
+sees the half vectors and the diffuse part, and the distance of projected patches. The photos seen, and the
+solved diffuse map, hold it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, replace
+
+import torch
+from torch import Tensor
+from torch.nn.utils import convert_conv2d_weight_memory_format
+
+from ... import color
+from ...capture import Capture
+from ...io.entry import entry
+from ...io.interrupts import stop_signals
+from ...material.maps import SVBRDF
+from ...material.resample import resized
+from ...measure.rerender import rerender
+from ...render import Renderer
+from ...views import Views, geometry
+from .. import losses
+from ..confidence import map_of, numbers_of
+from ..finish_config import FinishConfig
+from ..method import cosine, descend
+from ..parameters import ROUGHNESS_RANGE, STREAMS
+from ..result import FitResult
+from .judge import PATCH, HighlightDiscriminator, patch_distance
+from .moved_lights import MovedLight, draw, moved_views
+from .networks import AllPhotosGenerator, seeded
+
+WHAT = ("look/ is one plausible draw of what no photo saw, for pictures; maps/ holds the expected values, "
+        "for validation, and "
+        "is the same with and without it")
+NOISE = 4  # channels of noise that the generator sees
+STEEPEST = 0.95  # length of x and y of a normal that the finish bends, or that of the solved one
+VIEW_SCALE = 10.0  # brings 1 - z of half vectors, some hundredths, to the size of display values
+SHARES = (1.0, 0.85, 0.7, 0.55, 0.4, 0.25, 0.1, 0.0)  # of the generator's change that are tried
+AVERAGED = 10  # steps at the start and at the end whose losses are told
+
+Report = Callable[[str, float], object]
+
+
+@entry(gradients=True)
+def finished(result: FitResult, capture: Capture, renderer: Renderer, config: FinishConfig | None = None,
+             report: Report = lambda text, share: None) -> FitResult:
+    """A fit with a look beside its maps.
+
+    Args:
+        result: a fit; its maps and all that belongs to them stay as they are.
+        capture: the photos it was fitted to.
+        renderer: carries the gradients.
+        config: settings; left out, ``FinishConfig()``.
+        report: told what is going on and the share done.
+
+    Returns:
+        The result with ``look`` and ``finish`` filled in. Ctrl-C leaves both out, as does a fit that
+        :func:`why_not` speaks against.
+
+    Raises:
+        ConfigError: settings out of range.
+    """
+    config = config or FinishConfig()
+    config.check()
+    if why_not(result):
+        return result
+    began, logged = time.perf_counter(), list[dict[str, float]]()
+    finish = Finish(result, capture, renderer, config)
+    with stop_signals() as stopped:
+        for step in range(config.steps):
+            logged.append(finish.step(step / config.steps))
+            report(f"step {step + 1}", (step + 1) / config.steps)
+            if stopped:
+                return result
+    with torch.no_grad():
+        share, look, (_, total, each) = finish.weakened(config.worst * result.rerender_rmse)
+    ends = {name: {"first": _mean(logged[:AVERAGED], name), "last": _mean(logged[-AVERAGED:], name)}
+            for name in logged[0]}
+    return replace(result, look=look, finish={
+        "what": WHAT, "config": asdict(config), "steps": config.steps, "share": share,
+        "seconds": round(time.perf_counter() - began, 3), "losses": ends, "rerender_rmse": total,
+        "per_photo": dict(zip(capture.names, each))})
+
+
+def why_not(result: FitResult) -> str | None:
+    """Why a fit has no finish; None where it can have one."""
+    if result.stopped == "interrupted":
+        return "the fit was interrupted"
+    if not result.deviations:
+        return "all maps are fixed"
+    camera = result.views.in_patch_sides().camera[:, :2]
+    spread = (camera.max(dim=0).values - camera.min(dim=0).values).max()
+    return ("the photos have one view: nothing says how the material looks under another" if spread < 1e-3
+            else None)
+
+
+def _mean(logged: list[dict[str, float]], name: str) -> float:
+    return sum(row[name] for row in logged) / len(logged)
+
+
+class Finish:
+    """Steps of the finish.
+
+    Args:
+        result: the fit.
+        capture: its photos.
+        renderer: carries the gradients.
+        config: settings.
+    """
+
+    def __init__(self, result: FitResult, capture: Capture, renderer: Renderer, config: FinishConfig) -> None:
+        self.capture, self.renderer, self.config = capture, renderer, config
+        self.solved, self.views = result.svbrdf, result.views
+        size = capture.resolution
+        self.side = max(min(size, 2 * PATCH), round(config.crop * size))
+        self.random = torch.Generator().manual_seed(config.seed)
+        spreads = {name: resized(spread, size) for name, spread in result.deviations.items()}
+        self.bounds = {name: (config.reach * (spread - config.certain).clamp_min(0))
+                       for name, spread in spreads.items()}
+        self.numbers = {name: numbers_of(name, self.solved[name]) for name in self.bounds}
+        condition = [2 * x - 1 for x in self.numbers.values()] + list(self.bounds.values())
+        streams = tuple({name: self.bounds[name].shape[-1] for name in stream if name in self.bounds}
+                        for stream in STREAMS[self.solved.bsdf])
+        with seeded(config.seed):
+            condition.append(torch.randn(size, size, NOISE))
+            self.condition = torch.cat(condition, dim=-1).permute(2, 0,
+                                                                  1)[None].contiguous(memory_format=torch.channels_last)
+            generator = AllPhotosGenerator(self.condition.shape[1], (streams[0], streams[1]), config.width)
+            self.discriminator = HighlightDiscriminator(8, config.judge_width)
+        self.generator = convert_conv2d_weight_memory_format(generator, torch.channels_last)
+        self.optimizer = torch.optim.Adam(self.generator.parameters(), lr=config.learning_rate,
+                                          betas=(0.5, 0.99))
+        self.judge = torch.optim.Adam(self.discriminator.parameters(), lr=config.judge_rate,
+                                      betas=(0.5, 0.99))
+        self.albedo = color.encode(self.solved.as_roughconductor()["diffuse"])
+        self.matte = matte(self.solved)
+        self.half = geometry(self.views, size)[1]
+        self.matte_photos = self._shown(self.matte, self.views)
+
+    def weakened(self, worst: float) -> tuple[float, SVBRDF, tuple[Tensor, float, list[float]]]:
+        """The largest share of the change that meets the photos seen to within this RMSE; its look, and that
+        re-rendered.
+        """
+        for share in SHARES:
+            look = self.material(share).map(Tensor.contiguous)
+            met = rerender(self.renderer, look, self.views, self.capture)
+            if met[1] <= worst:
+                break
+        return share, look.check(), met
+
+    def material(self, share: float = 1.0) -> SVBRDF:
+        """The look as it is now, with a share of its change: where the bound of a map is 0, its solved value
+        to the bit.
+        """
+        change = self.generator(self.condition)
+        maps = dict(self.solved.maps)
+        for name, bound in self.bounds.items():
+            moved = self.numbers[name] + share * bound * torch.tanh(change[name].permute(1, 2, 0))
+            free = share * bound > 0
+            if name == "normal":
+                solved, flat = (2 * x - 1 for x in (self.numbers[name], moved))
+                longest = solved.norm(dim=-1, keepdim=True).clamp_min(STEEPEST)
+                moved = (flat * (longest / flat.norm(dim=-1, keepdim=True).clamp_min(1e-6)).clamp_max(1)
+                         + 1) / 2
+                free = free.any(dim=-1, keepdim=True)
+            elif name == "roughness":
+                moved = torch.maximum(moved, self.numbers[name].clamp_max(ROUGHNESS_RANGE[0])).clamp_max(1)
+            else:
+                moved = moved.clamp(0, 1)
+            maps[name] = torch.where(free, map_of(name, moved), maps[name])
+        return SVBRDF(self.solved.bsdf, maps)
+
+    def step(self, progress: float) -> dict[str, float]:
+        """One step of both networks at this share (0 to 1) of the run; returns each loss, unweighted."""
+        config = self.config
+        self.optimizer.param_groups[0]["lr"] = config.learning_rate * cosine(progress)
+        self.judge.param_groups[0]["lr"] = config.judge_rate * cosine(progress)
+        lights = [draw(self.views, self.albedo, self.side, config.tries, self.random)
+                  for _ in range(config.lights)]
+        moved = moved_views(self.views, lights, self.capture.resolution)
+        seen = torch.randperm(len(self.capture), generator=self.random)[:config.seen]
+        svbrdf = self.material()
+        rendered = self.renderer.render(svbrdf, joined(moved, self.views.pick(seen)))
+        new, known = rendered[:len(lights)], rendered[len(lights):]
+
+        fake = torch.stack([light.under_it(image, self.side) for light, image in zip(
+            lights, color.to_display(new, self.capture.transfer))])
+        real = self._in_photos(lights, self.capture.photos)
+        half = self._in_photos(lights, self.half)
+        lean = half[..., :2].norm(dim=-1, keepdim=True)
+        angles = torch.cat((VIEW_SCALE * (1 - half[..., 2:]), lean), dim=-1)
+        under = torch.stack([light.under_it(image, self.side) for light, image in zip(lights,
+                                                                                      self._shown(self.matte, moved))])
+        shown = _input(fake, under, angles)
+        photo = _input(real, self._in_photos(lights, self.matte_photos), angles)
+        logged = {"discriminator": self._learn(photo, shown.detach())}
+        with torch.no_grad():
+            verdict = self.discriminator(photo)
+        terms = {"adversarial": losses.adversarial(verdict, self.discriminator(shown), "relativistic"),
+                 "patches": patch_distance(fake, real, lean[..., 0], self.random),
+                 "photometric": losses.photometric(known, self.capture.photos[seen], self.capture.transfer),
+                 "diffuse": losses.diffuse(svbrdf, self.solved.as_roughconductor()["diffuse"])}
+        weights = {name: getattr(config, name) for name in terms}
+        descend(losses.weighted(terms, weights), self.optimizer)
+        return logged | {name: float(value.detach()) for name, value in terms.items()}
+
+    def _learn(self, photo: Tensor, shown: Tensor) -> float:
+        loss = losses.discriminator(self.discriminator(photo), self.discriminator(shown), "relativistic")
+        descend(loss, self.judge)
+        return float(loss.detach())
+
+    def _in_photos(self, lights: list[MovedLight], pictures: Tensor) -> Tensor:
+        return torch.stack([light.in_photo(pictures[light.photo], self.side) for light in lights])
+
+    def _shown(self, svbrdf: SVBRDF, views: Views) -> Tensor:
+        with torch.no_grad():
+            return color.to_display(self.renderer.render(svbrdf, views), self.capture.transfer)
+
+
+def matte(svbrdf: SVBRDF) -> SVBRDF:
+    """The material without its highlights: the diffuse map under its normals."""
+    maps = dict(svbrdf.as_roughconductor().maps)
+    return SVBRDF("roughconductor", maps | {"specular": torch.zeros_like(maps["specular"])})
+
+
+def joined(first: Views, second: Views) -> Views:
+    """Two sets of views of one patch as one, the first ones first."""
+    return replace(first, camera=torch.cat((first.camera, second.camera)),
+                   light=torch.cat((first.light, second.light)),
+                   intensity=torch.cat((first.intensity, second.intensity)))
+
+
+def _input(picture: Tensor, matte: Tensor, angles: Tensor) -> Tensor:
+    """What the discriminator sees, N x 8 x H x W: display values and those of the diffuse part from -1 to 1,
+    half vectors.
+    """
+    return torch.cat((2 * picture - 1, 2 * matte - 1, angles), dim=-1).permute(0, 3, 1, 2)

@@ -1,0 +1,89 @@
+"""Lights that no photo had, and pieces of photos to compare renderings under them with.
+
+A moved light is a photo's camera and flash, both carried sideways by whole texels. What the photo shows at a
+place, the material carried along would show at the place carried along: half vectors, distances and exposure
+are the same there to the bit. So the two can be judged side by side, though they show different pieces of the
+material.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ...views import Views
+
+BEYOND = 0.1  # how far a moved camera may leave the rectangle of the cameras, as a share of its sides
+JITTER = 0.12  # standard deviation of the middle of a crop around the highlight's, patch sides
+
+
+@dataclass(frozen=True)
+class MovedLight:
+    """A photo's camera and light carried over the patch, and where to compare.
+
+    Args:
+        photo: row of the photo.
+        down: texels by which camera and light are carried down.
+        right: the same to the right.
+        row: first row of the crop under the moved light; in the photo it is ``row - down``.
+        column: first column; in the photo it is ``column - right``.
+    """
+
+    photo: int
+    down: int
+    right: int
+    row: int
+    column: int
+
+    def under_it(self, picture: Tensor, side: int) -> Tensor:
+        """The crop of a picture under the moved light, H x W x C."""
+        return picture[self.row:self.row + side, self.column:self.column + side]
+
+    def in_photo(self, picture: Tensor, side: int) -> Tensor:
+        """The crop of a picture in the photo's own view that has the same half vectors."""
+        row, column = self.row - self.down, self.column - self.right
+        return picture[row:row + side, column:column + side]
+
+
+def draw(views: Views, albedo: Tensor, side: int, tries: int, random: torch.Generator) -> MovedLight:
+    """A light at random above the rectangle of the cameras, and a crop near its highlight.
+
+    Args:
+        views: of the photos.
+        albedo: R x R x 3, in display values; tells how alike two pieces of the material look.
+        side: of the crop, texels.
+        tries: how many are drawn; the one is taken whose two crops look most alike.
+        random: where all is drawn from.
+    """
+    resolution, sides = albedo.shape[0], views.in_patch_sides()
+    camera, middle = sides.camera[:, :2], (sides.camera + sides.light)[:, :2] / 2
+    low, high = camera.min(dim=0).values, camera.max(dim=0).values
+    photo = int(torch.randint(len(views), (), generator=random))
+    found: list[tuple[float, MovedLight]] = [(torch.inf,
+                                              MovedLight(photo, 0, 0, *2 * [(resolution - side) // 2]))]
+    for _ in range(tries):
+        share = torch.rand(2, generator=random, dtype=torch.float64) * (1 + 2 * BEYOND) - BEYOND
+        right, up = ((low + (high - low) * share - camera[photo]) * resolution).round().int().tolist()
+        jitter = JITTER * torch.randn(2, generator=random, dtype=torch.float64)
+        x, y = ((middle[photo] + jitter) * resolution).tolist()
+        rows, columns = (range(max(0, shift), min(resolution - side, resolution - side + shift) + 1)
+                         for shift in (-up, right))
+        if not rows or not columns:
+            continue  # carried so far that the two crops have no room
+        row = min(max(round(resolution / 2 - (y + up) - side / 2), rows[0]), rows[-1])
+        column = min(max(round(resolution / 2 + x + right - side / 2), columns[0]), columns[-1])
+        moved = MovedLight(photo, -up, right, row, column)
+        unlike = (moved.under_it(albedo, side) - moved.in_photo(albedo, side)).permute(2, 0, 1)
+        found.append((float(F.avg_pool2d(unlike, min(4, side)).square().mean()), moved))
+    return min(found, key=lambda each: each[0])[1]
+
+
+def moved_views(views: Views, lights: list[MovedLight], resolution: int) -> Views:
+    """The views of moved lights: one for each, in their order."""
+    picked = views.pick([each.photo for each in lights])
+    shift = (torch.tensor([[each.right, -each.down, 0] for each in lights], dtype=torch.float64) / resolution
+             * views.size)
+    return picked.carried(shift)

@@ -1,0 +1,99 @@
+"""A capture at the resolution of a phase, and what the generator is shown and adds to there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor
+
+from ... import color
+from ...capture import Capture
+from ...color import CLIPPED
+from ...material.maps import SVBRDF
+from ...material.resample import area_averaged, enlarged
+from ..gan_config import GanConfig
+from ..parameters import Streams, before_tanh, to_raw
+from ..task import FitTask
+from . import variational
+from .pictures import Window
+
+
+class Scale:
+    """What one phase of the training works on.
+
+    Args:
+        task: guess and fixed maps.
+        capture: the photos of the phase.
+        resolution: side of the maps; the photos are area-averaged to it.
+        streams: the channels of the maps to fit.
+        start: the material to start from, at full size; None starts at zero before Tanh.
+        carried: what an earlier phase added to the start, C x r x r for any r.
+    """
+
+    def __init__(self, task: FitTask[GanConfig], capture: Capture, resolution: int, streams: Streams,
+                 start: SVBRDF | None, carried: Mapping[str, Tensor]) -> None:
+        same = resolution == capture.resolution
+        self.resolution, self.fixed = resolution, task.fixed
+        self.capture = capture.averaged(resolution)
+        self.guess = area_averaged(task.guess, resolution)
+        self.start = (before_tanh(to_raw(start if same else start.resized(resolution), streams)) if start
+                      else {})
+        self.carried = {name: enlarged(value, resolution) for name, value in carried.items()}
+        self.variational = task.config.generator == "variational"
+        self.condition = self._condition(self.capture)
+
+    def _condition(self, capture: Capture) -> Tensor:
+        return (variational.condition_of if self.variational else condition_of)(capture, self.guess)
+
+    def condition_from(self, photo: int) -> Tensor:
+        """What a generator of all photos is shown, with this one in the first place and the others after it,
+        in their order.
+        """
+        numbers = self.capture.index
+        return (self._condition(self.capture.pick((*numbers[photo:], *numbers[:photo]))) if photo
+                else self.condition)
+
+    def units(self, change: Mapping[str, Tensor], window: Window | None = None) -> dict[str, Tensor]:
+        """Maps in (-1, 1), C x R x R: Tanh of start, what was carried, and this change.
+
+        Args:
+            change: C x R x R, before Tanh, of the window.
+            window: a crop; None is the whole.
+        """
+        top, left, side = window or (0, 0, self.resolution)
+        cut = (slice(None), slice(top, top + side), slice(left, left + side))
+        found = {}
+        for name, value in change.items():
+            for known in (self.start, self.carried):
+                value = value + known[name][cut] if known else value
+            found[name] = torch.tanh(value)
+        return found
+
+    def guess_in(self, window: Window) -> Tensor:
+        """The guessed diffuse map of a crop."""
+        return _cut(self.guess, window)
+
+    def fixed_in(self, window: Window) -> dict[str, Tensor]:
+        """The maps that are not fitted, of a crop."""
+        return {name: _cut(area_averaged(value, self.resolution), window)
+                for name, value in self.fixed.items()}
+
+
+def condition_of(capture: Capture, guess: Tensor) -> Tensor:
+    """What a generator of all photos is shown, 1 x C x R x R in -1 to 1: each photo, where it is clipped, and
+    the guess.
+    """
+    photos = capture.photos.permute(0, 3, 1, 2)
+    clipped = (photos >= CLIPPED).any(dim=1).float()
+    return torch.cat((photos.flatten(0, 1), clipped, color.encode(guess).permute(2, 0, 1)))[None] * 2 - 1
+
+
+def condition_channels(photos: int) -> int:
+    """Channels of :func:`condition_of` for so many photos."""
+    return 4 * photos + 3
+
+
+def _cut(value: Tensor, window: Window) -> Tensor:
+    top, left, side = window
+    return value[top:top + side, left:left + side]

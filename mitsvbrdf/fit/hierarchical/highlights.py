@@ -1,0 +1,50 @@
+"""Where photos of a phone show highlights: which pixels tell of them, and maps kept from following them."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from ...views import Views, coverage_angle, cubic, geometry
+
+CHANCE = 0.08  # of a map's variance: what a pattern of its own may have in common with the coverage angle
+TAIL_FLOOR = 0.03  # least that a pixel counts
+
+
+def trust(views: Views, roughness: Tensor, reach: float) -> Tensor:
+    """How much a photo's pixels count, N x R x R: less where the flash is seen far from its mirror direction.
+
+    There GGX is least like real materials (their highlights have longer tails), and a small glow, which all
+    texels without a highlight show, would be taken for roughness. 1 / (1 + tan^2 / (reach alpha)^2) of the
+    angle between half vector and the flat normal.
+
+    Args:
+        views: N views.
+        roughness: R x R.
+        reach: in lobe widths.
+    """
+    _, half, _ = geometry(views, roughness.shape[-1])
+    sine2 = half[..., :2].square().sum(-1)
+    return (1 / (1 + sine2 / (1 - sine2) / (reach * roughness**2) ** 2)).clamp_min(TAIL_FLOOR)
+
+
+def independent(planes: Tensor, views: Views, trusted: Tensor) -> Tensor:
+    """Maps S x R x R with a weaker cubic trend along the coverage angle, at the level of where the highlights
+    were.
+
+    A material knows nothing of where the camera stood; a map that follows it was taught by what the model
+    lacks. As much of the trend stays as explains a share :data:`CHANCE` of a map's variance: that may be the
+    material's own.
+
+    Args:
+        planes: S x R x R.
+        views: N views.
+        trusted: of :func:`trust`, N x R x R.
+    """
+    angle = coverage_angle(views, planes.shape[-1]).flatten()
+    trend, weight = cubic(angle, planes.flatten(1)), trusted.amax(dim=0).flatten()
+    along = (trend - trend.mean(dim=1, keepdim=True)).square().mean(dim=1).clamp_min(1e-12)
+    across = (planes.flatten(1).double().var(dim=1, correction=0) - along).clamp_min(0)
+    kept = (CHANCE / (1 - CHANCE) * across / along).sqrt().clamp_max(1)
+    trend = (1 - kept)[:, None] * trend
+    level = (weight * trend).sum(dim=1, keepdim=True) / weight.sum()
+    return planes - (trend - level).reshape(planes.shape).float()

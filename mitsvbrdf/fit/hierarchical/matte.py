@@ -1,0 +1,230 @@
+"""Whether a material is matte, so that nothing need be searched for a specular lobe: decided by photos that
+follow the model.
+
+They are explained without a lobe, every texel to the end, and two things are asked.
+
+* Does a lobe explain more than noise? It has four unknowns a texel, three of specular and the roughness, so a
+  fit that has them always leaves less; of noise they take as much as any four would. That is the F-test of
+  nested models (Fisher 1922). A spot that shines would be lost in a sum over all texels: single texels,
+  blocks of 2, 4, 8, ... texels a side and all of them are tested, each so strictly that noise fails any test
+  of a matte material rarely (Bonferroni).
+* Would the photos show even a weak lobe? All texels are given one, the same to all, of each of some
+  roughnesses. It has no unknowns of its own, so likelihoods are compared: with any of these lobes the photos
+  must be the less likely, all together, by as much as makes a mistake rare (Wald 1945), and no block may be
+  the more likely by as much. So photos that cannot tell a lobe from the diffuse colour, as those of a broad
+  lobe in noise, do not count as matte.
+
+Each texel's noise is its own: sensor noise of dark texels is larger in display values than that of bright
+ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ...color import CLIPPED, QUANTIZATION_NOISE
+from ...material.maps import CHANNELS
+from ...material.resample import enlarged
+from ..start import robust_start
+from ..task import FitTask
+from .scales import Scale, Scales
+from .solver import Observations, TexelSolver
+from .stages import Stage
+from .starts import other_starts, stepped
+from .ties import LEAST_PRECISION, Answer, Ties
+
+# the maps of the lobe that may be left out, by parameter set
+LOBE = {"roughconductor": ("specular", "roughness")}
+RARE = 0.05  # how often noise alone may decide a test, or all tests of one kind together
+WEAK = 0.01  # specular of a weak lobe, linear: half that of water, the lowest of common dielectrics
+WIDTHS = tuple(k / 10 for k in range(1, 11))  # its roughnesses
+STARTS = (0.15, 0.5, 0.85)  # roughnesses from which the photos are explained with a lobe, beside those found
+STEPS, ROUNDS = 12, 2  # Levenberg-Marquardt steps, and rounds of half as many from other starts
+
+
+class Search(NamedTuple):
+    """Some unknowns, and what they are searched with."""
+
+    scales: Scales
+    ties: Ties
+
+    @staticmethod
+    def of(scales: Scales) -> Search:
+        """All that is not held."""
+        return Search(scales, Ties(scales.of(Stage.ALONE).solver.unknowns, scales.config))
+
+
+def may_be_left_out(task: FitTask) -> bool:
+    """Whether this fit searches for a lobe that its photos may turn out not to need: with no map of it held,
+    but not alone.
+    """
+    lobe = LOBE.get(task.config.bsdf, ())
+    others = {"diffuse", "normal"} - set(task.fixed)
+    return bool(lobe and others) and not set(lobe) & set(task.fixed)
+
+
+def decision_work(scales: Scales) -> int:
+    """Texels times steps of the solver, at most, that :func:`explained_without` takes; a texel has four other
+    starts.
+    """
+    coarse, fine = (scales.of(stage).texels for stage in (Stage.ALONE, Stage.FINE))
+    both = (2 + len(STARTS)) * STEPS + 2 * ROUNDS * 4 * (STEPS // 2)
+    return (both + len(WIDTHS) * STEPS) * coarse + (both * fine if fine > coarse else 0)
+
+
+def without_lobe(search: Search) -> Search:
+    """The search for the rest: specular is held at 0, and roughness, which then shows nowhere, as the robust
+    start has it.
+    """
+    coarse, config, side = search.scales.of(Stage.ALONE), search.ties.config, search.scales.captures[
+        Stage.FINE].resolution
+    start = robust_start(coarse.capture, coarse.guess, config.bsdf, coarse.solver.fixed)
+    return Search.of(search.scales.holding(**_lobe(0.0, float(start["roughness"].mean()), side)))
+
+
+def _lobe(specular: float, roughness: float, side: int) -> dict[str, Tensor]:
+    """Its maps, the same everywhere."""
+    return {name: torch.full((1,), value).expand(side, side, CHANNELS["roughconductor"][name])
+            for name, value in (("specular", specular), ("roughness", roughness))}
+
+
+def explained_without(answer: Answer, search: Search, lobeless: Search, noise: Tensor,
+                      observations: Callable[[Scale, Answer], Observations]) -> tuple[Scale, Answer] | None:
+    """The answer without a lobe at full size and its scale; None where the photos, coarse or in full, may
+    need one.
+
+    Args:
+        answer: of the first stage, with lobes.
+        search: that it was found by.
+        lobeless: of :func:`without_lobe`.
+        noise: standard deviation of what it leaves unexplained, in display values.
+        observations: the photos of a scale.
+    """
+    x, own = answer.x, torch.empty(0)
+    sizes = {search.scales.of(stage).capture.resolution: stage for stage in (Stage.FINE, Stage.ALONE)}
+    for side, stage in sorted(sizes.items()):
+        scale, other = search.scales.of(stage), lobeless.scales.of(stage)
+        photos = replace(observations(scale, answer), robust=None,
+                         noise=max(float(noise), QUANTIZATION_NOISE))
+        x = x if x.shape[-1] == side else enlarged(x, side)
+        own = enlarged(own, side) if len(own) else other.solver.numbers(scale.solver.svbrdf(x))
+        own, left = least_errors(other.solver, photos, lobeless.ties, [own], ROUNDS)
+        values = (photos.photos < CLIPPED).sum(dim=(0, 3)).double()
+        counts = len(own), len(x)
+        _, less = least_errors(scale.solver, photos, search.ties, [x], steps=0)
+        if needed(left, less, values, *counts):
+            return None
+        if stage == Stage.ALONE and shown_if_weak(other, photos, lobeless.ties, own, left, values):
+            return None
+        _, less = least_errors(scale.solver, photos, search.ties, [x, *_widths(x, search.ties)], ROUNDS)
+        if needed(left, less, values, *counts):
+            return None
+    return lobeless.scales.of(Stage.FINE), lobeless.ties.vague(own)
+
+
+def least_errors(solver: TexelSolver, photos: Observations, ties: Ties, starts: list[Tensor], rounds: int = 0,
+                 steps: int = STEPS) -> tuple[Tensor, Tensor]:
+    """The unknowns, U x R x R, that explain each texel's photos best with no prior, and their sum of squared
+    errors, R x R.
+
+    Args:
+        solver: of the texels.
+        photos: their noise does not matter much.
+        ties: of the unknowns.
+        starts: to try, U x R x R each.
+        rounds: in which texels try what :func:`~mitsvbrdf.fit.hierarchical.starts.other_starts` gives.
+        steps: from each start.
+    """
+    x = ties.bounded(starts[0]).contiguous()
+    answer = Answer(x, x, torch.full_like(x, LEAST_PRECISION), torch.zeros(0))
+    errors = torch.full_like(x[0], torch.inf)
+
+    def tried(start: Answer, count: int) -> tuple[Tensor, Tensor]:
+        found = stepped(solver, photos, start._replace(x=ties.bounded(start.x).contiguous()), ties, count)
+        return torch.where(found.data < errors, found.x, x), found.data.minimum(errors)
+
+    for start in starts:
+        x, errors = tried(answer._replace(x=start), steps)
+    for turn in range(rounds):
+        for other in other_starts(ties, turn):
+            x, errors = tried(other(answer._replace(x=x)), steps // 2)
+    return x, errors.double() * photos.noise**2
+
+
+def _widths(x: Tensor, ties: Ties) -> list[Tensor]:
+    at = torch.tensor([name == "roughness" for name in ties.unknowns.names])[:, None, None]
+    return [torch.where(at, width, x) for width in STARTS]
+
+
+def blocks(*planes: Tensor) -> Iterator[list[Tensor]]:
+    """Sums of planes, R x R each, over blocks of 1, 2, 4, ... texels a side, and over all texels."""
+    side, size = planes[0].shape[-1], 1
+    while True:
+        yield [F.avg_pool2d(plane[None].double(), size, ceil_mode=True, divisor_override=1)[0]
+               for plane in planes]
+        if size == side:
+            return
+        size = min(2 * size, side)
+
+
+def needed(left: Tensor, less: Tensor, values: Tensor, few: int, many: int) -> bool:
+    """Whether further unknowns take more out of the squared errors of any block than noise explains, or
+    nobody can tell.
+
+    Args:
+        left: squared errors of each texel without them, R x R.
+        less: with them.
+        values: how many values of its photos are not clipped.
+        few: unknowns of a texel without them.
+        many: with them.
+    """
+    from scipy.special import fdtri
+
+    less = less.minimum(left)
+    rest = less.maximum((values - many) * QUANTIZATION_NOISE**2)  # photos are no more exact than 8 bits
+    tests = list(blocks(left - less, rest, values - many, torch.ones_like(values)))
+    if tests[-1][2] <= 0:
+        return True
+    count = sum(saved.numel() for saved, *_ in tests)
+    for saved, rest, free, texels in tests:
+        further, free = (many - few) * texels, free.clamp_min(1)
+        limit = torch.from_numpy(fdtri(further.numpy(), free.numpy(), 1 - RARE / count))
+        if (saved * free > limit * further * rest).any():
+            return True
+    return False
+
+
+def shown_if_weak(scale: Scale, photos: Observations, ties: Ties, x: Tensor, left: Tensor,
+                  values: Tensor) -> bool:
+    """Whether a weak lobe is likely, or would not be told.
+
+    Args:
+        scale: without a lobe.
+        photos: of it.
+        ties: of its unknowns.
+        x: that explain the photos best, U x R x R.
+        left: their squared errors, R x R.
+        values: how many values of each texel's photos are not clipped.
+    """
+    side, free, step = x.shape[-1], (values - len(x)).clamp_min(0), values.clamp_min(
+        1) * QUANTIZATION_NOISE**2
+    count = len(WIDTHS) * sum(sums.numel() for (sums,) in blocks(left))
+    solver = TexelSolver(scale.solver.bsdf, scale.solver.fixed, variant=scale.solver.variant)
+    for width in WIDTHS:
+        solver.fixed.update(_lobe(WEAK, width, side))
+        _, other = least_errors(solver, photos, ties, [x])
+        # -2 log of the ratio of the likelihoods, each at its texel's own noise; photos are no more exact than
+        # 8 bits.
+        unlikelier = free * ((other + step) / (left + step)).log()
+        *parts, whole = (sums for (sums,) in blocks(unlikelier))
+        if not float(whole) >= 2 * math.log(1 / RARE) or any((sums < -2 * math.log(count / RARE)).any()
+                                                             for sums in parts):
+            return True
+    return False

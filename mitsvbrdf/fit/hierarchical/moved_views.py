@@ -1,0 +1,131 @@
+"""By how much camera and flash stood elsewhere than stated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from ...calibrate.refine import CHANGE, ITERATIONS, PRIORS, UNKNOWNS, Priors, moved, refine_views
+from ...capture import Capture
+from ...material.maps import SVBRDF
+from ...views import Views
+from ..task import Refined
+from .stages import Stage
+
+# Rounds of a stage after which the flash moves to level the patch, and by how much of what that asks for.
+LEVELLED, DAMPED = {Stage.ALONE: (5, 7, 9)}, 0.65
+# rounds after which the views are refined
+REFINED = {Stage.ALONE: (12,), Stage.TOGETHER: (3, 5, 7, 9), Stage.FINE: (5,)}
+TILTED = 0.03  # patch sides by which the flash seems moved where the patch is not level
+# How far stated ones of these are off is learned from the photos (empirical Bayes).
+LEARNED = [UNKNOWNS.index("camera_z"), UNKNOWNS.index("log_exposure")]
+WIDEST = 10.0  # times as far as such a calibration usually is off
+FEW_STEPS = 10  # of refining views that were not stated: they move far, and will again after the next rounds
+
+
+class MovedViews:
+    """Changes of the stated views, N x 7 by :data:`mitsvbrdf.calibrate.refine.CHANGE`, and how sure they are.
+
+    Args:
+        capture: photos with the stated views, at full size.
+        refined: when the views may move: ``always`` where they were estimated from photos or are a default,
+            ``unless exact`` where they were stated (photos that follow the model say that they are right).
+        fits_offset: whether a flash offset that all photos share is among what may change.
+    """
+
+    STATE = "change", "deviation", "flash_deviation", "off", "skipped"
+
+    def __init__(self, capture: Capture, refined: Refined, fits_offset: bool) -> None:
+        self.stated, self.refined, self.fits_offset = capture.views, refined, fits_offset
+        priors = PRIORS[capture.calibration]
+        self.usual = priors if fits_offset else replace(priors, common_flash=(0.0, 0.0))
+        self.off = torch.tensor([priors.camera[2], priors.exposure], dtype=torch.float64)
+        self.change = torch.zeros(len(capture), CHANGE.size, dtype=torch.float64)
+        self.deviation, self.flash_deviation = torch.zeros_like(self.change), torch.zeros(2,
+                                                                                          dtype=torch.float64)
+        self.skipped = torch.zeros(())  # 1 where a refinement was left out, for which there was no time
+
+    @property
+    def priors(self) -> Priors:
+        """How far the views may be off, by what the photos have shown of it."""
+        height, exposure = self.off.tolist()
+        return replace(self.usual, camera=(*self.usual.camera[:2], height), exposure=exposure)
+
+    def moved(self, views: Views) -> Views:
+        """Views with the changes found so far."""
+        return moved(views, self.change)
+
+    def may_move(self, tied: bool) -> bool:
+        """Whether the views are refined now, with photos that are known to be a phone's or not."""
+        return self.refined == "always" or self.refined == "unless exact" and tied
+
+    def begun(self, in_time: bool) -> bool:
+        """Whether a refinement is begun, which can end in time or not; that one was left out is
+        remembered.
+        """
+        self.skipped = self.skipped if in_time else torch.ones(())
+        return in_time
+
+    def leave(self, stage: Stage, rounds: int, tied: bool) -> None:
+        """Remember whether a stage ends after so many rounds before all its refinements."""
+        self.begun(not self.may_move(tied) or rounds >= max(REFINED.get(stage, (0,))))
+
+    @property
+    def _steps(self) -> int:
+        return FEW_STEPS if self.refined == "always" else ITERATIONS
+
+    @property
+    def work(self) -> int:
+        """Renderings of the maps from all views, at most, of a refinement: two for the slope of each of its
+        unknowns.
+        """
+        return self._steps * 2 * CHANGE.size
+
+    def level(self, slope: Tensor) -> None:
+        """Move the flash of all photos until the patch as a whole is flat.
+
+        Normals that lean by a slope s show their highlights s z beside the place below the camera, as a flash
+        2 s z beside it does. A refinement with the maps frozen cannot find that: what their diffuse map has
+        taken up holds the flash.
+
+        Args:
+            slope: mean slopes of the normals, two float64 numbers.
+        """
+        flash = self.change[:, CHANGE["flash"]][:, :2]  # x and y; a view
+        common = flash[0]
+        said = common - 2 * self.stated.in_patch_sides().camera[:, 2].mean() * slope
+        variance = torch.tensor(self.usual.common_flash).double().square()
+        flash += DAMPED * (variance / (variance + TILTED**2) * said - common)
+
+    def refine(self, svbrdf: SVBRDF, capture: Capture) -> None:
+        """Find where camera and flash stood from the maps so far; where they were stated, from where they
+        seemed to before.
+        """
+        start = None if self.refined == "always" else self.change
+        found = refine_views(svbrdf, capture.views, capture, self.priors, self._steps, start)
+        self.change, self.deviation = found.change, found.deviation
+        self.flash_deviation = found.common_covariance.diagonal().sqrt()
+        if self.refined == "unless exact":
+            usual = torch.tensor([self.usual.camera[2], self.usual.exposure], dtype=torch.float64)
+            seen = (found.change.square() + found.deviation.square()).mean(dim=0).sqrt()[LEARNED]
+            self.off = torch.minimum(torch.maximum(seen, usual), WIDEST * usual)
+
+    @property
+    def deviations(self) -> tuple[Tensor | None, Tensor | None]:
+        """Standard deviations of the changes, N x 7, and of the common flash offset, 2; None where not
+        refined.
+        """
+        if not self.deviation.any():
+            return None, None
+        return self.deviation, self.flash_deviation if self.fits_offset else None
+
+    def state(self) -> dict[str, Tensor]:
+        """Everything :meth:`load_state` needs."""
+        return {name: getattr(self, name).clone() for name in self.STATE}
+
+    def load_state(self, state: dict[str, Tensor]) -> None:
+        """Go on from a saved state."""
+        for name in self.STATE:
+            setattr(self, name, state[name].clone())

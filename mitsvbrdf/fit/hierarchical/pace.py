@@ -1,0 +1,99 @@
+"""What the time left allows: a step is begun only where the steps made so far say that it can end within the
+budget.
+
+Work is counted in texels times steps of Levenberg-Marquardt, and what it takes is learned from the run
+itself, so that a slow machine does less and none is told how fast it is. Without a budget everything is
+allowed, and nothing that fits comes out otherwise for being timed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from .stages import Stage, Stages
+
+STEPS, OTHER_STEPS = 6, 4  # Levenberg-Marquardt steps of a round, and of another start
+ROUND_STEPS = STEPS + 4 * OTHER_STEPS  # of a round with all starts
+LAST_STEPS = 8  # and at the end
+
+Kind = Literal["solver", "views"]
+KINDS: tuple[Kind, ...] = ("solver", "views")
+
+
+class Pace:
+    """The clock of a run, and the fewest seconds that a unit of each kind of work took: a first call also
+    makes a kernel.
+
+    Args:
+        budget: seconds that the run may take; None for no limit.
+        stages: where the run stands.
+        full: texels at full size.
+        clock: tells seconds.
+    """
+
+    def __init__(self, budget: float | None, stages: Stages, full: int,
+                 clock: Callable[[], float] = time.perf_counter) -> None:
+        self.budget, self.stages, self.full, self.clock = budget, stages, full, clock
+        self.end = math.inf  # by the clock
+        self.rates: dict[Kind, float] = {}
+
+    def begin(self, progress: float) -> None:
+        """Learn from the first step when the run ends: this share of it is over. A resumed run knows what it
+        has spent.
+        """
+        if self.budget and math.isinf(self.end):
+            self.end = self.clock() + self.budget * (1 - progress)
+
+    @contextlib.contextmanager
+    def timed(self, kind: Kind, work: float) -> Iterator[None]:
+        """Learn what so much work takes."""
+        began = self.clock()
+        yield
+        self.rates[kind] = min((self.clock() - began) / work, self.rates.get(kind, math.inf))
+
+    @property
+    def to_come(self) -> int:
+        """Steps of the solver at full size that must follow what is done in the present stage."""
+        if self.stages.stage != Stage.FINE:
+            return STEPS + LAST_STEPS
+        return LAST_STEPS if self.stages.tied else 0
+
+    def in_time(self, work: float, kind: Kind = "solver", beside: int = 0) -> bool:
+        """Whether work can end in time, with what must follow.
+
+        Args:
+            work: texels times steps of the solver, or times renderings from all views. Of a kind that was not
+                done yet, a unit takes as long as one of the solver.
+            kind: of work.
+            beside: further steps of the solver at full size.
+        """
+        solver = self.rates.get("solver", 0.0)
+        return (self.end - self.clock() >= self.rates.get(kind, solver) * work
+                + solver * (self.to_come + beside) * self.full)
+
+    def steps(self, most: int, keep: int = 0) -> int:
+        """How many of at most so many steps of the solver at full size end in time, with some kept; at least
+        one is made.
+        """
+        seconds = self.rates.get("solver", 0.0) * self.full
+        return max(1, int(min(most, (self.end - self.clock()) / seconds - keep))) if seconds else most
+
+    def state(self) -> dict[str, Tensor]:
+        """Everything :meth:`load_state` needs."""
+        spent = self.budget - (self.end - self.clock()) if self.budget and math.isfinite(self.end) else 0.0
+        return {"pace": torch.tensor([spent, *(self.rates.get(kind, -1.0) for kind in KINDS)],
+                                     dtype=torch.float64)}
+
+    def load_state(self, state: Mapping[str, Tensor]) -> None:
+        """Go on from a saved state."""
+        spent, *rates = state["pace"].tolist()
+        self.rates = {kind: rate for kind, rate in zip(KINDS, rates, strict=True) if rate >= 0}
+        if self.budget and math.isinf(self.end) and spent:
+            self.end = self.clock() + self.budget - spent

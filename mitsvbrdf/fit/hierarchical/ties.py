@@ -1,0 +1,156 @@
+"""What is known of texels before their photos are looked at: bounds, a prior, and what ties texels to each
+other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ...material.resample import enlarged
+from ..config import HierarchicalConfig
+from .scales import Scale
+from .sharing import LEAST_SPREAD, NOBODY, shared
+from .unknowns import Unknowns
+
+SHARED = ("specular", "metallic", "roughness")
+BOUNDS = {"roughness": (0.05, 1.0), "normal": (-3.0, 3.0), "specular": (0.05, 1.0)}  # else 0 to 1
+# Standard deviations of the first prior; that of the diffuse map stays.
+VAGUE = {"diffuse": 0.5, "base_color": 0.5, "specular": 0.1, "metallic": 0.3, "roughness": 0.1, "normal": 0.1}
+LEAST_PRECISION = 1e-3  # added to that of the prior where variances are asked for
+FIXED = 1e-4  # standard deviation of a number that is not to move
+# How far a texel may leave its tied answer at full size, in units of config.own: standard deviations at first
+# and at least.
+FREEDOM = {"normal": (0.5, 0.17), "roughness": (0.5, 0.5), "specular": (1.0, 1.0), "metallic": (1.0, 1.0)}
+FREEST = 2.5  # the same, at most
+
+
+class Answer(NamedTuple):
+    """The texels as they are found, and the prior that they are found with.
+
+    Args:
+        x: the unknowns, U x R x R.
+        mean: of the prior, U x R x R.
+        precision: of the prior, U x R x R.
+        spread: standard deviation of the shared unknowns around those of look-alikes, S.
+    """
+
+    x: Tensor
+    mean: Tensor
+    precision: Tensor
+    spread: Tensor
+
+
+class Ties:
+    """How priors of texels are made: vague ones, those that look-alikes give, and those around an answer that
+    was tied.
+
+    Args:
+        unknowns: of a texel.
+        config: how strong the ties are.
+    """
+
+    def __init__(self, unknowns: Unknowns, config: HierarchicalConfig) -> None:
+        self.unknowns, self.config = unknowns, config
+        self.shared, self.slopes = unknowns.of(*SHARED), unknowns.of("normal")
+        self.low, self.high = torch.tensor([BOUNDS.get(name, (0.0, 1.0)) for name in unknowns.names]).T
+
+    def bounded(self, values: Tensor, of: Tensor | slice = slice(None)) -> Tensor:  # noqa: B008
+        """Values of some unknowns, of all if left out, brought into their bounds."""
+        return values.clamp(self.low[of, None, None], self.high[of, None, None])
+
+    def _precision(self, x: Tensor, deviation: Callable[[str], float]) -> Tensor:
+        """Precisions, U x R x R, from the standard deviation of each map."""
+        return torch.stack([torch.full_like(plane, deviation(name) ** -2.0)
+                            for plane, name in zip(x, self.unknowns.names, strict=True)])
+
+    def vague(self, x: Tensor) -> Answer:
+        """A start with a vague prior around it."""
+        x = self.bounded(x).contiguous()
+        spread = torch.tensor([VAGUE[self.unknowns.names[i]] for i in self.shared])
+        return Answer(x, x.clone(), self._precision(x, VAGUE.__getitem__), spread)
+
+    def share(self, answer: Answer, variance: Tensor, member: Tensor, photos: int, tied: bool,
+              corrected: Callable[[Tensor], Tensor]) -> Answer:
+        """What look-alikes say becomes the prior of specular and roughness; the relief seen becomes that of
+        normals.
+
+        Args:
+            answer: with the prior so far.
+            variance: of the unknowns, given photos and prior, U x R x R.
+            member: how much of each basis material texels are, M x K.
+            photos: their number.
+            tied: whether they are those of a phone.
+            corrected: what is made of the shared unknowns' means, S x R x R.
+        """
+        mean, precision, spread = answer.mean.clone(), answer.precision.clone(), answer.spread
+        if len(self.shared):
+            names = [self.unknowns.names[i] for i in self.shared]
+            x, unsure, *prior = (t[self.shared].flatten(1) for t in (answer.x, variance, answer.mean,
+                                                                     answer.precision))
+            found, tau, spread = shared(names, x, unsure, prior[0], prior[1], member, answer.spread,
+                                        0 if tied else photos)
+            mean[self.shared] = corrected(found.reshape(-1, *answer.x.shape[1:]))
+            nearest = tau.clamp_max(self.config.spread) if tied else tau
+            precision[self.shared] = (nearest**-2.0).reshape(-1, *answer.x.shape[1:])
+        if len(self.slopes):
+            relief = (answer.x[self.slopes].square()
+                      + variance[self.slopes]).mean().sqrt().clamp_min(LEAST_SPREAD)
+            mean[self.slopes] = 0
+            precision[self.slopes] = (self.config.relief if tied else float(relief)) ** -2.0
+        return Answer(answer.x, mean, precision, spread)
+
+    def enlarge(self, answer: Answer, coarse: Scale, fine: Scale, tied: bool) -> Answer:
+        """An answer at full size; shared unknowns follow the look-alikes there (joint upsampling, Kopf et al.
+        2007).
+        """
+        side = fine.capture.resolution
+        if side == coarse.capture.resolution:
+            return answer
+        x = enlarged(answer.x, side)
+        if tied and len(self.shared):
+            own = answer.x[self.shared]
+            alike = own.flatten(1) @ coarse.member / coarse.member.sum(dim=0).clamp_min(NOBODY)
+            off = own - (alike @ coarse.member.T).reshape(own.shape)
+            x[self.shared] = enlarged(off, side) + (alike @ fine.member.T).reshape(-1, side, side)
+            x[self.shared] = self.bounded(x[self.shared], self.shared)
+        return Answer(x, enlarged(answer.mean, side), enlarged(answer.precision, side), answer.spread)
+
+    def free(self, answer: Answer) -> Answer:
+        """Let every texel leave its tied answer, which becomes its prior; the diffuse map as it likes."""
+        return answer._replace(mean=answer.x.clone(), precision=self._precision(answer.x,
+                                                                                lambda name: self._freedom(
+                                                                                    name)[0]))
+
+    def loosen(self, answer: Answer, variance: Tensor) -> Answer:
+        """How far texels went from their tied answer becomes how far they may go
+        (expectation-maximisation).
+        """
+        precision = answer.precision.clone()
+        for name in sorted(set(self.unknowns.shapes) & set(FREEDOM)):
+            of = self.unknowns.of(name)
+            went = ((answer.x[of] - answer.mean[of]).square() + variance[of]).mean().sqrt()
+            precision[of] = float(went.clamp(*self._freedom(name)[1:])) ** -2.0
+        return answer._replace(precision=precision)
+
+    def fixed_but_diffuse(self, answer: Answer) -> Answer:
+        """A prior around the answer by which nothing but the diffuse map may move."""
+        return answer._replace(mean=answer.x, precision=self._precision(
+            answer.x, lambda name: FIXED if name in FREEDOM else VAGUE[name]))
+
+    def _freedom(self, name: str) -> tuple[float, float, float]:
+        """Standard deviations of a map's texels around the tied answer: at first, at least and at most."""
+        if name not in FREEDOM:
+            return (VAGUE[name],) * 3
+        first, least, most = (max(times * self.config.own, FIXED) for times in (*FREEDOM[name], FREEST))
+        return first, least, most
+
+    def levelled(self, answer: Answer) -> tuple[Answer, Tensor]:
+        """The answer with a patch that is flat as a whole, and the mean slopes (float64) that it had."""
+        slope = answer.x[self.slopes].mean(dim=(1, 2))
+        x = answer.x.clone()
+        x[self.slopes] -= slope[:, None, None]
+        return answer._replace(x=x), slope.double()

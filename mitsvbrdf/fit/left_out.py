@@ -1,0 +1,82 @@
+"""What a fit needs to compute, and what it leaves out: known from capture, renderer and settings before it
+starts.
+"""
+
+from __future__ import annotations
+
+from ..render.needs import scene_needs
+from ..views import Views
+from . import losses
+from .config import HierarchicalConfig, HybridConfig
+from .fixed_maps import described, unknown_but
+from .gan_config import GanConfig
+from .task import FitTask
+
+# Of the methods that solve every texel by itself.
+_NO_GENERATOR = "each texel is solved by itself, and at equal time that errs less in the maps: docs/benchmark.md"
+_NO_DISCRIMINATOR = "there is no generator to teach: each pixel's error says what to change"
+
+
+def left_out(task: FitTask, views: Views | None = None) -> list[tuple[str, str]]:
+    """What a fit does not compute, as (what, why): the renderer's list and the method's.
+
+    Args:
+        task: photos, renderer and settings.
+        views: as fitted; left out: as calibrated. A flash offset found later can call for the Fresnel curve.
+    """
+    config = task.config
+    material = unknown_but(task.fixed, config.bsdf, task.capture.resolution, config.grey_specular)
+    items = list(scene_needs(material, views or task.capture.views, task.renderer.name).left_out)
+    items += [(f"gradient of {name}", why) for name, why in described(config.fix).items()]
+    if "diffuse" in task.fixed:
+        items.append(("guessed diffuse map", "diffuse held fixed"))
+    items += [(losses.NAMES[name], why) for name, why in task.unused.items()]
+    if config.wants_flash_offset is not None and task.why_no_flash_offset:
+        items.append(("flash offset", task.why_no_flash_offset))
+    if not isinstance(config, (GanConfig, HybridConfig)):
+        items += [("generator", _NO_GENERATOR), ("discriminator", _NO_DISCRIMINATOR)]
+    elif "discriminator" not in dict(used(task)):
+        items.append(("discriminator", "no loss asks for its verdict"))
+    return items
+
+
+def decided_later(task: FitTask) -> list[tuple[str, str]]:
+    """What the fit may leave out once it has looked at its photos, as (what, when)."""
+    if not isinstance(task.config, HierarchicalConfig):
+        return []
+    from .hierarchical import skipped
+
+    return skipped.decided_later(task)
+
+
+def known_before(task: FitTask) -> list[tuple[str, str]]:
+    """:func:`left_out`, and what the method leaves out whatever its photos show, as (what, why)."""
+    if not isinstance(task.config, HierarchicalConfig):
+        return left_out(task)
+    from .hierarchical import skipped
+
+    return left_out(task) + skipped.left_out(task)
+
+
+def used(task: FitTask) -> list[tuple[str, str]]:
+    """The networks that a fit trains, as (what, how): generator and discriminator, or one of them, or
+    none.
+    """
+    config = task.config
+    if isinstance(config, HybridConfig):
+        items = [("generator", "sees all photos; its maps are compared with each of them; width "
+                               f"{config.width}")]
+        verdicts = {"adversarial": config.adversarial}
+    elif isinstance(config, GanConfig):
+        sees = ("all photos" if config.generator != "two-stream"
+                else "the first of the pictures its maps are compared with")
+        items = [("generator", f"sees {sees}; width {config.width}")]
+        verdicts = {"adversarial": config.adversarial, "features": config.features}
+    else:
+        return []
+    weights = [f"{losses.NAMES[name]}, weight {weight:g}" for name, weight in verdicts.items()
+               if name not in task.unused]
+    if weights:
+        game = f"; game {config.game}" if isinstance(config, GanConfig) else ""
+        items.append(("discriminator", f"{' and '.join(weights)}{game}"))
+    return items

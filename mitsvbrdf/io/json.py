@@ -1,0 +1,127 @@
+"""Reading JSON: bounded and strict, whoever wrote it; :mod:`mitsvbrdf.io.files` writes it."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+from ..errors import MitsvbrdfError
+from .files import open_regular
+
+MOST_BYTES = 2**28
+LARGEST = 2**63  # of whole numbers; longer ones overflow tensors and floats
+NUMBER = (int, float)  # in a shape, see :func:`shape_error`
+
+
+def read_json(path: Path, error: type[MitsvbrdfError], expected: str = "a valid JSON file",
+              fix: str = "mend it or export it again", kind: type = dict) -> Any:
+    """What a JSON file holds; whatever is wrong with it is one error that names the file.
+
+    Args:
+        path: of the file.
+        error: the type to raise.
+        expected: what the file should have been, in a few words.
+        fix: the way out.
+        kind: type of the whole value.
+    """
+    try:
+        return load(path, kind)
+    except (OSError, ValueError) as reason:
+        raise error(expected, f"{path}: {error_text(reason)}", fix) from None
+
+
+def load(path: Path, kind: type | tuple[type, ...] = dict, links: bool = True) -> Any:
+    """What a JSON file holds.
+
+    Args:
+        path: of the file.
+        kind: type of the whole value.
+        links: whether a symbolic link to a file will do.
+
+    Raises:
+        OSError: it cannot be read, or is no regular file.
+        ValueError: it is larger than 256 MiB, or :func:`parsed` refuses its content.
+    """
+    with open_regular(Path(os.path.realpath(path)) if links else path) as file:
+        if os.fstat(file.fileno()).st_size > MOST_BYTES:
+            raise ValueError(f"more than {MOST_BYTES >> 20} MiB")
+        return parsed(file.read(), kind)
+
+
+def parsed(text: str | bytes, kind: type | tuple[type, ...] = dict) -> Any:
+    """The value of a JSON text, of bytes in UTF-8.
+
+    Raises:
+        ValueError: no JSON, nested too deeply, a key twice in an object, NaN, infinity, a number that 64 bits
+            do not hold, or another type than ``kind``.
+    """
+    odd: list[float] = []
+
+    def number(digits: str) -> float:
+        value = float(digits)
+        if not math.isfinite(value):
+            odd.append(value)
+        return value
+
+    def whole(digits: str) -> int | float:
+        return int(digits) if len(digits) < 20 and abs(int(digits)) < LARGEST else number("inf")
+
+    try:
+        value = json.loads(text.decode("utf-8-sig") if isinstance(text, bytes) else text, parse_float=number,
+                           parse_int=whole, parse_constant=number, object_pairs_hook=_each_once)
+    except RecursionError:
+        raise ValueError("nested too deeply") from None
+    if odd:
+        raise ValueError(f"{_place(value)} is no finite number of 64 bits")
+    if not isinstance(value, kind):
+        raise ValueError(f"{'a list' if kind is list else 'an object'} was expected, not "
+                         f"{type(value).__name__}")
+    return value
+
+
+def error_text(reason: Exception) -> str:
+    """An error's own words, without the name of the file that OSError repeats."""
+    return (isinstance(reason, OSError) and reason.strerror) or str(reason)
+
+
+def shape_error(value: object, shape: object, where: str = "") -> str:
+    """Where a value does not have a shape; empty text where it has.
+
+    A shape is made of types: ``[X]`` is a list of X, ``{str: X}`` an object of X, ``{"name": X, ...}`` one
+    that has these keys.
+    """
+    if isinstance(shape, list):
+        parts = [(part, shape[0], where) for part in value] if isinstance(value, list) else None
+    elif isinstance(shape, dict) and isinstance(value, dict):
+        keys = list(value) if list(shape) == [str] else list(shape)
+        parts = [(value.get(key), shape.get(key, shape.get(str)), f"{where}.{key}" if where else key)
+                 for key in keys]
+    else:
+        return "" if not isinstance(shape, dict) and isinstance(value,
+                                                                shape) else where  # type: ignore[arg-type]
+    return where if parts is None else next(filter(None, (shape_error(*part) for part in parts)), "")
+
+
+def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        raise ValueError(f"the key {next(name for name in names if names.count(name) > 1)!r} twice in an "
+                         "object")
+    return found
+
+
+def _place(value: Any) -> str:
+    """Where in a value the first float is that is not finite, such as ``camera_pos[5][1]``."""
+    left = [("", value)]
+    while left:
+        where, each = left.pop()
+        if isinstance(each, float) and not math.isfinite(each):
+            return where or "the value"
+        parts = each.items() if isinstance(each, dict) else enumerate(each) if isinstance(each, list) else ()
+        left += reversed([(f"{where}[{key}]" if isinstance(key, int) else f"{where}.{key}".lstrip("."), part)
+                          for key, part in parts])
+    return "a number"

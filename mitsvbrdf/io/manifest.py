@@ -1,0 +1,77 @@
+"""What in a result folder is ours: its manifest lists our files, and a serial number that each new result raises."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from .files import inside, is_regular, stays_inside
+from .json import load
+
+MANIFEST = ".mitsvbrdf"
+# Folders that commands make of maps inside their folder by default, and the file by which each is known.
+DERIVED = {"export": "export.json", "relight": "relight.json"}
+
+
+def own_files(out: Path) -> list[str]:
+    """Names of the files that commands put into ``out``, as its manifest lists them; none without one."""
+    found = _manifest(out)
+    names = found.get("files") if isinstance(found, dict) else found  # a list alone: of earlier versions
+    return [name for name in names if stays_inside(name) and name != MANIFEST] if isinstance(names, list) else []
+
+
+def derived(out: Path) -> dict[str, list[str]]:
+    """Folders of :data:`DERIVED` in which commands put what they made of this result, and their files' names.
+
+    Only folders beside files of the result count, and only if their own manifest lists the file they are known
+    by. Names are relative to ``out``.
+    """
+    found = {}
+    for name in derived_places(out):
+        place = inside(out, name)
+        theirs = own_files(place) if place else []
+        if any(Path(each).name == DERIVED[Path(name).name] for each in theirs):
+            found[name] = [f"{name}/{each}" for each in (*theirs, MANIFEST)]
+    return found
+
+
+def files_of_others(out: Path) -> list[str]:
+    """Names of what lies in ``out`` and is no file of ours; what a killed command left of DERIVED folders is."""
+    ours = {MANIFEST, *own_files(out), *(name for names in derived(out).values() for name in names)}
+    left = [Path(name) for name in derived_places(out)]
+    staged = {str(path.with_name(name)) for path in left for name in (f"{path.name}.partial", f".{path.name}.added")}
+    ours |= {str(path.with_name(f".{path.name}.lock")) for path in left}
+    found = []
+    for here, folders, names in os.walk(out):
+        at = Path(here).relative_to(out)
+        links = [name for name in folders if Path(here, name).is_symlink()]
+        folders[:] = [name for name in folders if name not in links and str(at / name) not in staged]
+        found += [str(at / name) for name in (*names, *links)
+                  if not (str(at / name) in ours and is_regular(Path(here, name)))]
+    return sorted(found)
+
+
+def is_ours(folder: Path) -> bool:
+    """Whether a command of ours made this folder, or nothing is in it."""
+    return folder.is_dir() and not folder.is_symlink() and (
+        is_regular(folder / MANIFEST) or not any(folder.iterdir()))
+
+
+def serial_of(folder: Path) -> int:
+    """The serial number of a result; 0 where there is none, or no result."""
+    found = _manifest(folder)
+    serial = found.get("serial") if isinstance(found, dict) else 0
+    return serial if isinstance(serial, int) else 0
+
+
+def _manifest(folder: Path) -> object:
+    try:
+        return load(folder / MANIFEST, (dict, list), links=False)
+    except (OSError, ValueError):
+        return None
+
+
+def derived_places(out: Path) -> list[str]:
+    """Where there may be folders of :data:`DERIVED`."""
+    homes = {parent for name in own_files(out) for parent in Path(name).parents}
+    return sorted(str(home / folder) for home in homes for folder in DERIVED)

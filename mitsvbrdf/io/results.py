@@ -1,0 +1,267 @@
+"""Result folders that appear whole or not at all, and in which nobody else's file is lost.
+
+A command makes its result in ``OUT.partial``, beside OUT. One call of the system then exchanges the two folders
+(``renameat2`` of Linux), so a kill leaves the old result whole or the new one whole, and readers have nothing to
+mend. A manifest lists our files: ``--overwrite`` replaces a folder of these alone and refuses any other. A lock
+beside OUT keeps two runs apart. A run that fails leaves in ``OUT.partial`` what ``--resume`` goes on from.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import shutil
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+from ..errors import OutputError
+from .files import (
+    check_output,
+    exchange,
+    file_lock,
+    in_use,
+    inside,
+    is_regular,
+    linked,
+    remove,
+    spare_name,
+    taken,
+    to_disk,
+    write_json,
+)
+from .interrupts import deferred_signals
+from .manifest import (
+    MANIFEST,
+    derived,
+    derived_places,
+    files_of_others,
+    is_ours,
+    own_files,
+    serial_of,
+)
+from .progress import say
+
+CHECKPOINT = "checkpoint.safetensors"
+LIVE = "live.safetensors"  # what a running fit is watched through; no part of the result
+GLANCE = 0.05  # seconds that somebody who asks :func:`in_use` may hold the lock
+
+
+def partial_folder(out: Path) -> Path:
+    """``OUT.partial``, where a result lies while it is made; of a link, beside what it points to."""
+    out = Path(os.path.realpath(out))
+    return out.with_name(f"{out.name}.partial")
+
+
+@contextlib.contextmanager
+def output_folder(out: Path, overwrite: bool, resume: bool = False, keep: tuple[str, ...] = (CHECKPOINT,),
+                  add: bool = False) -> Iterator[Path]:
+    """Make the files of a result folder all or not at all.
+
+    Yields the folder to write into, which takes the place of ``out`` when the block ends well. When the block
+    fails, ``out`` stays as it was and :func:`partial_folder` holds what a later run resumes from. An earlier
+    result goes as a whole, with what commands made of it in :data:`DERIVED` folders.
+
+    Args:
+        out: the folder the caller asked for.
+        overwrite: whether an earlier result, or an unfinished run, may be replaced.
+        resume: go on in the partial folder of an interrupted run.
+        keep: files and folders to resume from.
+        add: the new files join those in ``out`` (hard links in the new folder) and replace only files of ours
+            that have the same name. An unfinished run stays as it is.
+
+    Raises:
+        OutputError: ``out`` has results, or files of others, or is in use, or cannot be written or exchanged.
+    """
+    out = Path(os.path.realpath(out))
+    staged = _added(out) if add else partial_folder(out)
+    keep = () if add else keep
+    with contextlib.ExitStack() as stack:
+        with _told(f"a place to write at {out}"):
+            out.parent.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(file_lock(out, GLANCE))
+            _mend(out)
+            _check_free(out, overwrite, resume, keep, add)
+            _begin(out, staged, keep if resume else ())
+        done = False
+        try:
+            with _told(f"to write {out}"):
+                yield staged
+                with deferred_signals():
+                    made_of_it = [] if add else list(derived(out))
+                    _put_in_place(out, staged, add)
+                    done = True
+                    if made_of_it:
+                        say(f"{out}: removed, as made of the earlier result: {', '.join(made_of_it)}")
+        finally:
+            with contextlib.suppress(OSError):  # the next run takes away what is left
+                _empty(staged, () if done else keep)
+
+
+def check_free(out: Path, overwrite: bool, resume: bool = False, keep: tuple[str, ...] = (CHECKPOINT,)) -> None:
+    """Raise OutputError now for what :func:`output_folder` would refuse; its arguments. Nothing is made."""
+    out = Path(os.path.realpath(out))
+    _check_free(out, overwrite, resume, keep)
+    check_output(partial_folder(out) / MANIFEST)
+    if in_use(out):
+        raise taken(out)
+
+
+def checkpoints(out: Path) -> list[Path]:
+    """Checkpoints to go on from: of the unfinished run, then of the finished fit in ``out``."""
+    partial = partial_folder(out)
+    places = [out] if _is_earlier(partial, out) else [partial, out]
+    return [place / CHECKPOINT for place in places if is_regular(place / CHECKPOINT)]
+
+
+def _check_free(out: Path, overwrite: bool, resume: bool, keep: tuple[str, ...], add: bool = False) -> None:
+    partial = partial_folder(out)
+    if out.exists() and not out.is_dir():
+        raise OutputError("a folder for the output", f"the file {out}", "choose another name")
+    if os.path.ismount(out):
+        raise OutputError("an output folder that can be replaced as a whole", f"{out}, a mount point",
+                          f"choose a new folder in it, such as {out / 'result'}")
+    with contextlib.suppress(OSError):  # the current folder is gone
+        if out in (here := Path(os.getcwd()), *here.parents):
+            raise OutputError("an output folder outside of which the command is called", str(out),
+                              "type cd .. until you are above it, and name it from there")
+    for place in filter(None, (inside(out, name) for name in derived_places(out))):
+        if in_use(place):
+            raise taken(place)
+    if out.is_dir() and not add:
+        if not overwrite and any(out.iterdir()):
+            raise OutputError("an empty or new output folder", f"{out}, which has results",
+                              "add --overwrite to replace them, or choose another folder")
+        _check_ours(out)
+    unfinished = not _is_earlier(partial, out) and any(os.path.lexists(partial / name) for name in keep)
+    if unfinished and not (overwrite or resume):
+        raise OutputError("no unfinished run", f"the one in {partial}", "--resume goes on, --overwrite starts anew")
+
+
+def _check_ours(out: Path) -> None:
+    """Raise OutputError where not all in a folder is ours to replace."""
+    if others := files_of_others(out):
+        raise OutputError("a folder with nothing but results of ours to replace",
+                          f"{out} with {', '.join(others[:5])}{' ...' * (len(others) > 5)}",
+                          "move them away, or choose another folder")
+
+
+def _begin(out: Path, staged: Path, keep: tuple[str, ...]) -> None:
+    """Make a folder to write into, empty but for what is gone on from, and mark it as ours."""
+    if os.path.lexists(staged):
+        _check_own(out, staged, keep)
+        _empty(staged, () if _is_earlier(staged, out) else keep)
+    staged.mkdir(exist_ok=True)
+    if not is_regular(staged / MANIFEST):  # in place from its first byte on: a kill leaves no folder without
+        (staged / MANIFEST).write_text(json.dumps({"serial": serial_of(out) + 1, "files": []}))
+
+
+def _check_own(out: Path, staged: Path, keep: tuple[str, ...]) -> None:
+    """Raise OutputError for a folder that we did not make, or where what is gone on from is not ours."""
+    owners = {os.geteuid(), (out if out.exists() else out.parent).stat().st_uid} if hasattr(os, "geteuid") else {0}
+    kept = [staged / name for name in keep if os.path.lexists(staged / name)]
+    inner = [Path(here, name) for place in kept for here, folders, names in os.walk(place)
+             for name in (*folders, *names)]
+    for path in (staged, *kept, *inner):
+        found = path.lstat()
+        what = ("a link" if stat.S_ISLNK(found.st_mode) else
+                "no regular file" if not (stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode)) else
+                f"of user {found.st_uid}" if found.st_uid not in owners else "")
+        if what:
+            raise OutputError(f"nothing but files of yours in {staged}", f"{path}, {what}",
+                              "move it away, or choose another folder")
+    if not is_ours(staged):
+        raise OutputError(f"an unfinished run of ours, or nothing, at {staged}", "something else",
+                          "move it away, or choose another output folder")
+
+
+def _empty(folder: Path, keep: tuple[str, ...]) -> None:
+    """Take away a folder of ours but for what is kept; its manifest last, by which it is known as ours."""
+    if not folder.is_dir() or folder.is_symlink():
+        return
+    left = any(os.path.lexists(folder / name) for name in keep)
+    for entry in sorted(folder.iterdir(), key=lambda entry: entry.name == MANIFEST):
+        if entry.name not in (*keep, *([MANIFEST] if left else [])):
+            remove(entry)
+    if not left:
+        folder.rmdir()
+
+
+def _put_in_place(out: Path, staged: Path, add: bool) -> None:
+    """Write the manifest, have all on the disk, and exchange."""
+    (staged / LIVE).unlink(missing_ok=True)
+    new = sorted(str(path.relative_to(staged)) for path in staged.rglob("*") if is_regular(path))
+    new.remove(MANIFEST)
+    listed, serial = ({*own_files(out), *new}, serial_of(out)) if add else (new, serial_of(out) + 1)
+    if add and out.is_dir():
+        _link_rest(out, staged, new)
+    write_json(staged / MANIFEST, {"serial": serial, "files": sorted(listed)})
+    for name in (*new, MANIFEST):
+        to_disk(staged / name)
+    folders = {staged, *(staged / parent for name in new for parent in Path(name).parents)}
+    for folder in folders:
+        _folder_to_disk(folder)
+    if out.exists():
+        if not add:
+            _check_ours(out)  # once more: what came meanwhile is not lost
+        shutil.copymode(out, staged)
+        exchange(staged, out)
+    else:
+        os.rename(staged, out)
+    _folder_to_disk(out.parent)
+
+
+def _link_rest(out: Path, staged: Path, new: list[str]) -> None:
+    """Give the new folder all that ``out`` has and the new files do not replace; nothing of others is replaced."""
+    mine, device = {MANIFEST, *own_files(out)}, out.stat().st_dev
+    for name in (*new, MANIFEST):
+        for path in (Path(name), *list(Path(name).parents)[:-1]):
+            there = out / path
+            if os.path.lexists(there) and not (str(path) in mine and is_regular(there) if str(path) == name
+                                               else there.is_dir() and not there.is_symlink()):
+                raise OutputError("room for new files", f"{there}, which is not ours", "rename or move it away")
+    for here, folders, names in os.walk(out):
+        target = staged / Path(here).relative_to(out)
+        if os.stat(here).st_dev != device:
+            raise OutputError("a folder on one disk", f"{here}, a mount point", "unmount it, or move it away")
+        target.mkdir(exist_ok=True)
+        shutil.copystat(here, target)
+        for name in (*names, *(name for name in folders if Path(here, name).is_symlink())):
+            if not os.path.lexists(target / name):
+                linked(Path(here, name), target / name)
+
+
+def _added(out: Path) -> Path:
+    return out.with_name(f".{out.name}.added")
+
+
+def _mend(out: Path) -> None:
+    """End what a kill left: of :func:`exchange` where that takes three renames, and of files to add."""
+    spare = spare_name(out)
+    if spare.is_dir() and not spare.is_symlink() and not os.path.lexists(out):
+        os.rename(spare, out)
+    for left in (spare, _added(out)):
+        if is_ours(left):
+            _empty(left, ())
+
+
+def _is_earlier(partial: Path, out: Path) -> bool:
+    """Whether a partial folder is the earlier result, already exchanged for the one in ``out``."""
+    return serial_of(partial) < serial_of(out)
+
+
+@contextlib.contextmanager
+def _told(expected: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as reason:
+        way_out = ("choose a folder inside of it, or another one" if reason.errno in (errno.EBUSY, errno.EXDEV) else
+                   "free space, or choose a folder in a place you may write to")
+        raise OutputError(expected, reason.strerror or str(reason), way_out) from None
+
+
+def _folder_to_disk(path: Path) -> None:
+    with contextlib.suppress(OSError):  # some systems cannot
+        to_disk(path)

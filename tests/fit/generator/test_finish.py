@@ -1,0 +1,153 @@
+"""The finish leaves the maps alone, moves only what is unsure, and pairs photos with lights of the same half
+vectors.
+"""
+
+import dataclasses
+import signal
+
+import pytest
+import torch
+from helpers import ANALYTIC, GRID, photos_of
+
+from mitsvbrdf.errors import ConfigError
+from mitsvbrdf.fit import HierarchicalConfig, fit_svbrdf, losses
+from mitsvbrdf.fit.finish_config import FinishConfig
+from mitsvbrdf.fit.generator.finish import Finish, finished, why_not
+from mitsvbrdf.fit.generator.judge import PATCH, STRIDE, HighlightDiscriminator, patch_distance
+from mitsvbrdf.fit.generator.moved_lights import draw, moved_views
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.measure.metrics import photo_rmse
+from mitsvbrdf.measure.patch_statistics import patches_of
+from mitsvbrdf.views import Views, geometry
+
+QUICK = FinishConfig(steps=4, width=4, judge_width=8, worst=10.0)
+
+
+@pytest.fixture(scope="module")
+def capture():
+    return photos_of(make_material("leather", 32)).pick((0, 1, 2, 3, 5))
+
+
+@pytest.fixture(scope="module")
+def result(capture):
+    return fit_svbrdf(capture, ANALYTIC, HierarchicalConfig(iterations=12))
+
+
+def test_maps_keep_their_bits_and_certain_texels_stay(result, capture):
+    before = {name: value.clone() for name, value in result.svbrdf.maps.items()}
+    # The left half of every map is told to be certain.
+    spreads = {name: value.clone() for name, value in result.deviations.items()}
+    for value in spreads.values():
+        value[:, :16], value[:, 16:] = 0.01, 0.2
+    found = finished(dataclasses.replace(result, deviations=spreads), capture, ANALYTIC, QUICK)
+    assert found.look.check() is found.look
+    for name, value in before.items():
+        assert torch.equal(found.svbrdf[name], value)
+        assert torch.equal(found.look[name][:, :16], value[:, :16])
+        assert not torch.equal(found.look[name][:, 16:], value[:, 16:])
+
+
+def test_no_texel_moves_by_more_than_its_bound(result, capture):
+    found = finished(result, capture, ANALYTIC, dataclasses.replace(QUICK, learning_rate=1.0, worst=1e9))
+    bound = QUICK.reach * (result.deviations["roughness"] - QUICK.certain).clamp_min(0)
+    moved = (found.look["roughness"] - found.svbrdf["roughness"]).abs()
+    assert bool((moved <= bound + 1e-6).all()) and float(moved.max()) > 0.5 * float(bound.max())
+
+
+def test_a_look_that_misses_the_photos_is_weakened(result, capture):
+    # Without judges that hold it: a step size that goes anywhere.
+    wild = dataclasses.replace(QUICK, learning_rate=1.0, photometric=0.0, diffuse=0.0, worst=1.2)
+    found = finished(result, capture, ANALYTIC, wild)
+    assert found.finish["share"] < 1 and found.finish["rerender_rmse"] <= 1.2 * result.rerender_rmse
+    images = ANALYTIC.render(found.look, result.views)
+    assert photo_rmse(images, capture.photos,
+                      capture.transfer)[0] == pytest.approx(found.finish["rerender_rmse"], rel=1e-6)
+    held = finished(result, capture, ANALYTIC, dataclasses.replace(wild, worst=1e-9))
+    assert held.finish["share"] == 0 and all(torch.equal(held.look[name], value)
+                                             for name, value in result.svbrdf.maps.items())
+
+
+def test_a_seed_decides_the_draw(result, capture):
+    first, again = (finished(result, capture, ANALYTIC, QUICK).look for _ in range(2))
+    other = finished(result, capture, ANALYTIC, dataclasses.replace(QUICK, seed=1)).look
+    for name in first.maps:
+        assert torch.equal(first[name], again[name])
+    assert any(not torch.equal(first[name], other[name]) for name in first.maps)
+
+
+def test_the_look_starts_as_the_maps(result, capture):
+    start = Finish(result, capture, ANALYTIC, QUICK).material()
+    for name, value in result.svbrdf.maps.items():
+        # There and back through the numbers that deviations are stated in, float32; a slope of 1e-3 near the
+        # upright z = 1.
+        assert torch.allclose(start[name], value, atol=2e-5)
+
+
+def test_ctrl_c_leaves_the_look_out_and_the_fit_as_it_was(result, capture):
+    def stop(text, share):
+        signal.raise_signal(signal.SIGINT)
+
+    steps = []
+    assert finished(result, capture, ANALYTIC, QUICK, lambda text,
+                    share: (steps.append(share), stop(text, share))) is result
+    assert len(steps) == 1 and result.look is None and result.finish is None
+
+
+def test_what_cannot_be_finished_says_why(result, capture):
+    assert why_not(result) is None
+    still = dataclasses.replace(result, views=Views.of([[0.0, 0.0, 2.0]] * len(capture)))
+    for spoilt, why in ((dataclasses.replace(result, stopped="interrupted"), "interrupted"),
+                        (still, "one view"), (dataclasses.replace(result, deviations={}), "fixed")):
+        assert why in why_not(spoilt) and finished(spoilt, capture, ANALYTIC, QUICK) is spoilt
+    with pytest.raises(ConfigError, match="steps"):
+        finished(result, capture, ANALYTIC, FinishConfig(steps=0))
+
+
+@pytest.mark.parametrize("falloff", ["inverse-square", "none"])
+def test_a_moved_light_shows_elsewhere_what_its_photo_shows(falloff):
+    # A material that is the same everywhere: crops of renderings under the moved light and under the photo's
+    # are one picture.
+    views = dataclasses.replace(GRID, falloff=falloff)
+    material = make_material("leather", 32).map(lambda value: value[:1, :1].expand_as(value).contiguous())
+    random, carried = torch.Generator().manual_seed(0), set()
+    for _ in range(12):
+        light = draw(views, torch.zeros(32, 32, 3), 12, 4, random)
+        moved = moved_views(views, [light], 32)
+        new, old = ANALYTIC.render(material, moved)[0], ANALYTIC.render(material,
+                                                                        views.pick([light.photo]))[0]
+        assert torch.allclose(light.under_it(new, 12), light.in_photo(old, 12), rtol=1e-4)
+        half = [geometry(each, 32)[1][0] for each in (moved, views.pick([light.photo]))]
+        assert torch.allclose(light.under_it(half[0], 12), light.in_photo(half[1], 12), atol=1e-6)
+        carried.add((light.down, light.right))
+    assert len(carried) > 6
+
+
+def test_patch_distance_is_the_sorted_difference_of_projected_patches():
+    random = torch.Generator().manual_seed(6)
+    rendered, photos = torch.rand(2, 1, 19, 19, 3, generator=random)
+    angle = torch.rand(1, 19, 19, generator=random)
+    found = patch_distance(rendered, photos, angle, torch.Generator().manual_seed(0), bins=1)
+    directions = torch.randn(PATCH * PATCH * 3, 64, generator=torch.Generator().manual_seed(0))
+    directions = directions / directions.norm(dim=0)
+    every = torch.zeros(1, 19, 19, dtype=torch.bool)
+    every[:, PATCH // 2::STRIDE, PATCH // 2::STRIDE] = True
+    # The convolution has its channels first; so have these patches.
+    flat = [patches_of(x, every).reshape(-1, PATCH, PATCH, 3).permute(0, 3, 1, 2).flatten(1) @ directions
+            for x in (rendered, photos)]
+    truth = (flat[0].sort(dim=0).values - flat[1].sort(dim=0).values).abs().mean()
+    assert float(found) == pytest.approx(float(truth), rel=1e-5)
+
+
+def test_the_discriminator_sees_levels_and_learns_what_is_told():
+    torch.manual_seed(0)
+    judge = HighlightDiscriminator(8, 8)
+    bright, dark = torch.full((1, 8, 32, 32), 0.5), torch.full((1, 8, 32, 32), -0.5)
+    bright, dark = (x + 0.05 * torch.randn(1, 8, 32, 32) for x in (bright, dark))
+    optimizer = torch.optim.Adam(judge.parameters(), lr=1e-2)
+    before = float(losses.discriminator(judge(bright), judge(dark), "relativistic").detach())
+    for _ in range(30):
+        optimizer.zero_grad()
+        loss = losses.discriminator(judge(bright), judge(dark), "relativistic")
+        loss.backward()
+        optimizer.step()
+    assert float(loss.detach()) < 0.3 * before

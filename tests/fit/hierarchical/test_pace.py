@@ -1,0 +1,207 @@
+"""A budget is kept, by a clock that only work moves: a step of the solver at full size takes a second."""
+
+import pytest
+import torch
+from helpers import photos_of
+from helpers.hierarchical_fits import method_of
+
+from mitsvbrdf.fit.hierarchical import left_out, matte, rounds, scales, starts
+from mitsvbrdf.fit.hierarchical.moved_views import MovedViews
+from mitsvbrdf.fit.hierarchical.pace import LAST_STEPS, OTHER_STEPS, STEPS, Pace
+from mitsvbrdf.fit.hierarchical.skipped import IN_TURN, VIEWS
+from mitsvbrdf.fit.hierarchical.stages import Stage, Stages
+from mitsvbrdf.material.made import make_material
+
+SIDE = 8
+AMPLE = 1e5
+
+
+class Clock:
+    """Tells the seconds of the work done."""
+
+    def __init__(self):
+        self.now, self.calls = 0.0, []
+
+    def __call__(self):
+        return self.now
+
+    def work(self, kind, side, count):
+        self.calls.append((kind, side, count))
+        self.now += count * (side / SIDE)**2
+
+
+@pytest.fixture(scope="module")
+def shots():
+    return photos_of(make_material("leather", SIDE))
+
+
+@pytest.fixture
+def timed(shots, monkeypatch):
+    """Makes a fit of photos of a phone that runs by such a clock."""
+    monkeypatch.setattr(scales, "COARSE", SIDE // 2)
+
+    def made(budget, **settings):
+        method, clock = method_of(shots, budget=budget, **({"exact": False} | settings)), Clock()
+
+        def stepped(solver, photos, answer, ties, count):
+            clock.work("solver", answer.x.shape[-1], count)
+            return starts.stepped(solver, photos, answer, ties, count)
+
+        for where in (rounds, left_out, matte):
+            monkeypatch.setattr(where, "stepped", stepped)
+        monkeypatch.setattr(method.moved, "refine", lambda maps, _: clock.work("views", maps.resolution,
+                                                                               method.moved.work))
+        method.pace.clock = clock
+        return method, clock
+
+    return made
+
+
+def run(method, clock, budget):
+    """The loop, as far as it matters here: the stage and its rounds after each step, and what comes out."""
+    passed = []
+    while not method.done and clock.now < budget:
+        method.step(clock.now / budget)
+        passed.append((method.stages.stage, method.stages.rounds))
+    return passed, method.estimate()[0]
+
+
+@pytest.mark.parametrize("budget, exact", [(30, False), (120, False), (700, False), (60, True), (300, True)])
+def test_a_budget_is_kept_and_used(budget, exact, timed):
+    method, clock = timed(budget, exact=exact)
+    passed, found = run(method, clock, budget)
+    assert passed[-1][0] == Stage.FINE
+    assert found.resolution == SIDE and all(torch.isfinite(value).all() for value in found.maps.values())
+    assert clock.now <= budget + 2  # the last step may begin just before the end
+    assert method.done or clock.now >= budget
+
+
+def test_an_ample_budget_changes_nothing(timed):
+    method, clock = timed(AMPLE)
+    passed, found = run(method, clock, AMPLE)
+    free, other = timed(None)
+    assert (passed, clock.calls) == (run(free, other, AMPLE)[0], other.calls) and free.done
+    assert all(torch.equal(value, free.estimate()[0][name]) for name, value in found.maps.items())
+    assert ("views", SIDE, method.moved.work) in clock.calls
+    assert not {IN_TURN, f"further {VIEWS}"} & dict(method.left_out).keys()
+
+
+def test_what_cannot_end_in_time_is_not_begun_and_said(timed):
+    method, clock = timed(1000)
+    run(method, clock, 1000)
+    assert ("views", SIDE // 2, method.moved.work) in clock.calls  # a quarter of what it takes at full size
+    assert ("views", SIDE, method.moved.work) not in clock.calls
+    assert {IN_TURN, f"further {VIEWS}"} <= dict(method.left_out).keys()
+
+
+def test_a_resumed_fit_knows_what_steps_took(timed):
+    method, clock = timed(AMPLE)
+    while (method.stages.stage, method.stages.rounds) != (Stage.FINE, 4):
+        method.step(0.0)
+    again, later = timed(clock.now + 400)
+    later.now = clock.now
+    again.load_state(method.state())
+    assert again.pace.rates == method.pace.rates and len(again.pace.rates) == 2
+    assert again.pace.end == again.pace.budget
+    run(again, later, again.pace.budget)
+    assert again.done and "views" not in [kind for kind, *_ in later.calls]
+    assert again.stages.rounds == 6 and f"further {VIEWS}" in dict(again.left_out)
+
+
+def test_the_question_whether_a_material_is_matte_is_not_asked_where_it_cannot_end(timed):
+    method, clock = timed(AMPLE, exact=True)
+    while not method.stages.finished:
+        method.step(0.0)
+    method.stages.judge(torch.zeros(2))
+    asked = matte.decision_work(method.search.scales) / SIDE**2
+    for left, counts in ((asked - 1, set()), (asked + STEPS + LAST_STEPS + 1, {matte.STEPS})):
+        clock.calls.clear()
+        method.pace.end = clock.now + left
+        method._leave_lobe_out()
+        assert {count for _, _, count in clock.calls} & {matte.STEPS} == counts
+
+
+def test_the_turns_are_foreseen_as_they_are_made(timed):
+    # Everything between the stage at the coarse size and the first round at full size, by the solver's steps;
+    # variances, which count as one each, are not seen by this clock.
+    method, clock = timed(AMPLE)
+    while method.stages.stage != Stage.TOGETHER or not method.stages.finished:
+        method.step(0.0)
+    clock.calls.clear()
+    method._begin_next_stage()
+    steps, turns = sum(count for _, _, count in clock.calls), left_out.in_turn(len(method.capture))
+    rounds_of_each = left_out.AGREED + len(left_out.NOISES) * left_out.ROUNDS
+    assert steps + len(turns) * rounds_of_each == left_out.steps_of_turns(len(method.capture))
+    assert {side for _, side, _ in clock.calls} == {method.scales.of(Stage.ALONE).capture.resolution}
+
+
+def test_a_round_that_was_cut_is_made_again(timed):
+    method, clock = timed(AMPLE)
+    while (method.stages.stage, method.stages.rounds) != (Stage.FINE, 1):
+        method.step(0.0)
+    method.pace.end = clock.now + LAST_STEPS + STEPS + OTHER_STEPS
+    clock.calls.clear()
+    method.step(0.5)
+    assert clock.calls == [("solver", SIDE, STEPS),
+                           ("solver", SIDE, OTHER_STEPS)] and method.stages.rounds == 1
+    method.step(0.5)
+    assert clock.calls[2:] == [("solver", SIDE, LAST_STEPS)] and clock.now == method.pace.end
+    method.pace.end = AMPLE * 2
+    method.step(0.5)
+    assert method.stages.rounds == 2 and method.closed is None
+
+
+def test_a_stage_whose_rounds_are_too_long_ends_once_it_is_known_what_a_round_takes():
+    stages = Stages(rivals=False)
+    over = []
+    for _ in range(3):
+        over.append((stages.over(0.0, short=True), stages.over(0.0)))
+        stages.begin_round()  # the first makes kernels, so it tells too much
+    assert over == [(False, False), (False, False), (True, False)]
+
+
+def test_a_stage_that_ends_before_its_refinement_of_the_views_says_so(shots):
+    def short(refined, stage, rounds, tied):
+        moved = MovedViews(shots, refined, True)
+        moved.leave(stage, rounds, tied)
+        return bool(moved.skipped)
+
+    assert short("always", Stage.ALONE, 11, False) and short("unless exact", Stage.TOGETHER, 8, True)
+    assert not short("always", Stage.ALONE, 12, False) and not short("unless exact", Stage.TOGETHER, 9, True)
+    # nothing moves
+    assert not short("unless exact", Stage.ALONE, 11, False) and not short("never", Stage.TOGETHER, 8, True)
+    assert not short("always", Stage.RIVALS, 1, False)  # which has none
+
+
+def test_the_pace():
+    clock = Clock()
+    stages = Stages(rivals=True)
+    pace = Pace(10.0, stages, 4, clock)
+    assert pace.in_time(1e9) and pace.steps(7) == 7  # nothing is known yet
+    pace.begin(0.2)
+    pace.begin(0.9)  # not the first step
+    assert pace.end == 8
+    with pace.timed("solver", 20):
+        clock.now += 1
+    assert pace.steps(200) == 35 and pace.steps(200, keep=5) == 30 and pace.steps(200, keep=50) == 1
+    assert pace.to_come == STEPS + LAST_STEPS == 14
+    assert pace.in_time(84) and not pace.in_time(85) and not pace.in_time(84, beside=1)
+    assert pace.in_time(84, "views")
+    with pace.timed("views", 10):
+        clock.now += 1
+    assert pace.in_time(32, "views") and not pace.in_time(33, "views")
+    # a slow call may have made a kernel too, or met another program
+    for seconds, least in ((3, 0.1), (0.5, 0.05)):
+        with pace.timed("views", 10):
+            clock.now += seconds
+        assert pace.rates["views"] == least and pace.rates["solver"] == 0.05
+    pace.rates["views"] = 0.1
+    stages.enter(Stage.FINE)
+    again = Pace(None, stages, 4, clock)
+    again.load_state(pace.state())
+    again.begin(0.0)
+    later = Pace(20.0, stages, 4, clock)
+    later.load_state(pace.state())
+    later.begin(0.5)  # by the number of iterations, say
+    assert later.end == clock.now + 20 - (10 - (8 - clock.now))
+    assert again.rates == pace.rates and again.in_time(1e9) and again.to_come == LAST_STEPS

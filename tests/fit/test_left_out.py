@@ -1,0 +1,157 @@
+"""What a fit says that it leaves out, and what it says that it uses."""
+
+import json
+from dataclasses import replace
+
+import pytest
+import torch
+from helpers import ANALYTIC, MITSUBA, ROOT
+
+from mitsvbrdf import cli
+from mitsvbrdf.errors import MapsError
+from mitsvbrdf.fit import (
+    DirectConfig,
+    FitTask,
+    GanConfig,
+    HierarchicalConfig,
+    HybridConfig,
+    left_out,
+    losses,
+    make_method,
+)
+from mitsvbrdf.fit.hierarchical import skipped
+from mitsvbrdf.fit.hierarchical.stages import ROUNDS, Stage, Stages
+from mitsvbrdf.fit.left_out import decided_later, known_before, used
+from mitsvbrdf.fit.record import read_whole_fit
+from mitsvbrdf.material.maps import CHANNELS
+
+NETWORKS = {"generator", "discriminator"}
+
+
+@pytest.mark.parametrize("config, trained", [
+    (HierarchicalConfig(), set()), (DirectConfig(), set()), (HybridConfig(), NETWORKS),
+    (GanConfig(), NETWORKS),
+    (GanConfig(preset="paper-one-stage"), NETWORKS), (HybridConfig(adversarial=0.0), {"generator"}),
+    (GanConfig(adversarial=0.0, features=1.0), NETWORKS)])
+def test_networks_are_used_or_left_out(config, trained, leather):
+    task = FitTask(leather, ANALYTIC, config)
+    told, without = dict(used(task)), dict(left_out(task))
+    assert set(told) == trained and NETWORKS & set(without) == NETWORKS - trained
+    assert ("docs/benchmark.md" in without.get("generator", "")) == (not trained)  # the measured reason
+
+
+def test_how_a_network_is_used(leather):
+    told = dict(used(FitTask(leather, ANALYTIC, GanConfig(preset="paper-one-stage"))))
+    assert told == {"generator": "sees the first of the pictures its maps are compared with; width 64",
+                    "discriminator": "adversarial loss, weight 1; game bce"}
+    assert "all photos" in dict(used(FitTask(leather, ANALYTIC, GanConfig(generator="variational"))))[
+        "generator"]
+    told = dict(used(FitTask(leather, ANALYTIC, GanConfig(features=2.0, width=8))))
+    assert told["generator"] == "sees all photos; width 8"
+    assert told["discriminator"] == "adversarial loss, weight 1 and feature matching, weight 2; game relativistic"
+
+
+def claims(leather):
+    """Every name by which a fit says that it leaves something out, of settings, materials and photos that
+    call for each.
+    """
+    said = {"adversarial finish"}  # of the command itself
+    fixed = {"roughconductor": {"diffuse": "0.3", "specular": "0.04", "roughness": "0.5", "normal": "flat"},
+             "principled": {"base_color": "0.3", "metallic": "0"}}
+    configs = [kind(bsdf=bsdf, fix=(f"{name}={value}",)) for kind in (HierarchicalConfig, HybridConfig)
+               for bsdf, values in fixed.items() for name, value in values.items()]
+    configs += [HierarchicalConfig(fix=("diffuse=0", "normal=flat")),
+                HierarchicalConfig(fix=("specular=0", "roughness=1")),
+                HierarchicalConfig(grey_specular=True), DirectConfig(),
+                HierarchicalConfig(exact=True), HierarchicalConfig(exact=False, noise=0.1),
+                HierarchicalConfig(rivals=False),
+                HierarchicalConfig(flash_offset=False, calibrate=False), HybridConfig(photometric=0.0),
+                HybridConfig(adversarial=0.0, diffuse=0.0, smooth=0.0, flat=0.0), GanConfig(features=0.0),
+                GanConfig(adversarial=0.0, features=1.0)]
+    unlit = replace(leather, views=replace(leather.views, falloff="none"))
+    for shots, config in [*((leather, config) for config in configs), (unlit, HierarchicalConfig())]:
+        for renderer in (ANALYTIC, MITSUBA):
+            task = FitTask(shots, renderer, config)
+            said |= dict(known_before(task)).keys() | dict(decided_later(task)).keys()
+    return said
+
+
+def test_every_claim_has_a_measured_row(leather):
+    record = json.loads((ROOT / "docs" / "results" / "leave-out.json").read_text())
+    measured = {name for each in record["records"] for name in each["says"]}
+    said = claims(leather)
+    assert said <= measured
+    # The claims are all that the sources can make: each of these names, and one for each map and each loss.
+    assert said >= {"Fresnel curve", "interreflection and path depth", "shadow rays", "environment",
+                    "ray tracing",
+                    "texture look-ups", "light falloff", "specular lobe", "diffuse lobe",
+                    "colour of the specular map",
+                    "metallic map", "normal map", "guessed diffuse map", "flash offset", "generator",
+                    "discriminator",
+                    skipped.TIED, skipped.LOBE, skipped.RIVALS, skipped.VIEWS, skipped.IN_TURN}
+    assert said >= {f"gradient of {name}" for names in CHANNELS.values()
+                    for name in names} | set(losses.NAMES.values())
+
+
+@pytest.mark.parametrize("structure, without", [
+    (0.0005, {skipped.TIED, skipped.VIEWS, skipped.IN_TURN}), (0.02, {skipped.RIVALS})])
+def test_what_the_free_stage_decides_is_said_with_its_figure(structure, without, leather):
+    task = FitTask(leather, MITSUBA, HierarchicalConfig())
+    method = make_method(task)
+    assert method.left_out == []  # nobody has looked yet
+    method.stages.judge(torch.tensor([structure, 0.01]))
+    told = dict(method.left_out)
+    assert set(told) == without <= set(dict(decided_later(task)))
+    assert all(f"{structure:g}" in why for what, why in told.items() if what != skipped.IN_TURN)
+
+
+def test_explain_and_the_record_say_so(tmp_path, capsys):
+    photos, out = str(tmp_path / "photos"), tmp_path / "out"
+    assert cli.main(["synth", "builtin:leather", "-o", photos, "--resolution", "16", "--renderer",
+                     "analytic"]) == 0
+    command = ["fit", photos, "-o", str(out), "--resolution", "16", "--renderer", "analytic"]
+    capsys.readouterr()
+    assert cli.main([*command, "--explain"]) == 0
+    said = capsys.readouterr().out
+    assert "left out: generator (each texel is solved by itself" in said and "used:" not in said
+    assert "may be left out: tied stage (if a free fit" in said and "may be left out: rival starts (unless a free fit" in said
+    assert cli.main([*command, "--explain", "--exact", "--no-rivals"]) == 0
+    said = capsys.readouterr().out
+    assert "left out: tied stage (the photos follow the model: stated by --exact)" in said
+    assert said.count("may be") == 1 and "may be left out: search for a specular lobe (if no block of texels needs" in said
+    assert "left out: rival starts (not asked for)" in said
+    assert cli.main([*command, "--explain", "--no-exact"]) == 0
+    said = capsys.readouterr().out
+    assert "left out: rival starts (the photos do not follow the model: stated by --exact)" in said and "may be" not in said
+    command += ["--method", "gan", "--width", "4", "--iterations", "1"]
+    assert cli.main([*command, "--explain"]) == 0
+    said = capsys.readouterr().out
+    assert "used: generator (sees all photos; width 4), discriminator (adversarial loss" in said
+    assert cli.main(command) == 0
+    record = json.loads((out / "fit.json").read_text())
+    assert [item["what"] for item in record["used"]] == ["generator", "discriminator"]
+    assert all(f"{item['what']} ({item['how']})" in said for item in record["used"])
+    assert "Networks used: generator (sees all photos; width 4), discriminator (" in (
+        out / "report.html").read_text()
+    # A record of before there was such a field is read, one whose field is something else is not.
+    (out / "fit.json").write_text(json.dumps({name: value for name, value in record.items()
+                                              if name != "used"}))
+    read_whole_fit(out)
+    (out / "fit.json").write_text(json.dumps(record | {"used": "a generator"}))
+    with pytest.raises(MapsError, match="used"):
+        read_whole_fit(out)
+
+
+@pytest.mark.parametrize("stage, structure, said", [
+    (Stage.TOGETHER, 0.02, skipped.IN_TURN), (Stage.RIVALS, 0.001, f"further {skipped.RIVALS}")])
+@pytest.mark.parametrize("hurried", [True, False])
+def test_what_time_was_too_short_for_is_said(hurried, stage, structure, said, leather):
+    stages, again = Stages(rivals=True), Stages(rivals=True)
+    stages.judge(torch.tensor([structure, 0.01]))
+    stages.enter(stage)
+    for _ in range(1 if hurried else ROUNDS[stage]):
+        stages.begin_round()
+    stages.enter(Stage.FINE)
+    again.load_state(stages.state())
+    task = FitTask(leather, ANALYTIC, HierarchicalConfig())
+    assert [said in dict(skipped.left_out(task, each)) for each in (stages, again)] == [hurried] * 2

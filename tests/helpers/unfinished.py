@@ -1,0 +1,12 @@
+"""An unfinished run of ours, as a killed command leaves it beside OUT."""
+
+from mitsvbrdf.io import files, results
+
+
+def unfinished(out, *names, content=b"state"):
+    """Make OUT.partial with these files; returns it."""
+    partial = results.partial_folder(out)
+    for name in names:
+        files.write_bytes(partial / name, content)
+    files.write_json(partial / results.MANIFEST, {"serial": 2**40, "files": []})
+    return partial

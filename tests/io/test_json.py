@@ -1,0 +1,94 @@
+"""JSON is read in one way: what is no JSON, or would do harm, is one error that names the file."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import pytest
+
+from mitsvbrdf.capture import read_capture
+from mitsvbrdf.errors import CaptureError, MitsvbrdfError
+from mitsvbrdf.fit.record import read_fit
+from mitsvbrdf.io import json as io_json
+from mitsvbrdf.io.json import NUMBER, load, parsed, read_json, shape_error
+from mitsvbrdf.material.map_files import read_material_json
+from mitsvbrdf.relight.frames import go_on
+from mitsvbrdf.synth.truth import Truth, rig_of
+
+WRONG = {
+    '{"a": [0, NaN]}': r"a\[1\] is no finite number", '{"a": {"b": -Infinity}}': r"a\.b is no finite number",
+    '{"a": 1e999}': "a is no finite number", '{"a": 1' + "0" * 5000 + "}": "a is no finite number",
+    '{"a": 9223372036854775808}': "a is no finite number", '{"a": 1, "b": 2, "a": 3}': "the key 'a' twice",
+    "[" * 100_000: "nested too deeply", '{"a":' * 100_000: "nested too deeply",
+    "[1]": "an object was expected, not list",
+    '"text"': "not str", "null": "not NoneType", "": "Expecting value", "{": "Expecting",
+    "{'a': 1}": "Expecting"}
+
+
+@pytest.mark.parametrize("text", WRONG, ids=lambda text: text[:20])
+def test_what_is_refused(text):
+    for given in (text, text.encode()):
+        with pytest.raises(ValueError, match=WRONG[text]):
+            parsed(given)
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe{}", b'{"a": "\xe4"}', bytes(1000)])
+def test_bytes_that_are_no_text_are_refused(content):
+    with pytest.raises(ValueError, match="decode byte|Expecting value"):
+        parsed(content)
+
+
+def test_what_is_read_is_what_json_says():
+    value = {"a": [1, -2.5, 1e-320, True, None, "ä"], "b": {"c": []}, "d": 2**63 - 1, "e": 1.7e308}
+    assert parsed(json.dumps(value)) == value == parsed(b"\xef\xbb\xbf" + json.dumps(value).encode())
+    assert parsed("[1]", list) == [1] and type(parsed('{"a": 1}')["a"]) is int
+
+
+def test_a_file_that_cannot_be_read_is_one_error(tmp_path, monkeypatch):
+    os.mkfifo(tmp_path / "pipe")  # opening it would wait for ever
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "large").write_bytes(b"{}" + b" " * 100)
+    monkeypatch.setattr(io_json, "MOST_BYTES", 100)
+    words = {"pipe": "no regular file", "folder": "no regular file", "none": "No such file",
+             "large": "more than"}
+    for name, word in words.items():
+        with pytest.raises(CaptureError, match=f"expected a valid JSON file, got {tmp_path / name}: {word}"):
+            read_json(tmp_path / name, CaptureError)
+    (tmp_path / "large").write_bytes(b"{}" + b" " * 98)
+    assert load(tmp_path / "large") == {}
+
+
+@pytest.mark.parametrize("value, shape, where", [
+    ({"a": 1, "b": [1.5, 2]}, {"a": int, "b": [NUMBER]}, ""), ({"a": 1}, {"a": int, "b": [NUMBER]}, "b"),
+    ({"a": [[1, "x"]]}, {"a": [[NUMBER]]}, "a"), ({"a": {"x": 1, "y": None}}, {"a": {str: int}}, "a.y"),
+    ({"a": []}, {"a": {str: int}}, "a"), ({"a": {"x": 1, "more": 2}}, {"a": {"x": int}}, "")])
+def test_where_a_value_does_not_fit(value, shape, where):
+    assert shape_error(value, shape) == where
+
+
+READERS = {
+    "capture.json": read_capture, "fit.json": read_fit, "material.json": read_material_json,
+    "truth/truth.json": Truth.read,
+    "rig/capture.json": lambda folder: rig_of(folder / "rig"), "relight.json": lambda folder: go_on({},
+                                                                                                    folder, folder)}
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"a": NaN}', '{"a": 1, "a": 1}', "[]", "{"],
+                         ids=lambda text: text[:16])
+@pytest.mark.parametrize("name", READERS)
+def test_every_reader_names_the_file(name, text, tmp_path):
+    (tmp_path / name).parent.mkdir(exist_ok=True)
+    (tmp_path / name).write_text(text)
+    with pytest.raises(MitsvbrdfError) as found:
+        READERS[name](tmp_path)
+    assert str(tmp_path) in str(found.value) and len(str(found.value)) < 500
+
+
+def test_a_link_is_followed_only_where_it_may_be(tmp_path):
+    (tmp_path / "real.json").write_text('{"a": 1}')
+    (tmp_path / "link.json").symlink_to(tmp_path / "real.json")
+    assert io_json.load(tmp_path / "link.json") == io_json.load(tmp_path / "real.json",
+                                                                      links=False) == {"a": 1}
+    with pytest.raises(OSError):
+        io_json.load(tmp_path / "link.json", links=False)
