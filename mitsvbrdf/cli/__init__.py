@@ -32,8 +32,6 @@ COMMANDS = {
     "batch": "Fit many captures into one library, whatever dies on the way.",
     "library": "Look through a library of materials: list, check, export or tidy up what `mitsvbrdf batch` "
                "made.",
-    "view": "Follow a fit or a batch in the browser while it runs, then see its report or its library; "
-            "Ctrl-C ends the page.",
     "guess": "Make the guessed diffuse map only: OUT/diffuse.exr and .png.",
     "render": "Render maps for the views of a capture: OUT/NN.png (display values) and NN.exr (linear).",
     "evaluate": "Measure maps: against known maps (--reference) or against photos (--capture).",

@@ -66,9 +66,9 @@ def batch(captures: Annotated[Positional[list[str]], arg(metavar="CAPTURE", help
     what failed is tried again with --retry-failed. Raw photos become captures first. Ctrl-C waits for what
     runs; a second one does not.
 
-    LIBRARY then holds a folder a material, index.html to look at (`mitsvbrdf view LIBRARY` while the batch
-    runs), library.json for pandas, manifest.sqlite, and quarantine/ with the reason and the log of each
-    capture that failed. The exit code is 1 where any failed. Needs Ray: pip install 'mitsvbrdf[batch]'.
+    LIBRARY then holds a folder a material, index.html to look at, library.json for pandas, manifest.sqlite,
+    and quarantine/ with the reason and the log of each capture that failed. The exit code is 1 where any
+    failed. Needs Ray: pip install 'mitsvbrdf[batch]'.
     """
     running.check()
     shared.check(config)

@@ -99,6 +99,7 @@ def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, o
     from.
     """
     from ..report.folder import write_fit_files
+    from ..report.live import LivePage
 
     earlier = results.checkpoints(out) if resume else []
     if resume and not earlier:
@@ -107,10 +108,13 @@ def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, o
     title = f"fit {shots.source.name if shots.source else ''} · {method_name(config)} · {engine.name}"
     with contextlib.ExitStack() as last, results.output_folder(out, overwrite or resume,
                                                                      resume) as folder:
+        page = LivePage(folder, out)
+        say(f"live page: {page.path}")
+
         def fitted(checkpoint: Path | None) -> FitResult:
             with Progress(title) as progress, profiling() if profile else contextlib.nullcontext():
                 return fit_svbrdf(shots, engine, config, checkpoint=folder / results.CHECKPOINT,
-                                  resume=checkpoint, report=progress, live=folder / results.LIVE)
+                                  resume=checkpoint, report=progress, live=page)
 
         result, before = _from_first_of(earlier, fitted) if resume else (fitted(None), None)
         if finishing := options.finishing(config):
@@ -118,6 +122,7 @@ def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, o
                 result = finished(result, shots, engine, finishing, finish_report)
         last.enter_context(deferred_signals())  # until all is in place
         write_fit_files(result, shots, folder, command=options.record(shots), left_out=shown)
+        page.end()
     return result, before
 
 

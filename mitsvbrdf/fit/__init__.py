@@ -22,7 +22,7 @@ from .config import DirectConfig, FitConfig, HierarchicalConfig, HybridConfig
 from .gan_config import GanConfig
 from .left_out import left_out, used
 from .light_power import light_power_told, with_light_power
-from .live import LiveRecord
+from .live import Live, LiveState
 from .loop import Loop
 from .methods import make_method
 from .result import FitResult
@@ -34,7 +34,8 @@ from .warnings import fit_warnings
 @entry(gradients=True)
 def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = None, *,
                checkpoint: Path | None = None, resume: Path | None = None,
-               report: Callable[[dict, float], None] | None = None, live: Path | None = None) -> FitResult:
+               report: Callable[[dict, float], None] | None = None,
+               live: Callable[[LiveState], None] | None = None) -> FitResult:
     """Recover a material from photos.
 
     Args:
@@ -46,9 +47,8 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
         checkpoint: file (.safetensors) to keep the running state in.
         resume: checkpoint to continue from; bit-equal to an uninterrupted run of the same options on a CPU.
         report: called with (trace entry, share done) after each measurement.
-        live: file (.safetensors) that shows the running fit and stays with its last state;
-            ``OUT/.partial/live.safetensors`` is what ``mitsvbrdf view OUT`` looks for. Fitted is the same
-            bits without it.
+        live: called with the state of the fit about once a second, such as
+            :class:`mitsvbrdf.report.live.LivePage`. The fit gives identical results without it.
 
     Returns:
         The result with the lowest re-rendering error met (``hierarchical``: the last); Ctrl-C ends the fit
@@ -63,7 +63,7 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     with profiled("setting up"):
         task = fit_task(capture, renderer, config)
         capture, method = task.capture, make_method(task)
-    loop = Loop(method, capture, renderer, config, checkpoint, report, LiveRecord(live) if live else None)
+    loop = Loop(method, capture, renderer, config, checkpoint, report, Live(live) if live else None)
     if resume:
         loop.resume(resume)
     stopped = loop.run()

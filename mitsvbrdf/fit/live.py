@@ -1,18 +1,16 @@
-"""What a running fit shows of itself: one small file, replaced about once a second, that ``mitsvbrdf view``
-reads.
-"""
+"""What a running fit shows of itself, about once a second. Looking at a fit does not change it."""
 
 from __future__ import annotations
 
 import contextlib
 import time
-import uuid
-from pathlib import Path
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ..errors import OutputError
 from ..io.profile import profiled
-from .checkpoint import save_tensors
+from ..material.maps import SVBRDF
 from .methods import method_name
 from .warnings import about_photos, about_steps
 
@@ -20,65 +18,71 @@ if TYPE_CHECKING:
     from .loop import Loop
 
 SIDE = 256  # texels a side of the maps shown, at most
-SECONDS = 1.0  # from one record to the next, at least
-SHARE = 0.05  # of the time that records may take, at most
+SECONDS = 1.0  # from one state to the next, at least
+SHARE = 0.05  # of the time that showing may take, at most
 
 
-class LiveRecord:
-    """The file a fit is watched through: maps as float16, and the note of :meth:`write`.
-
-    It only looks at the fit: what is fitted has the same bits with and without it. A record that cannot be
-    written is left out; a full disk shows in the checkpoint. The file stays when the fit ends; whoever gave
-    its name takes it away.
+@dataclass(frozen=True)
+class LiveState:
+    """A running fit at one moment.
 
     Args:
-        path: the file (.safetensors) to replace.
+        svbrdf: the maps of the latest measurement, or what a method shows in between; at most 256 px.
+        capture: name of the folder of the photos; empty without one.
+        method: how it fits.
+        renderer: its name.
+        resolution: pixels a side of the photos.
+        iteration: steps done.
+        seconds: run time.
+        share: of the limits that is used, 0 to 1.
+        stopped: why the fit ended; None while it runs.
+        latest_is_best: whether the fit will return the latest maps, not those of the lowest error.
+        trace: one dict a measurement.
+        warnings: so far.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path, self.run = path, uuid.uuid4().hex
-        self.due = 0.0
+    svbrdf: SVBRDF
+    capture: str
+    method: str
+    renderer: str
+    resolution: int
+    iteration: int
+    seconds: float
+    share: float
+    stopped: str | None
+    latest_is_best: bool
+    trace: list[dict]
+    warnings: list[str]
+
+
+class Live:
+    """Passes the state of a fit on, at most once in :data:`SECONDS`, and in :data:`SHARE` of the time.
+
+    Args:
+        show: what gets each state. If it raises OutputError, that state is not shown.
+    """
+
+    def __init__(self, show: Callable[[LiveState], None]) -> None:
+        self.show, self.due = show, 0.0
         self.about_photos: list[str] | None = None
 
-    def offer(self, loop: Loop, losses: dict[str, float], stopped: str | None = None) -> None:
-        """Write a record where the last one is long enough ago: :data:`SECONDS`, and so that all take
-        :data:`SHARE`.
-
-        Args:
-            loop: the fit.
-            losses: those of the latest step.
-            stopped: why the fit ended; written at once then.
-        """
+    def offer(self, loop: Loop, stopped: str | None = None) -> None:
+        """Show the fit if the last state is long enough ago, or if it has ended."""
         began = time.perf_counter()
         if began < self.due and not stopped:
             return
-        with profiled("live record"), contextlib.suppress(OutputError):
-            self.write(loop, losses, stopped)
+        with profiled("live page"), contextlib.suppress(OutputError):
+            self.show(self._state(loop, stopped))
         ended = time.perf_counter()
         self.due = ended + max(SECONDS, (ended - began) * (1 / SHARE - 1))
 
-    def write(self, loop: Loop, losses: dict[str, float], stopped: str | None) -> None:
-        """Replace the file, in one step.
-
-        The maps are those of the latest measurement, or what a method shows in between; shrunk to
-        :data:`SIDE`. The note holds ``run`` (of this record's fit and no other), ``method``, ``renderer``,
-        ``capture``, ``bsdf``, ``resolution``, ``iteration``, ``seconds``, ``share`` (0 to 1), ``stopped``,
-        ``latest_is_best``, ``trace``, ``latest`` (losses since the trace's last entry) and ``warnings`` so
-        far.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
+    def _state(self, loop: Loop, stopped: str | None) -> LiveState:
         method, capture = loop.method, loop.capture
         if self.about_photos is None:
             self.about_photos = [*capture.notes, *about_photos(capture)]
         svbrdf = method.preview() or loop.seen[1]
-        svbrdf = svbrdf.resized(min(SIDE, svbrdf.resolution))
-        save_tensors(self.path, {name: value.half() for name, value in svbrdf.maps.items()}, {
-            "run": self.run, "method": method_name(method.config), "renderer": loop.renderer.name,
-            "capture": capture.source.name if capture.source else None, "bsdf": svbrdf.bsdf,
-            "resolution": capture.resolution, "iteration": loop.iteration, "seconds": round(loop.seconds, 3),
-            "share": loop.progress, "stopped": stopped, "latest_is_best": loop.latest_is_best,
-            "trace": loop.trace,
-            "latest": {"seconds": round(loop.seconds, 3), "iteration": loop.iteration, **losses},
-            "warnings": [*self.about_photos, *about_steps(loop.undone, loop.restarts)]})
+        return LiveState(
+            svbrdf.detach().resized(min(SIDE, svbrdf.resolution)), capture.source.name if capture.source else "",
+            method_name(method.config), loop.renderer.name, capture.resolution, loop.iteration, loop.seconds,
+            loop.progress, stopped, loop.latest_is_best, loop.trace,
+            [*self.about_photos, *about_steps(loop.undone, loop.restarts)])

@@ -42,10 +42,10 @@ Seen = tuple[float, SVBRDF, Views]  # re-rendering error, material and views of 
 
 
 class Watcher(Protocol):
-    """Who may look at a running fit, and must not change it: :class:`mitsvbrdf.fit.live.LiveRecord`."""
+    """Who may look at a running fit, and must not change it: :class:`mitsvbrdf.fit.live.Live`."""
 
-    def offer(self, loop: Loop, losses: dict[str, float], stopped: str | None = None) -> None:
-        """See the fit, the losses of its latest step, and why it ended."""
+    def offer(self, loop: Loop, stopped: str | None = None) -> None:
+        """See the fit, and why it ended."""
         ...
 
 
@@ -93,7 +93,7 @@ class Loop:
                 if why:
                     break
                 if self.live:
-                    self.live.offer(self, losses)
+                    self.live.offer(self)
                 good, losses = self._advance(good)
                 if self.checkpoint and time.perf_counter() - saved > CHECKPOINT_SECONDS:
                     self.save()
@@ -107,7 +107,7 @@ class Loop:
         if off_beat:
             self._record(seen, losses)
         if self.live:
-            self.live.offer(self, losses, why)
+            self.live.offer(self, why)
         return why
 
     def _begin(self) -> None:

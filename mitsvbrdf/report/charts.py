@@ -17,6 +17,7 @@ from matplotlib.ticker import LogFormatter
 
 from ..io import files
 from .colours import CHART_BOUND, CHART_FAINT, CHART_GRID, CHART_LINES
+from .curves import losses_of
 
 BSDF_MARKS = {"roughconductor": "o", "principled": "s"}
 # of one width; GitHub shows an SVG without fonts from elsewhere
@@ -73,8 +74,7 @@ def loss_curve(path: str | Path, trace: Sequence[Mapping]) -> None:
     Raises:
         OutputError: the file cannot be written.
     """
-    losses = list(dict.fromkeys(name for row in trace for name in row))
-    losses = [name for name in losses if name not in ("seconds", "iteration", "stage", "rerender_rmse")]
+    losses = losses_of(trace)
     figure = Figure(figsize=(6.4, 4.6 if losses else 2.8), layout="constrained")
     panels = figure.subplots(2 if losses else 1, 1, sharex=True, squeeze=False)[:, 0]
     names = [["rerender_rmse"], losses]

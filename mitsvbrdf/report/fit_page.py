@@ -24,7 +24,7 @@ from ..material.maps import CHANNELS, TITLES, shown_map
 from ..measure.metrics import photo_rmse
 from ..render import Renderer
 from .checks import fit_report
-from .curves import curves
+from .curves import error_and_losses
 from .detail_page import write_detail_page
 from .header import header
 from .page import write_page
@@ -170,7 +170,7 @@ def _write_page(found: SavedFit, record: dict, into: Path) -> None:
                maps=_maps(found), front=header(found, record["quick"]),
                photos=[_photo(photo, side, into, found.path) for photo in record["photos"]],
                viewer=viewer_html(found.svbrdf),
-               curves=_curves(fit["trace"]), measured=_thinned(fit["trace"]), unknown=UNKNOWN, ramp=_ramp(),
+               curves=error_and_losses(fit["trace"]), measured=_thinned(fit["trace"]), unknown=UNKNOWN, ramp=_ramp(),
                titles=TITLES,
                look=write_detail_page(found, into), scalar=_scalar,
                from_where=about_views(fit.get("calibration") or {}))
@@ -219,16 +219,6 @@ def _photo(photo: dict, side: int, *folders: Path) -> dict:
         pictures |= {"photo": picture_uri(at_most(seen, side)),
                      "difference": picture_uri(at_most(4 * (seen - rendered).abs(), side))}
     return photo | {"pictures": pictures, "side": min(side, rendered.shape[0])}
-
-
-def _curves(trace: Sequence[Mapping]) -> list[tuple[str, dict]]:
-    """Title and drawing of the error, and of the losses, against seconds; without those that have no
-    point.
-    """
-    losses = [name for name in dict.fromkeys(name for row in trace for name in row)
-              if name not in ("seconds", "iteration", "rerender_rmse", "stage")]
-    drawn = (("Re-rendering RMSE", curves(trace, ["rerender_rmse"])), ("Losses", curves(trace, losses)))
-    return [(title, drawing) for title, drawing in drawn if drawing]
 
 
 def _thinned(trace: Sequence[Mapping]) -> list[Mapping]:

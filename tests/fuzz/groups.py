@@ -132,7 +132,7 @@ def fits() -> Drawn[Case]:
     reading = cases("fit", "fit capture", ways, "evaluate ../in/fit --capture ../in/capture --renderer "
                                                 "analytic",
                     "render ../in/fit -o out --renderer analytic --flash-offset fitted",
-                    "render ../in/fit -o out --renderer analytic --diffuse guessed", "view ../in/fit",
+                    "render ../in/fit -o out --renderer analytic --diffuse guessed",
                     "export ../in/fit -o out --to maps --no-preview",
                     "compare ../in/fit --capture ../in/capture -o out --renderer analytic --resolution 16",
                     most=2)
@@ -194,7 +194,7 @@ def libraries() -> Drawn[Case]:
                      replaced(path, index, "in/library/.lock"),
                      stated("in/library/wood-*/batch.json"))
     quick = [f"library ../in/library{words}" for words in ("", " --json", " --where error<1", " --verify")]
-    looking = cases("library", "library", ways, *quick, *quick, "view ../in/library",
+    looking = cases("library", "library", ways, *quick, *quick,
                     "library ../in/library --export materialx -o out")
     return st.one_of(looking, looking, cases("library", "library capture", ways,
                                              "library ../in/library --prune",
@@ -238,7 +238,6 @@ CALLS = tuple(call.strip() for call in f"""
     relight ../in/maps -o out --explain {RELIT}
     report ../in/fit --quick
     sheet -o out.svg
-    view ../in/fit
     library ../in/library
     batch ../in/capture -o out {FIT}
     bench --json ../in/bench/bench.json {BENCH}
