@@ -45,7 +45,6 @@ from .manifest import (
 from .progress import say
 
 CHECKPOINT = "checkpoint.safetensors"
-LIVE = "live.safetensors"  # what a running fit is watched through; no part of the result
 GLANCE = 0.05  # seconds that somebody who asks :func:`in_use` may hold the lock
 
 
@@ -191,7 +190,6 @@ def _empty(folder: Path, keep: tuple[str, ...]) -> None:
 
 def _put_in_place(out: Path, staged: Path, add: bool) -> None:
     """Write the manifest, have all on the disk, and exchange."""
-    (staged / LIVE).unlink(missing_ok=True)
     new = sorted(str(path.relative_to(staged)) for path in staged.rglob("*") if is_regular(path))
     new.remove(MANIFEST)
     listed, serial = ({*own_files(out), *new}, serial_of(out)) if add else (new, serial_of(out) + 1)
