@@ -91,8 +91,8 @@ def table(group: Judged) -> pd.DataFrame:
     rows = {}
     for method in dict.fromkeys(record["method"] for record in group.records):
         rows[f"`{method}`"] = [
-            _cell(found.loc[method, budget], best[budget]) if (method, budget) in found.index
-            else _absent(group.records, method, budget) for budget in budgets]
+            _cell(found.loc[method, budget], best[budget], found.loc[method]["seeds"].max())
+            if (method, budget) in found.index else _absent(group.records, method, budget) for budget in budgets]
     for who, error in theirs.items():
         rows[f"{who}, published"] = [f"{error:.4f}"] * len(budgets)
     return pd.DataFrame.from_dict(rows, orient="index", columns=[f"{budget:g} s" for budget in budgets])
@@ -113,12 +113,15 @@ def markdown(groups: Sequence[Judged]) -> str:
 
 def as_markdown(cells: pd.DataFrame) -> str:
     """A table of text as Markdown: its index at the left, all else at the right."""
-    return cells.to_markdown(colalign=("left", *["right"] * len(cells.columns)), disable_numparse=True)
+    rows = [["", *cells.columns], ["---", *["---:"] * len(cells.columns)],
+            *([name, *row] for name, row in zip(cells.index, cells.itertuples(index=False)))]
+    return "\n".join(f"| {' | '.join(map(str, row))} |" for row in rows)
 
 
-def _cell(found: pd.Series, best: float) -> str:
+def _cell(found: pd.Series, best: float, seeds: int) -> str:
     spread = f" ({found['low']:.4f}–{found['high']:.4f})" if found["seeds"] > 1 else ""
-    text = f"{found['median']:.4f}{spread}{' †' if found['ended'] else ''}"
+    fewer = f" ({found['seeds']} of {seeds} seeds)" if found["seeds"] < seeds else ""
+    text = f"{found['median']:.4f}{spread}{fewer}{' †' if found['ended'] else ''}"
     return f"**{text}**" if found["median"] == best else text
 
 
