@@ -30,13 +30,12 @@ CONTENTS = {
                   "Tutorial </docs/tutorial>"],
         "How to": ["/docs/install", "/docs/capture", "/docs/relight", "/docs/export", "/docs/batch",
                    "/docs/testing"],
-        "How good it is": ["/docs/limits", "/docs/faq", "/docs/evaluation", "/docs/results/README"],
+        "How good it is": ["/docs/limits", "/docs/faq", "/docs/evaluation",
+                           "/docs/results/benchmark", "/docs/results/stability", "/docs/results/*"],
         "How it works": ["/docs/method", "/ARCHITECTURE"],
         "Reference": ["/docs/commands", "/docs/python", "/docs/formats", "/docs/conventions"],
         "Project": ["All at a glance </README>", "/CONTRIBUTING", "/CHANGELOG", "/SECURITY"],
     },
-    "docs/results/README": {"": ["/docs/benchmark", "/docs/stability", "/docs/stability-fits", "/docs/leave-out",
-                                 "/docs/batch-planning", "/docs/results/finish-256/finish", "/docs/results/*"]},
 }
 
 project, author, copyright = "mitsvbrdf", "the mitsvbrdf developers", "the mitsvbrdf developers"

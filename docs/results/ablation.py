@@ -1,8 +1,8 @@
 """What each ingredient of the default method is worth, and what plausible detail adds.
 
-``python docs/results/ablation.py`` makes ablation.md and ablation.svg from ablation.json; with ``measure`` behind it
-the fits without each ingredient are measured first (hours; MITSVBRDF_DATA names the photos; a run that stopped
-continues).
+``python docs/results/ablation.py`` makes ablation.md and ablation.svg from ablation.json; with ``measure``
+behind it the fits without each ingredient are measured first (hours; MITSVBRDF_DATA names the photos; a run
+that stopped continues).
 """
 
 import json
@@ -24,14 +24,14 @@ PATCHES, RMSE = 0.8, 1.1  # of the maps' errors: the bar of detail
 # An ingredient that is off -> the settings of HierarchicalConfig that take it away.
 VARIANTS = {
     "one basis material": {"materials": 1},
-    "own numbers integrated out": {"marginalise": True},
+    "own numbers integrated out": {"integrated": True},
     "no neighbours as starts": {"neighbours": False},
     "sharing not enforced": {"spread": 10.0},
     "relief 5 times as deep": {"relief": 0.1},
     "detail believed alike in all photos": {"noise": 0.03},
-    "no freedom at full size": {"detail_spread": 0.0},
-    "all pixels alike at 64 px": {"highlight_reach": 0.0},
-    "burn-in not taken out": {"remove_burn_in": False},
+    "no freedom at full size": {"own": 0.0},
+    "all pixels alike at 64 px": {"tails": 0.0},
+    "burn-in not taken out": {"independent": False},
     "no flash offset": {"flash_offset": False},
     "views as calibrated": {"calibrate": False},
 }
@@ -39,7 +39,8 @@ VARIANTS = {
 
 def pairs(records: list, error: str) -> pd.DataFrame:
     """Error less that of the full method, of each material or capture: a column for each variant."""
-    rows = pd.DataFrame([{"method": r["method"], "name": r["name"], "error": r["errors"].get(error)} for r in records])
+    rows = pd.DataFrame([{"method": r["method"], "name": r["name"], "error": r["errors"].get(error)}
+                         for r in records])
     found = rows.dropna().pivot(index="name", columns="method", values="error")
     found = found[list(dict.fromkeys(r["method"] for r in records))]
     return found.drop(columns="full").sub(found["full"], axis=0)
@@ -53,7 +54,8 @@ def table(records: list) -> pd.DataFrame:
         means = summary(here, error)["median"].droplevel("budget")
         quarters = pairs(here, error).quantile([0.5, 0.25, 0.75])
         columns[title] = {m: f"{mean:.4f}" if m == "full" else f"{mean:.4f}, {quarters[m][0.5]:+.4f} "
-                          f"({quarters[m][0.25]:+.4f} to {quarters[m][0.75]:+.4f})" for m, mean in means.items()}
+                          f"({quarters[m][0.25]:+.4f} to {quarters[m][0.75]:+.4f})" for m,
+                          mean in means.items()}
     return pd.DataFrame(columns)
 
 
@@ -66,10 +68,12 @@ def detail(rows: list) -> pd.DataFrame:
         met = ratios["patches"] <= PATCHES and ratios["rmse"] <= RMSE
         at = "" if row["detail_at"] == 128 else f", {row['detail_at']} px"
         found[row["name"] + at] = [
-            f"{row['highlights']:.0%}", f"{maps['patches']:.4f} → {look['patches']:.4f} ({ratios['patches']:.2f})",
+            f"{row['highlights']:.0%}",
+            f"{maps['patches']:.4f} → {look['patches']:.4f} ({ratios['patches']:.2f})",
             f"{maps['rmse']:.4f} → {look['rmse']:.4f} ({ratios['rmse']:.2f})",
             f"{maps['flip']:.3f} → {look['flip']:.3f}", "met" if met else "missed"]
-    return pd.DataFrame.from_dict(found, orient="index", columns=["highlights", "patches", "RMSE", "FLIP", "bar"])
+    return pd.DataFrame.from_dict(found, orient="index",
+                                  columns=["highlights", "patches", "RMSE", "FLIP", "bar"])
 
 
 def page(record: dict) -> str:
@@ -80,9 +84,10 @@ def page(record: dict) -> str:
 
 {as_markdown(table(record["records"]))}
 
-RMSE at 128 px with a budget of 60 s, seed 0: mean of 6 known materials and of 18 captures without photos 4 and 7. \
-Behind it: median difference to `full` over materials or captures, quartiles in brackets; above 0 the ingredient helps. \
-Known materials need the neighbours' answers as starts; all else counts only where photos do not follow the model.
+RMSE at 128 px with a budget of 60 s, seed 0: mean of 6 known materials and of 18 captures without photos 4 \
+and 7. Behind it: median difference to `full` over materials or captures, quartiles in brackets; above 0 \
+the ingredient helps. Known materials need the neighbours' answers as starts; all else counts only where \
+photos do not follow the model.
 
 ![Difference on held-out photos](ablation.svg)
 
@@ -90,9 +95,10 @@ Known materials need the neighbours' answers as starts; all else counts only whe
 
 {as_markdown(added)}
 
-Held-out photos 4 and 7: of the maps → with detail. *Patches* is the sliced Wasserstein distance of 7 x 7 patches inside \
-highlights, *highlights* their share. {(added["bar"][small] == "met").sum()} of {len(small)} captures at 128 px meet the \
-bar (patches at most {PATCHES} and RMSE at most {RMSE} times those of the maps), so detail stays optional.
+Held-out photos 4 and 7: of the maps → with detail. *Patches* is the sliced Wasserstein distance of 7 x 7 \
+patches inside highlights, *highlights* their share. {(added["bar"][small] == "met").sum()} of {len(small)} \
+captures at 128 px meet the bar (patches at most {PATCHES} and RMSE at most {RMSE} times those of the \
+maps), so detail stays optional.
 """
 
 

@@ -1,7 +1,8 @@
 """A batch against a loop of the shell, what one material costs, and a batch in which everything dies.
 
-``python docs/results/batch.py`` makes batch.md and batch.svg from batch.json; with ``measure`` behind it the ways to fit
-the captures of MITSVBRDF_DATA are timed first (an hour). Costs and deaths stay as they were measured.
+``python docs/results/batch.py`` makes batch.md and batch.svg from batch.json; with ``measure`` behind it
+the ways to fit the captures of MITSVBRDF_DATA are timed first (an hour). Costs and deaths stay as they were
+measured.
 """
 
 import json
@@ -35,7 +36,8 @@ def ways(rows: list) -> pd.DataFrame:
                                                   peak=("peak_bytes", "max"), error=("error", "mean"))
     cells = {way: [f"{3600 * row['captures'] / row['seconds']:.0f}",
                    f"{ratios.loc[way].median():.2f} ({', '.join(f'{x:.2f}' for x in ratios.loc[way])})",
-                   f"{row['peak'] / 1024 / MIB:.2f}", f"{row['error']:.4f}"] for way, row in totals.iterrows()}
+                   f"{row['peak'] / 1024 / MIB:.2f}", f"{row['error']:.4f}"] for way,
+                   row in totals.iterrows()}
     return pd.DataFrame.from_dict(cells, orient="index", columns=[
         "captures an hour", "of the loop's (each group)", "peak memory, GiB", "mean RMSE"])
 
@@ -53,7 +55,8 @@ def deaths(chaos: dict) -> pd.DataFrame:
     """What is counted of the library."""
     runs = {"disturbed": chaos["disturbed"], "undisturbed": chaos["undisturbed"]}
     rows = {name: [f"{run[name]:,}" for run in runs.values()] for name in COUNTED}
-    rows["attempts"] = [", ".join(f"{count:,} {state}" for state, count in run["attempts"].items()) for run in runs.values()]
+    rows["attempts"] = [", ".join(f"{count:,} {state}" for state, count in run["attempts"].items())
+                        for run in runs.values()]
     return pd.DataFrame.from_dict(rows, orient="index", columns=list(runs))
 
 
@@ -61,8 +64,8 @@ def page(record: dict) -> str:
     """The text of batch.md."""
     chaos, laws = record["chaos"], record["costs"]["law"]
     killed = chaos["disturbed"]["killed"]
-    law = "; ".join(f"pages {name}: {each['base']:.2f} s + {1e6 * each['slope']:.2f} us x photos x side^2 (largest error "
-                    f"{each['worst']:.0%})" for name, each in laws.items())
+    law = "; ".join(f"pages {name}: {each['base']:.2f} s + {1e6 * each['slope']:.2f} us x photos x side^2 "
+                    f"(largest error {each['worst']:.0%})" for name, each in laws.items())
     return f"""# Batches
 
 ## Against a loop of the shell
@@ -70,8 +73,8 @@ def page(record: dict) -> str:
 {as_markdown(ways(record["ways"]["rows"]))}
 
 The default fit of {sum(r["captures"] for r in record["ways"]["rows"] if r["way"] == LOOP)} captures at \
-{record["ways"]["resolution"]} px on two hardware threads, pages and start-up included. Groups of captures were fitted in \
-each way in turn.
+{record["ways"]["resolution"]} px on two hardware threads, pages and start-up included. Groups of captures \
+were fitted in each way in turn.
 
 ![Captures an hour](batch.svg)
 
@@ -79,17 +82,18 @@ each way in turn.
 
 {as_markdown(costs(record["costs"]["rows"]))}
 
-Default fits as a worker does them: one thread, warm, other work beside them. CPU seconds follow {law}. The first fit of a \
-new worker takes {record["costs"]["cold"]["cpu_seconds"] - record["costs"]["warm"]["cpu_seconds"]:.1f} CPU seconds more.
+Default fits as a worker does them: one thread, warm, other work beside them. CPU seconds follow {law}. The \
+first fit of a new worker takes \
+{record["costs"]["cold"]["cpu_seconds"] - record["costs"]["warm"]["cpu_seconds"]:.1f} CPU seconds more.
 
 ## A batch in which everything dies
 
 {as_markdown(deaths(chaos))}
 
-{chaos["captures"]:,} made captures of {chaos["side"]} px, two workers. {killed["worker"]} workers, {killed["head"]} times \
-Ray's head and {killed["command"]} times the command were killed with SIGKILL; the command was typed again each time. \
-{len(chaos["undisturbed"]["different maps"])} of {chaos["undisturbed"]["maps"]:,} maps differ from those of the undisturbed \
-library.
+{chaos["captures"]:,} made captures of {chaos["side"]} px, two workers. {killed["worker"]} workers, \
+{killed["head"]} times Ray's head and {killed["command"]} times the command were killed with SIGKILL; the \
+command was typed again each time. {len(chaos["undisturbed"]["different maps"])} of \
+{chaos["undisturbed"]["maps"]:,} maps differ from those of the undisturbed library.
 """
 
 
@@ -100,7 +104,8 @@ def figure(record: dict) -> Figure:
     names = list(WAYS)
     for r in record["ways"]["rows"]:
         axes.plot(r["per_hour"], names.index(r["way"]), "o", color="C0")
-    axes.set(yticks=range(len(names)), yticklabels=names, xlabel="captures an hour, each group of captures", xlim=(0, None))
+    axes.set(yticks=range(len(names)), yticklabels=names, xlabel="captures an hour, each group of captures",
+             xlim=(0, None))
     return drawing
 
 
@@ -108,15 +113,18 @@ def timed(way: str, captures: list, resolution: int) -> dict:
     """Fit captures in one way."""
     ours = [sys.executable, "-m", "mitsvbrdf"]
     with tempfile.TemporaryDirectory() as folder:
-        commands = [[*ours, "fit", c, "-o", f"{folder}/{n}", "--resolution", str(resolution)] for n, c in enumerate(captures)]
+        commands = [[*ours, "fit", c, "-o", f"{folder}/{n}", "--resolution", str(resolution)] for n,
+                    c in enumerate(captures)]
         if WAYS[way]:
-            commands = [[*ours, "batch", *captures, "-o", f"{folder}/library", "--resolution", str(resolution), *WAYS[way]]]
+            commands = [[*ours, "batch", *captures, "-o", f"{folder}/library", "--resolution",
+                         str(resolution), *WAYS[way]]]
         began = time.monotonic()
         for command in commands:
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         seconds = time.monotonic() - began
         errors = [json.loads(path.read_text())["rerender_rmse"] for path in Path(folder).rglob("fit.json")]
-    return {"way": way, "captures": len(captures), "seconds": round(seconds, 1), "per_hour": 3600 * len(captures) / seconds,
+    return {"way": way, "captures": len(captures), "seconds": round(seconds, 1),
+            "per_hour": 3600 * len(captures) / seconds,
             "peak_bytes": 0, "error": sum(errors) / len(errors)}  # memory is measured from outside
 
 

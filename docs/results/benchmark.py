@@ -1,7 +1,8 @@
 """Error against run time, of methods and renderers.
 
-``python docs/results/benchmark.py`` makes benchmark.md and benchmark.svg from benchmark.json; with ``measure``
-behind it the fits are measured first (hours; MITSVBRDF_DATA names the photos; a run that stopped continues).
+``python docs/results/benchmark.py`` makes benchmark.md and benchmark.svg from benchmark.json; with
+``measure`` behind it the fits are measured first (hours; MITSVBRDF_DATA names the photos; a run that
+stopped continues).
 """
 
 import json
@@ -22,7 +23,8 @@ def groups(record: dict, machine: str) -> list:
     """What is judged, held-out photos of captures first."""
     mine = [r for r in record["records"] if r["machine"] == machine]
     found = list(judged(mine, record["published"]))
-    return sorted(found, key=lambda g: (g.records[0]["kind"] == "material", g.records[0].get("held_out") != [7, 8]))
+    return sorted(found, key=lambda g: (g.records[0]["kind"] == "material",
+                                        g.records[0].get("held_out") != [7, 8]))
 
 
 def each_capture(group) -> pd.DataFrame:
@@ -30,7 +32,8 @@ def each_capture(group) -> pd.DataFrame:
     budget = max(r["budget"] for r in group.records)
     rows = pd.DataFrame([{"": r["name"], "who": f"`{r['method']}`", "error": r["errors"].get(group.error)}
                          for r in group.records if r["budget"] == budget]
-                        + [{"": r["name"], "who": f"{r['method']}, published", "error": r["errors"].get(group.error)}
+                        + [{"": r["name"], "who": f"{r['method']}, published",
+                            "error": r["errors"].get(group.error)}
                            for r in group.published])
     order = list(dict.fromkeys(rows.dropna()["who"]))
     found = rows.groupby(["", "who"])["error"].median().unstack()[order]
@@ -41,7 +44,8 @@ def maps_of(records: list) -> pd.DataFrame:
     """RMSE of each map at the longest budget, mean over materials of the median over seeds."""
     names = ["diffuse", "specular", "roughness", "normal", "mean", "novel_light"]
     budget = max(r["budget"] for r in records)
-    found = {f"`{m}`": [f"{summary([r for r in records if r['method'] == m], name).loc[(m, budget)]['median']:.4f}"
+    figures = {name: summary(records, name)["median"] for name in names}
+    found = {f"`{m}`": [f"{figures[name][m, budget]:.4f}"
                         for name in names] for m in dict.fromkeys(r["method"] for r in records)}
     return pd.DataFrame.from_dict(found, orient="index", columns=[*names[:-1], "new light"])
 
@@ -59,7 +63,8 @@ def renderers(cases: list) -> pd.DataFrame:
     rows = {}
     for case in cases:
         if case["truth"] == "texels" and case["views"] == 9:
-            rows[f"{case['bsdf']}, {case['resolution']} px"] = {f"`{r['renderer']}`": f"{r['both']['median']:.3g} s; {r['image']:.1e} / {r['gradient']:.1e}"
+            rows[f"{case['bsdf']}, {case['resolution']} px"] = {
+                f"`{r['renderer']}`": f"{r['both']['median']:.3g} s; {r['image']:.1e} / {r['gradient']:.1e}"
                           for r in case["rows"]}
     return pd.DataFrame.from_dict(rows, orient="index").fillna("no memory")
 
@@ -77,18 +82,19 @@ def page(record: dict) -> str:
     amd, intel = groups(record, "AMD EPYC"), groups(record, "Intel Xeon")
     maps = next(g for g in amd if g.error == "mean")
     both = [r for r in maps.records if r["name"] in WITH_PUBLISHED]
-    with_published = next(judged(both, record["published"]))._replace(title="RMSE of maps: mean of fake-022 and fake-030")
+    title = "RMSE of maps: mean of fake-022 and fake-030"
+    with_published = next(judged(both, record["published"]))._replace(title=title)
     return f"""# Error against run time
 
-Fits at 256 px through `mitsuba` on two cores. `hierarchical` is the default method; `peers-baseline` is the optimiser \
-that the peers publish beside their methods. Held-out photos are in no fit.
+Fits at 256 px through `mitsuba` on two cores. `hierarchical` is the default method; `peers-baseline` is \
+the optimiser that the peers publish beside their methods. Held-out photos are in no fit.
 
 ![Error against seconds](benchmark.svg)
 
 {markdown(amd[:4])}
-`hierarchical` is lower on held-out photos 7 and 8 than Gao 2019 on 8 of 8 captures and than MaterialGAN on 7 of 8 \
-(not on leather-blue). MaterialGAN, which saw all nine photos, is no measure of held-out photos. On photos seen \
-MaterialGAN is lower on cards-blue and wood-knotty (7, 8), and on five captures (4, 7).
+`hierarchical` is lower on held-out photos 7 and 8 than Gao 2019 on 8 of 8 captures and than MaterialGAN on \
+7 of 8 (not on leather-blue). MaterialGAN, which saw all nine photos, is no measure of held-out photos. On \
+photos seen MaterialGAN is lower on cards-blue and wood-knotty (7, 8), and on five captures (4, 7).
 
 ## Each capture after 100 s, held-out photos 7 and 8
 
@@ -100,8 +106,8 @@ MaterialGAN is lower on cards-blue and wood-knotty (7, 8), and on five captures 
 
 {as_markdown(maps_of(maps.records))}
 
-Published errors are on the publishers' own photos. `hierarchical` is higher than MaterialGAN in one map: diffuse of \
-fake-022 (0.0272 against 0.0031).
+Published errors are on the publishers' own photos. `hierarchical` is higher than MaterialGAN in one map: \
+diffuse of fake-022 (0.0272 against 0.0031).
 
 ## Seconds on the wall / of the loop, captures without photos 7 and 8
 
@@ -116,17 +122,18 @@ The process is warm. The first guess comes before the loop, the uncertainty of t
 
 {as_markdown(starts(record["start"]))}
 
-Seconds of `mitsvbrdf fit` of wood-bamboo at 256 px with a budget of 10 s, Intel Xeon, median of three processes. \
-*Imports* are Python and torch; *preparation* is Mitsuba, photos and the first guess.
+Seconds of `mitsvbrdf fit` of wood-bamboo at 256 px with a budget of 10 s, Intel Xeon, median of three \
+processes. *Imports* are Python and torch; *preparation* is Mitsuba, photos and the first guess.
 
 ## Renderers
 
-Seconds forward and backward; mean relative error of the image / relative L2 of the worst gradient, against float64.
+Seconds forward and backward; mean relative error of the image / relative L2 of the worst gradient, against \
+float64.
 
 {as_markdown(renderers(record["renderers"]))}
 
-Made inlaid wood, nine views, flash 0.1 patch sides beside the lens, texels of roughness 0.1 and more; Intel Xeon, all renderers in \
-turn. `mitsuba` draws texel centres and is the fastest at every size.
+Made inlaid wood, nine views, flash 0.1 patch sides beside the lens, texels of roughness 0.1 and more; \
+Intel Xeon, all renderers in turn. `mitsuba` draws texel centres and is the fastest at every size.
 """
 
 

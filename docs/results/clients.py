@@ -1,7 +1,7 @@
 """Exports in other people's programs.
 
-``python docs/results/clients.py`` makes clients.md and clients.svg from clients.json. The exports are drawn and
-compared by ``python -m clients.table`` in ``tests``, which needs Blender, Chromium and three.js.
+``python docs/results/clients.py`` makes clients.md and clients.svg from clients.json. The exports are drawn
+and compared by ``python -m clients.table`` in ``tests``, which needs Blender, Chromium and three.js.
 """
 
 import json
@@ -15,7 +15,8 @@ from mitsvbrdf.bench.table import as_markdown
 
 HERE = Path(__file__).parent
 LIGHTS = ("at the camera", "beside it", "oblique")
-LIMITS = {"three.js, USD": "doubles normals (takes the texture's scale for normalScale) and reads no texture of the index",
+LIMITS = {"three.js, USD": "doubles normals (takes the texture's scale for normalScale) and reads no texture "
+                           "of the index",
           "Blender, USD": "reads no coloured F0",
           "Blender, maps": "has no F0 above 0.08 and no coloured one (Specular IOR Level ends at 1)"}
 
@@ -46,9 +47,10 @@ def page(record: dict) -> str:
 
 {as_markdown(table(record, rmse))}
 
-Blender 4.5 (Cycles), three.js r187 and model-viewer 4.4 in headless Chromium, Mitsuba 3.9, each through its own importer at \
-256 px, one point light, against the analytic renderer. `gilt plates` and `inlay` are made (metals, coloured dielectrics, F0 \
-below 0.04); the others are fits of captures. Three clients cannot show all of a material:
+Blender 4.5 (Cycles), three.js r187 and model-viewer 4.4 in headless Chromium, Mitsuba 3.9, each through \
+its own importer at 256 px, one point light, against the analytic renderer. `gilt plates` and `inlay` are \
+made (metals, coloured dielectrics, F0 below 0.04); the others are fits of captures. Three clients cannot \
+show all of a material:
 
 {limits}
 
@@ -71,7 +73,8 @@ def figure(record: dict) -> Figure:
     drawing = Figure(figsize=(7, 3), layout="constrained")
     axes = drawing.subplots()
     for name, clients in record["materials"].items():
-        axes.plot([found["rmse"][0] for found in clients.values()], list(clients), "o", markersize=4, label=name)
+        axes.plot([found["rmse"][0] for found in clients.values()], list(clients), "o", markersize=4,
+                  label=name)
     axes.set(xlabel="RMSE, light at the camera")
     axes.invert_yaxis()
     axes.legend(fontsize=7)

@@ -1,7 +1,7 @@
 """How often the truth lies within the uncertainty that a fit states.
 
-``python docs/results/coverage.py`` makes coverage.md and coverage.svg from coverage.json; with ``measure`` behind it
-the 24 fits are measured first (half an hour).
+``python docs/results/coverage.py`` makes coverage.md and coverage.svg from coverage.json; with ``measure``
+behind it the 24 fits are measured first (half an hour).
 """
 
 import json
@@ -31,10 +31,13 @@ def page(record: dict) -> str:
     """The text of coverage.md."""
     found = rows(record)
     order = list(found["map"].unique())
-    means = found.groupby("map")[["rmse", "median_sd", "within_68", "within_95", "determined", "right"]].mean().loc[order]
-    cells = pd.DataFrame({name: means[name].map("{:.4f}".format if name in ("rmse", "median_sd") else "{:.0%}".format)
+    means = found.groupby("map")[["rmse", "median_sd", "within_68", "within_95", "determined",
+                                  "right"]].mean().loc[order]
+    cells = pd.DataFrame({name: means[name].map("{:.4f}".format if name in ("rmse", "median_sd")
+                                                else "{:.0%}".format)
                           for name in means})
-    cells["ranks"] = [" ".join(f"{100 * x:.0f}" for x in torch.tensor(list(found[found["map"] == name]["ranks"])).mean(0))
+    cells["ranks"] = [" ".join(f"{100 * x:.0f}"
+                               for x in torch.tensor(list(found[found["map"] == name]["ranks"])).mean(0))
                       for name in order]
     cells.columns = ["RMSE", "median deviation", "within 68 %", "within 95 %", "determined", "right", "ranks"]
     each = found.groupby(["material", "noise", "map"], sort=False)["within_68"].mean().unstack("map")[order]
@@ -44,11 +47,12 @@ def page(record: dict) -> str:
 
 {as_markdown(cells)}
 
-{len(record["fits"])} fits of the default method to made materials, {record["resolution"]} px, nine 8-bit photos, sensor \
-noise of 0.003 and 0.01 (linear); *within*: share of the truths at most 1 and 1.96 stated deviations from what was found. \
-*Determined*: texels of a stated deviation below {DETERMINED}; *right*: those of them off by less than {1.96 * DETERMINED:.3g}. \
-*Ranks*: where the truth lies in the stated normal distribution, in ten equal bins, per cent (10 each would be true); \
-specular and roughness are stated too unsure.
+{len(record["fits"])} fits of the default method to made materials, {record["resolution"]} px, nine 8-bit \
+photos, sensor noise of 0.003 and 0.01 (linear); *within*: share of the truths at most 1 and 1.96 stated \
+deviations from what was found. *Determined*: texels of a stated deviation below {DETERMINED}; *right*: \
+those of them off by less than {1.96 * DETERMINED:.3g}. *Ranks*: where the truth lies in the stated normal \
+distribution, in ten equal bins, per cent (10 each would be true); specular and roughness are stated too \
+unsure.
 
 ## Within 68 %, by material and noise
 
@@ -84,7 +88,8 @@ def counted(error: torch.Tensor, deviation: torch.Tensor) -> dict:
     ranks = torch.histc(0.5 * (1 + torch.erf(ratio / 2**0.5)), bins=10, min=0, max=1) / ratio.numel()
     sure = deviation.square().mean(-1).sqrt() < DETERMINED
     off = error.square().mean(-1).sqrt()[sure]
-    return {"within_68": float((ratio.abs() <= 1).float().mean()), "within_95": float((ratio.abs() <= 1.96).float().mean()),
+    return {"within_68": float((ratio.abs() <= 1).float().mean()),
+            "within_95": float((ratio.abs() <= 1.96).float().mean()),
             "ranks": ranks.tolist(), "rmse": float(error.square().mean().sqrt()),
             "median_sd": float(deviation.median()), "determined": float(sure.float().mean()),
             "right": float((off < 1.96 * DETERMINED).float().mean()) if len(off) else None}

@@ -1,8 +1,9 @@
 """`gan`, the paper's method and what lies between it and ours.
 
-``python docs/results/gan.py`` makes gan.md and gan.svg from gan.json; with ``measure`` behind it the fits with and
-without the adversarial loss, the ingredients and the captures are measured first (a day; MITSVBRDF_DATA names the
-data; a run that stopped continues). The paper's schedule, gradients and pictures stay as they were measured.
+``python docs/results/gan.py`` makes gan.md and gan.svg from gan.json; with ``measure`` behind it the fits
+with and without the adversarial loss, the ingredients and the captures are measured first (a day;
+MITSVBRDF_DATA names the data; a run that stopped continues). The paper's schedule, gradients and pictures
+stay as they were measured.
 """
 
 import json
@@ -28,8 +29,10 @@ VARIANTS = {
     "the paper's guess": {"guess": "min"}, "no start at the guess": {"start": False},
     "two-stream generator": {"generator": "two-stream"}, "bce": {"game": "bce"}, "hinge": {"game": "hinge"},
     "no level": {"level": False}, "no angles": {"angles": False}, "not paired": {"paired": False},
-    "no feature matching": {"features": 0.0}, "no clipping": {"clipping": False}, "no growing": {"grow": False},
-    "one picture a step": {"pictures": 1}, "no head start": {"head_start": 0.0}, "no smoothness": {"smooth": 0.0},
+    "no feature matching": {"features": 0.0}, "no clipping": {"clipping": False},
+    "no growing": {"grow": False},
+    "one picture a step": {"pictures": 1}, "no head start": {"head_start": 0.0},
+    "no smoothness": {"smooth": 0.0},
     "no falling step sizes": {"decay": False}, "with average": {"average": 0.99},
     "one specular level": {"grey_specular": True}, "no flash offset": {"flash_offset": False},
 }
@@ -49,7 +52,8 @@ def means(records: list) -> list[str]:
 def known(record: dict) -> pd.DataFrame:
     """Errors of the maps, mean of six known materials."""
     start = [r["errors"]["the start"] for r in record["references"] if r["measured"] == NOW]
-    rows = {"the start: guess, one lobe, flat": [f"{sum(e[name] for e in start) / len(start):.4f}" for name in MAPS]}
+    rows = {"the start: guess, one lobe, flat": [f"{sum(e[name] for e in start) / len(start):.4f}"
+                                                 for name in MAPS]}
     for title, measured, method in (
             ("`gan`, 40 s", NOW, "full"), ("without the adversarial loss", NOW, WITHOUT),
             ("before feature matching", BEFORE, "full"), ("`hierarchical`", BEFORE, "hierarchical"),
@@ -78,8 +82,10 @@ def published(record: dict) -> pd.DataFrame:
     for r in record["references"]:
         if r["measured"] == BEFORE and r["name"].startswith("fake"):
             for who in (who for who in r["errors"] if not who.startswith(("guess", "the start"))):
-                rows[f"{r['name']}: {who}, published maps"] = [f"{r['errors'][who][name]:.4f}" for name in MAPS[:5]]
-            for title, measured, method in (("`gan`, 40 s", NOW, "full"), ("`hierarchical`", BEFORE, "hierarchical")):
+                rows[f"{r['name']}: {who}, published maps"] = [f"{r['errors'][who][name]:.4f}"
+                                                               for name in MAPS[:5]]
+            for title, measured, method in (("`gan`, 40 s", NOW, "full"),
+                                            ("`hierarchical`", BEFORE, "hierarchical")):
                 here = [x for x in of(record, measured, method=method) if x["name"] == r["name"]]
                 rows[f"{r['name']}: {title}"] = means(here)[:5]
     return pd.DataFrame.from_dict(rows, orient="index", columns=HEADS[:5])
@@ -120,7 +126,8 @@ def gradients(record: dict) -> pd.DataFrame:
     """Error of the gradient of the weights: median (largest)."""
     cells: dict[str, dict[str, str]] = {}
     for r in record["generator_gradients"]:
-        cells.setdefault(r["through"], {})[f"`{r['method']}`, {r['bsdf']}"] = f"{r['median']:.1e} ({r['largest']:.1e})"
+        cells.setdefault(r["through"],
+                         {})[f"`{r['method']}`, {r['bsdf']}"] = f"{r['median']:.1e} ({r['largest']:.1e})"
     return pd.DataFrame(cells)
 
 
@@ -135,9 +142,9 @@ def page(record: dict) -> str:
 
 {as_markdown(known(record))}
 
-RMSE of maps encoded to 0 to 1, mean of six materials, median of three seeds (`gan` at 300 s: one), 128 px where nothing \
-else is said. The adversarial loss is worth more than all else; specular is what it makes worse. Feature matching took the \
-mean after 30 s from {matched[0]:.4f} to {matched[1]:.4f} (two seeds).
+RMSE of maps encoded to 0 to 1, mean of six materials, median of three seeds (`gan` at 300 s: one), 128 px \
+where nothing else is said. The adversarial loss is worth more than all else; specular is what it makes \
+worse. Feature matching took the mean after 30 s from {matched[0]:.4f} to {matched[1]:.4f} (two seeds).
 
 {as_markdown(game(record))}
 
@@ -157,9 +164,9 @@ Median of 18 captures; photos 4 and 7 are held out.
 
 {as_markdown(printed(record))}
 
-The paper's sets 4 and 5 are not published: its rows stand for their order of size. `gan-two-stage` ran the paper's 25,000 \
-iterations at 64 px and width 16, and reaches that order. The photos of {bamboo["name"]} (32 px) are met to \
-{bamboo["errors"]["seen"]:.4f}, those held out to {bamboo["errors"]["held_out"]:.4f}.
+The paper's sets 4 and 5 are not published: its rows stand for their order of size. `gan-two-stage` ran the \
+paper's 25,000 iterations at 64 px and width 16, and reaches that order. The photos of {bamboo["name"]} (32 \
+px) are met to {bamboo["errors"]["seen"]:.4f}, those held out to {bamboo["errors"]["held_out"]:.4f}.
 
 ## Each ingredient
 
@@ -171,12 +178,13 @@ Mean of metal-plating and fake-022, 128 px, 30 s, one seed; `full` had no featur
 
 {as_markdown(gradients(record))}
 
-Relative L2 against the float64 twin, median (largest) over five states, `inlay` at 64 px. The last two columns are the \
-twin with one thing wrong.
+Relative L2 against the float64 twin, median (largest) over five states, `inlay` at 64 px. The last two \
+columns are the twin with one thing wrong.
 
 ## Pictures
 
-From left to right: input photo, diffuse, specular, roughness, normal, guessed diffuse, the photo's view, lit from the side.
+From left to right: input photo, diffuse, specular, roughness, normal, guessed diffuse, the photo's view, \
+lit from the side.
 
 ![Maps and renderings of inlay](gan-inlay.jpg)
 
@@ -207,7 +215,8 @@ def measure(record: dict) -> dict:
     materials = sorted({r["name"] for r in of(record, NOW)})
     found = []
     for measured, methods, names, shots, side, budget, seeds in (
-            (NOW, {name: variants[name] for name in ("full", WITHOUT)}, materials, ["none"], 128, 40, [0, 1, 2]),
+            (NOW, {name: variants[name] for name in ("full", WITHOUT)}, materials, ["none"], 128, 40,
+             [0, 1, 2]),
             ("ingredients", variants, ["metal-plating", "fake-022"], ["none"], 128, 30, [0]),
             ("256 px, 300 s", {"gan": full}, materials, None, 256, 300, [0]),
             (BEFORE, {"hierarchical": HierarchicalConfig()}, materials, None, 128, 40, [0])):

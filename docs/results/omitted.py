@@ -1,8 +1,8 @@
 """What a render or a fit does not need, and what omitting it saves.
 
-``python docs/results/omitted.py`` makes omitted.md and omitted.svg from omitted.json; with ``measure`` behind it the
-pairs of fits that settings make are timed first (half an hour; MITSVBRDF_DATA names cards-blue). Parts that no setting
-takes away, and renders, stay as they were measured.
+``python docs/results/omitted.py`` makes omitted.md and omitted.svg from omitted.json; with ``measure``
+behind it the pairs of fits that settings make are timed first (half an hour; MITSVBRDF_DATA names
+cards-blue). Parts that no setting takes away, and renders, stay as they were measured.
 """
 
 import json
@@ -26,7 +26,7 @@ SAVES, COSTS = 1.05, 1.02  # ratios from which seconds count as saved, and error
 
 # A part of a fit -> method, settings that take it away, scenes.
 SETTINGS = {
-    "rival starts": ("hierarchical", {"multi_start": False}, ("inlay",)),
+    "rival starts": ("hierarchical", {"rivals": False}, ("inlay",)),
     "view refinement": ("hierarchical", {"calibrate": False}, ("cards-blue",)),
     "flash offset": ("hierarchical", {"flash_offset": False}, ("cards-blue",)),
     "other starts of texels": ("hierarchical", {"neighbours": False}, ("inlay", "cards-blue")),
@@ -43,14 +43,15 @@ def renders(records: list) -> pd.DataFrame:
     for r in records:
         full, lean = (r["seconds"][side]["median"] for side in ("full", "lean"))
         if full / lean >= SAVES:
-            rows[f"{r['name']} ({r['where']})"] = [r["why"], f"{r['worst']:.2g}", f"{1e3 * full:.3g}", f"{1e3 * lean:.3g}",
+            rows[f"{r['name']} ({r['where']})"] = [r["why"], f"{r['worst']:.2g}", f"{1e3 * full:.3g}",
+                                                   f"{1e3 * lean:.3g}",
                                                    f"{full / lean:.2f}"]
     return pd.DataFrame.from_dict(rows, orient="index", columns=[
         "when", "largest difference", "with, ms", "without, ms", "ratio"])
 
 
 def fits(records: list) -> pd.DataFrame:
-    """Seconds with over without, errors without over with, and the verdict, of each part and kind of photos."""
+    """Seconds with over without, errors without over with, and verdict, of each part and kind of photos."""
     rows = {}
     first = {part: n for n, part in enumerate(dict.fromkeys((r["of"], r["part"]) for r in records))}
     for r in sorted(records, key=lambda r: (r["of"] != "hierarchical", first[r["of"], r["part"]])):
@@ -58,14 +59,16 @@ def fits(records: list) -> pd.DataFrame:
         low, ratio, high = statistics.quantiles(pairs, n=4, method="inclusive")
         errors = {shown: max(r["errors"]["without"][name], FLOOR) / max(r["errors"]["with"][name], FLOOR)
                   for name, shown in SHOWN.items() if name in r["errors"]["with"]
-                  and (r["kind"], shown) != ("exact, matte", "maps")}  # roughness of a black lobe shows nowhere
+                  and (r["kind"], shown) != ("exact, matte",
+                                             "maps")}  # roughness of a black lobe shows nowhere
         worst = max((errors[name] for name in UNSEEN if name in errors), default=1.0)
         verdict = "needed" if worst > COSTS else "not needed" if ratio >= SAVES else "no time saved"
         itself = " (by itself)" if r["put_in"] else ""
         rows[f"{r['part']}, `{r['of']}`: {r['kind']}{itself}"] = [
             f"{ratio:.2f} ({low:.2f} to {high:.2f})",
             *(f"{errors[name]:.3f}" if name in errors else "–" for name in (*UNSEEN, "seen")), verdict]
-    return pd.DataFrame.from_dict(rows, orient="index", columns=["seconds, with / without", *UNSEEN, "seen", "verdict"])
+    return pd.DataFrame.from_dict(rows, orient="index",
+                                  columns=["seconds, with / without", *UNSEEN, "seen", "verdict"])
 
 
 def suite(record: dict, name: str) -> list:
@@ -81,9 +84,10 @@ def page(record: dict) -> str:
 
 {as_markdown(fits(suite(record, "leave-out")))}
 
-Fits at 64 px, three turns of each pair; errors are without the part over with it. *By itself*: the program omits the part \
-for such photos; `fit --explain` lists what it omits. *Needed*: an error of maps, under new light or of held-out photos \
-grows by more than {COSTS - 1:.0%}; *not needed*: none does and at least {SAVES - 1:.0%} of the seconds are saved.
+Fits at 64 px, three turns of each pair; errors are without the part over with it. *By itself*: the program \
+omits the part for such photos; `fit --explain` lists what it omits. *Needed*: an error of maps, under new \
+light or of held-out photos grows by more than {COSTS - 1:.0%}; *not needed*: none does and at least \
+{SAVES - 1:.0%} of the seconds are saved.
 
 ![Seconds against errors](omitted.svg)
 
@@ -92,7 +96,8 @@ grows by more than {COSTS - 1:.0%}; *not needed*: none does and at least {SAVES 
 {as_markdown(renders(suite(record, "leave-out-renders")))}
 
 Nine co-located views of 256 px, forward and backward, median of nine turns. Differences are at most \
-float32's rounding. The JSON has {len(suite(record, "leave-out-renders"))} items; those that save less than 5 % are not shown.
+float32's rounding. The JSON has {len(suite(record, "leave-out-renders"))} items; those that save less than \
+5 % are not shown.
 """
 
 
@@ -103,10 +108,12 @@ def figure(record: dict) -> Figure:
     found = fits(suite(record, "leave-out"))
     for verdict, rows in found.groupby("verdict", sort=False):
         cost = rows[list(UNSEEN)].apply(pd.to_numeric, errors="coerce").max(axis=1)
-        axes.plot(rows["seconds, with / without"].str.split().str[0].astype(float), cost, "o", markersize=4, label=verdict)
+        axes.plot(rows["seconds, with / without"].str.split().str[0].astype(float), cost, "o", markersize=4,
+                  label=verdict)
     axes.axhline(COSTS, color="0.6", linewidth=1)
     axes.axvline(SAVES, color="0.6", linewidth=1)
-    axes.set(xscale="log", yscale="log", xlabel="seconds with / without", ylabel="largest error without / with")
+    axes.set(xscale="log", yscale="log", xlabel="seconds with / without",
+             ylabel="largest error without / with")
     axes.legend(fontsize=8)
     return drawing
 
@@ -118,12 +125,14 @@ def measure(record: dict) -> dict:
     from mitsvbrdf.bench.tasks import data_folder, find_tasks
 
     renderer, table = make_renderer("mitsuba"), method_table()
-    tasks = {task.name: task for task in find_tasks(["inlay"], ["cards-blue"], data_folder(), 64, (4, 7), "builtin:grid",
+    tasks = {task.name: task for task in find_tasks(["inlay"], ["cards-blue"], data_folder(), 64, (4, 7),
+                                                    "builtin:grid",
                                                     renderer)}
     found = []
     for part, (method, changes, scenes) in SETTINGS.items():
         limits = {"budget": 3600.0} if method == "hierarchical" else {"iterations": 150}
-        configs = {"with": replace(table[method], **limits), "without": replace(table[method], **limits, **changes)}
+        configs = {"with": replace(table[method], **limits),
+                   "without": replace(table[method], **limits, **changes)}
         for scene in scenes:
             task, seconds, errors = tasks[scene], {"with": [], "without": []}, {}
             for turn in range(4):  # the first compiles kernels
@@ -139,7 +148,8 @@ def measure(record: dict) -> dict:
                           "errors": errors, "says": [part]})
             print(part, scene, flush=True)
     measured = {(r["part"], r["of"], r["name"]) for r in found}
-    others = [r for r in record["records"] if (r.get("part"), r.get("of"), r["name"]) not in measured or r.get("put_in")]
+    others = [r for r in record["records"] if (r.get("part"), r.get("of"), r["name"]) not in measured
+              or r.get("put_in")]
     return {**record, "records": [*others, *found]}
 
 

@@ -1,8 +1,8 @@
 """Fits that are asked too much: whether each is to be trusted, and where it is not, whether it says so.
 
-``python docs/results/stability-fits.py`` makes stability-fits.md and stability-fits.svg from stability-fits.json; with
-``measure`` behind it the cases are fitted first (an hour and a half). What the photos allow (``condition``,
-``attainable``, ``start``) stays as it was measured.
+``python docs/results/stability-fits.py`` makes stability-fits.md and stability-fits.svg from
+stability-fits.json; with ``measure`` behind it the cases are fitted first (an hour and a half). What the
+photos allow (``condition``, ``attainable``, ``start``) stays as it was measured.
 """
 
 import json
@@ -22,12 +22,14 @@ from mitsvbrdf.bench.table import as_markdown
 
 HERE = Path(__file__).parent
 MAPS = ("diffuse", "specular", "roughness", "normal")
-SOUND, COVERED, SIDE = 0.1, 0.5, 64  # RMSE of a sound map; share of an error that a stated deviation must reach
+SOUND, SIDE = 0.1, 64  # RMSE of a sound map; pixels
+COVERED = 0.5  # share of an error that a stated deviation must reach
 
 # What is wrong with the input -> words of a warning of it.
 FAULTS = {
     "clipped photos": ("pixels are clipped",),
-    "light power": ("stronger than stated", "weaker than stated", "light power or distances", "check views, light"),
+    "light power": ("stronger than stated", "weaker than stated", "light power or distances",
+                    "check views, light"),
     "camera positions": ("view may be off", "check views", "distances may be off"),
     "one photo": ("one photo",), "identical photos": ("all alike", "the same picture"),
     "photos of one colour": ("of one colour",),
@@ -76,7 +78,8 @@ def verdict(record: dict) -> str:
 def words_of(fault: str, name: str) -> tuple[str, ...]:
     """Words of a warning; of a wrong power those of its direction."""
     if fault == "light power":
-        return tuple(words for words in FAULTS[fault] if words != f"{'weaker' if 'weak' in name else 'stronger'} than stated")
+        return tuple(words for words in FAULTS[fault]
+                     if words != f"{'weaker' if 'weak' in name else 'stronger'} than stated")
     return FAULTS[fault]
 
 
@@ -100,11 +103,14 @@ def cases(record: dict) -> pd.DataFrame:
                 groups.setdefault(label(r), []).append(r)
         for method, group in groups.items():
             counts = Counter(map(verdict, group))
-            words = ", ".join(word if len(counts) == 1 else f"{word} ({n} of {len(group)})" for word, n in counts.items())
-            error = f"{median(r['errors']['mean'] for r in group):.3f}" if "mean" in group[0]["errors"] else "–"
+            words = ", ".join(word if len(counts) == 1 else f"{word} ({n} of {len(group)})" for word,
+                              n in counts.items())
+            errors = [r["errors"]["mean"] for r in group if "mean" in r["errors"]]
+            error = f"{median(errors):.3f}" if errors else "–"
             cells.setdefault(method, {})[name] = f"{error} {words}"
     given = {r["name"]: f"{r['attainable']['mean']:.3f}" for r in record["records"] if r["attainable"]}
-    return pd.DataFrame({"attainable": {name: given.get(name, "–") for name in CASES}, **cells}).loc[list(CASES)].fillna("–")
+    return pd.DataFrame({"attainable": {name: given.get(name, "–") for name in CASES},
+                         **cells}).loc[list(CASES)].fillna("–")
 
 
 def series(record: dict) -> pd.DataFrame:
@@ -112,8 +118,8 @@ def series(record: dict) -> pd.DataFrame:
     rows = [r for r in record["records"] if r["kind"] == "series"]
     cells: dict[str, dict[str, str]] = {"condition": {}, "attainable": {}}
     for r in rows:
-        median_, rank = r["condition"]["median"], f"rank {r['condition']['rank']} of 9"
-        cells["condition"][r["name"]] = rank if median_ is None else f"{median_:.2e}" if median_ >= 1000 else f"{median_:.3g}"
+        middle, rank = r["condition"]["median"], f"rank {r['condition']['rank']} of 9"
+        cells["condition"][r["name"]] = rank if middle is None else f"{middle:.{'2e' if middle >= 1000 else '3g'}}"
         cells["attainable"][r["name"]] = f"{r['attainable']['mean']:.3f}"
         cells.setdefault(label(r), {})[r["name"]] = f"{r['errors']['mean']:.3f} {verdict(r)}"
     return pd.DataFrame(cells).fillna("–")
@@ -122,26 +128,28 @@ def series(record: dict) -> pd.DataFrame:
 def page(record: dict) -> str:
     """The text of stability-fits.md."""
     counts = Counter(map(verdict, record["records"]))
-    words = ", ".join(f"{counts[word]} {word}" for word in ("sound", "says so", "says part", "silent", "failed"))
+    words = ", ".join(f"{counts[word]} {word}"
+                      for word in ("sound", "says so", "says part", "silent", "failed"))
     undone = sum(r["undone"] for r in record["records"])
     return f"""# Numerical stability of the fits
 
 {as_markdown(cases(record))}
 
-RMSE of the maps and verdict, {SIDE} px, 20 s, median of three seeds (`direct` has none). In all {len(record["records"])} \
-fits: {words}; {undone} steps were taken back. *Attainable*: standard deviation of an estimate of each texel by itself, with \
-the right views and light.
+RMSE of the maps and verdict, {SIDE} px, 20 s, median of three seeds (`direct` has none). In all \
+{len(record["records"])} fits: {words}; {undone} steps were taken back. *Attainable*: standard deviation of \
+an estimate of each texel by itself, with the right views and light.
 
 | verdict | when |
 | --- | --- |
 | sound | every map is off by at most {SOUND} RMSE |
-| says so | a map is off by more; the fit warns of all that is wrong with its input, or the deviations it states reach half \
-of the error |
+| says so | a map is off by more; the fit warns of all that is wrong with its input, or the deviations it \
+states reach half of the error |
 | says part | it warns of one thing that is wrong, and not of another |
 | silent | no warning is of what is wrong, and the stated deviations are too small |
 | failed | an error, a figure that is not finite, or photos met no better than by the start |
 
-No method notices cameras that are off by 5 %, and under deep relief no method notices light that is stated too weak.
+No method notices cameras that are off by 5 %, and under deep relief no method notices light that is stated \
+too weak.
 
 ## From harmless to extreme
 
@@ -149,8 +157,8 @@ No method notices cameras that are off by 5 %, and under deep relief no method n
 
 ![Error of the maps against condition](stability-fits.svg)
 
-Photos of inlaid wood, one thing changed at a time. *Condition*: largest by smallest singular value of a texel's Jacobian, \
-median; a rank below 9 is an infinite condition.
+Photos of inlaid wood, one thing changed at a time. *Condition*: largest by smallest singular value of a \
+texel's Jacobian, median; a rank below 9 is an infinite condition.
 """
 
 
@@ -175,10 +183,12 @@ def scene(material: str, metal: float = 0.0, black: bool = False, relief: float 
     from mitsvbrdf.bench.tasks import find_tasks
 
     camera = make_renderer("analytic")
-    shots = find_tasks(["inlay"], ["none"], None, SIDE, (), "builtin:grid", camera)[0].photos.pick(range(photos))
+    shots = find_tasks(["inlay"], ["none"], None, SIDE, (), "builtin:grid",
+                       camera)[0].photos.pick(range(photos))
     made = make_material(material, SIDE)
     maps = dict(made.maps)
-    maps["normal"] = torch.nn.functional.normalize(made["normal"] * torch.tensor([relief, relief, 1.0]), dim=-1)
+    maps["normal"] = torch.nn.functional.normalize(made["normal"] * torch.tensor([relief, relief, 1.0]),
+                                                   dim=-1)
     if metal or black:
         maps["diffuse"] = torch.zeros_like(maps["diffuse"])
     if metal:
@@ -190,9 +200,11 @@ def scene(material: str, metal: float = 0.0, black: bool = False, relief: float 
         views = replace(views, intensity=views.intensity / float(bright))
     draw = torch.Generator().manual_seed(0)
     seen = camera.render(truth, views)
-    seen = (255 * (seen + noise * torch.randn(seen.shape, generator=draw)).clamp(0, 1) ** (1 / 2.2)).round() / 255
+    seen = (255 * (seen + noise * torch.randn(seen.shape,
+                                              generator=draw)).clamp(0, 1) ** (1 / 2.2)).round() / 255
     seen = seen[:1].expand_as(seen).contiguous() if same else torch.full_like(seen, 0.5) if grey else seen
-    away = torch.nn.functional.normalize(torch.randn(views.camera.shape, generator=draw, dtype=torch.float64), dim=1)
+    away = torch.nn.functional.normalize(torch.randn(views.camera.shape, generator=draw, dtype=torch.float64),
+                                         dim=1)
     where = views.camera + off * views.camera.norm(dim=1, keepdim=True) * away
     told = replace(views, camera=where, light=where.clone(), intensity=views.intensity * light)
     return truth, replace(shots, photos=seen, views=told)
@@ -220,7 +232,8 @@ def measure(record: dict) -> dict:
             found.append({**old, "seconds": last["seconds"], "wall": time.perf_counter() - began, "why": None,
                           "iterations": last["iteration"], "stopped": result.stopped, "stated": stated,
                           "warnings": list(result.warnings), "undone": result.undone_steps,
-                          "errors": {**errors, "photos": result.rerender_rmse, "photos_start": start["rerender_rmse"]}})
+                          "errors": {**errors, "photos": result.rerender_rmse,
+                                     "photos_start": start["rerender_rmse"]}})
             print(old["method"], old["name"], old["seed"], flush=True)
     return {**record, "records": [*found, *(r for r in record["records"] if r["kind"] == "series")]}
 
@@ -229,7 +242,8 @@ def rmse(svbrdf, truth) -> dict[str, float]:
     """RMSE of each map in display values, and their mean."""
     found = {}
     for name in MAPS:
-        pair = [m[name].clamp_min(0) ** (1 / 2.2) if name in ("diffuse", "specular") else m[name] for m in (svbrdf, truth)]
+        pair = [m[name].clamp_min(0) ** (1 / 2.2) if name in ("diffuse", "specular") else m[name]
+                for m in (svbrdf, truth)]
         found[name] = float((pair[0] - pair[1]).square().mean().sqrt()) / (2 if name == "normal" else 1)
     return found | {"mean": sum(found.values()) / len(found)}
 

@@ -1,7 +1,7 @@
 """Renderers at the ends of every range.
 
-``python docs/results/stability.py`` makes stability.md and stability.svg from stability.json; with ``measure`` behind
-it `mitsvbrdf stability` is run first (two minutes).
+``python docs/results/stability.py`` makes stability.md and stability.svg from stability.json; with
+``measure`` behind it `mitsvbrdf stability` is run first (two minutes).
 """
 
 import json
@@ -25,13 +25,15 @@ VERDICTS = {
     "refused": "invalid: one error message that says what was expected",
 }
 CLAMPS = {
-    "alpha >= 0.0001": "`roughconductor`: without an end float32 overflows at roughness 1e-10. Below roughness 0.01 the image "
-                       "stays as it is there, and the gradient of roughness is 0.",
-    "alpha >= 0.001": "`principled`: the plugin's own end. Below roughness 0.0316 only the diffuse lobe answers to roughness.",
-    "index for F0 in [1e-06, 0.999]": "Away from the camera F follows a refractive index, infinite at F0 = 1. Beyond these "
-                                      "ends F is proportional to F0, and keeps a slope.",
+    "alpha >= 0.0001": "`roughconductor`: without an end float32 overflows at roughness 1e-10. Below "
+                       "roughness 0.01 the image stays as it is there, and the gradient of roughness is 0.",
+    "alpha >= 0.001": "`principled`: the plugin's own end. Below roughness 0.0316 only the diffuse lobe "
+                      "answers to roughness.",
+    "index for F0 in [1e-06, 0.999]": "Away from the camera F follows a refractive index, infinite at F0 = 1. "
+                                      "Beyond these ends F is proportional to F0, and keeps a slope.",
     "toe of gamma 2.2": "The power curve is vertical at 0. Below 2e-06 it is its chord.",
-    "burnt-out photos": "A photo value from 0.995 on says at least this bright: gradient 0 where the rendering is brighter.",
+    "burnt-out photos": "A photo value from 0.995 on says at least this bright: gradient 0 where the "
+                        "rendering is brighter.",
 }
 
 
@@ -58,7 +60,9 @@ def condition(row: dict) -> str:
     found = row["condition"]
     if found is None:
         return "–"
-    return f"rank {found['rank']} of {found['unknowns']}" if found["median"] is None else number(found["median"])
+    if found["median"] is None:
+        return f"rank {found['rank']} of {found['unknowns']}"
+    return number(found["median"])
 
 
 def overview(record: dict) -> pd.DataFrame:
@@ -84,7 +88,8 @@ def rows_of(record: dict, verdicts: tuple) -> pd.DataFrame:
             cells[f"{row['sweep']}: {row['label']}"] = [
                 condition(row), pair(row["limit"]),
                 *(f"{found['verdict']}, {pair(found['errors'])}" for found in row["renderers"].values())]
-    return pd.DataFrame.from_dict(cells, orient="index", columns=["condition", "one rounding", *record["renderers"]])
+    return pd.DataFrame.from_dict(cells, orient="index",
+                                  columns=["condition", "one rounding", *record["renderers"]])
 
 
 def refused(record: dict) -> pd.DataFrame:
@@ -96,19 +101,19 @@ def refused(record: dict) -> pd.DataFrame:
 
 def listed(meanings: dict, head: str) -> str:
     """A table of words and meanings."""
-    return as_markdown(pd.DataFrame.from_dict(meanings, orient="index", columns=[head])).replace("---:", "---")
+    return as_markdown(pd.DataFrame.from_dict(meanings, orient="index", columns=[head])).replace("---:",
+                                                                                                 "---")
 
 
 def page(record: dict) -> str:
     """The text of stability.md."""
-    digits = max(value for row in record["rows"] for value in (row["fifty_digits"] or {}).values() if value is not None)
     return f"""# Numerical stability of the renderers
 
 {as_markdown(overview(record))}
 
-`mitsvbrdf stability` makes these figures (two minutes): verdicts, then the largest error of an image / of the worst map's \
-gradient, relative L2 against the float64 twin. The twin agrees with the same model in fifty digits to {number(digits)}. No \
-value that is not finite came out of a public function, and no verdict is worse than expected.
+`mitsvbrdf stability` makes these figures (two minutes): verdicts, then the largest error of an image / of \
+the worst map's gradient, relative L2 against the float64 twin. Tests hold the twin to the \
+same model in fifty digits. No verdict is worse than expected.
 
 {listed(VERDICTS, "when")}
 
@@ -118,9 +123,9 @@ value that is not finite came out of a public function, and no verdict is worse 
 
 {as_markdown(rows_of(record, ("degraded", "limited")))}
 
-*One rounding*: what turning every normal by 2^-24 rad changes in float64. *Condition*: largest by smallest singular value \
-of a texel's Jacobian, median. *Limited* rows are Mitsuba's own: it forms G / (4 n.v) from its parts, adds both directions \
-in float32, and measures the distance to the light from a rounded hit.
+*One rounding*: what turning every normal by 2^-24 rad changes in float64. *Condition*: largest by smallest \
+singular value of a texel's Jacobian, median. *Limited* rows are Mitsuba's own: it forms G / (4 n.v) from \
+its parts, adds both directions in float32, and measures the distance to the light from a rounded hit.
 
 ## Clamps
 
@@ -135,12 +140,16 @@ in float32, and measures the distance to the light from a rounded hit.
 def figure(record: dict) -> Figure:
     """Errors of image and worst gradient along roughness, with what one rounding makes."""
     drawing = Figure(figsize=(9, 3.4), layout="constrained")
-    for panel, title, part in zip(drawing.subplots(1, 2, sharex=True), ("image", "gradient of the worst map"), (0, 1)):
-        rows = [row for row in record["rows"] if row["sweep"] == "roughness" and row["limit"] and row["value"]]
+    for panel, title, part in zip(drawing.subplots(1, 2, sharex=True), ("image", "gradient of the worst map"),
+                                  (0, 1)):
+        rows = [row for row in record["rows"] if row["sweep"] == "roughness" and row["limit"]
+                and row["value"]]
         for name in record["renderers"]:
-            panel.plot([row["value"] for row in rows], [worst(row["renderers"][name]["errors"])[part] for row in rows],
+            panel.plot([row["value"] for row in rows],
+                       [worst(row["renderers"][name]["errors"])[part] for row in rows],
                        "o", markersize=4, label=name)
-        panel.plot([row["value"] for row in rows], [worst(row["limit"])[part] for row in rows], "_", color="0.5",
+        panel.plot([row["value"] for row in rows], [worst(row["limit"])[part] for row in rows], "_",
+                   color="0.5",
                    markersize=10, label="one rounding of the normals")
         panel.axhline(record["tolerances"]["gradient" if part else "image"], color="0.6", linewidth=1)
         panel.set(xscale="log", yscale="log", xlabel="roughness", title=f"Relative L2 error of the {title}")
@@ -151,7 +160,8 @@ def figure(record: dict) -> Figure:
 if __name__ == "__main__":
     file = HERE / "stability.json"
     if sys.argv[1:] == ["measure"]:
-        subprocess.run([sys.executable, "-m", "mitsvbrdf", "stability", "--json", str(file), "--overwrite"], check=True)
+        subprocess.run([sys.executable, "-m", "mitsvbrdf", "stability", "--json", str(file), "--overwrite"],
+                       check=True)
     content = json.loads(file.read_text())
     (HERE / "stability.md").write_text(page(content))
     (HERE / "stability.svg").write_bytes(svg(figure(content)))

@@ -13,9 +13,7 @@ if TYPE_CHECKING:
 
 
 def plot(groups: Sequence[Judged]) -> Figure:
-    """A panel for each group: median error against the median seconds of the loop, quartiles shaded, both axes
-    logarithmic.
-    """
+    """A panel for each group: median error against median seconds of the loop, quartiles shaded."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(4.6 * len(groups), 3.6), layout="constrained")
@@ -23,7 +21,8 @@ def plot(groups: Sequence[Judged]) -> Figure:
         found = summary(group.records, group.error)
         for method, points in found.groupby(level="method", sort=False):
             line, = axes.plot(points["seconds"], points["median"], marker="o", markersize=4, label=method)
-            axes.fill_between(points["seconds"], points["low"], points["high"], color=line.get_color(), alpha=0.2)
+            axes.fill_between(points["seconds"], points["low"], points["high"], color=line.get_color(),
+                              alpha=0.2)
         for number, (who, error) in enumerate(published_means(group).items()):
             axes.axhline(error, color="0.4", linewidth=1, linestyle=("--", ":", "-.")[number % 3],
                          label=f"{who}, published")

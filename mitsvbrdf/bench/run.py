@@ -196,11 +196,13 @@ def settings_of(config: FitConfig) -> dict[str, Any]:
 def version() -> str:
     """The version of mitsvbrdf; where it runs from its repository, with the commit, ``-dirty`` if changed."""
     def git(*words: str) -> str:
-        done = subprocess.run(["git", "-C", str(Path(__file__).parent), *words], capture_output=True, text=True)
+        done = subprocess.run(["git", "-C", str(Path(__file__).parent), *words], capture_output=True,
+                              text=True)
         return done.stdout.strip() if done.returncode == 0 else ""
 
     try:
-        commit = git("ls-files", Path(__file__).name) and git("describe", "--always", "--dirty", "--exclude=*")
+        commit = git("ls-files", Path(__file__).name) and git("describe", "--always", "--dirty",
+                                                              "--exclude=*")
     except OSError:  # no git here
         commit = ""
     return f"{__version__}+{commit}" if commit else __version__

@@ -37,7 +37,8 @@ def judged(records: Iterable[Mapping[str, Any]],
         without = f" without photos {' and '.join(map(str, held_out))}" if held_out else ""
         for error, what in ERRORS[kind].items():
             if any(error in record["errors"] for record in group):
-                yield Judged(f"RMSE of {what}: mean of {len(names)} {KINDS[kind]}{without}", error, group, theirs)
+                yield Judged(f"RMSE of {what}: mean of {len(names)} {KINDS[kind]}{without}", error, group,
+                             theirs)
 
 
 def summary(records: Iterable[Mapping[str, Any]], error: str) -> pd.DataFrame:
@@ -92,7 +93,8 @@ def table(group: Judged) -> pd.DataFrame:
     for method in dict.fromkeys(record["method"] for record in group.records):
         rows[f"`{method}`"] = [
             _cell(found.loc[method, budget], best[budget], found.loc[method]["seeds"].max())
-            if (method, budget) in found.index else _absent(group.records, method, budget) for budget in budgets]
+            if (method, budget) in found.index else _absent(group.records, method, budget)
+            for budget in budgets]
     for who, error in theirs.items():
         rows[f"{who}, published"] = [f"{error:.4f}"] * len(budgets)
     return pd.DataFrame.from_dict(rows, orient="index", columns=[f"{budget:g} s" for budget in budgets])
@@ -103,7 +105,8 @@ def markdown(groups: Sequence[Judged]) -> str:
     parts = []
     for group in groups:
         found = summary(group.records, group.error)
-        seeds, ended = found["seeds"].max(), found[found["ended"]].groupby("method", sort=False)["seconds"].min()
+        seeds, ended = found["seeds"].max(), found[found["ended"]].groupby("method",
+                                                                           sort=False)["seconds"].min()
         ends = "; ".join(f"`{method}` after {seconds:.3g} s" for method, seconds in ended.items())
         note = f"Median of {seeds} seeds (quartiles)." if seeds > 1 else "One seed."
         note += f" † ended by itself: {ends}." if ends else ""

@@ -28,20 +28,24 @@ Names = Annotated[str | None, arg(metavar="NAME,...")]
 def bench(
     methods: Annotated[Names, arg(help="Methods, of presets too: gan-two-stage. Default: the methods of "
                                        "`mitsvbrdf fit`.")] = None,
-    materials: Annotated[Names, arg(help="Known materials: builtin:NAME, folders, or names in the data; none: "
+    materials: Annotated[Names,
+                         arg(help="Known materials: builtin:NAME, folders, or names in the data; none: "
                                          "without. Default: all made ones and all in the data.")] = None,
-    captures: Annotated[Names, arg(help="Real captures: folders or names in the data; none: without. Default: "
+    captures: Annotated[Names,
+                        arg(help="Real captures: folders or names in the data; none: without. Default: "
                                         "all.")] = None,
     budgets: Annotated[str, arg(metavar="SECONDS,...", help="Time budgets of the fits.")] = "10,30,100",
     seeds: Annotated[str, arg(metavar="NUMBER,...", help="Seeds of the fits.")] = "0,1,2",
     resolution: Annotated[int, arg(help="Side of maps and photos in pixels.")] = 256,
-    views: Annotated[str | None, arg(help="Views of the photos of known materials: a capture, or builtin:grid. "
+    views: Annotated[str | None,
+                     arg(help="Views of the photos of known materials: a capture, or builtin:grid. "
                                           "Default: cards-blue of the data, else builtin:grid.")] = None,
     held_out: Annotated[str, arg(metavar="NUMBER,...", help="Photos of real captures that no fit sees; their "
                                                             "error is measured.")] = "4,7",
     data: Annotated[Path | None, arg(help="Folder with captures/, materials/ and peers.json. Default: "
                                           "MITSVBRDF_DATA.")] = None,
-    json_file: Annotated[Path, arg(name="json", help="File of the records, one JSON object a line. A file that "
+    json_file: Annotated[Path, arg(name="json",
+                                   help="File of the records, one JSON object a line. A file that "
                                                      "is there is continued.")] = Path("out/bench.jsonl"),
     page: Annotated[Path | None, arg(help="Write the tables to this Markdown file, their picture beside it "
                                           "as SVG.")] = None,
@@ -77,11 +81,13 @@ def bench(
         raise ConfigError(f"methods of {', '.join(every)}", ", ".join(unknown) or "none", "check --methods")
     folder, engine = data_folder(data), make_renderer(renderer, variant)
     todo = find_tasks(None if materials is None else _split(materials),
-                      None if captures is None else _split(captures), folder, resolution, unseen, views, engine)
+                      None if captures is None else _split(captures), folder, resolution, unseen, views,
+                      engine)
     theirs = published(folder / "peers.json", todo) if folder else []
     try:
         with progress_bar("measuring") as report:
-            records = run({name: every[name] for name in names}, todo, times, draws, engine, json_file, report)
+            records = run({name: every[name] for name in names}, todo, times, draws, engine, json_file,
+                          report)
     except KeyboardInterrupt:
         say(f"interrupted: {json_file} has every fit that ended; the same command continues")
         return 130

@@ -7,7 +7,7 @@ exact); elsewhere the unpolarised Fresnel reflectance of the refractive index th
 which is what Mitsuba's ``roughconductor`` computes (the paper's Schlick curve is not among its options).
 
 Each formula is written so that nothing cancels, overflows or divides by zero on valid input, in float32 and
-in its derivatives; docs/stability.md lists what each form mended and by how much.
+in its derivatives; docs/results/lab-notes.md lists what each form mended and by how much.
 """
 
 from __future__ import annotations

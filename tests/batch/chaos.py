@@ -3,8 +3,8 @@
     python tests/batch/chaos.py FOLDER --captures 10000 --side 16 --worker-every 20 --heads 2 --commands 3
 
 makes captures in FOLDER/captures, fits them into FOLDER/library while it kills, and counts. With ``--quiet``
-it fits them again deferred_signals into FOLDER/quiet, holds every map against it, and with ``--results
-docs/results`` writes batch-chaos.json and .md. A slow test runs the same with few captures.
+it fits them again undisturbed into FOLDER/quiet, holds every map against it, and with ``--results
+docs/results`` puts the figures into batch.json. A slow test runs the same with few captures.
 """
 
 from __future__ import annotations
@@ -182,50 +182,15 @@ def different_maps(one: Path, other: Path) -> list[str]:
             or path.read_bytes() != twin.read_bytes()]
 
 
-def page(noisy: dict, quiet: dict, captures: int, side: int) -> str:
-    """What was killed and what was counted, as Markdown."""
-    killed = {what: noisy["killed"].get(what, 0) for what in ("worker", "head", "command")}
-    lines = [
-        "# A batch in which everything dies", "", "Written by `python tests/batch/chaos.py` from "
-                                                  "`batch-chaos.json`: "
-        f"{captures:,} made captures of {side} px, `{' '.join(QUICKEST)}`, two workers.", "",
-        f"Killed with SIGKILL: {killed['worker']} workers (the actor or its child), {killed['head']} times "
-        "Ray's head, "
-        f"{killed['command']} times the command itself, which was then typed again. It took "
-        f"{noisy['seconds'] / 60:.0f} "
-        "minutes, other work beside it.", "", "| counted | disturbed | deferred_signals |", "|---|---:|---:|"]
-    for name in ("folders", "identities", "twice", "torn", "same attempt", "published", "published twice",
-                 "done twice"):
-        lines.append(f"| {name} | {noisy[name]:,} | {quiet[name]:,} |")
-    attempts = ({state: run["attempts"].get(state, 0) for state in ("done", "crashed", "lost")}
-                for run in (noisy, quiet))
-    rows = [", ".join(f"{count:,} {state}" for state, count in each.items()) for each in attempts]
-    return "\n".join([
-        *lines, f"| attempts | {' | '.join(rows)} |", "",
-        "*Folders* and *identities* are counted from the files, *torn* by their hashes; *same attempt*: "
-        "files and manifest "
-        "name the same one; *published* is counted from the manifest, *done twice* from its attempts.", "",
-        f"Maps that differ from those of the deferred_signals library by a byte: {len(quiet['different maps'])} "
-        "of "
-        f"{quiet['maps']:,}.", "", "Memory after a tenth, a half and nine tenths of each run of the "
-                                   "command, MB: "
-        f"{_memory(noisy, 3)}; of the gateway: {_memory(noisy, 4)}.", ""])
-
-
-def _memory(found: dict, column: int) -> str:
-    runs = [[row[column] for row in found["memory"] if row[1] == run] for run in range(1, found["runs"] + 1)]
-    return "; ".join(", ".join(f"{run[int(len(run) * share)] / 1e6:.0f}" for share in (0.1, 0.5, 0.9))
-                     for run in runs)
-
-
 def write_results(folder: Path, out: Path, captures: int, side: int) -> None:
-    """The figures of both runs, memory thinned to some two hundred moments, and their page."""
+    """Put the figures of both runs into ``batch.json``, memory thinned to some two hundred moments;
+    ``python docs/results/batch.py`` makes the page.
+    """
     noisy, quiet = (json.loads((folder / f"{name}.json").read_text()) for name in ("library", "quiet"))
-    (out / "batch-chaos.md").write_text(page(noisy, quiet, captures, side))
     noisy["memory"], quiet["memory"] = noisy["memory"][::max(1, len(noisy["memory"]) // 200)], []
-    (out / "batch-chaos.json").write_text(json.dumps({"schema_version": 1, "captures": captures, "side": side,
-                                                      "disturbed": noisy, "deferred_signals": quiet}, indent=1)
-                                          + "\n")
+    file = out / "batch.json"
+    chaos = {"captures": captures, "side": side, "disturbed": noisy, "undisturbed": quiet}
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"chaos": chaos}))
 
 
 def main() -> None:

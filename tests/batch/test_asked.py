@@ -19,7 +19,7 @@ from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import DirectConfig, GanConfig, HierarchicalConfig
 from mitsvbrdf.fit.options import FitOptions
 
-COSTS = json.loads((Path(__file__).parents[2] / "docs/results/batch-costs.json").read_text())
+COSTS = json.loads((Path(__file__).parents[2] / "docs/results/batch.json").read_text())["costs"]
 USUAL = Asked(Entry("/shots/wood"), HierarchicalConfig(), FitOptions(), True, ())
 
 

@@ -47,7 +47,8 @@ def test_ctrl_c_ends_with_130_and_keeps_records(out, monkeypatch, capsys):
 
 @pytest.mark.parametrize("extra, words", [
     (["--methods", "magic"], "hybrid"), (["--methods", ","], "none"), (["--budgets", "10,none"], "--budgets"),
-    (["--budgets", "0"], "--budgets"), (["--seeds", "-1"], "--seeds"), (["--seeds", "99999999999"], "--seeds"),
+    (["--budgets", "0"], "--budgets"), (["--seeds", "-1"], "--seeds"),
+    (["--seeds", "99999999999"], "--seeds"),
     (["--resolution", "4"], "--resolution"), (["--materials", "builtin:gold"], "made material"),
     (["--materials", "nowhere"], "nowhere"), (["--captures", "nowhere"], "nowhere"),
     (["--data", "nowhere"], "nowhere"), (["--views", "nowhere"], "nowhere"),

@@ -46,7 +46,8 @@ def test_a_run_that_was_stopped_anywhere_continues_with_the_same_records(task, t
     assert path.read_bytes().startswith(first) and read_records(path) == records
     # `direct` is the same from every seed; methods take turns
     assert [(r["seed"], r["budget"], r["method"]) for r in records] == [
-        (s, b, m) for s, names in ((0, ("direct", "hybrid")), (1, ("hybrid",))) for b in (0.1, 0.2) for m in names]
+        (s, b, m) for s, names in ((0, ("direct", "hybrid")), (1, ("hybrid",))) for b in (0.1, 0.2)
+        for m in names]
     before = path.read_bytes()
     assert measured(task, path) == records and path.read_bytes() == before
     assert len({identity(r) for r in records}) == 6
@@ -87,7 +88,8 @@ def test_a_fit_that_ended_by_itself_is_not_done_again_with_a_longer_budget(task,
 
 
 def test_a_fit_that_cannot_be_done_is_a_result_that_says_why(task, tmp_path):
-    (record,) = measured(task, tmp_path / "b.jsonl", {"direct": DirectConfig(fix=("metallic=0",))}, [0.1], [0])
+    (record,) = measured(task, tmp_path / "b.jsonl", {"direct": DirectConfig(fix=("metallic=0",))}, [0.1],
+                         [0])
     assert record["stopped"] == "failed" and record["errors"] == {} and "metallic" in record["why"]
 
 

@@ -51,7 +51,8 @@ def test_the_best_is_bold_and_what_is_missing_says_so():
 
 
 def test_published_numbers_stand_beside_only_where_all_tasks_have_one():
-    rows = [{"method": who, "kind": "capture", "name": f"t{t}", "held_out": [7, 8], "errors": {"held_out": 0.1 * (t + 1)}}
+    rows = [{"method": who, "kind": "capture", "name": f"t{t}", "held_out": [7, 8],
+             "errors": {"held_out": 0.1 * (t + 1)}}
             for who, count in (("Gao 2019", 4), ("few", 3)) for t in range(count)]
     rows += [{**row, "method": "others", "held_out": [4, 7]} for row in rows]
     group = next(judged(records(), rows))

@@ -85,7 +85,8 @@ def test_published_numbers_stand_beside_what_saw_the_same_photos(data, tmp_path,
     found = {(row["method"], tuple(row.get("held_out", ()))): row["errors"] for row in published(path, tasks)}
     assert found["Gao 2019", (7, 8)] == {"held_out": 0.2} and ("Gao 2019", (4, 7)) not in found
     assert found["MaterialGAN, which saw them", (7, 8)]["held_out"] == pytest.approx(0.125**0.5)
-    assert found["MaterialGAN", (7, 8)]["seen"] == pytest.approx((sum(e * e for e in per_view[:7]) / 7) ** 0.5)
+    assert found["MaterialGAN", (7, 8)]["seen"] == pytest.approx((sum(e * e
+                                                                      for e in per_view[:7]) / 7) ** 0.5)
     assert found["MaterialGAN", ()] == maps | {"mean": 0.25} and len(published(path, tasks)) == 6
     assert published(path, [real_capture(data / "captures/wood", 8, (7, 8))]) == []  # another size
     path.write_text('{"materials": {}, "captures": {"wood": {}}}')

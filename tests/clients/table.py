@@ -1,24 +1,22 @@
-"""``python -m clients.table``: the table and the pictures of docs/results/clients.md, from exports in real
-programs.
+"""``python -m clients.table``: clients.json and the pictures of docs/results, from exports in real programs.
 
-Run in ``tests``; folders of fits are further materials beside the made ones.
+Run in ``tests``; folders of fits are further materials beside the made ones. ``python docs/results/clients.py`` makes
+the page.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import platform
 import tempfile
 from pathlib import Path
 
 import torch
-from clients.programs import CLIENTS, LIMITS, compared, exported, truth
+from clients.programs import CLIENTS, compared, exported, truth
 from helpers.exported import gilt_plates
 from PIL import Image
 
 from mitsvbrdf.color import to_display
-from mitsvbrdf.export.residual import LIGHTS
 from mitsvbrdf.io import files
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import load_maps
@@ -54,52 +52,17 @@ def images_of(picture: torch.Tensor) -> torch.Tensor:
                                            mode="area")[0].movedim(0, -1)
 
 
-def page(record: dict) -> str:
-    """The record as Markdown."""
-    lines = ["# Exports in other people's programs", "", record["about"], ""]
-    lines += ["## RMSE", "", "Display values (sRGB), by light: " + " / ".join(LIGHTS) + ".", ""]
-    names = list(record["materials"])
-    lines += ["| client | " + " | ".join(names) + " |", "|---" * (len(names) + 1) + "|"]
-    for client in CLIENTS:
-        cells = [" / ".join(f"{x:.3f}" for x in record["materials"][name][client]["rmse"]) for name in names]
-        lines.append(f"| {client} | " + " | ".join(cells) + " |")
-    lines += ["", "## Means of the channels", "", "Over what they should be: the one that is farthest off, "
-                                                  "by light.", "",
-              "| client | " + " | ".join(names) + " |", "|---" * (len(names) + 1) + "|"]
-    for client in CLIENTS:
-        means = [record["materials"][name][client]["means"] for name in names]
-        cells = [" / ".join(f"{max(light, key=lambda x: abs(x - 1)):.2f}" for light in each)
-                 for each in means]
-        lines.append(f"| {client} | " + " | ".join(cells) + " |")
-    lines += ["", "Clients that cannot show all of a material:", ""]
-    lines += [f"- {client}: {why}." for client, why in LIMITS.items()]
-    for name in record["pictured"]:
-        lines += ["", f"## {name}", "", "From above: our renderer, then the clients in the order of the "
-                                        "table; from left to "
-                  f"right: {', '.join(LIGHTS)}.", "", f"![{name} in all clients](clients-{name}.jpg)"]
-    return "\n".join(lines) + "\n"
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("fits", nargs="*", type=Path, help="folders of fits")
     parser.add_argument("--pictured", default="", help="names of materials that get a sheet, by commas")
-    parser.add_argument("-o", "--out", type=Path, required=True, help="folder for clients.json, clients.md "
-                                                                      "and pictures")
+    parser.add_argument("-o", "--out", type=Path, required=True, help="folder for clients.json and pictures")
     given = parser.parse_args()
     materials = {"gilt plates": gilt_plates(256), "inlay": make_material("inlay", 256)}
     materials |= {folder.name: load_maps(folder) for folder in given.fits}
     pictured = tuple(name for name in given.pictured.split(",") if name in materials)
-    record = {"materials": measured(materials, pictured, given.out), "pictured": pictured, "about": (
-        "Written by `python -m clients.table`, nothing by hand. Blender 4.5 (Cycles), three.js r187 and "
-        "model-viewer 4.4 in "
-        "headless Chromium, Mitsuba 3.9, each through its own importer, at 256 px: camera above, one point "
-        "light, against the "
-        f"analytic renderer. Machine: {platform.machine()}. `gilt plates` and `inlay` are made: metals, "
-        "coloured dielectrics, "
-        f"F0 below 0.04; the others are fits of captures.")}
+    record = {"materials": measured(materials, pictured, given.out), "pictured": pictured}
     files.write_bytes(given.out / "clients.json", (json.dumps(record, indent=1) + "\n").encode())
-    files.write_bytes(given.out / "clients.md", page(record).encode())
 
 
 if __name__ == "__main__":

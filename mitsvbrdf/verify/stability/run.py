@@ -45,7 +45,7 @@ def stability(renderers: Sequence[Renderer], sweeps: Sequence[str] = tuple(SWEEP
         report: told what is going on and the share done.
 
     Returns:
-        A record for JSON, without NaN; docs/stability.md explains it. ``violations`` says what came out worse
+        A record for JSON, without NaN; docs/results/stability.md shows it. ``violations`` says what came out worse
         than expected.
     """
     cases = [case for key in sweeps for case in SWEEPS[key][1]()]
