@@ -18,6 +18,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .errors import CaptureError, ConfigError
+from .kinds import check_fields
 
 FIELD_OF_VIEW = 60.0  # degrees across the long side where no EXIF says it: a phone's wide camera has 60 to 70
 
@@ -63,6 +64,7 @@ class Views:
     falloff: Falloff = "inverse-square"
 
     def __post_init__(self) -> None:
+        check_fields(self, "size", "falloff")
         for name in ("camera", "light", "intensity"):
             value = getattr(self, name)
             if not isinstance(value, Tensor) or not value.is_floating_point():
@@ -115,21 +117,27 @@ class Views:
         """
         if not (self.size > 0 and torch.isfinite(torch.tensor(self.size))):
             raise CaptureError("a patch size > 0", str(self.size), "check im_size / image_size")
+        self.check_finite()
         for name in ("camera", "light"):
             for row, position in enumerate(getattr(self, name).tolist()):
-                if not all(map(_finite, position)):
-                    raise CaptureError("finite positions", f"{name} {row} at {position}",
-                                       "check the calibration for NaN")
                 if position[2] <= 0:
                     raise CaptureError("cameras and lights above the plane (z > 0)",
                                        f"{name} {row} at {position}",
                                        "z points from the material toward the camera; check signs and "
                                        "column order")
         for row, power in enumerate(self.intensity.tolist()):
-            if not all(map(_finite, power)) or min(power) < 0 or max(power) == 0:
+            if min(power) < 0 or max(power) == 0:
                 raise CaptureError("a light intensity >= 0, not all 0", f"light {row} with {power}",
                                    "check light_pow")
         self._check_scale()
+
+    def check_finite(self) -> None:
+        """Raise CaptureError, naming the row, unless every number is finite."""
+        for name, what in (("camera", "positions"), ("light", "positions"), ("intensity", "light intensities")):
+            for row, numbers in enumerate(getattr(self, name).tolist()):
+                if not all(map(math.isfinite, numbers)):
+                    raise CaptureError(f"finite {what}", f"{name} {row} at {numbers}",
+                                       "check the calibration for NaN")
 
     def _check_scale(self) -> None:
         """Distances beside the patch, and light beside distances: both are plain numbers, whatever the unit
@@ -210,10 +218,6 @@ def shift_lights(views: Views, flash_offset: tuple[float, float] | None) -> View
     return replace(views, light=views.light + views.light.new_tensor([*flash_offset, 0.0]) * views.size)
 
 
-def _finite(x: float) -> bool:
-    return x == x and abs(x) != float("inf")
-
-
 def texel_positions(resolution: int, dtype: torch.dtype = torch.float64) -> Tensor:
     """Centres of the texels of an R x R map on a patch of side 1: R x R x 3, row 0 at the top (largest y), z
     = 0.
@@ -272,14 +276,6 @@ def default_views(count: int, field_of_view: float = FIELD_OF_VIEW, share: float
     """
     distance = 0.5 / (share * math.tan(math.radians(field_of_view) / 2))
     return Views.of([[0.0, 0.0, distance]] * count, intensity=math.pi * distance**2)
-
-
-def field_of_view(focal_35mm: float, width: int, height: int) -> float:
-    """Degrees across the long side of a photo, from its 35 mm equivalent focal length (equal diagonals, 43.27
-    mm).
-    """
-    focal = focal_35mm / math.hypot(36, 24) * math.hypot(width, height)
-    return math.degrees(2 * math.atan(max(width, height) / 2 / focal))
 
 
 def geometry(views: Views, resolution: int) -> tuple[Tensor, Tensor, Tensor]:

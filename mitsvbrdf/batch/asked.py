@@ -83,7 +83,7 @@ class Asked:
         budget, more = self.config.limited().budget, max(1.0, self._photos / PHOTOS)
         if budget is None:
             return None
-        steps = self.options.finish_steps / 80 if self.options.finish != "none" else 0.0
+        steps = self.options.detail_steps / 80 if self.options.detail != "none" else 0.0
         texels = max(1.0, (self.options.resolution / 256) ** 2)
         raw = RAW * (is_url(self.entry.source) or not is_calibrated(self.entry.source))
         return SLOWEST * (BESIDE * texels * more + raw * more + FINISH * texels * steps) + BUDGETS * budget

@@ -99,7 +99,7 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> dict:
     """
     from ..capture import read_capture
     from ..fit import fit_svbrdf
-    from ..fit.generator.finish import finished
+    from ..fit.generator.detail import with_detail
     from ..fit.options import FitOptions, config_of
     from ..report.folder import write_fit_files
     from .library.rows import row_of
@@ -115,10 +115,10 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> dict:
     shots, shown = options.chosen(photos)
     engine = _renderer(options.renderer, options.variant)
     result = fit_svbrdf(shots, engine, config)
-    if finishing := options.finishing(config):
-        result = finished(result, shots, engine, finishing)
+    if settings := options.detail_config(config):
+        result = with_detail(result, shots, engine, settings)
     write_fit_files(result, shots, out, options.record(shots), shown, pages=asked["pages"])
-    write_preview(out / "preview.jpg", result.look or result.svbrdf)
+    write_preview(out / "preview.jpg", result.detail or result.svbrdf)
     return row_of(out, shown, engine)
 
 

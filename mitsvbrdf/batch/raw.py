@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..capture import write_capture
+from ..capture.align.from_sheet import refuse_tags
 from ..capture.photo import Photo, photos_in
-from ..capture.rig import LEAST_PHOTOS
-from ..capture.stages import OnePlace, capture_keys, make_capture, refuse_tags
+from ..capture.rig import LEAST_PHOTOS, OnePlace
+from ..capture.stages import capture_keys, make_capture
 from ..color import Transfer
 from ..report.capture_page import write_quality
 from .identity import is_calibrated

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from .. import color
 from ..errors import CaptureError, ConfigError
+from ..kinds import check_fields
 from ..material.resample import area_averaged, sampled
 from ..views import Views, whole_numbers
 
@@ -49,6 +50,7 @@ class Capture:
     notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        check_fields(self, "views", "transfer", "calibration", "source")
         if self.transfer not in get_args(color.Transfer):
             raise ConfigError(f"a transfer function of {get_args(color.Transfer)}", repr(self.transfer),
                               "choose one of these")

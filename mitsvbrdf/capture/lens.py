@@ -8,10 +8,14 @@ file before any EXIF orientation is applied: turning the phone turns its pose, n
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from ..views import FIELD_OF_VIEW
 
 Array = NDArray[np.float64]
 
@@ -43,6 +47,11 @@ class Lens:
         return self.centre or ((self.size[0] - 1) / 2, (self.size[1] - 1) / 2)
 
     @property
+    def angle(self) -> float:
+        """Field of view across the long side, degrees."""
+        return math.degrees(2 * math.atan(max(self.size) / 2 / self.focal))
+
+    @property
     def matrix(self) -> Array:
         """OpenCV's camera matrix, 3 x 3."""
         x, y = self.middle
@@ -58,6 +67,32 @@ class Lens:
         middle = (np.array(self.size) - 1) / 2
         r2 = np.square(np.asarray(pixels) - middle).sum(axis=-1) / np.square(middle + 0.5).sum()
         return 1 + self.vignetting[0] * r2 + self.vignetting[1] * r2**2
+
+
+def field_of_view(focal_35mm: float, width: int, height: int) -> float:
+    """Degrees across the long side of a photo, from its 35 mm equivalent focal length (equal diagonals, 43.27
+    mm).
+    """
+    focal = focal_35mm / math.hypot(36, 24) * math.hypot(width, height)
+    return math.degrees(2 * math.atan(max(width, height) / 2 / focal))
+
+
+def expected_lens(size: tuple[int, int], focal_35mm: Sequence[float]) -> Lens:
+    """A pinhole lens as EXIF states it.
+
+    Args:
+        size: of the photos in pixels.
+        focal_35mm: 35 mm equivalent focal lengths of the photos that state it, of which the median counts;
+            empty: :data:`~mitsvbrdf.views.FIELD_OF_VIEW` is assumed.
+    """
+    angle = field_of_view(float(np.median(focal_35mm)), *size) if len(focal_35mm) else FIELD_OF_VIEW
+    return Lens(size, max(size) / 2 / math.tan(math.radians(angle) / 2))
+
+
+def unsure_note(share: float) -> str:
+    """What a user should know of a focal length that may be off by this share."""
+    return (f"the focal length is uncertain by {share:.1%}, and so are the heights of the cameras: the photos "
+            "are too few or too much alike; a few more from aside settle it")
 
 
 @dataclass(frozen=True)

@@ -200,19 +200,31 @@ def photos_in(folder: Path) -> list[Path]:
     return found
 
 
-def other_sizes(photos: Sequence[Photo]) -> tuple[tuple[int, int], dict[str, str]]:
-    """The size of most photos, and by name the reason of each that has another: it shows the world through
-    another lens.
+def of_one_camera(photos: Sequence[Photo]) -> tuple[list[Photo], dict[str, str], list[str]]:
+    """Photos that one lens can explain.
+
+    Returns:
+        The photos of the size that most have; the reason, by name, of each other photo; and what a user
+        should know of the camera's settings.
+
+    Raises:
+        CaptureError: RAW files among others.
     """
+    if len({photo.linear for photo in photos}) > 1:
+        raise CaptureError("photos of one kind", "RAW files among others", "give one kind alone")
     usual = Counter(photo.size for photo in photos).most_common(1)[0][0] if photos else (0, 0)
     reasons = {}
     for photo in photos:
         if photo.size != usual:
             why = ("its pixels were turned when it was stored; give the file as the phone wrote it"
                    if photo.size == usual[::-1] else "cropped, scaled, or of another lens")
-            reasons[photo.name] = "{} x {} pixels, the others have {} x {}: {}".format(*photo.size, *usual,
-                                                                                       why)
-    return usual, reasons
+            reasons[photo.name] = (f"{photo.size[0]} x {photo.size[1]} pixels, the others have "
+                                   f"{usual[0]} x {usual[1]}: {why}")
+    notes = differences(photos)
+    if all(photo.exif.get("flash") == "off" for photo in photos):
+        notes.append("no photo was taken with the flash, as their EXIF says: the highlights are those of the "
+                     "room's lights")
+    return [photo for photo in photos if photo.size == usual], reasons, notes
 
 
 def differences(photos: Sequence[Photo]) -> list[str]:

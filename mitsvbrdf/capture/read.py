@@ -17,9 +17,10 @@ from ..io import files
 from ..io.decode import upright
 from ..io.entry import entry
 from ..io.images import averaged, write_png
-from ..views import FIELD_OF_VIEW, Falloff, default_views, field_of_view
+from ..views import FIELD_OF_VIEW, Falloff, default_views
 from .calibrated import from_json, from_text
 from .capture import LEAST_SIDE, Capture
+from .lens import field_of_view
 from .photo import Photo, Unreadable, differences, photos_in
 
 MOST_SQUARE = 2048  # pixels a side of what is read of a photo without calibration
@@ -133,8 +134,9 @@ def _from_plain(folder: Path, falloff: Falloff, resolution: int | None, transfer
 
     Photos that show everything in the same place are taken for rectified.
     """
-    from .rig import LEAST_PHOTOS
-    from .stages import OnePlace, make_capture, refuse_tags
+    from .align.from_sheet import refuse_tags
+    from .rig import LEAST_PHOTOS, OnePlace
+    from .stages import make_capture
 
     photos = [Photo.open(path) for path in photos_in(folder)]
     reason = f"{LEAST_PHOTOS} or more are needed to find out where they were taken from"

@@ -1,6 +1,4 @@
-"""Photos rectified to the frontal view of the patch, their vignetting undone, and what lies beyond their
-edges filled in.
-"""
+"""Photos rectified to the frontal view of the patch."""
 
 from __future__ import annotations
 
@@ -8,15 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
-from .. import color
 from .capture import LEAST_SIDE
 from .lens import Lens, Pose, project
-from .light.samples import LONG_SIDE
-from .light.shading import undo_vignetting
 from .photo import Photo, reduced
 from .rig import Rig
+
+LONG_SIDE = 1024  # pixels, of a whole photo that is kept
+CORNERS = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]])  # of the patch
 
 
 @dataclass(frozen=True)
@@ -35,8 +32,8 @@ class Rectified:
     notes: tuple[str, ...]
 
     @classmethod
-    def of(cls, rig: Rig, photos: Sequence[Photo], resolution: int, report: Callable[[str, float],
-                                                                                     object]) -> Rectified:
+    def of(cls, rig: Rig, photos: Sequence[Photo], resolution: int, report: Callable[[str, float], object]
+           ) -> Rectified:
         """The photos that ``rig`` has poses of, in ``resolution`` pixels a side, or in as many as they
         show.
         """
@@ -54,32 +51,8 @@ class Rectified:
 
 def _resolved(lens: Lens, pose: Pose, size: float) -> float:
     """Pixels of a photo along a side of the patch, the shortest."""
-    corners = np.array([[x, y, 0.0] for x, y in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))]) * size
-    at = project(lens, pose, corners)
+    at = project(lens, pose, CORNERS * size)
     return float(np.nan_to_num(np.linalg.norm(np.roll(at, -1, axis=0) - at, axis=1)).min())
-
-
-def without_vignetting(picture: np.ndarray, rig: Rig, name: str, transfer: color.Transfer) -> np.ndarray:
-    """A rectified photo (R x R x 3 display values, NaN stays) as a lens without vignetting would have seen
-    it.
-    """
-    if rig.lens.vignetting == (0.0, 0.0):
-        return picture
-    linear = color.decode(torch.from_numpy(picture), transfer).numpy()
-    linear = undo_vignetting(linear, rig.lens, rig.poses[name], rig.size, transfer)
-    return color.to_display(torch.from_numpy(linear), transfer).numpy()
-
-
-def filled(pictures: Sequence[np.ndarray]) -> torch.Tensor:
-    """Photos with what lies beyond their edges taken from the mean of the others; black where none shows
-    it.
-    """
-    stack = np.stack(pictures)
-    known = np.isfinite(stack)
-    if not known.all():
-        mean = np.where(known, stack, 0).sum(axis=0) / known.sum(axis=0).clip(1)
-        stack = np.where(known, stack, mean)
-    return torch.from_numpy(stack).clamp(0, 1)
 
 
 def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolution: int) -> np.ndarray:
@@ -102,8 +75,7 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
 
     height, width = pixels.shape[:2]
     scale = 1 / max(1, round(lens.size[0] / width))
-    corners = np.array([[x, y, 0.0] for x, y in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))]) * size
-    at = project(lens, pose, corners) * scale
+    at = project(lens, pose, CORNERS * size) * scale
     longest = np.linalg.norm(np.roll(at, -1, axis=0) - at, axis=1).max()
     times = max(1, int(np.ceil(np.nan_to_num(longest, nan=0.0) / resolution))) if np.isfinite(longest) else 1
     whole = float(np.iinfo(pixels.dtype).max) if np.issubdtype(pixels.dtype, np.integer) else 1.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sized
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
@@ -11,6 +12,13 @@ from ..errors import CaptureError
 from .lens import Lens, Pose
 
 LEAST_PHOTOS = 3  # from which views can be found
+# Spread of the cameras over their height, below which all photos are from one place. Nine places as in
+# docs/capture.md: 0.2; seven real captures that were rectified already: 0.003 to 0.009.
+ONE_PLACE = 0.03
+
+
+class OnePlace(CaptureError):
+    """Photos that show everything in the same place: rectified already, or taken from a tripod."""
 
 
 @dataclass(frozen=True)
@@ -74,3 +82,33 @@ def rig_from_json(value: dict) -> Rig:
     except (KeyError, TypeError, ValueError, AttributeError) as reason:
         raise CaptureError("a rig of lens and poses", f"{type(reason).__name__}: {reason}",
                            "make the capture again with `mitsvbrdf capture`") from None
+
+
+def check_enough(kept: Sized, rejected: Mapping[str, str], what: str = "that can be used",
+                 fix: str = "take more photos from different places, flash on") -> None:
+    """Raise CaptureError where fewer than three photos are left.
+
+    Args:
+        kept: what is left.
+        rejected: reason, by name of each photo that is not.
+        what: the photos that are needed.
+        fix: what to do.
+    """
+    if len(kept) >= LEAST_PHOTOS:
+        return
+    named: dict[str, list[str]] = {}
+    for name, reason in rejected.items():
+        named.setdefault(reason, []).append(name)
+    reasons = "".join(f"; {', '.join(names)}: {reason}" for reason, names in named.items())
+    raise CaptureError(f"{LEAST_PHOTOS} photos or more {what}",
+                       f"{len(kept)} of {len(kept) + len(rejected)}{reasons}", fix)
+
+
+def check_places(rig: Rig) -> None:
+    """Raise OnePlace where all photos are from one place."""
+    camera = np.stack([pose.position for pose in rig.poses.values()])
+    if camera.std(axis=0).max() < ONE_PLACE * camera[:, 2].mean():
+        raise OnePlace("photos from different places",
+                       f"{len(camera)} photos that show everything in the same place: from a tripod, or "
+                       "rectified already",
+                       "move the phone between photos; `mitsvbrdf fit` takes rectified photos as they are")

@@ -51,8 +51,9 @@ def capture(photos: Annotated[Positional[Path],
     where to stand for one more photo; contact.jpg and quality.json beside it.
     """
     from ..capture import write_capture
+    from ..capture.align.from_sheet import refuse_tags
     from ..capture.photo import Photo, photos_in
-    from ..capture.stages import capture_keys, make_capture, refuse_tags
+    from ..capture.stages import capture_keys, make_capture
     from ..report.capture_page import write_quality
 
     if os.path.realpath(photos) in (os.path.realpath(out), os.path.realpath(out / "target")):

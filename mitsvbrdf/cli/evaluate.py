@@ -123,7 +123,7 @@ def _print_errors(views: str, errors: dict, labels: Mapping[str, str]) -> None:
 
 def _totals(errors: dict) -> dict[str, float]:
     """Over all photos; of photos seen and left out each its own, and none over both."""
-    apart = {"seen": errors["rmse_seen"], "left out": errors["rmse_left_out"]}
+    apart = {"seen": errors["rmse_seen"], "left out": errors["rmse_held_out"]}
     return {"all": errors["rerender_rmse"]} if None in apart.values() else apart
 
 

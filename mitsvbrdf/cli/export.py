@@ -87,11 +87,15 @@ def export(maps: Positional[Material],
 
 
 def _tiled(svbrdf: SVBRDF, side: float | None) -> tuple[SVBRDF, float | None]:
-    from ..material.tiling import seamless
+    from ..material.tiling import seam, seamless
 
     svbrdf, part = seamless(svbrdf)
-    say("its edges meet already" if part == 1 else
-        f"edges meet now; {part:.0%} of the patch's side is left, at the same resolution")
+    times = f"the maps differ across them {seam(svbrdf):.1f} times as much as beside them"
+    if part == 1:
+        say(f"the edges meet already: {times}")
+        return svbrdf, side
+    left = f"{100 * part * side:.3g} of {100 * side:.3g} cm" if side else "its length is unknown"
+    say(f"the edges were joined: {times}; {part:.0%} of the patch's side is left ({left}), at the same resolution")
     return svbrdf, part * side if side else None
 
 

@@ -16,9 +16,9 @@ from ..fit import FitTask, fit_svbrdf
 from ..fit.checkpoint import load_tensors
 from ..fit.confidence import DETERMINED, confidence
 from ..fit.config import FitConfig
-from ..fit.generator.finish import finished, why_not
-from ..fit.left_out import decided_later, known_before, used
+from ..fit.generator.detail import why_not, with_detail
 from ..fit.methods import METHODS, method_name
+from ..fit.omitted import decided_later, known_before, used
 from ..fit.options import FitOptions
 from ..fit.result import FitResult
 from ..io import results
@@ -35,7 +35,7 @@ THREE_WAYS = "--calibrate", "--exact"  # on, off or left to the fit
 def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitArgPrefixes[FitOptions] = USUAL,
         method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"],
                           arg(help="How to fit; `fit --method gan --help` shows that method's own options.")] = "hierarchical",
-        explain: Annotated[bool, arg(help="Print what this fit would leave out, and why, what it decides as "
+        explain: Annotated[bool, arg(help="Print what this fit would omit, and why, what it decides as "
                                           "it "
                                                   "runs, and the networks it uses, and end without fitting.")] = False,
         profile: Annotated[bool, arg(help="Print where the time of a step goes: network, renderer, losses, "
@@ -58,8 +58,8 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitAr
 
     Ctrl-C ends the fit and keeps its best result. OUT then holds report.html, the page to look at, maps/,
     uncertainty/, guess/, photos/, rerendered/, sheet.png, curve.svg, scene.xml (for plain Mitsuba), fit.json,
-    report.json and the checkpoint that --resume goes on from; with --finish gan also look/ and its page,
-    look.html.
+    report.json and the checkpoint that --resume goes on from; with --detail gan also detail/ and its page,
+    detail.html.
     """
     shared.check(config)
     keep_apart(capture, out)
@@ -72,22 +72,22 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitAr
         return _explain(FitTask(shots, engine, config), shared)
     result, before = _fit_into(out, photos, engine, config, shared, profile, resume, overwrite)
     _say_result(result, shots, before)
-    if shared.finish != "none":
-        _say_finish(result)
+    if shared.detail != "none":
+        _say_detail(result)
     page = "report.html, " if (out / "report.html").is_file() else ""
-    also = ("uncertainty/, " if result.deviations else "") + ("look/, " if result.look else "")
+    also = ("uncertainty/, " if result.deviations else "") + ("detail/, " if result.detail else "")
     say(f"wrote {out}/{page}sheet.png, maps/, {also}rerendered/, scene.xml, fit.json")
     return 0
 
 
 def _explain(task: FitTask, options: FitOptions) -> int:
-    """Say what the fit leaves out and uses."""
+    """Say what the fit omits and uses."""
     for what, why in known_before(task):
-        say(f"left out: {what} ({why})")
+        say(f"omitted: {what} ({why})")
     for what, when in decided_later(task):
-        say(f"may be left out: {what} ({when})")
-    if options.finish == "none":
-        say("left out: adversarial finish (not asked for)")
+        say(f"may be omitted: {what} ({when})")
+    if options.detail == "none":
+        say("omitted: plausible detail (not asked for)")
     if networks := used(task):
         say("used: " + ", ".join(f"{what} ({how})" for what, how in networks))
     return 0
@@ -95,7 +95,7 @@ def _explain(task: FitTask, options: FitOptions) -> int:
 
 def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, options: FitOptions,
               profile: bool, resume: bool, overwrite: bool) -> tuple[FitResult, int | None]:
-    """Fit, finish where asked to, and write the result; also tells the iteration of the checkpoint gone on
+    """Fit, add plausible detail where asked to, and write the result; also tells the iteration of the checkpoint gone on
     from.
     """
     from ..report.folder import write_fit_files
@@ -117,9 +117,9 @@ def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, o
                                   resume=checkpoint, report=progress, live=page)
 
         result, before = _from_first_of(earlier, fitted) if resume else (fitted(None), None)
-        if finishing := options.finishing(config):
-            with progress_bar("adversarial finish") as finish_report:
-                result = finished(result, shots, engine, finishing, finish_report)
+        if settings := options.detail_config(config):
+            with progress_bar("plausible detail") as finish_report:
+                result = with_detail(result, shots, engine, settings, finish_report)
         last.enter_context(deferred_signals())  # until all is in place
         write_fit_files(result, shots, folder, command=options.record(shots), left_out=shown)
         page.end()
@@ -145,15 +145,15 @@ def _from_first_of(checkpoints: Sequence[Path], fitted: Callable[[Path], FitResu
     raise wrong[0]
 
 
-def _say_finish(result: FitResult) -> None:
-    if result.finish:
-        say(f"look/ after {result.finish['seconds']:.0f} s: one plausible draw, for pictures; re-rendering "
+def _say_detail(result: FitResult) -> None:
+    if result.detail_record:
+        say(f"detail/ after {result.detail_record['seconds']:.0f} s: one plausible draw, for pictures; re-rendering "
             "RMSE "
-            f"{result.finish['rerender_rmse']:.4f}")
+            f"{result.detail_record['rerender_rmse']:.4f}")
     elif why := why_not(result):
-        say(f"adversarial finish left out: {why}")
+        say(f"plausible detail omitted: {why}")
     else:
-        say("interrupted: the maps were kept, without a look; the same command with --resume makes it")
+        say("interrupted: the maps were kept, without plausible detail; the same command with --resume makes it")
 
 
 def _say_result(result: FitResult, shots: Capture, before: int | None) -> None:

@@ -33,7 +33,7 @@ Strict = Annotated[bool, arg(help="Refuse damaged photos, and maps that would ha
 Variant = Annotated[Literal["llvm_ad_rgb", "cuda_ad_rgb"], arg(help="Mitsuba variant.")]
 ViewList = Annotated[str | None, arg(metavar="0,1,2,...", help="Which photos to use, by number; left out: "
                                                                "all.")]
-Material = Annotated[str, arg(metavar="MAPS", help="The OUT of a fit (OUT/look for its look), a folder of "
+Material = Annotated[str, arg(metavar="MAPS", help="The OUT of a fit (OUT/detail for its plausible detail), a folder of "
                                                    "maps, or "
                                                    "builtin:NAME (inlay, tiles, leather, plates).")]
 ViewSource = Annotated[str, arg(help="A capture whose views to use, or builtin:grid (nine views from two "
@@ -79,14 +79,16 @@ def folder_inside(parent: Path, name: str) -> Path:
 
 
 def name_of(maps: str) -> str:
-    """What a material is called: ``builtin:NAME`` by its name, others like the folder of their fit; its look
-    NAME-look.
+    """What a material is called: ``builtin:NAME`` by its name, others like the folder of their fit; its detail
+    NAME-detail.
     """
     if maps.startswith("builtin:"):
         return maps.removeprefix("builtin:")
     folder = Path(os.path.abspath(maps))
-    if folder.name == "look" and (folder.parent / "maps").is_dir():
-        return f"{folder.parent.name}-look"
+    from ..material.map_files import DETAIL, FORMER_DETAIL
+
+    if folder.name in (DETAIL, FORMER_DETAIL) and (folder.parent / "maps").is_dir():
+        return f"{folder.parent.name}-{DETAIL}"
     return folder.parent.name if folder.name == "maps" else folder.name
 
 

@@ -8,9 +8,12 @@ from collections.abc import Sequence
 # An option renamed in several commands has a line in each. A flag that help shows as --no-NAME has a line for
 # that form.
 RENAMED_COMMANDS: dict[str, str] = {}
+FIT = {"--own": "--detail-spread", "--tails": "--highlight-reach", "--likeness": "--similarity",
+       "--no-independent": "--no-remove-burn-in", "--integrated": "--marginalise",
+       "--no-rivals": "--no-multi-start", "--finish": "--detail", "--finish-steps": "--detail-steps"}
 RENAMED: dict[str, dict[str, str]] = {
-    "fit": {},
-    "batch": {},
+    "fit": FIT,
+    "batch": FIT,
     "bench": {"--left-out": "--held-out"},
 }
 
@@ -18,7 +21,7 @@ RENAMED: dict[str, dict[str, str]] = {
 def with_new_names(arguments: Sequence[str]) -> list[str]:
     """Arguments with old names of commands and options replaced, each said once on standard error.
 
-    Only whole words change: the value of ``--name=--own`` stays, and so does all after ``--``.
+    Only whole words change: the value of ``--name=--detail-spread`` stays, and so does all after ``--``.
 
     Args:
         arguments: of the command line, the command among them.

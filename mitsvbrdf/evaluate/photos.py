@@ -37,8 +37,8 @@ def evaluate_photos(svbrdf: SVBRDF, fit: SavedFit, capture: Capture, renderer: R
         priors: measure a third time, with views refined beside frozen maps.
 
     Returns:
-        ``views`` (how they were taken, in words), ``fitted_views`` and ``left_out`` (names of photos),
-        ``rerender_rmse``, ``per_photo``, ``rmse_seen`` and ``rmse_left_out`` (None without such photos);
+        ``views`` (how they were taken, in words), ``fitted_views`` and ``held_out`` (names of photos),
+        ``rerender_rmse``, ``per_photo``, ``rmse_seen`` and ``rmse_held_out`` (None without such photos);
         ``calibrated`` (``views`` in words) and, without priors None, ``refined`` (``views`` as
         :func:`~mitsvbrdf.evaluate.evaluate_capture` has them) have these four too. And the images, linear N x
         R x R x 3.
@@ -46,17 +46,17 @@ def evaluate_photos(svbrdf: SVBRDF, fit: SavedFit, capture: Capture, renderer: R
     views, fitted = fitted_views(fit, capture)
     here = fit.of(capture)
     seen = [name for name, number in zip(capture.names, capture.index) if here and number in fit.seen]
-    left_out = [name for name in capture.names if here and name not in seen]
+    held_out = [name for name in capture.names if here and name not in seen]
     images, total, each = rerender(renderer, svbrdf.resized(capture.resolution), views, capture)
 
     def apart(found: dict) -> dict:
         errors = found["per_photo"]
-        return found | {"rmse_seen": _together(errors, seen), "rmse_left_out": _together(errors, left_out)}
+        return found | {"rmse_seen": _together(errors, seen), "rmse_held_out": _together(errors, held_out)}
 
     stated = evaluate_capture(svbrdf, capture, renderer, fit.flash_offset, priors)
     refined = stated.pop("refined", None)
     shown = apart({"rerender_rmse": total, "per_photo": dict(zip(capture.names, each))})
-    return {"views": _words(fit, fitted, capture), "fitted_views": fitted, "left_out": left_out} | shown | {
+    return {"views": _words(fit, fitted, capture), "fitted_views": fitted, "held_out": held_out} | shown | {
         "calibrated": {"views": _words(fit, [], capture)} | apart(stated), "refined": refined
         and apart(refined)}, images
 

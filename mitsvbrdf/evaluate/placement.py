@@ -28,7 +28,7 @@ def placed(capture: Capture, fit: SavedFit) -> Capture:
     told another one.
 
     Args:
-        capture: all photos, those left out of the fit and those it saw.
+        capture: all photos, those held out and those it saw.
         fit: what is known of it.
 
     Raises:

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from .. import __version__, color
 from ..io import files, images
+from ..kinds import check_fields
 from ..material.maps import COLOURS
 
 Bits = Literal[8, 16]
@@ -46,6 +47,9 @@ class ExportSettings:
     side: float | None = None
     licence: str | None = None
     repeats: bool = False
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 DEFAULTS = ExportSettings()

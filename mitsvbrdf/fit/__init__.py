@@ -20,11 +20,11 @@ from ..views import Views, shift_lights
 from .confidence import deviations
 from .config import DirectConfig, FitConfig, HierarchicalConfig, HybridConfig
 from .gan_config import GanConfig
-from .left_out import left_out, used
 from .light_power import light_power_told, with_light_power
 from .live import Live, LiveState
 from .loop import Loop
 from .methods import make_method
+from .omitted import omitted_by, used
 from .result import FitResult
 from .task import FitTask, fit_task
 from .view_record import views_record
@@ -84,7 +84,7 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
         svbrdf=svbrdf, views=views, guess=task.guess, rerendered=images, rerender_rmse=total, per_photo=each,
         calibrated_rmse=_calibrated_rmse(svbrdf, views, capture, renderer, moved.mean(dim=0), told),
         trace=loop.trace, config=config, renderer=renderer.name, variant=renderer.variant,
-        left_out=(*left_out(task, views), *method.left_out), used=tuple(used(task)), stopped=stopped,
+        omitted=(*omitted_by(task, views), *method.omitted), used=tuple(used(task)), stopped=stopped,
         undone=tuple(loop.undone), restarts=tuple(loop.restarts), deviations=spreads,
         flash_offset=tuple(offset) if offset else None, profile=profile_summary(),
         calibration=views_record(capture, views, task.estimated, *method.views_deviation, told))
@@ -132,4 +132,4 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
 
 __all__ = ["DirectConfig", "FitConfig", "FitResult", "FitTask", "GanConfig", "HierarchicalConfig",
            "HybridConfig",
-           "fit_svbrdf", "left_out", "make_method", "pretrain"]
+           "fit_svbrdf", "make_method", "pretrain"]

@@ -1,5 +1,6 @@
-"""Settings of the fits: frozen dataclasses, the only home of each default; a field's docstring is its
---help.
+"""Settings of the fits: frozen dataclasses, the only home of each default.
+
+The docstring of a field is its ``--help``: one line, since shells complete options line by line.
 """
 
 from __future__ import annotations
@@ -11,14 +12,14 @@ from tyro.conf import arg
 
 from ..capture.guess import GuessMethod
 from ..errors import LARGEST, ConfigError
+from ..kinds import check_fields
 from ..material.maps import Bsdf
 from ..views import Falloff
 from . import losses
 from .fixed_maps import stated_maps
 
 POSITIVE = ("budget", "iterations", "width", "learning_rate", "normal_roughness_steps", "materials",
-            "likeness",
-            "spread", "relief", "noise", "pictures", "discriminator_rate")
+            "similarity", "spread", "relief", "noise", "pictures", "discriminator_rate")
 MOST = {"width": 4096, "materials": 65536, "pictures": 1024}  # what takes memory
 
 # A setting that is on or off. Help names the option that changes it, which for one that is on begins with
@@ -44,20 +45,19 @@ class FitConfig:
     guess: GuessMethod = "robust"
     """How the guessed diffuse map is made: robust (ours), min (the paper's), mean-blur (Zhao 2020)."""
     budget: float | None = None
-    """Stop after so many seconds. Unset: hierarchical and hybrid 120, direct 60, gan 300 or its preset's
-    iterations."""
+    """Stop after so many seconds. Default: hierarchical, hybrid 120; direct 60; gan 300 or its preset's."""
     iterations: int | None = None
     """Stop after this many iterations (with --budget: whichever comes first)."""
     seed: int = 0
     """Seed of every random choice."""
     fix: tuple[str, ...] = ()
-    """Hold a map fixed: NAME=VALUE with a number, r,g,b, an image file, or normal=flat. Repeat it for
-    several."""
+    """Hold a map fixed: NAME=VALUE (a number, r,g,b, an image file, or normal=flat). May be repeated."""
     grey_specular: Switch = False
     """One grey specular level a texel instead of three channels."""
 
     def check(self) -> None:
-        """Raise ConfigError for numbers out of range, and for words that are no choice."""
+        """Raise ConfigError for other kinds, numbers out of range, and words that are no choice."""
+        check_fields(self)
         for name, kind in get_type_hints(type(self)).items():
             if get_origin(kind) is Literal and getattr(self, name) not in get_args(kind):
                 raise ConfigError(f"{name} of {get_args(kind)}", repr(getattr(self, name)),
@@ -121,43 +121,33 @@ class HierarchicalConfig(FitConfig):
     """
 
     materials: int = 64
-    """Basis materials, told apart by their look, between which texels share specular and roughness."""
-    likeness: float = 0.02
-    """How alike texels must look to share: standard deviation, in the numbers of
-    fit/hierarchical/appearance.py."""
+    """Number of basis materials. Texels share specular and roughness within a basis material."""
+    similarity: float = 0.02
+    """How alike texels must look to share: a standard deviation of their appearance."""
     spread: float = 0.03
-    """How far specular and roughness may be from those of look-alikes at 64 px, in photos that do not follow
-    the model."""
+    """Largest standard deviation of a texel from its look-alikes at 64 px. Real photos only."""
     relief: float = 0.02
-    """Slopes of the normals to expect at 64 px, in photos that do not follow the model."""
-    own: float = 0.06
-    """How far specular or metallic may leave its tied answer at full size, at first, in such photos; 0: only
-    diffuse may."""
-    tails: float = 2.0
-    """Pixels farther from a highlight than so many lobe widths count less at 64 px, in such photos; 0 counts
-    all alike."""
-    independent: Switch = True
-    """Whether specular and roughness are kept from following where the photos' highlights were, in such
-    photos."""
-    integrated: Switch = False
-    """Whether look-alikes share what texels say with their own slopes and diffuse colours integrated out, not
-    maximised."""
+    """Standard deviation of the slopes of normals at 64 px. Real photos only."""
+    detail_spread: float = 0.06
+    """Standard deviation of a texel from its 64 px value at full size. 0 frees only diffuse. Real photos."""
+    highlight_reach: float = 2.0
+    """Lobe widths from a highlight at which pixels begin to count less. 0: all count alike. Real photos."""
+    remove_burn_in: Switch = True
+    """Remove from specular and roughness what follows the highlights of the photos. Real photos only."""
+    marginalise: Switch = False
+    """Integrate slopes and diffuse colours out before texels share, instead of maximising them."""
     noise: float | None = None
-    """Of a phone's photos at full size, in display values: the higher, the less detail is believed. None:
-    found by them."""
+    """Noise of real photos in display values. A higher value keeps less detail. Default: cross-validation."""
     neighbours: Switch = True
-    """Whether texels try their neighbours' answers as starts."""
+    """Try the values of neighbouring texels as starts."""
     exact: bool | None = None
-    """Whether the photos follow the model, as a simulation's do. None: told by what a free fit leaves
-    unexplained."""
-    rivals: Switch = True
-    """Whether exact photos are fitted from three starts, whose lobes are of very different width."""
+    """The photos follow the model, as simulated ones do. Default: decided by the errors of a first fit."""
+    multi_start: Switch = True
+    """Fit exact photos from three starts with lobes of different width."""
     calibrate: bool | None = None
-    """Estimate missing views, refine all, which exact photos lose by. None: refine stated ones of a phone's
-    photos only."""
+    """Refine the camera and flash of every photo. Default: only for real photos; exact ones fit better without."""
     flash_offset: Switch = True
-    """Whether the sideways distance between lens and flash is fitted, one for all photos (calibrations claim
-    0)."""
+    """Fit one sideways distance between lens and flash for all photos."""
 
     @property
     def holds_views(self) -> bool:
@@ -188,15 +178,13 @@ class HybridConfig(FitConfig):
     diffuse: float = 0.05
     """Weight of the distance of the diffuse map to the guess (the paper's diffuse loss)."""
     adversarial: float = 0.002
-    """Weight of the discriminator's verdict (the paper's adversarial loss); 0 leaves the discriminator
-    out."""
+    """Weight of the adversarial loss. 0 omits the discriminator."""
     smooth: float = 0.01
     """Weight of the roughness of the specular and roughness maps (total variation)."""
     flat: float = 0.02
     """Weight of the tilt of the normals."""
     flash_offset: Switch = True
-    """Whether the sideways distance between lens and flash is fitted, one for all photos (calibrations claim
-    0)."""
+    """Fit one sideways distance between lens and flash for all photos."""
 
     @property
     def wants_flash_offset(self) -> bool | None:

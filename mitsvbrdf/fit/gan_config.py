@@ -58,86 +58,75 @@ class Phase(NamedTuple):
 
 @dataclass(frozen=True)
 class GanConfig(FitConfig):
-    """A generator against a discriminator: adversarial and diffuse loss (III.D, III.F); left out, a setting
-    is its preset's.
+    """A generator against a discriminator: adversarial and diffuse loss (III.D, III.F).
+
+    A setting that is not given is that of the preset.
     """
 
     default_budget: ClassVar[float] = 300.0
 
     preset: Preset = "minutes"
-    """minutes: ours; paper-one-stage: 20,000 iterations; paper-two-stage: 10,000 on one picture, 15,000 on
-    the photos."""
+    """minutes: ours. paper-one-stage: 20,000 iterations. paper-two-stage: 10,000 on one picture, then 15,000."""
     pretrained: str | None = None
-    """A checkpoint of `mitsvbrdf pretrain`, to start the paper's second stage from."""
+    """Checkpoint of `--pretrain` from which the paper's second stage starts."""
     guess: GuessMethod = AS_PRESET
     """How the guessed diffuse map is made: robust (ours), min (the paper's), mean-blur (Zhao 2020)."""
     grey_specular: Switch = AS_PRESET
     """One grey specular level a texel (the paper's) instead of three channels."""
     generator: GeneratorKind = AS_PRESET
-    """A network that sees all photos; the paper's, which sees the one compared with; or variational, the
-    paper's outlook."""
+    """all-photos: ours. two-stream: the paper's, sees one photo. variational: the paper's outlook."""
     start: Switch = AS_PRESET
-    """Whether the generator starts at the guess and a robust constant specular and roughness; else untrained
-    (the paper's)."""
+    """Start at the guess, one specular level and one roughness. Off: start untrained (the paper's)."""
     guessed_normal: Switch = False
-    """Whether normals start at those guessed from shading (Glencross 2008; the paper's outlook); else they
-    start flat."""
+    """Start at normals guessed from shading (Glencross 2008; the paper's outlook), not at flat ones."""
     highlight_aware: Switch = False
-    """Whether the generator's first layers look past saturated pixels (Guo Jie 2021; the paper's outlook)."""
+    """The first layers of the generator ignore saturated pixels (Guo Jie 2021; the paper's outlook)."""
     kl: float = 0.01
-    """Weight of the divergence that the codes of the variational generator pay."""
+    """Weight of the divergence of the codes of the variational generator."""
     width: int = AS_PRESET
     """Channels of the first convolution of both networks."""
     learning_rate: float = AS_PRESET
     """Adam's step size of the generator."""
     head_start: float = AS_PRESET
-    """Share of each phase in which the generator's step size rises from 0: a new discriminator's first
-    verdicts mean little."""
+    """Share of each phase in which the generator's step size rises from 0."""
     decay: Switch = AS_PRESET
-    """Whether step sizes fall along a cosine to 2 % in each phase."""
+    """Step sizes fall along a cosine to 2 % in each phase."""
     normal_roughness_steps: int = AS_PRESET
     """Gradient steps of the normal/roughness decoder per step of the diffuse/specular decoder (III.F)."""
     fresh_pictures: Switch = AS_PRESET
-    """Whether each of these steps draws another photo or blend."""
+    """Each of these steps draws another photo or blend."""
     pictures: int = AS_PRESET
-    """Photos or blends that a step compares."""
+    """Photos or blends compared in one step."""
     crop: int = 0
-    """Side of random crops to train on, in texels (Zhao 2020's stationary mode: one photo is enough); 0 takes
-    all."""
+    """Side of random training crops in texels (stationary mode of Zhao 2020). 0: whole photos."""
     discriminator_rate: float = AS_PRESET
     """Adam's step size of the discriminator."""
     game: Game = AS_PRESET
-    """What the networks play: bce (the paper's), hinge, or relativistic (photo against the rendering of the
-    same view)."""
+    """Adversarial loss: bce (the paper's), hinge, or relativistic (photo against rendering of its view)."""
     level: Switch = AS_PRESET
-    """Whether the discriminator sees how bright pictures are: no norm in its first layer."""
+    """The discriminator sees the brightness of pictures: its first layer has no norm."""
     angles: Switch = AS_PRESET
-    """Whether the discriminator sees where highlights would lie: two channels of the half vector."""
+    """The discriminator sees where highlights would lie: two channels of the half vector."""
     paired: Switch = AS_PRESET
-    """Whether the discriminator sees the photo beside what it judges."""
+    """The discriminator sees the photo beside the picture that it classifies."""
     clipping: Switch = AS_PRESET
-    """Whether a rendering is clipped where its photo is, and only there; else everywhere, which stops
-    gradients."""
+    """Clip a rendering only where its photo is clipped. Off: everywhere, which stops gradients."""
     grow: Switch = AS_PRESET
-    """Whether a quarter and half the resolution come first."""
+    """Train at a quarter and half the resolution first."""
     average: float = AS_PRESET
-    """Decay of the running average of the generator's weights that makes the result; 0 takes the weights
-    themselves."""
+    """Decay of the running average of the generator's weights. 0: the weights themselves."""
     precision: Precision = "auto"
-    """What the networks compute in; renderer and losses stay in float32. auto: bfloat16 where it is faster
-    (measured)."""
+    """Numbers of the networks; renderer and losses use float32. auto: bfloat16 where it measures faster."""
     adversarial: float = AS_PRESET
     """Weight of the adversarial loss."""
     features: float = AS_PRESET
-    """Weight of feature matching: the distance between the discriminator's activations for rendering and
-    photo."""
+    """Weight of feature matching: activations of the discriminator for rendering and photo."""
     diffuse: float = AS_PRESET
     """Weight of the diffuse loss beside the adversarial loss (the paper prints none)."""
     smooth: float = AS_PRESET
     """Weight of the roughness of the specular and roughness maps (total variation)."""
     flash_offset: Switch = AS_PRESET
-    """Whether the sideways distance between lens and flash is fitted, one for all photos; the paper's is
-    0."""
+    """Fit one sideways distance between lens and flash for all photos. The paper's is 0."""
 
     def __post_init__(self) -> None:
         """Fill in what the preset has.

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from ..io.profile import profiled
 from ..material.maps import SVBRDF
+from ..render.needs import Omitted
 from ..views import Views
 from .task import Config, FitTask
 
@@ -65,8 +66,8 @@ class Method(ABC, Generic[Config]):
         return None
 
     @property
-    def left_out(self) -> list[tuple[str, str]]:
-        """What the method found not to be needed while it ran, as (what, why)."""
+    def omitted(self) -> list[Omitted]:
+        """What the method found not to be needed while it ran."""
         return []
 
     @property

@@ -1,6 +1,4 @@
-"""What a fit is asked for beside the settings of its method: which photos, how they are read, and what
-renders.
-"""
+"""Options of a fit beside the settings of its method: photos, how they are read, and the renderer."""
 
 from __future__ import annotations
 
@@ -14,10 +12,13 @@ from ..errors import ConfigError
 from ..render import RendererName
 from ..views import Falloff, photo_numbers
 from .config import FitConfig
-from .finish_config import FinishConfig
+from .detail_config import DetailConfig
 from .methods import METHODS, method_name
 
-PREDICTED = 9  # photos left out of a fit that its page shows at once; `report --capture` shows all
+PREDICTED = 9  # held-out photos that the page of a fit shows at once; `report --capture` shows all
+
+FORMER = {"own": "detail_spread", "tails": "highlight_reach", "likeness": "similarity",
+          "independent": "remove_burn_in", "integrated": "marginalise", "rivals": "multi_start"}
 
 
 @dataclass(frozen=True)
@@ -29,25 +30,22 @@ class FitOptions:
     resolution: int = 256
     """Side of the maps in texels; photos are area-averaged down to it."""
     views: Annotated[str | None, arg(metavar="0,1,2,...")] = None
-    """Which photos to use, by number; left out: all."""
+    """Photos to use, by number. Default: all."""
     falloff: Literal["auto", "inverse-square", "none"] = "auto"
-    """Light falloff; none is the paper's light. auto: inverse-square, but none for the paper's presets of
-    --method gan."""
+    """Light falloff. auto: inverse-square; none for the paper's presets of --method gan."""
     transfer: Literal["auto", "gamma2.2", "srgb", "linear"] = "auto"
-    """How photos encode light; auto: as the capture states, else gamma2.2 for calibrated captures and srgb
-    for plain photos."""
+    """Encoding of light in photos. auto: as stated, else gamma2.2 if calibrated, srgb if plain photos."""
     variant: Literal["llvm_ad_rgb", "cuda_ad_rgb"] = "llvm_ad_rgb"
     """Mitsuba variant."""
-    finish: Literal["none", "gan"] = "none"
-    """gan: OUT/look beside OUT/maps, one plausible draw of what no photo saw, for pictures; the maps stay the
-    same."""
-    finish_steps: int = FinishConfig.steps
-    """Steps of the finish; 80 take under a minute at 256 px."""
+    detail: Literal["none", "gan"] = "none"
+    """gan: write OUT/detail, one plausible draw of what no photo shows, for pictures. OUT/maps stays the same."""
+    detail_steps: int = DetailConfig.steps
+    """Steps of --detail gan. 80 take under a minute at 256 px."""
 
     def check(self, config: FitConfig) -> None:
         """Raise ConfigError for options out of range, or that do not fit the method's settings."""
         config.check()
-        (self.finishing(config) or FinishConfig()).check()
+        (self.detail_config(config) or DetailConfig()).check()
         if self.resolution < 8:
             raise ConfigError("--resolution of 8 or more", str(self.resolution), "try 256")
         photo_numbers(self.views)
@@ -56,14 +54,12 @@ class FitOptions:
         """How light falls off: as asked for, else as the method takes for granted."""
         return config.falloff if self.falloff == "auto" else self.falloff
 
-    def finishing(self, config: FitConfig) -> FinishConfig | None:
-        """Settings of the finish; None where none is asked for."""
-        return FinishConfig(steps=self.finish_steps, seed=config.seed) if self.finish == "gan" else None
+    def detail_config(self, config: FitConfig) -> DetailConfig | None:
+        """Settings of the plausible detail; None where none is asked for."""
+        return DetailConfig(steps=self.detail_steps, seed=config.seed) if self.detail == "gan" else None
 
     def chosen(self, photos: Capture) -> tuple[Capture, Capture | None]:
-        """The photos to fit; and these with some that are left out, for the page to predict, or None where
-        all are fitted.
-        """
+        """The photos to fit; and these with some held-out ones, which the page predicts, or None without any."""
         numbers = photo_numbers(self.views)
         shots = photos if numbers is None else photos.pick(numbers)
         unused = [number for number in photos.index if number not in shots.index][:PREDICTED]
@@ -71,7 +67,7 @@ class FitOptions:
 
     def record(self, shots: Capture) -> dict:
         """What ``fit.json`` keeps of them; the falloff is that of the photos' views."""
-        kept = ("renderer", "resolution", "views", "transfer", "variant", "finish")
+        kept = ("renderer", "resolution", "views", "transfer", "variant", "detail")
         return {name: getattr(self, name) for name in kept} | {"falloff": shots.views.falloff}
 
 
@@ -81,7 +77,7 @@ def config_record(config: FitConfig) -> dict:
 
 
 def config_of(record: dict) -> FitConfig:
-    """The settings that a record of :func:`config_record` holds."""
-    settings: dict[str, Any] = {name: tuple(value) if isinstance(value, list) else value
+    """The settings that a record of :func:`config_record` holds, under their present or former names."""
+    settings: dict[str, Any] = {FORMER.get(name, name): tuple(value) if isinstance(value, list) else value
                                 for name, value in record.items() if name != "method"}
     return METHODS[record["method"]].config(**settings)

@@ -14,7 +14,7 @@ from ..errors import MapsError, MitsvbrdfError
 from ..io import files
 from ..io.json import NUMBER, error_text, load, shape_error
 from ..io.provenance import machine, versions
-from ..material.map_files import MAP_FOLDERS, load_maps
+from ..material.map_files import DETAIL, FORMER_DETAIL, MAP_FOLDERS, load_maps
 from ..material.maps import CHANNELS, SVBRDF
 from ..measure.burn_in import burn_in, local_burn_in
 from ..render import Renderer, RendererName, make_renderer
@@ -27,6 +27,7 @@ from .result import FitResult
 FILE = "fit.json"
 SCHEMA_VERSION = 1
 NONE = type(None)
+FORMER = {"left_out": "omitted", "finish": "detail"}  # names of fields in fit.json of earlier versions
 # What a page needs of fit.json, as types; see :func:`~mitsvbrdf.io.json.shape_error`.
 _SHAPE = {
     "method": str, "renderer": str, "bsdf": str, "rerender_rmse": NUMBER, "per_photo": {str: NUMBER},
@@ -36,7 +37,7 @@ _SHAPE = {
     "stopped": str, "undone_steps": int, "undone": [{"iteration": int, "reason": str}],
     "restarts": [{"iteration": int, "reason": str}], "seconds": NUMBER, "iterations": int, "seed": int,
     "config": {"fix": [str], "grey_specular": bool}, "command": {str: object},
-    "left_out": [{"what": str, "why": str}],
+    "omitted": [{"what": str, "why": str}],
     "used": [{"what": str, "how": str}],
     "capture": {"photos": [int], "resolution": int, "transfer": str, "calibrated": bool, "notes": [str]},
     "versions": {str: object}, "machine": {str: object}, "trace": [{str: NUMBER}]}
@@ -46,7 +47,7 @@ _KNOWN = {
               "intensity": [[NUMBER]]},
     "flash_offset": (dict, NONE), "capture": {"name": (str, NONE), "photos": [int], "transfer": str}}
 # where they are there
-_BESIDE = {"calibration": dict, "variant": (str, NONE), "finish": dict, "profile": dict}
+_BESIDE = {"calibration": dict, "variant": (str, NONE), "detail": dict, "profile": dict}
 
 
 def capture_name(capture: Capture) -> str:
@@ -117,9 +118,12 @@ class SavedFit:
         return load_maps(self.path / "maps", self.record["bsdf"])
 
     @cached_property
-    def look(self) -> SVBRDF | None:
-        """One plausible draw of what no photo saw; None where its fit had no finish."""
-        return load_maps(self.path / "look", self.record["bsdf"]) if "finish" in self.record else None
+    def detail(self) -> SVBRDF | None:
+        """One plausible draw of what no photo shows; None where none was asked for."""
+        if "detail" not in self.record:
+            return None
+        folder = self.path / DETAIL
+        return load_maps(folder if folder.is_dir() else self.path / FORMER_DETAIL, self.record["bsdf"])
 
     def renderer(self) -> Renderer | None:
         """That of the fit; None for one that is not ours."""
@@ -132,20 +136,24 @@ class SavedFit:
 
 
 def record_in(folder: Path) -> dict:
-    """What a fit's ``fit.json`` holds, unchecked.
+    """What the ``fit.json`` of a fit holds, unchecked, with the present names of its fields.
 
     Raises:
         OSError: it cannot be read.
         ValueError: it is no JSON.
     """
-    return load(folder / FILE)
+    record = load(folder / FILE)
+    for former, name in FORMER.items() if isinstance(record, dict) else ():
+        if former in record and name not in record:
+            record[name] = record.pop(former)
+    return record
 
 
 def read_fit(maps: str | Path) -> SavedFit:
     """What is known of the fit that maps come from; the defaults where there is no ``fit.json``.
 
     Args:
-        maps: a fit's folder, or the ``maps`` or ``look`` folder inside it.
+        maps: a fit's folder, or the ``maps`` or ``detail`` folder inside it.
 
     Raises:
         MapsError: the ``fit.json`` cannot be understood.
@@ -244,7 +252,7 @@ def _record(result: FitResult, capture: Capture, command: dict) -> dict:
         "restarts": list(result.restarts),
         "seconds": result.trace[-1]["seconds"], "iterations": result.trace[-1]["iteration"],
         "seed": result.config.seed, "config": asdict(result.config), "command": command,
-        "left_out": [{"what": what, "why": why} for what, why in result.left_out],
+        "omitted": [{"what": what, "why": why} for what, why in result.omitted],
         "used": [{"what": what, "how": how} for what, how in result.used],
         "capture": {"name": capture.source.name if capture.source else None, "photos": list(capture.index),
                     "resolution": capture.resolution, "transfer": capture.transfer,
@@ -255,7 +263,7 @@ def _record(result: FitResult, capture: Capture, command: dict) -> dict:
                                                      "unit": "patch sides"},
         "calibration": result.calibration,
         **({"profile": result.profile} if result.profile else {}),
-        **({"finish": result.finish} if result.finish else {}),
+        **({"detail": result.detail_record} if result.detail_record else {}),
         "versions": versions(),
         "machine": machine(),
         "trace": result.trace,

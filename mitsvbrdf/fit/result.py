@@ -31,7 +31,7 @@ class FitResult:
         trace: one dict a measurement: seconds, iteration, each loss, rerender_rmse.
         config: the settings.
         renderer: the name of the renderer; ``variant`` its Mitsuba variant or None.
-        left_out: (what, why) of each thing the scene or the method did not need.
+        omitted: (what, why) of each thing the scene or the method did not need.
         used: (what, how) of each network that was trained.
         stopped: why the fit ended: "settled", "budget", "iterations", "interrupted" or "unstable" (too many
             steps undone).
@@ -44,9 +44,9 @@ class FitResult:
             None.
         calibration: what is known of the views and how surely; see
             :func:`mitsvbrdf.fit.view_record.views_record`.
-        look: one plausible draw of what no photo saw, for pictures; None without
-            :func:`mitsvbrdf.fit.generator.finish.finished`.
-        finish: settings, seconds and losses of that, and what it is, or None.
+        detail: one plausible draw of what no photo shows, for pictures; None without
+            :func:`mitsvbrdf.fit.generator.detail.with_detail`.
+        detail_record: settings, seconds and losses of that, and what it is, or None.
         profile: where the time of the steps went, where :func:`mitsvbrdf.io.profile.profiling` was on,
             else None.
     """
@@ -61,7 +61,7 @@ class FitResult:
     config: FitConfig
     renderer: str
     variant: str | None
-    left_out: tuple[tuple[str, str], ...]
+    omitted: tuple[tuple[str, str], ...]
     stopped: str
     undone: tuple[dict, ...] = ()
     restarts: tuple[dict, ...] = ()
@@ -71,8 +71,8 @@ class FitResult:
     profile: dict | None = None
     calibration: dict = field(default_factory=dict)
     used: tuple[tuple[str, str], ...] = ()
-    look: SVBRDF | None = None
-    finish: dict | None = None
+    detail: SVBRDF | None = None
+    detail_record: dict | None = None
     calibrated_rmse: float | None = None
 
     def __repr__(self) -> str:

@@ -210,12 +210,12 @@ def _refined_for_nothing(result: FitResult, capture: Capture) -> Iterator[str]:
     """Whether stated views were refined, as asked for, where exact photos said as much with the views as they
     were.
     """
-    from .hierarchical.moved_views import TILTED  # with OpenCV, which results alone do not need
-    from .hierarchical.skipped import TIED
+    from .hierarchical.omitted import TIED
+    from .hierarchical.view_corrections import TILTED  # with OpenCV, which results alone do not need
 
     stated, offset = result.calibrated_rmse, math.hypot(*(result.flash_offset or (0.0, 0.0)))
     # only exact photos are not tied
-    if not (result.config.refines_views and stated and TIED in dict(result.left_out)):
+    if not (result.config.refines_views and stated and TIED in dict(result.omitted)):
         return
     if stated < NO_BETTER * result.rerender_rmse and offset < TILTED * capture.views.size:
         yield (f"the stated views explain the photos to {stated:.2g}, the refined ones to "

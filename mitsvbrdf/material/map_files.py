@@ -26,7 +26,8 @@ ENCODINGS: dict[str, dict[str, str]] = {
     | {"metallic": "linear"},
     "srgb": dict.fromkeys(COLOURS, "srgb") | {"roughness": "linear", "metallic": "linear"},
 }
-MAP_FOLDERS = ("maps", "look")  # of a fit: the expected values, and one plausible draw of what no photo saw
+DETAIL, FORMER_DETAIL = "detail", "look"
+MAP_FOLDERS = "maps", DETAIL, FORMER_DETAIL  # of a fit: expected values, and a plausible draw of what no photo shows
 SHORT_NAMES = {"diffuse": "dif", "specular": "spe", "roughness": "rgh", "normal": "nom"}
 
 # Normals of published maps point into the surface at up to 0.2 % of the texels: noise of networks, empty

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from .. import color
 from ..errors import ConfigError, MapsError
+from ..kinds import check_fields, kinds_checked
 from .resample import resized
 
 TITLES = {"diffuse": "Diffuse", "specular": "Specular", "roughness": "Roughness", "normal": "Normal",
@@ -61,10 +62,18 @@ class SVBRDF:
     maps: Mapping[str, Tensor]
 
     def __post_init__(self) -> None:
+        check_fields(self)
         wanted = CHANNELS[self.bsdf]
         if set(self.maps) != set(wanted):
             raise MapsError(f"the maps {sorted(wanted)}", str(sorted(self.maps)), "give exactly these")
-        size = self.maps["normal"].shape[0]
+        for name, value in self.maps.items():
+            if not isinstance(value, Tensor) or not value.is_floating_point():
+                raise MapsError(f"{name} as a float tensor",
+                                repr(getattr(value, "dtype", type(value).__name__)),
+                                "make it one with torch.as_tensor(...).float()")
+        size = self.maps["normal"].shape[0] if self.maps["normal"].ndim else 0
+        if not size:
+            raise MapsError("maps of 1 x 1 texels or more", "maps without a texel", "check how they were cut")
         for name, channels in wanted.items():
             if tuple(self.maps[name].shape) != (size, size, channels):
                 raise MapsError(f"{name} of shape {(size, size, channels)}",
@@ -82,10 +91,12 @@ class SVBRDF:
         """Texels along a side."""
         return self.maps["normal"].shape[0]
 
+    @kinds_checked
     def map(self, function: Callable[[Tensor], Tensor]) -> SVBRDF:
         """The same material with ``function`` applied to each map tensor."""
         return SVBRDF(self.bsdf, {name: function(value) for name, value in self.maps.items()})
 
+    @kinds_checked
     def to(self, dtype: torch.dtype) -> SVBRDF:
         """The same material in another float type."""
         return self.map(lambda t: t.to(dtype))
@@ -94,14 +105,19 @@ class SVBRDF:
         """The same material, cut off from the gradient graph."""
         return self.map(Tensor.detach)
 
-    def check(self) -> SVBRDF:
-        """Itself, when every value is finite and in range; else MapsError naming map, texel and value."""
+    def check_finite(self) -> None:
+        """Raise MapsError, naming map and texel, unless every value is finite."""
         for name, value in self.maps.items():
             bad = ~torch.isfinite(value)
             if bad.any():
                 raise MapsError("finite values", f"{int(bad.sum())} NaN or infinite in {name}, first at "
                                 f"(row, column, channel) {tuple(bad.nonzero()[0].tolist())}",
                                 "mend or re-export the map")
+
+    def check(self) -> SVBRDF:
+        """Itself, when every value is finite and in range; else MapsError naming map, texel and value."""
+        self.check_finite()
+        for name, value in self.maps.items():
             if name == "normal":
                 under = int((value[..., 2] <= 0).sum())
                 if under:
@@ -136,10 +152,16 @@ class SVBRDF:
             "diffuse": base * (1 - metallic), "specular": base * metallic + DIELECTRIC_F0 * (1 - metallic),
             "roughness": self["roughness"], "normal": self["normal"]})
 
+    @kinds_checked
     def resized(self, resolution: int) -> SVBRDF:
         """The material at another resolution: area average when shrinking, bilinear when growing; unit
         normals.
+
+        Raises:
+            ConfigError: a resolution below 1.
         """
+        if resolution < 1:
+            raise ConfigError("a resolution of 1 or more", str(resolution), "ask for e.g. 256")
         if resolution == self.resolution:
             return self
         maps = {name: resized(value, resolution) for name, value in self.maps.items()}
@@ -147,6 +169,7 @@ class SVBRDF:
         return SVBRDF(self.bsdf, maps)
 
 
+@kinds_checked
 def flat(resolution: int, bsdf: Bsdf = "roughconductor", dtype: torch.dtype = torch.float32,
          **values: float) -> SVBRDF:
     """A constant material with an up-pointing normal.

@@ -123,7 +123,7 @@ def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str 
     svbrdf = svbrdf.detach().to(torch.float32)
     needs = material_needs(svbrdf)
     scene["material"] = _material(mi, svbrdf, needs, tiling, preset)
-    left_out = [*needs.left_out,
+    left_out = [*needs.omitted,
                 *(around.left_out if around else [("environment", "the preset has a light of its own")])]
     if displacement:
         _displace(mi, scene, svbrdf, tiling, displacement)

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from ..errors import ConfigError
+from ..kinds import kinds_checked
 from ..material.maps import SVBRDF
 from ..views import Views
 from .needs import Needs
@@ -26,7 +27,7 @@ RENDERERS: tuple[RendererName, ...] = ("mitsuba", "mitsuba-scene", "analytic")
 
 
 class Renderer(Protocol):
-    """What every renderer offers."""
+    """What every renderer offers. Renderers can be copied and pickled; a copy compiles its kernels anew."""
 
     @property
     def name(self) -> str:
@@ -43,10 +44,15 @@ class Renderer(Protocol):
 
         Differentiable with respect to the maps; ``analytic`` and ``mitsuba`` also with respect to camera,
         light and intensity, for which ``mitsuba-scene`` refuses a gradient.
+
+        Raises:
+            MapsError: a value of a map is NaN or infinite.
+            CaptureError: a number of a view is.
         """
         ...
 
 
+@kinds_checked
 def make_renderer(name: str = "mitsuba", variant: str = "llvm_ad_rgb",
                   needs: Needs | None = None) -> Renderer:
     """A renderer by name; Mitsuba is loaded only for the two that need it.

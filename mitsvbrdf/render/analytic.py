@@ -22,7 +22,7 @@ from ..io.entry import entry
 from ..material.maps import DIELECTRIC_F0, SVBRDF
 from ..views import Views, texel_positions
 from .bsdf import F0_RANGE, MIN_ALPHA_PRINCIPLED, needed_maps
-from .needs import Needs, scene_needs
+from .needs import Needs, refuse_not_finite, scene_needs
 
 # Mitsuba's microfacets are never smoother
 MIN_ALPHA = {"roughconductor": 1e-4, "principled": MIN_ALPHA_PRINCIPLED}
@@ -47,6 +47,7 @@ class AnalyticRenderer:
         """Linear radiance N x R x R x 3 of this renderer's dtype; gradients to maps, camera, light and
         intensity.
         """
+        refuse_not_finite(svbrdf, views)
         needs = self.needs or scene_needs(svbrdf, views, self.name)
         maps = {name: value.to(self.dtype) for name, value in needed_maps(svbrdf, needs).items()}
         cosines, irradiance = _geometry(maps.get("normal"), views, svbrdf.resolution)

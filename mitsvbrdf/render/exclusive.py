@@ -34,6 +34,7 @@ from torch.autograd.function import once_differentiable
 
 from ..io.entry import put_back
 from ..io.lock import PROCESS
+from ..kinds import kinds_checked
 from .llvm import mitsuba_module
 
 T = TypeVar("T")
@@ -70,6 +71,7 @@ def _free_all() -> None:
     _forgotten.clear()
 
 
+@kinds_checked
 @contextlib.contextmanager
 def using_mitsuba(variant: str = "llvm_ad_rgb") -> Iterator[ModuleType]:
     """The ``mitsuba`` module with this variant set, for this thread alone; afterwards one set before is set

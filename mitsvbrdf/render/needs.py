@@ -1,8 +1,9 @@
-"""What a scene needs to be rendered exactly, and what was left out because it needs not."""
+"""What a scene needs to be rendered exactly, and what is omitted because the scene does not need it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -15,6 +16,13 @@ from ..views import Views
 # relative: it grows with the fourth power, by 0.5 theta^4 for F0 = 0.04 (2.3e-7) and at most by 0.85 theta^4
 # for F0 -> 0 (4e-7).
 CONSTANT_FRESNEL_DEGREES = 1.5
+
+
+class Omitted(NamedTuple):
+    """Something that is not computed, and why."""
+
+    what: str
+    why: str
 
 
 @dataclass(frozen=True)
@@ -32,7 +40,7 @@ class Needs:
         shadow_rays: traced scene only, as the next two: whether light reaches the patch is asked, not known.
         path_depth: light that arrives after a bounce.
         environment: light from an environment.
-        left_out: (what, why) of each thing that is not computed.
+        omitted: what is not computed.
     """
 
     diffuse_lobe: bool = True
@@ -44,7 +52,7 @@ class Needs:
     shadow_rays: bool = True
     path_depth: bool = True
     environment: bool = True
-    left_out: tuple[tuple[str, str], ...] = field(default=(), compare=False)
+    omitted: tuple[Omitted, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         if not self.lobes:
@@ -76,23 +84,22 @@ def scene_needs(svbrdf: SVBRDF, views: Views, renderer: str) -> Needs:
     angle = half_angle_bound(views)
     curve = (svbrdf.bsdf == "roughconductor"
              and angle > (0 if renderer == "analytic64" else CONSTANT_FRESNEL_DEGREES))
-    left_out = list(of_material.left_out)
+    omitted = list(of_material.omitted)
     if svbrdf.bsdf == "roughconductor" and of_material.specular_lobe and not curve:
         together = "in one place: F = F0"
         near = f"at most {angle:.2g} degrees from the half vector: F = F0 within 4e-7"
-        left_out.append(("Fresnel curve", f"camera and light {near if angle > 1e-6 else together}"))
-    left_out.append(("interreflection and path depth", "a plane does not see itself"))
-    left_out.append(("shadow rays", "nothing stands between a plane and a point light above it"))
-    left_out.append(("environment", "the flash is the only light"))
+        omitted.append(Omitted("Fresnel curve", f"camera and light {near if angle > 1e-6 else together}"))
+    omitted.append(Omitted("interreflection and path depth", "a plane does not see itself"))
+    omitted.append(Omitted("shadow rays", "nothing stands between a plane and a point light above it"))
+    omitted.append(Omitted("environment", "the flash is the only light"))
     if renderer != "mitsuba-scene":
-        left_out.append(("ray tracing", "the texel behind each pixel of a rectified photo is known"))
+        omitted.append(Omitted("ray tracing", "the texel behind each pixel of a rectified photo is known"))
     if renderer == "mitsuba":
-        left_out.append(("texture look-ups", "pixel = texel: each thread has its own texel's maps in "
-                                             "registers"))
+        omitted.append(Omitted("texture look-ups", "pixel = texel: each thread has its own texel's maps in registers"))
     if views.falloff == "none":
-        left_out.append(("light falloff", "asked for by --falloff none"))
+        omitted.append(Omitted("light falloff", "asked for by --falloff none"))
     return replace(of_material, fresnel_curve=curve and of_material.specular_lobe, shadow_rays=False,
-                   path_depth=False, environment=False, left_out=tuple(left_out))
+                   path_depth=False, environment=False, omitted=tuple(omitted))
 
 
 def material_needs(svbrdf: SVBRDF) -> Needs:
@@ -100,27 +107,38 @@ def material_needs(svbrdf: SVBRDF) -> Needs:
     it.
     """
     diffuse = specular = coloured = metallic = True
-    left_out = []
+    omitted = list[Omitted]()
     if svbrdf.bsdf == "roughconductor":
         specular = not _is_zero(svbrdf["specular"]) or svbrdf["roughness"].requires_grad
         diffuse = not specular or not _is_zero(svbrdf["diffuse"])
         coloured = specular and not _is_grey(svbrdf["specular"])
         metallic = False
         if not specular:
-            left_out.append(("specular lobe", "the specular map is 0 and held fixed"))
+            omitted.append(Omitted("specular lobe", "the specular map is 0 and held fixed"))
         if not diffuse:
-            left_out.append(("diffuse lobe", "the diffuse map is 0 and held fixed"))
+            omitted.append(Omitted("diffuse lobe", "the diffuse map is 0 and held fixed"))
         if specular and not coloured:
-            left_out.append(("colour of the specular map", "its three channels are one"))
+            omitted.append(Omitted("colour of the specular map", "its three channels are one"))
     else:
         metallic = not _is_zero(svbrdf["metallic"])
         if not metallic:
-            left_out.append(("metallic map", "it is 0 and held fixed"))
+            omitted.append(Omitted("metallic map", "it is 0 and held fixed"))
     normal_map = not _is_flat(svbrdf["normal"])
     if not normal_map:
-        left_out.append(("normal map", "it is flat and held fixed"))
+        omitted.append(Omitted("normal map", "it is flat and held fixed"))
     return Needs(diffuse, specular, coloured, metallic, normal_map,
-                 specular and svbrdf.bsdf == "roughconductor", left_out=tuple(left_out))
+                 specular and svbrdf.bsdf == "roughconductor", omitted=tuple(omitted))
+
+
+def refuse_not_finite(svbrdf: SVBRDF, views: Views) -> None:
+    """Raise MapsError or CaptureError for NaN and infinity, which Mitsuba would draw as plausible light.
+
+    One sum of each tensor shows both, in some 0.1 ms; what it may overflow is looked at value by value.
+    """
+    numbers = (*svbrdf.maps.values(), views.camera, views.light, views.intensity)
+    if not bool(torch.stack([t.detach().sum().double() for t in numbers]).isfinite().all()):
+        svbrdf.check_finite()
+        views.check_finite()
 
 
 def half_angle_bound(views: Views) -> float:

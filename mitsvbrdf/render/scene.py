@@ -20,7 +20,7 @@ from ..material.maps import SVBRDF
 from ..views import Views
 from .bsdf import needed_maps, plugin, slot_values
 from .exclusive import Drawing, using_mitsuba
-from .needs import Needs, scene_needs
+from .needs import Needs, refuse_not_finite, scene_needs
 from .plugins import CAMERA, INTEGRATOR, NORMAL_MAP, register
 
 GREY = ("alpha", "metallic", "roughness")
@@ -52,6 +52,9 @@ class SceneRenderer:
         self.device = "cuda" if variant.startswith("cuda") else "cpu"
         self._drawings: dict[tuple, Drawing] = {}
 
+    def __reduce__(self) -> tuple:
+        return SceneRenderer, (self.variant, self.needs, self.samples)
+
     @entry()
     def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
         """Linear radiance N x R x R x 3, float32; gradients to the maps.
@@ -60,6 +63,7 @@ class SceneRenderer:
             ConfigError: camera or light asks for a gradient, which emitters and sensors called by a ray do
                 not carry.
         """
+        refuse_not_finite(svbrdf, views)
         if any(t.requires_grad for t in (views.camera, views.light, views.intensity)):
             raise ConfigError("views held fixed", "a gradient asked of camera, light or intensity",
                               "use the renderer 'mitsuba' or 'analytic' to fit these")

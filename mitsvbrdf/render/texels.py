@@ -19,7 +19,7 @@ from ..material.maps import SVBRDF
 from ..views import Views
 from .bsdf import needed_maps
 from .exclusive import Drawing, using_mitsuba
-from .needs import Needs, scene_needs
+from .needs import Needs, refuse_not_finite, scene_needs
 from .plugins import register, shading_axes
 from .texel_plugin import HeldPlugin, row, texel_position, view_geometry
 
@@ -47,9 +47,13 @@ class TexelRenderer:
         self.device = "cuda" if variant.startswith("cuda") else "cpu"
         self._drawings: dict[tuple, Drawing] = {}
 
+    def __reduce__(self) -> tuple:
+        return TexelRenderer, (self.variant, self.needs)
+
     @entry()
     def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
         """Linear radiance N x R x R x 3, float32; gradients to maps, camera, light and intensity."""
+        refuse_not_finite(svbrdf, views)
         needs = self.needs or scene_needs(svbrdf, views, self.name)
         maps = needed_maps(svbrdf, needs)
         key = (svbrdf.bsdf, needs, svbrdf.resolution, views.falloff, tuple(maps))

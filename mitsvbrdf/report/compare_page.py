@@ -79,10 +79,10 @@ def _table(record: dict) -> list[dict]:
     calibrated = not any(m["fitted_views"] for m in methods)
     alike = calibrated and unmoved
     rows = [row("all photos, as pictured", [m["rerender_rmse"] for m in methods], alike)]
-    if any(m["left_out"] for m in methods):  # never all with all: each fit's photos are its own
+    if any(m["held_out"] for m in methods):  # never all with all: each fit's photos are its own
         rows.append(row("those that the fit saw, as pictured", [m["rmse_seen"] for m in methods],
                         alike=False))
-        rows.append(row("those that the fit did not see", [m["rmse_left_out"] for m in methods], alike=False))
+        rows.append(row("those that the fit did not see", [m["rmse_held_out"] for m in methods], alike=False))
     if not calibrated:
         rows.append(row("all, calibration and flash offset",
                         [m["calibrated"]["rerender_rmse"] for m in methods], unmoved))

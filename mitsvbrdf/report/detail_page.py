@@ -1,4 +1,4 @@
-"""The page of a fit's look: the draw that is for pictures, beside the maps that are for validation."""
+"""The page of the plausible detail of a fit: the draw that is for pictures, beside the maps that are for validation."""
 
 from __future__ import annotations
 
@@ -16,38 +16,38 @@ from .page import write_page
 from .pictures import at_most, picture_uri
 from .viewer import viewer_html
 
-PAGE = "look.html"
+PAGE = "detail.html"
 LARGEST = 512  # pixels a side on the page
 
 
 def write_detail_page(found: SavedFit, into: Path) -> str | None:
-    """Write ``look.html`` of a fit: maps, a light that no photo had, and the live viewer, all of its look.
+    """Write ``detail.html`` of a fit: maps, a light that no photo had, and the live viewer, all of its detail.
 
     Args:
         found: the fit.
         into: the folder to write to.
 
     Returns:
-        The page's name; None where the fit has no look.
+        The page's name; None where the fit has none.
 
     Raises:
-        MapsError: the look cannot be read.
+        MapsError: the maps cannot be read.
         OutputError: the page cannot be written.
     """
-    if found.look is None:
+    if found.detail is None:
         return None
     assert found.views is not None and found.transfer is not None  # a fit's record has them
-    view, finish = unseen_view(found.views), found.record["finish"]
+    view, settings = unseen_view(found.views), found.record["detail"]
     engine, transfer = found.renderer() or AnalyticRenderer(), found.transfer
     with torch.no_grad():
         relit = [(title, picture_uri(at_most(color.to_display(engine.render(svbrdf, view)[0], transfer),
                                              LARGEST)))
-                 for title, svbrdf in (("maps/", found.svbrdf), ("look/", found.look))]
-    maps = [(TITLES[name], picture_uri(at_most(shown_map(name, found.look[name]), LARGEST)))
-            for name in CHANNELS[found.look.bsdf]]
+                 for title, svbrdf in (("maps/", found.svbrdf), ("detail/", found.detail))]
+    maps = [(TITLES[name], picture_uri(at_most(shown_map(name, found.detail[name]), LARGEST)))
+            for name in CHANNELS[found.detail.bsdf]]
     name = found.record["capture"].get("name") or "Capture"
-    write_page(into / PAGE, "report/detail.html", title=f"{name}: look", finish=finish, maps=maps, relit=relit,
-               solved_rmse=found.record["rerender_rmse"], viewer=viewer_html(found.look))
+    write_page(into / PAGE, "report/detail.html", title=f"{name}: plausible detail", detail=settings, maps=maps, relit=relit,
+               solved_rmse=found.record["rerender_rmse"], viewer=viewer_html(found.detail))
     return PAGE
 
 

@@ -172,7 +172,7 @@ def _write_page(found: SavedFit, record: dict, into: Path) -> None:
                viewer=viewer_html(found.svbrdf),
                curves=error_and_losses(fit["trace"]), measured=_thinned(fit["trace"]), unknown=UNKNOWN, ramp=_ramp(),
                titles=TITLES,
-               look=write_detail_page(found, into), scalar=_scalar,
+               detail=write_detail_page(found, into), scalar=_scalar,
                from_where=about_views(fit.get("calibration") or {}))
 
 

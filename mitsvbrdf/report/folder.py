@@ -17,7 +17,7 @@ from ..io.entry import entry
 from ..io.images import write_linear
 from ..io.progress import say
 from ..io.results import output_folder
-from ..material.map_files import save_maps
+from ..material.map_files import DETAIL, save_maps
 from .charts import loss_curve
 from .fit_page import check_apart, keep_photos, write_report
 from .overview import write_sheet
@@ -26,7 +26,7 @@ from .overview import write_sheet
 @entry()
 def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dict | None = None,
               left_out: Capture | None = None, pages: bool = True) -> None:
-    """Write a fit: maps, look, uncertainty, guess, photos and re-renderings, sheet, curve, Mitsuba scene,
+    """Write a fit: maps, detail, uncertainty, guess, photos and re-renderings, sheet, curve, Mitsuba scene,
     ``fit.json``, page.
 
     It appears whole or not at all. It takes the place of a fit that is there, finished or not; files of
@@ -39,7 +39,7 @@ def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dic
         command: options of the command line, kept in ``fit.json``.
         left_out: photos that the fit did not use, for the page to predict; see
             :func:`.fit_page.write_report`.
-        pages: whether all of that is written; else maps, look, uncertainty and ``fit.json`` alone.
+        pages: whether all of that is written; else maps, detail, uncertainty and ``fit.json`` alone.
 
     Raises:
         OutputError: ``out`` cannot be written or is in use, or its ``photos/`` is where the capture came
@@ -60,8 +60,8 @@ def write_fit_files(result: FitResult, capture: Capture, out: Path, command: dic
     if pages:
         keep_photos(out, capture)
     save_maps(result.svbrdf, out / "maps")
-    if result.look:
-        save_maps(result.look, out / "look")
+    if result.detail:
+        save_maps(result.detail, out / DETAIL)
     for name, spread in result.deviations.items():
         images.write_exr(out / "uncertainty" / f"{name}.exr",
                          spread.square().mean(dim=-1, keepdim=True).sqrt())

@@ -165,7 +165,7 @@ class _Case:
         """As :func:`render_and_gradients` asks for it: every map wants a gradient."""
         needs = scene_needs(self.svbrdf.map(lambda t: t.detach().clone().requires_grad_()), self.views[0],
                             renderer)
-        return [{"what": what, "why": reason} for what, reason in needs.left_out]
+        return [{"what": what, "why": reason} for what, reason in needs.omitted]
 
 
 def _seconds(renderer: Renderer, svbrdf: SVBRDF, views: Views) -> tuple[float, float]:

@@ -27,8 +27,8 @@ USUAL = Asked(Entry("/shots/wood"), HierarchicalConfig(), FitOptions(), True, ()
     (USUAL, ""),
     (replace(USUAL, config=HierarchicalConfig(seed=3, budget=7.5), tags=("old", "wood")),
      "--budget 7.5 --seed 3"),
-    (replace(USUAL, config=HierarchicalConfig(independent=False, grey_specular=True, calibrate=False)),
-     "--grey-specular --no-independent --no-calibrate"),
+    (replace(USUAL, config=HierarchicalConfig(remove_burn_in=False, grey_specular=True, calibrate=False)),
+     "--grey-specular --no-remove-burn-in --no-calibrate"),
     (replace(USUAL, config=HierarchicalConfig(calibrate=True, fix=("normal=flat", "diffuse=a b.png"))),
      "--fix normal=flat --fix 'diffuse=a b.png' --calibrate"),
     (replace(USUAL, config=GanConfig(preset="paper-one-stage", iterations=500, start=True)),
@@ -36,8 +36,8 @@ USUAL = Asked(Entry("/shots/wood"), HierarchicalConfig(), FitOptions(), True, ()
     (replace(USUAL, config=GanConfig(grow=False)), "--method gan --no-grow"),
     (replace(USUAL, config=DirectConfig(learning_rate=0.1), pages=False, sheet=18.5),
      "--method direct --learning-rate 0.1 --pages none --sheet 18.5"),
-    (replace(USUAL, options=FitOptions(resolution=512, views="0,1,2", finish="gan")),
-     "--resolution 512 --views 0,1,2 --finish gan"),
+    (replace(USUAL, options=FitOptions(resolution=512, views="0,1,2", detail="gan")),
+     "--resolution 512 --views 0,1,2 --detail gan"),
     (replace(USUAL, strict=True), "--strict")])
 def test_options_in_words_are_those_that_differ_and_mean_the_same_on_a_line(each, words):
     assert each.words == words
@@ -86,7 +86,7 @@ def test_a_limit_grows_with_what_there_is_to_do(tmp_path):
     usual = limit(few)
     assert usual == 180 + 300 and asked(few, HierarchicalConfig(iterations=4)).limit is None
     assert [limit(few, budget=200.0), limit(many), limit(few, resolution=512), limit(raw),
-            limit(few, finish="gan")] == [
+            limit(few, detail="gan")] == [
         usual + 300, usual + 180, usual + 3 * 180, usual + 600, usual + 600]
 
 

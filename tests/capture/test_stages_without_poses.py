@@ -11,9 +11,11 @@ import torch
 from PIL import Image
 
 from mitsvbrdf.capture import read_capture
+from mitsvbrdf.capture.lens import field_of_view
 from mitsvbrdf.capture.photo import Photo, photos_in
-from mitsvbrdf.capture.stages import OnePlace, make_capture
-from mitsvbrdf.views import default_views, field_of_view
+from mitsvbrdf.capture.rig import OnePlace
+from mitsvbrdf.capture.stages import make_capture
+from mitsvbrdf.views import default_views
 
 WIDTH, HEIGHT = 400, 300
 

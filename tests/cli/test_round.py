@@ -43,7 +43,7 @@ def test_a_whole_round(options, losses, shots, tmp_path, capsys):
     assert record["schema_version"] == 1 and record["stopped"] == "iterations" and record["seed"] == 0
     assert record["renderer"] == "mitsuba" and record["variant"] == "llvm_ad_rgb" and record[
         "bsdf"] == "roughconductor"
-    assert record["versions"]["mitsuba"] and record["machine"]["libllvm"] and record["left_out"]
+    assert record["versions"]["mitsuba"] and record["machine"]["libllvm"] and record["omitted"]
     assert set(record["per_photo"]) == {f"{i:02d}" for i in range(9)}
     for entry in record["trace"][1:]:
         assert {"seconds", "iteration", "rerender_rmse"} | losses <= set(entry)

@@ -148,10 +148,10 @@ def test_true_maps_with_true_views_leave_the_rounding_of_the_photos(compared):
     # where clipped.
     assert all(0.0005 < fit["per_photo"][name] < 0.0013 for name in ("00", "01"))
     assert fit["per_photo"]["02"] > 0.004  # its view has the wrong light
-    assert fit["fitted_views"] == ["00", "01"] and fit["left_out"] == ["02"]
+    assert fit["fitted_views"] == ["00", "01"] and fit["held_out"] == ["02"]
     assert fit["calibrated"]["per_photo"]["00"] > 0.004 and fit["refined"]["per_photo"]["02"] < fit[
         "per_photo"]["02"]
-    assert other["fitted_views"] == [] == other["left_out"] and other["per_photo"] == other["calibrated"][
+    assert other["fitted_views"] == [] == other["held_out"] and other["per_photo"] == other["calibrated"][
         "per_photo"]
     assert max(fit["map_rmse"].values()) < 1e-6 and other["map_rmse"]["diffuse"] > 0.05  # EXR keeps float32
     squares = np.mean(np.square(list(other["per_photo"].values())))
@@ -186,7 +186,7 @@ def test_evaluate_says_seen_and_left_out_apart_with_the_views_of_each(compared, 
                                  abs=1e-4) and left == each[2] and "all" not in fitted
     (method, *_) = record["methods"]
     assert [float(word) for word in re.findall(r"\d\.\d{4}", stated)] == pytest.approx(
-        [method["calibrated"]["rmse_seen"], method["rmse_left_out"]], abs=5e-5)
+        [method["calibrated"]["rmse_seen"], method["rmse_held_out"]], abs=5e-5)
 
 
 def test_the_page_shows_what_was_measured(compared, shots):
@@ -224,7 +224,7 @@ def test_the_table_has_every_figure(compared):
             values = [value[key] for value in values]
         assert page.values(row) == [round(value, 4) for value in values]
     # of the fit; the maps beside it saw nothing
-    seen, left = methods[0]["rmse_seen"], methods[0]["rmse_left_out"]
+    seen, left = methods[0]["rmse_seen"], methods[0]["rmse_held_out"]
     assert seen == pytest.approx(np.sqrt(np.mean([methods[0]["per_photo"][name] ** 2 for name in ("00",
                                                                                                   "01")])))
     for title, value in (("those that the fit saw, as pictured", seen), ("those that the fit did not see",
@@ -236,7 +236,7 @@ def test_the_table_has_every_figure(compared):
     assert len(marked) == 7
     for row in marked:
         assert {value for best, value in row if best} == {min(value for _, value in row)}
-    assert page.text.count("left out of the fit") == 1 and "was fitted without 02" in page.text
+    assert page.text.count("held out") == 1 and "was fitted without 02" in page.text
 
 
 def test_the_page_needs_no_network_and_escapes_names(compared):

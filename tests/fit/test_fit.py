@@ -55,7 +55,7 @@ def test_every_method_through_mitsuba(method, bsdf, leather):
     result = fit_svbrdf(leather, make_renderer("mitsuba"), with_limits(SMALL[method], iterations=12,
                                                                        bsdf=bsdf))
     result.svbrdf.check()
-    assert result.stopped == "iterations" and result.variant == "llvm_ad_rgb" and result.left_out
+    assert result.stopped == "iterations" and result.variant == "llvm_ad_rgb" and result.omitted
     assert [entry["iteration"] for entry in result.trace] == [0, 10, 12]
     assert all(math.isfinite(v) for entry in result.trace for v in entry.values())
     assert result.rerender_rmse == min(entry["rerender_rmse"] for entry in result.trace)

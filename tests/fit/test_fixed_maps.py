@@ -18,11 +18,11 @@ from mitsvbrdf.fit import (
     GanConfig,
     HybridConfig,
     fit_svbrdf,
-    left_out,
     losses,
     make_method,
 )
 from mitsvbrdf.fit.fixed_maps import fixed_maps
+from mitsvbrdf.fit.omitted import omitted_by
 from mitsvbrdf.io import images
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
@@ -59,7 +59,7 @@ def test_what_is_held_comes_out_as_it_went_in(method, renderer, capture):
     for name, value in wanted.items():
         assert torch.equal(result.svbrdf[name], torch.tensor(value).expand_as(result.svbrdf[name])), name
     assert set(result.deviations) == {"diffuse"}  # of the others there is nothing to be unsure about
-    said = dict(result.left_out)
+    said = dict(result.omitted)
     assert said["gradient of normal"] == "held at flat" and said["gradient of roughness"] == "held at 0.35"
     assert "gradient of diffuse" not in said
 
@@ -102,7 +102,7 @@ def test_one_grey_specular_level(method, capture):
     result = fit_svbrdf(capture, make_renderer("mitsuba"), settings)
     specular = result.svbrdf["specular"]
     assert (specular == specular[..., :1]).all() and result.deviations["specular"].shape[-1] == 1
-    assert "colour of the specular map" in dict(result.left_out)
+    assert "colour of the specular map" in dict(result.omitted)
 
 
 def test_the_search_for_a_start_keeps_to_what_is_held(capture):
@@ -190,7 +190,7 @@ def test_losses_without_weight_or_subject_are_not_computed(settings, unused, cap
     made.step(0.0)
     assert called == {"total_variation", "tilt", "diffuse", "discriminator", "photometric"} - unused
     assert hasattr(made, "discriminator") == ("discriminator" not in unused)
-    said = dict(left_out(FitTask(capture, ANALYTIC, made.config)))
+    said = dict(omitted_by(FitTask(capture, ANALYTIC, made.config)))
     names = {"total_variation": "smooth", "tilt": "flat", "discriminator": "adversarial",
              "diffuse": "diffuse"}
     assert {losses.NAMES[names[loss]] for loss in unused} == set(losses.NAMES.values()) & set(said)
@@ -200,8 +200,8 @@ def test_losses_without_weight_or_subject_are_not_computed(settings, unused, cap
     (DirectConfig(fix=("diffuse=0.5", "normal=flat")), {"price on tilted normals"}),
     (GanConfig(fix=("diffuse=0.5", "normal=flat")), {"diffuse loss"}),
     (HybridConfig(fix=("diffuse=0.5", "normal=flat")), {"diffuse loss", "price on tilted normals"})])
-def test_only_losses_of_the_method_are_left_out(config, wanted, capture):
-    said = dict(left_out(FitTask(capture, ANALYTIC, config)))
+def test_only_losses_of_the_method_are_omitted(config, wanted, capture):
+    said = dict(omitted_by(FitTask(capture, ANALYTIC, config)))
     assert set(losses.NAMES.values()) & set(said) == wanted
 
 
@@ -261,7 +261,7 @@ def test_fix_and_explain_on_the_command_line(bsdf, tmp_path, capsys):
     assert cli.main(command) == 0
     record = json.loads((out / "fit.json").read_text())
     assert record["config"]["fix"] == ["normal=flat", "roughness=0.5"]
-    assert all(f"{item['what']} ({item['why']})" in said for item in record["left_out"])
+    assert all(f"{item['what']} ({item['why']})" in said for item in record["omitted"])
     assert set(record["confidence"]) == set(CHANNELS[bsdf]) - {"normal", "roughness"}
     assert {p.stem for p in (out / "uncertainty").iterdir()} == set(record["confidence"])
     assert cli.main([*command[:-1], "roughness=2", "--overwrite"]) == 2

@@ -17,7 +17,7 @@ RECORD = {
     "warnings": [],
     "stopped": "iterations", "undone_steps": 0, "undone": [], "restarts": [], "seconds": 1.0, "iterations": 1,
     "seed": 0,
-    "config": {"fix": [], "grey_specular": False}, "command": {}, "left_out": [], "used": [],
+    "config": {"fix": [], "grey_specular": False}, "command": {}, "omitted": [], "used": [],
     "capture": {"name": "shots", "photos": [0], "resolution": 8, "transfer": "srgb", "calibrated": True,
                 "notes": []},
     "views": {"size": 1.0, "falloff": "inverse-square", "camera": [[0, 0, 2]], "light": [[0, 0, 2]],

@@ -179,14 +179,14 @@ def test_games_that_are_lost_and_games_that_are_not(game, leather):
 
 
 @pytest.mark.parametrize("change, said", [
-    ({}, 1), ({"config": HierarchicalConfig()}, 0), ({"left_out": (("rival starts", "photos of a phone"),)},
+    ({}, 1), ({"config": HierarchicalConfig()}, 0), ({"omitted": (("multi-start", "photos of a phone"),)},
                                                      0),
     ({"calibrated_rmse": None}, 0), ({"calibrated_rmse": 0.002}, 0),
     ({"flash_offset": (0.08 * GRID.size, 0.0)}, 0),
 ])
 def test_views_that_were_refined_though_exact_photos_said_they_were_right(change, said, fitted, leather):
     asked = {"config": HierarchicalConfig(calibrate=True),
-             "left_out": (("tied stage", "the photos follow the model"),),
+             "omitted": (("tied stage", "the photos follow the model"),),
              "rerender_rmse": 0.0013, "calibrated_rmse": 0.0014, "flash_offset": (0.004, 0.001),
              "stopped": "settled"}
     warnings = list(fit_warnings(dataclasses.replace(fitted, **(asked | change)), leather))

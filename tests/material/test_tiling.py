@@ -5,8 +5,8 @@ import torch
 
 from mitsvbrdf.errors import MapsError
 from mitsvbrdf.material.made import make_material
-from mitsvbrdf.material.maps import flat
-from mitsvbrdf.material.tiling import seamless
+from mitsvbrdf.material.maps import SVBRDF, flat
+from mitsvbrdf.material.tiling import seam, seamless
 from mitsvbrdf.testing import random_material
 
 
@@ -25,6 +25,22 @@ def test_what_is_seamless_stays_as_it_is():
     for made in (make_material("tiles", 256), flat(32, diffuse=0.5)):
         found, part = seamless(made)
         assert found is made and part == 1
+
+
+def test_a_seam_in_one_map_is_no_seamless_material():
+    """The wood of the inlay ends in other wood; its normals are far rougher than that, and meet."""
+    made = make_material("inlay", 128)
+    assert jump(made["diffuse"]) > 1.5 and jump(made["normal"]) < 1
+    found, part = seamless(made)
+    assert part < 1 and seam(made) > 2 and seam(found) < 1.5  # measured 2.9 and 1.2
+
+
+def test_a_seam_counts_beside_its_neighbours():
+    """A ramp of 64 steps jumps by 63 of them where it begins again."""
+    ramp = torch.linspace(0.2, 0.8, 64)[:, None, None].expand(64, 64, 1)
+    found = flat(64)
+    assert seam(found) == 0
+    assert seam(SVBRDF(found.bsdf, dict(found.maps) | {"roughness": ramp})) == pytest.approx(63, rel=1e-4)
 
 
 def test_too_few_texels_are_refused():

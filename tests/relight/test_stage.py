@@ -5,6 +5,7 @@ import gc
 import numpy as np
 import pytest
 import torch
+from helpers.soaking import kernels_made
 from helpers.stages import drawn, unjittered
 
 from mitsvbrdf.errors import ConfigError
@@ -14,7 +15,6 @@ from mitsvbrdf.material.maps import CHANNELS, flat
 from mitsvbrdf.relight import PRESETS, make_stage
 from mitsvbrdf.relight.environment import make_environment
 from mitsvbrdf.testing import random_material
-from mitsvbrdf.verify.soak import kernels_made
 
 
 def each_with(every, choices):

@@ -2,20 +2,24 @@
 replay trap.
 """
 
+import copy
 import math
+import pickle
+from dataclasses import replace
 
 import pytest
 import torch
 from helpers import GRID
 
-from mitsvbrdf.errors import ConfigError
+from mitsvbrdf.errors import CaptureError, ConfigError, MapsError
 from mitsvbrdf.material.made import MATERIALS, make_material
 from mitsvbrdf.material.maps import CHANNELS, SVBRDF, flat
 from mitsvbrdf.measure.gradients import render_and_gradients
 from mitsvbrdf.measure.metrics import gradient_error, image_error
-from mitsvbrdf.render import make_renderer
+from mitsvbrdf.render import RENDERERS, make_renderer
 from mitsvbrdf.render.exclusive import using_mitsuba
 from mitsvbrdf.render.needs import CONSTANT_FRESNEL_DEGREES, Needs, half_angle_bound, scene_needs
+from mitsvbrdf.render.scene import SceneRenderer
 from mitsvbrdf.testing import LIMITS, assert_matches_golden, assert_renderers_agree, random_material
 from mitsvbrdf.views import Views, texel_positions
 
@@ -196,8 +200,8 @@ def test_needs():
     material = random_material("roughconductor")
     together, apart = (scene_needs(material, v, "mitsuba") for v in (GRID, APART))
     assert not together.fresnel_curve and apart.fresnel_curve
-    assert "Fresnel curve" in dict(together.left_out) and "Fresnel curve" not in dict(apart.left_out)
-    assert "ray tracing" not in dict(scene_needs(material, GRID, "mitsuba-scene").left_out)
+    assert "Fresnel curve" in dict(together.omitted) and "Fresnel curve" not in dict(apart.omitted)
+    assert "ray tracing" not in dict(scene_needs(material, GRID, "mitsuba-scene").omitted)
 
 
 def test_leaving_out_the_fresnel_curve_costs_less_than_it_says():
@@ -233,3 +237,32 @@ def test_faint_reflectance_beside_the_camera_keeps_its_digits(name):
         material = flat(16, diffuse=0.0, specular=f0)
         exact = make_renderer("analytic64").render(material, APART)
         assert image_error(make_renderer(name).render(material, APART), exact)["mean"] < 8e-7
+
+
+@pytest.mark.parametrize("bad", [torch.nan, torch.inf])
+@pytest.mark.parametrize("name", [*RENDERERS, "analytic64"])
+def test_what_is_not_finite_is_refused(name, bad):
+    """Mitsuba would draw plausible light of it, with finite gradients."""
+    renderer, made = make_renderer(name), random_material("principled", 8)
+    for key in made.maps:
+        value = made[key].clone()
+        value[3, 5, 0] = bad
+        wrong = SVBRDF(made.bsdf, dict(made.maps) | {key: value.requires_grad_()})
+        with pytest.raises(MapsError, match=rf"finite values, got 1 .* {key}, .*\(3, 5, 0\)"):
+            renderer.render(wrong, GRID)
+    for key in ("camera", "light", "intensity"):
+        value = getattr(GRID, key).clone()
+        value[4, 1] = bad
+        with pytest.raises(CaptureError, match=f"finite .*, got {key} 4 at"):
+            renderer.render(made, replace(GRID, **{key: value}))
+
+
+@pytest.mark.parametrize("name", [*RENDERERS, "analytic64"])
+def test_renderers_can_be_copied_and_pickled(name):
+    renderer, made = make_renderer(name), random_material("roughconductor", 8)
+    drawn = renderer.render(made, GRID)  # with a kernel of its own by now
+    for again in (copy.copy(renderer), copy.deepcopy(renderer), pickle.loads(pickle.dumps(renderer))):
+        assert (again.name, again.variant) == (renderer.name, renderer.variant)
+        assert torch.equal(again.render(made, GRID), drawn)
+    if name == "mitsuba-scene":
+        assert copy.copy(SceneRenderer(samples=16)).samples == 16

@@ -58,7 +58,7 @@ def test_every_number_of_the_records_is_on_the_page(measured):
     for name, values in record["maps"].items():
         if name != "normal":
             assert f"{figure(values['low'])} to {figure(values['high'])}, mean {figure(values['mean'])}" in page.text
-    for item in fit["left_out"]:
+    for item in fit["omitted"]:
         assert page.row(item["what"]) == [item["why"]]
     for warning in fit["warnings"]:
         assert warning in page.text

@@ -16,17 +16,16 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence, Sized
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from ...errors import CaptureError
-from ...views import FIELD_OF_VIEW, field_of_view
-from ..lens import Lens, Pose
-from ..photo import Photo, other_sizes
-from ..rig import LEAST_PHOTOS, Rig
+from ..lens import Lens, Pose, expected_lens, unsure_note
+from ..photo import Photo
+from ..rig import LEAST_PHOTOS, Rig, check_enough, check_places
 from .features import LEAST_INLIERS, REPROJECTION, find_features, mapped, repeats, spread
 from .pairs import SIGMA, Array, Pair, apart, chained_pairs, find_pairs
 from .patch import CENTRED, centred_square, choose_patch, framed, outline, turned, upright
@@ -41,25 +40,28 @@ UNSURE = 0.018
 MOST_MATCHES = 4000  # in a bundle adjustment
 CHAINED = 10 * REPROJECTION  # off the tree of homographies, from which on a pair is not begun with
 AGREEING = 0.4  # of a photo's matches with others: so many must agree with its pose
+NEEDED = ("that show the same part of a flat material",
+          "take nine from somewhat different places, sharp, with much overlap; where a material has no marks "
+          "to go by, lay a printed sheet around it (`mitsvbrdf sheet`)")
 
 
 def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"] = "best",
-                    report: Callable[[str, float], object] | None = None) -> Rig:
+                    report: Callable[[str, float], object] = lambda text, share: None) -> Rig:
     """Lens and poses of overlapping photos of a flat material.
 
     World: the material in z = 0; the patch, of side 1, is the largest square that all photos show, upright as
     the reference photo is shown. Lengths are as good as the focal length, which EXIF gives within some 2 %.
 
     Args:
-        photos: three or more, taken with one lens.
+        photos: three or more, of one size.
         reference: ``best``, the photo taken most nearly from straight above; or ``first``, the first by name
             that is used.
         report: told what is going on and the share done.
 
     Raises:
         CaptureError: fewer than three photos can be used together, with the reasons.
+        OnePlace: all photos are from one place.
     """
-    report = report or (lambda text, share: None)
     by_name = {photo.name: photo for photo in sorted(photos, key=lambda p: p.name)}
     rejected = _of_another_lens(by_name)
     features = {}
@@ -69,81 +71,48 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
             features[name] = find_features(by_name[name])
             if len(features[name]) < LEAST_INLIERS:
                 rejected[name] = f"{len(features.pop(name))} features, too few to align: blurred, dark or without detail"
-    _enough(features, rejected)
-    size = by_name[next(iter(features))].size
+    check_enough(features, rejected, *NEEDED)
+    size = photos[0].size
     pairs = find_pairs(features, size, lambda share: report("features in common", 0.4 + 0.3 * share))
     hub, warps = chained_pairs(features, pairs)
     rejected |= {name: apart(name, pairs) for name in features if name not in warps}
-    _enough(warps, rejected)
+    check_enough(warps, rejected, *NEEDED)
 
     report("poses", 0.7)
-    lens, stated = expected_lens([by_name[name] for name in warps], size)
+    exif = [by_name[name].exif for name in warps]
+    stated = [each["35 mm focal length"] for each in exif if "35 mm focal length" in each]
+    lens = expected_lens(size, stated)
     focal_share = FOCAL_SHARE if stated else FOCAL_SHARE_ASSUMED
     pairs = [p for p in pairs if p.a in warps and p.b in warps]
     lens, poses, matches, unsure = _posed(lens, focal_share, hub, warps, pairs, rejected)
-    _enough(poses, rejected)
+    check_enough(poses, rejected, *NEEDED)
 
     placed, dropped = _placed(lens, poses, by_name, reference)
     rejected |= {name: "it shows too little of what the others show" for name in dropped}
     errors = _errors(lens, poses, matches)
     notes = [] if stated else [
-        f"no EXIF states the focal length; the photos agree best with {_angle(lens):.0f} degrees across the "
-        "long side, and the "
-        "heights of the cameras are as uncertain as that"]
+        f"no EXIF states the focal length; the photos agree best with {lens.angle:.0f} degrees across the "
+        "long side, and the heights of the cameras are as uncertain as that"]
     if unsure > UNSURE:
         notes.append(unsure_note(unsure))
     if repeats(features[hub]) > REPEATING:
         notes.append("the pattern of the material repeats itself: photos may be shifted against each other "
-                     "by whole repeats, "
-                     "and views as wrong as that; lay a printed sheet around it (`mitsvbrdf sheet`), or "
-                     "something with marks")
-    return Rig(lens, placed, 1.0, "patch sides", "photos", {name: errors[name] for name in placed}, rejected,
-               notes=tuple(notes))
-
-
-def unsure_note(share: float) -> str:
-    """What a user should know of a focal length that may be off by this share."""
-    return (f"the focal length stays uncertain by {share:.1%}, and the heights of the cameras with it: the "
-            "photos are too few "
-            "or too much alike; a few taken from aside settle it")
+                     "by whole repeats, and views as wrong as that; lay a printed sheet around it "
+                     "(`mitsvbrdf sheet`), or something with marks")
+    rig = Rig(lens, placed, 1.0, "patch sides", "photos", {name: errors[name] for name in placed}, rejected,
+              notes=tuple(notes))
+    check_places(rig)
+    return rig
 
 
 def _of_another_lens(photos: dict[str, Photo]) -> dict[str, str]:
-    """Photos whose size or focal length is not that of most, with the reason."""
-    _, out = other_sizes(list(photos.values()))
+    """Photos whose focal length is not that of most, with the reason."""
     stated = {name: p.exif["35 mm focal length"] for name, p in photos.items()
-              if name not in out and "35 mm focal length" in p.exif}
-    focal = Counter(stated.values()).most_common(1)
-    for name, own in stated.items():
-        if abs(own / focal[0][0] - 1) > 2 * FOCAL_SHARE:
-            out[name] = f"a focal length of {own:g} mm, most have {focal[0][0]:g} mm: take all with one lens, without zoom"
-    return out
-
-
-def _enough(kept: Sized, rejected: dict[str, str]) -> None:
-    if len(kept) < LEAST_PHOTOS:
-        reasons = [f"{name}: {why}" for name, why in rejected.items()]
-        more = [f"and {len(reasons) - 3} more"] if len(reasons) > 3 else []
-        got = "; ".join((f"{len(kept)} of {len(kept) + len(rejected)}", *reasons[:3], *more))
-        raise CaptureError(f"{LEAST_PHOTOS} or more photos that show the same part of a flat material", got,
-                           "take nine from somewhat different places, sharp, with much overlap; where a "
-                           "material has no marks "
-                           "to go by, lay a printed sheet around it (`mitsvbrdf sheet`)")
-
-
-def expected_lens(photos: Sequence[Photo], size: tuple[int, int]) -> tuple[Lens, bool]:
-    """The lens as EXIF states it in the median of the photos, or an assumed one, and whether any states
-    it.
-    """
-    stated = [p.exif["35 mm focal length"] for p in photos if "35 mm focal length" in p.exif]
-    angle = field_of_view(float(np.median(stated)), *size) if stated else FIELD_OF_VIEW
-    focal = max(size) / 2 / math.tan(math.radians(angle) / 2)
-    return Lens(size, focal), bool(stated)
-
-
-def _angle(lens: Lens) -> float:
-    """Field of view across the long side, degrees."""
-    return math.degrees(2 * math.atan(max(lens.size) / 2 / lens.focal))
+              if "35 mm focal length" in p.exif}
+    usual = Counter(stated.values()).most_common(1)
+    return {name: f"a focal length of {own:g} mm, most have {usual[0][0]:g} mm: take all with one lens, "
+                  "without zoom"
+            for name, own in stated.items() if abs(own / usual[0][0] - 1) > 2 * FOCAL_SHARE}
 
 
 def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pairs: list[Pair],

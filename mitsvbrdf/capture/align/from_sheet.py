@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 
 from ...errors import CaptureError
 from ...io.layout import Layout
-from ..lens import Lens, Pose, project
-from ..photo import Photo, other_sizes
-from ..rig import LEAST_PHOTOS, Rig
-from .from_photos import expected_lens, unsure_note
+from ..lens import Lens, Pose, expected_lens, project, unsure_note
+from ..photo import Photo
+from ..rig import Rig, check_enough
 from .planar import POSE
 from .sheet import Sheet
 from .tag_edges import POINTS, Edges, find_edges
@@ -48,7 +47,7 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
     One photo at a time is in memory.
 
     Args:
-        photos: of one camera, in any orientation.
+        photos: of one lens and size, in any orientation.
         size_cm: of the frame of tags as printed, outer edge to outer edge.
         depth_cm: how far the sheet lies above the material.
         report: told what is going on and the share done.
@@ -60,21 +59,21 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
     Raises:
         CaptureError: fewer than three photos show the sheet.
     """
-    sheet, seen = Sheet(size_cm), {}
-    size, rejected = other_sizes(photos)
+    sheet, seen, rejected = Sheet(size_cm), dict[str, Edges](), dict[str, str]()
     for i, photo in enumerate(photos):
         report(f"tags of {photo.name}", 0.8 * i / len(photos))
-        if photo.name in rejected:
-            continue
         edges = find_edges(photo, sheet)
         if reason := _too_few(edges, sheet):
             rejected[photo.name] = reason
         else:
             seen[photo.name] = edges
-    lens, stated = expected_lens([photo for photo in photos if photo.name in seen], size)
-    start = lens, FOCAL_SHARE if stated else FOCAL_SHARE_UNKNOWN
+    stated = [photo.exif["35 mm focal length"] for photo in photos
+              if photo.name in seen and "35 mm focal length" in photo.exif]
+    size = photos[0].size
+    start = expected_lens(size, stated), FOCAL_SHARE if stated else FOCAL_SHARE_UNKNOWN
     while True:
-        _check(seen, rejected, len(photos))
+        check_enough(seen, rejected, "that show the sheet", "take photos with all tags in view, sharp; where no "
+                     "sheet lies there, omit --sheet")
         report("poses", 0.8)
         lens, poses, errors, deviations, focal = _bundle(*start, sheet, depth_cm, seen)
         limit = max(LARGE * max(size), TIMES_MEDIAN * float(np.median(list(errors.values()))))
@@ -82,16 +81,31 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
         if errors[worst] <= limit:
             break
         rejected[worst] = (f"its tags are {errors[worst]:.1f} pixels beside where a flat sheet would have "
-                           "them: bent, moved, "
-                           "or seen by another lens")
+                           "them: bent, moved, or seen by another lens")
         del seen[worst]
     usual = float(np.median(list(errors.values())))
     notes = [unsure_note(focal)] if focal > UNSURE else []
     if usual > LARGE * max(size):
         notes.append(f"the tags of all photos are some {usual:.1f} pixels beside where those of a flat "
-                     "sheet would be, and all "
-                     "views as uncertain as that: flatten the sheet, and take all photos with one lens")
+                     "sheet would be, and all views as uncertain as that: flatten the sheet, and take all "
+                     "photos with one lens")
     return Rig(lens, poses, sheet.patch, "cm", "sheet", errors, rejected, deviations, tuple(notes))
+
+
+def refuse_tags(photos: Sequence[Photo],
+                how: str = "give that, for example `mitsvbrdf capture PHOTOS -o CAPTURE --sheet 18`") -> None:
+    """Raise CaptureError where a sheet of tags is in the first photo: without its size the tags would pass
+    for material.
+
+    Args:
+        photos: those of a capture.
+        how: what to do with the size.
+    """
+    count = len(find_edges(photos[0], Sheet()).corners) if photos else 0
+    if count >= LEAST_TAGS:
+        raise CaptureError("--sheet CM for photos of a sheet of tags",
+                           f"{count} tags in {photos[0].name} and no size",
+                           f"measure the frame of tags from outer edge to outer edge and {how}")
 
 
 def _too_few(edges: Edges, sheet: Sheet) -> str | None:
@@ -103,14 +117,6 @@ def _too_few(edges: Edges, sheet: Sheet) -> str | None:
     if np.linalg.svd(centres - centres.mean(axis=0), compute_uv=False)[1] < sheet.size / 10:
         return f"{count} of 16 tags seen, all in one line"
     return None
-
-
-def _check(seen: dict[str, Edges], rejected: dict[str, str], count: int) -> None:
-    if len(seen) < LEAST_PHOTOS:
-        reasons = "".join(f"; {name}: {reason}" for name, reason in rejected.items())
-        raise CaptureError(f"{LEAST_PHOTOS} photos or more that show the sheet",
-                           f"{len(seen)} of {count}{reasons}",
-                           "take photos with all tags in view, sharp and of one size")
 
 
 def _first_pose(lens: Lens, edges: Edges, sheet: Sheet, depth: float) -> Pose:

@@ -17,8 +17,7 @@ from ..rig import Rig
 
 FAINTEST_CORNER = 0.2  # of the transmission
 
-# pixels of a photo that are read, and blocks along it that are paper samples
-LONG_SIDE, BLOCKS_ALONG = 1024, 96
+BLOCKS_ALONG = 96  # a photo's long side; a block of paper is a sample
 MATERIAL_SIDE = 32  # texels a side of a material that are compared
 DARK_VALUE = 0.03  # display values below are noise
 DIM = 0.1  # display value at which noise in the logarithm is as large as the model's error

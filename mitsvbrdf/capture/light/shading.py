@@ -31,9 +31,8 @@ from ...color import NEARLY_CLIPPED
 from ...material.maps import USUAL_ALBEDO
 from ...views import texel_positions
 from ..lens import Array, Lens, Pose, project
-from ..photo import Photo
 from ..rig import Rig
-from .samples import LONG_SIDE, Samples, material_samples, paper_samples, radius2_of, transmission_of
+from .samples import Samples, material_samples, paper_samples, radius2_of, transmission_of
 from .solve import Shading, solve_light
 
 # albedo of white office paper; 0.75 to 0.9, ISO 2470 brightness without optical brighteners
@@ -43,15 +42,15 @@ MOST_ALBEDO = 0.8
 LOBE_F0 = 0.03, 0.6
 
 
-def shading_of_paper(rig: Rig, photos: Mapping[str, Photo | np.ndarray], transfer: color.Transfer,
+def shading_of_paper(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color.Transfer,
                      white: Callable[[Array], np.ndarray], depth: float = 0.0,
                      albedo: float = PAPER_ALBEDO) -> Shading:
     """Flash, its power and colour, vignetting and exposures from white paper around the material.
 
     Args:
         rig: lens and poses; photos without a pose do not count.
-        photos: by name; pixels H x W x 3 as stored (integers, or float in [0, 1]), the lens's size or a whole
-            part of it.
+        photos: by name; pixels H x W x 3 as stored (integers, or float in [0, 1]), of the lens's size or a
+            whole part of it.
         transfer: of the photos.
         white: for points of the world (K x 2) whether bare paper is there, K bools.
         depth: z of the paper.
@@ -60,12 +59,8 @@ def shading_of_paper(rig: Rig, photos: Mapping[str, Photo | np.ndarray], transfe
     Raises:
         CaptureError: no photo shows white paper that is neither clipped nor dark.
     """
-    seen = {}
-    for name, pose in rig.poses.items():
-        if name in photos:
-            photo = photos[name]
-            pixels = photo.pixels(LONG_SIDE) if isinstance(photo, Photo) else photo
-            seen[name] = paper_samples(pixels, rig.lens, pose, white, depth, transfer)
+    seen = {name: paper_samples(photos[name], rig.lens, pose, white, depth, transfer)
+            for name, pose in rig.poses.items() if name in photos}
     found = solve_light(rig, Samples.of(rig, seen, "white paper", glossy=False))
     intensity = np.exp(found.level + found.colour) * math.pi / albedo
     return found.shading(intensity, found.level_sd,

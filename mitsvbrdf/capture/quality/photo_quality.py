@@ -7,7 +7,7 @@ apparent albedo; the median over the photos has neither highlight nor finger.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -20,6 +20,7 @@ from ... import color
 from ...color import NEARLY_CLIPPED
 from ...material.resample import resized
 from ...views import Views, texel_positions
+from .detail import rms
 
 # texels a side at which radiance is compared, and at most at which detail is
 RADIANCE_SIDE, DETAIL_SIDE = 32, 512
@@ -59,8 +60,7 @@ class PhotoQuality:
     evenness: float | None = None
 
 
-def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, names: Sequence[str],
-                    overlap: Mapping[str, float] | None = None,
+def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, overlap: Mapping[str, float],
                     evenness: Mapping[str, float] | None = None) -> list[PhotoQuality]:
     """Numbers of each photo beside the others.
 
@@ -68,20 +68,20 @@ def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, name
         photos: N x R x R x 3 display values in [0, 1], rectified; N >= 3 for the comparison to mean anything.
         views: theirs; a light's place and power need be no better than roughly right.
         transfer: of the photos.
-        names: of the files.
-        overlap: share of the patch that a photo shows; left out: all of it.
-        evenness: see :class:`PhotoQuality`.
+        overlap: share of the patch that each photo shows, by name, in the order of the photos.
+        evenness: see :class:`PhotoQuality`; None: it is not known.
     """
-    clipped = (photos >= NEARLY_CLIPPED).any(dim=-1)
-    linear = resized(color.decode(photos, transfer), min(RADIANCE_SIDE, photos.shape[1]))
-    apparent = torch.log((linear.mean(dim=-1) / _irradiance(views, RADIANCE_SIDE)).clamp_min(1e-4))
+    irradiance = _irradiance(views, RADIANCE_SIDE)
+    linear, clipped = color.decode(photos, transfer), (photos >= NEARLY_CLIPPED).any(dim=-1)
+    linear = resized(linear, min(RADIANCE_SIDE, photos.shape[1]))
+    luminance = resized(photos, min(DETAIL_SIDE, photos.shape[1])).mean(dim=-1).numpy()
+    unclipped = resized(clipped[..., None].float(), min(RADIANCE_SIDE, photos.shape[1]))[..., 0] == 0
+    apparent = torch.log((linear.mean(dim=-1) / irradiance).clamp_min(1e-4))
     beside = apparent - apparent.median(dim=0).values
     offset = beside.flatten(1).median(dim=1).values
     beside = beside - offset[:, None, None]
     hue = linear / linear.sum(dim=-1, keepdim=True).clamp_min(1e-3)
     colour = (hue - hue.median(dim=0).values).abs().sum(dim=-1)
-    luminance = resized(photos, min(DETAIL_SIDE, photos.shape[1])).mean(dim=-1).numpy()
-    unclipped = resized(clipped[..., None].float(), min(RADIANCE_SIDE, photos.shape[1]))[..., 0] == 0
     plain = F.interpolate(((beside.abs() < 0.35) & unclipped).float()[:, None],
                           luminance.shape[1:])[:, 0].bool().numpy()
     sharp, agreement = _sharpness(luminance, plain), _agreement(luminance)
@@ -89,28 +89,20 @@ def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, name
     lost = (agreement < DISAGREE) & (np.median(agreement, axis=0) > AGREE)
     lost &= ((colour > SLIGHT_COLOUR) | (beside.abs() > SLIGHT)).numpy()
     usual = float(offset.median())
-    return [PhotoQuality(name, float((overlap or {}).get(name, 1.0)), float(clipped[i].float().mean()),
-                         float(photos[i].mean()),
-                 float(sharp[i]), (float(offset[i]) - usual) / math.log(2), float(beside[i].abs().median()),
-                 _largest_piece(unlike[i].numpy()), _largest_piece(lost[i]), (evenness or {}).get(name))
-            for i, name in enumerate(names)]
-
-
-def detail_of(pixels: np.ndarray) -> float:
-    """Finest detail of a whole photo (H x W x 3, 8 or 16 bits) over coarser detail, to compare with others of
-    its kind.
-    """
-    luminance = pixels.mean(axis=2, dtype=np.float32) / np.float32(np.iinfo(pixels.dtype).max)
-    smooth = cv2.GaussianBlur(luminance, (0, 0), 1.5)
-    return _rms(luminance - smooth) / max(_rms(smooth - cv2.GaussianBlur(luminance, (0, 0), 6)), 1e-9)
+    return [PhotoQuality(name, float(shown), clipped=float(clipped[i].float().mean()),
+                         level=float(photos[i].mean()), sharpness=float(sharp[i]),
+                         stops=(float(offset[i]) - usual) / math.log(2),
+                         residual=float(beside[i].abs().median()), unlike=_largest_piece(unlike[i].numpy()),
+                         unlike_detail=_largest_piece(lost[i]), evenness=(evenness or {}).get(name))
+            for i, (name, shown) in enumerate(overlap.items())]
 
 
 def _irradiance(views: Views, side: int) -> Tensor:
     """Mean radiance of a white diffuse texel in each photo, N x S x S."""
     views, at = views.in_patch_sides(), texel_positions(side)
     ray = views.light.double()[:, None, None] - at
-    return (views.intensity.double().mean(dim=1)[:, None, None] * ray[...,
-                                                                      2] / ray.norm(dim=-1) ** 3 / math.pi).float()
+    power = views.intensity.double().mean(dim=1)[:, None, None]
+    return (power * ray[..., 2] / ray.norm(dim=-1) ** 3 / math.pi).float()
 
 
 def _sharpness(luminance: np.ndarray, plain: np.ndarray) -> np.ndarray:
@@ -130,7 +122,7 @@ def _sharpness(luminance: np.ndarray, plain: np.ndarray) -> np.ndarray:
     def differences(values: np.ndarray, way: np.ndarray) -> np.ndarray:
         return values - (np.roll(values, way, (1, 2)) + np.roll(values, -way, (1, 2))) / 2
 
-    ratios = np.array([[_rms(f[p]) / math.sqrt(_rms(c[p]) * _rms(b[p]) or math.nan) if p.any() else math.nan
+    ratios = np.array([[rms(f[p]) / math.sqrt(rms(c[p]) * rms(b[p]) or math.nan) if p.any() else math.nan
                         for f, c, b, p in
                         zip(differences(fine, 4 * way), differences(coarse, 16 * way), level, plain)]
                        for way in np.array([(0, 1), (1, 0), (1, 1), (1, -1)])])
@@ -155,10 +147,6 @@ def _agreement(luminance: np.ndarray) -> np.ndarray:
 
     return np.stack([around(b * usual) / np.sqrt(around(b * b) * around(usual * usual) + 1e-12)
                      for b in band])
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.square(values).mean()))
 
 
 def _largest_piece(mask: np.ndarray) -> float:

@@ -13,10 +13,10 @@ from ..gan_config import GanConfig
 from ..parameters import Streams
 from ..start import robust_start
 from ..task import FitTask
+from .conditioning import condition_channels
 from .guessed_normal import guess_normal
 from .highlight_aware import make_highlight_aware
 from .networks import AllPhotosGenerator, TwoStreamGenerator, seeded
-from .scale import condition_channels
 from .variational import VariationalGenerator
 
 Generator = AllPhotosGenerator | TwoStreamGenerator | VariationalGenerator

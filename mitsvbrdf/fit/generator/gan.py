@@ -29,10 +29,10 @@ from ..method import Method, cosine, descend
 from ..parameters import from_units, streams_of
 from ..task import FitTask
 from .build import make_generator, starting_material
+from .conditioning import Conditioning
 from .networks import PatchDiscriminator, TwoStreamGenerator, seeded
 from .pictures import Pictures, PictureSource, seen_through
 from .precision import is_faster_in_bfloat16
-from .scale import Scale
 from .variational import VariationalGenerator
 
 FIRST_STEP = 0.02  # of the step size, at the least, while it rises: no step moves nothing
@@ -74,10 +74,10 @@ class Gan(Method[GanConfig]):
                   else max(share / config.head_start, FIRST_STEP))
         return self.cut * rising * falling * (config.discriminator_rate if judges else config.learning_rate)
 
-    def _scale(self, phase: Phase, carried: dict[str, Tensor]) -> Scale:
+    def _scale(self, phase: Phase, carried: dict[str, Tensor]) -> Conditioning:
         capture = (self.capture if phase.photos is None
                    else self.capture.pick(self.capture.index[:phase.photos]))
-        return Scale(self.task, capture, capture.resolution >> phase.halvings, self.streams, self.start,
+        return Conditioning(self.task, capture, capture.resolution >> phase.halvings, self.streams, self.start,
                      carried)
 
     def _begin(self, phase: int, carried: dict[str, Tensor]) -> None:
@@ -181,7 +181,7 @@ class Gan(Method[GanConfig]):
             switch_at("hand-over, backward", *svbrdf.maps.values())
         return svbrdf
 
-    def _out(self, scale: Scale, pictures: Pictures, first: bool = True, photo: int = 0) -> dict[str, Tensor]:
+    def _out(self, scale: Conditioning, pictures: Pictures, first: bool = True, photo: int = 0) -> dict[str, Tensor]:
         """What the generator puts out, before Tanh, in the window of the pictures; of all photos, ``photo``
         comes first.
         """

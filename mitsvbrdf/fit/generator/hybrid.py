@@ -27,8 +27,8 @@ from ..method import Method, cosine, descend
 from ..parameters import streams_of, to_raw, to_svbrdf
 from ..start import robust_start
 from ..task import FitTask
+from .conditioning import condition_of
 from .networks import AllPhotosGenerator, PatchDiscriminator, seeded
-from .scale import condition_of
 
 PATCH = 128  # side of the crops the discriminator compares
 
@@ -64,7 +64,7 @@ class Hybrid(Method[HybridConfig]):
         if "adversarial" not in self.unused:
             with seeded(config.seed + 1):
                 self.discriminator = PatchDiscriminator(max(8, config.width))
-            self.judge = torch.optim.Adam(self.discriminator.parameters(), lr=2e-4, betas=(0.5, 0.999))
+            self.adversary = torch.optim.Adam(self.discriminator.parameters(), lr=2e-4, betas=(0.5, 0.999))
 
     def step(self, progress: float) -> dict[str, float]:
         """One Adam step on all photos; the discriminator learns from one random patch of one photo."""
@@ -81,7 +81,7 @@ class Hybrid(Method[HybridConfig]):
             real, fake = self._patches(rendered)
             switch_at("losses, backward", fake)
             with profiled("discriminator"):
-                logged["discriminator"] = self.discriminator.learn(real, fake.detach(), self.judge)
+                logged["discriminator"] = self.discriminator.learn(real, fake.detach(), self.adversary)
                 loss = losses.adversarial(real, self.discriminator.activations(fake)[-1])
                 switch_at("discriminator, backward", loss)
             return loss
@@ -140,7 +140,7 @@ class Hybrid(Method[HybridConfig]):
             "offset": self.offset.detach().clone(), "random": self.random.get_state(),
             "peaks": torch.tensor(self.peaks, dtype=torch.float64)}
         if "adversarial" not in self.unused:
-            state |= module_state("discriminator", self.discriminator) | optimizer_state("judge", self.judge)
+            state |= module_state("discriminator", self.discriminator) | optimizer_state("judge", self.adversary)
         return state
 
     def load_state(self, state: dict[str, Tensor]) -> None:
@@ -153,4 +153,4 @@ class Hybrid(Method[HybridConfig]):
         self.peaks = state["peaks"].tolist()
         if "adversarial" not in self.unused:
             load_module_state("discriminator", self.discriminator, state)
-            load_optimizer_state("judge", self.judge, state)
+            load_optimizer_state("judge", self.adversary, state)

@@ -10,7 +10,7 @@ import weakref
 from collections.abc import Sequence
 from functools import reduce
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
 from ... import color
 from ...color import CLIPPED
@@ -20,48 +20,13 @@ from ...render.plugins import shading_axes
 from ...render.texel_plugin import HeldPlugin, along, frozen, row, texel_position, view_geometry
 from ...views import Falloff
 from . import cholesky
-from .unknowns import Unknowns
+from .unknowns import Unknowns, columns_of, pair_of, pairs_of
 
 EASED, STIFFENED = 0.3, 4.0  # what an accepted and a refused step make of the damping
 DAMPING_RANGE = 1e-6, 1e6
 ROUNDING = 1e-5  # a cost that grows by less than this share has not grown: errors are differences of float32
 # a refused step no longer than this is one of a texel that has arrived: it leaves the damping alone
 STILL = 1e-4
-
-
-class Column(NamedTuple):
-    """A slope that is taken: of a map, along one of a normal's two axes, and whose unknown it is for red,
-    green and blue.
-
-    A channel of the radiance knows its own channel of a colour alone, so one forward pass serves all three.
-    """
-
-    name: str
-    axis: int
-    places: tuple[int, ...]
-
-
-def columns_of(unknowns: Unknowns) -> list[Column]:
-    """The slopes that are taken."""
-    columns = []
-    for name, of in unknowns.slices.items():
-        places = tuple(range(of.start, of.stop))
-        if name == "normal":
-            columns += [Column(name, axis, (at,) * 3) for axis, at in enumerate(places)]
-        else:
-            columns.append(Column(name, 0, places if len(places) == 3 else places * 3))
-    return columns
-
-
-def pair_of(i: int, j: int) -> tuple[int, int]:
-    """The place of an entry in the lower triangle of a symmetric matrix."""
-    return max(i, j), min(i, j)
-
-
-def pairs_of(columns: list[Column]) -> list[tuple[int, int]]:
-    """The places in the lower triangle of J^T J that are not always 0."""
-    return sorted({pair_of(first.places[c], second.places[c]) for first in columns for second in columns
-                   for c in range(3)})
 
 
 class Kernel:

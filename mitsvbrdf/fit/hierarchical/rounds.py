@@ -10,18 +10,18 @@ mend that, in turns:
    et al. 2009);
 2. specular and roughness are shared between texels that look alike
 (:mod:`~mitsvbrdf.fit.hierarchical.sharing`); 3. where camera and flash stood is refined from the maps so far
-(:mod:`~mitsvbrdf.fit.hierarchical.moved_views`).
+(:mod:`~mitsvbrdf.fit.hierarchical.view_corrections`).
 
 Photos of a simulation follow the model to the last digit, and then a texel can be trusted with everything;
 photos of a phone do not. So the fit first lets every texel explain its photos freely. What is left
 unexplained then tells which kind they are (:mod:`~mitsvbrdf.fit.hierarchical.stages`). Photos of a phone are
 first explained at 64 px, where texels must agree; at full size each may leave that answer by as much as the
-photos were seen to ask for (:mod:`~mitsvbrdf.fit.hierarchical.ties`), and photos are believed as far as each
-is predicted from the others (:mod:`~mitsvbrdf.fit.hierarchical.left_out`).
+photos were seen to ask for (:mod:`~mitsvbrdf.fit.hierarchical.texel_prior`), and photos are believed as far as each
+is predicted from the others (:mod:`~mitsvbrdf.fit.hierarchical.cross_validation`).
 
 Texels that share a roughness also hold each other in a wrong one. Photos of a simulation, which can tell, are
 therefore explained from three starts, whose lobes are of very different width, and the most probable answer
-is refined at full size. Where they need no lobe (:mod:`~mitsvbrdf.fit.hierarchical.matte`), the rest is
+is refined at full size. Where they need no lobe (:mod:`~mitsvbrdf.fit.hierarchical.specular_test`), the rest is
 refined without one.
 """
 
@@ -37,23 +37,24 @@ from ...io.profile import profiled
 from ...material.maps import SVBRDF
 from ...material.resample import enlarged
 from ...render import make_renderer
+from ...render.needs import Omitted
 from ...views import Views
 from ..config import HierarchicalConfig
 from ..method import Method
 from ..start import robust_start
 from ..task import FitTask
-from .left_out import AGREED, NOISES, in_turn, least_as_good, prediction_errors, steps_of_turns
-from .marginal import integrated
-from .matte import Search, decision_work, explained_without, may_be_left_out, without_lobe
-from .moved_views import LEVELLED, REFINED, MovedViews
-from .pace import LAST_STEPS, OTHER_STEPS, ROUND_STEPS, STEPS, Pace
+from .cross_validation import AGREED, NOISES, in_turn, least_as_good, prediction_errors, steps_of_turns
+from .observations import ROBUST_END, ObservationModel
+from .omitted import omitted_stages
 from .scales import Scale, Scales
-from .seen import ROBUST_END, Seen
-from .skipped import left_out
+from .sharing import marginalised
 from .solver import Observations, Solved
+from .specular_test import Search, decision_work, explained_without, may_be_omitted, without_lobe
 from .stages import NOISE, Stage, Stages, unexplained
-from .starts import LESS, Rivals, other_starts, stepped
-from .ties import LEAST_PRECISION, Answer
+from .starts import LESS, MultiStart, other_starts, stepped
+from .texel_prior import LEAST_PRECISION, TexelEstimate
+from .time_budget import LAST_STEPS, OTHER_STEPS, ROUND_STEPS, STEPS, TimeBudget
+from .view_corrections import LEVELLED, REFINED, ViewCorrections
 
 
 class Hierarchical(Method[HierarchicalConfig]):
@@ -73,23 +74,23 @@ class Hierarchical(Method[HierarchicalConfig]):
         super().__init__(task)
         self.task, capture, config = task, task.capture, task.config
         self.variant = task.renderer.variant or "llvm_ad_rgb"
-        self.moved = MovedViews(capture, task.refined, self.fits_offset)
+        self.corrections = ViewCorrections(capture, task.refined, self.fits_offset)
         self.search = Search.of(Scales(capture, task.guess, self.fixed, config, self.variant))
-        self.scales, self.ties = self.search
+        self.scales, self.prior = self.search
         self.scale = self.scales.of(Stage.ALONE)
-        self.stages = Stages(config.rivals and "roughness" in self.ties.unknowns.shapes, config.exact)
+        self.stages = Stages(config.multi_start and "roughness" in self.prior.unknowns.shapes, config.exact)
         self.stages.believe(config.noise or NOISE)
-        seen = Seen(self.stages, self.moved, config)
-        self.observations, self.independent = seen.observations, seen.independent
-        self.rivals, self.pace = Rivals(), Pace(config.budget, self.stages, capture.resolution**2)
-        self.closed: Answer | None = None  # what the present answer ends in, once it was asked for
+        seen = ObservationModel(self.stages, self.corrections, config)
+        self.observations, self.without_burn_in = seen.observations, seen.without_burn_in
+        self.multi_start, self.budget = MultiStart(), TimeBudget(config.budget, self.stages, capture.resolution**2)
+        self.closed: TexelEstimate | None = None  # what the present answer ends in, once it was asked for
         self.cut = False  # whether the time left was too short for the whole of the latest round
         self.answer = self.start()
 
-    def start(self) -> Answer:
+    def start(self) -> TexelEstimate:
         """The robust start with a vague prior around it."""
         scale = self.scale
-        return self.ties.vague(scale.solver.numbers(
+        return self.prior.vague(scale.solver.numbers(
             robust_start(scale.capture, scale.guess, self.config.bsdf, scale.solver.fixed)))
 
     def step(self, progress: float) -> dict[str, float]:
@@ -97,17 +98,17 @@ class Hierarchical(Method[HierarchicalConfig]):
         steps.
         """
         stages = self.stages
-        self.pace.begin(progress)
-        if stages.over(progress, short=not self.pace.in_time(ROUND_STEPS * self.scale.texels)):
+        self.budget.begin(progress)
+        if stages.over(progress, short=not self.budget.in_time(ROUND_STEPS * self.scale.texels)):
             self._begin_next_stage()
-        if stages.tied and stages.stage == Stage.FINE and not self.pace.in_time(self.scale.texels):
+        if stages.tied and stages.stage == Stage.FINE and not self.budget.in_time(self.scale.texels):
             self._closed(more=1)
             return {}
         self.closed = None
         trial, had = stages.trial
-        if stages.stage == Stage.RIVALS and had == 0:
+        if stages.stage == Stage.MULTI_START and had == 0:
             self._keep()
-            self.answer = self.rivals.start(self.start(), trial, self.ties)
+            self.answer = self.multi_start.start(self.start(), trial, self.prior)
         stages.begin_round()
         with profiled("solver"):
             cost = self.solve()
@@ -120,21 +121,21 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def _begin_next_stage(self) -> None:
         if self.stages.stage == Stage.ALONE:
-            self.stages.judge(unexplained(self.preview(), self.moved.moved(self.views), self.scale.capture,
+            self.stages.judge(unexplained(self.preview(), self.corrections.applied(self.views), self.scale.capture,
                                           make_renderer("mitsuba", self.variant)))
             self._leave_lobe_out()
-        if self.stages.stage == Stage.RIVALS:
+        if self.stages.stage == Stage.MULTI_START:
             if self.stages.finished:
                 self._keep()
-            self.answer = self.rivals.take(self.answer)
+            self.answer = self.multi_start.take(self.answer)
         stage, hurried = self.stages.next, not self.stages.finished
-        self.moved.leave(self.stages.stage, self.stages.rounds, self.stages.tied)
+        self.corrections.leave(self.stages.stage, self.stages.rounds, self.stages.tied)
         if stage == Stage.TOGETHER:
             self.scale = self.scales.of(stage)
             self.answer = self.start()
         if stage == Stage.FINE:
             turns = steps_of_turns(len(self.capture)) * self.scales.of(Stage.ALONE).texels
-            hurried = hurried or not (self.stages.exact or self.pace.in_time(turns,
+            hurried = hurried or not (self.stages.exact or self.budget.in_time(turns,
                                                                              beside=ROUND_STEPS - STEPS))
             self.scale, self.answer = self._at_full_size(learn=not hurried)
         self.stages.enter(stage, hurried)
@@ -144,20 +145,20 @@ class Hierarchical(Method[HierarchicalConfig]):
         none.
         """
         stages, found = self.stages, None
-        asked = stages.exact and stages.finished and may_be_left_out(self.task)
-        if asked and self.pace.in_time(decision_work(self.search.scales)):
+        asked = stages.exact and stages.finished and may_be_omitted(self.task)
+        if asked and self.budget.in_time(decision_work(self.search.scales)):
             with profiled("solver"):
                 found = explained_without(self.answer, self.search, self.lobeless, stages.unexplained[1],
                                           self.observations)
         if found:
-            stages.matte, (self.scale, self.answer), (self.scales, self.ties) = True, found, self.lobeless
+            stages.matte, (self.scale, self.answer), (self.scales, self.prior) = True, found, self.lobeless
 
     @cached_property
     def lobeless(self) -> Search:
         """The search without a lobe."""
         return without_lobe(self.search)
 
-    def _at_full_size(self, learn: bool = False) -> tuple[Scale, Answer]:
+    def _at_full_size(self, learn: bool = False) -> tuple[Scale, TexelEstimate]:
         """The present answer enlarged; texels that were tied are free there, and their look-alikes are asked
         no more.
 
@@ -166,36 +167,36 @@ class Hierarchical(Method[HierarchicalConfig]):
         """
         fine = self.scales.of(Stage.FINE)
         if self.stages.exact:
-            return fine, self.ties.enlarge(self.answer, self.scale, fine, False)
+            return fine, self.prior.enlarge(self.answer, self.scale, fine, False)
         if learn and self.config.noise is None and in_turn(len(self.capture)):
             with profiled("noise"):
                 self.stages.believe(self._noise_of_detail(fine))
         return self.scales.of(Stage.FINE, free=True), self._freed(self.answer, fine)
 
-    def _freed(self, answer: Answer, fine: Scale) -> Answer:
-        return self.ties.free(self.ties.enlarge(answer, self.scale, fine, True))
+    def _freed(self, answer: TexelEstimate, fine: Scale) -> TexelEstimate:
+        return self.prior.free(self.prior.enlarge(answer, self.scale, fine, True))
 
     def _noise_of_detail(self, fine: Scale) -> float:
         """The noise of photos of a phone at full size, by which each is predicted well from the others."""
-        turns, scale, starts = in_turn(len(self.capture)), self.scale, dict[int, Answer]()
+        turns, scale, starts = in_turn(len(self.capture)), self.scale, dict[int, TexelEstimate]()
         every = self.observations(scale, self.answer)
         for photo in turns:
             others, answer = every.without(photo), self.answer
             for _ in range(AGREED):
                 answer = self._tied(scale, others,
-                                    answer._replace(x=stepped(scale.solver, others, answer, self.ties,
+                                    answer._replace(x=stepped(scale.solver, others, answer, self.prior,
                                                               STEPS).x))
             free, some = self._freed(answer, fine), self.scales.sampled
-            starts[photo] = Answer(some(free.x), some(free.mean), some(free.precision), free.spread)
+            starts[photo] = TexelEstimate(some(free.x), some(free.mean), some(free.precision), free.spread)
         sharp = self.scales.of(Stage.ALONE)
         photos = replace(self.observations(sharp, self.answer), robust=ROBUST_END * NOISE, noise=NOISE,
                          weights=None)
-        return NOISES[least_as_good(prediction_errors(photos, sharp.solver, self.ties, starts, NOISES))]
+        return NOISES[least_as_good(prediction_errors(photos, sharp.solver, self.prior, starts, NOISES))]
 
     def _keep(self) -> None:
         """Remember the answer to this start, if it is the best so far."""
-        self.rivals.keep(self.answer, self.scale.solver, self.observations(self.scale, self.answer),
-                         self.ties)
+        self.multi_start.keep(self.answer, self.scale.solver, self.observations(self.scale, self.answer),
+                         self.prior)
 
     @property
     def done(self) -> bool:
@@ -207,11 +208,11 @@ class Hierarchical(Method[HierarchicalConfig]):
     def solve(self) -> Tensor:
         """Solve every texel, then try other starts where they lead to less; returns the mean cost."""
         fine = self.stages.stage == Stage.FINE
-        steps = self.pace.steps(STEPS, self.pace.to_come) if fine else STEPS
+        steps = self.budget.steps(STEPS, self.budget.to_come) if fine else STEPS
         found, self.cut = self._stepped(self.scale, self.answer, steps), steps < STEPS
         x, cost = found.x, found.data + found.prior
-        for start in other_starts(self.ties, self.stages.rounds) if self.config.neighbours else ():
-            if fine and not self.pace.in_time(OTHER_STEPS * self.scale.texels):
+        for start in other_starts(self.prior, self.stages.rounds) if self.config.neighbours else ():
+            if fine and not self.budget.in_time(OTHER_STEPS * self.scale.texels):
                 self.cut = True
                 break
             found = self._stepped(self.scale, start(self.answer._replace(x=x)), OTHER_STEPS)
@@ -225,29 +226,29 @@ class Hierarchical(Method[HierarchicalConfig]):
         """Move camera and flash where this round asks for it; the patch as a whole is flat (it lies in z =
         0).
         """
-        stage, rounds, sloped = self.stages.stage, self.stages.rounds, len(self.ties.slopes) > 0
-        if not self.moved.may_move(self.stages.tied):
+        stage, rounds, sloped = self.stages.stage, self.stages.rounds, len(self.prior.slopes) > 0
+        if not self.corrections.may_move(self.stages.tied):
             return
-        if rounds in LEVELLED.get(stage, ()) and self.moved.fits_offset and sloped:
-            self.answer, slope = self.ties.levelled(self.answer)
-            self.moved.level(slope)
-        work = self.moved.work * self.scale.texels
-        if rounds in REFINED.get(stage, ()) and self.moved.begun(self.pace.in_time(work, "views")):
-            with profiled("views"), self.pace.timed("views", work):
+        if rounds in LEVELLED.get(stage, ()) and self.corrections.fits_offset and sloped:
+            self.answer, slope = self.prior.levelled(self.answer)
+            self.corrections.level(slope)
+        work = self.corrections.work * self.scale.texels
+        if rounds in REFINED.get(stage, ()) and self.corrections.begun(self.budget.in_time(work, "views")):
+            with profiled("views"), self.budget.timed("views", work):
                 if sloped and stage != Stage.FINE:
-                    self.answer, _ = self.ties.levelled(self.answer)
-                self.moved.refine(self.preview(), self.scale.capture)
+                    self.answer, _ = self.prior.levelled(self.answer)
+                self.corrections.refine(self.preview(), self.scale.capture)
 
-    def _tied(self, scale: Scale, photos: Observations, answer: Answer) -> Answer:
+    def _tied(self, scale: Scale, photos: Observations, answer: TexelEstimate) -> TexelEstimate:
         """The answer with the prior of the next round, from what texels are seen to be."""
-        ties, precision = self.ties, answer.precision + LEAST_PRECISION
+        prior, precision = self.prior, answer.precision + LEAST_PRECISION
         variance, says = scale.solver.variances(photos, answer.x, precision), answer.x
         if scale.free:
-            return ties.loosen(answer, variance)
-        if self.config.integrated:
-            says = integrated(scale.solver, photos, says, precision, ties.shared, ties.low, ties.high)
-        shared = ties.share(answer._replace(x=says), variance, scale.member, len(photos.views),
-                            self.stages.tied, lambda planes: self.independent(planes, scale, answer))
+            return prior.loosen(answer, variance)
+        if self.config.marginalise:
+            says = marginalised(scale.solver, photos, says, precision, prior.shared, prior.low, prior.high)
+        shared = prior.share(answer._replace(x=says), variance, scale.member, len(photos.views),
+                            self.stages.tied, lambda planes: self.without_burn_in(planes, scale, answer))
         return shared._replace(x=answer.x)
 
     # What comes out.
@@ -255,13 +256,13 @@ class Hierarchical(Method[HierarchicalConfig]):
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The present maps at full size, of tied texels with the freedom that they have in the end."""
         side = self.capture.resolution
-        if self.rivals.best is not None and self.stages.stage == Stage.RIVALS:
-            x = enlarged(self.rivals.best.x, side)
+        if self.multi_start.best is not None and self.stages.stage == Stage.MULTI_START:
+            x = enlarged(self.multi_start.best.x, side)
         elif self.stages.tied:
             x = self._closed()
         else:
             x = self.answer.x if self.answer.x.shape[-1] == side else enlarged(self.answer.x, side)
-        return self.scales.solver(side).svbrdf(x).map(Tensor.contiguous), self.moved.moved(self.views)
+        return self.scales.solver(side).svbrdf(x).map(Tensor.contiguous), self.corrections.applied(self.views)
 
     def preview(self) -> SVBRDF:
         """The present answer as it is, at the size of the present stage."""
@@ -276,46 +277,46 @@ class Hierarchical(Method[HierarchicalConfig]):
         Args:
             more: steps to take where the answer has been closed already.
         """
-        scale, answer, ties, steps = self.scale, self.closed or self.answer, self.ties, more
+        scale, answer, prior, steps = self.scale, self.closed or self.answer, self.prior, more
         if self.closed is None:
             if self.stages.stage != Stage.FINE:
                 scale, answer = self._at_full_size()
-                steps = self.pace.steps(LAST_STEPS, self.pace.to_come + LAST_STEPS)
+                steps = self.budget.steps(LAST_STEPS, self.budget.to_come + LAST_STEPS)
                 answer = answer._replace(x=self._stepped(scale, answer, steps).x)
             x = answer.x.clone()
-            x[ties.shared] = ties.bounded(self.independent(x[ties.shared], scale, answer), ties.shared)
-            answer, steps = ties.fixed_but_diffuse(answer._replace(x=x)), self.pace.steps(LAST_STEPS)
+            x[prior.shared] = prior.bounded(self.without_burn_in(x[prior.shared], scale, answer), prior.shared)
+            answer, steps = prior.fixed_but_diffuse(answer._replace(x=x)), self.budget.steps(LAST_STEPS)
         self.closed = answer._replace(x=self._stepped(scale, answer, steps).x) if steps else answer
         return self.closed.x
 
-    def _stepped(self, scale: Scale, answer: Answer, steps: int) -> Solved:
-        with self.pace.timed("solver", steps * answer.x[0].numel()):
-            return stepped(scale.solver, self.observations(scale, answer), answer, self.ties, steps)
+    def _stepped(self, scale: Scale, answer: TexelEstimate, steps: int) -> Solved:
+        with self.budget.timed("solver", steps * answer.x[0].numel()):
+            return stepped(scale.solver, self.observations(scale, answer), answer, self.prior, steps)
 
     @property
     def views_deviation(self) -> tuple[Tensor | None, Tensor | None]:
         """Standard deviations of the changes of the views, N x 7, and of the common flash offset; None where
         not refined.
         """
-        return self.moved.deviations
+        return self.corrections.deviations
 
     @property
-    def left_out(self) -> list[tuple[str, str]]:
+    def omitted(self) -> list[Omitted]:
         """What these photos did not need."""
-        return left_out(self.task, self.stages, bool(self.moved.skipped))
+        return omitted_stages(self.task, self.stages, bool(self.corrections.skipped))
 
     def state(self) -> dict[str, Tensor]:
         """The states of its parts."""
-        parts = self.answer._asdict(), *(part.state() for part in (self.stages, self.moved, self.rivals,
-                                                                   self.pace))
+        parts = self.answer._asdict(), *(part.state() for part in (self.stages, self.corrections, self.multi_start,
+                                                                   self.budget))
         return {name: value.clone() for part in parts for name, value in part.items()}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
-        self.answer = Answer(**{name: state[name].clone() for name in Answer._fields})
+        self.answer = TexelEstimate(**{name: state[name].clone() for name in TexelEstimate._fields})
         self.closed = None
-        for part in (self.stages, self.moved, self.rivals, self.pace):
+        for part in (self.stages, self.corrections, self.multi_start, self.budget):
             part.load_state(state)
-        self.scales, self.ties = self.lobeless if self.stages.matte else self.search
+        self.scales, self.prior = self.lobeless if self.stages.matte else self.search
         stage = self.stages.stage
         self.scale = self.scales.of(stage, free=self.stages.tied and stage == Stage.FINE)

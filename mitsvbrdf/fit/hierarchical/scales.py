@@ -12,7 +12,7 @@ from torch import Tensor
 from ...capture import Capture
 from ...material.resample import area_averaged, sampled
 from ..config import HierarchicalConfig
-from .appearance import appearance_of, basis_materials, membership
+from .sharing import appearance_of, basis_materials, membership
 from .solver import TexelSolver
 from .stages import Stage
 
@@ -70,7 +70,7 @@ class Scales:
         # Photos no larger than that are the same in every stage, down to how they lie in memory: sums depend
         # on it.
         full = averaged if averaged.resolution == capture.resolution else capture
-        self.captures = {Stage.ALONE: sampled, Stage.RIVALS: sampled, Stage.TOGETHER: averaged,
+        self.captures = {Stage.ALONE: sampled, Stage.MULTI_START: sampled, Stage.TOGETHER: averaged,
                          Stage.FINE: full}
         self.solvers: dict[int, TexelSolver] = {}
         guess = area_averaged(guess, averaged.resolution)
@@ -80,7 +80,7 @@ class Scales:
         """What this stage works on, with texels that are free or not."""
         capture = self.captures[stage]
         guess = area_averaged(self.guess, capture.resolution)
-        return Scale(capture, guess, self.solver(capture.resolution), self.basis, self.config.likeness, free)
+        return Scale(capture, guess, self.solver(capture.resolution), self.basis, self.config.similarity, free)
 
     def holding(self, **maps: Tensor) -> Scales:
         """The same photos with further maps held fixed, at full size."""

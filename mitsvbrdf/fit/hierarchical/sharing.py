@@ -1,24 +1,42 @@
-"""Evidence shared between texels that look alike: the prior of one texel is what the others say (empirical
-Bayes).
+"""Evidence shared between texels that look alike: the prior of one texel is what the others say (empirical Bayes).
 
 A texel whose highlight no photo caught knows nothing of its specular level and roughness; texels of the same
-stuff do. The model is hierarchical: a texel's number is that of its basis materials, plus a deviation of its
-own with standard deviation tau. Each basis material has a tau of its own: gilt may vary where the wood around
-it does not. From each texel's posterior the prior it had is divided out again, which leaves what its photos
-alone say; the means of the basis materials are averages of that, weighted by how sure each texel is, and tau
-follows by expectation-maximisation (Dempster et al. 1977; the division is that of expectation propagation,
-Minka 2001).
+stuff do. The model is hierarchical: the number of a texel is that of its basis materials plus a deviation of
+its own with standard deviation tau. Each basis material has its own tau: gilt may vary where the wood around
+it does not. The posterior of a texel divided by its prior is what its photos alone say. The means of the basis
+materials are averages of that, weighted by precision. Tau follows by expectation-maximisation (Dempster et al.
+1977; the division is that of expectation propagation, Minka 2001).
+
+The most probable slopes and diffuse colour of a texel explain its photos too well: slopes take up scatter that
+belongs to the roughness. Beside thousands of such numbers the few shared ones are biased by an amount that more
+texels do not reduce (Neyman and Scott 1948). :func:`marginalised` uses Laplace's approximation of the integral
+over the own numbers y,
+
+    int exp(-cost / 2) dy  ~  exp(-cost / 2) |H_yy|^(-1/2),    H = J^T W J + precision.
+
+It adds log |H_yy| to the cost, which moves the maximum of the rest by -V grad log |H_yy| / 2, V = H^-1: the
+first-order correction of Cox and Snell 1968 and Firth 1993. The correction grows with the square of the noise,
+so it uses the noise that is seen, which is less than the noise that texels are allowed.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
+import cv2
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
+from ... import color
+from ...capture import Capture
+from ...capture.guess import over
 from ...material.maps import DIELECTRIC_F0
+from ...views import geometry
+from .solver import Observations, TexelSolver
 
+KMEANS_ROUNDS, KMEANS_STARTS = 30, 1
 ROUNDS = 10  # of expectation-maximisation; tau changes by less than 1 % afterwards
 LEAST_SPREAD = 0.01  # of tau; below it the common level moves too little a round
 # a texel's own evidence counts as at most so far from its prior: divisions of small differences know no more
@@ -29,6 +47,57 @@ TYPICAL = {"specular": (DIELECTRIC_F0 ** (1 / 2.2), 0.05)}
 UNKNOWN = 0.0, float("inf")
 COMMON = 20.0  # texels whose worth the common spread counts as in that of each basis material
 NOBODY = 1e-30
+STEP = 0.01  # of the differences in :func:`marginalised`, in numbers between 0 and 1
+FARTHEST_STEP = 1.0  # largest step of it in standard deviations; the approximation knows no more
+
+
+def appearance_of(capture: Capture, guess: Tensor) -> Tensor:
+    """What a texel looks like whatever the light: M x 5, about 0 to 0.5 each.
+
+    Its apparent albedo (falloff and cosine undone) without its darkest quarter and its brighter half, which
+    hold shadows and highlights: chroma, a quarter of it, and lightness, half of it; and half the lightness of
+    the guess.
+
+    Args:
+        capture: N photos with their views.
+        guess: guessed diffuse map, R x R x 3.
+    """
+    _, _, irradiance = geometry(capture.views, capture.resolution)
+    albedo = over(math.pi * capture.linear, irradiance).flatten(1, 2).transpose(0, 1)  # M x N x 3
+    order, count = albedo.mean(dim=-1).argsort(dim=1), len(capture)
+    middle = order[:, count // 4:max(count // 4 + 1, 3 * count // 4), None].expand(-1, -1, 3)
+    encoded = color.encode(albedo.gather(1, middle).mean(dim=1).clamp(1e-4, 10))
+    lightness = encoded.mean(dim=1, keepdim=True)
+    chroma = encoded / lightness.clamp_min(0.02) - 1
+    return torch.cat((chroma / 4, lightness / 2,
+                      color.encode(guess.reshape(-1, 3).mean(dim=1, keepdim=True)) / 2), dim=1)
+
+
+def basis_materials(appearance: Tensor, count: int, seed: int) -> Tensor:
+    """The appearance of at most ``count`` basis materials, K x 5: k-means, which depends on the seed alone.
+
+    Args:
+        appearance: of M texels, M x 5 (:func:`appearance_of`).
+        count: K; fewer where there are fewer texels.
+        seed: of k-means.
+    """
+    cv2.setRNGSeed(seed % 2**31)
+    count = min(count, len(appearance))
+    stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, KMEANS_ROUNDS, 1e-4)
+    _, _, centres = cv2.kmeans(appearance.numpy(), count, None, stop, KMEANS_STARTS, cv2.KMEANS_PP_CENTERS)
+    return torch.from_numpy(centres)
+
+
+def membership(appearance: Tensor, basis: Tensor, width: float) -> Tensor:
+    """How much of each basis material a texel is, M x K, rows that sum to 1: normal kernels of this standard
+    deviation.
+
+    Args:
+        appearance: of M texels, M x 5.
+        basis: of :func:`basis_materials`, K x 5.
+        width: the standard deviation.
+    """
+    return F.softmax(-torch.cdist(appearance, basis).square() / (2 * width**2), dim=1)
 
 
 class Shared(NamedTuple):
@@ -51,7 +120,7 @@ def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, pr
         variance: posterior variances, S x M.
         prior_mean: of the prior that these had, S x M.
         prior_precision: the same.
-        member: M x K, of :func:`mitsvbrdf.fit.hierarchical.appearance.membership`.
+        member: M x K, of :func:`membership`.
         spread: S, tau over all so far.
         photos: how many follow the model; 0: :data:`TYPICAL` does not count. It decides where photos leave a
             whole material open, as they do a broad lobe that looks like a diffuse one. It counts once for a
@@ -77,3 +146,47 @@ def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, pr
         common = square.mean(dim=1, keepdim=True)
         tau2 = (square @ member + COMMON * common) / (member.sum(dim=0) + COMMON) @ member.T
     return Shared(mean, tau2.sqrt().clamp_min(LEAST_SPREAD), common[:, 0].sqrt().clamp_min(LEAST_SPREAD))
+
+
+def marginalised(solver: TexelSolver, observations: Observations, x: Tensor, precision: Tensor, shared: Tensor,
+               low: Tensor, high: Tensor) -> Tensor:
+    """The most probable unknowns of each texel, the shared ones as they are with the others integrated out.
+
+    Args:
+        solver: of the texels.
+        observations: the photos.
+        x: the most probable unknowns, U x R x R.
+        precision: of the prior, U x R x R, above 0.
+        shared: positions of the unknowns to move.
+        low: lowest value of each unknown, U numbers.
+        high: the highest.
+
+    Returns:
+        U x R x R, float32, within the bounds.
+    """
+    own = torch.tensor([u for u in range(len(x)) if u not in shared.tolist()], dtype=torch.long)
+    if not len(own) or not len(shared):
+        return x
+
+    def matrix(at: Tensor) -> tuple[Tensor, Tensor]:
+        cost, _, curve = solver.normal_equations(observations, at)
+        return cost, curve.permute(2, 3, 0, 1).double() + torch.diag_embed(precision.permute(1, 2,
+                                                                                             0).double())
+
+    def volume(at: Tensor) -> Tensor:
+        return torch.linalg.slogdet(matrix(at)[1][..., own[:, None], own]).logabsdet
+
+    cost, here = matrix(x)
+    values = max(3 * len(observations.photos) - len(x), 1)  # that a texel's unknowns leave to its errors
+    noise = float((cost.mean() / values).clamp_max(1))
+    slopes = []
+    for u in shared.tolist():
+        more, less = x.clone(), x.clone()
+        more[u], less[u] = (x[u] + STEP).clamp_max(float(high[u])), (x[u] - STEP).clamp_min(float(low[u]))
+        slopes.append((volume(more) - volume(less)) / (more[u] - less[u]).double())
+    covariance = torch.linalg.inv(here)[..., shared[:, None], shared]
+    step = -0.5 * noise * (covariance @ torch.stack(slopes, dim=-1)[..., None])[..., 0]
+    reach = FARTHEST_STEP * covariance.diagonal(dim1=-2, dim2=-1).clamp_min(0).sqrt()
+    found = x.clone()
+    found[shared] += torch.maximum(torch.minimum(step, reach), -reach).permute(2, 0, 1).float()
+    return torch.maximum(torch.minimum(found, high[:, None, None]), low[:, None, None])

@@ -216,7 +216,7 @@ class TexelSolver:
     def _known(self, views: Views, side: int) -> tuple[Needs, dict[str, Tensor]]:
         """What the scene needs, and the fixed maps that are read."""
         material = unknown_but(self.fixed, self.bsdf, side, self.grey_specular)
-        needs = replace(scene_needs(material, views, "mitsuba"), left_out=())
+        needs = replace(scene_needs(material, views, "mitsuba"), omitted=())
         return needs, {name: value for name, value in needed_maps(material, needs).items()
                        if name in self.fixed}
 

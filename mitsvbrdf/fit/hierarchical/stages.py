@@ -24,7 +24,7 @@ class Stage(IntEnum):
     """A stage of the fit."""
 
     ALONE = 0  # coarse; every texel explains its photos freely
-    RIVALS = 1  # the same from other starts; exact photos only
+    MULTI_START = 1  # the same from other starts; exact photos only
     TOGETHER = 2  # coarse; texels are tied to those that look alike; photos of a phone only
     FINE = 3  # full size
 
@@ -32,10 +32,10 @@ class Stage(IntEnum):
 # Rounds until the costs of two starts can be compared, measured: after 20 the lower one was the worse
 # material's in 4 of 40 fits, after 26 in none. The robust start has its first in ALONE.
 TRIAL = 26
-ROUNDS = {Stage.ALONE: 12, Stage.RIVALS: 3 * TRIAL - 12, Stage.TOGETHER: 12, Stage.FINE: 14}
+ROUNDS = {Stage.ALONE: 12, Stage.MULTI_START: 3 * TRIAL - 12, Stage.TOGETHER: 12, Stage.FINE: 14}
 TIED_ROUNDS = 6  # of FINE, for photos of a phone
 # share of the run at which a stage ends at the latest
-DEADLINE = {Stage.ALONE: 0.15, Stage.RIVALS: 0.4, Stage.TOGETHER: 0.5}
+DEADLINE = {Stage.ALONE: 0.15, Stage.MULTI_START: 0.4, Stage.TOGETHER: 0.5}
 
 # Structure that a free fit leaves at 64 px (:func:`unexplained`): six known materials 0.0003 to 0.0009
 # without noise and up to 0.004 with noise of 0.003 in linear radiance, twelve real captures 0.009 to 0.053.
@@ -54,12 +54,12 @@ class Stages:
     """Where the fit stands: a stage, rounds of it begun, and the noise of the round under way.
 
     Args:
-        rivals: whether exact photos are fitted from other starts too.
+        multi_start: whether exact photos are fitted from other starts too.
         stated: whether the photos are exact; None where what is left unexplained tells.
     """
 
-    def __init__(self, rivals: bool, stated: bool | None = None) -> None:
-        self.rivals, self.stated = rivals, stated
+    def __init__(self, multi_start: bool, stated: bool | None = None) -> None:
+        self.multi_start, self.stated = multi_start, stated
         self.stage, self.rounds = Stage.ALONE, 0
         self.noise = torch.tensor(NOISE)
         self.unexplained = torch.full((2,), torch.nan)
@@ -107,7 +107,7 @@ class Stages:
     def next(self) -> Stage:
         """The stage after this one; after ALONE, :meth:`judge` comes first."""
         if self.stage == Stage.ALONE:
-            return (Stage.TOGETHER if not self.exact else Stage.RIVALS if self.rivals and not self.matte
+            return (Stage.TOGETHER if not self.exact else Stage.MULTI_START if self.multi_start and not self.matte
                     else Stage.FINE)
         return Stage.FINE
 
@@ -135,12 +135,12 @@ class Stages:
 
     @property
     def trial(self) -> tuple[int, int]:
-        """Of RIVALS: which start the round to come is of, and the rounds that this start had."""
+        """Of MULTI_START: which start the round to come is of, and the rounds that this start had."""
         return divmod(ROUNDS[Stage.ALONE] + self.rounds, TRIAL)
 
     def _next_noise(self) -> float:
         stage, done = self.stage, self.rounds
-        if stage == Stage.RIVALS:
+        if stage == Stage.MULTI_START:
             done, alone = self.trial[1], ROUNDS[Stage.ALONE]
             stage, done = (Stage.ALONE, done) if done < alone else (Stage.FINE, done - alone)
         if stage == Stage.ALONE:

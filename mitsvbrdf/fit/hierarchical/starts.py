@@ -16,7 +16,7 @@ from torch import Tensor
 
 from ..checkpoint import part
 from .solver import Observations, Solved, TexelSolver
-from .ties import Answer, Ties
+from .texel_prior import TexelEstimate, TexelPrior
 
 DAMPING = 0.01  # that Levenberg-Marquardt starts with
 LESS = 1e-3  # share of its cost that a texel must save to take another start
@@ -24,68 +24,68 @@ LESS = 1e-3  # share of its cost that a texel must save to take another start
 TILTS, GOLDEN = (0.15, 0.4, 0.8), math.pi * (3 - math.sqrt(5))
 
 
-def stepped(solver: TexelSolver, observations: Observations, answer: Answer, ties: Ties,
+def stepped(solver: TexelSolver, observations: Observations, answer: TexelEstimate, prior: TexelPrior,
             count: int) -> Solved:
     """So many Levenberg-Marquardt steps of every texel from an answer, within its bounds and with its
     prior.
     """
     return solver.solve(observations, answer.x, torch.full_like(answer.x[0], DAMPING), answer.mean,
-                        answer.precision, ties.low, ties.high, count)
+                        answer.precision, prior.low, prior.high, count)
 
 
-def other_starts(ties: Ties, turn: int) -> list[Callable[[Answer], Answer]]:
+def other_starts(prior: TexelPrior, turn: int) -> list[Callable[[TexelEstimate], TexelEstimate]]:
     """The answers of two neighbours, and two tilts of a texel of which nothing else is known; others each
     turn.
     """
-    starts: list[Callable[[Answer], Answer]] = [partial(_neighbour, by=1 if turn % 2 else -1, axis=axis)
+    starts: list[Callable[[TexelEstimate], TexelEstimate]] = [partial(_neighbour, by=1 if turn % 2 else -1, axis=axis)
                                                 for axis in (1, 2)]
-    if len(ties.slopes):
-        starts += [partial(_tilted, ties=ties, steep=TILTS[turn % len(TILTS)], along=GOLDEN * turn
+    if len(prior.slopes):
+        starts += [partial(_tilted, prior=prior, steep=TILTS[turn % len(TILTS)], along=GOLDEN * turn
                            + half_turn)
                    for half_turn in (0.0, math.pi)]
     return starts
 
 
-def _neighbour(answer: Answer, by: int, axis: int) -> Answer:
+def _neighbour(answer: TexelEstimate, by: int, axis: int) -> TexelEstimate:
     return answer._replace(x=torch.roll(answer.x, by, axis).contiguous())
 
 
-def _tilted(answer: Answer, ties: Ties, steep: float, along: float) -> Answer:
+def _tilted(answer: TexelEstimate, prior: TexelPrior, steep: float, along: float) -> TexelEstimate:
     x = answer.x.clone()
-    x[ties.shared] = answer.mean[ties.shared]
-    x[ties.slopes] = torch.tensor([steep * math.cos(along), steep * math.sin(along)])[:, None, None]
+    x[prior.shared] = answer.mean[prior.shared]
+    x[prior.slopes] = torch.tensor([steep * math.cos(along), steep * math.sin(along)])[:, None, None]
     return answer._replace(x=x)
 
 
-class Rivals:
+class MultiStart:
     """The most probable answer of the starts tried so far."""
 
     def __init__(self) -> None:
-        self.best: Answer | None = None
+        self.best: TexelEstimate | None = None
         self.cost = torch.tensor(torch.inf)
 
     @staticmethod
-    def start(answer: Answer, trial: int, ties: Ties) -> Answer:
+    def start(answer: TexelEstimate, trial: int, prior: TexelPrior) -> TexelEstimate:
         """A start like another, with lobes far narrower (the first trial) or wider (the second)."""
-        x, mean, lobe = answer.x.clone(), answer.mean.clone(), ties.unknowns.of("roughness")
-        x[lobe] = ties.bounded((x[lobe] / 2, (1 + x[lobe]) / 2)[trial - 1], lobe)
+        x, mean, lobe = answer.x.clone(), answer.mean.clone(), prior.unknowns.of("roughness")
+        x[lobe] = prior.bounded((x[lobe] / 2, (1 + x[lobe]) / 2)[trial - 1], lobe)
         mean[lobe] = x[lobe]
         return answer._replace(x=x, mean=mean)
 
-    def keep(self, answer: Answer, solver: TexelSolver, observations: Observations, ties: Ties) -> None:
+    def keep(self, answer: TexelEstimate, solver: TexelSolver, observations: Observations, prior: TexelPrior) -> None:
         """Keep this answer where the photos make it more probable than those of the starts before.
 
         Compared is -2 log of the marginal likelihood (Laplace's approximation): the cost, and by how much the
         photos narrow the prior. The cost alone takes an answer that explains photos less well for a better
         one where its prior is narrower.
         """
-        found = stepped(solver, observations, answer, ties, 0)
+        found = stepped(solver, observations, answer, prior, 0)
         _, narrowed = solver.posterior(observations, answer.x, answer.precision)
         cost = (found.data + found.prior + narrowed - answer.precision.log().sum(dim=0)).mean()
         if self.best is None or cost < self.cost:
             self.best, self.cost = answer, cost
 
-    def take(self, otherwise: Answer) -> Answer:
+    def take(self, otherwise: TexelEstimate) -> TexelEstimate:
         """The best answer, kept no longer; where none was, another."""
         best = otherwise if self.best is None else self.best
         self.best = None
@@ -102,4 +102,4 @@ class Rivals:
         """Go on from a saved state."""
         saved = part(state, "winner.")
         self.cost = saved.pop("cost", torch.tensor(torch.inf))
-        self.best = Answer(**saved) if saved else None
+        self.best = TexelEstimate(**saved) if saved else None

@@ -1,6 +1,8 @@
-"""The unknowns of a texel, by the map that they belong to."""
+"""The unknowns of a texel by map, and the slopes that a solver takes of them."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -19,3 +21,38 @@ class Unknowns(Layout):
     def of(self, *maps: str) -> Tensor:
         """Positions of the numbers of these maps; of maps that are no unknowns, none."""
         return torch.tensor([i for i, name in enumerate(self.names) if name in maps], dtype=torch.long)
+
+
+class Column(NamedTuple):
+    """A slope that is taken: of a map, along one of a normal's two axes, and whose unknown it is for red,
+    green and blue.
+
+    A channel of the radiance knows its own channel of a colour alone, so one forward pass serves all three.
+    """
+
+    name: str
+    axis: int
+    places: tuple[int, ...]
+
+
+def columns_of(unknowns: Unknowns) -> list[Column]:
+    """The slopes that are taken."""
+    columns = []
+    for name, of in unknowns.slices.items():
+        places = tuple(range(of.start, of.stop))
+        if name == "normal":
+            columns += [Column(name, axis, (at,) * 3) for axis, at in enumerate(places)]
+        else:
+            columns.append(Column(name, 0, places if len(places) == 3 else places * 3))
+    return columns
+
+
+def pair_of(i: int, j: int) -> tuple[int, int]:
+    """The place of an entry in the lower triangle of a symmetric matrix."""
+    return max(i, j), min(i, j)
+
+
+def pairs_of(columns: list[Column]) -> list[tuple[int, int]]:
+    """The places in the lower triangle of J^T J that are not always 0."""
+    return sorted({pair_of(first.places[c], second.places[c]) for first in columns for second in columns
+                   for c in range(3)})

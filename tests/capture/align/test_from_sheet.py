@@ -7,7 +7,7 @@ import pytest
 from helpers.tag_sheet import LENS, MIDDLES, POSES, SHEET, on_grey, photograph
 
 from mitsvbrdf.capture.align.from_sheet import rig_from_sheet
-from mitsvbrdf.capture.lens import Lens, Pose, on_plane, project
+from mitsvbrdf.capture.lens import Pose, on_plane, project
 from mitsvbrdf.errors import CaptureError
 from mitsvbrdf.views import texel_positions
 
@@ -74,19 +74,15 @@ def test_photos_that_do_not_help_are_named(tmp_path, photos):
     row = photograph(tmp_path / "row.jpg", POSES[0], picture=covered([0, 1, 2, 3, 4]))
     three = photograph(tmp_path / "three.jpg", POSES[0], picture=covered([0, 4, 8]))
     empty = photograph(tmp_path / "empty.jpg", POSES[0], picture=covered([]))
-    turned = photograph(tmp_path / "turned.jpg", POSES[0], Lens((750, 1000), 790.0))
-    cropped = photograph(tmp_path / "cropped.jpg", POSES[0], Lens((800, 750), 790.0))
     four = photograph(tmp_path / "four.jpg", POSES[2], picture=covered([0, 4, 8, 13]))
     bent = SHEET.picture(80)[0]
     bent[:, 1000:] = np.roll(bent, 24, axis=0)[:, 1000:]  # its right side is 3 mm lower
     bent = photograph(tmp_path / "bent.jpg", POSES[1], picture=bent)
-    rig = rig_from_sheet([turned, row, *photos, three, bent, empty, cropped, four], 18.0)
+    rig = rig_from_sheet([row, *photos, three, bent, empty, four], 18.0)
     assert set(rig.poses) == {*(photo.name for photo in photos), "four.jpg"}
     assert rig.rejected["three.jpg"] == "3 of 16 tags seen, 4 needed"
     assert rig.rejected["empty.jpg"] == "none of 16 tags seen, 4 needed"
     assert rig.rejected["row.jpg"] == "5 of 16 tags seen, all in one line"
-    assert "turned when it was stored" in rig.rejected["turned.jpg"]
-    assert "800 x 750 pixels, the others have 1000 x 750" in rig.rejected["cropped.jpg"]
     assert "where a flat sheet would have them" in rig.rejected["bent.jpg"]
     poses = {photo.name: pose for photo, pose in zip(photos, POSES)}
     check(rig, poses | {"four.jpg": POSES[2]})
@@ -105,8 +101,6 @@ def test_too_few_photos(tmp_path, photos):
     with pytest.raises(CaptureError, match="3 photos or more that show the sheet, got 2 of 3; empty.jpg: "
                                            "none of 16"):
         rig_from_sheet([photos[0], empty, photos[1]], 18.0)
-    with pytest.raises(CaptureError, match="got 0 of 0"):
-        rig_from_sheet([], 18.0)
 
 
 def test_photos_from_straight_above_leave_the_focal_length_to_exif(tmp_path):
@@ -116,7 +110,7 @@ def test_photos_from_straight_above_leave_the_focal_length_to_exif(tmp_path):
     focal = LENS.focal * np.hypot(36, 24) / np.hypot(*LENS.size) * 1.02  # rounded up by EXIF
     flat = [photograph(tmp_path / f"{i}.jpg", pose, exif=focal, seed=i) for i, pose in enumerate(poses)]
     known = rig_from_sheet(flat, 18.0)
-    assert any("focal length stays uncertain" in note for note in known.notes)
+    assert any("focal length is uncertain" in note for note in known.notes)
     for i, pose in enumerate(poses):
         off = np.linalg.norm(known.poses[f"{i}.jpg"].position - pose.position)
         assert off < 0.05 * 33 and off < 3 * known.deviations[f"{i}.jpg"]

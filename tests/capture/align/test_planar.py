@@ -24,7 +24,7 @@ def test_parallel_photos(tmp_path):
     rig = rig_from_photos(take(tmp_path, poses))
     assert misalignment(rig, poses) < 0.06  # pixels at 512; measured 0.013
     assert position_errors(rig, poses).max() < 0.01  # measured 0.0055: the stated focal length is off by 4 %
-    assert any("focal length stays uncertain" in note for note in rig.notes)
+    assert any("focal length is uncertain" in note for note in rig.notes)
 
 
 def test_photos_from_one_place():

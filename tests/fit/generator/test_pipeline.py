@@ -9,21 +9,13 @@ import pytest
 import torch
 from helpers import ANALYTIC, MITSUBA, TWIN, photos_of
 from helpers.variants import mostly_slow
+from helpers.weight_gradients import FAULTS, METHODS, Faulty, differences, trained_states, weight_gradient
 
 from mitsvbrdf.fit import FitTask, GanConfig, HybridConfig, fit_svbrdf, make_method
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import CHANNELS
 from mitsvbrdf.measure.metrics import gradient_error, map_rmse
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.verify.generator_gradients import (
-    FAULTS,
-    METHODS,
-    Faulty,
-    differences,
-    page,
-    trained_states,
-    weight_gradient,
-)
 
 THROUGH = {"mitsuba": MITSUBA, "mitsuba-scene": make_renderer("mitsuba-scene")}
 # Of the whole loss, relative L2. Measured on an Intel Xeon, over five states of each of three seeds: medians
@@ -111,14 +103,6 @@ def stepped(task):
 def test_the_traced_scene_leaves_the_flash_where_it_is(kind, shots):
     result = fit_svbrdf(shots, THROUGH["mitsuba-scene"], kind(width=4, iterations=2))
     assert result.config.flash_offset and result.flash_offset is None and not result.undone
-    assert ("flash offset", "mitsuba-scene has no gradient to the lights") in result.left_out
+    assert ("flash offset", "mitsuba-scene has no gradient to the lights") in result.omitted
     assert torch.equal(result.views.light, shots.views.light)
 
-
-def test_the_page_of_the_gradients():
-    row = {"method": "gan", "bsdf": "principled", "through": "mitsuba", "fault": False, "median": 2e-7,
-           "largest": 3e-7}
-    text = page({"material": "inlay", "resolution": 64,
-                 "rows": [row, row | {"through": "wrong", "fault": True}],
-                 "machine": {"cpu": "x"}, "versions": {"mitsuba": "1", "drjit": "2", "torch": "3"}})
-    assert "| `gan` | principled | `mitsuba` | 2.0e-07 | 3.0e-07 |" in text and "| principled | wrong |" in text

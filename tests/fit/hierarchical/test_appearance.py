@@ -6,7 +6,7 @@ from helpers import ANALYTIC, GRID, photos_of
 
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture
-from mitsvbrdf.fit.hierarchical.appearance import appearance_of, basis_materials, membership
+from mitsvbrdf.fit.hierarchical.sharing import appearance_of, basis_materials, membership
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.views import Views, nine_view_grid
 

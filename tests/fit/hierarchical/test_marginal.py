@@ -5,7 +5,7 @@ import torch
 from helpers import TWIN
 
 from mitsvbrdf import color
-from mitsvbrdf.fit.hierarchical.marginal import integrated
+from mitsvbrdf.fit.hierarchical.sharing import marginalised
 from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
 from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.views import Views
@@ -61,7 +61,7 @@ def test_the_roughness_moves_to_where_the_integral_over_slopes_is_largest(summed
     low, high = torch.tensor([0.1, -1.0, -1.0]), torch.tensor([1.0, 1.0, 1.0])
     x = solver.solve(observations, prior.clone(), torch.full((SIDE, SIDE), 0.01), prior, precision, low, high,
                      40).x
-    found = integrated(solver, observations, x, precision, torch.tensor([0]), low, high)
+    found = marginalised(solver, observations, x, precision, torch.tensor([0]), low, high)
     assert torch.equal(found[1:], x[1:])
     # Of 16 texels, measured: the most probable roughness is 0.0062 below the integral's in the mean, 0.0114
     # off; afterwards 0.0007 above it and 0.0075 off. What stays is what Laplace's approximation leaves out.
@@ -75,5 +75,5 @@ def test_nothing_moves_where_texels_share_everything_or_nothing():
     x = solver.numbers(flat(SIDE))
     observations = Observations(torch.full((len(VIEWS), SIDE, SIDE, 3), 0.5), VIEWS, "gamma2.2", NOISE)
     for shared in (torch.arange(len(x)), torch.arange(0)):
-        assert integrated(solver, observations, x, torch.ones_like(x), shared, torch.zeros(len(x)),
+        assert marginalised(solver, observations, x, torch.ones_like(x), shared, torch.zeros(len(x)),
                           torch.ones(len(x))) is x

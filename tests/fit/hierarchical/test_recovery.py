@@ -82,8 +82,8 @@ def test_photos_of_the_model_are_exact(name):
     truth = make_material(name, SIDE)
     for noise in (0.0, 0.003):
         method = left_alone(photos_of(truth, noise=noise))
-        assert method.stages.exact and method.stages.stage == Stage.RIVALS and not method.stages.tied
-        assert not method.moved.may_move(method.stages.tied)
+        assert method.stages.exact and method.stages.stage == Stage.MULTI_START and not method.stages.tied
+        assert not method.corrections.may_move(method.stages.tied)
         # And the RMSE is that of rounding to 8 bits, 0.00113, or of the noise in dark photos.
         structure, rmse = method.stages.unexplained
         assert structure < 0.5 * stages.EXACT and 0.0009 < rmse < 0.02
@@ -114,7 +114,7 @@ def test_photos_that_do_not_follow_the_model_are_not(wrong):
     # (0.0011).
     method = left_alone(Capture(wrong(make_material("inlay", SIDE)), GRID))
     assert not method.stages.exact and method.stages.stage == Stage.TOGETHER and method.stages.tied
-    assert method.moved.may_move(method.stages.tied)
+    assert method.corrections.may_move(method.stages.tied)
     assert method.stages.unexplained[0] > 2 * stages.EXACT
 
 

@@ -76,7 +76,7 @@ def test_resuming_is_bit_equal_at_every_round(kind, two_stages, capture, tmp_pat
 
     loop.method.step = saving_step
     loop.run()
-    assert set(passed) == {Stage.ALONE, Stage.RIVALS if kind == "exact" else Stage.TOGETHER, Stage.FINE}
+    assert set(passed) == {Stage.ALONE, Stage.MULTI_START if kind == "exact" else Stage.TOGETHER, Stage.FINE}
     for at in range(1, len(passed)) if kind == "phone" else (2, 4):
         resumed = fit_svbrdf(capture, MITSUBA, config, resume=tmp_path / f"{at}.safetensors")
         for name, value in whole.svbrdf.maps.items():
@@ -102,8 +102,8 @@ def test_a_step_taken_back_into_the_stage_before(two_stages, phone, capture):
 
 
 @pytest.mark.parametrize("stated, stage", [
-    ({}, Stage.RIVALS), ({"exact": False}, Stage.TOGETHER), ({"exact": True}, Stage.RIVALS),
-    ({"rivals": False}, Stage.FINE)])
+    ({}, Stage.MULTI_START), ({"exact": False}, Stage.TOGETHER), ({"exact": True}, Stage.MULTI_START),
+    ({"multi_start": False}, Stage.FINE)])
 def test_stages_that_were_stated(stated, stage, capture):
     method = method_of(capture.averaged(8), **stated)
     assert not method.stages.exact and not method.stages.tied  # before anybody looked

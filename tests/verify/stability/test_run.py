@@ -1,7 +1,7 @@
 """Broken renderers are found out."""
 
 import json
-import math
+from typing import get_args
 
 import pytest
 import torch
@@ -9,12 +9,13 @@ from helpers import ANALYTIC
 from helpers.one_sweep import FEW
 
 from mitsvbrdf import cli
+from mitsvbrdf.cli.stability import VERDICT_COLOURS, Sweep
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.material.maps import SVBRDF
 from mitsvbrdf.render.analytic import AnalyticRenderer
-from mitsvbrdf.report.stability_page import write_stability_markdown
-from mitsvbrdf.verify.stability import functions, run, stability
+from mitsvbrdf.verify.stability import SWEEPS, run
 from mitsvbrdf.verify.stability.sweeps import Case, material, tilted
+from mitsvbrdf.verify.stability.verdict import VERDICTS
 
 
 class Broken(AnalyticRenderer):
@@ -38,25 +39,29 @@ class Broken(AnalyticRenderer):
 @pytest.mark.parametrize("how, expected", [("nan at grazing", "not finite: 1536 of image"),
                                            ("refuses", "refused: expected"),
                                            ("silent", "wrong: "), ("wrong slope", "wrong: diffuse 0.001")])
-def test_a_broken_renderer_is_found_out(one_case, monkeypatch, tmp_path, how, expected):
+def test_a_broken_renderer_is_found_out(one_case, monkeypatch, tmp_path, capsys, how, expected):
     monkeypatch.setattr("mitsvbrdf.cli.stability.make_renderer", lambda name, variant: Broken(how))
-    out = [f"--{kind}={tmp_path / kind}" for kind in ("json", "html")]
-    assert cli.main(["stability", "--renderer", "analytic", "--only", "tilt", *out]) == 1
-    record = json.loads((tmp_path / "json").read_text())
-    (violation,) = record["violations"]
+    out = tmp_path / "record.json"
+    assert cli.main(["stability", "--renderer", "analytic", "--only", "tilt", "--json", str(out)]) == 1
+    (violation,) = json.loads(out.read_text())["violations"]
     assert violation["renderer"] == "analytic" and violation["what"].startswith(expected)
-    assert violation["what"] in (tmp_path / "html").read_text().replace("&#39;", "'")
-    write_stability_markdown(tmp_path / "md", record)
-    assert expected.split(":")[0] in (tmp_path / "md").read_text()
+    assert f"worse than expected: tilt, 85 degrees, analytic: {expected}" in capsys.readouterr().out
 
 
-def test_part_of_the_sweeps_does_not_replace_the_page_of_all(tmp_path):
-    assert cli.main(["stability", "--only", "tilt", "--md", str(tmp_path / "md")]) == 2
-    assert cli.main(["stability", "--renderer", "analytic", "--md", str(tmp_path / "md")]) == 2
+def test_an_unbroken_renderer_passes(one_case, tmp_path):
+    out = tmp_path / "record.json"
+    assert cli.main(["stability", "--renderer", "analytic", "--only", "tilt", "--json", str(out)]) == 0
+    record = json.loads(out.read_text())
+    (row,) = record["rows"]
+    found = row["renderers"]["analytic"]
+    assert record["violations"] == [] and found["verdict"] == "exact" and max(found["errors"].values()) < 1e-5
+    assert set(row["limit"]) == set(found["errors"]) and row["condition"]["unknowns"] == 9
 
 
-def test_an_unbroken_renderer_passes(one_case):
-    assert cli.main(["stability", "--renderer", "analytic", "--only", "tilt"]) == 0
+def test_the_command_knows_every_sweep_and_verdict(tmp_path, capsys):
+    assert get_args(Sweep) == tuple(SWEEPS) and set(VERDICT_COLOURS) == set(VERDICTS)
+    assert cli.main(["stability", "--only", "flat", "--json", str(tmp_path)]) == 2
+    assert "a file to write" in capsys.readouterr().err
 
 
 def test_what_is_invalid_and_not_refused_is_found_out(monkeypatch):
@@ -65,17 +70,3 @@ def test_what_is_invalid_and_not_refused_is_found_out(monkeypatch):
     (found,) = run.violations([run.measured(case, [ANALYTIC])])
     assert found["what"].endswith("not refused")
 
-
-def test_a_function_that_lets_out_nan_is_found_out(one_case, monkeypatch):
-    monkeypatch.setattr(functions, "map_rmse", lambda *_: {"mean": math.nan})
-    (found,) = stability([ANALYTIC], ["tilt"])["violations"]
-    assert found["renderer"] is None and found["what"] == "1 values of map_rmse are not finite"
-
-
-def test_float64_that_is_off_is_found_out(one_case, monkeypatch):
-    from mitsvbrdf.render import analytic
-
-    right = analytic._smith
-    monkeypatch.setattr(analytic, "_smith", lambda a2, cosine: right(a2, cosine) * (1 + 1e-5))
-    (found,) = stability([], ["tilt"])["violations"]
-    assert found["what"].startswith("float64 itself is off by")

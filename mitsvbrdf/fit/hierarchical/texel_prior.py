@@ -22,13 +22,13 @@ BOUNDS = {"roughness": (0.05, 1.0), "normal": (-3.0, 3.0), "specular": (0.05, 1.
 VAGUE = {"diffuse": 0.5, "base_color": 0.5, "specular": 0.1, "metallic": 0.3, "roughness": 0.1, "normal": 0.1}
 LEAST_PRECISION = 1e-3  # added to that of the prior where variances are asked for
 FIXED = 1e-4  # standard deviation of a number that is not to move
-# How far a texel may leave its tied answer at full size, in units of config.own: standard deviations at first
+# How far a texel may leave its tied answer at full size, in units of config.detail_spread: standard deviations at first
 # and at least.
 FREEDOM = {"normal": (0.5, 0.17), "roughness": (0.5, 0.5), "specular": (1.0, 1.0), "metallic": (1.0, 1.0)}
 FREEST = 2.5  # the same, at most
 
 
-class Answer(NamedTuple):
+class TexelEstimate(NamedTuple):
     """The texels as they are found, and the prior that they are found with.
 
     Args:
@@ -44,7 +44,7 @@ class Answer(NamedTuple):
     spread: Tensor
 
 
-class Ties:
+class TexelPrior:
     """How priors of texels are made: vague ones, those that look-alikes give, and those around an answer that
     was tied.
 
@@ -67,14 +67,14 @@ class Ties:
         return torch.stack([torch.full_like(plane, deviation(name) ** -2.0)
                             for plane, name in zip(x, self.unknowns.names, strict=True)])
 
-    def vague(self, x: Tensor) -> Answer:
+    def vague(self, x: Tensor) -> TexelEstimate:
         """A start with a vague prior around it."""
         x = self.bounded(x).contiguous()
         spread = torch.tensor([VAGUE[self.unknowns.names[i]] for i in self.shared])
-        return Answer(x, x.clone(), self._precision(x, VAGUE.__getitem__), spread)
+        return TexelEstimate(x, x.clone(), self._precision(x, VAGUE.__getitem__), spread)
 
-    def share(self, answer: Answer, variance: Tensor, member: Tensor, photos: int, tied: bool,
-              corrected: Callable[[Tensor], Tensor]) -> Answer:
+    def share(self, answer: TexelEstimate, variance: Tensor, member: Tensor, photos: int, tied: bool,
+              corrected: Callable[[Tensor], Tensor]) -> TexelEstimate:
         """What look-alikes say becomes the prior of specular and roughness; the relief seen becomes that of
         normals.
 
@@ -101,9 +101,9 @@ class Ties:
                       + variance[self.slopes]).mean().sqrt().clamp_min(LEAST_SPREAD)
             mean[self.slopes] = 0
             precision[self.slopes] = (self.config.relief if tied else float(relief)) ** -2.0
-        return Answer(answer.x, mean, precision, spread)
+        return TexelEstimate(answer.x, mean, precision, spread)
 
-    def enlarge(self, answer: Answer, coarse: Scale, fine: Scale, tied: bool) -> Answer:
+    def enlarge(self, answer: TexelEstimate, coarse: Scale, fine: Scale, tied: bool) -> TexelEstimate:
         """An answer at full size; shared unknowns follow the look-alikes there (joint upsampling, Kopf et al.
         2007).
         """
@@ -117,15 +117,15 @@ class Ties:
             off = own - (alike @ coarse.member.T).reshape(own.shape)
             x[self.shared] = enlarged(off, side) + (alike @ fine.member.T).reshape(-1, side, side)
             x[self.shared] = self.bounded(x[self.shared], self.shared)
-        return Answer(x, enlarged(answer.mean, side), enlarged(answer.precision, side), answer.spread)
+        return TexelEstimate(x, enlarged(answer.mean, side), enlarged(answer.precision, side), answer.spread)
 
-    def free(self, answer: Answer) -> Answer:
+    def free(self, answer: TexelEstimate) -> TexelEstimate:
         """Let every texel leave its tied answer, which becomes its prior; the diffuse map as it likes."""
         return answer._replace(mean=answer.x.clone(), precision=self._precision(answer.x,
                                                                                 lambda name: self._freedom(
                                                                                     name)[0]))
 
-    def loosen(self, answer: Answer, variance: Tensor) -> Answer:
+    def loosen(self, answer: TexelEstimate, variance: Tensor) -> TexelEstimate:
         """How far texels went from their tied answer becomes how far they may go
         (expectation-maximisation).
         """
@@ -136,7 +136,7 @@ class Ties:
             precision[of] = float(went.clamp(*self._freedom(name)[1:])) ** -2.0
         return answer._replace(precision=precision)
 
-    def fixed_but_diffuse(self, answer: Answer) -> Answer:
+    def fixed_but_diffuse(self, answer: TexelEstimate) -> TexelEstimate:
         """A prior around the answer by which nothing but the diffuse map may move."""
         return answer._replace(mean=answer.x, precision=self._precision(
             answer.x, lambda name: FIXED if name in FREEDOM else VAGUE[name]))
@@ -145,10 +145,10 @@ class Ties:
         """Standard deviations of a map's texels around the tied answer: at first, at least and at most."""
         if name not in FREEDOM:
             return (VAGUE[name],) * 3
-        first, least, most = (max(times * self.config.own, FIXED) for times in (*FREEDOM[name], FREEST))
+        first, least, most = (max(times * self.config.detail_spread, FIXED) for times in (*FREEDOM[name], FREEST))
         return first, least, most
 
-    def levelled(self, answer: Answer) -> tuple[Answer, Tensor]:
+    def levelled(self, answer: TexelEstimate) -> tuple[TexelEstimate, Tensor]:
         """The answer with a patch that is flat as a whole, and the mean slopes (float64) that it had."""
         slope = answer.x[self.slopes].mean(dim=(1, 2))
         x = answer.x.clone()

@@ -1,4 +1,4 @@
-"""Settings of the adversarial finish."""
+"""Settings of the plausible detail."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ from .config import check_seed
 
 
 @dataclass(frozen=True)
-class FinishConfig:
-    """The adversarial finish of a fit: one plausible draw of what no photo saw, beside the maps, which
-    stay.
-    """
+class DetailConfig:
+    """Plausible detail: one random draw of what no photo shows. The maps of the fit stay the same."""
 
     steps: int = 80
     """Steps of generator and discriminator."""
@@ -20,25 +18,24 @@ class FinishConfig:
     """Seed of the draw: noise, weights, lights and patches."""
     width: int = 8
     """Channels of the generator's finest level."""
-    judge_width: int = 32
+    discriminator_width: int = 32
     """Channels of the discriminator's first layer."""
     learning_rate: float = 5e-3
     """Adam's step size of the generator at the start; it falls along a cosine."""
-    judge_rate: float = 1e-3
+    discriminator_rate: float = 1e-3
     """The same of the discriminator."""
     certain: float = 0.01
-    """Texels of a map whose standard deviation is at most this stay as they are."""
+    """Texels of a map with at most this standard deviation stay the same."""
     reach: float = 4.0
-    """How far the others may move: so many times what their standard deviation is above that."""
+    """Largest change of the others, as a multiple of their standard deviation above that."""
     lights: int = 4
-    """Moved lights a step, each beside a photo."""
+    """Novel lights in one step, each beside a photo."""
     tries: int = 4
-    """Of so many places for a moved light the one is taken where the material looks most like below the
-    photo's."""
+    """Places tried for a novel light; the place that looks most like the photo's is taken."""
     crop: float = 0.5
-    """Side of the pictures that are compared, in patch sides."""
+    """Side of the compared pictures, in patch sides."""
     seen: int = 3
-    """Photos a step whose re-rendering is held."""
+    """Photos in one step whose re-rendering is held."""
     adversarial: float = 0.4
     """Weight of the discriminator's verdict."""
     patches: float = 80.0
@@ -48,8 +45,7 @@ class FinishConfig:
     diffuse: float = 1.0
     """Weight of the distance of the diffuse map to the solved one."""
     worst: float = 1.4
-    """Re-rendering RMSE of the photos seen that the look may have, over that of the maps; its change is
-    weakened to this."""
+    """Largest re-rendering RMSE over that of the maps; a larger change is weakened to this."""
 
     def check(self) -> None:
         """Raise ConfigError for numbers out of range."""

@@ -15,17 +15,19 @@ from mitsvbrdf.fit import (
     GanConfig,
     HierarchicalConfig,
     HybridConfig,
-    left_out,
     losses,
     make_method,
 )
-from mitsvbrdf.fit.hierarchical import skipped
+from mitsvbrdf.fit.hierarchical import omitted as parts
 from mitsvbrdf.fit.hierarchical.stages import ROUNDS, Stage, Stages
-from mitsvbrdf.fit.left_out import decided_later, known_before, used
+from mitsvbrdf.fit.omitted import decided_later, known_before, omitted_by, used
 from mitsvbrdf.fit.record import read_whole_fit
 from mitsvbrdf.material.maps import CHANNELS
 
 NETWORKS = {"generator", "discriminator"}
+# names in the record of the measurement
+FORMER = {"rival starts": "multi-start", "photos left out in turn": "cross-validation",
+          "adversarial finish": "plausible detail"}
 
 
 @pytest.mark.parametrize("config, trained", [
@@ -33,9 +35,9 @@ NETWORKS = {"generator", "discriminator"}
     (GanConfig(), NETWORKS),
     (GanConfig(preset="paper-one-stage"), NETWORKS), (HybridConfig(adversarial=0.0), {"generator"}),
     (GanConfig(adversarial=0.0, features=1.0), NETWORKS)])
-def test_networks_are_used_or_left_out(config, trained, leather):
+def test_networks_are_used_or_omitted(config, trained, leather):
     task = FitTask(leather, ANALYTIC, config)
-    told, without = dict(used(task)), dict(left_out(task))
+    told, without = dict(used(task)), dict(omitted_by(task))
     assert set(told) == trained and NETWORKS & set(without) == NETWORKS - trained
     assert ("docs/results/benchmark.md" in without.get("generator", "")) == (not trained)  # the measured reason
 
@@ -55,7 +57,7 @@ def claims(leather):
     """Every name by which a fit says that it leaves something out, of settings, materials and photos that
     call for each.
     """
-    said = {"adversarial finish"}  # of the command itself
+    said = {"plausible detail"}  # of the command itself
     fixed = {"roughconductor": {"diffuse": "0.3", "specular": "0.04", "roughness": "0.5", "normal": "flat"},
              "principled": {"base_color": "0.3", "metallic": "0"}}
     configs = [kind(bsdf=bsdf, fix=(f"{name}={value}",)) for kind in (HierarchicalConfig, HybridConfig)
@@ -64,7 +66,7 @@ def claims(leather):
                 HierarchicalConfig(fix=("specular=0", "roughness=1")),
                 HierarchicalConfig(grey_specular=True), DirectConfig(),
                 HierarchicalConfig(exact=True), HierarchicalConfig(exact=False, noise=0.1),
-                HierarchicalConfig(rivals=False),
+                HierarchicalConfig(multi_start=False),
                 HierarchicalConfig(flash_offset=False, calibrate=False), HybridConfig(photometric=0.0),
                 HybridConfig(adversarial=0.0, diffuse=0.0, smooth=0.0, flat=0.0), GanConfig(features=0.0),
                 GanConfig(adversarial=0.0, features=1.0)]
@@ -78,7 +80,7 @@ def claims(leather):
 
 def test_every_claim_has_a_measured_row(leather):
     record = json.loads((ROOT / "docs" / "results" / "omitted.json").read_text())
-    measured = {name for each in record["records"] for name in each["says"]}
+    measured = {FORMER.get(name, name) for each in record["records"] for name in each["says"]}
     said = claims(leather)
     assert said <= measured
     # The claims are all that the sources can make: each of these names, and one for each map and each loss.
@@ -88,21 +90,21 @@ def test_every_claim_has_a_measured_row(leather):
                     "colour of the specular map",
                     "metallic map", "normal map", "guessed diffuse map", "flash offset", "generator",
                     "discriminator",
-                    skipped.TIED, skipped.LOBE, skipped.RIVALS, skipped.VIEWS, skipped.IN_TURN}
+                    parts.TIED, parts.LOBE, parts.MULTI_START, parts.VIEWS, parts.CROSS_VALIDATION}
     assert said >= {f"gradient of {name}" for names in CHANNELS.values()
                     for name in names} | set(losses.NAMES.values())
 
 
 @pytest.mark.parametrize("structure, without", [
-    (0.0005, {skipped.TIED, skipped.VIEWS, skipped.IN_TURN}), (0.02, {skipped.RIVALS})])
+    (0.0005, {parts.TIED, parts.VIEWS, parts.CROSS_VALIDATION}), (0.02, {parts.MULTI_START})])
 def test_what_the_free_stage_decides_is_said_with_its_figure(structure, without, leather):
     task = FitTask(leather, MITSUBA, HierarchicalConfig())
     method = make_method(task)
-    assert method.left_out == []  # nobody has looked yet
+    assert method.omitted == []  # nobody has looked yet
     method.stages.judge(torch.tensor([structure, 0.01]))
-    told = dict(method.left_out)
+    told = dict(method.omitted)
     assert set(told) == without <= set(dict(decided_later(task)))
-    assert all(f"{structure:g}" in why for what, why in told.items() if what != skipped.IN_TURN)
+    assert all(f"{structure:g}" in why for what, why in told.items() if what != parts.CROSS_VALIDATION)
 
 
 def test_explain_and_the_record_say_so(tmp_path, capsys):
@@ -113,16 +115,16 @@ def test_explain_and_the_record_say_so(tmp_path, capsys):
     capsys.readouterr()
     assert cli.main([*command, "--explain"]) == 0
     said = capsys.readouterr().out
-    assert "left out: generator (each texel is solved by itself" in said and "used:" not in said
-    assert "may be left out: tied stage (if a free fit" in said and "may be left out: rival starts (unless a free fit" in said
-    assert cli.main([*command, "--explain", "--exact", "--no-rivals"]) == 0
+    assert "omitted: generator (each texel is solved by itself" in said and "used:" not in said
+    assert "may be omitted: tied stage (if a free fit" in said and "may be omitted: multi-start (unless a free fit" in said
+    assert cli.main([*command, "--explain", "--exact", "--no-multi-start"]) == 0
     said = capsys.readouterr().out
-    assert "left out: tied stage (the photos follow the model: stated by --exact)" in said
-    assert said.count("may be") == 1 and "may be left out: search for a specular lobe (if no block of texels needs" in said
-    assert "left out: rival starts (not asked for)" in said
+    assert "omitted: tied stage (the photos follow the model: stated by --exact)" in said
+    assert said.count("may be") == 1 and "may be omitted: search for a specular lobe (if no block of texels needs" in said
+    assert "omitted: multi-start (not asked for)" in said
     assert cli.main([*command, "--explain", "--no-exact"]) == 0
     said = capsys.readouterr().out
-    assert "left out: rival starts (the photos do not follow the model: stated by --exact)" in said and "may be" not in said
+    assert "omitted: multi-start (the photos do not follow the model: stated by --exact)" in said and "may be" not in said
     command += ["--method", "gan", "--width", "4", "--iterations", "1"]
     assert cli.main([*command, "--explain"]) == 0
     said = capsys.readouterr().out
@@ -143,10 +145,10 @@ def test_explain_and_the_record_say_so(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("stage, structure, said", [
-    (Stage.TOGETHER, 0.02, skipped.IN_TURN), (Stage.RIVALS, 0.001, f"further {skipped.RIVALS}")])
+    (Stage.TOGETHER, 0.02, parts.CROSS_VALIDATION), (Stage.MULTI_START, 0.001, f"further {parts.MULTI_START}")])
 @pytest.mark.parametrize("hurried", [True, False])
 def test_what_time_was_too_short_for_is_said(hurried, stage, structure, said, leather):
-    stages, again = Stages(rivals=True), Stages(rivals=True)
+    stages, again = Stages(multi_start=True), Stages(multi_start=True)
     stages.judge(torch.tensor([structure, 0.01]))
     stages.enter(stage)
     for _ in range(1 if hurried else ROUNDS[stage]):
@@ -154,4 +156,4 @@ def test_what_time_was_too_short_for_is_said(hurried, stage, structure, said, le
     stages.enter(Stage.FINE)
     again.load_state(stages.state())
     task = FitTask(leather, ANALYTIC, HierarchicalConfig())
-    assert [said in dict(skipped.left_out(task, each)) for each in (stages, again)] == [hurried] * 2
+    assert [said in dict(parts.omitted_stages(task, each)) for each in (stages, again)] == [hurried] * 2

@@ -10,7 +10,7 @@ from helpers import GRID, MITSUBA, photos_of
 from helpers.hierarchical_fits import left_alone
 
 from mitsvbrdf.fit import FitTask, HierarchicalConfig, fit_svbrdf, make_method
-from mitsvbrdf.fit.hierarchical import matte, skipped
+from mitsvbrdf.fit.hierarchical import omitted, specular_test
 from mitsvbrdf.fit.hierarchical.stages import ROUNDS, Stage
 from mitsvbrdf.fit.loop import Loop
 from mitsvbrdf.material.made import make_material
@@ -78,7 +78,7 @@ def test_a_matte_material_is_fitted_without_a_lobe(settings):
                                                                                                       SIDE, 3)})
     method = left_alone(photos_of(truth), **settings)
     assert method.stages.matte and method.stages.stage == Stage.FINE
-    assert {skipped.LOBE, skipped.RIVALS, skipped.TIED} <= set(dict(method.left_out))
+    assert {omitted.LOBE, omitted.MULTI_START, omitted.TIED} <= set(dict(method.omitted))
     method.step(0.0)
     found, _ = method.estimate()
     assert not found["specular"].any() and len(found["roughness"].unique()) == 1
@@ -91,7 +91,7 @@ def test_a_matte_material_is_fitted_without_a_lobe(settings):
 def test_who_is_not_asked(settings, black):
     method = left_alone(black, **settings)
     assert not method.stages.matte
-    assert (skipped.LOBE in dict(skipped.decided_later(method.task))) is False
+    assert (omitted.LOBE in dict(omitted.decided_later(method.task))) is False
 
 
 def test_photos_that_cannot_tell(black):
@@ -103,7 +103,7 @@ def test_a_free_stage_that_was_cut_short_decides_nothing(black):
     method = make_method(FitTask(black, MITSUBA, HierarchicalConfig(exact=True)))
     method.step(0.0)
     method.step(0.9)
-    assert method.stages.stage == Stage.RIVALS and not method.stages.matte
+    assert method.stages.stage == Stage.MULTI_START and not method.stages.matte
 
 
 def test_it_resumes_to_the_bit_and_goes_back(black, tmp_path):
@@ -128,7 +128,7 @@ def test_it_resumes_to_the_bit_and_goes_back(black, tmp_path):
         assert all(torch.equal(whole[name], resumed[name]) for name in whole.maps)
     loop.method.load_state(before[first])  # a bad step is taken back to before it was decided
     assert not loop.method.stages.matte and loop.method.answer.x.shape[0] == len(
-        loop.method.ties.unknowns.names) == 9
+        loop.method.prior.unknowns.names) == 9
     step(0.0)
     assert loop.method.stages.matte
 
@@ -145,7 +145,7 @@ def test_a_spot_between_the_texels_of_the_first_stage_is_seen(monkeypatch):
 
 def test_blocks_are_sums_over_all_sizes():
     plane = torch.arange(36.0).reshape(6, 6)
-    sums = [each for (each,) in matte.blocks(plane)]
+    sums = [each for (each,) in specular_test.blocks(plane)]
     assert [len(each) for each in sums] == [6, 3, 2, 1]
     assert torch.equal(sums[0], plane.double()) and float(sums[-1]) == float(plane.sum())
     assert float(sums[1][1, 2]) == float(plane[2:4, 4:6].sum()) and float(sums[2][1, 1]) == float(plane[4:,
@@ -159,7 +159,7 @@ def test_noise_rarely_needs_a_lobe_and_one_texel_is_found():
         saved, rest = (torch.randn(count, SIDE, SIDE, generator=draw).double().square().sum(dim=0)
                        for count in (4, 18))
         values = torch.full((SIDE, SIDE), 27.0).double()
-        alarms += matte.needed(saved + rest, rest, values, 5, 9)
+        alarms += specular_test.needed(saved + rest, rest, values, 5, 9)
         saved[3, 4] += 40 * rest[3, 4]
-        assert matte.needed(saved + rest, rest, values, 5, 9)
+        assert specular_test.needed(saved + rest, rest, values, 5, 9)
     assert alarms <= 6  # 2 are expected; more than 6 come once in 200 times

@@ -38,7 +38,7 @@ from .scales import Scale, Scales
 from .solver import Observations, TexelSolver
 from .stages import Stage
 from .starts import other_starts, stepped
-from .ties import LEAST_PRECISION, Answer, Ties
+from .texel_prior import LEAST_PRECISION, TexelEstimate, TexelPrior
 
 # the maps of the lobe that may be left out, by parameter set
 LOBE = {"roughconductor": ("specular", "roughness")}
@@ -53,15 +53,15 @@ class Search(NamedTuple):
     """Some unknowns, and what they are searched with."""
 
     scales: Scales
-    ties: Ties
+    prior: TexelPrior
 
     @staticmethod
     def of(scales: Scales) -> Search:
         """All that is not held."""
-        return Search(scales, Ties(scales.of(Stage.ALONE).solver.unknowns, scales.config))
+        return Search(scales, TexelPrior(scales.of(Stage.ALONE).solver.unknowns, scales.config))
 
 
-def may_be_left_out(task: FitTask) -> bool:
+def may_be_omitted(task: FitTask) -> bool:
     """Whether this fit searches for a lobe that its photos may turn out not to need: with no map of it held,
     but not alone.
     """
@@ -83,7 +83,7 @@ def without_lobe(search: Search) -> Search:
     """The search for the rest: specular is held at 0, and roughness, which then shows nowhere, as the robust
     start has it.
     """
-    coarse, config, side = search.scales.of(Stage.ALONE), search.ties.config, search.scales.captures[
+    coarse, config, side = search.scales.of(Stage.ALONE), search.prior.config, search.scales.captures[
         Stage.FINE].resolution
     start = robust_start(coarse.capture, coarse.guess, config.bsdf, coarse.solver.fixed)
     return Search.of(search.scales.holding(**_lobe(0.0, float(start["roughness"].mean()), side)))
@@ -95,8 +95,8 @@ def _lobe(specular: float, roughness: float, side: int) -> dict[str, Tensor]:
             for name, value in (("specular", specular), ("roughness", roughness))}
 
 
-def explained_without(answer: Answer, search: Search, lobeless: Search, noise: Tensor,
-                      observations: Callable[[Scale, Answer], Observations]) -> tuple[Scale, Answer] | None:
+def explained_without(answer: TexelEstimate, search: Search, lobeless: Search, noise: Tensor,
+                      observations: Callable[[Scale, TexelEstimate], Observations]) -> tuple[Scale, TexelEstimate] | None:
     """The answer without a lobe at full size and its scale; None where the photos, coarse or in full, may
     need one.
 
@@ -115,21 +115,21 @@ def explained_without(answer: Answer, search: Search, lobeless: Search, noise: T
                          noise=max(float(noise), QUANTIZATION_NOISE))
         x = x if x.shape[-1] == side else enlarged(x, side)
         own = enlarged(own, side) if len(own) else other.solver.numbers(scale.solver.svbrdf(x))
-        own, left = least_errors(other.solver, photos, lobeless.ties, [own], ROUNDS)
+        own, left = least_errors(other.solver, photos, lobeless.prior, [own], ROUNDS)
         values = (photos.photos < CLIPPED).sum(dim=(0, 3)).double()
         counts = len(own), len(x)
-        _, less = least_errors(scale.solver, photos, search.ties, [x], steps=0)
+        _, less = least_errors(scale.solver, photos, search.prior, [x], steps=0)
         if needed(left, less, values, *counts):
             return None
-        if stage == Stage.ALONE and shown_if_weak(other, photos, lobeless.ties, own, left, values):
+        if stage == Stage.ALONE and shown_if_weak(other, photos, lobeless.prior, own, left, values):
             return None
-        _, less = least_errors(scale.solver, photos, search.ties, [x, *_widths(x, search.ties)], ROUNDS)
+        _, less = least_errors(scale.solver, photos, search.prior, [x, *_widths(x, search.prior)], ROUNDS)
         if needed(left, less, values, *counts):
             return None
-    return lobeless.scales.of(Stage.FINE), lobeless.ties.vague(own)
+    return lobeless.scales.of(Stage.FINE), lobeless.prior.vague(own)
 
 
-def least_errors(solver: TexelSolver, photos: Observations, ties: Ties, starts: list[Tensor], rounds: int = 0,
+def least_errors(solver: TexelSolver, photos: Observations, prior: TexelPrior, starts: list[Tensor], rounds: int = 0,
                  steps: int = STEPS) -> tuple[Tensor, Tensor]:
     """The unknowns, U x R x R, that explain each texel's photos best with no prior, and their sum of squared
     errors, R x R.
@@ -137,29 +137,29 @@ def least_errors(solver: TexelSolver, photos: Observations, ties: Ties, starts: 
     Args:
         solver: of the texels.
         photos: their noise does not matter much.
-        ties: of the unknowns.
+        prior: of the unknowns.
         starts: to try, U x R x R each.
         rounds: in which texels try what :func:`~mitsvbrdf.fit.hierarchical.starts.other_starts` gives.
         steps: from each start.
     """
-    x = ties.bounded(starts[0]).contiguous()
-    answer = Answer(x, x, torch.full_like(x, LEAST_PRECISION), torch.zeros(0))
+    x = prior.bounded(starts[0]).contiguous()
+    answer = TexelEstimate(x, x, torch.full_like(x, LEAST_PRECISION), torch.zeros(0))
     errors = torch.full_like(x[0], torch.inf)
 
-    def tried(start: Answer, count: int) -> tuple[Tensor, Tensor]:
-        found = stepped(solver, photos, start._replace(x=ties.bounded(start.x).contiguous()), ties, count)
+    def tried(start: TexelEstimate, count: int) -> tuple[Tensor, Tensor]:
+        found = stepped(solver, photos, start._replace(x=prior.bounded(start.x).contiguous()), prior, count)
         return torch.where(found.data < errors, found.x, x), found.data.minimum(errors)
 
     for start in starts:
         x, errors = tried(answer._replace(x=start), steps)
     for turn in range(rounds):
-        for other in other_starts(ties, turn):
+        for other in other_starts(prior, turn):
             x, errors = tried(other(answer._replace(x=x)), steps // 2)
     return x, errors.double() * photos.noise**2
 
 
-def _widths(x: Tensor, ties: Ties) -> list[Tensor]:
-    at = torch.tensor([name == "roughness" for name in ties.unknowns.names])[:, None, None]
+def _widths(x: Tensor, prior: TexelPrior) -> list[Tensor]:
+    at = torch.tensor([name == "roughness" for name in prior.unknowns.names])[:, None, None]
     return [torch.where(at, width, x) for width in STARTS]
 
 
@@ -201,14 +201,14 @@ def needed(left: Tensor, less: Tensor, values: Tensor, few: int, many: int) -> b
     return False
 
 
-def shown_if_weak(scale: Scale, photos: Observations, ties: Ties, x: Tensor, left: Tensor,
+def shown_if_weak(scale: Scale, photos: Observations, prior: TexelPrior, x: Tensor, left: Tensor,
                   values: Tensor) -> bool:
     """Whether a weak lobe is likely, or would not be told.
 
     Args:
         scale: without a lobe.
         photos: of it.
-        ties: of its unknowns.
+        prior: of its unknowns.
         x: that explain the photos best, U x R x R.
         left: their squared errors, R x R.
         values: how many values of each texel's photos are not clipped.
@@ -219,7 +219,7 @@ def shown_if_weak(scale: Scale, photos: Observations, ties: Ties, x: Tensor, lef
     solver = TexelSolver(scale.solver.bsdf, scale.solver.fixed, variant=scale.solver.variant)
     for width in WIDTHS:
         solver.fixed.update(_lobe(WEAK, width, side))
-        _, other = least_errors(solver, photos, ties, [x])
+        _, other = least_errors(solver, photos, prior, [x])
         # -2 log of the ratio of the likelihoods, each at its texel's own noise; photos are no more exact than
         # 8 bits.
         unlikelier = free * ((other + step) / (left + step)).log()

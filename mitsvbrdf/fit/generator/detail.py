@@ -1,13 +1,12 @@
-"""The adversarial finish: one plausible draw of what no photo saw, for pictures; the solved maps stay, for
-validation.
+"""Plausible detail: one random draw of what no photo shows, for pictures; the solved maps stay, for validation.
 
-Where no photo shows a highlight, the maps hold what is expected, or what the solver was left with there; a
-rendering under a new light shows it, and does not look like a photo. A small generator starts at the solved
-maps and puts out a change, bounded texel by texel by how unsure the fit is. It is rendered, through the fit's
-renderer, under lights that no photo had (:mod:`.moved_lights`), and two judges compare it with photos of
-other pieces of the material under the same light (:mod:`.judge`): a relativistic discriminator, which also
-sees the half vectors and the diffuse part, and the distance of projected patches. The photos seen, and the
-solved diffuse map, hold it.
+Where no photo shows a highlight, the maps hold expected values, or what the solver was left with. A rendering
+under a new light shows it and does not look like a photo. A small generator starts at the solved maps and
+produces a change, bounded in each texel by the standard deviation of the fit. The renderer of the fit renders
+it under novel lights (:mod:`.novel_lights`). Two criteria compare it with photos of other pieces of the
+material under the same light (:mod:`.highlight_discriminator`): a relativistic discriminator, which also sees
+the half vectors and the diffuse part, and the distance of projected patches. The photos seen and the solved
+diffuse map hold it.
 """
 
 from __future__ import annotations
@@ -31,19 +30,18 @@ from ...render import Renderer
 from ...views import Views, geometry
 from .. import losses
 from ..confidence import map_of, numbers_of
-from ..finish_config import FinishConfig
+from ..detail_config import DetailConfig
 from ..method import cosine, descend
 from ..parameters import ROUGHNESS_RANGE, STREAMS
 from ..result import FitResult
-from .judge import PATCH, HighlightDiscriminator, patch_distance
-from .moved_lights import MovedLight, draw, moved_views
+from .highlight_discriminator import PATCH, HighlightDiscriminator, patch_distance
 from .networks import AllPhotosGenerator, seeded
+from .novel_lights import NovelLight, draw, novel_views
 
-WHAT = ("look/ is one plausible draw of what no photo saw, for pictures; maps/ holds the expected values, "
-        "for validation, and "
-        "is the same with and without it")
+WHAT = ("detail/ is one plausible draw of what no photo shows, for pictures; maps/ holds the expected values, "
+        "for validation, and is the same with and without it")
 NOISE = 4  # channels of noise that the generator sees
-STEEPEST = 0.95  # length of x and y of a normal that the finish bends, or that of the solved one
+STEEPEST = 0.95  # length of x and y of a normal that is bent, or that of the solved one
 VIEW_SCALE = 10.0  # brings 1 - z of half vectors, some hundredths, to the size of display values
 SHARES = (1.0, 0.85, 0.7, 0.55, 0.4, 0.25, 0.1, 0.0)  # of the generator's change that are tried
 AVERAGED = 10  # steps at the start and at the end whose losses are told
@@ -52,48 +50,48 @@ Report = Callable[[str, float], object]
 
 
 @entry(gradients=True)
-def finished(result: FitResult, capture: Capture, renderer: Renderer, config: FinishConfig | None = None,
+def with_detail(result: FitResult, capture: Capture, renderer: Renderer, config: DetailConfig | None = None,
              report: Report = lambda text, share: None) -> FitResult:
-    """A fit with a look beside its maps.
+    """A fit with plausible detail beside its maps.
 
     Args:
         result: a fit; its maps and all that belongs to them stay as they are.
         capture: the photos it was fitted to.
         renderer: carries the gradients.
-        config: settings; left out, ``FinishConfig()``.
+        config: settings. Default: ``DetailConfig()``.
         report: told what is going on and the share done.
 
     Returns:
-        The result with ``look`` and ``finish`` filled in. Ctrl-C leaves both out, as does a fit that
-        :func:`why_not` speaks against.
+        The fit with ``detail`` and ``detail_record`` filled in. Both stay None after Ctrl-C and where
+        :func:`why_not` gives a reason.
 
     Raises:
         ConfigError: settings out of range.
     """
-    config = config or FinishConfig()
+    config = config or DetailConfig()
     config.check()
     if why_not(result):
         return result
     began, logged = time.perf_counter(), list[dict[str, float]]()
-    finish = Finish(result, capture, renderer, config)
+    training = DetailTraining(result, capture, renderer, config)
     with stop_signals() as stopped:
         for step in range(config.steps):
-            logged.append(finish.step(step / config.steps))
+            logged.append(training.step(step / config.steps))
             report(f"step {step + 1}", (step + 1) / config.steps)
             if stopped:
                 return result
     with torch.no_grad():
-        share, look, (_, total, each) = finish.weakened(config.worst * result.rerender_rmse)
+        share, detail, (_, total, each) = training.weakened(config.worst * result.rerender_rmse)
     ends = {name: {"first": _mean(logged[:AVERAGED], name), "last": _mean(logged[-AVERAGED:], name)}
             for name in logged[0]}
-    return replace(result, look=look, finish={
+    return replace(result, detail=detail, detail_record={
         "what": WHAT, "config": asdict(config), "steps": config.steps, "share": share,
         "seconds": round(time.perf_counter() - began, 3), "losses": ends, "rerender_rmse": total,
         "per_photo": dict(zip(capture.names, each))})
 
 
 def why_not(result: FitResult) -> str | None:
-    """Why a fit has no finish; None where it can have one."""
+    """Why a fit can have no plausible detail; None where it can."""
     if result.stopped == "interrupted":
         return "the fit was interrupted"
     if not result.deviations:
@@ -108,8 +106,8 @@ def _mean(logged: list[dict[str, float]], name: str) -> float:
     return sum(row[name] for row in logged) / len(logged)
 
 
-class Finish:
-    """Steps of the finish.
+class DetailTraining:
+    """Steps of the training.
 
     Args:
         result: the fit.
@@ -118,7 +116,7 @@ class Finish:
         config: settings.
     """
 
-    def __init__(self, result: FitResult, capture: Capture, renderer: Renderer, config: FinishConfig) -> None:
+    def __init__(self, result: FitResult, capture: Capture, renderer: Renderer, config: DetailConfig) -> None:
         self.capture, self.renderer, self.config = capture, renderer, config
         self.solved, self.views = result.svbrdf, result.views
         size = capture.resolution
@@ -136,11 +134,11 @@ class Finish:
             self.condition = torch.cat(condition, dim=-1).permute(2, 0,
                                                                   1)[None].contiguous(memory_format=torch.channels_last)
             generator = AllPhotosGenerator(self.condition.shape[1], (streams[0], streams[1]), config.width)
-            self.discriminator = HighlightDiscriminator(8, config.judge_width)
+            self.discriminator = HighlightDiscriminator(8, config.discriminator_width)
         self.generator = convert_conv2d_weight_memory_format(generator, torch.channels_last)
         self.optimizer = torch.optim.Adam(self.generator.parameters(), lr=config.learning_rate,
                                           betas=(0.5, 0.99))
-        self.judge = torch.optim.Adam(self.discriminator.parameters(), lr=config.judge_rate,
+        self.adversary = torch.optim.Adam(self.discriminator.parameters(), lr=config.discriminator_rate,
                                       betas=(0.5, 0.99))
         self.albedo = color.encode(self.solved.as_roughconductor()["diffuse"])
         self.matte = matte(self.solved)
@@ -148,20 +146,16 @@ class Finish:
         self.matte_photos = self._shown(self.matte, self.views)
 
     def weakened(self, worst: float) -> tuple[float, SVBRDF, tuple[Tensor, float, list[float]]]:
-        """The largest share of the change that meets the photos seen to within this RMSE; its look, and that
-        re-rendered.
-        """
+        """The largest share of the change with at most this re-rendering RMSE, its maps, and these re-rendered."""
         for share in SHARES:
-            look = self.material(share).map(Tensor.contiguous)
-            met = rerender(self.renderer, look, self.views, self.capture)
+            detail = self.material(share).map(Tensor.contiguous)
+            met = rerender(self.renderer, detail, self.views, self.capture)
             if met[1] <= worst:
                 break
-        return share, look.check(), met
+        return share, detail.check(), met
 
     def material(self, share: float = 1.0) -> SVBRDF:
-        """The look as it is now, with a share of its change: where the bound of a map is 0, its solved value
-        to the bit.
-        """
+        """The present maps with a share of their change; where the bound of a map is 0, the solved value to the bit."""
         change = self.generator(self.condition)
         maps = dict(self.solved.maps)
         for name, bound in self.bounds.items():
@@ -184,10 +178,10 @@ class Finish:
         """One step of both networks at this share (0 to 1) of the run; returns each loss, unweighted."""
         config = self.config
         self.optimizer.param_groups[0]["lr"] = config.learning_rate * cosine(progress)
-        self.judge.param_groups[0]["lr"] = config.judge_rate * cosine(progress)
+        self.adversary.param_groups[0]["lr"] = config.discriminator_rate * cosine(progress)
         lights = [draw(self.views, self.albedo, self.side, config.tries, self.random)
                   for _ in range(config.lights)]
-        moved = moved_views(self.views, lights, self.capture.resolution)
+        moved = novel_views(self.views, lights, self.capture.resolution)
         seen = torch.randperm(len(self.capture), generator=self.random)[:config.seen]
         svbrdf = self.material()
         rendered = self.renderer.render(svbrdf, joined(moved, self.views.pick(seen)))
@@ -216,10 +210,10 @@ class Finish:
 
     def _learn(self, photo: Tensor, shown: Tensor) -> float:
         loss = losses.discriminator(self.discriminator(photo), self.discriminator(shown), "relativistic")
-        descend(loss, self.judge)
+        descend(loss, self.adversary)
         return float(loss.detach())
 
-    def _in_photos(self, lights: list[MovedLight], pictures: Tensor) -> Tensor:
+    def _in_photos(self, lights: list[NovelLight], pictures: Tensor) -> Tensor:
         return torch.stack([light.in_photo(pictures[light.photo], self.side) for light in lights])
 
     def _shown(self, svbrdf: SVBRDF, views: Views) -> Tensor:

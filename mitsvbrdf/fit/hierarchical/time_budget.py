@@ -27,7 +27,7 @@ Kind = Literal["solver", "views"]
 KINDS: tuple[Kind, ...] = ("solver", "views")
 
 
-class Pace:
+class TimeBudget:
     """The clock of a run, and the fewest seconds that a unit of each kind of work took: a first call also
     makes a kernel.
 
@@ -88,12 +88,12 @@ class Pace:
     def state(self) -> dict[str, Tensor]:
         """Everything :meth:`load_state` needs."""
         spent = self.budget - (self.end - self.clock()) if self.budget and math.isfinite(self.end) else 0.0
-        return {"pace": torch.tensor([spent, *(self.rates.get(kind, -1.0) for kind in KINDS)],
+        return {"time_budget": torch.tensor([spent, *(self.rates.get(kind, -1.0) for kind in KINDS)],
                                      dtype=torch.float64)}
 
     def load_state(self, state: Mapping[str, Tensor]) -> None:
         """Go on from a saved state."""
-        spent, *rates = state["pace"].tolist()
+        spent, *rates = state["time_budget"].tolist()
         self.rates = {kind: rate for kind, rate in zip(KINDS, rates, strict=True) if rate >= 0}
         if self.budget and math.isinf(self.end) and spent:
             self.end = self.clock() + self.budget - spent

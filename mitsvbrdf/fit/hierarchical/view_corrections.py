@@ -25,7 +25,7 @@ WIDEST = 10.0  # times as far as such a calibration usually is off
 FEW_STEPS = 10  # of refining views that were not stated: they move far, and will again after the next rounds
 
 
-class MovedViews:
+class ViewCorrections:
     """Changes of the stated views, N x 7 by :data:`mitsvbrdf.calibrate.refine.CHANGE`, and how sure they are.
 
     Args:
@@ -53,7 +53,7 @@ class MovedViews:
         height, exposure = self.off.tolist()
         return replace(self.usual, camera=(*self.usual.camera[:2], height), exposure=exposure)
 
-    def moved(self, views: Views) -> Views:
+    def applied(self, views: Views) -> Views:
         """Views with the changes found so far."""
         return moved(views, self.change)
 

@@ -19,7 +19,7 @@ from . import variational
 from .pictures import Window
 
 
-class Scale:
+class Conditioning:
     """What one phase of the training works on.
 
     Args:

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from .solver import Observations, TexelSolver
 from .starts import stepped
-from .ties import LEAST_PRECISION, Answer, Ties
+from .texel_prior import LEAST_PRECISION, TexelEstimate, TexelPrior
 
 # Of display values. With a photo less, more is asked for than all of them need: of six real captures that
 # asked for 0.12 or 0.18, four predicted photos that no fit saw as well or better with 0.08, one 2 % worse and
@@ -42,7 +42,7 @@ def steps_of_turns(count: int) -> int:
     return len(in_turn(count)) * (AGREED * (STEPS + 1) + len(NOISES) * ROUNDS * (STEPS + 1))
 
 
-def prediction_errors(photos: Observations, solver: TexelSolver, ties: Ties, starts: Mapping[int, Answer],
+def prediction_errors(photos: Observations, solver: TexelSolver, prior: TexelPrior, starts: Mapping[int, TexelEstimate],
                       noises: Sequence[float]) -> Tensor:
     """Mean squared error of some photos' display values, each predicted from all others: one row for each
     noise.
@@ -50,8 +50,8 @@ def prediction_errors(photos: Observations, solver: TexelSolver, ties: Ties, sta
     Args:
         photos: N photos; their own noise does not matter, the ratio of ``robust`` to it stays.
         solver: of their texels.
-        ties: of the fit.
-        starts: photo -> an answer found without it, with texels that may leave it (:meth:`Ties.free`).
+        prior: of the fit.
+        starts: photo -> an answer found without it, with texels that may leave it (:meth:`TexelPrior.free`).
         noises: to try.
     """
     errors = torch.zeros(len(noises), len(starts))
@@ -61,8 +61,8 @@ def prediction_errors(photos: Observations, solver: TexelSolver, ties: Ties, sta
             robust = None if photos.robust is None else photos.robust / photos.noise * noise
             told, answer = replace(others, noise=noise, robust=robust), start
             for _ in range(ROUNDS):
-                answer = answer._replace(x=stepped(solver, told, answer, ties, STEPS).x)
-                answer = ties.loosen(answer, solver.variances(told, answer.x,
+                answer = answer._replace(x=stepped(solver, told, answer, prior, STEPS).x)
+                answer = prior.loosen(answer, solver.variances(told, answer.x,
                                                               answer.precision + LEAST_PRECISION))
             errors[row, column] = solver.normal_equations(alone, answer.x)[0].mean() / 3
     return errors

@@ -10,7 +10,13 @@ from helpers import TWIN, photos_of
 from helpers.hierarchical_fits import SIDE, method_of
 
 from mitsvbrdf import color
-from mitsvbrdf.fit.hierarchical.left_out import FEWEST, NOISES, in_turn, least_as_good, prediction_errors
+from mitsvbrdf.fit.hierarchical.cross_validation import (
+    FEWEST,
+    NOISES,
+    in_turn,
+    least_as_good,
+    prediction_errors,
+)
 from mitsvbrdf.fit.hierarchical.solver import Observations
 from mitsvbrdf.fit.hierarchical.stages import NOISE, Stage
 from mitsvbrdf.material.made import make_material
@@ -30,22 +36,22 @@ def test_the_least_noise_that_is_as_good():
 
 @pytest.fixture(scope="module")
 def case(capture):
-    """A solver, ties, photos, and the true material as the start of each photo's prediction."""
+    """A solver, prior, photos, and the true material as the start of each photo's prediction."""
     method = method_of(capture)
     scale = method.scales.of(Stage.FINE, free=True)
     photos = Observations(capture.photos, capture.views, capture.transfer, NOISE, 10 * NOISE)
-    truth = method.ties.free(method.ties.vague(scale.solver.numbers(make_material("leather", SIDE))))
+    truth = method.prior.free(method.prior.vague(scale.solver.numbers(make_material("leather", SIDE))))
     return method, scale.solver, photos, truth
 
 
 def test_texels_that_may_not_move_predict_what_the_twin_draws(case, capture):
     _, solver, photos, truth = case
-    ties = method_of(capture, own=0.0).ties
+    prior = method_of(capture, detail_spread=0.0).prior
     x = truth.x.clone()
-    x[ties.slopes] += 0.2  # of another material
-    held = ties.free(truth._replace(x=x))
+    x[prior.slopes] += 0.2  # of another material
+    held = prior.free(truth._replace(x=x))
     held = held._replace(precision=torch.full_like(x, 1e12))
-    errors = prediction_errors(photos, solver, ties, dict.fromkeys(range(len(photos.photos)), held),
+    errors = prediction_errors(photos, solver, prior, dict.fromkeys(range(len(photos.photos)), held),
                                [0.05, 0.18])
     shown = color.encode(TWIN.render(solver.svbrdf(x.double()), photos.views))
     error = torch.where(photos.photos >= 0.995, (shown - photos.photos).clamp_max(0), shown - photos.photos)
@@ -59,22 +65,22 @@ def test_no_photo_helps_to_predict_itself(case):
     starts = dict.fromkeys(range(len(photos.photos)), truth)
     odd = photos.photos.clone()
     odd[3] = odd[3].flip(0)  # a picture of something else
-    errors = [prediction_errors(replace(photos, photos=pictures), solver, method.ties, starts, [0.03])[0]
+    errors = [prediction_errors(replace(photos, photos=pictures), solver, method.prior, starts, [0.03])[0]
               for pictures in (photos.photos, odd)]
     assert errors[1][3] > 20 * errors[0][3]
 
 
-@pytest.mark.parametrize("count, left_out", [
+@pytest.mark.parametrize("count, omitted", [
     (3, []), (4, [0, 1, 2, 3]), (9, [*range(9)]), (10, [0, 2, 4, 6, 8]),
     (25, [0, 3, 6, 9, 12, 15, 18, 21, 24])])
-def test_which_photos_are_left_out_in_turn(count, left_out):
-    assert [*in_turn(count)] == left_out
+def test_which_photos_are_left_out_in_turn(count, omitted):
+    assert [*in_turn(count)] == omitted
 
 
 def test_the_errors_are_of_the_photos_left_out(case):
     method, solver, photos, truth = case
-    every = prediction_errors(photos, solver, method.ties, dict.fromkeys(range(9), truth), [0.05])
-    some = prediction_errors(photos, solver, method.ties, dict.fromkeys((2, 7), truth), [0.05])
+    every = prediction_errors(photos, solver, method.prior, dict.fromkeys(range(9), truth), [0.05])
+    some = prediction_errors(photos, solver, method.prior, dict.fromkeys((2, 7), truth), [0.05])
     assert torch.equal(some, every[:, [2, 7]]) and every.unique().numel() == 9
 
 

@@ -1,6 +1,4 @@
-"""Who tells renderings from photos in the adversarial finish: a small discriminator, and random projections
-of patches.
-"""
+"""What tells renderings from photos: a small discriminator, and random projections of patches."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mitsvbrdf.capture.lens import Lens, Pose, project
-from mitsvbrdf.capture.rectify import filled, without_vignetting
+from mitsvbrdf.capture.light.lit import filled, without_vignetting
 from mitsvbrdf.capture.rig import Rig
 
 

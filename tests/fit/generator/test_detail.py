@@ -1,4 +1,4 @@
-"""The finish leaves the maps alone, moves only what is unsure, and pairs photos with lights of the same half
+"""Plausible detail leaves the maps alone, moves only what is unsure, and pairs photos with lights of the same half
 vectors.
 """
 
@@ -11,16 +11,21 @@ from helpers import ANALYTIC, GRID, photos_of
 
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import HierarchicalConfig, fit_svbrdf, losses
-from mitsvbrdf.fit.finish_config import FinishConfig
-from mitsvbrdf.fit.generator.finish import Finish, finished, why_not
-from mitsvbrdf.fit.generator.judge import PATCH, STRIDE, HighlightDiscriminator, patch_distance
-from mitsvbrdf.fit.generator.moved_lights import draw, moved_views
+from mitsvbrdf.fit.detail_config import DetailConfig
+from mitsvbrdf.fit.generator.detail import DetailTraining, why_not, with_detail
+from mitsvbrdf.fit.generator.highlight_discriminator import (
+    PATCH,
+    STRIDE,
+    HighlightDiscriminator,
+    patch_distance,
+)
+from mitsvbrdf.fit.generator.novel_lights import draw, novel_views
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.measure.metrics import photo_rmse
 from mitsvbrdf.measure.patch_statistics import patches_of
 from mitsvbrdf.views import Views, geometry
 
-QUICK = FinishConfig(steps=4, width=4, judge_width=8, worst=10.0)
+QUICK = DetailConfig(steps=4, width=4, discriminator_width=8, worst=10.0)
 
 
 @pytest.fixture(scope="module")
@@ -39,44 +44,44 @@ def test_maps_keep_their_bits_and_certain_texels_stay(result, capture):
     spreads = {name: value.clone() for name, value in result.deviations.items()}
     for value in spreads.values():
         value[:, :16], value[:, 16:] = 0.01, 0.2
-    found = finished(dataclasses.replace(result, deviations=spreads), capture, ANALYTIC, QUICK)
-    assert found.look.check() is found.look
+    found = with_detail(dataclasses.replace(result, deviations=spreads), capture, ANALYTIC, QUICK)
+    assert found.detail.check() is found.detail
     for name, value in before.items():
         assert torch.equal(found.svbrdf[name], value)
-        assert torch.equal(found.look[name][:, :16], value[:, :16])
-        assert not torch.equal(found.look[name][:, 16:], value[:, 16:])
+        assert torch.equal(found.detail[name][:, :16], value[:, :16])
+        assert not torch.equal(found.detail[name][:, 16:], value[:, 16:])
 
 
 def test_no_texel_moves_by_more_than_its_bound(result, capture):
-    found = finished(result, capture, ANALYTIC, dataclasses.replace(QUICK, learning_rate=1.0, worst=1e9))
+    found = with_detail(result, capture, ANALYTIC, dataclasses.replace(QUICK, learning_rate=1.0, worst=1e9))
     bound = QUICK.reach * (result.deviations["roughness"] - QUICK.certain).clamp_min(0)
-    moved = (found.look["roughness"] - found.svbrdf["roughness"]).abs()
+    moved = (found.detail["roughness"] - found.svbrdf["roughness"]).abs()
     assert bool((moved <= bound + 1e-6).all()) and float(moved.max()) > 0.5 * float(bound.max())
 
 
 def test_a_look_that_misses_the_photos_is_weakened(result, capture):
     # Without judges that hold it: a step size that goes anywhere.
     wild = dataclasses.replace(QUICK, learning_rate=1.0, photometric=0.0, diffuse=0.0, worst=1.2)
-    found = finished(result, capture, ANALYTIC, wild)
-    assert found.finish["share"] < 1 and found.finish["rerender_rmse"] <= 1.2 * result.rerender_rmse
-    images = ANALYTIC.render(found.look, result.views)
+    found = with_detail(result, capture, ANALYTIC, wild)
+    assert found.detail_record["share"] < 1 and found.detail_record["rerender_rmse"] <= 1.2 * result.rerender_rmse
+    images = ANALYTIC.render(found.detail, result.views)
     assert photo_rmse(images, capture.photos,
-                      capture.transfer)[0] == pytest.approx(found.finish["rerender_rmse"], rel=1e-6)
-    held = finished(result, capture, ANALYTIC, dataclasses.replace(wild, worst=1e-9))
-    assert held.finish["share"] == 0 and all(torch.equal(held.look[name], value)
+                      capture.transfer)[0] == pytest.approx(found.detail_record["rerender_rmse"], rel=1e-6)
+    held = with_detail(result, capture, ANALYTIC, dataclasses.replace(wild, worst=1e-9))
+    assert held.detail_record["share"] == 0 and all(torch.equal(held.detail[name], value)
                                              for name, value in result.svbrdf.maps.items())
 
 
 def test_a_seed_decides_the_draw(result, capture):
-    first, again = (finished(result, capture, ANALYTIC, QUICK).look for _ in range(2))
-    other = finished(result, capture, ANALYTIC, dataclasses.replace(QUICK, seed=1)).look
+    first, again = (with_detail(result, capture, ANALYTIC, QUICK).detail for _ in range(2))
+    other = with_detail(result, capture, ANALYTIC, dataclasses.replace(QUICK, seed=1)).detail
     for name in first.maps:
         assert torch.equal(first[name], again[name])
     assert any(not torch.equal(first[name], other[name]) for name in first.maps)
 
 
 def test_the_look_starts_as_the_maps(result, capture):
-    start = Finish(result, capture, ANALYTIC, QUICK).material()
+    start = DetailTraining(result, capture, ANALYTIC, QUICK).material()
     for name, value in result.svbrdf.maps.items():
         # There and back through the numbers that deviations are stated in, float32; a slope of 1e-3 near the
         # upright z = 1.
@@ -88,9 +93,9 @@ def test_ctrl_c_leaves_the_look_out_and_the_fit_as_it_was(result, capture):
         signal.raise_signal(signal.SIGINT)
 
     steps = []
-    assert finished(result, capture, ANALYTIC, QUICK, lambda text,
+    assert with_detail(result, capture, ANALYTIC, QUICK, lambda text,
                     share: (steps.append(share), stop(text, share))) is result
-    assert len(steps) == 1 and result.look is None and result.finish is None
+    assert len(steps) == 1 and result.detail is None and result.detail_record is None
 
 
 def test_what_cannot_be_finished_says_why(result, capture):
@@ -98,9 +103,9 @@ def test_what_cannot_be_finished_says_why(result, capture):
     still = dataclasses.replace(result, views=Views.of([[0.0, 0.0, 2.0]] * len(capture)))
     for spoilt, why in ((dataclasses.replace(result, stopped="interrupted"), "interrupted"),
                         (still, "one view"), (dataclasses.replace(result, deviations={}), "fixed")):
-        assert why in why_not(spoilt) and finished(spoilt, capture, ANALYTIC, QUICK) is spoilt
+        assert why in why_not(spoilt) and with_detail(spoilt, capture, ANALYTIC, QUICK) is spoilt
     with pytest.raises(ConfigError, match="steps"):
-        finished(result, capture, ANALYTIC, FinishConfig(steps=0))
+        with_detail(result, capture, ANALYTIC, DetailConfig(steps=0))
 
 
 @pytest.mark.parametrize("falloff", ["inverse-square", "none"])
@@ -112,7 +117,7 @@ def test_a_moved_light_shows_elsewhere_what_its_photo_shows(falloff):
     random, carried = torch.Generator().manual_seed(0), set()
     for _ in range(12):
         light = draw(views, torch.zeros(32, 32, 3), 12, 4, random)
-        moved = moved_views(views, [light], 32)
+        moved = novel_views(views, [light], 32)
         new, old = ANALYTIC.render(material, moved)[0], ANALYTIC.render(material,
                                                                         views.pick([light.photo]))[0]
         assert torch.allclose(light.under_it(new, 12), light.in_photo(old, 12), rtol=1e-4)

@@ -1,6 +1,6 @@
 """Lights that no photo had, and pieces of photos to compare renderings under them with.
 
-A moved light is a photo's camera and flash, both carried sideways by whole texels. What the photo shows at a
+A novel light is a photo's camera and flash, both carried sideways by whole texels. What the photo shows at a
 place, the material carried along would show at the place carried along: half vectors, distances and exposure
 are the same there to the bit. So the two can be judged side by side, though they show different pieces of the
 material.
@@ -21,14 +21,14 @@ JITTER = 0.12  # standard deviation of the middle of a crop around the highlight
 
 
 @dataclass(frozen=True)
-class MovedLight:
+class NovelLight:
     """A photo's camera and light carried over the patch, and where to compare.
 
     Args:
         photo: row of the photo.
         down: texels by which camera and light are carried down.
         right: the same to the right.
-        row: first row of the crop under the moved light; in the photo it is ``row - down``.
+        row: first row of the crop under the novel light; in the photo it is ``row - down``.
         column: first column; in the photo it is ``column - right``.
     """
 
@@ -39,7 +39,7 @@ class MovedLight:
     column: int
 
     def under_it(self, picture: Tensor, side: int) -> Tensor:
-        """The crop of a picture under the moved light, H x W x C."""
+        """The crop of a picture under the novel light, H x W x C."""
         return picture[self.row:self.row + side, self.column:self.column + side]
 
     def in_photo(self, picture: Tensor, side: int) -> Tensor:
@@ -48,7 +48,7 @@ class MovedLight:
         return picture[row:row + side, column:column + side]
 
 
-def draw(views: Views, albedo: Tensor, side: int, tries: int, random: torch.Generator) -> MovedLight:
+def draw(views: Views, albedo: Tensor, side: int, tries: int, random: torch.Generator) -> NovelLight:
     """A light at random above the rectangle of the cameras, and a crop near its highlight.
 
     Args:
@@ -62,8 +62,8 @@ def draw(views: Views, albedo: Tensor, side: int, tries: int, random: torch.Gene
     camera, middle = sides.camera[:, :2], (sides.camera + sides.light)[:, :2] / 2
     low, high = camera.min(dim=0).values, camera.max(dim=0).values
     photo = int(torch.randint(len(views), (), generator=random))
-    found: list[tuple[float, MovedLight]] = [(torch.inf,
-                                              MovedLight(photo, 0, 0, *2 * [(resolution - side) // 2]))]
+    found: list[tuple[float, NovelLight]] = [(torch.inf,
+                                              NovelLight(photo, 0, 0, *2 * [(resolution - side) // 2]))]
     for _ in range(tries):
         share = torch.rand(2, generator=random, dtype=torch.float64) * (1 + 2 * BEYOND) - BEYOND
         right, up = ((low + (high - low) * share - camera[photo]) * resolution).round().int().tolist()
@@ -75,14 +75,14 @@ def draw(views: Views, albedo: Tensor, side: int, tries: int, random: torch.Gene
             continue  # carried so far that the two crops have no room
         row = min(max(round(resolution / 2 - (y + up) - side / 2), rows[0]), rows[-1])
         column = min(max(round(resolution / 2 + x + right - side / 2), columns[0]), columns[-1])
-        moved = MovedLight(photo, -up, right, row, column)
+        moved = NovelLight(photo, -up, right, row, column)
         unlike = (moved.under_it(albedo, side) - moved.in_photo(albedo, side)).permute(2, 0, 1)
         found.append((float(F.avg_pool2d(unlike, min(4, side)).square().mean()), moved))
     return min(found, key=lambda each: each[0])[1]
 
 
-def moved_views(views: Views, lights: list[MovedLight], resolution: int) -> Views:
-    """The views of moved lights: one for each, in their order."""
+def novel_views(views: Views, lights: list[NovelLight], resolution: int) -> Views:
+    """The views of novel lights: one for each, in their order."""
     picked = views.pick([each.photo for each in lights])
     shift = (torch.tensor([[each.right, -each.down, 0] for each in lights], dtype=torch.float64) / resolution
              * views.size)

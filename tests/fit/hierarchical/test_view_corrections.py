@@ -7,8 +7,8 @@ import torch
 from helpers import ANALYTIC, GRID
 
 from mitsvbrdf.calibrate.refine import PRIORS, moved
-from mitsvbrdf.fit.hierarchical import moved_views
-from mitsvbrdf.fit.hierarchical.moved_views import MovedViews
+from mitsvbrdf.fit.hierarchical import view_corrections
+from mitsvbrdf.fit.hierarchical.view_corrections import ViewCorrections
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.synth.photograph import photograph
 
@@ -27,7 +27,7 @@ def shots(exposure, height, noise=0.02):
 @pytest.mark.parametrize("exposure, height", [(0.2, 0.0), (0.0, 0.1), (0.0, 0.0), (0.2, 0.1)])
 def test_how_far_views_are_off_is_learned(exposure, height):
     material, capture, change = shots(exposure, height)
-    views = MovedViews(capture, "unless exact", True)
+    views = ViewCorrections(capture, "unless exact", True)
     missed = []
     for _ in range(5):
         views.refine(material, capture)
@@ -39,14 +39,14 @@ def test_how_far_views_are_off_is_learned(exposure, height):
     # Measured: 0.020, 0.022, 0.008 and 0.027 after the first time, 0.009, 0.009, 0.008 and 0.010 after the
     # last.
     assert missed[-1] < (0.6 * missed[0] if exposure or height else 1.01 * missed[0])
-    again = MovedViews(capture, "unless exact", True)
+    again = ViewCorrections(capture, "unless exact", True)
     again.load_state(views.state())
     assert again.priors == views.priors
 
 
 def test_views_that_were_estimated_keep_their_priors():
     material, capture, _ = shots(0.2, 0.1)
-    views = MovedViews(replace(capture, calibration="none"), "always", True)
+    views = ViewCorrections(replace(capture, calibration="none"), "always", True)
     before = views.priors
     views.refine(material, capture)
     assert views.priors == before
@@ -55,9 +55,9 @@ def test_views_that_were_estimated_keep_their_priors():
 @pytest.mark.parametrize("refined", ["unless exact", "always"])
 def test_stated_views_are_sought_where_they_were_found(refined, monkeypatch):
     material, capture, _ = shots(0.2, 0.0)
-    starts, seek = [], moved_views.refine_views
-    monkeypatch.setattr(moved_views, "refine_views", lambda *given: starts.append(given[5]) or seek(*given))
-    views = MovedViews(capture, refined, True)
+    starts, seek = [], view_corrections.refine_views
+    monkeypatch.setattr(view_corrections, "refine_views", lambda *given: starts.append(given[5]) or seek(*given))
+    views = ViewCorrections(capture, refined, True)
     views.refine(material, capture)
     first = views.change.clone()
     views.refine(material, capture)
@@ -69,7 +69,7 @@ def test_stated_views_are_sought_where_they_were_found(refined, monkeypatch):
 
 def test_there_is_an_end_to_how_far():
     material, capture, _ = shots(1.0, 0.0)
-    views = MovedViews(capture, "unless exact", True)
+    views = ViewCorrections(capture, "unless exact", True)
     for _ in range(5):
         views.refine(material, capture)
     assert float(views.off[1]) == pytest.approx(10 * USUAL[1])

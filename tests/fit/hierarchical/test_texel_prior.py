@@ -13,7 +13,7 @@ from mitsvbrdf import color
 from mitsvbrdf.fit import fit_svbrdf
 from mitsvbrdf.fit.hierarchical import stages
 from mitsvbrdf.fit.hierarchical.stages import Stage
-from mitsvbrdf.fit.hierarchical.ties import VAGUE, Ties
+from mitsvbrdf.fit.hierarchical.texel_prior import VAGUE, TexelPrior
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.measure.burn_in import explained_share
@@ -67,7 +67,7 @@ def test_a_highlight_that_no_photo_shows_is_that_of_look_alikes(unseen_errors):
 @pytest.mark.parametrize("kind", ["exact", "phone"])
 def test_alone_texels_do_not_find_a_highlight_that_no_photo_shows(unseen_errors, monkeypatch):
     shared = unseen_errors()
-    monkeypatch.setattr(Ties, "share", lambda ties, answer, *_: answer)
+    monkeypatch.setattr(TexelPrior, "share", lambda prior, answer, *_: answer)
     alone = unseen_errors()
     assert alone.max() > 0.05 and alone.norm() > 3 * shared.norm()
 
@@ -124,14 +124,14 @@ def striped_material():
 
 def test_enlarged_maps_follow_the_look_alikes(two_stages, phone):
     method = method_of(photos_of(striped_material()), materials=2)
-    coarse, fine, shared = method.scales.of(Stage.TOGETHER), method.scales.of(Stage.FINE), method.ties.shared
+    coarse, fine, shared = method.scales.of(Stage.TOGETHER), method.scales.of(Stage.FINE), method.prior.shared
     bright = torch.zeros(SIDE // 2, SIDE // 2)
     bright[:, SIDE // 4:] = 1
     level, off = torch.tensor([0.2, 0.3, 0.4, 0.5]), torch.tensor([0.3, 0.2, 0.1, 0.25])
     # within each stuff, so that is kept beside it
     ramp = torch.linspace(-0.1, 0.1, SIDE // 2)[:, None].expand(-1, SIDE // 2)
     method.answer.x[shared] = level[:, None, None] + off[:, None, None] * bright + ramp
-    found = method.ties.enlarge(method.answer, coarse, fine, tied=True)
+    found = method.prior.enlarge(method.answer, coarse, fine, tied=True)
     bright = torch.zeros(SIDE, SIDE)
     bright[:, SIDE // 2:] = 1
     ramp = F.interpolate(ramp[None, None], (SIDE, SIDE), mode="bilinear")[0, 0]
@@ -144,7 +144,7 @@ def test_enlarged_maps_follow_the_look_alikes(two_stages, phone):
 def deviations_of(method, answer):
     """Standard deviation of the prior of each map, from its last number."""
     return {name: float(answer.precision[i].mean() ** -0.5)
-            for i, name in enumerate(method.ties.unknowns.names)}
+            for i, name in enumerate(method.prior.unknowns.names)}
 
 
 @pytest.mark.parametrize("went, normal, specular", [(0.0, 0.05, 0.06), (0.05, 0.07071, 0.07071),
@@ -153,10 +153,10 @@ def test_texels_may_go_as_far_as_they_went(went, normal, specular, capture):
     """Deviations around the prior: root mean square of the distance gone and of what is left unknown, within
     its bounds.
     """
-    method = method_of(capture, own=0.06)
-    free, unknown = method.ties.free(method.answer), 0.05
+    method = method_of(capture, detail_spread=0.06)
+    free, unknown = method.prior.free(method.answer), 0.05
     sign = torch.where(torch.rand(free.x.shape, generator=torch.Generator().manual_seed(1)) < 0.5, -1.0, 1.0)
-    loose = method.ties.loosen(free._replace(x=free.mean + sign * went), torch.full_like(free.x, unknown**2))
+    loose = method.prior.loosen(free._replace(x=free.mean + sign * went), torch.full_like(free.x, unknown**2))
     deviation = deviations_of(method, loose)
     assert deviation["normal"] == pytest.approx(normal,
                                                 rel=1e-4) and deviation["specular"] == pytest.approx(specular,
@@ -179,15 +179,15 @@ def test_at_full_size_texels_are_free_and_pixels_alike(two_stages, phone, captur
     deviation = deviations_of(method, method.answer)
     assert 0.0102 <= deviation["normal"] <= 0.15 and deviation["specular"] >= 0.0599 and deviation[
         "roughness"] >= 0.0299
-    answer, slopes = method.answer, method.ties.slopes
+    answer, slopes = method.answer, method.prior.slopes
     assert (answer.x - answer.mean)[slopes].abs().max() > 1e-3 and answer.mean[slopes].abs().max() > 1e-3
 
 
 def test_what_comes_out_follows_no_highlights(two_stages, phone, capture):
     """Also where the fit ends before full size; the maps themselves do, by far."""
-    method = method_of(capture, own=0.06)
+    method = method_of(capture, detail_spread=0.06)
     angle = coverage_angle(capture.views, SIDE)
-    roughness = method.ties.unknowns.of("roughness")
+    roughness = method.prior.unknowns.of("roughness")
     for stage in (Stage.TOGETHER, Stage.FINE):
         method.stages.enter(stage)
         method.scale = method.scales.of(stage, free=stage == Stage.FINE)

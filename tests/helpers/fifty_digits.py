@@ -3,7 +3,7 @@ trusted.
 
 Written apart from :mod:`mitsvbrdf.render.analytic`, and without any of its care for rounding: with so many
 digits c^2 (a^2 - 1) + 1 may cancel and a refractive index may be 1e25. Scalars, one at a time; a texel in one
-view takes about a millisecond. The model's clamps (:mod:`.clamps`) are part of the model.
+view takes about a millisecond.
 
 Sources: Walter et al. 2007 (GGX, Smith's G), Fresnel's equations, Burley 2012 and 2015 (``principled``).
 """
@@ -14,11 +14,11 @@ from collections.abc import Callable
 
 from mpmath import mp, mpf
 
-from ...material.maps import CHANNELS, DIELECTRIC_F0, SVBRDF
-from ...render.analytic import MIN_ALPHA
-from ...render.bsdf import F0_RANGE
-from ...render.needs import half_angle_bound
-from ...views import Views
+from mitsvbrdf.material.maps import CHANNELS, DIELECTRIC_F0, SVBRDF
+from mitsvbrdf.render.analytic import MIN_ALPHA
+from mitsvbrdf.render.bsdf import F0_RANGE
+from mitsvbrdf.render.needs import half_angle_bound
+from mitsvbrdf.views import Views
 
 DIGITS = 50
 # of the central differences: their error goes like its square, rounding like 10^-50 over it

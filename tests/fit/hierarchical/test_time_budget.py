@@ -5,11 +5,11 @@ import torch
 from helpers import photos_of
 from helpers.hierarchical_fits import method_of
 
-from mitsvbrdf.fit.hierarchical import left_out, matte, rounds, scales, starts
-from mitsvbrdf.fit.hierarchical.moved_views import MovedViews
-from mitsvbrdf.fit.hierarchical.pace import LAST_STEPS, OTHER_STEPS, STEPS, Pace
-from mitsvbrdf.fit.hierarchical.skipped import IN_TURN, VIEWS
+from mitsvbrdf.fit.hierarchical import omitted, rounds, scales, specular_test, starts
+from mitsvbrdf.fit.hierarchical.omitted import CROSS_VALIDATION, VIEWS
 from mitsvbrdf.fit.hierarchical.stages import Stage, Stages
+from mitsvbrdf.fit.hierarchical.time_budget import LAST_STEPS, OTHER_STEPS, STEPS, TimeBudget
+from mitsvbrdf.fit.hierarchical.view_corrections import ViewCorrections
 from mitsvbrdf.material.made import make_material
 
 SIDE = 8
@@ -43,15 +43,15 @@ def timed(shots, monkeypatch):
     def made(budget, **settings):
         method, clock = method_of(shots, budget=budget, **({"exact": False} | settings)), Clock()
 
-        def stepped(solver, photos, answer, ties, count):
+        def stepped(solver, photos, answer, prior, count):
             clock.work("solver", answer.x.shape[-1], count)
-            return starts.stepped(solver, photos, answer, ties, count)
+            return starts.stepped(solver, photos, answer, prior, count)
 
-        for where in (rounds, left_out, matte):
+        for where in (rounds, omitted, specular_test):
             monkeypatch.setattr(where, "stepped", stepped)
-        monkeypatch.setattr(method.moved, "refine", lambda maps, _: clock.work("views", maps.resolution,
-                                                                               method.moved.work))
-        method.pace.clock = clock
+        monkeypatch.setattr(method.corrections, "refine", lambda maps, _: clock.work("views", maps.resolution,
+                                                                               method.corrections.work))
+        method.budget.clock = clock
         return method, clock
 
     return made
@@ -82,16 +82,16 @@ def test_an_ample_budget_changes_nothing(timed):
     free, other = timed(None)
     assert (passed, clock.calls) == (run(free, other, AMPLE)[0], other.calls) and free.done
     assert all(torch.equal(value, free.estimate()[0][name]) for name, value in found.maps.items())
-    assert ("views", SIDE, method.moved.work) in clock.calls
-    assert not {IN_TURN, f"further {VIEWS}"} & dict(method.left_out).keys()
+    assert ("views", SIDE, method.corrections.work) in clock.calls
+    assert not {CROSS_VALIDATION, f"further {VIEWS}"} & dict(method.omitted).keys()
 
 
 def test_what_cannot_end_in_time_is_not_begun_and_said(timed):
     method, clock = timed(1000)
     run(method, clock, 1000)
-    assert ("views", SIDE // 2, method.moved.work) in clock.calls  # a quarter of what it takes at full size
-    assert ("views", SIDE, method.moved.work) not in clock.calls
-    assert {IN_TURN, f"further {VIEWS}"} <= dict(method.left_out).keys()
+    assert ("views", SIDE // 2, method.corrections.work) in clock.calls  # a quarter of what it takes at full size
+    assert ("views", SIDE, method.corrections.work) not in clock.calls
+    assert {CROSS_VALIDATION, f"further {VIEWS}"} <= dict(method.omitted).keys()
 
 
 def test_a_resumed_fit_knows_what_steps_took(timed):
@@ -101,11 +101,11 @@ def test_a_resumed_fit_knows_what_steps_took(timed):
     again, later = timed(clock.now + 400)
     later.now = clock.now
     again.load_state(method.state())
-    assert again.pace.rates == method.pace.rates and len(again.pace.rates) == 2
-    assert again.pace.end == again.pace.budget
-    run(again, later, again.pace.budget)
+    assert again.budget.rates == method.budget.rates and len(again.budget.rates) == 2
+    assert again.budget.end == again.budget.budget
+    run(again, later, again.budget.budget)
     assert again.done and "views" not in [kind for kind, *_ in later.calls]
-    assert again.stages.rounds == 6 and f"further {VIEWS}" in dict(again.left_out)
+    assert again.stages.rounds == 6 and f"further {VIEWS}" in dict(again.omitted)
 
 
 def test_the_question_whether_a_material_is_matte_is_not_asked_where_it_cannot_end(timed):
@@ -113,12 +113,12 @@ def test_the_question_whether_a_material_is_matte_is_not_asked_where_it_cannot_e
     while not method.stages.finished:
         method.step(0.0)
     method.stages.judge(torch.zeros(2))
-    asked = matte.decision_work(method.search.scales) / SIDE**2
-    for left, counts in ((asked - 1, set()), (asked + STEPS + LAST_STEPS + 1, {matte.STEPS})):
+    asked = specular_test.decision_work(method.search.scales) / SIDE**2
+    for left, counts in ((asked - 1, set()), (asked + STEPS + LAST_STEPS + 1, {specular_test.STEPS})):
         clock.calls.clear()
-        method.pace.end = clock.now + left
+        method.budget.end = clock.now + left
         method._leave_lobe_out()
-        assert {count for _, _, count in clock.calls} & {matte.STEPS} == counts
+        assert {count for _, _, count in clock.calls} & {specular_test.STEPS} == counts
 
 
 def test_the_turns_are_foreseen_as_they_are_made(timed):
@@ -129,9 +129,9 @@ def test_the_turns_are_foreseen_as_they_are_made(timed):
         method.step(0.0)
     clock.calls.clear()
     method._begin_next_stage()
-    steps, turns = sum(count for _, _, count in clock.calls), left_out.in_turn(len(method.capture))
-    rounds_of_each = left_out.AGREED + len(left_out.NOISES) * left_out.ROUNDS
-    assert steps + len(turns) * rounds_of_each == left_out.steps_of_turns(len(method.capture))
+    steps, turns = sum(count for _, _, count in clock.calls), omitted.in_turn(len(method.capture))
+    rounds_of_each = omitted.AGREED + len(omitted.NOISES) * omitted.ROUNDS
+    assert steps + len(turns) * rounds_of_each == omitted.steps_of_turns(len(method.capture))
     assert {side for _, side, _ in clock.calls} == {method.scales.of(Stage.ALONE).capture.resolution}
 
 
@@ -139,20 +139,20 @@ def test_a_round_that_was_cut_is_made_again(timed):
     method, clock = timed(AMPLE)
     while (method.stages.stage, method.stages.rounds) != (Stage.FINE, 1):
         method.step(0.0)
-    method.pace.end = clock.now + LAST_STEPS + STEPS + OTHER_STEPS
+    method.budget.end = clock.now + LAST_STEPS + STEPS + OTHER_STEPS
     clock.calls.clear()
     method.step(0.5)
     assert clock.calls == [("solver", SIDE, STEPS),
                            ("solver", SIDE, OTHER_STEPS)] and method.stages.rounds == 1
     method.step(0.5)
-    assert clock.calls[2:] == [("solver", SIDE, LAST_STEPS)] and clock.now == method.pace.end
-    method.pace.end = AMPLE * 2
+    assert clock.calls[2:] == [("solver", SIDE, LAST_STEPS)] and clock.now == method.budget.end
+    method.budget.end = AMPLE * 2
     method.step(0.5)
     assert method.stages.rounds == 2 and method.closed is None
 
 
 def test_a_stage_whose_rounds_are_too_long_ends_once_it_is_known_what_a_round_takes():
-    stages = Stages(rivals=False)
+    stages = Stages(multi_start=False)
     over = []
     for _ in range(3):
         over.append((stages.over(0.0, short=True), stages.over(0.0)))
@@ -162,7 +162,7 @@ def test_a_stage_whose_rounds_are_too_long_ends_once_it_is_known_what_a_round_ta
 
 def test_a_stage_that_ends_before_its_refinement_of_the_views_says_so(shots):
     def short(refined, stage, rounds, tied):
-        moved = MovedViews(shots, refined, True)
+        moved = ViewCorrections(shots, refined, True)
         moved.leave(stage, rounds, tied)
         return bool(moved.skipped)
 
@@ -170,13 +170,13 @@ def test_a_stage_that_ends_before_its_refinement_of_the_views_says_so(shots):
     assert not short("always", Stage.ALONE, 12, False) and not short("unless exact", Stage.TOGETHER, 9, True)
     # nothing moves
     assert not short("unless exact", Stage.ALONE, 11, False) and not short("never", Stage.TOGETHER, 8, True)
-    assert not short("always", Stage.RIVALS, 1, False)  # which has none
+    assert not short("always", Stage.MULTI_START, 1, False)  # which has none
 
 
 def test_the_pace():
     clock = Clock()
-    stages = Stages(rivals=True)
-    pace = Pace(10.0, stages, 4, clock)
+    stages = Stages(multi_start=True)
+    pace = TimeBudget(10.0, stages, 4, clock)
     assert pace.in_time(1e9) and pace.steps(7) == 7  # nothing is known yet
     pace.begin(0.2)
     pace.begin(0.9)  # not the first step
@@ -197,10 +197,10 @@ def test_the_pace():
         assert pace.rates["views"] == least and pace.rates["solver"] == 0.05
     pace.rates["views"] = 0.1
     stages.enter(Stage.FINE)
-    again = Pace(None, stages, 4, clock)
+    again = TimeBudget(None, stages, 4, clock)
     again.load_state(pace.state())
     again.begin(0.0)
-    later = Pace(20.0, stages, 4, clock)
+    later = TimeBudget(20.0, stages, 4, clock)
     later.load_state(pace.state())
     later.begin(0.5)  # by the number of iterations, say
     assert later.end == clock.now + 20 - (10 - (8 - clock.now))

@@ -1,10 +1,8 @@
-"""What a fit needs to compute, and what it leaves out: known from capture, renderer and settings before it
-starts.
-"""
+"""What a fit omits, and why: known from photos, renderer and settings, or decided while the fit runs."""
 
 from __future__ import annotations
 
-from ..render.needs import scene_needs
+from ..render.needs import Omitted, scene_needs
 from ..views import Views
 from . import losses
 from .config import HierarchicalConfig, HybridConfig
@@ -17,51 +15,49 @@ _NO_GENERATOR = "each texel is solved by itself, and at equal time that errs les
 _NO_DISCRIMINATOR = "there is no generator to teach: each pixel's error says what to change"
 
 
-def left_out(task: FitTask, views: Views | None = None) -> list[tuple[str, str]]:
-    """What a fit does not compute, as (what, why): the renderer's list and the method's.
+def omitted_by(task: FitTask, views: Views | None = None) -> list[Omitted]:
+    """What a fit does not compute, whatever its method decides later: the renderer's list and the method's.
 
     Args:
         task: photos, renderer and settings.
-        views: as fitted; left out: as calibrated. A flash offset found later can call for the Fresnel curve.
+        views: as fitted. Default: as calibrated. A flash offset found later can need the Fresnel curve.
     """
     config = task.config
     material = unknown_but(task.fixed, config.bsdf, task.capture.resolution, config.grey_specular)
-    items = list(scene_needs(material, views or task.capture.views, task.renderer.name).left_out)
-    items += [(f"gradient of {name}", why) for name, why in described(config.fix).items()]
+    items = list(scene_needs(material, views or task.capture.views, task.renderer.name).omitted)
+    items += [Omitted(f"gradient of {name}", why) for name, why in described(config.fix).items()]
     if "diffuse" in task.fixed:
-        items.append(("guessed diffuse map", "diffuse held fixed"))
-    items += [(losses.NAMES[name], why) for name, why in task.unused.items()]
+        items.append(Omitted("guessed diffuse map", "diffuse held fixed"))
+    items += [Omitted(losses.NAMES[name], why) for name, why in task.unused.items()]
     if config.wants_flash_offset is not None and task.why_no_flash_offset:
-        items.append(("flash offset", task.why_no_flash_offset))
+        items.append(Omitted("flash offset", task.why_no_flash_offset))
     if not isinstance(config, (GanConfig, HybridConfig)):
-        items += [("generator", _NO_GENERATOR), ("discriminator", _NO_DISCRIMINATOR)]
+        items += [Omitted("generator", _NO_GENERATOR), Omitted("discriminator", _NO_DISCRIMINATOR)]
     elif "discriminator" not in dict(used(task)):
-        items.append(("discriminator", "no loss asks for its verdict"))
+        items.append(Omitted("discriminator", "no loss asks for its verdict"))
     return items
 
 
-def decided_later(task: FitTask) -> list[tuple[str, str]]:
-    """What the fit may leave out once it has looked at its photos, as (what, when)."""
+def known_before(task: FitTask) -> list[Omitted]:
+    """What a fit omits whatever its photos show."""
+    if not isinstance(task.config, HierarchicalConfig):
+        return omitted_by(task)
+    from .hierarchical.omitted import omitted_stages
+
+    return omitted_by(task) + omitted_stages(task)
+
+
+def decided_later(task: FitTask) -> list[Omitted]:
+    """What a fit decides while it runs; ``why`` says when it omits it."""
     if not isinstance(task.config, HierarchicalConfig):
         return []
-    from .hierarchical import skipped
+    from .hierarchical import omitted
 
-    return skipped.decided_later(task)
-
-
-def known_before(task: FitTask) -> list[tuple[str, str]]:
-    """:func:`left_out`, and what the method leaves out whatever its photos show, as (what, why)."""
-    if not isinstance(task.config, HierarchicalConfig):
-        return left_out(task)
-    from .hierarchical import skipped
-
-    return left_out(task) + skipped.left_out(task)
+    return omitted.decided_later(task)
 
 
 def used(task: FitTask) -> list[tuple[str, str]]:
-    """The networks that a fit trains, as (what, how): generator and discriminator, or one of them, or
-    none.
-    """
+    """The networks that a fit trains, as (what, how): a generator and perhaps a discriminator, or none."""
     config = task.config
     if isinstance(config, HybridConfig):
         items = [("generator", "sees all photos; its maps are compared with each of them; width "

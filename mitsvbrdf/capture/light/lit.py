@@ -1,0 +1,128 @@
+"""Photos with their light known: pictures without vignetting, and the views that they were taken from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from ... import color
+from ...errors import CaptureError
+from ...views import Views
+from ..lens import Array
+from ..rectify import Rectified
+from ..rig import Rig
+from .shading import shading_of_material, shading_of_paper, undo_vignetting
+from .solve import Shading
+
+FARTHEST_FLASH = 5.0  # cm from the lens; phones have 1 to 3
+
+Paper = Callable[[Array], np.ndarray]  # for points of the plane (K x 2, cm), whether bare paper is there
+
+
+@dataclass(frozen=True)
+class Lit:
+    """The photos of a rig, and their light.
+
+    Args:
+        rig: with the flash and vignetting of its lens; poses in the order in which the photos were given.
+        shading: flash, vignetting and exposures; None where the photos do not tell them.
+        pictures: N x R x R x 3 display values without vignetting; what lies beyond a photo's edges is filled.
+        overlap: share of the patch that a photo shows, by name.
+        views: N.
+        notes: what a user should know.
+    """
+
+    rig: Rig
+    shading: Shading | None
+    pictures: torch.Tensor
+    overlap: dict[str, float]
+    views: Views
+    notes: tuple[str, ...]
+
+    @property
+    def names(self) -> list[str]:
+        """Of the photos."""
+        return list(self.rig.poses)
+
+    @property
+    def evenness(self) -> dict[str, float] | None:
+        """See :class:`~.solve.Shading`; None where it is not known."""
+        return self.shading.evenness if self.shading else None
+
+    @classmethod
+    def of(cls, rig: Rig, rectified: Rectified, transfer: color.Transfer, paper: Paper | None = None,
+           depth: float = 0.0) -> Lit:
+        """The light of the photos that ``rig`` has poses of.
+
+        Args:
+            paper: of the sheet around the material; None: there is none.
+            depth: z of the paper, cm.
+        """
+        given = [name for name in rectified.pictures if name in rig.poses]
+        rig = replace(rig, poses={name: rig.poses[name] for name in given})
+        shading, notes = _shading(rig, rectified, transfer, paper, depth)
+        if shading:
+            rig = replace(rig, lens=shading.lens)
+        pictures = [without_vignetting(rectified.pictures[name], rig, name, transfer) for name in given]
+        overlap = {name: float(np.isfinite(picture).all(axis=-1).mean())
+                   for name, picture in zip(given, pictures)}
+        return cls(rig, shading, filled(pictures), overlap, _views(rig, shading), notes)
+
+
+def _shading(rig: Rig, rectified: Rectified, transfer: color.Transfer, paper: Paper | None, depth: float
+             ) -> tuple[Shading | None, tuple[str, ...]]:
+    """From the paper of the sheet, else from the material, else nothing; and what was noticed."""
+    notes = []
+    if paper is not None:
+        try:
+            shading = shading_of_paper(rig, rectified.small, transfer, paper, depth)
+            beside = float(np.linalg.norm(shading.lens.flash))
+            far = (f"the flash seems to be {beside:.0f} cm beside the lens: is --sheet in cm, and as "
+                   "measured?",)
+            return shading, shading.notes + (far if beside > FARTHEST_FLASH else ())
+        except CaptureError as reason:
+            notes.append(f"the paper says nothing of the light ({reason.got}); the material is asked instead")
+    try:
+        shading = shading_of_material(rig, {name: rectified.pictures[name] for name in rig.poses}, transfer)
+        return shading, (*notes, *shading.notes)
+    except CaptureError as reason:
+        return None, (*notes, f"the shading says nothing of the light ({reason.got}): the flash is taken to "
+                              "be at the lens, and so bright that a white texel has radiance 1")
+
+
+def _views(rig: Rig, shading: Shading | None) -> Views:
+    """Where cameras and flashes were, and how bright each photo shows them."""
+    camera = np.stack([pose.position for pose in rig.poses.values()])
+    light = np.stack([pose.flash(rig.lens) for pose in rig.poses.values()])
+    if shading is None:
+        return Views.of(camera, light, math.pi * float(np.median(np.square(camera).sum(axis=1))), rig.size)
+    power = [[i * math.exp(shading.log_exposure.get(name, 0.0)) for i in shading.intensity]
+             for name in rig.poses]
+    return Views.of(camera, light, power, rig.size)
+
+
+def without_vignetting(picture: np.ndarray, rig: Rig, name: str, transfer: color.Transfer) -> np.ndarray:
+    """A rectified photo (R x R x 3 display values, NaN stays) as a lens without vignetting would have seen
+    it.
+    """
+    if rig.lens.vignetting == (0.0, 0.0):
+        return picture
+    linear = color.decode(torch.from_numpy(picture), transfer).numpy()
+    linear = undo_vignetting(linear, rig.lens, rig.poses[name], rig.size, transfer)
+    return color.to_display(torch.from_numpy(linear), transfer).numpy()
+
+
+def filled(pictures: Sequence[np.ndarray]) -> torch.Tensor:
+    """Photos (R x R x 3 each), with the mean of the others where a photo is NaN, black where all are:
+    N x R x R x 3.
+    """
+    stack = np.stack(pictures)
+    known = np.isfinite(stack)
+    if not known.all():
+        mean = np.where(known, stack, 0).sum(axis=0) / known.sum(axis=0).clip(1)
+        stack = np.where(known, stack, mean)
+    return torch.from_numpy(stack).clamp(0, 1)

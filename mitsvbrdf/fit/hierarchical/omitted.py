@@ -1,0 +1,85 @@
+"""What ``hierarchical`` omits, as these photos do not need it: known before the fit, or decided by its first stage."""
+
+from __future__ import annotations
+
+from ...render.needs import Omitted
+from ..config import HierarchicalConfig
+from ..task import FitTask
+from .cross_validation import FEWEST
+from .specular_test import WEAK, may_be_omitted
+from .stages import EXACT, Stages
+
+TIED, MULTI_START, VIEWS, CROSS_VALIDATION = "tied stage", "multi-start", "view refinement", "cross-validation"
+LOBE = "search for a specular lobe"
+FOLLOW = "the photos follow the model"
+
+
+def decided_later(task: FitTask[HierarchicalConfig]) -> list[Omitted]:
+    """What a fit decides while it runs; ``why`` says when it omits it."""
+    exact, matte = task.config.exact, f"no block of texels needs a lobe, and one of {WEAK:g} would show"
+    if exact is not None:
+        if not exact or not may_be_omitted(task):
+            return []
+        starts = [Omitted(MULTI_START, "without a lobe")] if _may_start_anew(task) else []
+        return [Omitted(LOBE, f"if {matte}"), *starts]
+    below = f"a free fit at 64 px leaves errors whose structure is below {EXACT:g}: {FOLLOW}"
+    found = [Omitted(TIED, f"if {below}")]
+    if may_be_omitted(task):
+        found.append(Omitted(LOBE, f"if {below}; {matte}"))
+    if _may_start_anew(task):
+        found.append(Omitted(MULTI_START, f"unless {below}" + (", and without a lobe" if len(found) > 1 else "")))
+    if task.refined == "unless exact":
+        found.append(Omitted(VIEWS, f"if {below}, and so do the stated views"))
+    if _may_cross_validate(task):
+        found.append(Omitted(CROSS_VALIDATION, f"if {below}, or where time is short"))
+    return found
+
+
+def omitted_stages(task: FitTask[HierarchicalConfig], stages: Stages | None = None,
+                   short: bool = False) -> list[Omitted]:
+    """What ``hierarchical`` omits, as far as it is known.
+
+    Args:
+        task: of the fit.
+        stages: as it stands; None before the fit.
+        short: whether the views were refined less often than they should be, for lack of time.
+    """
+    config, exact, why = task.config, task.config.exact, "stated by --exact"
+    if exact is None and stages and stages.known:
+        exact, structure = stages.exact, float(stages.unexplained[0])
+        why = f"a free fit leaves errors with a structure of {structure:.2g}, {'' if exact else 'not '}below {EXACT:g}"
+    items, hurried = list[tuple[str, str]](), stages is not None and stages.hurried
+    if exact:
+        items.append((TIED, f"{FOLLOW}: {why}"))
+    if stages is not None and stages.matte:
+        items.append((LOBE, f"the material is matte: no block of texels needs a lobe, and one of {WEAK:g} "
+                            "would show"))
+        items.append((MULTI_START, "without a lobe there is one start"))
+    elif not _may_start_anew(task):
+        items.append((MULTI_START, "not asked for" if not config.multi_start else "roughness held fixed"))
+    elif exact is False:
+        items.append((MULTI_START, f"the photos do not follow the model: {why}"))
+    elif exact and hurried:
+        items.append((f"further {MULTI_START}", "the fits could not have ended within their share of the time"))
+    if task.refined == "never":
+        items.append((VIEWS, "the views are held" if config.holds_views else "the views are a stated default"))
+    elif exact and task.refined == "unless exact":
+        items.append((VIEWS, f"{FOLLOW} with the stated views: {why}"))
+    if exact:
+        items.append((CROSS_VALIDATION, f"{FOLLOW}: what a free fit leaves is their noise"))
+    elif not _may_cross_validate(task):
+        items.append((CROSS_VALIDATION, "stated by --noise" if config.noise is not None
+                      else f"fewer than {FEWEST} photos"))
+    elif hurried:
+        items.append((CROSS_VALIDATION, "it could not have ended within its share of the time"))
+    if short:
+        items.append((f"further {VIEWS}", "it could not have ended within the budget"))
+    return [Omitted(*item) for item in items]
+
+
+def _may_cross_validate(task: FitTask[HierarchicalConfig]) -> bool:
+    return task.config.noise is None and len(task.capture) >= FEWEST
+
+
+def _may_start_anew(task: FitTask[HierarchicalConfig]) -> bool:
+    return task.config.multi_start and "roughness" not in task.fixed

@@ -1,0 +1,91 @@
+"""Arguments of another kind than their annotation states are refused at the edge of the Python API."""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import numbers
+import os
+import types
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from .errors import ConfigError
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+# what an annotation stands for beside its own kind
+_WIDER: dict[Any, Any] = {float: numbers.Real, Path: os.PathLike, tuple: (tuple, list)}
+
+
+def kinds_checked(function: Callable[P, T]) -> Callable[P, T]:
+    """The function; arguments of another kind than their annotations raise ConfigError."""
+    @functools.wraps(function)
+    def called(*args: P.args, **kwargs: P.kwargs) -> T:
+        check_arguments(function, args, kwargs)
+        return function(*args, **kwargs)
+
+    return called
+
+
+def check_arguments(function: Callable, args: tuple, kwargs: Mapping[str, Any]) -> None:
+    """Raise ConfigError for the first argument that is not of its annotation's kind."""
+    hints, names = _about(function)
+    for name, value in (*zip(names, args), *kwargs.items()):
+        if name in hints and not _fits(value, hints[name]):
+            raise _other_kind(name, hints[name], value, function.__name__)
+
+
+def check_fields(instance: Any, *names: str) -> None:
+    """Raise ConfigError for the first of these fields of a dataclass that is not of its annotation's kind.
+
+    Args:
+        instance: of the dataclass.
+        names: of the fields. Default: all.
+    """
+    owner: Any = type(instance)
+    hints, _ = _about(owner)
+    for name in names or [field.name for field in fields(instance)]:
+        if name in hints and not _fits(getattr(instance, name), hints[name]):
+            raise _other_kind(name, hints[name], getattr(instance, name), owner.__name__)
+
+
+def _other_kind(name: str, hint: Any, value: object, owner: str) -> ConfigError:
+    got = repr(value)
+    return ConfigError(f"{name}: {inspect.formatannotation(hint).replace('mitsvbrdf.', '')}",
+                       f"{got if len(got) < 60 else got[:60] + '...'} ({type(value).__name__})",
+                       f"see help({owner})")
+
+
+@functools.cache
+def _about(owner: Any) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """The annotations by name, without those that only a type checker can resolve, and positional names."""
+    try:
+        hints = get_type_hints(owner)
+    except NameError:
+        hints = {}
+    positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    return hints, tuple(name for name, each in inspect.signature(owner).parameters.items()
+                        if each.kind in positional)
+
+
+def _fits(value: object, hint: Any) -> bool:
+    """Whether a value is of this kind; contents of collections are not looked at, nor choices of words."""
+    origin = get_origin(hint) or hint
+    if origin in (Union, types.UnionType):
+        return any(_fits(value, each) for each in get_args(hint))
+    if origin is Literal:
+        return isinstance(value, tuple({type(each) for each in get_args(hint)}))
+    if origin is None or origin is type(None):
+        return value is None
+    if not isinstance(origin, type):
+        return True
+    if getattr(origin, "_is_protocol", False):
+        return all(callable(getattr(value, name, None)) for name, member in vars(origin).items()
+                   if inspect.isfunction(member) and not name.startswith("_"))
+    if isinstance(value, bool) and origin in (int, float):
+        return False
+    return isinstance(value, _WIDER.get(origin, origin))
