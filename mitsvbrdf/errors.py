@@ -42,6 +42,10 @@ class InputWarning(UserWarning):
     """A file is damaged or was mended, and is used all the same; says which, and what is wrong."""
 
 
+class NotFiniteError(MapsError, CaptureError):
+    """A map or a view has values that are NaN or infinite."""
+
+
 class MapsWarning(InputWarning):
     """Something in material maps was mended; says what, where, and how many texels."""
 

@@ -17,7 +17,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .errors import CaptureError, ConfigError
+from .errors import CaptureError, ConfigError, NotFiniteError
 from .kinds import check_fields
 
 FIELD_OF_VIEW = 60.0  # degrees across the long side where no EXIF says it: a phone's wide camera has 60 to 70
@@ -132,12 +132,12 @@ class Views:
         self._check_scale()
 
     def check_finite(self) -> None:
-        """Raise CaptureError, naming the row, unless every number is finite."""
+        """Raise NotFiniteError, naming the row, unless every number is finite."""
         for name, what in (("camera", "positions"), ("light", "positions"), ("intensity", "light intensities")):
             for row, numbers in enumerate(getattr(self, name).tolist()):
                 if not all(map(math.isfinite, numbers)):
-                    raise CaptureError(f"finite {what}", f"{name} {row} at {numbers}",
-                                       "check the calibration for NaN")
+                    raise NotFiniteError(f"finite {what}", f"{name} {row} at {numbers}",
+                                         "check the calibration for NaN")
 
     def _check_scale(self) -> None:
         """Distances beside the patch, and light beside distances: both are plain numbers, whatever the unit

@@ -184,12 +184,10 @@ def _finish(stage: Stage, record: Record, folder: Path, kinds: list[str], exposu
                 write(folder / f"{stage.name}.{kind}", display_frames(stage, folder, exposure), stage.fps)
     error_curve(folder / f"{stage.name}.svg", [frame["curve"] for frame in frames], stop.target_error,
                 f"{stage.name}, {'x'.join(map(str, record.settings['size']))}")
-    say(_summary(stage.name, frames, stop.target_error))
+    say(_summary(stage.name, frames))
 
 
-def _summary(name: str, frames: list[dict], target: float | None) -> str:
-    from ..relight.passes import one_sample
-
+def _summary(name: str, frames: list[dict]) -> str:
     samples, errors = [f["samples"] for f in frames], [f["error"] for f in frames if f["error"] is not None]
     parts = [] if len(frames) == 1 else [f"{len(frames)} frames"]
     parts += [f"{sum(f['seconds'] for f in frames):.1f} s",
@@ -197,9 +195,6 @@ def _summary(name: str, frames: list[dict], target: float | None) -> str:
               + f" sample{'s' * (max(samples) > 1)} a pixel"]
     parts += [f"estimated error {max(errors):.4f}" + (" at most" if len(frames) > 1 else "")] if errors else (
         ["too few to estimate the error"])
-    one = [error for f in frames if (error := one_sample(f["curve"])) is not None]
-    if target and one and max(one) <= target:
-        parts.append(f"a single sample is as good as free of noise (error {max(one):.2g})")
     return f"{name}: {', '.join(parts)}"
 
 

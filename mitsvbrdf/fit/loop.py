@@ -13,7 +13,7 @@ from typing import Protocol
 from torch import Tensor
 
 from ..capture import Capture
-from ..errors import ConfigError, MitsvbrdfError
+from ..errors import ConfigError, MitsvbrdfError, NotFiniteError
 from ..io.interrupts import stop_signals
 from ..io.json import NUMBER, shape_error
 from ..io.profile import STEP, profiled
@@ -128,7 +128,10 @@ class Loop:
             The state to go back to next time, and the losses.
         """
         with profiled(STEP):
-            losses = self.method.step(self.progress)
+            try:
+                losses = self.method.step(self.progress)
+            except NotFiniteError as error:
+                return self._undo(good, error.got), {}
         broken = [name for name, value in losses.items() if not math.isfinite(value)]
         if broken:
             return self._undo(good, f"{broken[-1]} not finite"), {}
@@ -166,7 +169,10 @@ class Loop:
                 if not finite(value):
                     return f"{name} not finite"
             svbrdf, views = self.method.estimate()
-            images, rmse, _ = rerender(self.renderer, svbrdf, views, self.capture)
+            try:
+                images, rmse, _ = rerender(self.renderer, svbrdf, views, self.capture)
+            except NotFiniteError as error:
+                return error.got
             return (rmse, svbrdf, views) if finite(images) else "a re-rendered photo not finite"
 
     def _diverges(self, losses: dict[str, float], state: dict[str, Tensor]) -> bool:

@@ -15,7 +15,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .. import color
-from ..errors import ConfigError, MapsError
+from ..errors import ConfigError, MapsError, NotFiniteError
 from ..kinds import check_fields, kinds_checked
 from .resample import resized
 
@@ -106,13 +106,13 @@ class SVBRDF:
         return self.map(Tensor.detach)
 
     def check_finite(self) -> None:
-        """Raise MapsError, naming map and texel, unless every value is finite."""
+        """Raise NotFiniteError, naming map and texel, unless every value is finite."""
         for name, value in self.maps.items():
             bad = ~torch.isfinite(value)
             if bad.any():
-                raise MapsError("finite values", f"{int(bad.sum())} NaN or infinite in {name}, first at "
-                                f"(row, column, channel) {tuple(bad.nonzero()[0].tolist())}",
-                                "mend or re-export the map")
+                raise NotFiniteError("finite values", f"{int(bad.sum())} NaN or infinite in {name}, first at "
+                                     f"(row, column, channel) {tuple(bad.nonzero()[0].tolist())}",
+                                     "mend or re-export the map")
 
     def check(self) -> SVBRDF:
         """Itself, when every value is finite and in range; else MapsError naming map, texel and value."""

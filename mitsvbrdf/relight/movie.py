@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 import torch
@@ -40,26 +39,23 @@ def write_mp4(path: str | Path, frames: Iterable[Tensor], fps: float) -> None:
     from av.video.reformatter import ColorRange, Colorspace
 
     with files.atomic_write(Path(path)) as temporary, av.open(str(temporary), "w", format="mp4",
-                                                        options={"movflags": "+faststart"}) as container:
-        stream = None
-        for pixels in map(_even, _eight_bits(frames)):
-            if stream is None:
-                stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001),
-                                              options={"crf": CRF, "preset": "medium"})
+                                                              options={"movflags": "+faststart"}) as file:
+        stream = file.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001),
+                                 options={"crf": CRF, "preset": "medium"})
+        stream.pix_fmt = "yuv420p"
+        context = stream.codec_context
+        context.color_range = ColorRange.MPEG
+        context.colorspace = context.color_primaries = context.color_trc = BT709
+        context.thread_count = 1  # the same file in every run
+        for pixels in _eight_bits(frames):
+            height, width = pixels.shape[:2]
+            pixels = np.pad(pixels, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+            if not context.is_open:
                 stream.height, stream.width = pixels.shape[:2]
-                stream.pix_fmt = "yuv420p"
-                context = stream.codec_context
-                context.color_range = ColorRange.MPEG
-                context.colorspace = context.color_primaries = context.color_trc = BT709
-                context.thread_count = 1  # the same file in every run
-            frame = av.VideoFrame.from_ndarray(pixels, format="rgb24")
-            frame = frame.reformat(format="yuv420p", src_colorspace=Colorspace.DEFAULT,
-                                   dst_colorspace=Colorspace.ITU709,
-                                   src_color_range=ColorRange.JPEG, dst_color_range=ColorRange.MPEG)
-            container.mux(stream.encode(frame))
-        if stream is None:
-            raise _no_frames()
-        container.mux(stream.encode())
+            file.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24").reformat(
+                format="yuv420p", src_colorspace=Colorspace.DEFAULT, dst_colorspace=Colorspace.ITU709,
+                src_color_range=ColorRange.JPEG, dst_color_range=ColorRange.MPEG)))
+        file.mux(stream.encode())
 
 
 def write_gif(path: str | Path, frames: Iterable[Tensor], fps: float) -> None:
@@ -79,17 +75,11 @@ def write_gif(path: str | Path, frames: Iterable[Tensor], fps: float) -> None:
     """
     from PIL import Image
 
-    images = [_palette_image(Image, pixels) for pixels in _eight_bits(frames)]
-    if not images:
-        raise _no_frames()
+    pictures = [Image.fromarray(pixels) for pixels in _eight_bits(frames)]
+    first, *others = (picture.quantize(palette=picture.quantize(PALETTE_SIZE)) for picture in pictures)
     with files.atomic_write(Path(path)) as temporary:
-        images[0].save(temporary, save_all=True, append_images=images[1:], loop=0,
-                       duration=durations(len(images), fps), optimize=False, disposal=1)
-
-
-def _palette_image(Image: ModuleType, pixels: np.ndarray) -> Any:
-    whole = Image.fromarray(pixels)
-    return whole.quantize(palette=whole.quantize(PALETTE_SIZE), dither=Image.Dither.FLOYDSTEINBERG)
+        first.save(temporary, format="GIF", save_all=True, append_images=others, loop=0, optimize=False,
+                   disposal=1, duration=durations(len(pictures), fps))
 
 
 def durations(count: int, fps: float) -> list[int]:
@@ -98,7 +88,7 @@ def durations(count: int, fps: float) -> list[int]:
     return [10 * max(end - before, 2) for before, end in zip([0, *ends], ends)]
 
 
-def _eight_bits(frames: Iterable[Tensor]) -> Iterable[np.ndarray]:
+def _eight_bits(frames: Iterable[Tensor]) -> Iterator[np.ndarray]:
     size = None
     for frame in frames:
         size = size or frame.shape
@@ -106,15 +96,8 @@ def _eight_bits(frames: Iterable[Tensor]) -> Iterable[np.ndarray]:
             raise MapsError(f"frames of H x W x 3, all alike, here {tuple(size)}", str(tuple(frame.shape)),
                             "render them anew")
         yield np.rint(frame.detach().clamp(0, 1).to(torch.float64).numpy() * 255).astype(np.uint8)
-
-
-def _even(pixels: np.ndarray) -> np.ndarray:
-    height, width = pixels.shape[:2]
-    return np.ascontiguousarray(np.pad(pixels, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge"))
-
-
-def _no_frames() -> MapsError:
-    return MapsError("at least one frame", "none", "render some first")
+    if size is None:
+        raise MapsError("at least one frame", "none", "render some first")
 
 
 def av_module() -> ModuleType:

@@ -31,8 +31,6 @@ from ..errors import ConfigError, MapsError
 JACKKNIFE_GROUPS = 8
 # samples of one call of the renderer: a second or so, after which Ctrl-C and a budget are looked at
 SAMPLES_AT_ONCE = 2**22
-DOUBLED_UP_TO = 16  # up to here samples are only doubled: too little is known to plan farther ahead
-TRUSTED_FACTOR = 8  # times the samples so far that a prediction is trusted
 TARGET_ERROR = 0.01
 
 
@@ -51,8 +49,8 @@ class Stop:
     samples: int | None = None
 
     def __post_init__(self) -> None:
-        given = [name.replace("_", " ") for name in ("target_error", "budget", "samples") if getattr(self,
-                                                                                                     name) is not None]
+        given = [name.replace("_", " ") for name in ("target_error", "budget", "samples")
+                 if getattr(self, name) is not None]
         if len(given) > 1:
             raise ConfigError("one of target error, budget and samples", " and ".join(given),
                               "give one of them")
@@ -87,13 +85,6 @@ class Rendered:
     stopped: str
 
 
-def one_sample(curve: Sequence[dict]) -> float | None:
-    """The error that a single sample of a frame would have, by the start of its curve; None where that is
-    empty.
-    """
-    return curve[0]["error"] * math.sqrt(curve[0]["samples"]) if curve else None
-
-
 def shown(image: Tensor, exposure: float = 0.0) -> Tensor:
     """Linear radiance as display values: exposed by so many stops, sRGB, clipped to [0, 1]."""
     return color.to_display(image * 2.0**exposure, "srgb")
@@ -118,14 +109,14 @@ def render_passes(draw: Callable[[int, int], Tensor], stop: Stop, *, pixels: int
         MapsError: the renderer gave numbers that are not finite.
     """
     started = time.perf_counter()
-    mean = GroupedMean()
-    curve: list[dict] = []
-    why, calls, aim, looking = "", 0, 2, 0.0
-    while True:
-        goal = min(aim, stop.samples) if stop.samples else aim
+    mean, curve, why, calls, looking, most = GroupedMean(), list[dict](), "", 0, 0.0, _power_of_two(
+        max(SAMPLES_AT_ONCE // pixels, 1))
+    while not why:
+        goal = _goal(mean.samples, curve, stop)
+        part = min(_power_of_two(max((goal - mean.samples) // JACKKNIFE_GROUPS, 1)), most)
         while mean.samples < goal and not why:
             began = time.perf_counter()
-            count = min(_power_of_two(mean.share(goal)), _power_of_two(max(SAMPLES_AT_ONCE // pixels, 1)))
+            count = min(part, _power_of_two(goal - mean.samples))
             mean.add(draw(calls, count), count)
             calls += 1
             now = time.perf_counter()
@@ -141,11 +132,10 @@ def render_passes(draw: Callable[[int, int], Tensor], stop: Stop, *, pixels: int
         looking = now - began
         if error is not None:
             curve.append({"seconds": now - started, "samples": mean.samples, "error": error})
-        if why or stop.samples == mean.samples or (stop.target_error and error is not None
-                                                   and error <= stop.target_error):
-            break
-        aim = _next(mean.samples, error, stop.target_error)
-    why = why or ("samples" if stop.samples else "target")
+        if not why and stop.samples == mean.samples:
+            why = "samples"
+        elif not why and stop.target_error and error is not None and error <= stop.target_error:
+            why = "target"
     return Rendered(mean.image, mean.samples, time.perf_counter() - started, error, tuple(curve), why)
 
 
@@ -204,12 +194,6 @@ class GroupedMean:
         self.sums[k] += image * samples
         self.counts[k] += samples
 
-    def share(self, goal: int) -> int:
-        """What the group that is next lacks for its part of so many samples, at least 1."""
-        if len(self.sums) < JACKKNIFE_GROUPS:
-            return max((goal - self.samples) // max(min(goal, JACKKNIFE_GROUPS) - len(self.sums), 1), 1)
-        return max(min(goal // JACKKNIFE_GROUPS - min(self.counts), goal - self.samples), 1)
-
     def error(self, exposure: float = 0.0) -> float | None:
         """RMSE of the mean as it is shown, by the jackknife; None with fewer than two groups."""
         if len(self.sums) < 2:
@@ -228,16 +212,15 @@ def _power_of_two(most: int) -> int:
     return 1 << (most.bit_length() - 1)
 
 
-def _next(samples: int, error: float | None, target: float | None) -> int:
-    """How many samples to have next: what the target should need, as the error falls with their root."""
-    if target is None or error is None:
-        return 2 * samples
-    needed = math.ceil(samples * (error / target) ** 2)
-    if samples < DOUBLED_UP_TO:
-        return min(needed, 2 * samples)
-    # The law is not exact where highlights are clipped; a long way is not gone to its end.
-    return max(min(needed if needed < 2 * samples else int(0.8 * needed), TRUSTED_FACTOR * samples),
-               samples + 1)
+def _goal(samples: int, curve: list[dict], stop: Stop) -> int:
+    """How many samples to have next: twice as many, or as many as the law of their root says are enough."""
+    goal = max(2 * samples, 2)
+    if stop.samples:
+        return min(goal, stop.samples)
+    if stop.target_error and curve:
+        needed = math.ceil(samples * (curve[-1]["error"] / stop.target_error) ** 2)
+        return min(goal, max(needed, samples + 1))
+    return goal
 
 
 def _share(stop: Stop, seconds: float, samples: int, curve: list[dict]) -> float:

@@ -46,8 +46,7 @@ class Renderer(Protocol):
         light and intensity, for which ``mitsuba-scene`` refuses a gradient.
 
         Raises:
-            MapsError: a value of a map is NaN or infinite.
-            CaptureError: a number of a view is.
+            NotFiniteError: a value of a map or a number of a view is NaN or infinite.
         """
         ...
 

@@ -131,7 +131,7 @@ def material_needs(svbrdf: SVBRDF) -> Needs:
 
 
 def refuse_not_finite(svbrdf: SVBRDF, views: Views) -> None:
-    """Raise MapsError or CaptureError for NaN and infinity, which Mitsuba would draw as plausible light.
+    """Raise NotFiniteError for NaN and infinity, which Mitsuba would draw as plausible light.
 
     One sum of each tensor shows both, in some 0.1 ms; what it may overflow is looked at value by value.
     """

@@ -1,8 +1,7 @@
-"""Simulated photos of known maps, and a capture of them against the truth.
+"""Simulated photos of known maps.
 
-``photograph`` renders a :class:`~mitsvbrdf.capture.Capture` at given views. ``phone`` plans what a hand-held
-phone would take, ``traced`` renders it, ``photos`` develops it and writes the truth beside; ``truth`` and
-``against_truth`` judge what a capture made of such photos brings back.
+``photograph`` renders a :class:`~mitsvbrdf.capture.Capture` at given views. ``phone`` plans the photos that a
+hand-held phone would take, ``traced`` renders them, ``photos`` develops them and writes the truth beside.
 """
 
 from .photograph import photograph

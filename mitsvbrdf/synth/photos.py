@@ -7,6 +7,7 @@ for tests.
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -14,7 +15,9 @@ from typing import Any
 
 import numpy as np
 import torch
+import torch.nn.functional as F
 from numpy.typing import NDArray
+from torch import Tensor
 
 from .. import color
 from ..capture.align.sheet import Sheet
@@ -24,8 +27,9 @@ from ..io import files
 from ..material.made import make_material
 from ..material.map_files import save_maps
 from ..material.maps import SVBRDF
+from ..material.resample import area_averaged
+from ..views import texel_positions
 from .phone import DIAGONAL_35MM, HandheldPhone, Shot, Spoil, shots
-from .truth import PATCH, SAMPLE, patch_of
 
 USABLE = ("rotated",)  # an odd photo that nothing is wrong with
 SENSOR_DIAGONAL = 9.5  # mm
@@ -173,7 +177,7 @@ def write_handheld(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[...,
     ``truth/sample``.
 
     With a sheet also ``truth/maps``, of just the patch within it, as a fit finds them. Without one the photos
-    say where the patch is: :func:`mitsvbrdf.synth.truth.truth_maps` cuts it out.
+    alone say where the patch is.
 
     Args:
         folder: for the photos.
@@ -189,9 +193,29 @@ def write_handheld(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[...,
         write_photo(folder / shot.name, pixels, phone, shot)
         if report:
             report(done, len(truth["rig"]["poses"]))
-    save_maps(svbrdf, folder / "truth" / SAMPLE)
+    save_maps(svbrdf, folder / "truth" / "sample")
     if phone.sheet:
         texels = max(1, round(svbrdf.resolution * phone.patch / phone.sample))
-        save_maps(patch_of(svbrdf, phone.sample, phone.patch, texels), folder / "truth" / PATCH)
+        save_maps(patch_of(svbrdf, phone.patch / phone.sample, texels), folder / "truth" / "maps")
     files.write_json(folder / "truth" / "truth.json", truth | about)
     return truth | about
+
+
+def patch_of(sample: SVBRDF, share: float, resolution: int) -> SVBRDF:
+    """The maps of the square patch in the middle of a sample, averaged over each texel.
+
+    Args:
+        sample: the maps of all of it.
+        share: of the sample's side, the patch's.
+        resolution: texels along the patch's side.
+    """
+    times = max(1, math.ceil(2 * share * sample.resolution / resolution))
+    at = texel_positions(resolution * times)[..., :2] * share * torch.tensor([2.0, -2.0])
+
+    def cut(value: Tensor) -> Tensor:
+        fine = F.grid_sample(value.movedim(-1, 0)[None], at.float()[None], "bilinear", "border",
+                             align_corners=False)
+        return area_averaged(fine[0].movedim(0, -1), resolution)
+
+    found = sample.map(cut)
+    return SVBRDF(found.bsdf, dict(found.maps) | {"normal": F.normalize(found["normal"], dim=-1)})

@@ -14,7 +14,6 @@ from mitsvbrdf.io import json as io_json
 from mitsvbrdf.io.json import NUMBER, load, parsed, read_json, shape_error
 from mitsvbrdf.material.map_files import read_material_json
 from mitsvbrdf.relight.frames import go_on
-from mitsvbrdf.synth.truth import Truth, rig_of
 
 WRONG = {
     '{"a": [0, NaN]}': r"a\[1\] is no finite number", '{"a": {"b": -Infinity}}': r"a\.b is no finite number",
@@ -69,8 +68,7 @@ def test_where_a_value_does_not_fit(value, shape, where):
 
 READERS = {
     "capture.json": read_capture, "fit.json": read_fit, "material.json": read_material_json,
-    "truth/truth.json": Truth.read,
-    "rig/capture.json": lambda folder: rig_of(folder / "rig"), "relight.json": lambda folder: go_on({},
+    "relight.json": lambda folder: go_on({},
                                                                                                     folder, folder)}
 
 

@@ -1,6 +1,7 @@
 """Which way maps lie on shapes, and reliefs, against closed forms."""
 
 import math
+import runpy
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from mitsvbrdf.material.maps import CHANNELS, SVBRDF, flat
 from mitsvbrdf.material.relief import occlusion
 from mitsvbrdf.measure.metrics import image_error
 from mitsvbrdf.relight import make_stage
-from mitsvbrdf.relight.shapes import mitsuba_mesh, relief, shaderball
+from mitsvbrdf.relight.shapes import mitsuba_mesh, relief
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.testing import assert_z_test, random_material
 from mitsvbrdf.views import Views, texel_positions
@@ -196,7 +197,7 @@ def test_a_relief_reaches_the_edges_of_the_patch():
 
 
 def test_the_shader_balls_file_is_its_recipe_and_its_maps_keep_their_angles(mi):
-    mesh = shaderball()
+    mesh = runpy.run_path(str(SCENES / "shaderball.py"))["shaderball"]()
     kept = mi.traverse(mi.load_dict({"type": "ply", "filename": str(SCENES / "shaderball.ply")}))
     for key, value in (("vertex_positions", mesh.positions), ("vertex_normals", mesh.normals),
                        ("vertex_texcoords", mesh.uv)):

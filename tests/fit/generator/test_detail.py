@@ -7,6 +7,7 @@ import signal
 
 import pytest
 import torch
+import torch.nn.functional as F
 from helpers import ANALYTIC, GRID, photos_of
 
 from mitsvbrdf.errors import ConfigError
@@ -22,7 +23,6 @@ from mitsvbrdf.fit.generator.highlight_discriminator import (
 from mitsvbrdf.fit.generator.novel_lights import draw, novel_views
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.measure.metrics import photo_rmse
-from mitsvbrdf.measure.patch_statistics import patches_of
 from mitsvbrdf.views import Views, geometry
 
 QUICK = DetailConfig(steps=4, width=4, discriminator_width=8, worst=10.0)
@@ -134,11 +134,7 @@ def test_patch_distance_is_the_sorted_difference_of_projected_patches():
     found = patch_distance(rendered, photos, angle, torch.Generator().manual_seed(0), bins=1)
     directions = torch.randn(PATCH * PATCH * 3, 64, generator=torch.Generator().manual_seed(0))
     directions = directions / directions.norm(dim=0)
-    every = torch.zeros(1, 19, 19, dtype=torch.bool)
-    every[:, PATCH // 2::STRIDE, PATCH // 2::STRIDE] = True
-    # The convolution has its channels first; so have these patches.
-    flat = [patches_of(x, every).reshape(-1, PATCH, PATCH, 3).permute(0, 3, 1, 2).flatten(1) @ directions
-            for x in (rendered, photos)]
+    flat = [F.unfold(x.movedim(-1, 1), PATCH, stride=STRIDE)[0].T @ directions for x in (rendered, photos)]
     truth = (flat[0].sort(dim=0).values - flat[1].sort(dim=0).values).abs().mean()
     assert float(found) == pytest.approx(float(truth), rel=1e-5)
 
