@@ -1,30 +1,93 @@
-"""The only transfer functions of the package, between linear radiance and display values.
+"""Responses of cameras (transfer functions), between linear radiance and display values.
 
-Renderers never encode or clip; photos, files and losses come here.
+Renderers never encode or clip. Photos, files and losses come here. A new response is a name in
+:data:`Transfer` and its two functions in :data:`RESPONSES`.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Literal, get_args
-
-import torch
-from torch import Tensor
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 from .errors import ConfigError
 
+if TYPE_CHECKING:  # the choices of commands are these names, and need no torch
+    from torch import Tensor
+
 # Photo values that say no more than "at least this bright". Two thresholds, which go different ways:
 CLIPPED = 0.995  # in fits, whose residuals are one-sided from here on: 254 and 255 of 8 bits
-# before them (guess, flash, quality), where texels left out cost little: 253 of 8 bits, too
-NEARLY_CLIPPED = 0.99
+NEARLY_CLIPPED = 0.99  # before them (guess, flash, quality), where omitted texels cost little: 253 too
 QUANTIZATION_NOISE = 1 / (255 * math.sqrt(12))  # standard deviation of the rounding to 8 bits
 
 Transfer = Literal["gamma2.2", "srgb", "linear"]
 
 # Below this linear value the slope of the power curve is frozen (a tangent line instead): its derivative at 0
-# is infinite. 2e-6 is the linear value of 2/3 of one 8-bit step under gamma 2.2, so no photo value is touched
-# by it.
+# is infinite. 2e-6 is the linear value of 2/3 of one 8-bit step under gamma 2.2: no photo value is touched.
 TOE = 2e-6
+
+
+class Operations(NamedTuple):
+    """What responses compute with, of torch or of Dr.Jit: ``where(condition, a, b)`` and ``at_least(x, c)``."""
+
+    where: Callable
+    at_least: Callable
+
+
+class Response(NamedTuple):
+    """A response: functions of a value and :class:`Operations`, inverse to each other, 0 to 0 and 1 to 1."""
+
+    encode: Callable[[Any, Operations], Any]
+    decode: Callable[[Any, Operations], Any]
+
+
+def _same(value: Any, _: Operations) -> Any:
+    return value
+
+
+def _encode_srgb(linear: Any, do: Operations) -> Any:
+    high = 1.055 * do.at_least(linear, 0.0031308) ** (1 / 2.4) - 0.055
+    return do.where(linear <= 0.0031308, 12.92 * linear, high)
+
+
+def _decode_srgb(display: Any, do: Operations) -> Any:
+    high = ((do.at_least(display, 0.04045) + 0.055) / 1.055) ** 2.4
+    return do.where(display <= 0.04045, display / 12.92, high)
+
+
+def _encode_gamma(linear: Any, do: Operations) -> Any:
+    toe = TOE ** (1 / 2.2)
+    return do.where(linear <= TOE, linear * (toe / TOE), do.at_least(linear, TOE) ** (1 / 2.2))
+
+
+def _decode_gamma(display: Any, do: Operations) -> Any:
+    toe = TOE ** (1 / 2.2)
+    return do.where(display <= toe, display * (TOE / toe), do.at_least(display, toe) ** 2.2)
+
+
+RESPONSES: dict[str, Response] = {
+    "gamma2.2": Response(_encode_gamma, _decode_gamma),  # the field's habit
+    "srgb": Response(_encode_srgb, _decode_srgb),  # IEC 61966-2-1
+    "linear": Response(_same, _same),
+}
+
+
+def response(transfer: Transfer) -> Response:
+    """The response of this name.
+
+    Raises:
+        ConfigError: there is none.
+    """
+    if transfer not in get_args(Transfer):
+        raise ConfigError(f"a transfer function of {get_args(Transfer)}", repr(transfer),
+                          "choose one of these")
+    return RESPONSES[transfer]
+
+
+def _torch() -> Operations:
+    import torch
+
+    return Operations(torch.where, torch.clamp_min)
 
 
 def encode(linear: Tensor, transfer: Transfer = "gamma2.2") -> Tensor:
@@ -32,20 +95,12 @@ def encode(linear: Tensor, transfer: Transfer = "gamma2.2") -> Tensor:
 
     Args:
         linear: any shape, any float dtype; negative values are extended along the tangent at 0.
-        transfer: ``gamma2.2`` (the field's habit), ``srgb`` (IEC 61966-2-1) or ``linear``.
+        transfer: ``gamma2.2``, ``srgb`` or ``linear``.
 
     Returns:
         Display values of the same shape; 1 maps to 1. Clip with :func:`clip` where a photo would.
     """
-    if transfer == "linear":
-        return linear
-    if transfer == "srgb":
-        high = 1.055 * linear.clamp_min(0.0031308) ** (1 / 2.4) - 0.055
-        return torch.where(linear <= 0.0031308, 12.92 * linear, high)
-    if transfer == "gamma2.2":
-        toe = TOE ** (1 / 2.2)
-        return torch.where(linear <= TOE, linear * (toe / TOE), linear.clamp_min(TOE) ** (1 / 2.2))
-    raise ConfigError(f"a transfer function of {get_args(Transfer)}", repr(transfer), "choose one of these")
+    return response(transfer).encode(linear, _torch())
 
 
 def decode(display: Tensor, transfer: Transfer = "gamma2.2") -> Tensor:
@@ -55,15 +110,7 @@ def decode(display: Tensor, transfer: Transfer = "gamma2.2") -> Tensor:
         display: any shape, any float dtype.
         transfer: as in :func:`encode`.
     """
-    if transfer == "linear":
-        return display
-    if transfer == "srgb":
-        high = ((display.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4
-        return torch.where(display <= 0.04045, display / 12.92, high)
-    if transfer == "gamma2.2":
-        toe = TOE ** (1 / 2.2)
-        return torch.where(display <= toe, display * (TOE / toe), display.clamp_min(toe) ** 2.2)
-    raise ConfigError(f"a transfer function of {get_args(Transfer)}", repr(transfer), "choose one of these")
+    return response(transfer).decode(display, _torch())
 
 
 def clip(display: Tensor) -> Tensor:

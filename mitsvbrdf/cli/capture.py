@@ -14,7 +14,7 @@ from ..errors import ConfigError
 from ..io import results
 from ..io.interrupts import deferred_signals
 from ..io.progress import print_rich, progress_bar, say
-from .options import Out, Overwrite
+from .options import Out, Overwrite, TransferChoice
 
 if TYPE_CHECKING:
     from ..capture.stages import CaptureResult
@@ -26,29 +26,29 @@ def capture(photos: Annotated[Positional[Path],
                               arg(metavar="PHOTOS", help="A folder of raw photos: jpg, png, heic, dng, ...")],
             out: Out,
             sheet: Annotated[float | None,
-                             arg(metavar="CM", help="A printed sheet of tags lies around the material: its "
-                                 "measured size, over the outer edges of the tags.")] = None,
-            depth: Annotated[float, arg(metavar="CM", help="How far the sheet lies above the material; left "
-                                                           "out: the paper's "
-                                                           "own thickness.")] = PAPER_THICKNESS,
-            transfer: Annotated[Literal["auto", "srgb", "gamma2.2", "linear"],
-                                arg(help="How photos encode light; auto: linear for RAW files, else srgb.")] = "auto",
-            resolution: Annotated[int, arg(help="Side of the rectified photos; never more than the photos "
-                                                "show.")] = 1024,
+                             arg(metavar="CM", help="Measured size of the printed sheet of tags around the "
+                                                    "material, over the outer edges of the tags. Default: "
+                                                    "no sheet.")] = None,
+            depth: Annotated[float, arg(metavar="CM", help="Height of the sheet above the material. Default: "
+                                                           "the thickness of paper.")] = PAPER_THICKNESS,
+            transfer: Annotated[TransferChoice,
+                                arg(help="How photos encode light; auto: linear for RAW files, else srgb.")
+                                ] = "auto",
+            resolution: Annotated[int, arg(help="Largest side of the rectified photos. Photos are never "
+                                                "enlarged.")] = 1024,
             reference: Annotated[Literal["best", "first"],
-                                 arg(help="Without a sheet, which photo says what is up: the one taken most "
-                                          "nearly from "
-                                          "straight above, or the first.")] = "best",
+                                 arg(help="Photo that says what is up, without a sheet: the one taken most "
+                                          "nearly from straight above, or the first.")] = "best",
             overwrite: Overwrite = False) -> int:
-    """Make a capture of raw photos, for `mitsvbrdf fit`: find out where the phone was, rectify, leave bad
-    photos out.
+    """Make a capture of raw photos for `mitsvbrdf fit`: find the poses of the phone, rectify, reject bad
+    photos.
 
-    Nine photos of a flat material from nine places, flash on, exposure and focus locked; see docs/capture.md.
-    With a printed sheet of tags around the material (`mitsvbrdf sheet`) and --sheet, lengths are in cm and
-    exact; without, poses come from what the photos have in common.
+    Take nine photos of a flat material from nine places, with flash, exposure and focus locked; see
+    docs/capture.md. With a printed sheet of tags (`mitsvbrdf sheet`) and --sheet, lengths are exact and in
+    cm. Without, poses come from what the photos have in common.
 
-    OUT holds capture.json, the rectified photos in target/, and quality.html: what was left out and why, and
-    where to stand for one more photo; contact.jpg and quality.json beside it.
+    OUT holds capture.json and the rectified photos in target/. quality.html lists rejected photos with the
+    reason, and says where one more photo helps most. contact.jpg and quality.json hold the same.
     """
     from ..capture import write_capture
     from ..capture.align.from_sheet import refuse_tags
@@ -61,7 +61,7 @@ def capture(photos: Annotated[Positional[Path],
                           "choose another folder")
     if sheet is None and depth != PAPER_THICKNESS:
         raise ConfigError("--sheet CM beside --depth", f"--depth {depth:g} alone",
-                          "add --sheet, or leave --depth out")
+                          "add --sheet, or omit --depth")
     if (photos / "capture.json").is_file():
         raise ConfigError("a folder of raw photos", f"{photos}, which is a capture already",
                           f"mitsvbrdf fit {photos} -o OUT")
@@ -81,8 +81,10 @@ def capture(photos: Annotated[Positional[Path],
 
 
 def _print(result: CaptureResult, asked: int) -> None:
-    """Each photo with the number that a fit calls it by, and what the user should know; ``asked`` is the
-    resolution wanted.
+    """Each photo with its number in a fit or the reason to reject it, and what the user should know.
+
+    Args:
+        asked: the resolution wanted.
     """
     from rich.table import Table
 
@@ -97,18 +99,15 @@ def _print(result: CaptureResult, asked: int) -> None:
     for photo in result.photos:
         quality, error = result.qualities.get(photo.name), result.rig.errors.get(photo.name)
         table.add_row(photo.name, result.rig.rejected.get(photo.name) or number[photo.name],
-                      "" if error is None else f"{error:.2f} px", f"{quality.sharpness:.2f}" if quality
-                      else "",
-                      f"{quality.clipped:.0%}" if quality else "")
+                      "" if error is None else f"{error:.2f} px",
+                      f"{quality.sharpness:.2f}" if quality else "", f"{quality.clipped:.0%}" if quality else "")
     print_rich(table, markup=False)
     for warning in result.warnings:
         say(f"note: {warning}")
     if (side := result.capture.resolution) < asked:
         say(f"{side} pixels are {'enough' if side >= FitOptions.resolution else 'few'}: a fit takes "
-            f"{FitOptions.resolution} "
-            "where --resolution asks for no more; photos from closer by would show more")
-    say(f"highlights shown of {result.covered:.0%} of the patch"
+            f"{FitOptions.resolution} by default; photos from closer by show more")
+    say(f"{result.covered:.0%} of the patch has a highlight, within {math.degrees(HIGHLIGHT_ANGLE):.0f} "
+        "degrees, in some photo"
         + (f"; one more photo would show most {result.next_view.words}" if result.next_view else ""))
-    say(f"shown: some photo has its highlight within {math.degrees(HIGHLIGHT_ANGLE):.0f} degrees; how "
-        "surely that tells "
-        "specular and roughness, `fit` says in its line how sure")
+    say("`mitsvbrdf fit` says how surely these highlights tell specular and roughness")

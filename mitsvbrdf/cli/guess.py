@@ -12,10 +12,10 @@ from .options import Out, Overwrite, Photos, TransferOption, ViewList, keep_apar
 
 def guess(capture: Positional[Photos], out: Out, method: GuessMethod = "robust", resolution: int = 256,
           views: ViewList = None, transfer: TransferOption = "auto", overwrite: Overwrite = False) -> int:
-    """Make the guessed diffuse map only: OUT/diffuse.exr and .png.
+    """Guess the diffuse map, without a fit: OUT/diffuse.exr and diffuse.png.
 
-    Methods: min is the paper's per-pixel minimum; mean-blur the older baseline; robust undoes falloff and
-    highlights.
+    Methods: min is the minimum of each pixel, as in the paper. mean-blur is the mean, blurred. robust undoes
+    falloff and highlights first.
     """
     from ..capture import guess_diffuse
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import arg
 
+from ..color import Transfer
 from ..errors import ConfigError, OutputError
 from ..io import files
 from ..io.progress import progress_bar, say
@@ -40,7 +41,7 @@ ViewSource = Annotated[str, arg(help="A capture whose views to use, or builtin:g
                                      "sides away).")]
 Photos = Annotated[Path, arg(metavar="CAPTURE", help="A folder of photos, calibrated or plain; see "
                                                      "docs/formats.md.")]
-TransferChoice = Literal["auto", "gamma2.2", "srgb", "linear"]
+TransferChoice = Literal["auto", Transfer]
 TransferOption = Annotated[TransferChoice,
                            arg(help="How photos encode light; auto: as the capture states, else gamma2.2 "
                                     "for calibrated "

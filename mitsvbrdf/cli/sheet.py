@@ -15,18 +15,18 @@ from .options import Overwrite, check_new_files
 def sheet(out: Annotated[Path,
                          arg(aliases=["-o"], help="File to write: .pdf, .svg or .png.")] = Path("sheet.pdf"),
           size: Annotated[float, arg(
-              help="Of the frame of tags, in cm; the material shown is 0.64 of it.")] = 18.0,
-          paper: Annotated[Paper, arg(help="What the printer holds.")] = "a4",
+              help="Size of the frame of tags in cm. The patch of material is 0.64 of it.")] = 18.0,
+          paper: Annotated[Paper, arg(help="Paper in the printer.")] = "a4",
           overwrite: Overwrite = False) -> int:
-    """Write a sheet of AprilTags to print: laid around a material, it tells `mitsvbrdf capture --sheet CM`
-    where the phone was.
+    """Write a sheet of AprilTags to print.
 
-    Print it at 100 %, cut the middle out, and measure the arrow: its length is CM.
+    Print it at 100 %, cut the middle out, and lay it around the material. Measure the arrow: its length is
+    the CM of `mitsvbrdf capture --sheet CM`, which then knows where the phone was.
     """
     from ..capture.align.sheet import write_sheet
 
     check_new_files(out, overwrite=overwrite)
     write_sheet(out, size, paper)
     say_written(out)
-    say("print it at 100 %; what to do next stands on it")
+    say("print it at 100 %; it says what to do next")
     return 0

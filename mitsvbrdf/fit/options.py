@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from tyro.conf import arg
 
 from ..capture import Capture
+from ..color import Transfer
 from ..errors import ConfigError
 from ..render import RendererName
 from ..views import Falloff, photo_numbers
@@ -33,7 +34,7 @@ class FitOptions:
     """Photos to use, by number. Default: all."""
     falloff: Literal["auto", "inverse-square", "none"] = "auto"
     """Light falloff. auto: inverse-square; none for the paper's presets of --method gan."""
-    transfer: Literal["auto", "gamma2.2", "srgb", "linear"] = "auto"
+    transfer: Literal["auto", Transfer] = "auto"
     """Encoding of light in photos. auto: as stated, else gamma2.2 if calibrated, srgb if plain photos."""
     variant: Literal["llvm_ad_rgb", "cuda_ad_rgb"] = "llvm_ad_rgb"
     """Mitsuba variant."""

@@ -280,11 +280,4 @@ def traced_encode(linear: Any, transfer: color.Transfer) -> Any:
     """:func:`mitsvbrdf.color.encode`."""
     import drjit as dr
 
-    if transfer == "linear":
-        return linear
-    if transfer == "srgb":
-        return dr.select(linear <= 0.0031308, 12.92 * linear,
-                         1.055 * dr.maximum(linear, 0.0031308) ** (1 / 2.4) - 0.055)
-    toe = color.TOE ** (1 / 2.2)
-    return dr.select(linear <= color.TOE, linear * (toe / color.TOE),
-                     dr.maximum(linear, color.TOE) ** (1 / 2.2))
+    return color.response(transfer).encode(linear, color.Operations(dr.select, dr.maximum))
