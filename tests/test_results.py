@@ -4,13 +4,14 @@ import ast
 import importlib.util
 import json
 import sys
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import pytest
 from helpers import ROOT
 
 import mitsvbrdf
 from mitsvbrdf.bench.plot import svg
+from mitsvbrdf.bench.run import method_table
 
 FOLDER = ROOT / "docs/results"
 SCRIPTS = sorted(FOLDER.glob("*.py"))
@@ -68,3 +69,8 @@ def test_every_variant_can_be_measured(name, config):
     for changes in loaded(FOLDER / f"{name}.py").VARIANTS.values():
         assert set(changes) <= {field.name for field in fields(kind)}
         kind(**changes).check()
+
+
+def test_every_part_that_is_omitted_has_settings():
+    for method, changes, _ in loaded(FOLDER / "omitted.py").SETTINGS.values():
+        replace(method_table()[method], **changes).check()

@@ -24,14 +24,14 @@ PATCHES, RMSE = 0.8, 1.1  # of the maps' errors: the bar of detail
 # An ingredient that is off -> the settings of HierarchicalConfig that take it away.
 VARIANTS = {
     "one basis material": {"materials": 1},
-    "own numbers integrated out": {"integrated": True},
+    "own numbers integrated out": {"marginalise": True},
     "no neighbours as starts": {"neighbours": False},
     "sharing not enforced": {"spread": 10.0},
     "relief 5 times as deep": {"relief": 0.1},
     "detail believed alike in all photos": {"noise": 0.03},
-    "no freedom at full size": {"own": 0.0},
-    "all pixels alike at 64 px": {"tails": 0.0},
-    "burn-in not taken out": {"independent": False},
+    "no freedom at full size": {"detail_spread": 0.0},
+    "all pixels alike at 64 px": {"highlight_reach": 0.0},
+    "burn-in not taken out": {"remove_burn_in": False},
     "no flash offset": {"flash_offset": False},
     "views as calibrated": {"calibrate": False},
 }

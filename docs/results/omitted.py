@@ -26,7 +26,7 @@ SAVES, COSTS = 1.05, 1.02  # ratios from which seconds count as saved, and error
 
 # A part of a fit -> method, settings that take it away, scenes.
 SETTINGS = {
-    "rival starts": ("hierarchical", {"rivals": False}, ("inlay",)),
+    "rival starts": ("hierarchical", {"multi_start": False}, ("inlay",)),
     "view refinement": ("hierarchical", {"calibrate": False}, ("cards-blue",)),
     "flash offset": ("hierarchical", {"flash_offset": False}, ("cards-blue",)),
     "other starts of texels": ("hierarchical", {"neighbours": False}, ("inlay", "cards-blue")),
