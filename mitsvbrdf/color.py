@@ -15,15 +15,15 @@ from .errors import ConfigError
 if TYPE_CHECKING:  # the choices of commands are these names, and need no torch
     from torch import Tensor
 
-# Photo values that say no more than "at least this bright". Two thresholds, which go different ways:
+# A clipped photo value means "at least this bright". There are two thresholds:
 CLIPPED = 0.995  # in fits, whose residuals are one-sided from here on: 254 and 255 of 8 bits
-NEARLY_CLIPPED = 0.99  # before them (guess, flash, quality), where omitted texels cost little: 253 too
+NEARLY_CLIPPED = 0.99  # before fits (guess, flash, quality), where omitted texels cost little: 253 too
 QUANTIZATION_NOISE = 1 / (255 * math.sqrt(12))  # standard deviation of the rounding to 8 bits
 
 Transfer = Literal["gamma2.2", "srgb", "linear"]
 
-# Below this linear value the slope of the power curve is frozen (a tangent line instead): its derivative at 0
-# is infinite. 2e-6 is the linear value of 2/3 of one 8-bit step under gamma 2.2: no photo value is touched.
+# A line replaces the power curve below this linear value, because the slope of the curve at 0 is infinite.
+# 2e-6 is 2/3 of one 8-bit step under gamma 2.2, so no photo value changes.
 TOE = 2e-6
 
 
@@ -91,14 +91,14 @@ def _torch() -> Operations:
 
 
 def encode(linear: Tensor, transfer: Transfer = "gamma2.2") -> Tensor:
-    """Linear radiance to display values, not clipped, differentiable everywhere with a finite slope.
+    """Linear radiance to display values: not clipped, with a finite slope everywhere.
 
     Args:
         linear: any shape, any float dtype; negative values are extended along the tangent at 0.
         transfer: ``gamma2.2``, ``srgb`` or ``linear``.
 
     Returns:
-        Display values of the same shape; 1 maps to 1. Clip with :func:`clip` where a photo would.
+        Display values of the same shape; 1 maps to 1. :func:`clip` limits them as a photo does.
     """
     return response(transfer).encode(linear, _torch())
 
@@ -119,5 +119,5 @@ def clip(display: Tensor) -> Tensor:
 
 
 def to_display(linear: Tensor, transfer: Transfer = "gamma2.2") -> Tensor:
-    """Linear radiance to what a photo would show: encoded and clipped to [0, 1]."""
+    """Linear radiance to the values of a photo: encoded and clipped to [0, 1]."""
     return clip(encode(linear, transfer))

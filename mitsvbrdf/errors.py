@@ -1,7 +1,7 @@
-"""The package's errors: each says what was expected, what came, and the way out.
+"""The errors of the package. Each says what was expected, what came, and the way out.
 
-Everything raised on purpose derives from :class:`MitsvbrdfError`; the command line turns it into one
-message and exit code 2. What was mended instead is a Python warning, on the command line a line of its own.
+Every deliberate error derives from :class:`MitsvbrdfError`. The command line prints it as one message and
+exits with 2. A fault that was corrected is a Python warning, on the command line a line of its own.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from typing import Any
 
 
 class MitsvbrdfError(Exception):
-    """A mistake the caller can mend.
+    """A mistake that the caller can correct.
 
     Args:
-        expected: what would have been right, in a few words.
-        got: what came instead, with its name or value.
-        fix: what to do now.
+        expected: the right input, in a few words.
+        got: the actual input, with its name or value.
+        fix: the way out.
     """
 
     def __init__(self, expected: str, got: str, fix: str) -> None:
@@ -27,7 +27,7 @@ class MitsvbrdfError(Exception):
         self.expected, self.got, self.fix = expected, got, fix
 
 
-LARGEST = 1e10  # of any number that is asked for: its square, and that one's, still are float32
+LARGEST = 1e10  # of any number in an option: float32 holds its square
 
 
 class CaptureError(MitsvbrdfError):
@@ -39,7 +39,7 @@ class MapsError(MitsvbrdfError):
 
 
 class InputWarning(UserWarning):
-    """A file is damaged or was mended, and is used all the same; says which, and what is wrong."""
+    """A damaged or corrected file is used; the message names the file and the fault."""
 
 
 class NotFiniteError(MapsError, CaptureError):
@@ -47,15 +47,15 @@ class NotFiniteError(MapsError, CaptureError):
 
 
 class MapsWarning(InputWarning):
-    """Something in material maps was mended; says what, where, and how many texels."""
+    """Material maps were corrected; the message says what, where, and in how many texels."""
 
 
 class OutputError(MitsvbrdfError):
-    """A result cannot be written where it was asked for."""
+    """A result cannot be written to its place."""
 
 
 class ConfigError(MitsvbrdfError):
-    """Options that do not fit together, or out of range."""
+    """Options are out of range or contradict each other."""
 
 
 class BackendError(MitsvbrdfError):
@@ -64,7 +64,7 @@ class BackendError(MitsvbrdfError):
 
 @contextlib.contextmanager
 def strict(wanted: bool = True) -> Iterator[None]:
-    """Inside, what would be an :class:`InputWarning` is an error, where wanted."""
+    """Inside, an :class:`InputWarning` is an error, if wanted."""
     with warnings.catch_warnings():
         if wanted:
             warnings.simplefilter("error", InputWarning)
@@ -76,16 +76,14 @@ def strict(wanted: bool = True) -> Iterator[None]:
 
 @contextlib.contextmanager
 def plain_warnings() -> Iterator[None]:
-    """Inside, warnings of this package are single lines on standard error, each once, without the place in
-    the code.
-    """
+    """Inside, a warning of this package is one line on standard error, printed once, without its place."""
     said = set()
     with warnings.catch_warnings():
         others = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
             if issubclass(category, InputWarning):
-                if str(message) not in said:  # Python forgets what it said whenever a filter changes
+                if str(message) not in said:  # Python forgets printed warnings when a filter changes
                     print(f"warning: {message}", file=sys.stderr)
                 said.add(str(message))
             else:
@@ -96,11 +94,11 @@ def plain_warnings() -> Iterator[None]:
 
 
 def exit_code(command: Callable[[], int], interrupted: str = "interrupted") -> int:
-    """Run a command; mistakes and Ctrl-C become one line and an exit code, 2 and 130.
+    """Run a command. A mistake becomes one line and exit code 2, Ctrl-C one line and 130.
 
     Args:
         command: returns its own exit code.
-        interrupted: what to say after Ctrl-C.
+        interrupted: the line after Ctrl-C.
     """
     try:
         return _interruptible(command)
@@ -110,22 +108,22 @@ def exit_code(command: Callable[[], int], interrupted: str = "interrupted") -> i
     except UnicodeEncodeError as error:
         if error.reason != "surrogates not allowed":
             raise  # a fault of our own, not of a name
-        near = error.object[max(0, error.start - 40):error.end + 20].encode("utf-8",
-                                                                            "backslashreplace").decode()
+        near = error.object[max(0, error.start - 40):error.end + 20]
+        near = near.encode("utf-8", "backslashreplace").decode()
         print(f"error: expected names of files in UTF-8, got {near}; rename the file or folder",
               file=sys.stderr)
         return 2
     except OSError as error:
-        print(f"error: expected to read or write {error.filename or 'a file'}, got "
-              f"{error.strerror or error}; check the name "
-              "and your rights to it", file=sys.stderr)
+        place, got = error.filename or "a file", error.strerror or error
+        print(f"error: expected to read or write {place}, got {got}; check the name and your rights to it",
+              file=sys.stderr)
         return 2
     except (MemoryError, RuntimeError) as error:
         if isinstance(error, RuntimeError) and "allocate memory" not in str(error):  # torch's words for it
             raise
-        print("error: expected enough memory, got "
-              f"{str(error).splitlines()[0] if str(error) else 'too little'}; "
-              "choose a lower --resolution, or fewer photos", file=sys.stderr)
+        got = str(error).splitlines()[0] if str(error) else "too little"
+        print(f"error: expected enough memory, got {got}; choose a lower --resolution, or fewer photos",
+              file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print(interrupted, file=sys.stderr)
@@ -133,9 +131,7 @@ def exit_code(command: Callable[[], int], interrupted: str = "interrupted") -> i
 
 
 def _interruptible(command: Callable[[], int]) -> int:
-    """Run a command; Ctrl-C is KeyboardInterrupt again where Dr.Jit made a RuntimeError of it, in a render of
-    Mitsuba.
-    """
+    """Run a command. Ctrl-C in a render of Mitsuba is KeyboardInterrupt again, not Dr.Jit's RuntimeError."""
     try:
         return command()
     except RuntimeError as error:

@@ -1,8 +1,7 @@
-"""Views: where the camera and the light stand, and how bright the light is.
+"""Views: places of camera and light, and the intensity of the light.
 
 Conventions (docs/conventions.md): the patch lies in z = 0, x right, y up, centre at the origin, and spans
-``size``; camera and light are at z > 0, all in one unit of length. Co-located camera and light is the special
-case ``camera == light``.
+``size``. Camera and light are at z > 0. All lengths have one unit.
 """
 
 from __future__ import annotations
@@ -20,19 +19,19 @@ from torch import Tensor
 from .errors import CaptureError, ConfigError, NotFiniteError
 from .kinds import check_fields
 
-FIELD_OF_VIEW = 60.0  # degrees across the long side where no EXIF says it: a phone's wide camera has 60 to 70
+FIELD_OF_VIEW = 60.0  # degrees across the long side without EXIF: a phone's wide camera has 60 to 70
 
 Falloff = Literal["inverse-square", "none"]
 
-# What float32 and a traced ray can still cope with, in patch sides; beyond, a size in another unit is the
-# likely cause. At 1e12 for I / d^2 the steepest highlight (alpha 1e-4) and its gradients stay below 1e30.
+# The range of float32 and of a traced ray, in patch sides. A size in another unit is the likely cause of
+# larger values. At 1e12 for I / d^2 the steepest highlight (alpha 1e-4) and its gradients stay below 1e30.
 NEAREST, FARTHEST = 1e-3, 1e6
 BRIGHTEST = 1e12
 
 
 @dataclass(frozen=True)
 class View:
-    """One photo's geometry: camera and light position (x, y, z) and radiant intensity (r, g, b)."""
+    """The geometry of one photo: camera and light position (x, y, z), radiant intensity (r, g, b)."""
 
     camera: tuple[float, float, float]
     light: tuple[float, float, float]
@@ -49,11 +48,11 @@ class Views:
         intensity: N x 3, radiant intensity I of each light (rgb); irradiance is I cos / d^2. All three are
             float tensors.
         size: side of the patch, in the unit of the positions.
-        falloff: ``inverse-square``, or ``none`` for the paper's light without attenuation: the light then
-            gives everywhere the irradiance factor it has at the patch centre, I / |light|^2.
+        falloff: ``inverse-square``, or ``none`` for the paper's light without attenuation. The irradiance
+            factor is then that of the patch centre everywhere, I / |light|^2.
 
     Raises:
-        CaptureError: other shapes, or no view at all. Values are looked at by :meth:`check`.
+        CaptureError: other shapes, or no view. :meth:`check` checks the values.
         ConfigError: another falloff.
     """
 
@@ -83,15 +82,15 @@ class Views:
     @classmethod
     def of(cls, camera: Any, light: Any = None, intensity: Any = 1.0, size: float = 1.0,
            falloff: Falloff = "inverse-square") -> Views:
-        """Views from anything array-like, checked: finite, z > 0, intensity >= 0 and not all black.
+        """Views from lists, arrays or tensors, checked: finite, z > 0, intensity >= 0 and not all black.
 
         Args:
             camera: N x 3.
-            light: N x 3; left out, the light is at the camera.
+            light: N x 3. Default: at the camera.
             intensity: a number, 3 numbers, or N x 3.
 
         Raises:
-            CaptureError: naming the first row that is wrong.
+            CaptureError: it names the first wrong row.
         """
         try:
             camera = torch.as_tensor(camera, dtype=torch.float64).reshape(-1, 3)
@@ -108,11 +107,10 @@ class Views:
         return views
 
     def check(self) -> None:
-        """Raise CaptureError unless every number is finite and physically possible, and all lengths go
-        together.
+        """Raise CaptureError unless every number is finite and physically possible.
 
-        Cameras and lights stand at least :data:`NEAREST` patch sides above the plane and no coordinate is
-        above :data:`FARTHEST` sides; the I / d^2 of a light at the nearest point of the patch is at most
+        Cameras and lights stand at least :data:`NEAREST` patch sides above the plane. No coordinate exceeds
+        :data:`FARTHEST` sides. The I / d^2 of a light at the nearest point of the patch is at most
         :data:`BRIGHTEST`.
         """
         if not (self.size > 0 and torch.isfinite(torch.tensor(self.size))):
@@ -133,24 +131,23 @@ class Views:
 
     def check_finite(self) -> None:
         """Raise NotFiniteError, naming the row, unless every number is finite."""
-        for name, what in (("camera", "positions"), ("light", "positions"), ("intensity", "light intensities")):
+        what_of = {"camera": "positions", "light": "positions", "intensity": "light intensities"}
+        for name, what in what_of.items():
             for row, numbers in enumerate(getattr(self, name).tolist()):
                 if not all(map(math.isfinite, numbers)):
                     raise NotFiniteError(f"finite {what}", f"{name} {row} at {numbers}",
                                          "check the calibration for NaN")
 
     def _check_scale(self) -> None:
-        """Distances beside the patch, and light beside distances: both are plain numbers, whatever the unit
-        of length.
-        """
+        """Check distances over the patch side, and light over distances: both have no unit."""
         sides = self.to(torch.float64).in_patch_sides()
         for name in ("camera", "light"):
             for row, position in enumerate(getattr(sides, name).tolist()):
                 if position[2] < NEAREST or max(map(abs, position)) > FARTHEST:
                     at = ", ".join(f"{x:.3g}" for x in position)
                     raise CaptureError(f"cameras and lights {NEAREST:g} to {FARTHEST:g} patch sides away",
-                                       f"{name} {row} at ({at}) sides", "give the patch size in the unit of "
-                                                                        "the positions")
+                                       f"{name} {row} at ({at}) sides",
+                                       "give the patch size in the unit of the positions")
         beside = torch.cat(((sides.light[:, :2].abs() - 0.5).clamp_min(0), sides.light[:, 2:]), dim=1)
         brightness = sides.intensity.amax(dim=1) / beside.square().sum(dim=1)
         if not bool((brightness <= BRIGHTEST).all()):
@@ -167,7 +164,7 @@ class Views:
             yield View(tuple(camera), tuple(light), tuple(intensity))
 
     def carried(self, shift: Tensor) -> Views:
-        """Cameras and lights moved together: a point moved along is lit as the point itself was.
+        """Cameras and lights moved together. A point that moves with them keeps its lighting.
 
         Args:
             shift: N x 3 or 3, in the unit of the positions.
@@ -175,8 +172,7 @@ class Views:
         moved = replace(self, camera=self.camera + shift, light=self.light + shift)
         if self.falloff == "inverse-square":
             return moved
-        # A light without falloff is as bright everywhere as at the centre of the patch, from which this one
-        # has moved.
+        # The irradiance of a light without falloff is that of the patch centre, and this light has moved.
         nearer = moved.light.square().sum(dim=1) / self.light.square().sum(dim=1)
         return replace(moved, intensity=self.intensity * nearer[:, None])
 
@@ -184,7 +180,7 @@ class Views:
         """The views at these positions, in this order.
 
         Raises:
-            CaptureError: a position that is not there or no whole number, or none at all.
+            CaptureError: no position, or one that does not exist or is no whole number.
         """
         rows = whole_numbers(index)
         if not rows or min(rows) < 0 or max(rows) >= len(self):
@@ -193,9 +189,7 @@ class Views:
         return replace(self, camera=self.camera[rows], light=self.light[rows], intensity=self.intensity[rows])
 
     def in_patch_sides(self) -> Views:
-        """The same views with the patch side as unit of length (size = 1): same radiance, better-scaled
-        numbers.
-        """
+        """The same views and radiance with the patch side as unit of length (size = 1)."""
         s = self.size
         return replace(self, camera=self.camera / s, light=self.light / s, intensity=self.intensity / s**2,
                        size=1.0)
@@ -219,9 +213,7 @@ def shift_lights(views: Views, flash_offset: tuple[float, float] | None) -> View
 
 
 def texel_positions(resolution: int, dtype: torch.dtype = torch.float64) -> Tensor:
-    """Centres of the texels of an R x R map on a patch of side 1: R x R x 3, row 0 at the top (largest y), z
-    = 0.
-    """
+    """Centres of the texels of an R x R map on a patch of side 1: R x R x 3, row 0 at the top, z = 0."""
     step = (torch.arange(resolution, dtype=dtype) + 0.5) / resolution - 0.5
     y, x = torch.meshgrid(-step, step, indexing="ij")
     return torch.stack((x, y, torch.zeros_like(x)), dim=-1)
@@ -262,8 +254,7 @@ def nine_view_grid(distance: float = 2.0, spread: float = 0.4) -> Views:
 
 
 def default_views(count: int, field_of_view: float = FIELD_OF_VIEW, share: float = 1.0) -> Views:
-    """The geometry assumed for photos without calibration: all alike, camera and light together above the
-    centre.
+    """The default geometry of photos without calibration: camera and light together above the centre.
 
     Args:
         count: number of photos.
@@ -271,17 +262,14 @@ def default_views(count: int, field_of_view: float = FIELD_OF_VIEW, share: float
         share: the patch side as a share of that long side.
 
     Returns:
-        Views with the patch side as unit; the intensity is such that a white diffuse texel at the patch
-        centre has radiance 1, so that display values read as albedo.
+        Equal views with the patch side as unit. A white diffuse texel at the patch centre has radiance 1.
     """
     distance = 0.5 / (share * math.tan(math.radians(field_of_view) / 2))
     return Views.of([[0.0, 0.0, distance]] * count, intensity=math.pi * distance**2)
 
 
 def geometry(views: Views, resolution: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Unit vectors to the light and half way to the camera, and the irradiance of flat texels: N x R x R x 3
-    each.
-    """
+    """Unit vectors to the light, half vectors, and irradiance of flat texels: N x R x R x 3 each."""
     views, texels = views.in_patch_sides(), texel_positions(resolution)
     light, camera = (x[:, None, None] - texels for x in (views.light, views.camera))
     reach = light.norm(dim=-1, keepdim=True)
@@ -297,7 +285,7 @@ def whole_numbers(index: Sequence[int] | Tensor) -> list[int]:
     """An index as a list of whole numbers.
 
     Raises:
-        CaptureError: something else, such as text, fractions, or truth values.
+        CaptureError: the index is something else, such as text, fractions or truth values.
     """
     try:
         numbers: list = index.tolist() if hasattr(index, "tolist") else list(index)
@@ -309,10 +297,10 @@ def whole_numbers(index: Sequence[int] | Tensor) -> list[int]:
 
 
 def photo_numbers(text: str | None) -> list[int] | None:
-    """The numbers that a text like ``0,1,2,5`` names; None for None, which stands for all photos.
+    """The numbers in a text like ``0,1,2,5``. None stands for all photos.
 
     Raises:
-        ConfigError: it names none.
+        ConfigError: the text has no numbers.
     """
     try:
         return None if text is None else [int(part) for part in text.split(",")]
