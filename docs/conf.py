@@ -30,10 +30,10 @@ CONTENTS = {
                   "Tutorial </docs/tutorial>"],
         "How to": ["/docs/install", "/docs/capture", "/docs/relight", "/docs/export", "/docs/batch",
                    "/docs/testing"],
-        "How good it is": ["/docs/limits", "/docs/faq", "/docs/evaluation",
-                           "/docs/results/benchmark", "/docs/results/stability", "/docs/results/*"],
+        "How good it is": ["/docs/limits", "/docs/faq", "/docs/evaluation"],
         "How it works": ["/docs/method", "/ARCHITECTURE"],
         "Reference": ["/docs/commands", "/docs/python", "/docs/formats", "/docs/conventions"],
+        "Results": ["/docs/results/benchmark", "/docs/results/stability", "/docs/results/*"],
         "Project": ["All at a glance </README>", "/CONTRIBUTING", "/CHANGELOG", "/SECURITY"],
     },
 }

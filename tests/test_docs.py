@@ -118,6 +118,17 @@ def test_what_the_first_pages_make_is_not_taken_for_source(name):
     assert made or name == "docs/index.md"
 
 
+def test_the_first_page_leads_to_every_user_page():
+    linked = re.findall(r"\]\((\w[\w-]*\.md)", (ROOT / "docs/index.md").read_text())
+    assert {path.name for path in (ROOT / "docs").glob("*.md")} - {"index.md"} <= set(linked)
+
+
+def test_user_pages_are_short():
+    words = {path.name: len(path.read_text().split()) for path in (ROOT / "docs").glob("*.md")}
+    assert not {name: count for name, count in words.items() if count > 1500}
+    assert sum(words.values()) <= 22_000
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["docs/export.md", "docs/relight.md"])
 def test_commands_for_a_fit(name, photos):
