@@ -1,7 +1,8 @@
 """Every page of the package: of a fit, a capture, a comparison, a cross-check; and values in notebooks.
 
-A page is one HTML file that opens from disk and asks nothing of a network. It computes nothing: it shows numbers
-that stand in a JSON, and pictures of tensors. ``page`` fills a template, ``base.html`` is the look that pages share.
+A page is one HTML file that opens from disk and asks nothing of a network. It computes nothing: it shows
+numbers that stand in a JSON, and pictures of tensors. ``page`` fills a template; ``base.html`` is the look that
+pages share.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ SHOWN_IN_NOTEBOOKS = {"SVBRDF": "material.maps", "Capture": "capture.capture", "
 
 
 def show_in_notebooks() -> None:
-    """Let IPython show materials, captures and fits as pictures, where it runs; nothing is loaded for that."""
+    """Let IPython show materials, captures and fits as pictures, where it runs. This loads nothing."""
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     if shell is not None:
         html = shell.display_formatter.formatters["text/html"]

@@ -1,12 +1,11 @@
 """Sheets of labelled pictures: one large dark PNG or JPEG, its texts and pictures placed in pixels.
 
-The contact sheet of a capture, the sheet of a fit and those of the benchmark are made with it.
+The contact sheet of a capture and the overview of a fit are made with it.
 """
 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -59,15 +58,8 @@ class Canvas:
         FigureCanvasAgg(self.figure).print_png(data)
         files.write_bytes(path, data.getvalue())
 
-    def write_jpeg(self, path: Path, qualities: Sequence[int], most: int) -> None:
-        """Write the page as a JPEG of the first of these qualities (1 to 95) of at most ``most`` bytes, else
-        the last.
-        """
-        canvas, data = FigureCanvasAgg(self.figure), b""
-        for quality in qualities:
-            buffer = io.BytesIO()
-            canvas.print_jpg(buffer, pil_kwargs={"quality": quality, "optimize": True})
-            data = buffer.getvalue()
-            if len(data) <= most:
-                break
-        files.write_bytes(path, data)
+    def write_jpeg(self, path: Path, quality: int) -> None:
+        """Write the page as a JPEG of a quality of 1 to 95."""
+        data = io.BytesIO()
+        FigureCanvasAgg(self.figure).print_jpg(data, pil_kwargs={"quality": quality})
+        files.write_bytes(path, data.getvalue())

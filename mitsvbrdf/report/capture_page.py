@@ -4,14 +4,12 @@ none.
 
 from __future__ import annotations
 
-import io
 import math
 import textwrap
 from pathlib import Path
 
 import numpy as np
 import torch
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from torch import Tensor
 
 from ..capture.photo import Photo
@@ -45,8 +43,8 @@ def write_quality(result: CaptureResult, folder: str | Path) -> None:
     pictures = {name: picture_uri(at_most(photo, THUMBNAIL), 0) for name, photo in
                 [*zip(result.used, result.capture.photos),
                  *((n, p) for n, p in rejected.items() if p is not None)]}
-    write_page(folder / "quality.html", "report/capture.html", title=f"Capture: {_name(result)}", record=record,
-               pictures=pictures, coverage=png_uri(_coverage_picture(result.coverage)), plan=_plan(result))
+    write_page(folder / "quality.html", "report/capture.html", title=f"Capture: {_name(result)}",
+               record=record, pictures=pictures, coverage=png_uri(_coverage_picture(result.coverage)), plan=_plan(result))
 
 
 def quality_record(result: CaptureResult) -> dict:
@@ -152,6 +150,4 @@ def _contact_sheet(path: Path, result: CaptureResult, record: dict,
         reason = textwrap.wrap(result.rig.rejected[name], 30, max_lines=5, placeholder=" …")
         for n, line in enumerate([name, *reason]):
             sheet.text(x, y + small + 16 + 16 * n, line, 8, SHEET_QUIET if n else SHEET_TEXT)
-    data = io.BytesIO()
-    FigureCanvasAgg(sheet.figure).print_jpg(data, pil_kwargs={"quality": 88})
-    files.write_bytes(path, data.getvalue())
+    sheet.write_jpeg(path, 88)

@@ -1,4 +1,4 @@
-"""Charts by matplotlib: the loss of a fit, the error of renders, and what charts of errors share."""
+"""Charts by matplotlib: the losses of a fit, the error of renders, and how a figure becomes an SVG."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import LogFormatter
 
 from ..io import files
-from .colours import CHART_BOUND, CHART_FAINT, CHART_GRID, CHART_LINES
+from .colours import CHART_FAINT, CHART_GRID, CHART_LINES
 from .curves import losses_of
 
-BSDF_MARKS = {"roughconductor": "o", "principled": "s"}
 # of one width; GitHub shows an SVG without fonts from elsewhere
 SVG_FONTS = ["DejaVu Sans", "Verdana", "sans-serif"]
 SVG_PLACES = re.compile(r' (?:d|x|y|transform)="[^"]*"')
@@ -55,13 +53,6 @@ def _svg_text(drawing: Figure, **look: Any) -> str:
                           data.getvalue().decode())
 
 
-def bounded_panel(panel: Axes, title: str, bound: float) -> Line2D:
-    """Give a panel its title, quiet axes and a dashed line at the largest error allowed; returns the line."""
-    line = panel.axhline(bound, color=CHART_BOUND, linewidth=0.8, linestyle="--")
-    _quiet(panel, title, 10, 8)
-    return line
-
-
 def loss_curve(path: str | Path, trace: Sequence[Mapping]) -> None:
     """Write an SVG of the re-rendering error, and below it of each loss, against seconds.
 
@@ -83,7 +74,7 @@ def loss_curve(path: str | Path, trace: Sequence[Mapping]) -> None:
             points = [(row["seconds"], row[name]) for row in trace
                       if row["seconds"] > 0 and row.get(name, 0) > 0]
             _line(panel, points, CHART_LINES[number % len(CHART_LINES)], name)
-        _quiet(panel, title, 9, 7)
+        quiet(panel, title, 9, 7)
     if losses:
         panels[1].legend(fontsize=7, frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
     panels[-1].set_xlabel("seconds", fontsize=8)
@@ -92,7 +83,7 @@ def loss_curve(path: str | Path, trace: Sequence[Mapping]) -> None:
 
 def error_curve(path: str | Path, curves: Sequence[Sequence[Mapping]], target: float | None = None,
                 title: str = "") -> None:
-    """Write an SVG of the estimated error of renders against seconds, one line a frame, both axes logarithmic.
+    """Write an SVG of the estimated error of renders against seconds, one line a frame, logarithmic axes.
 
     The target is a dashed line. A dotted line falls as the root of time through the end of the last frame's.
 
@@ -116,14 +107,14 @@ def error_curve(path: str | Path, curves: Sequence[Sequence[Mapping]], target: f
               alpha=1 if len(lines) == 1 else 0.5)
     if lines:
         t, e = lines[-1][-1]  # the first frame also compiles
-        ends = np.array([min(x for line in lines for x, _ in line), max(x for line in lines for x, _ in line)])
+        ends = np.array([pick(x for line in lines for x, _ in line) for pick in (min, max)])
         axes.plot(ends, e * np.sqrt(t / ends), color=CHART_FAINT, linewidth=1, linestyle=":",
                   label="1 / \N{SQUARE ROOT}seconds")
     if target:
         axes.axhline(target, color=CHART_LINES[1], linewidth=1, linestyle="--", label=f"target {target:g}")
     axes.set_xlabel("seconds", fontsize=8)
     axes.set_ylabel("RMSE in display values", fontsize=8)
-    _quiet(axes, title, 9, 7)
+    quiet(axes, title, 9, 7)
     if lines or target:
         axes.legend(fontsize=7, frameon=False)
     files.write_bytes(Path(path), svg_file(figure))
@@ -140,7 +131,8 @@ def _line(axes: Axes, points: Sequence[tuple[float, float]], colour: str, label:
             axis.set_minor_formatter(PlainNumbers())
 
 
-def _quiet(axes: Axes, title: str, title_size: int, label_size: int) -> None:
+def quiet(axes: Axes, title: str, title_size: int, label_size: int) -> None:
+    """Give axes a title, a faint grid and small labels."""
     axes.set_title(title, loc="left", fontsize=title_size)
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(True, which="major", color=CHART_GRID, linewidth=0.6)

@@ -13,5 +13,5 @@ PAGE_LINES = ("#d1651f", "#2b7fc4", "#3a9a54", "#b453b0", "#a98417", "#6673dc", 
 # Charts on white: lines told apart by lightness too, the default method's first; text beside them, axes and
 # grid.
 CHART_LINES = ("#c8501e", "#2a6fb0", "#7fb2dd", "#1b8a5a", "#5b6270", "#8a4fa3", "#b8860b")
-CHART_TEXT, CHART_QUIET, CHART_FAINT, CHART_AXIS, CHART_GRID = "#3f444d", "#6b7280", "#9aa0a8", "#b9bec6", "#e3e5e8"
+CHART_FAINT, CHART_GRID = "#9aa0a8", "#e3e5e8"
 CHART_BOUND = "#b3261e"  # a line that must not be crossed

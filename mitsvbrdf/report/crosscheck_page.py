@@ -12,13 +12,14 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from torch import Tensor
 
 from ..verify.crosscheck import left_out
-from .charts import BSDF_MARKS, bounded_panel, svg
-from .colours import CHART_FAINT
+from .charts import quiet, svg
+from .colours import CHART_BOUND, CHART_FAINT
 from .page import figure, write_page
 from .pictures import error_picture, png_uri
 
 # Error maps of all configurations share these ends of their log scale, so that they can be compared by eye.
 LEAST_SHOWN, MOST_SHOWN = 1e-8, 1e-4
+BSDF_MARKS = {"roughconductor": "o", "principled": "s"}
 
 
 def write_crosscheck_page(path: str | Path, record: dict, error_maps: Mapping[tuple[str, str, str],
@@ -76,7 +77,8 @@ def error_against_time(record: dict) -> Figure:
     tolerances = record["tolerances"]["image"]["mean"], record["tolerances"]["gradients"]["relative_l2"]
     titles = "Mean relative image error", "Gradient of the worst map, relative L2"
     for panel, title, tolerance in zip(panels, titles, tolerances):
-        line = bounded_panel(panel, title, tolerance)
+        line = panel.axhline(tolerance, color=CHART_BOUND, linewidth=0.8, linestyle="--")
+        quiet(panel, title, 10, 8)
         panel.set(xscale="log", yscale="log", xlabel="seconds, forward and backward")
         for axis, (low, high) in ((panel.xaxis, panel.get_xlim()), (panel.yaxis, panel.get_ylim())):
             axis.set_major_locator(LogLocator(subs=(1, 2, 5) if high / low < 100 else (1,)))

@@ -43,14 +43,16 @@ def curves(trace: Sequence[Mapping], names: Sequence[str]) -> dict | None:
     y = _Axis([v for points in lines.values() for _, v in points], FRAME[3], FRAME[1])
     return {"width": CHART_WIDTH, "height": CHART_HEIGHT, "frame": FRAME,
             "x": x.ticks(), "y": y.ticks(),
-            "lines": [{"name": name, "colour": PAGE_LINES[i % len(PAGE_LINES)], "marked": len(points) <= MOST_MARKED,
+            "lines": [{"name": name, "colour": PAGE_LINES[i % len(PAGE_LINES)],
+                       "marked": len(points) <= MOST_MARKED,
                        "points": [(x(s), y(v), s, v) for s, v in points]}
                       for i, (name, points) in enumerate(lines.items())]}
 
 
 def error_and_losses(trace: Sequence[Mapping]) -> list[tuple[str, dict]]:
     """Title and drawing of the error, and of the losses; without those that have no point."""
-    drawn = (("Re-rendering RMSE", curves(trace, ["rerender_rmse"])), ("Losses", curves(trace, losses_of(trace))))
+    drawn = (("Re-rendering RMSE", curves(trace, ["rerender_rmse"])),
+             ("Losses", curves(trace, losses_of(trace))))
     return [(title, drawing) for title, drawing in drawn if drawing]
 
 

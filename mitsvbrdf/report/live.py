@@ -1,7 +1,7 @@
 """The live page of a fit: one static file beside the result that is being made, rewritten while the fit runs.
 
-It opens from disk. Its script reloads it every two seconds while ``live.svg`` lies beside it, and goes on to the
-report of the finished fit when that is gone.
+It opens from disk. Its script reloads it every two seconds while ``live.svg`` lies beside it. When that is gone
+the script goes on to the report of the finished fit.
 """
 
 from __future__ import annotations
@@ -57,8 +57,9 @@ class LivePage:
 
     def _write(self, fit: LiveState | None) -> None:
         best = fit and min(fit.trace, key=lambda row: row["rerender_rmse"], default=None)
-        maps = [] if fit is None else [(TITLES[name], picture_uri(shown_map(name, fit.svbrdf[name]).nan_to_num()))
-                                       for name in CHANNELS[fit.svbrdf.bsdf]]
+        svbrdf = fit and fit.svbrdf
+        maps = [(TITLES[name], picture_uri(shown_map(name, svbrdf[name]).nan_to_num()))
+                for name in CHANNELS[svbrdf.bsdf]] if svbrdf else []
         names = fit and " · ".join(filter(None, (fit.capture, fit.method)))
         write_page(self.path, "report/live.html", title=names or self.name, fit=fit, best=best, maps=maps,
                    curves=error_and_losses(fit.trace) if fit else [], out=self.out, name=self.name, mark=MARK,

@@ -27,14 +27,12 @@ SHOWN = 9  # photos
 
 
 def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Tensor, *, rmse: float,
-                per_photo: Sequence[float], guess: Tensor | None = None, names: Sequence[str] | None = None,
-                title: str = "Recovered material", note: str = "", remarks: Mapping[str, str]
-                | None = None) -> None:
-    """One PNG, 1680 pixels wide: the maps, and under them each photo over its re-rendering over their
-    difference.
+                per_photo: Sequence[float], names: Sequence[str], title: str, guess: Tensor | None = None,
+                remarks: Mapping[str, str] | None = None) -> None:
+    """Write one PNG, 1680 pixels wide: the maps, and below them photos, re-renderings and differences.
 
-    Colour maps are shown in sRGB, the others as they are, normals as (n + 1) / 2. At most nine photos are
-    shown.
+    Colour maps are shown in sRGB, roughness and metallic as they are, normals as (n + 1) / 2. At most nine
+    photos are shown.
 
     Args:
         path: the PNG to write or replace.
@@ -43,10 +41,9 @@ def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Te
         rerendered: the same shape, display values in [0, 1] (``color.to_display`` of the radiance).
         rmse: the error over all photos, in display values.
         per_photo: the error of each.
-        guess: guessed diffuse map, R x R x 3, linear, if there was one.
-        names: a name for each photo; left out: 00, 01, ...
+        names: a name for each photo.
         title: the heading.
-        note: a quieter line under it, e.g. method, renderer and run time.
+        guess: guessed diffuse map, R x R x 3, linear, or None.
         remarks: a few words beside the name of some maps, by map.
 
     Raises:
@@ -54,12 +51,10 @@ def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Te
         OutputError: the file cannot be written.
     """
     count = len(photos)
-    names = [f"{i:02d}" for i in range(count)] if names is None else names
     if not count or photos.shape != rerendered.shape or not count == len(per_photo) == len(names):
         raise CaptureError("a re-rendering, an error and a name for each photo",
                            f"photos {tuple(photos.shape)}, re-rendered {tuple(rerendered.shape)}, "
-                           f"{len(per_photo)} "
-                           f"errors, {len(names)} names", "give all of them for the same photos")
+                           f"{len(per_photo)} errors, {len(names)} names", "give all of them for the same photos")
     shown = min(count, SHOWN)
     behind = {name: f"  ·  {remark}" for name, remark in (remarks or {}).items()}
     tiles = [(TITLES[name] + behind.get(name, ""), shown_map(name, svbrdf[name]))
@@ -70,7 +65,6 @@ def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Te
     sheet = Canvas(photo_top + 3 * (LABEL_HEIGHT + small) + LABEL_HEIGHT + 20)
 
     sheet.text(SHEET_MARGIN, 52, title, 22, SHEET_TEXT, weight="bold")
-    sheet.text(SHEET_MARGIN, 80, note, 11, SHEET_QUIET)
     sheet.text(SHEET_WIDTH - SHEET_MARGIN, 52, f"{rmse:.4f}", 24, SHEET_ACCENT, weight="bold", ha="right")
     which = ("1 photo" if count == 1
              else f"{count} photos" + (f", {shown} of them shown" if shown < count else ""))

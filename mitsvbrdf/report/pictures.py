@@ -1,5 +1,4 @@
-"""Pictures inside a page: tensors as ``data:`` addresses for ``<img src>``, shrunk, or as colours of an
-error.
+"""Pictures inside a page: tensors as ``data:`` addresses for ``<img src>``, shrunk, or as colours of errors.
 
 Everything here takes display values (encoded, 0 to 1), never linear radiance. OpenCV and matplotlib are
 loaded with the first picture.
@@ -10,7 +9,6 @@ from __future__ import annotations
 import base64
 import math
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -29,21 +27,16 @@ def magma(share: Tensor) -> Tensor:
 
 
 def png_uri(display: Tensor) -> str:
-    """A picture for ``<img src>``.
+    """A picture for ``<img src>``, exact to 8 bits.
 
     Args:
         display: H x W x 3 (or x 1), display values; clipped to [0, 1].
     """
-    import cv2
-
-    levels = (color.clip(display.detach().float()) * 255).round().to(torch.uint8)
-    pixels = levels.expand(*levels.shape[:2], 3).flip(-1).contiguous().numpy()  # OpenCV writes BGR
-    return "data:image/png;base64," + base64.b64encode(cv2.imencode(".png", pixels)[1].tobytes()).decode()
+    return _uri(display, "png")
 
 
 def picture_uri(display: Tensor, exact_up_to: int = 64 * 1024) -> str:
-    """A picture for ``<img src>``, exact as :func:`png_uri` makes it while that is small, else a JPEG of
-    quality 85.
+    """A picture for ``<img src>``: a PNG while that is small, else a JPEG of quality 85.
 
     Args:
         display: H x W x 3 (or x 1), display values; clipped to [0, 1].
@@ -54,12 +47,17 @@ def picture_uri(display: Tensor, exact_up_to: int = 64 * 1024) -> str:
     exact = png_uri(display)
     if len(exact) < 4 / 3 * exact_up_to:
         return exact
-    pixels = np.rint(color.clip(display.detach().float()).expand(*display.shape[:2],
-                                                                 3).numpy() * 255).astype(np.uint8)
-    ok, data = cv2.imencode(".jpg", np.ascontiguousarray(pixels[..., ::-1]), [
-        cv2.IMWRITE_JPEG_QUALITY, 85, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444])
-    assert ok
-    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
+    return _uri(display, "jpeg", cv2.IMWRITE_JPEG_QUALITY, 85, cv2.IMWRITE_JPEG_SAMPLING_FACTOR,
+                cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
+
+
+def _uri(display: Tensor, kind: str, *options: int) -> str:
+    import cv2
+
+    levels = (color.clip(display.detach().float()) * 255).round().to(torch.uint8)
+    pixels = levels.expand(*levels.shape[:2], 3).flip(-1).contiguous().numpy()  # OpenCV writes BGR
+    data = cv2.imencode(f".{kind}", pixels, options)[1].tobytes()
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
 
 
 def at_most(picture: Tensor, side: int) -> Tensor:
@@ -82,7 +80,7 @@ def error_picture(error: Tensor, high: float, low: float | None = None) -> Tenso
     Args:
         error: H x W, not negative.
         high: the value shown brightest.
-        low: the value shown black; left out: ``high`` / 1e4.
+        low: the value shown black. Default: ``high`` / 1e4.
     """
     low = low or high / 1e4
     share = (torch.log(error.double().clamp_min(1e-300) / low) / math.log(high / low)).clamp(0, 1)
