@@ -10,7 +10,6 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-from typing import Any
 
 __version__ = "1.0.0"
 
@@ -31,9 +30,9 @@ _HOME = {
 __all__ = sorted(_HOME)
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name in _HOME:
-        from .io.lock import PROCESS
+        from .io.signals import PROCESS
         with PROCESS:  # torch and Mitsuba do not bear a second thread while they load
             if "torch" not in sys.modules:
                 # its idle threads leave the cores to Mitsuba

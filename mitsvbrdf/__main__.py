@@ -1,6 +1,4 @@
-"""Entry point: prepares the process, then hands over to the command line; ``doctor`` works even where
-packages miss.
-"""
+"""Entry point: prepares the process, then runs the command line; ``doctor`` works even where packages miss."""
 
 from __future__ import annotations
 
@@ -13,40 +11,35 @@ INTERRUPTED = 130
 
 def main() -> int:
     """Run ``mitsvbrdf`` with the arguments of the process; returns the exit code."""
-    # Raised in the middle of an import, Ctrl-C may come out as another error, or not at all: there it ends
-    # the process.
     heard = signal.getsignal(signal.SIGINT) == signal.default_int_handler
-    if heard:
-        signal.signal(signal.SIGINT, lambda *_: os._exit(INTERRUPTED))
-    # Idle threads sleep instead of spinning: torch and Dr.Jit have a pool each and take turns. Read when
-    # torch loads.
+    if heard:  # at once, and quietly: nothing is begun yet
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+    # Idle threads sleep instead of spinning: torch and Dr.Jit have a pool each and take turns. Torch reads this
+    # when it loads.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-    from .io.streams import guard_streams, told
-    guard_streams()
     try:
         code = _run(heard)
     except KeyboardInterrupt:
         code = INTERRUPTED
     except SystemExit as stop:  # help was shown, or options are wrong
         code = stop.code if isinstance(stop.code, int) else 0 if stop.code is None else 2
-    from .cli import only_prints
-    code = told(code, only_prints(sys.argv[1:]))
-    # Python forgets a Ctrl-C that came out of a library's exec; else it ends by the signal, without our exit
-    # code
-    exec("")
-    if heard:
-        # libraries that are being taken down would show a traceback
+    if heard:  # libraries that are taken down would show a traceback
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    return code
+    try:
+        from .io.streams import told
+    except ImportError:  # a package is missing, and was named
+        return code
+    return told(code)
 
 
 def _run(heard: bool) -> int:
     try:
-        from .cli import load
-        from .cli import main as run
-        load(sys.argv[1:])
+        from .io.signals import interrupt
         if heard:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
+            signal.signal(signal.SIGINT, interrupt)
+        from .io.streams import guard_streams
+        guard_streams()
+        from .cli import main as run
         return run()
     except ImportError as missing:
         if (missing.name or "").partition(".")[0] == __package__:
@@ -54,7 +47,8 @@ def _run(heard: bool) -> int:
         if sys.argv[1:2] == ["doctor"]:
             from .doctor import doctor
             return doctor(json="--json" in sys.argv)
-        print(f"error: expected all packages installed, got: {missing}; type ./run setup, or mitsvbrdf doctor", file=sys.stderr)
+        print(f"error: expected all packages installed, got: {missing}; type ./run setup, or mitsvbrdf doctor",
+              file=sys.stderr)
         return 2
 
 

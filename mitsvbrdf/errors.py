@@ -94,50 +94,42 @@ def plain_warnings() -> Iterator[None]:
 
 
 def exit_code(command: Callable[[], int], interrupted: str = "interrupted") -> int:
-    """Run a command. A mistake becomes one line and exit code 2, Ctrl-C one line and 130.
+    """Run a command; mistakes and Ctrl-C become one line and an exit code, 2 and 130.
 
     Args:
         command: returns its own exit code.
         interrupted: the line after Ctrl-C.
     """
     try:
-        return _interruptible(command)
-    except MitsvbrdfError as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 2
-    except UnicodeEncodeError as error:
-        if error.reason != "surrogates not allowed":
-            raise  # a fault of our own, not of a name
-        near = error.object[max(0, error.start - 40):error.end + 20]
-        near = near.encode("utf-8", "backslashreplace").decode()
-        print(f"error: expected names of files in UTF-8, got {near}; rename the file or folder",
-              file=sys.stderr)
-        return 2
-    except OSError as error:
-        place, got = error.filename or "a file", error.strerror or error
-        print(f"error: expected to read or write {place}, got {got}; check the name and your rights to it",
-              file=sys.stderr)
-        return 2
-    except (MemoryError, RuntimeError) as error:
-        if isinstance(error, RuntimeError) and "allocate memory" not in str(error):  # torch's words for it
-            raise
-        got = str(error).splitlines()[0] if str(error) else "too little"
-        print(f"error: expected enough memory, got {got}; choose a lower --resolution, or fewer photos",
-              file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print(interrupted, file=sys.stderr)
-        return 130
-
-
-def _interruptible(command: Callable[[], int]) -> int:
-    """Run a command. Ctrl-C in a render of Mitsuba is KeyboardInterrupt again, not Dr.Jit's RuntimeError."""
-    try:
         return command()
-    except RuntimeError as error:
-        cause = error.__cause__
-        while cause and not isinstance(cause, KeyboardInterrupt):
-            cause = cause.__cause__
-        if cause:
-            raise cause from None
-        raise
+    except (Exception, KeyboardInterrupt) as error:
+        if _is_of_ctrl_c(error):
+            print(interrupted, file=sys.stderr)
+            return 130
+        if (said := _said(error)) is None:
+            raise
+        print(f"error: {said}", file=sys.stderr)
+        return 2
+
+
+def _said(error: BaseException) -> str | None:
+    """What to say of a mistake the user can mend; None for a fault of our own."""
+    if isinstance(error, MitsvbrdfError):
+        return str(error)
+    if isinstance(error, UnicodeEncodeError) and error.reason == "surrogates not allowed":
+        name = error.object[max(0, error.start - 40):error.end + 20].encode("utf-8", "backslashreplace").decode()
+        return f"expected names of files in UTF-8, got {name}; rename the file or folder"
+    if isinstance(error, OSError):
+        return (f"expected to read or write {error.filename or 'a file'}, got {error.strerror or error}; "
+                "check the name and your rights to it")
+    if isinstance(error, MemoryError) or isinstance(error, RuntimeError) and "allocate memory" in str(error):  # torch's
+        return (f"expected enough memory, got {str(error).splitlines()[0] if str(error) else 'too little'}; "
+                "choose a lower --resolution, or fewer photos")
+    return None
+
+
+def _is_of_ctrl_c(error: BaseException | None) -> bool:
+    """Whether it is KeyboardInterrupt, or what a library made of one: Dr.Jit a RuntimeError, CPython a SystemError."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None

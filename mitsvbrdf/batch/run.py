@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import OutputError
-from ..io.interrupts import stop_signals
 from ..io.progress import several
+from ..io.signals import stop_signals
 from .library.rows import write_library
 from .manifest import Manifest
 from .places.address import title_of

@@ -12,9 +12,9 @@ from tyro.conf import Positional, arg
 
 from ..errors import ConfigError
 from ..io import results
-from ..io.interrupts import deferred_signals
 from ..io.progress import print_rich, progress_bar, say
-from .options import Out, Overwrite, TransferChoice
+from ..io.signals import deferred_signals
+from .options import Out, Overwrite, Strict, TransferChoice
 
 if TYPE_CHECKING:
     from ..capture.stages import CaptureResult
@@ -39,7 +39,8 @@ def capture(photos: Annotated[Positional[Path],
             reference: Annotated[Literal["best", "first"],
                                  arg(help="Photo that says what is up, without a sheet: the one taken most "
                                           "nearly from straight above, or the first.")] = "best",
-            overwrite: Overwrite = False) -> int:
+            overwrite: Overwrite = False,
+            strict: Strict = False) -> int:
     """Make a capture of raw photos for `mitsvbrdf fit`: find the poses of the phone, rectify, reject bad
     photos.
 

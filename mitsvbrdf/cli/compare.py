@@ -19,6 +19,7 @@ from ..views import photo_numbers
 from .options import (
     Out,
     Overwrite,
+    Strict,
     TransferOption,
     Variant,
     ViewList,
@@ -54,7 +55,7 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
                                              "for every method alike.")] = False,
             json_file: Annotated[Path | None,
                                  arg(name="json", help="Write the figures to this file.")] = None,
-            variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
+            variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False, strict: Strict = False) -> int:
     """Show maps of several methods side by side: input, maps, errors, and every photo beside its
     re-renderings.
 

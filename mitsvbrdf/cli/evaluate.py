@@ -19,6 +19,7 @@ from .options import (
     FalloffOption,
     Material,
     Overwrite,
+    Strict,
     TransferOption,
     Variant,
     ViewList,
@@ -46,7 +47,7 @@ def evaluate(maps: Positional[Material],
                                               "maps stay as they are.")] = False,
              json_file: Annotated[Path | None,
                                   arg(name="json", help="Write the figures to this file.")] = None,
-             variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
+             variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False, strict: Strict = False) -> int:
     """Measure maps: against known maps (--reference) or against photos (--capture).
 
     Map RMSE is counted as in the field: diffuse and specular gamma-encoded, roughness as stored, normal as (n

@@ -17,6 +17,7 @@ from ..io.progress import say
 from .options import (
     Material,
     Overwrite,
+    Strict,
     fit_of_maps,
     folder_inside,
     keep_apart_from_maps,
@@ -51,7 +52,7 @@ def export(maps: Positional[Material],
            zip: Annotated[bool, arg(help="Beside each format's folder, the same as FORMAT.zip.")] = False,
            out: Annotated[Path | None, arg(aliases=["-o"], help="Folder to write; left out: export inside "
                                                                 "MAPS.")] = None,
-           overwrite: Overwrite = False) -> int:
+           overwrite: Overwrite = False, strict: Strict = False) -> int:
     """Write a material for other programs: OUT/FORMAT/, with an export.json that states what each file holds.
 
     gltf is one GLB with the textures inside; materialx a standard_surface and an OpenPBR surface; usd a

@@ -22,11 +22,11 @@ from ..fit.omitted import decided_later, known_before, used
 from ..fit.options import FitOptions
 from ..fit.result import FitResult
 from ..io import results
-from ..io.interrupts import deferred_signals
 from ..io.profile import profiling
 from ..io.progress import Progress, print_numbers, print_profile, progress_bar, say
+from ..io.signals import deferred_signals
 from ..render import Renderer, make_renderer
-from .options import Out, Overwrite, Photos, keep_apart, read_photos
+from .options import Out, Overwrite, Photos, Strict, keep_apart, read_photos
 
 USUAL = FitOptions()
 THREE_WAYS = "--calibrate", "--exact"  # on, off or left to the fit
@@ -43,7 +43,7 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitAr
                                           "backward.")] = False,
         resume: Annotated[bool, arg(
             help="Go on from the checkpoint in OUT, same options, more --iterations.")] = False,
-        overwrite: Overwrite = False) -> int:
+        overwrite: Overwrite = False, strict: Strict = False) -> int:
     """Recover the maps of a material from photos.
 
     `mitsvbrdf fit photos/ -o out` is all it takes: the default method ends by itself, after 120 s at the

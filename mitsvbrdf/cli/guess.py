@@ -7,11 +7,12 @@ from tyro.conf import Positional
 from ..capture.guess import GuessMethod
 from ..io import images, results
 from ..io.progress import say
-from .options import Out, Overwrite, Photos, TransferOption, ViewList, keep_apart, read_photos
+from .options import Out, Overwrite, Photos, Strict, TransferOption, ViewList, keep_apart, read_photos
 
 
 def guess(capture: Positional[Photos], out: Out, method: GuessMethod = "robust", resolution: int = 256,
-          views: ViewList = None, transfer: TransferOption = "auto", overwrite: Overwrite = False) -> int:
+          views: ViewList = None, transfer: TransferOption = "auto", overwrite: Overwrite = False,
+          strict: Strict = False) -> int:
     """Guess the diffuse map, without a fit: OUT/diffuse.exr and diffuse.png.
 
     Methods: min is the minimum of each pixel, as in the paper. mean-blur is the mean, blurred. robust undoes

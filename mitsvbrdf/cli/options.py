@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 Out = Annotated[Path, arg(aliases=["-o"], help="Folder (or file) to write.")]
 Overwrite = Annotated[bool, arg(help="Replace results that are there already; export/ and relight/ made of "
                                      "them go too.")]
-Strict = Annotated[bool, arg(help="Refuse damaged photos, and maps that would have to be mended, instead of "
-                                  "warning.")]
+# Commands with this parameter run inside errors.strict: see cli.command.
+Strict = Annotated[bool, arg(help="Refuse damaged photos, and maps that would have to be mended, instead of warning.")]
 Variant = Annotated[Literal["llvm_ad_rgb", "cuda_ad_rgb"], arg(help="Mitsuba variant.")]
 ViewList = Annotated[str | None, arg(metavar="0,1,2,...", help="Which photos to use, by number; left out: "
                                                                "all.")]

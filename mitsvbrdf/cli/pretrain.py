@@ -8,7 +8,7 @@ from ..fit.gan_config import GanConfig
 from ..io.progress import Progress, say
 from ..render import RendererName, make_renderer
 from ..views import Falloff
-from .options import Out, Overwrite, Photos, Variant, check_new_files, read_photos
+from .options import Out, Overwrite, Photos, Strict, Variant, check_new_files, read_photos
 
 PAPER = GanConfig(preset="paper-two-stage")
 
@@ -16,7 +16,7 @@ PAPER = GanConfig(preset="paper-two-stage")
 def pretrain(picture: Positional[Photos], out: Out,
              config: UseAppendAction[OmitArgPrefixes[GanConfig]] = PAPER,
              resolution: int = 256, renderer: RendererName = "mitsuba", falloff: Falloff = "none",
-             variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
+             variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False, strict: Strict = False) -> int:
     """First stage of the paper's two-stage training: the generator learns from one picture with global
     features.
 

@@ -13,11 +13,12 @@ from tyro.conf import Positional, arg
 
 from ..errors import ConfigError
 from ..io import results
-from ..io.interrupts import stop_signals
 from ..io.progress import progress_bar, say
+from ..io.signals import stop_signals
 from .options import (
     Material,
     Overwrite,
+    Strict,
     Variant,
     fit_of_maps,
     folder_inside,
@@ -74,7 +75,7 @@ def relight(maps: Positional[Material],
                                             "written.")] = False,
             resume: Annotated[bool, arg(
                 help="Go on with the frames that are missing, same options.")] = False,
-            overwrite: Overwrite = False) -> int:
+            overwrite: Overwrite = False, strict: Strict = False) -> int:
     """Show a material under other light, path traced with Mitsuba: stills as EXR and PNG, movies as MP4 and
     GIF.
 

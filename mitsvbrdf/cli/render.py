@@ -18,6 +18,7 @@ from .options import (
     Material,
     Out,
     Overwrite,
+    Strict,
     TransferOption,
     Variant,
     ViewSource,
@@ -40,7 +41,7 @@ def render(maps: Positional[Material], out: Out, views: ViewSource = "builtin:gr
            diffuse: Annotated[Literal["fitted", "guessed"],
                               arg(help="guessed: show the guessed diffuse map of the fit "
                                        "instead of its own (paper IV.B).")] = "fitted",
-           variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
+           variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False, strict: Strict = False) -> int:
     """Render maps for the views of a capture: OUT/NN.png (display values) and NN.exr (linear)."""
     from ..views import shift_lights
 

@@ -9,7 +9,7 @@ from tyro.conf import Positional, arg
 
 from ..io import results
 from ..io.progress import print_numbers, progress_bar, say, say_written
-from .options import keep_apart
+from .options import Strict, keep_apart
 
 
 def report(out: Positional[Annotated[Path,
@@ -17,7 +17,8 @@ def report(out: Positional[Annotated[Path,
            capture: Annotated[Path | None, arg(metavar="CAPTURE", help=(
                "The photos of the fit: shown beside their re-renderings, and those left out of it predicted."))] = None,
            quick: Annotated[bool, arg(
-               help="Check as `fit` does: its own renderer, small, nothing timed.")] = False) -> int:
+               help="Check as `fit` does: its own renderer, small, nothing timed.")] = False,
+           strict: Strict = False) -> int:
     """Write OUT/report.html, one page about a fit that opens from disk, and its numbers, OUT/report.json.
 
     `fit` writes them too, quickly. This command holds every renderer against the float64 twin on the fitted

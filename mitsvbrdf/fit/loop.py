@@ -14,9 +14,9 @@ from torch import Tensor
 
 from ..capture import Capture
 from ..errors import ConfigError, MitsvbrdfError, NotFiniteError
-from ..io.interrupts import stop_signals
 from ..io.json import NUMBER, shape_error
 from ..io.profile import STEP, profiled
+from ..io.signals import stop_signals
 from ..material.maps import SVBRDF
 from ..measure.rerender import rerender
 from ..render import Renderer

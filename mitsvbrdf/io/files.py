@@ -15,6 +15,7 @@ import json
 import os
 import shutil
 import stat
+import threading
 import uuid
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,6 +24,7 @@ from filelock import FileLock, Timeout
 
 from ..errors import ConfigError, OutputError
 
+wrote = threading.Event()  # whether this process has written a file
 AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of Linux
 # No link is followed, no pipe waited for. Each is a flag of some systems only.
 _CAREFULLY = sum(getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
@@ -54,6 +56,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
         os.replace(temporary, path)
+        wrote.set()
     except OSError as reason:
         forbidden = reason.errno in (errno.EACCES, errno.EPERM, errno.EROFS)
         raise OutputError(f"to write {path}", reason.strerror or str(reason),
@@ -269,6 +272,7 @@ def check_names(*names: str | Path) -> None:
 def _places(path: Path) -> tuple[Path, Path]:
     """The file that a path stands for, links followed, and the temporary name beside it."""
     target = Path(os.path.realpath(path))
+    check_names(target)
     # a rename would replace a device or a pipe by a file
     if os.path.lexists(target) and not target.is_file():
         raise OutputError("a file to write",

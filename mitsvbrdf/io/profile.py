@@ -19,10 +19,12 @@ import contextlib
 from collections.abc import Iterator
 from contextvars import ContextVar
 from time import perf_counter
-
-from torch import Tensor
+from typing import TYPE_CHECKING
 
 from .timing import spread
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 STEP = "step"  # the scope around one step of a method; what else is measured counts beside the steps
 OTHER = "other"

@@ -32,7 +32,6 @@ from .files import (
     to_disk,
     write_json,
 )
-from .interrupts import deferred_signals
 from .manifest import (
     MANIFEST,
     derived,
@@ -43,6 +42,7 @@ from .manifest import (
     serial_of,
 )
 from .progress import say
+from .signals import deferred_signals
 
 CHECKPOINT = "checkpoint.safetensors"
 GLANCE = 0.05  # seconds that somebody who asks :func:`in_use` may hold the lock

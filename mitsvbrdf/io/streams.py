@@ -1,6 +1,4 @@
-"""Standard streams of a command: closed, full or without a reader, they neither end the work nor take a
-file's place.
-"""
+"""Standard streams of a command: closed, full or without a reader, they neither end the work nor take a file's place."""
 
 from __future__ import annotations
 
@@ -9,9 +7,11 @@ import os
 import sys
 from typing import Any
 
+from . import files
+
 
 class Unfailing(io.RawIOBase):
-    """A stream to write to that never raises: from the first failure on what is written is dropped.
+    """A stream to write to that never raises: after the first failure it drops what is written.
 
     Args:
         raw: the stream that may fail.
@@ -46,9 +46,7 @@ class Unfailing(io.RawIOBase):
 def guard_streams() -> None:
     """Let no standard stream of this process fail; call it before any file is opened.
 
-    One that was closed stays without a reader, and its number is taken: the next file opened would get it,
-    and what libraries print would end up in there. A letter that the terminal lacks is shown as a question
-    mark.
+    The number of a closed stream is taken, else the next file would get it and hold what libraries print.
     """
     for number in (0, 1, 2):
         try:
@@ -63,42 +61,34 @@ def guard_streams() -> None:
 
 
 def _guarded(stream: Any, number: int, errors: str) -> Any:
-    """The same stream, unfailing."""
     if stream is not None and not isinstance(stream, io.TextIOWrapper):
         return stream  # of an environment of its own
     if stream is None:
-        raw: Any = io.FileIO(number, "w", closefd=False)
-        return io.TextIOWrapper(io.BufferedWriter(Unfailing(raw)), "utf-8", errors)
+        return io.TextIOWrapper(io.BufferedWriter(Unfailing(io.FileIO(number, "w", closefd=False))), "utf-8", errors)
     stream.flush()
     raw = getattr(stream.buffer, "raw", stream.buffer)
     return io.TextIOWrapper(io.BufferedWriter(Unfailing(raw)), stream.encoding, errors,
                             line_buffering=stream.line_buffering or stream.write_through)
 
 
-def told(code: int, only_prints: bool = False) -> int:
+def told(code: int) -> int:
     """Say where standard output is cut short; returns the exit code.
+
+    A reader that has seen enough cuts nothing short. Where no file was written, standard output was the result,
+    and success becomes 2.
 
     Args:
         code: how the command ended.
-        only_prints: whether standard output was all that it was to give; the exit code then tells it too.
     """
-    reason = output_failure()
-    if reason is None:
+    sys.stdout.flush()
+    raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
+    failure = raw.failure if isinstance(raw, Unfailing) else None
+    if failure is None or isinstance(failure, BrokenPipeError):
         return code
-    if not only_prints:
+    reason = failure.strerror or failure
+    if files.wrote.is_set():
         print(f"warning: standard output is cut short: {reason}; results are not", file=sys.stderr)
         return code
     print(f"error: expected to write standard output, got {reason}; free space or choose another place",
           file=sys.stderr)
     return code or 2
-
-
-def output_failure() -> str | None:
-    """Why not all of standard output could be written; None where it was, or where its reader had seen
-    enough.
-    """
-    sys.stdout.flush()
-    raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
-    failure = raw.failure if isinstance(raw, Unfailing) else None
-    return (None if failure is None or isinstance(failure, BrokenPipeError)
-            else failure.strerror or str(failure))

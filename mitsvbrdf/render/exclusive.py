@@ -33,7 +33,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from ..io.entry import put_back
-from ..io.lock import PROCESS
+from ..io.signals import PROCESS
 from ..kinds import kinds_checked
 from .llvm import mitsuba_module
 

@@ -28,7 +28,7 @@ from types import ModuleType
 
 from ..errors import BackendError
 from ..io.json import load
-from ..io.lock import PROCESS
+from ..io.signals import PROCESS
 
 VARIABLE = "DRJIT_LIBLLVM_PATH"
 STATED = os.environ.get(VARIABLE)  # the user's, before :func:`use_llvm` sets its own

@@ -22,7 +22,7 @@ from helpers import GRID
 from mitsvbrdf.capture.lens import Lens, Pose
 from mitsvbrdf.fit.hierarchical import solver as solver_module
 from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
-from mitsvbrdf.io.lock import PROCESS
+from mitsvbrdf.io.signals import PROCESS
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.render.exclusive import using_mitsuba
 from mitsvbrdf.synth.traced import HandheldRenderer

@@ -22,7 +22,7 @@ from torch.nn.utils import convert_conv2d_weight_memory_format
 from ... import color
 from ...capture import Capture
 from ...io.entry import entry
-from ...io.interrupts import stop_signals
+from ...io.signals import stop_signals
 from ...material.maps import SVBRDF
 from ...material.resample import resized
 from ...measure.rerender import rerender

@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ...io.lock import PROCESS
+from ...io.signals import PROCESS
 from .. import losses
 from ..losses import Game
 from ..method import descend

@@ -5,7 +5,7 @@ import signal
 import pytest
 
 from mitsvbrdf.errors import exit_code
-from mitsvbrdf.io.interrupts import deferred_signals, stop_signals
+from mitsvbrdf.io.signals import deferred_signals, stop_signals
 from mitsvbrdf.render.llvm import mitsuba_module
 
 

@@ -1,5 +1,5 @@
-"""Ctrl-C and SIGTERM: long work is asked to stop and keeps what it has; short work that must be whole is not
-disturbed.
+"""Ctrl-C and SIGTERM: long work stops and keeps what it has, short work that must be whole is not disturbed, and no
+import is cut in two. And the lock for what a process has once.
 """
 
 from __future__ import annotations
@@ -8,6 +8,34 @@ import contextlib
 import signal
 import threading
 from collections.abc import Iterator
+from types import FrameType
+
+# For Mitsuba and Dr.Jit, the first import of libraries, and torch's own defaults.
+PROCESS = threading.RLock()
+AGAIN = 0.02  # seconds after which a Ctrl-C that met an import is tried again
+
+
+def interrupt(number: int, frame: FrameType | None) -> None:
+    """A handler of Ctrl-C that raises KeyboardInterrupt, once no import is under way.
+
+    Raised while an extension module loads, it may end the process, become another error, or be lost.
+    """
+    while frame is not None:
+        if frame.f_globals.get("__name__") == "importlib._bootstrap":
+            again = threading.Timer(AGAIN, _to_main_thread, (number,))
+            again.daemon = True
+            again.start()
+            return
+        frame = frame.f_back
+    raise KeyboardInterrupt
+
+
+def _to_main_thread(number: int) -> None:
+    main = threading.main_thread().ident
+    if main is not None and hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(main, number)
+    else:
+        signal.raise_signal(number)
 
 
 @contextlib.contextmanager
@@ -24,10 +52,10 @@ def stop_signals() -> Iterator[list[int]]:
 
     pressed = signal.getsignal(signal.SIGINT)
     if threading.current_thread() is not threading.main_thread() or pressed not in (
-        signal.default_int_handler, signal.SIG_IGN):
+            signal.default_int_handler, interrupt, signal.SIG_IGN):
         yield stop  # somebody else listens
         return
-    # A job that a script starts in the background is not to hear Ctrl-C, and still is ended by SIGTERM.
+    # A script's job in the background must not hear Ctrl-C; SIGTERM still ends it.
     heard = (signal.SIGTERM,) if pressed == signal.SIG_IGN else (signal.SIGINT, signal.SIGTERM)
     before = {number: signal.signal(number, asked_to_stop) for number in heard}
     try:

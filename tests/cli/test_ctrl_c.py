@@ -1,0 +1,77 @@
+"""Ctrl-C at any moment while a command starts: exit code 130, and at most one short line."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from helpers import ROOT
+
+from mitsvbrdf import cli
+
+COMMANDS = {
+    "fit": ["fit", "photos", "-o", "{}"], "guess": ["guess", "photos", "-o", "{}"],
+    "render": ["render", "builtin:tiles", "-o", "{}"],
+    "relight": ["relight", "builtin:tiles", "-o", "{}", "--preset", "sphere", "--size", "16"],
+    "export": ["export", "builtin:tiles", "-o", "{}", "--to", "gltf"],
+    "evaluate": ["evaluate", "builtin:tiles", "--capture", "photos", "--renderer", "mitsuba"],
+    "crosscheck": ["crosscheck", "--resolution", "16"], "doctor": ["doctor"]}
+# Says when Python itself has started: what Ctrl-C does before that is not ours to say.
+START = "import os, sys; from mitsvbrdf.__main__ import main; os.write(9, b'.'); sys.exit(main())"
+
+
+@pytest.fixture(scope="session")
+def photos(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("start")
+    assert cli.main(["synth", "builtin:inlay", "-o", str(folder / "photos"), "--resolution", "16",
+                     "--renderer", "analytic"]) == 0
+    return folder
+
+
+def pressed(name, folder, seconds):
+    """Exit code, as a shell tells it, and what was said of a command that gets Ctrl-C so long after it starts."""
+    begun, begins = os.pipe()
+    words = [word.format(f"out {name} {seconds:.3f}") for word in COMMANDS[name]]
+    process = subprocess.Popen(["bash", "-c", f'exec "$@" 9>&{begins}', "bash", sys.executable, "-c", START, *words],
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder,
+                               pass_fds=(begins,), start_new_session=True, env=os.environ | {"PYTHONPATH": str(ROOT)})
+    os.close(begins)
+    os.read(begun, 1)
+    os.close(begun)
+    time.sleep(seconds)
+    os.killpg(process.pid, signal.SIGINT)
+    said = process.communicate(timeout=120)[1]
+    return process.returncode if process.returncode >= 0 else 128 - process.returncode, said
+
+
+def seconds_of(name, folder):
+    """How long the command runs that is let be; of a long one, what surely is its start."""
+    begun = time.perf_counter()
+    words = [word.format(f"out {name}") for word in COMMANDS[name]]
+    subprocess.run([sys.executable, "-m", "mitsvbrdf", *words], cwd=folder, capture_output=True, timeout=300,
+                   env=os.environ | {"PYTHONPATH": str(ROOT)})
+    return min(time.perf_counter() - begun, 8.0)
+
+
+def quiet(found):
+    code, said = found
+    return code == 130 and len(said.splitlines()) <= 1 and len(said) < 100
+
+
+def test_ctrl_c_in_the_first_moments(tmp_path):
+    for name, seconds in (("fit", 0.002), ("fit", 0.05), ("doctor", 0.1), ("render", 0.3), ("fit", 0.5)):
+        found = pressed(name, tmp_path, seconds)
+        assert quiet(found), (name, seconds, found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", COMMANDS)
+def test_ctrl_c_at_fifty_moments_of_the_start(name, photos):
+    whole = seconds_of(name, photos)
+    wrong = [(share, found) for share in range(50)
+             if not quiet(found := pressed(name, photos, 0.002 + 0.8 * whole * share / 50))]
+    assert not wrong
