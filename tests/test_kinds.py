@@ -1,4 +1,4 @@
-"""Arguments of another kind than they should be: refused with the package's error, wherever a program enters."""
+"""Arguments of another kind than they should be are refused, wherever a program enters."""
 
 import inspect
 

@@ -32,27 +32,26 @@ from .options import (
 def crosscheck(
     maps: Positional[Annotated[str | None,
                                arg(metavar="MAPS", help="A folder of maps, the OUT of a fit, or "
-                                                        "builtin:NAME; left "
-                                                        "out: made materials and corner cases.")]] = None,
+                                                        "builtin:NAME. "
+                                                        "Default: made materials and corner cases.")]] = None,
     views: ViewSource = "builtin:grid",
     bsdf: Annotated[Literal["all", "roughconductor", "principled"],
-                    arg(help="The maps are converted to the one that they are not.")] = "all",
+                    arg(help="BSDF to render with. The maps are converted to it.")] = "all",
     renderer: Annotated[Literal["all", "mitsuba", "mitsuba-scene", "analytic"],
-                        arg(help="What to compare.")] = "all",
+                        arg(help="Which renderer to compare.")] = "all",
     json_file: Annotated[Path | None, arg(name="json", help="Write all figures to this file.")] = None,
     html_file: Annotated[Path | None,
                          arg(name="html", help="Write a page with figures, plot and error maps.")] = None,
     repeats: Annotated[int, arg(help="Timed passes of each configuration, in turn with all others.")] = 5,
-    resolution: Annotated[int | None, arg(help="Side of the maps, which are area-averaged down to it; left "
-                                               "out: 256, or 128 "
-                                               "for the built-in set.")] = None,
+    resolution: Annotated[int | None, arg(help="Side of the maps, by area averages. Default: 256; 128 for "
+                                               "the "
+                                               "built-in set.")] = None,
     variant: Variant = "llvm_ad_rgb",
     overwrite: Overwrite = False,
 ) -> int:
-    """Hold every renderer and BSDF against the float64 twin: images, gradients, run time.
+    """Compare every renderer and BSDF with the float64 twin: images, gradients, run time.
 
-    Exit code 1 when a stated tolerance does not hold; docs/evaluation.md says what is compared and how to
-    read it.
+    The exit code is 1 when a stated tolerance does not hold. docs/evaluation.md explains the figures.
     """
     from ..verify import crosscheck as checks
 
@@ -115,7 +114,7 @@ def _with_offset(views: Views, offset: tuple[float, float] | None) -> Views:
 
 
 def _print(record: dict) -> None:
-    from ..verify.crosscheck import left_out
+    from ..verify.crosscheck import omitted
 
     for bsdf, how in dict.fromkeys(pair for m in record["materials"].values()
                                    for pair in m["converted"].items()):
@@ -124,8 +123,8 @@ def _print(record: dict) -> None:
     for texels, bsdf in groups:
         rows = [row for row in record["summary"] if (row["texels"], row["bsdf"]) == (texels, bsdf)]
         print_rich(_table(record, texels, bsdf, rows))
-    for each in left_out(record):
-        say(f"left out by {each['by']}: {each['what']} ({each['why']})")
+    for each in omitted(record):
+        say(f"omitted by {each['by']}: {each['what']} ({each['why']})")
 
 
 def _table(record: dict, texels: str, bsdf: str, rows: list[dict]) -> Table:

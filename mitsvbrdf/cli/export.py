@@ -32,33 +32,34 @@ PREVIEW, THUMBNAIL = 512, 128  # pixels a side
 SMALLEST, LARGEST = 1e-3, 1e6  # side of a patch, centimetres
 
 
-def export(maps: Positional[Material],
-           to: Annotated[str, arg(metavar="FORMAT,...", help=f"Any of {', '.join(FORMATS)}.")] = ",".join(
-               FORMATS),
-           naming: Annotated[Naming, arg(help="File names of the maps format.")] = "own",
-           normal: Annotated[NormalConvention,
-                             arg(help="Normals of the maps format: gl is +Y up, dx +Y down.")] = "gl",
-           bits: Annotated[Bits, arg(
-               help="Of PNG files; glTF and colours in USD always have 8, heights 16.")] = 16,
-           tile: Annotated[bool, arg(
-               help="Make opposite edges meet, so that the material can be repeated.")] = False,
-           side_cm: Annotated[float | None,
-                              arg(help="Side of the patch; left out: as the sheet in the photos told, else "
-                                       "unknown.")] = None,
-           licence: Annotated[str | None,
-                              arg(metavar="TEXT", help="What users may do with it, such as CC0-1.0.")] = None,
-           preview: Annotated[bool, arg(
-               help="Beside the formats, a picture of a sphere that wears it.")] = True,
-           zip: Annotated[bool, arg(help="Beside each format's folder, the same as FORMAT.zip.")] = False,
-           out: Annotated[Path | None, arg(aliases=["-o"], help="Folder to write; left out: export inside "
-                                                                "MAPS.")] = None,
-           overwrite: Overwrite = False, strict: Strict = False) -> int:
+def export(
+    maps: Positional[Material],
+    to: Annotated[str, arg(metavar="FORMAT,...", help=f"Any of {', '.join(FORMATS)}.")] = ",".join(FORMATS),
+    naming: Annotated[Naming, arg(help="File names of the maps format.")] = "own",
+    normal: Annotated[NormalConvention,
+                      arg(help="Normals of the maps format: gl is +Y up, dx +Y down.")] = "gl",
+    bits: Annotated[Bits, arg(
+        help="Bits of PNG files. glTF and colours in USD always have 8, heights 16.")] = 16,
+    tile: Annotated[bool, arg(help="Join opposite edges, so that the material can be repeated. The patch "
+                                   "becomes "
+                                   "smaller; its new side is printed.")] = False,
+    side_cm: Annotated[float | None, arg(help="Side of the patch before --tile. Default: that of the sheet "
+                                              "in the "
+                                              "photos, else unknown.")] = None,
+    licence: Annotated[str | None,
+                       arg(metavar="TEXT", help="Licence of the material, such as CC0-1.0.")] = None,
+    preview: Annotated[bool, arg(help="Draw a sphere that wears the material, beside the formats.")] = True,
+    zip: Annotated[bool, arg(help="Also write each format's folder as FORMAT.zip.")] = False,
+    out: Annotated[Path | None,
+                   arg(aliases=["-o"], help="Folder to write. Default: export inside MAPS.")] = None,
+    overwrite: Overwrite = False, strict: Strict = False,
+) -> int:
     """Write a material for other programs: OUT/FORMAT/, with an export.json that states what each file holds.
 
-    gltf is one GLB with the textures inside; materialx a standard_surface and an OpenPBR surface; usd a
-    UsdPreviewSurface with MaterialX beside it; mitsuba a scene and its material as JSON; maps PNG files.
-    Where a format cannot say all, what that changes is printed: RMSE of the maps as linear^(1/2.2), and of
-    pictures under three lights in display values.
+    gltf is one GLB with its textures. materialx holds a standard_surface and an OpenPBR surface. usd holds a
+    UsdPreviewSurface with MaterialX beside it. mitsuba is a scene, and its material as JSON. maps are PNG
+    files. Some formats cannot store the whole material. The command prints the loss: RMSE of the maps as
+    linear^(1/2.2), and of pictures under three lights in display values.
     """
     formats = [part.strip() for part in to.split(",")]
     settings = ExportSettings(name_of(maps), naming, normal, bits, licence=licence or None, repeats=tile)
@@ -96,7 +97,8 @@ def _tiled(svbrdf: SVBRDF, side: float | None) -> tuple[SVBRDF, float | None]:
         say(f"the edges meet already: {times}")
         return svbrdf, side
     left = f"{100 * part * side:.3g} of {100 * side:.3g} cm" if side else "its length is unknown"
-    say(f"the edges were joined: {times}; {part:.0%} of the patch's side is left ({left}), at the same resolution")
+    say(f"the edges were joined: {times}; {part:.0%} of the patch's side is left ({left}), at the same "
+        "resolution")
     return svbrdf, part * side if side else None
 
 

@@ -38,52 +38,44 @@ PICTURE_SIDES = (8, 8192)  # smallest and largest, pixels
 MOVIES = ("mp4", "gif")
 
 
-def relight(maps: Positional[Material],
-            preset: Annotated[str, arg(metavar="PRESET,...", help="sphere, shaderball, novel, sweep, "
-                                                                  "turntable; or all.")]
-            = "sphere",
-            environment: Annotated[str | None, arg(help="studio, sunsky, none, or an .exr or .hdr file. "
-                                                        "Left out: what suits the preset.")] = None,
-            size: Annotated[str, arg(metavar="N or WxH", help="Pixels.")] = "512",
-            frames: Annotated[int | None,
-                              arg(help="Of each movie; 1 makes it a still. Left out: the preset's.")] = None,
-            tiling: Annotated[int, arg(help="How often the maps repeat along each side.")] = 1,
-            displacement: Annotated[float,
-                                    arg(help="Height of the relief: 1 is as high as the normals say; 0 "
-                                             "leaves the "
-                                             "shape as it is.")] = 0.0,
-            exposure: Annotated[float, arg(help="Stops by which PNG and movies are brighter; EXR files are "
-                                                "not.")] = 0.0,
-            target_error: Annotated[float | None,
-                                    arg(help="Render each frame until its estimated RMSE in display values "
-                                             "is "
-                                             "this. Left out, with neither of the next two: 0.01.")] = None,
-            budget: Annotated[float | None,
-                              arg(help="Seconds for all frames together, instead of a target.")] = None,
-            samples: Annotated[int | None, arg(help="Samples a pixel, instead of a target.")] = None,
-            movie: Annotated[str, arg(metavar="mp4,gif|none", help="What becomes of the frames of movies, "
-                                                                   "beside the EXR of "
-                                                                   "each.")] = "mp4",
-            out: Annotated[Path | None, arg(aliases=["-o"], help="Folder to write; left out: relight inside "
-                                                                 "MAPS.")] = None,
-            seed: int = 0, variant: Variant = "llvm_ad_rgb",
-            explain: Annotated[bool, arg(help="Print what would be left out, and why, and end without "
-                                              "rendering.")] = False,
-            check: Annotated[bool, arg(help="Hold a novel frame, a pixel for each texel, against the "
-                                            "analytic renderer in "
-                                            "float64: a Z-test. Exit code 1 where they differ; nothing is "
-                                            "written.")] = False,
-            resume: Annotated[bool, arg(
-                help="Go on with the frames that are missing, same options.")] = False,
-            overwrite: Overwrite = False, strict: Strict = False) -> int:
-    """Show a material under other light, path traced with Mitsuba: stills as EXR and PNG, movies as MP4 and
-    GIF.
+def relight(
+    maps: Positional[Material],
+    preset: Annotated[str, arg(metavar="PRESET,...",
+                               help="sphere, shaderball, novel, sweep, turntable; or all.")] = "sphere",
+    environment: Annotated[str | None, arg(help="studio, sunsky, none, or an .exr or .hdr file. Default: the "
+                                                "preset's.")] = None,
+    size: Annotated[str, arg(metavar="N or WxH", help="Size of the pictures in pixels.")] = "512",
+    frames: Annotated[int | None,
+                      arg(help="Frames of each movie; 1 makes a still. Default: the preset's.")] = None,
+    tiling: Annotated[int, arg(help="Repetitions of the maps along each side.")] = 1,
+    displacement: Annotated[float,
+                            arg(help="Height of the relief. 1: as high as the normals say; 0: flat.")] = 0.0,
+    exposure: Annotated[float,
+                        arg(help="Brightness of PNG and movies in stops. EXR files stay linear.")] = 0.0,
+    target_error: Annotated[float | None,
+                            arg(help="Render each frame until its estimated RMSE in display values is below "
+                                     "this. Default: 0.01, unless --budget or --samples is given.")] = None,
+    budget: Annotated[float | None, arg(help="Render all frames within so many seconds.")] = None,
+    samples: Annotated[int | None, arg(help="Render so many samples a pixel.")] = None,
+    movie: Annotated[str, arg(metavar="mp4,gif|none",
+                              help="Movies to make of the frames. Each frame also stays as EXR.")] = "mp4",
+    out: Annotated[Path | None, arg(aliases=["-o"],
+                                    help="Folder to write. Default: relight inside MAPS.")] = None,
+    seed: int = 0, variant: Variant = "llvm_ad_rgb",
+    explain: Annotated[bool, arg(help="Print what is omitted, and why, without rendering.")] = False,
+    check: Annotated[bool,
+                     arg(help="Compare a novel frame with the analytic renderer in float64 by a Z-test, a "
+                              "pixel for each texel. Writes nothing. Exit code 1: they differ.")] = False,
+    resume: Annotated[bool, arg(
+        help="Render the missing frames of an earlier run with the same options.")] = False,
+    overwrite: Overwrite = False, strict: Strict = False,
+) -> int:
+    """Show a material under other light, path traced with Mitsuba.
 
-    Each frame is rendered in passes until its error, as estimated from them, is below --target-error.
-    OUT/PRESET.svg shows the error over time, relight.json has the figures. EXR files hold linear radiance, as
-    rendered.
+    Stills become EXR and PNG files, movies MP4 and GIF. Each frame is rendered in passes until its estimated
+    error is below --target-error. OUT/PRESET.svg shows the error over time; relight.json holds the figures.
 
-    Ctrl-C keeps the frames done and the one at hand as it is; the same command with --resume goes on.
+    Ctrl-C keeps the finished frames and the current one as it is. The same command with --resume goes on.
     """
     from ..fit.config import check_seed
     from ..relight.frames import begin, go_on, kept_names, render_stages
@@ -110,7 +102,7 @@ def relight(maps: Positional[Material],
         if explain:
             for stage in stages:
                 for what, why in stage.left_out:
-                    say(f"{stage.name} leaves out: {what} ({why})")
+                    say(f"{stage.name} omits: {what} ({why})")
             return 0
         if "mp4" in kinds and any(stage.frames > 1 for stage in stages):
             av_module()
@@ -134,7 +126,7 @@ def relight(maps: Positional[Material],
                                                                  stop),
                                       interrupted=stopping)
         if not whole:
-            say("interrupted: the frames so far were kept; the same command with --resume goes on")
+            say("interrupted: the frames so far are kept; the same command with --resume goes on")
         say(f"wrote {out}/relight.json and what it names")
         return 0
 

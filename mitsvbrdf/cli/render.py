@@ -31,17 +31,18 @@ from .options import (
 )
 
 
-def render(maps: Positional[Material], out: Out, views: ViewSource = "builtin:grid",
-           renderer: RendererName = "mitsuba",
-           falloff: Annotated[FalloffOption, arg(help="auto: as in the fit.")] = "auto",
-           transfer: Annotated[TransferOption,
-                               arg(help="How the PNGs encode light; auto: as in the fit.")] = "auto",
-           flash_offset: Annotated[Literal["fitted", "none"],
-                                   arg(help="fitted: the light stands beside the camera as the fit found it.")] = "none",
-           diffuse: Annotated[Literal["fitted", "guessed"],
-                              arg(help="guessed: show the guessed diffuse map of the fit "
-                                       "instead of its own (paper IV.B).")] = "fitted",
-           variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False, strict: Strict = False) -> int:
+def render(
+    maps: Positional[Material], out: Out, views: ViewSource = "builtin:grid",
+    renderer: RendererName = "mitsuba",
+    falloff: Annotated[FalloffOption, arg(help="Falloff of the light. auto: as in the fit.")] = "auto",
+    transfer: Annotated[TransferOption,
+                        arg(help="Transfer function of the PNG files. auto: as in the fit.")] = "auto",
+    flash_offset: Annotated[Literal["fitted", "none"],
+                            arg(help="fitted: the light stands where the fit found it.")] = "none",
+    diffuse: Annotated[Literal["fitted", "guessed"],
+                       arg(help="guessed: the fit's guessed diffuse map instead (paper IV.B).")] = "fitted",
+    variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False, strict: Strict = False,
+) -> int:
     """Render maps for the views of a capture: OUT/NN.png (display values) and NN.exr (linear)."""
     from ..views import shift_lights
 

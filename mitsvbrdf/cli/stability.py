@@ -46,9 +46,10 @@ def stability(
         files.write_json(json_file, record)
     for key, title in record["sweeps"].items():
         print_rich(_table(title, [row for row in record["rows"] if row["sweep"] == key], record["renderers"]))
-    say("Each cell: the verdict, and the relative L2 error of the image or of the worst gradient, whichever is "
-        "larger. rounding: the change that one float32 rounding of the normals makes. exact: image within 1e-6, "
-        "gradients within 1e-5. docs/results/stability.md explains the other verdicts.")
+    say("Each cell: the verdict, and the relative L2 error of the image or of the worst gradient, whichever "
+        "is\n"
+        "larger. rounding: the change that one float32 rounding of the normals makes. exact: image within\n"
+        "1e-6, gradients within 1e-5. docs/results/stability.md explains the other verdicts.")
     say_written(json_file)
     for found in record["violations"]:
         say(f"worse than expected: {found['sweep']}, {found['label']}, {found['renderer']}: {found['what']}")
@@ -58,15 +59,15 @@ def stability(
 
 
 def _table(title: str, rows: list[dict], renderers: list[str]) -> Table:
-    """Verdict and largest error of each renderer, and the effect of one rounding of the normals; 80 columns."""
+    """Verdict and largest error of each renderer, and the effect of one rounding; 80 columns."""
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     table.add_column("")
     for name in (*renderers, "rounding"):
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:
-        cells = [f"[{VERDICT_COLOURS[found['verdict']]}]{found['verdict']}[/]{_largest(found.get('errors', {}))}"
-                 for found in row["renderers"].values()]
-        table.add_row(row["label"], *cells, _largest(row["limit"]))
+        cells = [(found["verdict"], _largest(found.get("errors", {}))) for found in row["renderers"].values()]
+        table.add_row(row["label"], *(f"[{VERDICT_COLOURS[word]}]{word}[/]{error}" for word, error in cells),
+                      _largest(row["limit"]))
     return table
 
 

@@ -36,30 +36,31 @@ RECTIFIED_SIDE, MADE_SIDE = 256, 1024  # --resolution where it is left out
 PHONE = HandheldPhone()
 
 
-def synth(material: Positional[Material], out: Out, phone: OmitArgPrefixes[HandheldPhone] = PHONE,
-          handheld: Annotated[bool, arg(help="Raw photos of a simulated phone, for `mitsvbrdf capture`: "
-                                             "OUT/IMG_0001.jpg and "
-                                             "so on, and what is true of them in OUT/truth. The phone's "
-                                             "options count only "
-                                             "with this.")] = False,
-          spoil: Annotated[str, arg(metavar="KIND,KIND,...", help="With --handheld: extra photos that are "
-                                                                  "blurred, finger, "
-                                                                  "noflash, duplicate, rotated or unrelated.")] = "",
-          views: ViewSource = "builtin:grid",
-          resolution: Annotated[int | None,
-                                arg(help="Side of rectified photos, 256 where left out; with --handheld "
-                                         "that of "
-                                         "builtin maps, 1024.")] = None,
-          noise: Annotated[float, arg(help="Standard deviation of sensor noise of rectified photos in "
-                                           "linear radiance.")] = 0.0,
-          renderer: RendererName = "mitsuba", transfer: color.Transfer = "gamma2.2",
-          variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False) -> int:
-    """Take photos of known maps: rectified ones with their calibration, to test fits on, or raw ones by a
-    simulated phone.
+def synth(
+    material: Positional[Material], out: Out, phone: OmitArgPrefixes[HandheldPhone] = PHONE,
+    handheld: Annotated[bool, arg(help="Take raw photos with a simulated phone, for `mitsvbrdf capture`: "
+                                       "OUT/IMG_0001.jpg and so on, and the truth in OUT/truth. The options "
+                                       "of the "
+                                       "phone need this one.")] = False,
+    spoil: Annotated[str, arg(metavar="KIND,KIND,...",
+                              help="With --handheld: add photos that are blurred, finger, noflash, "
+                                   "duplicate, "
+                                   "rotated or unrelated.")] = "",
+    views: ViewSource = "builtin:grid",
+    resolution: Annotated[int | None,
+                          arg(help="Side of the photos in pixels; with --handheld side of builtin maps. "
+                                   "Default: 256; "
+                                   "with --handheld 1024.")] = None,
+    noise: Annotated[float, arg(help="Standard deviation of the sensor noise of rectified photos, in linear "
+                                     "radiance.")] = 0.0,
+    renderer: RendererName = "mitsuba", transfer: color.Transfer = "gamma2.2",
+    variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False,
+) -> int:
+    """Take photos of known maps: rectified photos with their calibration, or raw photos of a simulated phone.
 
-    Rectified photos are 8-bit, clipped, optionally noisy. Those of the phone (--handheld) have its
-    distortion, vignetting, noise, JPEG and EXIF, and know nothing of where they were taken; --sheet lays a
-    sheet of tags around the material.
+    Rectified photos have 8 bits, are clipped and optionally noisy. Raw photos (--handheld) have the phone's
+    distortion, vignetting, noise, JPEG and EXIF, and no calibration. --sheet lays a sheet of tags around the
+    material.
     """
     check_seed(phone.seed)
     keep_apart_from_maps(material, out)

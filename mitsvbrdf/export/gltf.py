@@ -30,7 +30,9 @@ ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 CORNERS = ((-0.5, -0.5, 0.0), (0.5, -0.5, 0.0), (0.5, 0.5, 0.0), (-0.5, 0.5, 0.0))
 UVS = ((0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0))
 TRIANGLES = (0, 1, 2, 0, 2, 3)
-LAYER_NOTE = "glTF lets diffuse light through by 1 - max(F), ours by a sum: what is no metal is darker by F0, 4 %"
+LAYER_NOTE = ("glTF lets diffuse light through by 1 - max(F), ours by a sum: what is no metal is darker by "
+              "F0, "
+              "4 %")
 NOTES = (
     "glTF lets diffuse light through by 1 - max(F), ours by a sum: the base colour is diffuse / (1 - "
     "max(F0)), the same seen "

@@ -46,7 +46,9 @@ LOSSY_NOTE = (
     "lay the highlight "
     "over the diffuse light; the specular level (Blender's Specular IOR Level, F0 = 0.08 times it) has F0 "
     "up to 0.08")
-GAMMA_NOTE = "MaterialGAN's programs take dif, spe and rgh for gamma 2.2: here dif and spe are sRGB and rgh is linear"
+GAMMA_NOTE = ("MaterialGAN's programs take dif, spe and rgh for gamma 2.2: here dif and spe are sRGB and "
+              "rgh is "
+              "linear")
 
 
 def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS) -> Export:

@@ -41,7 +41,8 @@ SURFACES = {
 SPECULAR_NOTE = ("one refractive index for all that is no metal, for viewers cannot read a map of it; "
                  "specular_color is F0 "
                  "over the index's: F0 is exact, and grazing light scaled alike")
-LAYER_NOTE = "the specular lobe lies over the diffuse one, which gets what is left of the light; ours is a sum"
+LAYER_NOTE = ("the specular lobe lies over the diffuse one, which gets what is left of the light; ours is a "
+              "sum")
 
 
 def write_materialx(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS) -> Export:

@@ -23,7 +23,9 @@ from .textures import DEFAULTS, LINEAR, SRGB, Export, ExportSettings, Texture, s
 
 MATERIAL, PATCH = "material.usda", "patch.usda"
 HIGHEST_F0 = 0.9  # of what is no metal: a refractive index of 38
-LAYER_NOTE = "the specular lobe takes its light from the diffuse one, ours is a sum: what is no metal is darker by F0, 4 %"
+LAYER_NOTE = ("the specular lobe takes its light from the diffuse one, ours is a sum: what is no metal is "
+              "darker "
+              "by F0, 4 %")
 NOTES = (
     "metallic workflow: importers (Blender 4.5, three.js) pass the specular one by; F0 of what is no metal "
     "is grey, a texture "

@@ -27,7 +27,7 @@ ENCODINGS: dict[str, dict[str, str]] = {
     "srgb": dict.fromkeys(COLOURS, "srgb") | {"roughness": "linear", "metallic": "linear"},
 }
 DETAIL, FORMER_DETAIL = "detail", "look"
-MAP_FOLDERS = "maps", DETAIL, FORMER_DETAIL  # of a fit: expected values, and a plausible draw of what no photo shows
+MAP_FOLDERS = "maps", DETAIL, FORMER_DETAIL  # of a fit: expected values, and a plausible draw
 SHORT_NAMES = {"diffuse": "dif", "specular": "spe", "roughness": "rgh", "normal": "nom"}
 
 # Normals of published maps point into the surface at up to 0.2 % of the texels: noise of networks, empty

@@ -17,7 +17,7 @@ from .resample import area_averaged
 
 COARSE = 128  # texels a side at which overlaps are compared, at most
 NARROWEST, WIDEST = 8, 2  # overlaps that are tried: the side over these, and all between
-# Opposite borders of a seamless material differ at most so many times as neighbours beside them do: tiles that
+# Opposite borders of a seamless material differ at most so many times as neighbours beside them. Tiles that
 # end amid their grout reach 1.1, borders that do not belong together 1.6 and more.
 EDGES_MEET = 1.5
 BESIDE = 16  # the side over this: how far from the border neighbours count

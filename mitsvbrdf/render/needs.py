@@ -95,7 +95,8 @@ def scene_needs(svbrdf: SVBRDF, views: Views, renderer: str) -> Needs:
     if renderer != "mitsuba-scene":
         omitted.append(Omitted("ray tracing", "the texel behind each pixel of a rectified photo is known"))
     if renderer == "mitsuba":
-        omitted.append(Omitted("texture look-ups", "pixel = texel: each thread has its own texel's maps in registers"))
+        omitted.append(Omitted("texture look-ups",
+                               "pixel = texel: each thread has its own texel's maps in registers"))
     if views.falloff == "none":
         omitted.append(Omitted("light falloff", "asked for by --falloff none"))
     return replace(of_material, fresnel_curve=curve and of_material.specular_lobe, shadow_rays=False,

@@ -231,8 +231,8 @@ def _point_lit() -> type:
             for depth in range(self.bounces + 1):
                 si = scene.ray_intersect(ray, mi.RayFlags.All, True, active)
                 if self.environment:
-                    radiance += dr.select(active & ~si.is_valid(), weight * scene.environment().eval(si,
-                                                                                                     active), 0)
+                    around = weight * scene.environment().eval(si, active)
+                    radiance += dr.select(active & ~si.is_valid(), around, 0)
                 active &= si.is_valid()
                 seen = active if seen is None else seen
                 bsdf = si.bsdf(ray)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from torch import Tensor
 
-from ..verify.crosscheck import left_out
+from ..verify.crosscheck import omitted
 from .charts import quiet, svg
 from .colours import CHART_BOUND, CHART_FAINT
 from .page import figure, write_page
@@ -44,7 +44,7 @@ def write_crosscheck_page(path: str | Path, record: dict, error_maps: Mapping[tu
                materials=materials,
                error_maps=maps, ramp=png_uri(error_picture(ramp, MOST_SHOWN, LEAST_SHOWN)),
                darkest=LEAST_SHOWN,
-               brightest=MOST_SHOWN, plot=svg(error_against_time(record)), left_out=left_out(record),
+               brightest=MOST_SHOWN, plot=svg(error_against_time(record)), omitted=omitted(record),
                converted=converted, cosine=_cosine, digits=_digits)
 
 

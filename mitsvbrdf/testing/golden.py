@@ -106,7 +106,8 @@ def _compared(name: str, layers: Layers, golden: Layers, rtol: float, atol: floa
     if not golden:
         return f"{name} has no golden file yet", [], []
     if _shapes(layers) != _shapes(golden):
-        return f"{name} has another shape than its golden file: {_told(layers)} instead of {_told(golden)}", [], []
+        told = f"{_told(layers)} instead of {_told(golden)}"
+        return f"{name} has another shape than its golden file: {told}", [], []
     figures, notes = [], []
     for layer, value in layers.items():
         label = f"{layer}: " if layer else ""

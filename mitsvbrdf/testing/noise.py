@@ -44,7 +44,8 @@ def assert_z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, 
                       outliers)]
     figures += [Figure(f"mean of channel {k}, standard deviations off", abs(score), found.bias_limit)
                 for k, score in enumerate(found.bias.tolist())]
-    more = f"mean of the image {float(image.double().mean()):.6g}, of the reference {float(reference.double().mean()):.6g}"
+    means = [float(each.double().mean()) for each in (image, reference)]
+    more = "mean of the image {:.6g}, of the reference {:.6g}".format(*means)
     raise failure("picture differs from its reference by more than its noise", figures,
                   lambda: _rows(image, reference, found.z), [more])
 

@@ -32,7 +32,7 @@ from ..render.needs import scene_needs
 from ..views import Views
 from .float32_limits import Limit, Truth, diffuse_radiance, float32_limit, worst_texels
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 Report = Callable[[str, float], object]
 
@@ -81,8 +81,7 @@ def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequen
         found[number]["seconds"] = {"forward": spread(forward), "backward": spread(backward)}
     record = {
         "schema_version": SCHEMA_VERSION, "reference": twin.name, "tolerances": TOLERANCES,
-        "rough_from": ROUGH_FROM,
-        "transfer": transfer, "command": command or {},
+        "rough_from": ROUGH_FROM, "transfer": transfer, "command": command or {},
         "views": {"names": names, "size": views.size, "falloff": views.falloff,
                   "camera": views.camera.tolist(),
                   "light": views.light.tolist(), "intensity": views.intensity.tolist()},
@@ -106,8 +105,8 @@ class _Case:
         self.views = [views, *(views.pick([k]) for k in range(len(views)))]
         self.cotangents = [everything, *everything.split(1)]
         self.exact = [render_and_gradients(twin, svbrdf, v, c) for v, c in zip(self.views, self.cotangents)]
-        self.limits = [float32_limit(twin, svbrdf, *each) for each in zip(self.views, self.exact,
-                                                                          self.cotangents)]
+        self.limits = [float32_limit(twin, svbrdf, *each)
+                       for each in zip(self.views, self.exact, self.cotangents)]
         image = self.exact[0].image
         limit = UNIT_ROUNDOFF + relative_error(image + self.limits[0].image, image)
         self.truth = Truth(svbrdf, views, names, image, diffuse_radiance(twin, svbrdf, views), limit)
@@ -125,18 +124,18 @@ class _Case:
             looks = [flip(torch.nan_to_num(a), b, self.transfer) for a, b in zip(image, exact)]
         except BackendError:  # it decides nothing here
             looks = []
-        shown = (color.to_display(image.double(), self.transfer) - color.to_display(exact,
-                                                                                    self.transfer)).abs()
-        per_view = [{"view": name, "flip": _flip(looks[k:k + 1])} | self._figures(off[k:k + 1], k + 1,
-                                                                                  got[k + 1])
+        shown, wanted = (color.to_display(x, self.transfer) for x in (image.double(), exact))
+        shown = (shown - wanted).abs()
+        per_view = [{"view": name, "flip": _flip(looks[k:k + 1])}
+                    | self._figures(off[k:k + 1], k + 1, got[k + 1])
                     for k, name in enumerate(self.truth.names)]
         figures = {
-            "left_out": self._left_out(renderer.name),
+            "omitted": self._omitted(renderer.name),
             **self._figures(off, 0, got[0]),
             "display": _finite({"mean": float(shown.mean()), "worst": float(shown.max())}),
             "flip": _flip(looks), "per_view": per_view,
-            "worst_texels": [texel for texels in self.classes.values() for texel in worst_texels(self.truth,
-                                                                                                 image, texels)],
+            "worst_texels": [texel for texels in self.classes.values()
+                             for texel in worst_texels(self.truth, image, texels)],
         }
         error_map = torch.nan_to_num(off.abs(), nan=torch.inf).amax(dim=-1)
         worst = int(error_map.flatten(1).mean(dim=1).argmax())
@@ -161,7 +160,7 @@ class _Case:
                       "gradients": _gradient_limits(self.limits[which], self.exact[which], texels)},
         } for name, texels in self.classes.items()}
 
-    def _left_out(self, renderer: str) -> list[dict[str, str]]:
+    def _omitted(self, renderer: str) -> list[dict[str, str]]:
         """As :func:`render_and_gradients` asks for it: every map wants a gradient."""
         needs = scene_needs(self.svbrdf.map(lambda t: t.detach().clone().requires_grad_()), self.views[0],
                             renderer)
@@ -181,9 +180,10 @@ def _finite(figures: dict) -> dict:
 
 def _flip(looks: Sequence[Tensor]) -> dict:
     """Of pixels of all views; None where FLIP cannot be computed here."""
-    whole = torch.stack(list(looks)) if looks else None
-    return {"mean": None if whole is None else float(whole.mean()), "worst": None if whole is None
-            else float(whole.max())}
+    if not looks:
+        return {"mean": None, "worst": None}
+    whole = torch.stack(list(looks))
+    return {"mean": float(whole.mean()), "worst": float(whole.max())}
 
 
 def _image_figures(off: Tensor) -> dict:
@@ -201,8 +201,8 @@ def _gradient_figures(gradient: Tensor, reference: Tensor) -> dict:
 def _gradient_limits(limit: Limit, exact: Measured, texels: Tensor) -> dict[str, float | None]:
     lengths = {name: (float(limit.gradients[name][texels].norm()), float(value[texels].norm()))
                for name, value in exact.gradients.items()}
-    return {name: UNIT_ROUNDOFF + change / length if length else None for name, (change,
-                                                                                 length) in lengths.items()}
+    return {name: UNIT_ROUNDOFF + change / length if length else None
+            for name, (change, length) in lengths.items()}
 
 
 def summary(configurations: Sequence[dict]) -> list[dict]:
@@ -214,8 +214,8 @@ def summary(configurations: Sequence[dict]) -> list[dict]:
         groups: dict[tuple[str, str], list[dict]] = {}
         for configuration in configurations:
             if configuration[texels]:
-                groups.setdefault((configuration["bsdf"], configuration["renderer"]),
-                                  []).append(configuration)
+                key = configuration["bsdf"], configuration["renderer"]
+                groups.setdefault(key, []).append(configuration)
         rows += [{"texels": texels, "bsdf": bsdf, "renderer": renderer, "materials": len(group)}
                  | _summary_row(group, texels) for (bsdf, renderer), group in groups.items()]
     return rows
@@ -243,11 +243,11 @@ def _summary_row(group: list[dict], texels: str) -> dict:
                         for way in ("forward", "backward")}}
 
 
-def left_out(record: dict) -> list[dict]:
-    """What was left out and why, once each, ``by`` which renderers (and BSDF, where only one)."""
+def omitted(record: dict) -> list[dict]:
+    """What was omitted and why, once each, ``by`` which renderers (and BSDF, where only one)."""
     found: dict[tuple[str, str], list[dict]] = {}
     for configuration in record["configurations"]:
-        for each in configuration["left_out"]:
+        for each in configuration["omitted"]:
             found.setdefault((each["what"], each["why"]), []).append(configuration)
     bsdfs = len({c["bsdf"] for c in record["configurations"]})
 

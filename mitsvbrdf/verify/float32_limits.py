@@ -11,11 +11,11 @@ small beside any lobe, so the second order does not count. The limit of the rela
     u + u |dL/dn| / |L|
 
 with the first u for the rounding of L itself. Close to a mirror direction L goes like GGX's D, whose slope
-|d log D / d angle| is 2 (1 - alpha^2) / alpha at its steepest, at about alpha beside the highlight: the limit is then
-u + 2 u / alpha, that is 1.2e-5 at roughness 0.1 and 6e-8 where the material is rough. The same changes of a
-gradient give its limit. It is an order of magnitude and no bound: view and light directions are rounded too,
-in several steps; and a renderer that has its directions in float64, or works with their differences, stays
-below it.
+|d log D / d angle| is 2 (1 - alpha^2) / alpha at its steepest, about alpha beside the highlight: the limit is
+then u + 2 u / alpha, that is 1.2e-5 at roughness 0.1 and 6e-8 where the material is rough. The same changes
+of a gradient give its limit. It is an order of magnitude and no bound: view and light directions are rounded
+too, in several steps; and a renderer that has its directions in float64, or works with their differences,
+stays below it.
 """
 
 from __future__ import annotations

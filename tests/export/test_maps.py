@@ -176,6 +176,6 @@ def test_long_names_are_cut(tmp_path):
 def test_packed_maps_are_those_of_the_single_files(tmp_path):
     export_material(make_material("plates", 32), tmp_path, ["maps"],
                     settings=ExportSettings(naming="polyhaven"))
-    packed, *single = (decoded(tmp_path / f"maps/material_{name}.png", "linear") for name in ("arm", "ao",
-                                                                                              "rough", "metal"))
+    packed, *single = (decoded(tmp_path / f"maps/material_{name}.png", "linear")
+                       for name in ("arm", "ao", "rough", "metal"))
     assert np.abs(packed - np.concatenate([each[..., :1] for each in single], axis=-1)).max() == 0

@@ -98,8 +98,8 @@ def test_materialx_knows_the_shaders_inputs(folder):
             found += 1
             for entry in shader.GetInputs():
                 kind = str(entry.GetTypeName())
-                assert definition.getActiveInput(entry.GetBaseName()).getType() == kinds.get(kind,
-                                                                                             kind), entry.GetBaseName()
+                name = entry.GetBaseName()
+                assert definition.getActiveInput(name).getType() == kinds.get(kind, kind), name
     assert found >= 6
     assert stage.GetPrimAtPath("/material").GetAttribute("config:mtlx:version").Get() == "1.39"
     assert stage.GetPrimAtPath("/material").GetAttribute("outputs:mtlx:surface").GetConnections()

@@ -58,9 +58,8 @@ def test_what_is_no_metal_looks_the_same_from_above():
 
 
 def test_base_colours_end_at_one():
-    brighter_than_light = flat(4, diffuse=0.9, specular=0.3, dtype=torch.float64)
-    assert layered(brighter_than_light, brighter_than_light["specular"][...,
-                                                                        :1])["base_color"].unique().tolist() == [1]
+    bright = flat(4, diffuse=0.9, specular=0.3, dtype=torch.float64)
+    assert layered(bright, bright["specular"][..., :1])["base_color"].unique().tolist() == [1]
 
 
 def test_one_f0_for_all_that_is_no_metal():

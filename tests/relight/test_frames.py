@@ -43,7 +43,8 @@ def test_stills_open_elsewhere(tmp_path, capsys):
         assert np.abs(np.asarray(image) / 255 - srgb(2 * linear)).max() <= 0.51 / 255
     said = capsys.readouterr().out
     frame, = record(tmp_path / "o")["presets"]["sphere"]["frames"]
-    assert frame["error"] <= 0.05 and f"{frame['samples']} samples a pixel, estimated error {frame['error']:.4f}" in said
+    told = f"{frame['samples']} samples a pixel, estimated error {frame['error']:.4f}"
+    assert frame["error"] <= 0.05 and told in said
     assert "polyline" in (tmp_path / "o" / "sphere.svg").read_text() or "<path" in (
         tmp_path / "o" / "sphere.svg").read_text()
 
@@ -216,7 +217,7 @@ def raises(error):
 def test_explain_renders_nothing(tmp_path, capsys):
     assert run(tmp_path / "o", preset="all", explain=True) == 0
     said = capsys.readouterr().out
-    assert re.search(r"^sphere leaves out: .+ \(.+\)$", said, re.MULTILINE) and not (tmp_path / "o").exists()
+    assert re.search(r"^sphere omits: .+ \(.+\)$", said, re.MULTILINE) and not (tmp_path / "o").exists()
 
 
 @pytest.mark.parametrize("wrong", [{"target_error": 0.1}, {"size": "2"}, {"size": "100000"},

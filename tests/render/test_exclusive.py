@@ -80,15 +80,16 @@ def test_first_import_from_many_threads():
     code = """if True:
         import threading
         import mitsvbrdf as mv
-        names, found, failed = ["fit_svbrdf", "make_renderer", "load_maps", "evaluate_fit", "write_fit", "make_material",
-                                "guess_diffuse", "export_material"], [], []
+        found, failed = [], []
+        names = ["fit_svbrdf", "make_renderer", "load_maps", "evaluate_fit", "write_fit", "make_material",
+                 "guess_diffuse", "export_material"]
         together = threading.Barrier(len(names))
         def begin(name):
             together.wait()
             try:
                 getattr(mv, name)
-                view = mv.Views.of([[0, 0, 2.0]])
-                found.append(mv.make_renderer("mitsuba").render(mv.make_material("inlay", 16), view).sum().item())
+                view, made = mv.Views.of([[0, 0, 2.0]]), mv.make_material("inlay", 16)
+                found.append(mv.make_renderer("mitsuba").render(made, view).sum().item())
             except BaseException as error:
                 failed.append(repr(error))
         threads = [threading.Thread(target=begin, args=(name,)) for name in names]

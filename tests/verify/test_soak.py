@@ -37,7 +37,8 @@ def test_nothing_grows(names, bsdf, work, capsys):
 
 @pytest.mark.parametrize("work", mostly_slow(WORK, "preview"))  # which does what the others do
 def test_mitsuba_compiles_nothing_after_the_second_turn(work):
-    found = soak([make_renderer("mitsuba"), make_renderer("mitsuba-scene")], "roughconductor", WORK[work], 20, 8)
+    both = [make_renderer("mitsuba"), make_renderer("mitsuba-scene")]
+    found = soak(both, "roughconductor", WORK[work], 20, 8)
     assert found["late"] == [] and found["variables"] == 0
 
 

@@ -43,8 +43,8 @@ def stability(renderers: Sequence[Renderer], sweeps: Sequence[str] = tuple(SWEEP
         report: told what is going on and the share done.
 
     Returns:
-        A record for JSON, without NaN; docs/results/stability.md shows it. ``violations`` says what came out worse
-        than expected.
+        A record for JSON, without NaN; docs/results/stability.md shows it. ``violations`` lists what came out
+        worse than expected.
     """
     cases = [case for key in sweeps for case in SWEEPS[key][1]()]
     rows = []

@@ -180,8 +180,8 @@ def _distance() -> list[Case]:
     opposite = Views.of([[100.0, 0.1, 0.01]], [[-100.0, 0.1, 0.01]], 1e8)
     mirrors = material(roughness=0.05, normal=tilted(0))
     return [*cases, Case("distance", "low, on opposite sides", None, mirrors, opposite, known=OPPOSITE),
-            *(Case("distance", f"{z:g} sides", None, material(), _unchecked(z), refused=True) for z in (-1.0,
-                                                                                                        1e-5, 1e8))]
+            *(Case("distance", f"{z:g} sides", None, material(), _unchecked(z), refused=True)
+              for z in (-1.0, 1e-5, 1e8))]
 
 
 def _unchecked(z: float = 1.0, intensity: float = 1.0) -> Views:

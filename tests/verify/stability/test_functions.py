@@ -1,4 +1,4 @@
-"""What the public functions between maps and error measures make of the sweeps: nothing that is not finite."""
+"""The public functions between maps and error measures make finite numbers of every sweep."""
 
 import pytest
 import torch

@@ -35,7 +35,7 @@ def test_float64_agrees_with_fifty_digits(bsdf, views, values):
 @pytest.mark.slow
 @pytest.mark.parametrize("sweep", SWEEPS)
 def test_float64_agrees_with_fifty_digits_to_the_ends_of_every_range(sweep):
-    """In each case's brightest texel. Measured: 1e-15 as a rule, 3e-9 where both stand low on opposite sides."""
+    """In each case's brightest texel. Measured: 1e-15; 3e-9 where both stand low on opposite sides."""
     for case in SWEEPS[sweep][1]():
         if case.small and not case.refused:
             brightest = int(TWIN.render(case.svbrdf, case.views).sum(dim=(0, 3)).argmax())
