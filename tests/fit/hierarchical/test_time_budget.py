@@ -5,7 +5,7 @@ import torch
 from helpers import photos_of
 from helpers.hierarchical_fits import method_of
 
-from mitsvbrdf.fit.hierarchical import omitted, rounds, scales, specular_test, starts
+from mitsvbrdf.fit.hierarchical import cross_validation, omitted, rounds, scales, specular_test, starts
 from mitsvbrdf.fit.hierarchical.omitted import CROSS_VALIDATION, VIEWS
 from mitsvbrdf.fit.hierarchical.stages import Stage, Stages
 from mitsvbrdf.fit.hierarchical.time_budget import LAST_STEPS, OTHER_STEPS, STEPS, TimeBudget
@@ -47,7 +47,7 @@ def timed(shots, monkeypatch):
             clock.work("solver", answer.x.shape[-1], count)
             return starts.stepped(solver, photos, answer, prior, count)
 
-        for where in (rounds, omitted, specular_test):
+        for where in (rounds, cross_validation, specular_test):
             monkeypatch.setattr(where, "stepped", stepped)
         monkeypatch.setattr(method.corrections, "refine", lambda maps, _: clock.work("views", maps.resolution,
                                                                                method.corrections.work))
