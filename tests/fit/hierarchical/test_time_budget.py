@@ -129,9 +129,9 @@ def test_the_turns_are_foreseen_as_they_are_made(timed):
         method.step(0.0)
     clock.calls.clear()
     method._begin_next_stage()
-    steps, turns = sum(count for _, _, count in clock.calls), omitted.in_turn(len(method.capture))
-    rounds_of_each = omitted.AGREED + len(omitted.NOISES) * omitted.ROUNDS
-    assert steps + len(turns) * rounds_of_each == omitted.steps_of_turns(len(method.capture))
+    steps, turns = sum(count for _, _, count in clock.calls), cross_validation.in_turn(len(method.capture))
+    rounds_of_each = cross_validation.AGREED + len(cross_validation.NOISES) * cross_validation.ROUNDS
+    assert steps + len(turns) * rounds_of_each == cross_validation.steps_of_turns(len(method.capture))
     assert {side for _, side, _ in clock.calls} == {method.scales.of(Stage.ALONE).capture.resolution}
 
 
