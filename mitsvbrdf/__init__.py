@@ -19,7 +19,7 @@ _HOME = {
     "Capture": "capture", "read_capture": "capture", "write_capture": "capture", "guess_diffuse": "capture",
     "make_renderer": "render", "using_mitsuba": "render.exclusive",
     "HierarchicalConfig": "fit", "HybridConfig": "fit", "GanConfig": "fit", "DirectConfig": "fit",
-    "FitResult": "fit", "fit_svbrdf": "fit",
+    "Fit": "fit", "FitResult": "fit", "fit_svbrdf": "fit",
     "evaluate_fit": "evaluate", "evaluate_maps": "evaluate", "evaluate_capture": "evaluate",
     "write_fit": "report.folder", "write_scene": "export.mitsuba",
     "ExportSettings": "export", "export_material": "export",

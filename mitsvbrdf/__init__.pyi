@@ -11,6 +11,7 @@ from .export import ExportSettings as ExportSettings
 from .export import export_material as export_material
 from .export.mitsuba import write_scene as write_scene
 from .fit import DirectConfig as DirectConfig
+from .fit import Fit as Fit
 from .fit import FitResult as FitResult
 from .fit import GanConfig as GanConfig
 from .fit import HierarchicalConfig as HierarchicalConfig

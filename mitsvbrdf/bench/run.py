@@ -20,7 +20,7 @@ from ..capture import Capture
 from ..errors import ConfigError, MitsvbrdfError
 from ..evaluate import as_fitted
 from ..evaluate.placement import predict
-from ..fit import DirectConfig, FitConfig, FitResult, HierarchicalConfig, fit_svbrdf
+from ..fit import DirectConfig, Fit, FitConfig, HierarchicalConfig, fit_svbrdf
 from ..fit.hierarchical.stages import DEADLINE
 from ..fit.methods import METHODS
 from ..io import files
@@ -209,7 +209,7 @@ def version() -> str:
 
 
 def fit(capture: Capture, renderer: Renderer, config: FitConfig,
-        report: Callable[[float], None]) -> tuple[FitResult, Predict]:
+        report: Callable[[float], None]) -> tuple[Fit, Predict]:
     """One fit, and what it predicts for photos. The light falls off as the method takes for granted.
 
     Raises:

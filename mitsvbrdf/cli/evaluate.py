@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -84,7 +83,7 @@ def evaluate(maps: Positional[Material],
     elif capture is not None:
         fit = fit_of_maps(maps)
         if flash_offset == "none":
-            fit = replace(fit, flash_offset=None)
+            fit = fit.but(flash_offset=None)
         transfer = fit.transfer or "auto" if transfer == "auto" else transfer
         chosen = photo_numbers(views)
         photos = read_photos(capture, resolution or svbrdf.resolution, None, transfer,
@@ -107,8 +106,8 @@ def evaluate(maps: Positional[Material],
                 say(f"photo {name}: {_moved(view['change'])}")
         else:
             del found["refined"]  # not asked for
-        found["burn_in"] = burn_in(svbrdf, fit.views or shots.views)
-        found["local_burn_in"] = local_burn_in(svbrdf, fit.views or shots.views)
+        found["burn_in"] = burn_in(svbrdf, fit.known_views or shots.views)
+        found["local_burn_in"] = local_burn_in(svbrdf, fit.known_views or shots.views)
         print_numbers("Burn-in (0 is best)", found["burn_in"])
         print_numbers("Local burn-in (around 0 is best)", found["local_burn_in"])
     if json_file:

@@ -78,7 +78,7 @@ def export(
         svbrdf, side = _tiled(svbrdf, side)
     with results.output_folder(out, overwrite) as folder:
         done = export_material(svbrdf, folder, formats, settings=replace(settings, side=side),
-                               views=fit.views)
+                               views=fit.known_views)
         if zip:
             for kind in done:
                 shutil.make_archive(str(folder / kind), "zip", folder, kind)

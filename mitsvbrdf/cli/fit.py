@@ -20,7 +20,7 @@ from ..fit.generator.detail import why_not, with_detail
 from ..fit.methods import METHODS, method_name
 from ..fit.omitted import decided_later, known_before, used
 from ..fit.options import FitOptions
-from ..fit.result import FitResult
+from ..fit.result import Fit
 from ..io import results
 from ..io.profile import profiling
 from ..io.progress import Progress, print_numbers, print_profile, progress_bar, say
@@ -94,7 +94,7 @@ def _explain(task: FitTask, options: FitOptions) -> int:
 
 
 def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, options: FitOptions,
-              profile: bool, resume: bool, overwrite: bool) -> tuple[FitResult, int | None]:
+              profile: bool, resume: bool, overwrite: bool) -> tuple[Fit, int | None]:
     """Fit, add plausible detail where asked to, and write the result; also tells the iteration of the checkpoint gone on
     from.
     """
@@ -111,7 +111,7 @@ def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, o
         page = LivePage(folder, out)
         say(f"live page: {page.path}")
 
-        def fitted(checkpoint: Path | None) -> FitResult:
+        def fitted(checkpoint: Path | None) -> Fit:
             with Progress(title) as progress, profiling() if profile else contextlib.nullcontext():
                 return fit_svbrdf(shots, engine, config, checkpoint=folder / results.CHECKPOINT,
                                   resume=checkpoint, report=progress, live=page)
@@ -126,7 +126,7 @@ def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, o
     return result, before
 
 
-def _from_first_of(checkpoints: Sequence[Path], fitted: Callable[[Path], FitResult]) -> tuple[FitResult,
+def _from_first_of(checkpoints: Sequence[Path], fitted: Callable[[Path], Fit]) -> tuple[Fit,
                                                                                               int | None]:
     """Go on from the first checkpoint that is of this fit: what is left of another one does not hide a
     finished fit.
@@ -145,7 +145,7 @@ def _from_first_of(checkpoints: Sequence[Path], fitted: Callable[[Path], FitResu
     raise wrong[0]
 
 
-def _say_detail(result: FitResult) -> None:
+def _say_detail(result: Fit) -> None:
     if result.detail_record:
         say(f"detail/ after {result.detail_record['seconds']:.0f} s: one plausible draw, for pictures; re-rendering "
             "RMSE "
@@ -156,7 +156,7 @@ def _say_detail(result: FitResult) -> None:
         say("interrupted: the maps were kept, without plausible detail; the same command with --resume makes it")
 
 
-def _say_result(result: FitResult, shots: Capture, before: int | None) -> None:
+def _say_result(result: Fit, shots: Capture, before: int | None) -> None:
     """Errors, how it ended, how sure it is, and its warnings; ``before`` is the iteration gone on from."""
     moved = result.calibrated_rmse is not None
     print_numbers(f"Re-rendering RMSE{', views as fitted' if moved else ''}",

@@ -22,7 +22,7 @@ from ..io.results import MANIFEST, own_files
 
 if TYPE_CHECKING:
     from ..capture import Capture
-    from ..fit.record import SavedFit
+    from ..fit.result import Fit
     from ..material.maps import SVBRDF
     from ..views import Falloff, Views
 
@@ -171,7 +171,7 @@ def material_of(name: str, resolution: int = 256) -> SVBRDF:
     return load_maps(name)
 
 
-def views_of(source: str, falloff: Falloff, fit: SavedFit | None = None) -> tuple[list[str], Views]:
+def views_of(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[list[str], Views]:
     """Names and views of a capture (:func:`~mitsvbrdf.evaluate.placed` where it states none), or of
     ``builtin:grid``.
     """
@@ -183,8 +183,6 @@ def views_of(source: str, falloff: Falloff, fit: SavedFit | None = None) -> tupl
     return names, views
 
 
-def fit_of_maps(maps: str | None) -> SavedFit:
+def fit_of_maps(maps: str | None) -> Fit:
     """The fit that maps come from; the defaults where there is none, as for ``builtin:NAME``."""
-    from ..fit.record import SavedFit, read_fit
-
-    return SavedFit() if maps is None or maps.startswith("builtin:") else read_fit(maps)
+    return Fit() if maps is None or maps.startswith("builtin:") else Fit.of_maps(maps)

@@ -96,9 +96,9 @@ def relight(
     svbrdf, fit = material_of(maps), fit_of_maps(maps)
     with using_mitsuba(variant) as mi:
         if check:
-            return _check(mi, svbrdf, fit.views, seed)
+            return _check(mi, svbrdf, fit.known_views, seed)
         stages = [make_stage(mi, svbrdf, each, environment=environment, size=pixels, frames=frames,
-                             tiling=tiling, displacement=displacement, views=fit.views) for each in chosen]
+                             tiling=tiling, displacement=displacement, views=fit.known_views) for each in chosen]
         if explain:
             for stage in stages:
                 for what, why in stage.left_out:
@@ -108,7 +108,7 @@ def relight(
             av_module()
         keep_apart_from_maps(maps, out)
         settings = {"maps": maps if builtin else os.path.realpath(maps), "material": _fingerprint(svbrdf,
-                                                                                                  fit.views),
+                                                                                                  fit.known_views),
                     "environment": environment, "environment_file": _file_fingerprint(environment),
                     "size": pixels,
                     "frames": frames, "tiling": tiling, "displacement": displacement, "exposure": exposure,

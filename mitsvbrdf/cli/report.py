@@ -26,11 +26,11 @@ def report(out: Positional[Annotated[Path,
     does not need.
     """
     from ..capture import read_capture
-    from ..fit.record import read_whole_fit
+    from ..fit.result import Fit
     from ..report.fit_page import check_photos, keep_photos, write_report
     from ..report.page import figure
 
-    found = read_whole_fit(out)
+    found = Fit.load(out)
     left_out = None
     if capture is not None:
         keep_apart(capture, out)

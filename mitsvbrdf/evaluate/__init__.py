@@ -6,14 +6,14 @@ from pathlib import Path
 
 from ..calibrate.refine import UNKNOWNS, Priors, refine_views
 from ..capture import Capture
-from ..fit.record import SavedFit, capture_name
-from ..fit.result import FitResult
+from ..errors import ConfigError
+from ..fit.result import Fit
 from ..io.entry import entry
 from ..material.map_files import encodings, load_maps
 from ..material.maps import SVBRDF
 from ..measure.metrics import map_rmse
 from ..measure.rerender import rerender
-from ..render import Renderer, make_renderer
+from ..render import Renderer
 from ..views import Views, shift_lights
 from .placement import placed
 
@@ -66,7 +66,7 @@ def evaluate_capture(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
 
 
 @entry()
-def evaluate_fit(result: FitResult, capture: Capture) -> dict:
+def evaluate_fit(result: Fit, capture: Capture) -> dict:
     """Error of a fit on the photos of its capture; see :func:`evaluate_capture`.
 
     They are placed by :func:`placed`, with the flash offset that the fit found.
@@ -74,12 +74,9 @@ def evaluate_fit(result: FitResult, capture: Capture) -> dict:
     return evaluate_capture(result.svbrdf, *as_fitted(result, capture))
 
 
-def as_fitted(result: FitResult, capture: Capture) -> tuple[Capture, Renderer, tuple[float, float] | None]:
+def as_fitted(result: Fit, capture: Capture) -> tuple[Capture, Renderer, tuple[float, float] | None]:
     """The photos placed as a fit found them, its renderer, and the flash offset it found in patch sides."""
-    x, y = result.flash_offset or (0.0, 0.0)
-    offset = result.flash_offset and (x / result.views.size, y / result.views.size)
-    known = result.calibration
-    fit = SavedFit(capture=capture_name(capture), seen=tuple(map(int, known.get("camera", ()))),
-                   views=result.views,
-                   estimated=known.get("estimated", False), light_power_factor=known.get("power_told") or 1.0)
-    return placed(capture, fit), make_renderer(result.renderer, result.variant or "llvm_ad_rgb"), offset
+    engine = result.engine()
+    if engine is None:
+        raise ConfigError("a fit of one of our renderers", result.renderer, "give a renderer")
+    return placed(capture, result), engine, result.flash_offset

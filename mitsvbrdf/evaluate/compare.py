@@ -11,7 +11,7 @@ from .. import color
 from ..calibrate.refine import Priors
 from ..capture import Capture
 from ..errors import ConfigError
-from ..fit.record import SavedFit
+from ..fit.result import Fit
 from ..material.maps import SVBRDF
 from ..render import Renderer
 from .photos import evaluate_photos
@@ -35,7 +35,7 @@ class Entry:
     name: str
     folder: str
     svbrdf: SVBRDF
-    fit: SavedFit = field(default_factory=SavedFit)
+    fit: Fit = field(default_factory=Fit)
     guess: Tensor | None = None
 
 

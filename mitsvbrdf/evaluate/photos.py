@@ -12,7 +12,7 @@ from torch import Tensor
 
 from ..calibrate.refine import Priors
 from ..capture import Capture
-from ..fit.record import SavedFit
+from ..fit.result import Fit
 from ..material.maps import SVBRDF
 from ..measure.rerender import rerender
 from ..render import Renderer
@@ -20,7 +20,7 @@ from ..views import Views, shift_lights
 from . import evaluate_capture
 
 
-def evaluate_photos(svbrdf: SVBRDF, fit: SavedFit, capture: Capture, renderer: Renderer,
+def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Renderer,
                     priors: Priors | None = None) -> tuple[dict, Tensor]:
     """Errors of the re-rendered photos in display values.
 
@@ -61,7 +61,7 @@ def evaluate_photos(svbrdf: SVBRDF, fit: SavedFit, capture: Capture, renderer: R
         and apart(refined)}, images
 
 
-def fitted_views(fit: SavedFit, capture: Capture) -> tuple[Views, list[str]]:
+def fitted_views(fit: Fit, capture: Capture) -> tuple[Views, list[str]]:
     """The views to show a fit's maps with, and the names of the photos among them whose view comes from the
     fit.
 
@@ -70,7 +70,7 @@ def fitted_views(fit: SavedFit, capture: Capture) -> tuple[Views, list[str]]:
     """
     views = shift_lights(capture.views, fit.flash_offset).in_patch_sides()
     names: list[str] = []
-    if fit.views is None or not fit.of(capture):
+    if fit.known_views is None or not fit.of(capture):
         return views, names
     stored = fit.views.in_patch_sides()
     camera, light, intensity = views.camera.clone(), views.light.clone(), views.intensity.clone()
@@ -88,10 +88,10 @@ def _together(errors: Mapping[str, float], names: list[str]) -> float | None:
     return math.sqrt(sum(errors[name]**2 for name in names) / len(names)) if names else None
 
 
-def _words(fit: SavedFit, fitted: list[str], capture: Capture) -> str:
+def _words(fit: Fit, fitted: list[str], capture: Capture) -> str:
     offset = fit.flash_offset
     beside = f" and the fit's flash offset ({offset[0]:.3f}, {offset[1]:.3f})" if offset else ""
-    unknown = "views estimated from the photos" if fit.estimated or fit.views is None else "default geometry"
+    unknown = "views estimated from the photos" if fit.estimated or fit.known_views is None else "default geometry"
     if not fitted:
         return f"{'calibrated views' if capture.calibrated else unknown}{beside}"
     if len(fitted) == len(capture):

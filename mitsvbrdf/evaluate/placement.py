@@ -11,14 +11,14 @@ from torch import Tensor
 from ..calibrate.estimate import self_calibrated, why_not
 from ..capture import Capture, read_capture
 from ..errors import CaptureError
-from ..fit.record import SavedFit
+from ..fit.result import Fit
 from ..material.maps import SVBRDF
 from ..measure.rerender import rerender
 from ..render import Renderer
 from ..views import Falloff, Views, nine_view_grid, shift_lights
 
 
-def placed(capture: Capture, fit: SavedFit) -> Capture:
+def placed(capture: Capture, fit: Fit) -> Capture:
     """A capture that states no views, with views estimated from all of its photos; any other as it is.
 
     Where the fit saw some of these photos, all are moved together until those are, in the mean, where the fit
@@ -37,7 +37,7 @@ def placed(capture: Capture, fit: SavedFit) -> Capture:
     if capture.calibrated and fit.light_power_factor != 1 and not fit.estimated and fit.of(capture):
         return replace(capture, views=replace(capture.views,
                                               intensity=capture.views.intensity * fit.light_power_factor))
-    if capture.calibrated or not (fit.estimated or fit.views is None):
+    if capture.calibrated or not (fit.estimated or fit.known_views is None):
         return capture
     if fit.estimated and (why := why_not(capture)):
         raise CaptureError("photos from which views can be estimated, as for this fit",
@@ -46,7 +46,7 @@ def placed(capture: Capture, fit: SavedFit) -> Capture:
     capture, _ = self_calibrated(capture)
     both = [(capture.index.index(number), row) for row, number in enumerate(fit.seen)
             if number in capture.index]
-    if fit.views is None or not both or not fit.of(capture):
+    if fit.known_views is None or not both or not fit.of(capture):
         return capture
     here, there = (views.in_patch_sides().pick(rows) for views, rows in zip((capture.views, fit.views),
                                                                             zip(*both)))
@@ -58,7 +58,7 @@ def placed(capture: Capture, fit: SavedFit) -> Capture:
                                           intensity=capture.views.intensity * brighter))
 
 
-def named_views(source: str, falloff: Falloff, fit: SavedFit | None = None) -> tuple[list[str], Views,
+def named_views(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[list[str], Views,
                                                                                      list[str]]:
     """Names and views of a capture (:func:`placed` where it states none), or of ``builtin:grid``; and what
     was noticed.
@@ -72,7 +72,7 @@ def named_views(source: str, falloff: Falloff, fit: SavedFit | None = None) -> t
     if source.startswith("builtin:"):
         raise CaptureError("a capture folder or builtin:grid", source, "check --views")
     read = read_capture(Path(source), falloff=falloff)
-    shots = placed(read, fit or SavedFit())
+    shots = placed(read, fit or Fit())
     return list(shots.names), shots.views, list(shots.notes[len(read.notes):])
 
 

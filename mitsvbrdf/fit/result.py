@@ -1,81 +1,321 @@
-"""What every fit ends in."""
+"""A fitted material and how it came about: one value, in memory and in its folder."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Generic, TypeVar, get_args
 
+import torch
 from torch import Tensor
 
+from .. import color
+from ..capture import Capture
+from ..errors import MapsError, MitsvbrdfError
+from ..io import files, images
+from ..io.json import error_text
+from ..material.map_files import DETAIL, FORMER_DETAIL, MAP_FOLDERS, load_maps
 from ..material.maps import SVBRDF
-from ..views import Views
+from ..render import Renderer, RendererName, make_renderer
+from ..render.needs import Omitted
+from ..views import Falloff, Views
 from .config import FitConfig
-from .methods import method_name
+from .fixed_maps import described
+from .options import config_of
+from .record import FILE, SCHEMA_VERSION, checked, missing, record_in
+
+# Fields of the record that :meth:`Fit.but` changes there.
+_FACTS = {"rerender_rmse", "calibrated_rmse", "renderer", "variant", "warnings", "stopped", "trace", "profile"}
+
+T = TypeVar("T")
 
 
-@dataclass(frozen=True)
-class FitResult:
-    """A fitted material and how it came about.
+class Fact(Generic[T]):
+    """An attribute of a fit that is a field of its record; without a default the record has it.
 
     Args:
-        svbrdf: the recovered material: the state with the lowest re-rendering error over the photos used; of
-            ``hierarchical`` the last.
-        views: the views it was fitted with (the flash offset found is in ``light``; ``hierarchical`` refines
-            all of each view).
-        guess: guessed diffuse map, R x R x 3 linear.
-        rerendered: linear radiance N x R x R x 3 of the photos used.
-        rerender_rmse: over these photos, in display values clipped to [0, 1].
-        per_photo: the same for each photo.
-        calibrated_rmse: the same with the stated views and ``flash_offset`` instead; None where these are
-            ``views``, or no views were stated.
-        trace: one dict a measurement: seconds, iteration, each loss, rerender_rmse.
-        config: the settings.
-        renderer: the name of the renderer; ``variant`` its Mitsuba variant or None.
-        omitted: (what, why) of each thing the scene or the method did not need.
-        used: (what, how) of each network that was trained.
-        stopped: why the fit ended: "settled", "budget", "iterations", "interrupted" or "unstable" (too many
-            steps undone).
-        undone: ``iteration`` and ``reason`` of each step that made something non-finite and was taken back.
-        restarts: the same of each return to the state of the lowest loss, from which the fit had diverged.
-        deviations: standard deviation of each fitted map, by name, r x r x C with r <= 64, in the numbers in
-            which map errors are counted; see :mod:`mitsvbrdf.fit.confidence`.
-        warnings: in sentences; see :mod:`mitsvbrdf.fit.warnings`.
-        flash_offset: by how much (x, y) the fit moved the flash beside the lens, in the unit of the views, or
-            None.
-        calibration: what is known of the views and how surely; see
-            :func:`mitsvbrdf.fit.view_record.views_record`.
-        detail: one plausible draw of what no photo shows, for pictures; None without
-            :func:`mitsvbrdf.fit.generator.detail.with_detail`.
-        detail_record: settings, seconds and losses of that, and what it is, or None.
-        profile: where the time of the steps went, where :func:`mitsvbrdf.io.profile.profiling` was on,
-            else None.
+        default: where the record lacks it.
     """
 
-    svbrdf: SVBRDF
-    views: Views
-    guess: Tensor
-    rerendered: Tensor
-    rerender_rmse: float
-    per_photo: list[float]
-    trace: list[dict]
-    config: FitConfig
-    renderer: str
-    variant: str | None
-    omitted: tuple[tuple[str, str], ...]
-    stopped: str
-    undone: tuple[dict, ...] = ()
-    restarts: tuple[dict, ...] = ()
-    deviations: Mapping[str, Tensor] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
-    flash_offset: tuple[float, float] | None = None
-    profile: dict | None = None
-    calibration: dict = field(default_factory=dict)
-    used: tuple[tuple[str, str], ...] = ()
-    detail: SVBRDF | None = None
-    detail_record: dict | None = None
-    calibrated_rmse: float | None = None
+    def __init__(self, default: Any = ...) -> None:
+        self.default = default
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, fit: Fit, owner: type | None = None) -> T:
+        return fit.record[self.name] if self.default is ... else fit.record.get(self.name, self.default)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Fit:
+    """A fit, the same in memory and read back from its folder: what ``fit.json`` says, and arrays.
+
+    Arrays of a fit in a folder are read on first use. Maps that came without a fit have an empty record.
+
+    Args:
+        record: what ``fit.json`` holds; docs/formats.md explains each field.
+        path: its folder; of a fit in memory the working folder.
+        known: attributes that are in memory, by name.
+    """
+
+    record: dict = field(default_factory=dict)
+    path: Path = Path()
+    known: Mapping[str, Any] = field(default_factory=dict)
+
+    method = Fact[str | None](None)
+    """Name of the method; None when unknown."""
+    renderer = Fact[str]()
+    """Name of the renderer."""
+    variant = Fact[str | None](None)
+    """Its Mitsuba variant, or None."""
+    trace = Fact[list[dict]]()
+    """One dict for each measurement: seconds, iteration, each loss, rerender_rmse."""
+    stopped = Fact[str]()
+    """Why it ended: settled, budget, iterations, interrupted or unstable (too many steps undone)."""
+    profile = Fact[dict | None](None)
+    """Where the time went, where :func:`mitsvbrdf.io.profile.profiling` was on; else None."""
+    rerender_rmse = Fact[float]()
+    """Error of the re-rendered photos, in display values clipped to [0, 1]."""
+    calibrated_rmse = Fact[float | None](None)
+    """The same with stated views and the flash offset; None where these are ``views`` or none is stated."""
+    calibration = Fact[dict]({})
+    """What is known of the views and how surely; see :func:`mitsvbrdf.fit.diagnose.views_record`."""
 
     def __repr__(self) -> str:
-        return (f"FitResult({method_name(self.config)}, {self.svbrdf!r}, re-rendering RMSE "
-                f"{self.rerender_rmse:.4f}, "
-                f"{self.stopped})")
+        return (f"Fit({self.method}, {self.svbrdf!r}, re-rendering RMSE {self.rerender_rmse:.4f}, {self.stopped})"
+                if self.record else "Fit()")
+
+    @staticmethod
+    def load(folder: str | Path) -> Fit:
+        """A whole fit from its folder.
+
+        Args:
+            folder: the OUT of a fit.
+
+        Raises:
+            MapsError: it is none, or not a whole one.
+        """
+        folder = Path(folder)
+        if not (folder / FILE).is_file():
+            raise MapsError("a folder that `mitsvbrdf fit` wrote", f"{folder}, which has no {FILE}",
+                            "give the OUT of a fit")
+        fit = _read(folder)
+        if wrong := missing(fit.record):
+            raise MapsError(f"a {FILE} of schema version {SCHEMA_VERSION}",
+                            f"{folder / FILE}, whose {wrong} is missing or of another kind",
+                            "fit again with this version")
+        _ = fit.svbrdf  # maps that cannot be read are an error here
+        return fit
+
+    @staticmethod
+    def of_maps(maps: str | Path) -> Fit:
+        """The fit that maps come from; one with an empty record where there is no ``fit.json``.
+
+        Args:
+            maps: the folder of a fit, or the ``maps`` or ``detail`` folder inside it.
+
+        Raises:
+            MapsError: the ``fit.json`` cannot be understood.
+        """
+        folder = Path(os.path.abspath(maps))
+        folder = folder.parent if folder.name in MAP_FOLDERS else folder
+        return _read(folder) if (folder / FILE).is_file() else Fit(path=folder)
+
+    def but(self, **changes: Any) -> Fit:
+        """The same fit with other values of some attributes."""
+        facts = {name: list(value) if isinstance(value, tuple) else value for name, value in changes.items()
+                 if name in _FACTS}
+        if "detail_record" in changes:
+            facts["detail"] = changes["detail_record"]
+        return Fit(self.record | facts, self.path, {**self.known, **changes})
+
+    def _or(self, name: str, otherwise: Callable[[], T]) -> T:
+        return self.known[name] if name in self.known else otherwise()
+
+    @cached_property
+    def svbrdf(self) -> SVBRDF:
+        """The material: of ``hierarchical`` the last state, else that with the lowest re-rendering error."""
+        return self._or("svbrdf", lambda: load_maps(self.path / "maps", self.record["bsdf"]))
+
+    @cached_property
+    def detail(self) -> SVBRDF | None:
+        """One plausible draw of what no photo shows, for pictures; None where none was asked for."""
+        folder = self.path / (DETAIL if (self.path / DETAIL).is_dir() else FORMER_DETAIL)
+        return self._or("detail", lambda: load_maps(folder, self.record["bsdf"]) if "detail" in self.record
+                        else None)
+
+    @cached_property
+    def guess(self) -> Tensor:
+        """The guessed diffuse map, R x R x 3 linear."""
+        return self._or("guess", lambda: self._image("guess/diffuse.exr"))
+
+    @cached_property
+    def photos(self) -> Tensor:
+        """The photos used, N x R x R x 3 in display values; in a folder, of 8 bits."""
+        return self._or("photos", lambda: torch.stack([self._image(f"photos/{name}.png") for name in self.names]))
+
+    @cached_property
+    def rerendered(self) -> Tensor:
+        """Linear radiance N x R x R x 3 of the photos used."""
+        return self._or("rerendered", lambda: torch.stack([self._image(f"rerendered/{name}.exr")
+                                                           for name in self.names]))
+
+    @cached_property
+    def deviations(self) -> Mapping[str, Tensor]:
+        """Standard deviation (:mod:`mitsvbrdf.fit.confidence`) of each fitted map by name, r x r x C with r <= 64.
+
+        A folder keeps the root mean square over channels: C is 1 there.
+        """
+        return self._or("deviations", lambda: {
+            name: self._image(f"uncertainty/{name}.exr")[..., :1] for name in self.record["confidence"]
+            if (self.path / f"uncertainty/{name}.exr").is_file()})
+
+    def _image(self, name: str) -> Tensor:
+        return images.read_image(self.path / name, MapsError)
+
+    @cached_property
+    def config(self) -> FitConfig:
+        """The method and its settings."""
+        return self._or("config", lambda: config_of({"method": self.record["method"], **self.record["config"]}))
+
+    def engine(self) -> Renderer | None:
+        """The renderer of the fit; None for one that is not ours."""
+        name: Any = self.renderer
+        return make_renderer(name, self.variant or "llvm_ad_rgb") if name in get_args(RendererName) else None
+
+    @property
+    def fixed(self) -> list[str]:
+        """Names of the maps that were not fitted."""
+        return list(described(self.record["config"]["fix"]))
+
+    @property
+    def omitted(self) -> tuple[Omitted, ...]:
+        """What the scene or the method did not need."""
+        return self._or("omitted", lambda: tuple(Omitted(each["what"], each["why"])
+                                                 for each in self.record["omitted"]))
+
+    @property
+    def used(self) -> tuple[tuple[str, str], ...]:
+        """(what, how) of each network that was trained."""
+        return tuple((each["what"], each["how"]) for each in self.record.get("used", ()))
+
+    @property
+    def undone(self) -> tuple[dict, ...]:
+        """``iteration`` and ``reason`` of each step that made something non-finite and was taken back."""
+        return self._or("undone", lambda: tuple(self.record["undone"]))
+
+    @property
+    def restarts(self) -> tuple[dict, ...]:
+        """The same of each return to the state of the lowest loss, after the fit had diverged."""
+        return self._or("restarts", lambda: tuple(self.record["restarts"]))
+
+    @property
+    def detail_record(self) -> dict | None:
+        """Settings, seconds and losses of the plausible detail, or None."""
+        return self.record.get("detail")
+
+    @property
+    def per_photo(self) -> list[float]:
+        """The error of each photo."""
+        return self._or("per_photo", lambda: list(self.record["per_photo"].values()))
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """In sentences; see :mod:`mitsvbrdf.fit.warnings`."""
+        return tuple(self.record["warnings"])
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the photos that it used."""
+        return list(self.record["per_photo"])
+
+    @property
+    def seen(self) -> tuple[int, ...]:
+        """Numbers of the photos that it used."""
+        return self._or("seen", lambda: tuple(self.record["capture"]["photos"]) if self.record else ())
+
+    @property
+    def capture(self) -> str | None:
+        """Name of the folder of its photos; None when unknown."""
+        return self._or("capture", lambda: self.record["capture"]["name"] if self.record else None)
+
+    @property
+    def transfer(self) -> color.Transfer | None:
+        """How its photos encode light; None when unknown."""
+        return self._or("transfer", lambda: self.record["capture"]["transfer"] if self.record else None)
+
+    @cached_property
+    def views(self) -> Views:
+        """The views as fitted, the flash offset in their lights; see :attr:`known_views`."""
+        return self._or("views", lambda: Views.of(*(self.record["views"][name] for name in (
+            "camera", "light", "intensity", "size", "falloff"))))
+
+    @property
+    def known_views(self) -> Views | None:
+        """The same, or None: maps that came without a fit have none."""
+        return self.views if "views" in self.known or "views" in self.record else None
+
+    @property
+    def falloff(self) -> Falloff:
+        """Falloff of its light; inverse-square when unknown."""
+        return self._or("falloff", lambda: self.record["views"]["falloff"] if self.record else "inverse-square")
+
+    @property
+    def flash_offset(self) -> tuple[float, float] | None:
+        """By how much (x, y), in patch sides, the fit moved the flash beside the lens, or None."""
+        found = self.record.get("flash_offset")
+        return self._or("flash_offset", lambda: found and (float(found["x"]), float(found["y"])))
+
+    @property
+    def estimated(self) -> bool:
+        """Whether the views were estimated from the photos."""
+        return self._or("estimated", lambda: self.calibration.get("estimated", False) is True)
+
+    @property
+    def light_power_factor(self) -> float:
+        """Factor by which the maps changed the light power that the capture states."""
+        return float(self.calibration.get("power_told") or 1.0)
+
+    @property
+    def side_metres(self) -> float | None:
+        """Side of its patch; None where no sheet in the photos told the unit of its views."""
+        return self.views.size / 100 if self.calibration.get("from") == "sheet" else None
+
+    def of(self, capture: Capture) -> bool:
+        """Whether it was fitted to photos of this capture, as the names of the folders tell."""
+        return self.capture == (capture.source.name if capture.source else "")
+
+    def label(self, capture: Capture, number: int) -> str:
+        """Name of a photo, and whether the fit saw it, where it was fitted to this capture."""
+        if not self.of(capture):
+            return f"{number:02d}"
+        return f"{number:02d} ({'seen' if number in self.seen else 'held out'})"
+
+    def unchanged(self) -> bool:
+        """Whether ``fit.json`` in its folder still says the same."""
+        return record_in(self.path) == self.record
+
+
+def write_record(folder: Path, fit: Fit, command: dict) -> Fit:
+    """Write ``fit.json`` with the options of the command line in it; returns the fit as it is in that folder.
+
+    Raises:
+        OutputError: it cannot be written.
+    """
+    written = Fit(fit.record | {"command": command}, folder, fit.known)
+    files.write_json(folder / FILE, written.record)
+    return written
+
+
+def _read(folder: Path) -> Fit:
+    try:
+        fit = Fit(checked(record_in(folder)), folder)
+        _ = fit.flash_offset, fit.views, fit.light_power_factor  # they are checked as they are made
+    except (OSError, ValueError, KeyError, TypeError, MitsvbrdfError) as reason:
+        raise MapsError(f"a {FILE} of this package", f"{folder / FILE}: {error_text(reason)}",
+                        "move it away to read the maps alone") from None
+    return fit

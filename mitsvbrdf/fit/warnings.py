@@ -16,7 +16,7 @@ from .confidence import DETERMINED, confidence
 from .config import HierarchicalConfig, HybridConfig
 from .fixed_maps import described
 from .gan_config import GanConfig
-from .result import FitResult
+from .result import Fit
 
 # Behind each number, what twelve real captures of nine photos had, fitted with `hybrid` and `direct` at 64
 # px.
@@ -54,7 +54,7 @@ NO_BETTER = 1.2
 SURE, MEASURED = 0.01, 5
 
 
-def fit_warnings(result: FitResult, capture: Capture) -> Iterator[str]:
+def fit_warnings(result: Fit, capture: Capture) -> Iterator[str]:
     """Warnings about the photos, the calibration and the fit, one sentence each."""
     yield from about_photos(capture)
     yield from _light(result, capture)
@@ -63,7 +63,7 @@ def fit_warnings(result: FitResult, capture: Capture) -> Iterator[str]:
     yield from _burnt_in(result)
     yield from _cut_short(result)
     yield from _game(result)
-    yield from _refined_for_nothing(result, capture)
+    yield from _refined_for_nothing(result)
     yield from about_steps(result.undone, result.restarts)
     if result.stopped == "unstable":
         yield "too many steps had to be undone, so the fit ended early: lower the learning rate or check the calibration"
@@ -109,7 +109,7 @@ def _twice(capture: Capture) -> Iterator[str]:
                        "--views, and take another from elsewhere")
 
 
-def _light(result: FitResult, capture: Capture) -> Iterator[str]:
+def _light(result: Fit, capture: Capture) -> Iterator[str]:
     photos, images = capture.linear, result.rerendered
     usable = (capture.photos < CLIPPED) & (capture.photos > DARK) & (images > 0)
     if float(usable.float().mean()) > USABLE:
@@ -126,7 +126,7 @@ def _light(result: FitResult, capture: Capture) -> Iterator[str]:
         yield f"specular of {specular:.2g} is below that of any known material: the light may be weaker than stated"
 
 
-def _implausible(result: FitResult) -> Iterator[str]:
+def _implausible(result: Fit) -> Iterator[str]:
     """Maps that no usual material has, and what would tell more."""
     material, fixed = result.svbrdf.as_roughconductor(), described(result.config.fix)
     spread = result.deviations.get("specular")
@@ -153,7 +153,7 @@ def _place(mask: Tensor) -> str:
     return f"at the {' '.join(words)} of the patch" if words else "where none is yet"
 
 
-def _errors(result: FitResult, capture: Capture) -> Iterator[str]:
+def _errors(result: Fit, capture: Capture) -> Iterator[str]:
     if result.rerender_rmse > POOR:
         yield f"the photos are only met to {result.rerender_rmse:.2g}: fit longer, or check views, light and transfer function"
     if len(capture) > 2:
@@ -163,7 +163,7 @@ def _errors(result: FitResult, capture: Capture) -> Iterator[str]:
                 yield f"photo {name} fits worse than the rest ({error:.2g}, median {typical:.2g}): its view may be off"
 
 
-def _burnt_in(result: FitResult) -> Iterator[str]:
+def _burnt_in(result: Fit) -> Iterator[str]:
     fixed = described(result.config.fix)
     for name, share in burn_in(result.svbrdf, result.views).items():
         if share > BURNT_IN and name not in fixed:
@@ -177,7 +177,7 @@ def _burnt_in(result: FitResult) -> Iterator[str]:
                    "fit again")
 
 
-def _cut_short(result: FitResult) -> Iterator[str]:
+def _cut_short(result: Fit) -> Iterator[str]:
     """Whether the fit was still on its way when it ended; the schedules of other methods end when their
     budget does.
     """
@@ -188,7 +188,7 @@ def _cut_short(result: FitResult) -> Iterator[str]:
         yield "the fit ended before it had settled: give more seconds or iterations"
 
 
-def _game(result: FitResult) -> Iterator[str]:
+def _game(result: Fit) -> Iterator[str]:
     """Whether the discriminator was so sure that it learned no more; its verdict then says little about what
     to change.
     """
@@ -206,7 +206,7 @@ def _game(result: FitResult) -> Iterator[str]:
                f"guess), so it hardly helped: lower {rate}")
 
 
-def _refined_for_nothing(result: FitResult, capture: Capture) -> Iterator[str]:
+def _refined_for_nothing(result: Fit) -> Iterator[str]:
     """Whether stated views were refined, as asked for, where exact photos said as much with the views as they
     were.
     """
@@ -217,7 +217,7 @@ def _refined_for_nothing(result: FitResult, capture: Capture) -> Iterator[str]:
     # only exact photos are not tied
     if not (result.config.refines_views and stated and TIED in dict(result.omitted)):
         return
-    if stated < NO_BETTER * result.rerender_rmse and offset < TILTED * capture.views.size:
+    if stated < NO_BETTER * result.rerender_rmse and offset < TILTED:
         yield (f"the stated views explain the photos to {stated:.2g}, the refined ones to "
                f"{result.rerender_rmse:.2g}: there "
                "was nothing to mend, and new views may come out worse; leave --calibrate out")

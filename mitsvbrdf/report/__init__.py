@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 from typing import Any
 
-SHOWN_IN_NOTEBOOKS = {"SVBRDF": "material.maps", "Capture": "capture.capture", "FitResult": "fit.result"}
+SHOWN_IN_NOTEBOOKS = {"SVBRDF": "material.maps", "Capture": "capture.capture", "Fit": "fit.result"}
 
 
 def show_in_notebooks() -> None:

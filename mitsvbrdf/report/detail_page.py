@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 
 from .. import color
-from ..fit.record import SavedFit
+from ..fit.result import Fit
 from ..material.maps import CHANNELS, TITLES, shown_map
 from ..render.analytic import AnalyticRenderer
 from ..views import Views
@@ -20,7 +20,7 @@ PAGE = "detail.html"
 LARGEST = 512  # pixels a side on the page
 
 
-def write_detail_page(found: SavedFit, into: Path) -> str | None:
+def write_detail_page(found: Fit, into: Path) -> str | None:
     """Write ``detail.html`` of a fit: maps, a light that no photo had, and the live viewer, all of its detail.
 
     Args:
@@ -36,9 +36,9 @@ def write_detail_page(found: SavedFit, into: Path) -> str | None:
     """
     if found.detail is None:
         return None
-    assert found.views is not None and found.transfer is not None  # a fit's record has them
+    assert found.transfer is not None  # a fit's record has it
     view, settings = unseen_view(found.views), found.record["detail"]
-    engine, transfer = found.renderer() or AnalyticRenderer(), found.transfer
+    engine, transfer = found.engine() or AnalyticRenderer(), found.transfer
     with torch.no_grad():
         relit = [(title, picture_uri(at_most(color.to_display(engine.render(svbrdf, view)[0], transfer),
                                              LARGEST)))

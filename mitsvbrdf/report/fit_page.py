@@ -16,8 +16,8 @@ from ..errors import CaptureError, MapsError, OutputError
 from ..evaluate import placed
 from ..evaluate.placement import predict
 from ..fit.confidence import UNKNOWN
-from ..fit.record import SavedFit, read_whole_fit
-from ..fit.view_record import about_views
+from ..fit.diagnose import about_views
+from ..fit.result import Fit
 from ..io import files, images
 from ..io.json import NUMBER, load, shape_error
 from ..material.maps import CHANNELS, TITLES, shown_map
@@ -62,13 +62,13 @@ def keep_photos(folder: Path, capture: Capture) -> None:
         images.write_png(folder / "photos" / f"{name}.png", photo)
 
 
-def write_report(folder: str | Path, quick: bool = False, left_out: Capture | None = None,
+def write_report(fit: Fit | str | Path, quick: bool = False, left_out: Capture | None = None,
                  report: Report = lambda text, share: None, into: Path | None = None) -> dict:
     """Measure what a page shows beside ``fit.json``, and write ``report.json`` and ``report.html`` into a
     fit's folder.
 
     Args:
-        folder: of the fit, with the photos it used in ``photos/`` where they are to be shown.
+        fit: the fit or its folder, with the photos it used in ``photos/`` where they are to be shown.
         quick: check the fit's renderer alone, on small maps and few views, and time nothing.
         left_out: photos that the fit did not use, to predict and keep; None: those that an earlier page had.
             Where the capture states no views, also those that it used: all help to place the others.
@@ -83,19 +83,18 @@ def write_report(folder: str | Path, quick: bool = False, left_out: Capture | No
         OutputError: the folder cannot be written, or another fit was put there meanwhile.
         BackendError: the fit's renderer does not work here.
     """
-    found = read_whole_fit(folder)
-    engine, into = found.renderer(), into or found.path
+    found = fit if isinstance(fit, Fit) else Fit.load(fit)
+    engine, into = found.engine(), into or found.path
     predicted, error = (_earlier(found) if left_out is None or engine is None
                         else _predicted(found, left_out, engine, into))
     photos = [{"name": name, "left_out": False, "rmse": rmse, "photo": _there(f"photos/{name}.png", into,
                                                                               found.path),
                "rerendered": f"rerendered/{name}.png"} for name, rmse in found.record["per_photo"].items()]
     transfer = found.record["capture"]["transfer"]
-    assert found.views is not None  # a whole fit has them
     measured = fit_report(found.svbrdf, found.views, engine, names=found.names, transfer=transfer,
                           fixed=found.fixed,
                           grey_specular=found.record["config"]["grey_specular"], quick=quick, report=report)
-    if not found.unchanged():
+    if found is not fit and not found.unchanged():
         raise OutputError("the same fit as a moment ago", f"another one in {found.path}", "run it again")
     record = measured | {"photos": photos + predicted, "left_out_rmse": error}
     files.write_json(into / "report.json", record)
@@ -103,7 +102,7 @@ def write_report(folder: str | Path, quick: bool = False, left_out: Capture | No
     return record
 
 
-def check_photos(found: SavedFit, capture: Capture) -> None:
+def check_photos(found: Fit, capture: Capture) -> None:
     """Raise CaptureError unless these are the photos of the fit, as their errors and whether they are
     calibrated tell.
     """
@@ -131,7 +130,7 @@ def _there(name: str, *folders: Path) -> str | None:
     return name if any((folder / name).is_file() for folder in folders) else None
 
 
-def _predicted(found: SavedFit, capture: Capture, engine: Renderer, into: Path) -> tuple[list[dict], float]:
+def _predicted(found: Fit, capture: Capture, engine: Renderer, into: Path) -> tuple[list[dict], float]:
     capture = placed(capture, found)
     capture = capture.pick([number for number in capture.index if number not in found.seen])
     predicted, error, each = predict(found.svbrdf, capture, engine, found.flash_offset)
@@ -143,7 +142,7 @@ def _predicted(found: SavedFit, capture: Capture, engine: Renderer, into: Path) 
             for name, rmse in zip(capture.names, each)], error
 
 
-def _earlier(found: SavedFit) -> tuple[list[dict], float | None]:
+def _earlier(found: Fit) -> tuple[list[dict], float | None]:
     """Photos left out that an earlier page of this folder had."""
     try:
         record = load(found.path / "report.json")
@@ -162,13 +161,13 @@ def _earlier(found: SavedFit) -> tuple[list[dict], float | None]:
     return photos, error
 
 
-def _write_page(found: SavedFit, record: dict, into: Path) -> None:
+def _write_page(found: Fit, record: dict, into: Path) -> None:
     fit = found.record
     side = int(max(SMALLEST_PHOTO, min(LARGEST_PHOTO, PHOTOS_WIDE / len(record["photos"])**0.5)))
     title = f"{fit['capture'].get('name') or 'Capture'}: recovered material"
     write_page(into / "report.html", "report/report.html", title=title, fit=fit, record=record,
                maps=_maps(found), front=header(found, record["quick"]),
-               photos=[_photo(photo, side, into, found.path) for photo in record["photos"]],
+               photos=[_photo(photo, side, found, into, found.path) for photo in record["photos"]],
                viewer=viewer_html(found.svbrdf),
                curves=error_and_losses(fit["trace"]), measured=_thinned(fit["trace"]), unknown=UNKNOWN, ramp=_ramp(),
                titles=TITLES,
@@ -176,19 +175,18 @@ def _write_page(found: SavedFit, record: dict, into: Path) -> None:
                from_where=about_views(fit.get("calibration") or {}))
 
 
-def _maps(found: SavedFit) -> list[dict]:
+def _maps(found: Fit) -> list[dict]:
     """Of each map its name, its picture, and a picture of its standard deviation where there is one."""
     maps = []
     for name in CHANNELS[found.svbrdf.bsdf]:
-        spread = found.path / "uncertainty" / f"{name}.exr"
-        known = name in found.record["confidence"] and spread.is_file()  # there may be one of an earlier fit
-        sure = images.read_image(spread, MapsError)[..., 0] / UNKNOWN if known else None
+        spread = found.deviations.get(name)
+        sure = None if spread is None else spread.square().mean(dim=-1).sqrt() / UNKNOWN
         maps.append({"name": name, "title": TITLES[name], "picture": _map_uri(name, found.svbrdf[name]),
                      "spread": None if sure is None else picture_uri(magma(sure))})
-    guess = found.path / "guess" / "diffuse.exr"
-    if guess.is_file() and "diffuse" not in found.fixed:  # else it is that map
+    there = (found.path / "guess" / "diffuse.exr").is_file()
+    if there and "diffuse" not in found.fixed:  # else it is that map
         maps.append({"name": None, "title": "Guessed diffuse", "spread": None,
-                     "picture": _map_uri("diffuse", images.read_image(guess, MapsError))})
+                     "picture": _map_uri("diffuse", found.guess)})
     return maps
 
 
@@ -200,11 +198,19 @@ def _ramp() -> str:
     return picture_uri(magma(torch.linspace(0, 1, 256).expand(8, 256)))
 
 
-def _photo(photo: dict, side: int, *folders: Path) -> dict:
+def _photo(photo: dict, side: int, found: Fit, *folders: Path) -> dict:
     """Pictures of a photo, its re-rendering, and four times their difference; without the photo, the
     re-rendering alone.
     """
+    memory = {}
+    if "photos" in found.known and photo["name"] in found.names:
+        row, transfer = found.names.index(photo["name"]), found.record["capture"]["transfer"]
+        memory = {photo["photo"]: found.photos[row],
+                  photo["rerendered"]: color.to_display(found.rerendered[row], transfer)}
+
     def read(name: str) -> Tensor:
+        if name in memory:
+            return memory[name]
         folder = next((each for each in folders if (each / name).is_file()), folders[-1])
         return images.read_image(folder / name, MapsError)
 

@@ -10,8 +10,7 @@ from ..errors import OutputError
 from ..export.mitsuba import write_scene
 from ..fit.confidence import confidence
 from ..fit.methods import method_name
-from ..fit.record import write_record
-from ..fit.result import FitResult
+from ..fit.result import Fit, write_record
 from ..io import images
 from ..io.entry import entry
 from ..io.images import write_linear
@@ -24,7 +23,7 @@ from .overview import write_sheet
 
 
 @entry()
-def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dict | None = None,
+def write_fit(result: Fit, capture: Capture, out: str | Path, command: dict | None = None,
               left_out: Capture | None = None, pages: bool = True) -> None:
     """Write a fit: maps, detail, uncertainty, guess, photos and re-renderings, sheet, curve, Mitsuba scene,
     ``fit.json``, page.
@@ -52,7 +51,7 @@ def write_fit(result: FitResult, capture: Capture, out: str | Path, command: dic
         write_fit_files(result, capture, folder, command, left_out, pages)
 
 
-def write_fit_files(result: FitResult, capture: Capture, out: Path, command: dict | None = None,
+def write_fit_files(result: Fit, capture: Capture, out: Path, command: dict | None = None,
                     left_out: Capture | None = None, pages: bool = True) -> None:
     """Write a fit, file by file, into a folder that will take its place later; see :func:`write_fit` for the
     arguments.
@@ -65,12 +64,12 @@ def write_fit_files(result: FitResult, capture: Capture, out: Path, command: dic
     for name, spread in result.deviations.items():
         images.write_exr(out / "uncertainty" / f"{name}.exr",
                          spread.square().mean(dim=-1, keepdim=True).sqrt())
-    write_record(out, result, capture, command or {})
+    written = write_record(out, result, command or {})
     if pages:
-        _write_pages(result, capture, out, left_out)
+        _write_pages(written, capture, out, left_out)
 
 
-def _write_pages(result: FitResult, capture: Capture, out: Path, left_out: Capture | None) -> None:
+def _write_pages(result: Fit, capture: Capture, out: Path, left_out: Capture | None) -> None:
     """What people look at, and the scene."""
     write_linear(out / "guess" / "diffuse", result.guess, "srgb")
     for name, image in zip(capture.names, result.rerendered):
@@ -89,7 +88,7 @@ def _write_pages(result: FitResult, capture: Capture, out: Path, left_out: Captu
     # photos that an earlier fit left out are none of this one's
     (out / "report.json").unlink(missing_ok=True)
     try:
-        write_report(out, quick=True, left_out=left_out)
+        write_report(result, quick=True, left_out=left_out)
     except OutputError:
         raise
     except Exception as reason:  # whatever it is: the result of a long fit is worth more than its page

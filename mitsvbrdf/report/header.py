@@ -13,7 +13,7 @@ from pathlib import Path
 from ..errors import BackendError
 from ..export import ExportSettings
 from ..export.maps import write_maps
-from ..fit.record import SavedFit
+from ..fit.result import Fit
 from ..material.maps import SVBRDF
 from ..relight.sphere import sphere
 from .pictures import picture_uri
@@ -23,7 +23,7 @@ SIDES, HEAVIEST = (512, 256), 2 * 2**20
 QUICK, FULL = 256, 512  # pixels of the sphere
 
 
-def header(found: SavedFit, quick: bool) -> dict:
+def header(found: Fit, quick: bool) -> dict:
     """Picture, verdict and textures of a fit.
 
     Args:

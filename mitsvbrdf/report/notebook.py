@@ -10,9 +10,9 @@ from torch import Tensor
 
 from .. import color
 from ..capture import Capture
+from ..fit.diagnose import about_views
 from ..fit.methods import method_name
-from ..fit.result import FitResult
-from ..fit.view_record import about_views
+from ..fit.result import Fit
 from ..material.maps import CHANNELS, SVBRDF, TITLES, shown_map
 from .page import figure, page_text
 from .pictures import at_most, png_uri
@@ -52,7 +52,7 @@ def _(capture: Capture) -> str:
 
 
 @html_of.register
-def _(fit: FitResult) -> str:
+def _(fit: Fit) -> str:
     end = fit.trace[-1] if fit.trace else {}
     took = f" after {end['seconds']:.1f} s, {end['iteration']} iterations" if {"seconds", "iteration"} <= set(end) else ""
     stated = ("" if fit.calibrated_rmse is None

@@ -19,8 +19,8 @@ from mitsvbrdf.capture import Capture, read_capture, write_capture
 from mitsvbrdf.errors import CaptureError
 from mitsvbrdf.evaluate import evaluate_fit, placed
 from mitsvbrdf.fit import HierarchicalConfig, fit_svbrdf
-from mitsvbrdf.fit.record import SavedFit, read_fit
-from mitsvbrdf.fit.view_record import about_views, views_record
+from mitsvbrdf.fit.diagnose import about_views, views_record
+from mitsvbrdf.fit.result import Fit
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.views import Views
@@ -161,7 +161,7 @@ def test_photos_that_tell_nothing_keep_the_default(case):
     kept, found = self_calibrated(shots)
     assert found is None and kept.views is shots.views and why in why_not(shots)
     assert len(kept.notes) == 1 and why in kept.notes[0] and "default geometry" in kept.notes[0]
-    assert placed(shots, SavedFit()).notes == kept.notes  # for maps that came without a fit, too
+    assert placed(shots, Fit()).notes == kept.notes  # for maps that came without a fit, too
 
 
 @pytest.mark.parametrize("seed", [0, 1])
@@ -219,7 +219,7 @@ def test_photos_left_out_are_predicted_from_views_estimated_from_all(glossy, tmp
     assert page["left_out_rmse"] == pytest.approx(error, rel=1e-4)
     text = (tmp_path / "out/report.html").read_text()
     assert "estimated from all photos and moved" in text and "The views were estimated from the rectified photos alone" in text
-    shots, fit = read_capture(capture), read_fit(out)
+    shots, fit = read_capture(capture), Fit.of_maps(out)
     moved = placed(shots, fit).pick(fit.seen).views
     assert float((moved.camera - fit.views.camera)[:, :2].mean(dim=0).abs().max()) < 1e-9
     for there, here in ((fit.views.camera[:, 2], moved.camera[:, 2]), (fit.views.intensity, moved.intensity)):
@@ -227,7 +227,7 @@ def test_photos_left_out_are_predicted_from_views_estimated_from_all(glossy, tmp
     with pytest.raises(CaptureError, match="3 photos"):
         placed(shots.pick([4, 7]), fit)
     given = replace(shots, calibration="photos")
-    assert placed(given, fit) is given and placed(shots, replace(fit, estimated=False)) is shots
+    assert placed(given, fit) is given and placed(shots, fit.but(estimated=False)) is shots
 
 
 @pytest.mark.parametrize("flags", [[], ["--calibrate"], ["--calibrate", "True"], ["--no-calibrate"],

@@ -17,7 +17,7 @@ from mitsvbrdf import cli
 from mitsvbrdf.cli.fit import _from_first_of
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit.checkpoint import save_tensors
-from mitsvbrdf.fit.record import read_whole_fit
+from mitsvbrdf.fit.result import Fit
 from mitsvbrdf.io import images, results
 from mitsvbrdf.material.map_files import load_maps
 
@@ -193,9 +193,9 @@ cli.main({refit!r})
 """
     assert subprocess.run([sys.executable, "-c", code]).returncode == -signal.SIGKILL
     assert cli.main(["evaluate", str(out), "--reference", "builtin:inlay"]) == 0
-    photos = len(read_whole_fit(out).record["per_photo"])
+    photos = len(Fit.load(out).record["per_photo"])
     assert photos == (9 if when == "before" else 2) == len(list((out / "rerendered").glob("*.exr")))
-    assert cli.main(refit) == 0 and len(read_whole_fit(out).record["per_photo"]) == 2
+    assert cli.main(refit) == 0 and len(Fit.load(out).record["per_photo"]) == 2
 
 
 def test_results_are_only_replaced_when_asked(shots, tmp_path, capsys):

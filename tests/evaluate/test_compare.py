@@ -19,7 +19,7 @@ from mitsvbrdf import cli
 from mitsvbrdf.capture import read_capture, write_capture
 from mitsvbrdf.evaluate.compare import Entry, compare
 from mitsvbrdf.evaluate.photos import fitted_views
-from mitsvbrdf.fit.record import SavedFit
+from mitsvbrdf.fit.result import Fit
 from mitsvbrdf.io import images
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
@@ -116,7 +116,7 @@ def test_fitted_views_are_those_of_the_fit_for_the_photos_it_saw(shots):
     capture, true = shots
     stored = replace(true.pick([2, 1]), camera=2 * true.camera[[2, 1]], light=2 * true.light[[2, 1]],
                      intensity=4 * true.intensity[[2, 1]], size=2.0)
-    fit = SavedFit(flash_offset=(0.05, -0.02), capture="photos", seen=(2, 1), views=stored)
+    fit = Fit().but(flash_offset=(0.05, -0.02), capture="photos", seen=(2, 1), views=stored)
     views, names = fitted_views(fit, capture)
     assert names == ["01", "02"] and views.size == 1
     assert torch.equal(views.camera, capture.views.camera) and torch.allclose(views.intensity, true.intensity,
@@ -124,7 +124,7 @@ def test_fitted_views_are_those_of_the_fit_for_the_photos_it_saw(shots):
     assert torch.allclose(views.light[1:], true.light[1:], atol=1e-12)
     assert torch.allclose(views.light[0] - capture.views.light[0], torch.tensor([0.05, -0.02, 0.0],
                                                                                 dtype=torch.float64))
-    elsewhere, names = fitted_views(replace(fit, capture="others"), capture)
+    elsewhere, names = fitted_views(fit.but(capture="others"), capture)
     assert not names and torch.allclose(elsewhere.light[:, 0] - capture.views.light[:, 0],
                                         torch.full((3,), 0.05).double())
 
@@ -134,7 +134,8 @@ def test_photos_are_seen_as_each_fit_saw_them():
     # bits, below.
     maps, views = make_material("inlay", SIDE), nine_view_grid(distance=1.0).pick([1, 3])
     photos = photograph(maps, replace(views, falloff="none"), ANALYTIC, transfer="srgb")
-    fits = SavedFit("none", "srgb"), SavedFit("inverse-square", "srgb"), SavedFit("none", "gamma2.2")
+    fits = (Fit().but(falloff=falloff, transfer=transfer) for falloff, transfer in (
+        ("none", "srgb"), ("inverse-square", "srgb"), ("none", "gamma2.2")))
     record, _ = compare([Entry(name, name, maps, fit) for name, fit in zip("abc", fits)],
                         replace(photos, views=views, transfer="gamma2.2"), ANALYTIC)
     theirs, light, code = (method["rerender_rmse"] for method in record["methods"])

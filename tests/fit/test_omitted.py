@@ -21,7 +21,7 @@ from mitsvbrdf.fit import (
 from mitsvbrdf.fit.hierarchical import omitted as parts
 from mitsvbrdf.fit.hierarchical.stages import ROUNDS, Stage, Stages
 from mitsvbrdf.fit.omitted import decided_later, known_before, omitted_by, used
-from mitsvbrdf.fit.record import read_whole_fit
+from mitsvbrdf.fit.result import Fit
 from mitsvbrdf.material.maps import CHANNELS
 
 NETWORKS = {"generator", "discriminator"}
@@ -138,10 +138,10 @@ def test_explain_and_the_record_say_so(tmp_path, capsys):
     # A record of before there was such a field is read, one whose field is something else is not.
     (out / "fit.json").write_text(json.dumps({name: value for name, value in record.items()
                                               if name != "used"}))
-    read_whole_fit(out)
+    Fit.load(out)
     (out / "fit.json").write_text(json.dumps(record | {"used": "a generator"}))
     with pytest.raises(MapsError, match="used"):
-        read_whole_fit(out)
+        Fit.load(out)
 
 
 @pytest.mark.parametrize("stage, structure, said", [

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from mitsvbrdf.errors import MapsError, MitsvbrdfError
-from mitsvbrdf.fit.record import read_fit, read_whole_fit
+from mitsvbrdf.fit.result import Fit
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import flat
 
@@ -56,7 +56,7 @@ def with_other(place, other):
 
 def test_the_record_itself_is_whole(folder):
     (folder / "fit.json").write_text(json.dumps(RECORD))
-    assert read_whole_fit(folder).names == ["00"] and read_fit(folder).flash_offset == (0.1, 0.0)
+    assert Fit.load(folder).names == ["00"] and Fit.of_maps(folder).flash_offset == (0.1, 0.0)
 
 
 @pytest.mark.parametrize("place", [place for place in places(RECORD) if place],
@@ -64,12 +64,12 @@ def test_the_record_itself_is_whole(folder):
 def test_any_value_of_another_kind_is_read_or_one_error(place, folder):
     for other in OTHERS:
         (folder / "fit.json").write_text(json.dumps(with_other(place, other)))
-        for read in (read_fit, read_whole_fit):
+        for read in (Fit.of_maps, Fit.load):
             try:
                 fit = read(folder)
                 used = [fit.label, fit.side_metres, fit.record.get("warnings"), fit.of]
-                if read is read_whole_fit:
-                    used += [fit.fixed, fit.names, fit.renderer(), fit.svbrdf]
+                if read is Fit.load:
+                    used += [fit.fixed, fit.names, fit.engine(), fit.svbrdf]
             except MitsvbrdfError as error:
                 assert "fit.json" in str(error) or "renderer" in str(error)
 
@@ -82,4 +82,4 @@ def test_any_value_of_another_kind_is_read_or_one_error(place, folder):
 def test_what_is_wrong_is_named(place, other, words, folder):
     (folder / "fit.json").write_text(json.dumps(with_other(place, other)))
     with pytest.raises(MapsError, match=f"fit.json: .*{words}"):
-        read_fit(folder)
+        Fit.of_maps(folder)

@@ -45,13 +45,13 @@ def test_a_photo_from_elsewhere_is_named(leather):
 def test_each_doubt(change, words, fitted, leather):
     if "rerendered" in change:
         change = {"rerendered": fitted.rerendered / change["rerendered"]}
-    (warning,) = fit_warnings(dataclasses.replace(fitted, **change), leather)
+    (warning,) = fit_warnings(fitted.but(**change), leather)
     assert words in warning
 
 
 @pytest.mark.parametrize("stopped, said", [("budget", 1), ("interrupted", 1), ("settled", 0)])
 def test_a_fit_that_had_not_settled(stopped, said, fitted, leather):
-    result = dataclasses.replace(fitted, config=HierarchicalConfig(), stopped=stopped)
+    result = fitted.but(config=HierarchicalConfig(), stopped=stopped)
     assert sum("before it had settled" in warning for warning in fit_warnings(result, leather)) == said
 
 
@@ -60,7 +60,7 @@ def test_a_fit_that_had_not_settled(stopped, said, fitted, leather):
 def test_roughness_that_lies_as_the_highlights_do(fix, count, fitted, leather):
     follows = 0.2 + coverage_angle(fitted.views, SIDE)[..., None].float()
     burnt = SVBRDF("roughconductor", dict(fitted.svbrdf.maps) | {"roughness": follows})
-    found = dataclasses.replace(fitted, svbrdf=burnt, config=dataclasses.replace(fitted.config, fix=fix))
+    found = fitted.but(svbrdf=burnt, config=dataclasses.replace(fitted.config, fix=fix))
     warnings = list(fit_warnings(found, leather))
     assert len(warnings) == count and all("100% of the roughness map lies as" in warning
                                           for warning in warnings)
@@ -75,7 +75,7 @@ def test_ovals_where_single_photos_had_their_highlights(side, mirrored, said, fi
     ovals = torch.exp(-(far / 0.05).square() / 2).sum(dim=0)
     rough = 0.06 + 0.05 * (ovals.flip(1) if mirrored else ovals)[..., None].float()
     maps = dict(fitted.svbrdf.resized(side).maps) | {"roughness": rough}
-    found = dataclasses.replace(fitted, svbrdf=SVBRDF("roughconductor", maps), views=views)
+    found = fitted.but(svbrdf=SVBRDF("roughconductor", maps), views=views)
     assert any("the roughness map has ovals" in warning for warning in fit_warnings(found, leather)) == said
 
 
@@ -88,7 +88,7 @@ def with_maps(fitted, fix=(), spread=None, **values):
     """The fit with constant maps, and a standard deviation of specular for each texel."""
     maps = {name: torch.full_like(fitted.svbrdf[name], value) for name, value in values.items()}
     spread = torch.full((SIDE, SIDE, 3), 0.2) if spread is None else spread
-    return dataclasses.replace(fitted, svbrdf=SVBRDF("roughconductor", dict(fitted.svbrdf.maps) | maps),
+    return fitted.but(svbrdf=SVBRDF("roughconductor", dict(fitted.svbrdf.maps) | maps),
                                deviations=dict(fitted.deviations) | {"specular": spread},
                                config=dataclasses.replace(fitted.config, fix=fix))
 
@@ -147,7 +147,7 @@ def played(fitted, config, losses):
     trace = [{"iteration": 10 * n, "seconds": 1.0 * n, "rerender_rmse": 0.05} | ({"discriminator": loss} if n
                                                                                  else {})
              for n, loss in enumerate([0.0, *losses])]
-    return dataclasses.replace(fitted, config=config, trace=trace)
+    return fitted.but(config=config, trace=trace)
 
 
 @pytest.mark.parametrize("config, words", [
@@ -182,12 +182,12 @@ def test_games_that_are_lost_and_games_that_are_not(game, leather):
     ({}, 1), ({"config": HierarchicalConfig()}, 0), ({"omitted": (("multi-start", "photos of a phone"),)},
                                                      0),
     ({"calibrated_rmse": None}, 0), ({"calibrated_rmse": 0.002}, 0),
-    ({"flash_offset": (0.08 * GRID.size, 0.0)}, 0),
+    ({"flash_offset": (0.08, 0.0)}, 0),
 ])
 def test_views_that_were_refined_though_exact_photos_said_they_were_right(change, said, fitted, leather):
     asked = {"config": HierarchicalConfig(calibrate=True),
              "omitted": (("tied stage", "the photos follow the model"),),
              "rerender_rmse": 0.0013, "calibrated_rmse": 0.0014, "flash_offset": (0.004, 0.001),
              "stopped": "settled"}
-    warnings = list(fit_warnings(dataclasses.replace(fitted, **(asked | change)), leather))
+    warnings = list(fit_warnings(fitted.but(**(asked | change)), leather))
     assert [("leave --calibrate out" in warning) for warning in warnings] == [True] * said

@@ -9,7 +9,7 @@ import pytest
 
 from mitsvbrdf.capture import read_capture
 from mitsvbrdf.errors import CaptureError, MitsvbrdfError
-from mitsvbrdf.fit.record import read_fit
+from mitsvbrdf.fit.result import Fit
 from mitsvbrdf.io import json as io_json
 from mitsvbrdf.io.json import NUMBER, load, parsed, read_json, shape_error
 from mitsvbrdf.material.map_files import read_material_json
@@ -67,7 +67,7 @@ def test_where_a_value_does_not_fit(value, shape, where):
 
 
 READERS = {
-    "capture.json": read_capture, "fit.json": read_fit, "material.json": read_material_json,
+    "capture.json": read_capture, "fit.json": Fit.of_maps, "material.json": read_material_json,
     "relight.json": lambda folder: go_on({},
                                                                                                     folder, folder)}
 

@@ -10,7 +10,7 @@ from helpers import GRID
 
 from mitsvbrdf import cli
 from mitsvbrdf.capture import read_capture
-from mitsvbrdf.fit.record import read_fit
+from mitsvbrdf.fit.result import Fit
 from mitsvbrdf.material.made import MATERIALS, make_material
 from mitsvbrdf.material.map_files import load_maps
 from mitsvbrdf.material.maps import SVBRDF, flat
@@ -154,7 +154,7 @@ def test_evaluate_looks_at_the_photos_of_the_fit(tmp_path):
     assert cli.main(["fit", shots, "-o", out, *fast, "--views", "0,1,3,8"]) == 0
     record = json.loads((tmp_path / "out/fit.json").read_text())["burn_in"]
     assert set(record) == {"specular", "roughness"} and record["roughness"] > 1e-3
-    assert torch.equal(read_fit(out).views.camera,
+    assert torch.equal(Fit.of_maps(out).views.camera,
                        read_capture(tmp_path / "shots").views.camera[[0, 1, 3, 8]])
     arguments = ["--capture", shots, "--views", "4,7", "--renderer", "analytic", "--json", figures]
     assert cli.main(["evaluate", out, *arguments]) == 0

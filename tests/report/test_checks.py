@@ -9,7 +9,7 @@ from helpers import ANALYTIC, GRID
 from helpers.fit_pages import SIDE, Page
 
 from mitsvbrdf import cli
-from mitsvbrdf.fit.record import read_fit
+from mitsvbrdf.fit.result import Fit
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import load_maps
 from mitsvbrdf.material.maps import SVBRDF
@@ -22,7 +22,7 @@ from mitsvbrdf.report.page import figure
 def test_the_quick_check_is_the_error_of_the_fits_renderer(fitted):
     record, svbrdf = json.loads((fitted / "report.json").read_text()), load_maps(fitted)
     check = record["crosscheck"]
-    views = read_fit(fitted).views.pick([0, 1])
+    views = Fit.of_maps(fitted).views.pick([0, 1])
     exact, found = ({}, {})
     for into, name, dtype in ((exact, "analytic64", torch.float64), (found, "analytic", torch.float32)):
         maps = {n: t.to(dtype).clone().requires_grad_() for n, t in svbrdf.maps.items()}

@@ -14,7 +14,7 @@ from mitsvbrdf import cli
 from mitsvbrdf.capture import read_capture, write_capture
 from mitsvbrdf.errors import OutputError
 from mitsvbrdf.fit import DirectConfig, fit_svbrdf
-from mitsvbrdf.fit.record import read_fit
+from mitsvbrdf.fit.result import Fit
 from mitsvbrdf.io import images
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.report import fit_page
@@ -156,7 +156,7 @@ def test_a_fit_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
     assert not (tmp_path / "new").exists() and (out / "uncertainty/roughness.exr").is_file()
     write_fit(fixed, shots, out, pages=False)
-    assert not (out / "uncertainty/roughness.exr").exists() and read_fit(out).svbrdf[
+    assert not (out / "uncertainty/roughness.exr").exists() and Fit.of_maps(out).svbrdf[
         "roughness"].unique().item() == 0.5
     assert (out / "maps/mine.psd").read_text() == "mine" and not list(out.rglob("*.old"))
 
@@ -193,6 +193,6 @@ def test_a_report_json_of_somebody_else_is_not_trusted(copy):
 
 
 def test_read_fit_gives_what_the_files_say(fitted):
-    found = read_fit(fitted)
+    found = Fit.of_maps(fitted)
     assert found.names == ["00", "01",
                            "03"] and found.svbrdf.resolution == SIDE and found.renderer().name == "analytic"

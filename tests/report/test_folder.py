@@ -15,7 +15,7 @@ from helpers.unfinished import unfinished
 from mitsvbrdf import cli
 from mitsvbrdf.capture import write_capture
 from mitsvbrdf.export.mitsuba import write_scene
-from mitsvbrdf.fit.record import read_whole_fit
+from mitsvbrdf.fit.result import Fit
 from mitsvbrdf.io import results
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import load_maps
@@ -82,7 +82,7 @@ def test_ctrl_c_while_a_fit_is_written_is_heard_when_all_is_there(photos, tmp_pa
     assert cli.main(["fit", str(photos), "-o", str(tmp_path / "out"), *FAST]) == 130
     assert "interrupted" in capsys.readouterr().err and not results.partial_folder(
         tmp_path / "out").exists()
-    assert read_whole_fit(tmp_path / "out") and (tmp_path / "out/report.html").is_file()
+    assert Fit.load(tmp_path / "out") and (tmp_path / "out/report.html").is_file()
 
 
 def test_an_unfinished_fit_is_no_matter_of_the_page(copy):

@@ -14,7 +14,7 @@ from helpers.fit_pages import Page
 from mitsvbrdf.errors import BackendError
 from mitsvbrdf.export import ExportSettings
 from mitsvbrdf.export.maps import write_maps
-from mitsvbrdf.fit.record import read_whole_fit
+from mitsvbrdf.fit.result import Fit
 from mitsvbrdf.report import header as header_page
 from mitsvbrdf.report.header import header, judged, packed
 
@@ -51,7 +51,7 @@ def test_the_page_has_the_textures_of_its_fit(fitted):
     inside = zipfile.ZipFile(io.BytesIO(base64.b64decode(link[2])))
     stem = link[1].removesuffix(".zip")
     rough = np.asarray(PIL.Image.open(io.BytesIO(inside.read(f"{stem}_rough.png")))).astype(int)
-    assert np.abs(rough - 255 * read_whole_fit(fitted).svbrdf["roughness"][..., 0].numpy()).max() < 0.51
+    assert np.abs(rough - 255 * Fit.load(fitted).svbrdf["roughness"][..., 0].numpy()).max() < 0.51
     ball = page.pixels("a sphere of this material in a studio")
     assert ball.shape == (256, 256, 3) and ball.std() > 5
 
@@ -61,11 +61,11 @@ def test_pages_go_without_mitsuba(fitted, monkeypatch):
         raise BackendError("libLLVM 19 or newer", "none", "install libllvm19")
 
     monkeypatch.setattr(header_page, "sphere", missing)
-    assert header(read_whole_fit(fitted), quick=True)["picture"] is None
+    assert header(Fit.load(fitted), quick=True)["picture"] is None
 
 
 def test_heavy_textures_are_smaller_on_the_page(fitted, monkeypatch):
     monkeypatch.setattr(header_page, "SIDES", (32, 16))
-    assert header(read_whole_fit(fitted), quick=True)["side"] == 32
+    assert header(Fit.load(fitted), quick=True)["side"] == 32
     monkeypatch.setattr(header_page, "HEAVIEST", 1000)
-    assert header(read_whole_fit(fitted), quick=True)["side"] == 16
+    assert header(Fit.load(fitted), quick=True)["side"] == 16

@@ -149,7 +149,7 @@ def test_the_largest_result_stays_below_the_limit(result):
     small = torch.nn.functional.adaptive_avg_pool2d(noise.permute(0, 3, 1, 2), 128).permute(0, 2, 3, 1)
     maps = {"diffuse": small[0], "specular": small[1], "roughness": small[2][..., :1], "normal": small[3]
             + 0.01}
-    shown = Shown(replace(result, svbrdf=SVBRDF("roughconductor", maps), guess=small[4], rerendered=noise,
+    shown = Shown(result.but(svbrdf=SVBRDF("roughconductor", maps), guess=small[4], rerendered=noise,
                           per_photo=[0.1] * 12, warnings=("a long warning " * 1000,) * 1000))
     assert len(shown.sources) == 14 and shown.words.count("…") + shown.words.count("...") >= 10
 
@@ -158,7 +158,7 @@ def test_the_largest_result_stays_below_the_limit(result):
 def test_texts_are_escaped(text, shots, result):
     plain = set(Shown(shots).tags) | {"ul", "li"}
     capture = replace(shots, source=Path("photos") / text.replace("/", "∕"), notes=(text, "kept"))
-    for value in (capture, replace(result, warnings=(text, "kept"), renderer=text, stopped=text)):
+    for value in (capture, result.but(warnings=(text, "kept"), renderer=text, stopped=text)):
         shown = Shown(value)
         assert set(shown.tags) == plain and "kept" in shown.words and "<script" not in shown.html
         if text == HOSTILE:
@@ -166,14 +166,14 @@ def test_texts_are_escaped(text, shots, result):
 
 
 def test_a_result_without_trace_or_photos_is_shown_too(result):
-    bare = replace(result, trace=[], rerendered=result.rerendered[:0], per_photo=[], warnings=())
+    bare = result.but(trace=[], rerendered=result.rerendered[:0], per_photo=[], warnings=())
     assert len(Shown(bare).sources) == 5
 
 
 def test_importing_stays_light():
     # Pictures are made by cv2, matplotlib and jinja2, which only a notebook's first output may load.
     code = ("import sys, mitsvbrdf\nassert 'torch' not in sys.modules\n"
-            "from mitsvbrdf import SVBRDF, Capture, FitResult\n"
+            "from mitsvbrdf import SVBRDF, Capture, Fit\n"
             "found = {'mitsuba', 'drjit', 'cv2', 'matplotlib', 'jinja2'} & set(sys.modules)\n"
             "assert not found, found\n"
             "from mitsvbrdf.material.maps import flat\nfrom mitsvbrdf.report.notebook import html_of\n"
@@ -185,6 +185,6 @@ def test_importing_stays_light():
 def test_in_a_terminal_they_are_one_line(shots, result):
     assert repr(flat(4)) == "SVBRDF(roughconductor, 4 px)"
     assert repr(shots).startswith("Capture(without a folder, photos 00, 01") and len(repr(shots)) < 120
-    assert repr(result).startswith("FitResult(direct, SVBRDF(") and f"{result.rerender_rmse:.4f}" in repr(
+    assert repr(result).startswith("Fit(direct, SVBRDF(") and f"{result.rerender_rmse:.4f}" in repr(
         result)
     assert len(repr(result)) < 120

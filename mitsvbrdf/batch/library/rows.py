@@ -36,13 +36,14 @@ def row_of(folder: Path, shown: Capture | None, engine: Renderer) -> dict:
     """
     from ...evaluate import placed
     from ...evaluate.placement import predict
-    from ...fit.record import read_fit, record_in
+    from ...fit.record import record_in
+    from ...fit.result import Fit
 
     record, error = record_in(folder), None
     if (folder / "report.json").is_file():
         error = load(folder / "report.json")["left_out_rmse"]
     elif shown is not None:
-        fit = read_fit(folder)
+        fit = Fit.of_maps(folder)
         around = placed(shown, fit)
         unseen = around.pick([number for number in around.index if number not in fit.seen])
         error = predict(fit.svbrdf, unseen, engine, fit.flash_offset)[1]

@@ -33,7 +33,7 @@ from ..confidence import map_of, numbers_of
 from ..detail_config import DetailConfig
 from ..method import cosine, descend
 from ..parameters import ROUGHNESS_RANGE, STREAMS
-from ..result import FitResult
+from ..result import Fit
 from .highlight_discriminator import PATCH, HighlightDiscriminator, patch_distance
 from .networks import AllPhotosGenerator, seeded
 from .novel_lights import NovelLight, draw, novel_views
@@ -50,8 +50,8 @@ Report = Callable[[str, float], object]
 
 
 @entry(gradients=True)
-def with_detail(result: FitResult, capture: Capture, renderer: Renderer, config: DetailConfig | None = None,
-             report: Report = lambda text, share: None) -> FitResult:
+def with_detail(result: Fit, capture: Capture, renderer: Renderer, config: DetailConfig | None = None,
+             report: Report = lambda text, share: None) -> Fit:
     """A fit with plausible detail beside its maps.
 
     Args:
@@ -84,13 +84,13 @@ def with_detail(result: FitResult, capture: Capture, renderer: Renderer, config:
         share, detail, (_, total, each) = training.weakened(config.worst * result.rerender_rmse)
     ends = {name: {"first": _mean(logged[:AVERAGED], name), "last": _mean(logged[-AVERAGED:], name)}
             for name in logged[0]}
-    return replace(result, detail=detail, detail_record={
+    return result.but(detail=detail, detail_record={
         "what": WHAT, "config": asdict(config), "steps": config.steps, "share": share,
         "seconds": round(time.perf_counter() - began, 3), "losses": ends, "rerender_rmse": total,
         "per_photo": dict(zip(capture.names, each))})
 
 
-def why_not(result: FitResult) -> str | None:
+def why_not(result: Fit) -> str | None:
     """Why a fit can have no plausible detail; None where it can."""
     if result.stopped == "interrupted":
         return "the fit was interrupted"
@@ -116,7 +116,7 @@ class DetailTraining:
         config: settings.
     """
 
-    def __init__(self, result: FitResult, capture: Capture, renderer: Renderer, config: DetailConfig) -> None:
+    def __init__(self, result: Fit, capture: Capture, renderer: Renderer, config: DetailConfig) -> None:
         self.capture, self.renderer, self.config = capture, renderer, config
         self.solved, self.views = result.svbrdf, result.views
         size = capture.resolution

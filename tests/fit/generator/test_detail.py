@@ -44,7 +44,7 @@ def test_maps_keep_their_bits_and_certain_texels_stay(result, capture):
     spreads = {name: value.clone() for name, value in result.deviations.items()}
     for value in spreads.values():
         value[:, :16], value[:, 16:] = 0.01, 0.2
-    found = with_detail(dataclasses.replace(result, deviations=spreads), capture, ANALYTIC, QUICK)
+    found = with_detail(result.but(deviations=spreads), capture, ANALYTIC, QUICK)
     assert found.detail.check() is found.detail
     for name, value in before.items():
         assert torch.equal(found.svbrdf[name], value)
@@ -100,9 +100,9 @@ def test_ctrl_c_leaves_the_look_out_and_the_fit_as_it_was(result, capture):
 
 def test_what_cannot_be_finished_says_why(result, capture):
     assert why_not(result) is None
-    still = dataclasses.replace(result, views=Views.of([[0.0, 0.0, 2.0]] * len(capture)))
-    for spoilt, why in ((dataclasses.replace(result, stopped="interrupted"), "interrupted"),
-                        (still, "one view"), (dataclasses.replace(result, deviations={}), "fixed")):
+    still = result.but(views=Views.of([[0.0, 0.0, 2.0]] * len(capture)))
+    for spoilt, why in ((result.but(stopped="interrupted"), "interrupted"),
+                        (still, "one view"), (result.but(deviations={}), "fixed")):
         assert why in why_not(spoilt) and with_detail(spoilt, capture, ANALYTIC, QUICK) is spoilt
     with pytest.raises(ConfigError, match="steps"):
         with_detail(result, capture, ANALYTIC, DetailConfig(steps=0))

@@ -5,7 +5,7 @@ import torch
 from helpers import photos_of
 from helpers.hierarchical_fits import method_of
 
-from mitsvbrdf.fit.hierarchical import cross_validation, omitted, rounds, scales, specular_test, starts
+from mitsvbrdf.fit.hierarchical import cross_validation, rounds, scales, specular_test, starts
 from mitsvbrdf.fit.hierarchical.omitted import CROSS_VALIDATION, VIEWS
 from mitsvbrdf.fit.hierarchical.stages import Stage, Stages
 from mitsvbrdf.fit.hierarchical.time_budget import LAST_STEPS, OTHER_STEPS, STEPS, TimeBudget

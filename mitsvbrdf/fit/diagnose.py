@@ -1,0 +1,166 @@
+"""What is known of a fit once its loop has ended: light power, errors, uncertainty, views, warnings; the :class:`Fit`."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+
+import torch
+from torch import Tensor
+
+from ..calibrate.estimate import ESTIMATED, POWER, EstimatedViews
+from ..calibrate.refine import CHANGE
+from ..capture import Capture
+from ..io.profile import profile_summary, profiled
+from ..io.provenance import machine, versions
+from ..material.maps import SVBRDF
+from ..measure.burn_in import burn_in, local_burn_in
+from ..measure.rerender import rerender
+from ..render import Renderer
+from ..views import Views, shift_lights
+from .confidence import confidence, deviations
+from .light_power import light_power_told, with_light_power
+from .loop import Loop
+from .methods import method_name
+from .omitted import omitted_by, used
+from .record import FROM, SCHEMA_VERSION
+from .result import Fit
+from .task import FitTask
+from .warnings import fit_warnings
+
+
+def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -> Fit:
+    """The fit that a loop ended with.
+
+    Args:
+        task: what was fitted.
+        loop: after it ran; its best state is the result.
+        stopped: why it ended.
+        notes: of the photos before the views were estimated.
+    """
+    capture, renderer, config, method = task.capture, task.renderer, task.config, loop.method
+    assert loop.best is not None
+    _, svbrdf, views = loop.best
+    images, total, each = rerender(renderer, svbrdf, views, capture)
+    with profiled("uncertainty"):
+        spreads = deviations(svbrdf, views, images, task)
+        told = light_power_told(svbrdf, spreads) if task.light_power_unknown else None
+        if told:
+            svbrdf, views = with_light_power(svbrdf, told), replace(views, intensity=views.intensity * told)
+            images, total, each = rerender(renderer, svbrdf, views, capture)
+            spreads = deviations(svbrdf, views, images, task)
+    # Of all photos: where each has a camera and a flash of its own besides, they move around what is common.
+    moved = (views.light - views.camera) - (capture.views.light - capture.views.camera)
+    x, y = (moved.mean(dim=0)[:2] / views.size).tolist()
+    profile = profile_summary()
+    record = {
+        "schema_version": SCHEMA_VERSION, "method": method_name(config),
+        "renderer": renderer.name, "variant": renderer.variant, "bsdf": svbrdf.bsdf,
+        "rerender_rmse": total, "per_photo": dict(zip(capture.names, each)),
+        "calibrated_rmse": _calibrated_rmse(svbrdf, views, capture, renderer, moved.mean(dim=0), told),
+        "confidence": confidence(spreads), "burn_in": burn_in(svbrdf, views),
+        "local_burn_in": local_burn_in(svbrdf, views), "warnings": [],
+        "stopped": stopped, "undone_steps": len(loop.undone), "undone": list(loop.undone),
+        "restarts": list(loop.restarts),
+        "seconds": loop.trace[-1]["seconds"], "iterations": loop.trace[-1]["iteration"],
+        "seed": config.seed, "config": asdict(config) | {"fix": list(config.fix)}, "command": {},
+        "omitted": [each._asdict() for each in (*omitted_by(task, views), *method.omitted)],
+        "used": [{"what": what, "how": how} for what, how in used(task)],
+        "capture": {"name": capture.source.name if capture.source else None, "photos": list(capture.index),
+                    "resolution": capture.resolution, "transfer": capture.transfer,
+                    "calibrated": capture.calibrated, "notes": list(capture.notes)},
+        "views": {"size": views.size, "falloff": views.falloff, "camera": views.camera.tolist(),
+                  "light": views.light.tolist(), "intensity": views.intensity.tolist()},
+        "flash_offset": {"x": x, "y": y, "unit": "patch sides"} if method.fits_offset else None,
+        "calibration": views_record(capture, views, task.estimated, *method.views_deviation, told),
+        **({"profile": profile} if profile else {}),
+        "versions": versions(), "machine": machine(), "trace": loop.trace}
+    fit = Fit(record, known={"svbrdf": svbrdf, "views": views, "guess": task.guess, "photos": capture.photos,
+                             "rerendered": images, "deviations": spreads, "config": config, "detail": None,
+                             "capture": capture.source.name if capture.source else ""})
+    return fit.but(warnings=(*capture.notes[len(notes):], *fit_warnings(fit, capture)))
+
+
+def _calibrated_rmse(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Renderer, offset: Tensor,
+                     told: float | None) -> float | None:
+    """The error with stated views and what all photos share; None where the fit moved no view by itself, or
+    none is stated.
+    """
+    given = capture.views
+    x, y = (offset[:2] / given.size).tolist()
+    stated = replace(shift_lights(given, (x, y)), intensity=given.intensity * (told or 1.0))
+    pairs = ((stated.camera, views.camera), (stated.light, views.light), (stated.intensity, views.intensity))
+    if not capture.calibrated or all(torch.allclose(one, other.to(one.dtype), rtol=1e-6)
+                                     for one, other in pairs):
+        return None
+    return rerender(renderer, svbrdf, stated, capture)[1]
+
+
+def views_record(capture: Capture, views: Views, estimated: EstimatedViews | None, refined: Tensor | None,
+                 flash: Tensor | None, light_power_factor: float | None = None) -> dict:
+    """What a fit knows of its views and how surely, lengths in patch sides, for ``fit.json``.
+
+    Args:
+        capture: the photos, with the views that the fit began with.
+        views: as fitted.
+        estimated: how the former were estimated from the photos; None where they were stated.
+        refined: standard deviations N x 7 of the changes since (:data:`mitsvbrdf.calibrate.refine.CHANGE`);
+            None for none.
+        flash: standard deviations (x, y) of the flash offset that all photos share; None where it was not
+            fitted.
+        light_power_factor: by what the maps changed the light power (:mod:`mitsvbrdf.fit.light_power`); None
+            where they do not tell it.
+
+    Returns:
+        ``from`` (the kind of calibration), ``estimated`` and ``refined`` (whether), by photo name ``camera``,
+        ``camera_sd`` and ``log_exposure_sd``; ``flash_offset`` and ``flash_offset_sd``; ``light_power``, the
+        mean over photos and channels, ``power_told`` and ``log_power_sd``, None where a calibration or a
+        sheet tells it. Other deviations are None where nothing was estimated.
+    """
+    sides, begun = views.in_patch_sides(), capture.views.in_patch_sides()
+    told = [ESTIMATED.unpack(estimated.deviation)] if estimated else []
+    told += [CHANGE.unpack(refined)] if refined is not None else []
+    offset = ((sides.light - sides.camera) - (begun.light - begun.camera)).mean(dim=0)[:2].tolist()
+    return {
+        "from": capture.calibration, "estimated": estimated is not None, "refined": refined is not None,
+        "camera": dict(zip(capture.names, sides.camera.tolist())),
+        "camera_sd": dict(zip(capture.names, _together([sure.camera for sure in told]))) if told else None,
+        "log_exposure_sd": dict(zip(capture.names, _together([sure.log_exposure for sure in told]))) if told
+        else None,
+        "flash_offset": offset, "flash_offset_sd": None if flash is None else flash.tolist(),
+        "light_power": float(sides.intensity.mean()),
+        "power_told": light_power_factor, "log_power_sd": POWER if estimated
+        or capture.calibration == "photos" else None}
+
+
+def _together(deviations: list[Tensor]) -> list:
+    """Standard deviations of sums of independent numbers."""
+    return torch.stack(deviations).square().sum(dim=0).sqrt().tolist()
+
+
+def about_views(calibration: Mapping) -> str:
+    """Where the views of a fit come from and how sure they are, in a sentence or two; empty of fits that do
+    not say.
+
+    Args:
+        calibration: see :func:`views_record`.
+    """
+    if not calibration:
+        return ""
+    said = FROM["estimated" if calibration["estimated"] else calibration["from"]]
+    said += ", refined by the fit." if calibration["refined"] else "."
+    if calibration["camera_sd"]:
+        x, y, z = (statistics.median(place) for place in zip(*calibration["camera_sd"].values()))
+        exposure = math.exp(statistics.median(calibration["log_exposure_sd"].values())) - 1
+        said += (f" Standard deviations (median, in patch sides): cameras ({x:.3f}, {y:.3f}, {z:.3f}), "
+                 f"light of a photo beside the others {exposure:.1%}")
+        if calibration["flash_offset_sd"]:
+            said += ", flash offset ({:.3f}, {:.3f})".format(*calibration["flash_offset_sd"])
+        said += "; they count what the photos tell, not what the model lacks."
+    if calibration["log_power_sd"]:
+        said += (" The light power of all photos is known to a factor of "
+                 f"{math.exp(calibration['log_power_sd']):.1f}, and "
+                 "so are the diffuse and the specular map: it is what makes the material a usual one.")
+    return said
