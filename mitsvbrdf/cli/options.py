@@ -184,5 +184,7 @@ def views_of(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[lis
 
 
 def fit_of_maps(maps: str | None) -> Fit:
-    """The fit that maps come from; the defaults where there is none, as for ``builtin:NAME``."""
+    """The fit that maps come from; one without a record where there is none, as for ``builtin:NAME``."""
+    from ..fit.result import Fit
+
     return Fit() if maps is None or maps.startswith("builtin:") else Fit.of_maps(maps)

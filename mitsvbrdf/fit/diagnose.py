@@ -151,15 +151,15 @@ def about_views(calibration: Mapping) -> str:
         return ""
     said = FROM["estimated" if calibration["estimated"] else calibration["from"]]
     said += ", refined by the fit." if calibration["refined"] else "."
-    if calibration["camera_sd"]:
+    if calibration.get("camera_sd"):
         x, y, z = (statistics.median(place) for place in zip(*calibration["camera_sd"].values()))
         exposure = math.exp(statistics.median(calibration["log_exposure_sd"].values())) - 1
         said += (f" Standard deviations (median, in patch sides): cameras ({x:.3f}, {y:.3f}, {z:.3f}), "
                  f"light of a photo beside the others {exposure:.1%}")
-        if calibration["flash_offset_sd"]:
+        if calibration.get("flash_offset_sd"):
             said += ", flash offset ({:.3f}, {:.3f})".format(*calibration["flash_offset_sd"])
         said += "; they count what the photos tell, not what the model lacks."
-    if calibration["log_power_sd"]:
+    if calibration.get("log_power_sd"):
         said += (" The light power of all photos is known to a factor of "
                  f"{math.exp(calibration['log_power_sd']):.1f}, and "
                  "so are the diffuse and the specular map: it is what makes the material a usual one.")

@@ -35,7 +35,7 @@ FROM = {"given": "The views are those of the capture's calibration", "sheet": "T
         "photos": "The views come from features that the photos share",
         "none": "The views are a stated default geometry",
         "estimated": "The views were estimated from the rectified photos alone"}
-_CALIBRATION = {"from": str, "estimated": bool, "refined": bool, "log_power_sd": (*NUMBER, NONE),
+_CALIBRATION = {"from": str, "estimated": bool, "refined": bool, "log_power_sd": NUMBER,
                 "camera_sd": {str: [NUMBER]}, "log_exposure_sd": {str: NUMBER}, "flash_offset_sd": [NUMBER]}
 
 
@@ -80,7 +80,9 @@ def missing(record: dict) -> str:
     if calibration := record.get("calibration"):
         # a deviation that was not estimated is None
         shape = {name: kind for name, kind in _CALIBRATION.items()
-                 if not (name.endswith("_sd") and calibration.get(name, "") is None)}
+                 if not name.endswith("_sd") or calibration.get(name) is not None}
+        if calibration.get("camera_sd"):
+            shape["log_exposure_sd"] = {str: NUMBER}
         if wrong := shape_error(calibration, shape, "calibration"):
             return wrong
         if calibration["from"] not in FROM:

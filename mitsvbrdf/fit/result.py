@@ -17,7 +17,7 @@ from ..capture import Capture
 from ..errors import MapsError, MitsvbrdfError
 from ..io import files, images
 from ..io.json import error_text
-from ..material.map_files import DETAIL, FORMER_DETAIL, MAP_FOLDERS, load_maps
+from ..material.map_files import DETAIL, FORMER_DETAIL, MAP_FOLDERS, as_stored, load_maps
 from ..material.maps import SVBRDF
 from ..render import Renderer, RendererName, make_renderer
 from ..render.needs import Omitted
@@ -306,7 +306,8 @@ def write_record(folder: Path, fit: Fit, command: dict) -> Fit:
     Raises:
         OutputError: it cannot be written.
     """
-    written = Fit(fit.record | {"command": command}, folder, fit.known)
+    maps = {name: as_stored(getattr(fit, name)) for name in ("svbrdf", "detail") if getattr(fit, name)}
+    written = Fit(fit.record | {"command": command}, folder, fit.known | maps)
     files.write_json(folder / FILE, written.record)
     return written
 

@@ -168,6 +168,12 @@ def _lifted(normal: Tensor, path: Path) -> Tensor:
     return torch.where(under, F.normalize(raised, dim=-1), normal)
 
 
+def as_stored(svbrdf: SVBRDF) -> SVBRDF:
+    """The material as :func:`load_maps` reads it from what :func:`save_maps` wrote: normals make a round trip."""
+    stored = {name: value.float() for name, value in svbrdf.detach().maps.items()}
+    return SVBRDF(svbrdf.bsdf, stored | {"normal": F.normalize((stored["normal"] + 1) / 2 * 2 - 1, dim=-1)})
+
+
 @entry()
 def save_maps(svbrdf: SVBRDF, folder: str | Path, **about: object) -> None:
     """Write a material: float32 EXR masters (linear), 16-bit PNGs (colours sRGB, the rest linear),

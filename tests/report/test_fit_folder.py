@@ -192,7 +192,7 @@ def test_a_report_json_of_somebody_else_is_not_trusted(copy):
     assert write_report(copy, quick=True)["left_out_rmse"] is None
 
 
-def test_read_fit_gives_what_the_files_say(fitted):
+def test_a_fit_read_back_gives_what_the_files_say(fitted):
     found = Fit.of_maps(fitted)
     assert found.names == ["00", "01",
-                           "03"] and found.svbrdf.resolution == SIDE and found.renderer().name == "analytic"
+                           "03"] and found.svbrdf.resolution == SIDE and found.engine().name == "analytic"

@@ -77,9 +77,9 @@ OPTIONS = {
     "grey": {"grey_specular": True}, "principled": {"bsdf": "principled"}, "min": {"guess": "min"},
     "no neighbours": {"neighbours": False}, "one material": {"materials": 1},
     "more than texels": {"materials": 1000},
-    "own 0": {"own": 0.0}, "own tiny": {"own": 1e-20},
-    "tails 0": {"tails": 0.0}, "trend": {"independent": False}, "views": {"calibrate": False},
-    "no offset": {"flash_offset": False}, "sharp": {"likeness": 1e-6}, "alike": {"likeness": 100.0},
+    "own 0": {"detail_spread": 0.0}, "own tiny": {"detail_spread": 1e-20},
+    "tails 0": {"highlight_reach": 0.0}, "trend": {"remove_burn_in": False}, "views": {"calibrate": False},
+    "no offset": {"flash_offset": False}, "sharp": {"similarity": 1e-6}, "alike": {"similarity": 100.0},
     **{f"fix {name}": {"fix": (f"{name}={value}",)} for name, value in
        (("diffuse", "0.1,0.2,0.2"), ("specular", 0.05), ("roughness", 0.3), ("normal", "flat"))},
     **{f"fix {name}": {"bsdf": "principled", "fix": (f"{name}={value}",)} for name, value in
@@ -145,9 +145,9 @@ def test_one_iteration(capture):
     assert result.stopped == "iterations" and len(result.trace) == 2
 
 
-@pytest.mark.parametrize("wrong", [{"materials": 0}, {"likeness": 0.0}, {"spread": -1.0}, {"relief": 0.0},
-                                   {"own": -0.1},
-                                   {"tails": math.nan}, {"fix": ("gloss=1",)},
+@pytest.mark.parametrize("wrong", [{"materials": 0}, {"similarity": 0.0}, {"spread": -1.0}, {"relief": 0.0},
+                                   {"detail_spread": -0.1},
+                                   {"highlight_reach": math.nan}, {"fix": ("gloss=1",)},
                                    {"grey_specular": True, "bsdf": "principled"}])
 def test_what_cannot_be_asked_for(wrong, capture):
     with pytest.raises(MitsvbrdfError):

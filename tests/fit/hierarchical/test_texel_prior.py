@@ -100,7 +100,7 @@ def test_independent_weakens_a_cubic_trend_and_leaves_the_pattern(capture, phone
     level = (trust * out).sum(dim=(1, 2), keepdim=True) / trust.sum()
 
     def corrected(planes):
-        return method.independent(planes, method.scale, method.answer)
+        return method.without_burn_in(planes, method.scale, method.answer)
 
     found = corrected(given)
     # float32 of numbers up to 1
