@@ -40,8 +40,6 @@ COMMANDS = {
     "bench": "Measure error against run time: methods x materials and captures x budgets x seeds.",
     "synth": "Take photos of known maps: rectified ones with their calibration, to test fits on, or raw "
              "ones by a simulated phone.",
-    "pretrain": "First stage of the paper's two-stage training: the generator learns from one picture with "
-                "global features.",
     "doctor": "Show what is installed, prove libLLVM in a child process, and say what is missing and how to "
               "get it.",
     "export": "Write a material for other programs: OUT/FORMAT/, with an export.json that states what each "

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import inspect
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args, get_type_hints
 
-from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
+from tyro.conf import OmitArgPrefixes, Positional, Suppress, UseAppendAction, arg
 
 from ..capture import Capture
 from ..errors import ConfigError
@@ -26,41 +28,45 @@ from ..io.profile import profiling
 from ..io.progress import Progress, print_numbers, print_profile, progress_bar, say
 from ..io.signals import deferred_signals
 from ..render import Renderer, make_renderer
-from .options import Out, Overwrite, Photos, Strict, keep_apart, read_photos
+from .options import Out, Overwrite, Photos, Strict, check_new_files, keep_apart, read_photos
 
 USUAL = FitOptions()
+Advanced = Annotated[bool, arg(help="With --help: show all options, also those for research.")]
+# Settings of methods that help shows without --advanced.
+SHOWN = ("bsdf", "budget", "iterations", "seed", "fix", "grey_specular", "calibrate", "flash_offset", "exact", "noise",
+         "preset", "pretrained")
 THREE_WAYS = "--calibrate", "--exact"  # on, off or left to the fit
 
 
 def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitArgPrefixes[FitOptions] = USUAL,
         method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"],
-                          arg(help="How to fit; `fit --method gan --help` shows that method's own options.")] = "hierarchical",
-        explain: Annotated[bool, arg(help="Print what this fit would omit, and why, what it decides as "
-                                          "it "
-                                                  "runs, and the networks it uses, and end without fitting.")] = False,
-        profile: Annotated[bool, arg(help="Print where the time of a step goes: network, renderer, losses, "
-                                          "forward and "
-                                          "backward.")] = False,
-        resume: Annotated[bool, arg(
-            help="Go on from the checkpoint in OUT, same options, more --iterations.")] = False,
+                          arg(help="How to fit. `fit --method gan --help` shows the options of that method.")]
+        = "hierarchical",
+        explain: Annotated[bool, arg(help="Print what this fit omits, decides as it runs, and uses; do not fit.")]
+        = False,
+        profile: Annotated[bool, arg(help="Print the time of each part of a step.")] = False,
+        pretrain: Annotated[bool, arg(help="First stage of --preset paper-two-stage: train the generator on the first "
+                                           "photo; OUT is its checkpoint, for --pretrained.")] = False,
+        resume: Annotated[bool, arg(help="Continue from the checkpoint in OUT, with the same options and more "
+                                         "--iterations.")] = False,
         overwrite: Overwrite = False, strict: Strict = False) -> int:
     """Recover the maps of a material from photos.
 
-    `mitsvbrdf fit photos/ -o out` is all it takes: the default method ends by itself, after 120 s at the
-    latest if --budget says nothing else. It shows rmse, the re-rendering error so far, and cost, which it
-    lowers: squared errors over the noise plus distances from what is expected, the mean of all texels. Cost
-    has no unit, and a new round may raise it.
+    `mitsvbrdf fit photos/ -o out` is enough. The default method ends by itself, after 120 s at the latest
+    (--budget). It shows rmse, the re-rendering error so far, and cost, which it minimises: squared errors over
+    the noise plus distances from expected values, the mean of all texels. Cost has no unit and can rise in a new
+    round.
 
-    Leave photos out with --views 0,1,2,3,5,6,8 and predict them with `mitsvbrdf evaluate out --capture
-    photos/ --views 4,7`: the honest test of a fit. The paper's method is --method gan --preset
-    paper-one-stage, shortened by --iterations 500. Known maps are held fixed with --fix normal=flat --fix
-    specular=0.04 --fix diffuse=map.exr, and cost nothing then.
+    Hold photos out with --views 0,1,2,3,5,6,8 and predict them with `mitsvbrdf evaluate out --capture photos/
+    --views 4,7`: the honest test of a fit. The paper's method is --method gan --preset paper-one-stage;
+    --iterations 500 shortens it. --fix normal=flat --fix specular=0.04 --fix diffuse=map.exr hold known maps.
 
-    Ctrl-C ends the fit and keeps its best result. OUT then holds report.html, the page to look at, maps/,
+    Ctrl-C ends the fit and keeps its best result. OUT holds report.html, the page to look at, maps/,
     uncertainty/, guess/, photos/, rerendered/, sheet.png, curve.svg, scene.xml (for plain Mitsuba), fit.json,
-    report.json and the checkpoint that --resume goes on from; with --detail gan also detail/ and its page,
-    detail.html.
+    report.json and the checkpoint for --resume; with --detail gan also detail/ and its page, detail.html.
     """
+    if pretrain:
+        return _pretrain(capture, out, config, shared, overwrite)
     shared.check(config)
     keep_apart(capture, out)
     if not explain:
@@ -77,6 +83,24 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitAr
     page = "report.html, " if (out / "report.html").is_file() else ""
     also = ("uncertainty/, " if result.deviations else "") + ("detail/, " if result.detail else "")
     say(f"wrote {out}/{page}sheet.png, maps/, {also}rerendered/, scene.xml, fit.json")
+    return 0
+
+
+def _pretrain(picture: Path, out: Path, config: FitConfig, options: FitOptions, overwrite: bool) -> int:
+    """The first stage of the paper's two-stage training, into a checkpoint."""
+    from ..fit import pretrain
+    from ..fit.gan_config import GanConfig
+
+    if not isinstance(config, GanConfig):
+        raise ConfigError("--method gan beside --pretrain", f"--method {method_name(config)}",
+                          "add --method gan --preset paper-two-stage")
+    options.check(config)
+    check_new_files(out, overwrite=overwrite, read=[picture])
+    shots = read_photos(picture, options.resolution, None, options.transfer, options.light(config))
+    engine = make_renderer(options.renderer, options.variant)
+    with Progress(f"pretrain · {engine.name}") as progress:
+        pretrain(shots, engine, config, out, progress)
+    say(f"wrote {out}")
     return 0
 
 
@@ -190,36 +214,52 @@ def fit_command(arguments: Sequence[str], function: Callable[..., Any] = fit,
     """A function of a ``config`` with the settings of the method that the arguments name as its options.
 
     Args:
-        arguments: of the command line.
+        arguments: of the command line. With --help and without --advanced, only usual options are shown.
         function: what is called.
-        usual: settings that the arguments change; left out, or of another method, that method's defaults.
+        usual: settings that the arguments change. Default, and for another method: that method's defaults.
     """
     def command(*values: Any, **options: Any) -> Any:
+        options.pop("advanced", None)
         return function(*values, **options)
 
-    # One flat set of options, those of the method, with the defaults of the preset named; --fix may be
-    # repeated.
-    names = METHODS if usual is None else dict.fromkeys([method_name(usual), *METHODS])
-    kind = METHODS[_named(arguments, "--method", names)].config
-    presets = get_args(get_type_hints(kind).get("preset"))
-    default = kind(preset=_named(arguments, "--preset",
-                                 presets)) if presets else kind()  # type: ignore[call-arg]
-    if isinstance(usual, kind) and "--preset" not in " ".join(arguments):
-        default = usual
+    asked = _asked(arguments)
+    kind = METHODS[asked.method or (method_name(usual) if usual else next(iter(METHODS)))].config
+    if isinstance(usual, kind) and not asked.preset:
+        default: FitConfig = usual
+    else:
+        presets = get_args(get_type_hints(kind).get("preset"))
+        settings: dict[str, Any] = {"preset": asked.preset} if asked.preset in presets else {}
+        default = kind(**settings)
+    shown = kind
+    if asked.help and not asked.advanced:
+        shown = _usual_only(kind)
+        default = shown(**vars(default))
     signature = inspect.signature(function)
-    chosen = [p.replace(default=default) if p.name == "config" else p for p in signature.parameters.values()]
+    parameters = [p.replace(default=default) if p.name == "config" else p for p in signature.parameters.values()]
+    parameters.append(inspect.Parameter("advanced", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Advanced))
+    # One flat set of options; --fix may be repeated.
+    config = UseAppendAction[OmitArgPrefixes[shown]]  # type: ignore[misc, valid-type]
     command.__doc__ = function.__doc__
-    command.__signature__ = signature.replace(parameters=chosen)  # type: ignore[attr-defined]
-    config = UseAppendAction[OmitArgPrefixes[kind]]  # type: ignore[misc, valid-type]
-    command.__annotations__ = get_type_hints(function, include_extras=True) | {"config": config}
+    command.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    command.__annotations__ = get_type_hints(function, include_extras=True) | {"config": config, "advanced": Advanced}
     return command
+
+
+def _usual_only(kind: type[FitConfig]) -> type[FitConfig]:
+    """Settings of which help shows the usual ones alone."""
+    hints = get_type_hints(kind, include_extras=True)
+    hide: Any = Suppress
+    hidden = [(each.name, hide[hints[each.name]]) for each in fields(kind) if each.name not in SHOWN]
+    return dataclass(frozen=True)(type(kind.__name__, (kind,), {
+        "__annotations__": dict(hidden), "__doc__": kind.__doc__, "__module__": kind.__module__,
+        **{name: getattr(kind, name) for name, _ in hidden}}))
 
 
 def with_flags(arguments: list[str]) -> list[str]:
     """Arguments with --calibrate, --exact and their --no- as True and False: unsaid is a third, which no flag
     of tyro's has.
     """
-    if _named(arguments, "--method", METHODS) != "hierarchical":
+    if _asked(arguments).method not in (None, "hierarchical"):
         return arguments
     found = []
     for here, after in zip(arguments, [*arguments[1:], ""]):
@@ -230,11 +270,16 @@ def with_flags(arguments: list[str]) -> list[str]:
     return found
 
 
-def _named(arguments: Sequence[str], option: str, names: Collection[str]) -> str:
-    """Which of the names the arguments give for an option; the first where they give none."""
-    named = next(iter(names))
-    for here, after in zip(arguments, [*arguments[1:], ""]):
-        name = (after if here == option else here.removeprefix(f"{option}=") if here.startswith(f"{option}=")
-                else "")
-        named = name if name in names else named
-    return named  # the last one counts, as for every option
+def _asked(arguments: Sequence[str]) -> argparse.Namespace:
+    """What decides which options there are: method, preset, help; wrong values are left for their own parser."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
+    parser.add_argument("--method")
+    parser.add_argument("--preset")
+    parser.add_argument("--advanced", action="store_true")
+    parser.add_argument("--help", "-h", action="store_true")
+    try:
+        found, _ = parser.parse_known_args(arguments)
+    except argparse.ArgumentError:  # an option without its value
+        found = parser.parse_args([])
+    found.method = found.method if found.method in METHODS else None
+    return found

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 # An option renamed in several commands has a line in each. A flag that help shows as --no-NAME has a line for
 # that form.
-RENAMED_COMMANDS: dict[str, str] = {}
+RENAMED_COMMANDS = {"pretrain": "fit --method gan --preset paper-two-stage --pretrain"}
 FIT = {"--own": "--detail-spread", "--tails": "--highlight-reach", "--likeness": "--similarity",
        "--no-independent": "--no-remove-burn-in", "--integrated": "--marginalise",
        "--no-rivals": "--no-multi-start", "--finish": "--detail", "--finish-steps": "--detail-steps"}
@@ -33,7 +33,8 @@ def with_new_names(arguments: Sequence[str]) -> list[str]:
     command = found[place].replace("_", "-")
     if command in RENAMED_COMMANDS:
         _say(command, RENAMED_COMMANDS[command])
-        found[place] = command = RENAMED_COMMANDS[command]
+        found[place:place + 1] = RENAMED_COMMANDS[command].split()
+        command = found[place]
     options, said = RENAMED.get(command, {}), set[str]()
     for i, word in enumerate(found):
         if word == "--":

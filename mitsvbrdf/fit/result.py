@@ -307,7 +307,7 @@ def write_record(folder: Path, fit: Fit, command: dict) -> Fit:
         OutputError: it cannot be written.
     """
     maps = {name: as_stored(getattr(fit, name)) for name in ("svbrdf", "detail") if getattr(fit, name)}
-    written = Fit(fit.record | {"command": command}, folder, fit.known | maps)
+    written = Fit(fit.record | {"command": command}, folder, {**fit.known, **maps})
     files.write_json(folder / FILE, written.record)
     return written
 

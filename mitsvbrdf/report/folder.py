@@ -24,12 +24,11 @@ from .overview import write_sheet
 
 @entry()
 def write_fit(result: Fit, capture: Capture, out: str | Path, command: dict | None = None,
-              left_out: Capture | None = None, pages: bool = True) -> None:
+              left_out: Capture | None = None, pages: bool = True, overwrite: bool = False) -> None:
     """Write a fit: maps, detail, uncertainty, guess, photos and re-renderings, sheet, curve, Mitsuba scene,
     ``fit.json``, page.
 
-    It appears whole or not at all. It takes the place of a fit that is there, finished or not; files of
-    anybody else stay, one that is in the way with ``.old`` behind its name.
+    It appears whole or not at all.
 
     Args:
         result: what :func:`mitsvbrdf.fit.fit_svbrdf` gave.
@@ -39,15 +38,16 @@ def write_fit(result: Fit, capture: Capture, out: str | Path, command: dict | No
         left_out: photos that the fit did not use, for the page to predict; see
             :func:`.fit_page.write_report`.
         pages: whether all of that is written; else maps, detail, uncertainty and ``fit.json`` alone.
+        overwrite: whether a fit that is there, finished or not, may be replaced.
 
     Raises:
-        OutputError: ``out`` cannot be written or is in use, or its ``photos/`` is where the capture came
-            from.
+        OutputError: there is a fit already; ``out`` cannot be written or is in use, or its ``photos/`` is
+            where the capture came from.
     """
     for shots in (capture, left_out) if pages else ():
         if shots is not None:
             check_apart(Path(out), shots)
-    with output_folder(Path(out), overwrite=True) as folder:
+    with output_folder(Path(out), overwrite) as folder:
         write_fit_files(result, capture, folder, command, left_out, pages)
 
 

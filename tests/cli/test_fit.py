@@ -3,9 +3,11 @@
 from types import SimpleNamespace
 
 import pytest
+import torch
 
 from mitsvbrdf import cli
 from mitsvbrdf.cli.fit import _say_result
+from mitsvbrdf.fit.checkpoint import load_tensors
 from mitsvbrdf.fit.config import HierarchicalConfig
 
 ENDED = {"calibrated_rmse": None, "per_photo": [0.01], "rerender_rmse": 0.01, "profile": None,
@@ -31,3 +33,24 @@ def test_help_says_what_its_figures_are_and_when_it_ends(capsys):
     said = " ".join(capsys.readouterr().out.replace("│", " ").split())
     assert f"after {HierarchicalConfig.default_budget:.0f} s at the latest" in said
     assert "squared errors over the noise" in said and "Cost has no unit" in said
+
+
+def test_help_shows_research_options_only_when_asked(capsys):
+    for advanced in ((), ("--advanced",)):
+        with pytest.raises(SystemExit) as stop:
+            cli.main(["fit", *advanced, "--help"])
+        shown = capsys.readouterr().out
+        assert stop.value.code == 0 and "--budget" in shown and ("--highlight-reach" in shown) == bool(advanced)
+
+
+def test_the_first_stage_of_two_by_either_name(shots, tmp_path, capsys):
+    options = ["--resolution", "16", "--renderer", "analytic", "--iterations", "1", "--width", "4"]
+    named = ["fit", str(shots), "-o", str(tmp_path / "a.safetensors"), "--method", "gan", "--preset", "paper-two-stage",
+             "--pretrain"]
+    assert cli.main([*named, *options]) == 0
+    assert cli.main(["pretrain", str(shots), "-o", str(tmp_path / "b.safetensors"), *options]) == 0
+    assert "pretrain is now fit --method gan" in capsys.readouterr().err
+    first, second = (load_tensors(tmp_path / name)[0] for name in ("a.safetensors", "b.safetensors"))
+    assert first and all(torch.equal(first[name], value) for name, value in second.items())
+    assert cli.main(["fit", str(shots), "-o", str(tmp_path / "c.safetensors"), "--pretrain"]) == 2
+    assert "--method gan beside --pretrain" in capsys.readouterr().err

@@ -235,7 +235,7 @@ def test_evaluate_and_render_remember_how_the_fit_saw_its_photos(shots, tmp_path
     assert json.loads(figures.read_text())["rerender_rmse"] == pytest.approx(expected, rel=1e-5)
 
 
-@pytest.mark.parametrize("command", ["fit", "guess", "render", "evaluate", "synth", "pretrain", "doctor",
+@pytest.mark.parametrize("command", ["fit", "guess", "render", "evaluate", "synth", "doctor",
                                      "demo"])
 def test_help(command, capsys):
     with pytest.raises(SystemExit) as stop:

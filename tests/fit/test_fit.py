@@ -243,11 +243,14 @@ def test_checkpoints_hold_tensors_only(capture, tmp_path):
 def test_resume_refuses_another_fit(capture, tmp_path):
     path, renderer = tmp_path / "c.safetensors", ANALYTIC
     fit_svbrdf(capture, renderer, DirectConfig(iterations=2), checkpoint=path)
-    others = [(photos_of(make_material("tiles", 32)), {}), (capture.pick([1, 0, *range(2, 9)]), {}),
-              (capture.pick([0, 1]), {}), (dataclasses.replace(capture, transfer="srgb"), {}),
-              (capture, {"seed": 1}), (capture, {"smooth": 0.5})]
-    for shots, change in others:
-        with pytest.raises(ConfigError, match="resume with the same"):
+    darker = capture.photos.clone()
+    darker[3] *= 0.5
+    others = [(photos_of(make_material("tiles", 32)), {}, "photo 00, .* 5 more"),
+              (capture.pick([0, 1]), {}, "photo 02"), (dataclasses.replace(capture, photos=darker), {}, "photo 03"),
+              (dataclasses.replace(capture, transfer="srgb"), {}, "--transfer"),
+              (capture, {"seed": 1}, "--seed"), (capture, {"smooth": 0.5}, "--smooth")]
+    for shots, change, named in others:
+        with pytest.raises(ConfigError, match=f"made with: {named}"):
             fit_svbrdf(shots, renderer, DirectConfig(iterations=4, **change), resume=path)
     fit_svbrdf(capture, renderer, DirectConfig(iterations=4), resume=path)
     with pytest.raises(ConfigError, match="Hybrid"):

@@ -133,7 +133,7 @@ def test_a_second_fit_in_the_same_folder_shows_nothing_of_the_first(tmp_path):
     shots = photos_of(make_material("tiles", 8))
     for fix, others in (((), shots.pick([5])), (("roughness=0.5",), None)):
         write_fit(fit_svbrdf(shots.pick([0, 1]), ANALYTIC, DirectConfig(iterations=1, fix=fix)),
-                  shots.pick([0, 1]), tmp_path, left_out=others)
+                  shots.pick([0, 1]), tmp_path, left_out=others, overwrite=True)
         page = Page(tmp_path / "report.html")
         assert ("left out of the fit" in page.text) == ("Roughness: standard deviation" in page.pictures) == (
             not fix)
@@ -152,10 +152,12 @@ def test_a_fit_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
         patch.setattr("mitsvbrdf.report.folder.write_record", lambda *_: 1 / 0)
         for place in (out, tmp_path / "new"):
             with pytest.raises(ZeroDivisionError):
-                write_fit(fixed, shots, place, pages=False)
+                write_fit(fixed, shots, place, pages=False, overwrite=True)
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
     assert not (tmp_path / "new").exists() and (out / "uncertainty/roughness.exr").is_file()
-    write_fit(fixed, shots, out, pages=False)
+    with pytest.raises(OutputError, match="has results"):
+        write_fit(fixed, shots, out, pages=False)
+    write_fit(fixed, shots, out, pages=False, overwrite=True)
     assert not (out / "uncertainty/roughness.exr").exists() and Fit.of_maps(out).svbrdf[
         "roughness"].unique().item() == 0.5
     assert (out / "maps/mine.psd").read_text() == "mine" and not list(out.rglob("*.old"))
