@@ -116,8 +116,7 @@ def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
     height = float(found.views.camera[:, 2].mean()) / found.views.size
     x, y, z = ESTIMATED.unpack(found.deviation.mean(dim=0)).camera.tolist()
     note = (f"views estimated from the photos alone: cameras about {height:.2f} patch sides away, to about "
-            f"{z:.2f}, and "
-            f"sideways to {max(x, y):.2f}; the light power to a factor of "
+            f"{z:.2f}, and sideways to {max(x, y):.2f}; the light power to a factor of "
             f"{math.exp(found.power_deviation):.1f}")
     return replace(capture, views=found.views, notes=(*capture.notes, note)), found
 

@@ -91,8 +91,7 @@ PRIORS: dict[Calibration, Priors] = {
     "photos": Priors(camera=(0.05, 0.05, 0.05), flash=(0.005, 0.005, 0.005), exposure=0.05,
                      common_flash=(0.15, 0.15)),
     "none": Priors(camera=(0.03, 0.03, 0.06), flash=(0.01, 0.01, 0.01), exposure=0.05,
-                   common_flash=(0.15, 0.15)),
-}
+                   common_flash=(0.15, 0.15)),}
 
 
 @dataclass(frozen=True)

@@ -41,18 +41,14 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
             capture: Annotated[Path, arg(metavar="CAPTURE", help="The photos.")], out: Out,
             reference: Annotated[str | None,
                                  arg(help="Known maps, where there are any: a folder or builtin:NAME.")] = None,
-            views: ViewList = None,
-            resolution: Annotated[int | None,
+            views: ViewList = None, resolution: Annotated[int | None,
                                   arg(help="Side of photos and maps; left out: the smallest among them, at "
-                                           "most "
-                                           "256.")] = None,
-            renderer: RendererName = "mitsuba",
+                                           "most 256.")] = None, renderer: RendererName = "mitsuba",
             transfer: Annotated[TransferOption,
                                 arg(help="How photos encode light; auto: as in each fit.")] = "auto",
             refine_views: Annotated[bool,
                                     arg(help="Measure again with camera, flash and exposure of each photo "
-                                             "refined, "
-                                             "for every method alike.")] = False,
+                                             "refined, for every method alike.")] = False,
             json_file: Annotated[Path | None,
                                  arg(name="json", help="Write the figures to this file.")] = None,
             variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False, strict: Strict = False) -> int:

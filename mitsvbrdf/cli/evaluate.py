@@ -33,8 +33,7 @@ def evaluate(maps: Positional[Material],
              reference: Annotated[str | None, arg(help="Known maps: a folder or builtin:NAME.")] = None,
              capture: Annotated[Path | None,
                                 arg(metavar="CAPTURE", help="Photos to compare re-renderings with.")] = None,
-             views: ViewList = None,
-             resolution: Annotated[int | None,
+             views: ViewList = None, resolution: Annotated[int | None,
                                    arg(help="Side of the photos; left out: that of the maps.")] = None,
              renderer: RendererName = "mitsuba", transfer: TransferOption = "auto",
              falloff: Annotated[FalloffOption, arg(help="auto: as in the fit.")] = "auto",
@@ -42,8 +41,7 @@ def evaluate(maps: Positional[Material],
                                      arg(help="fitted: use the flash offset that the fit found.")] = "fitted",
              refine_views: Annotated[bool,
                                      arg(help="Measure again with camera, flash and exposure of each photo "
-                                              "refined; the "
-                                              "maps stay as they are.")] = False,
+                                              "refined; the maps stay as they are.")] = False,
              json_file: Annotated[Path | None,
                                   arg(name="json", help="Write the figures to this file.")] = None,
              variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False, strict: Strict = False) -> int:
@@ -77,8 +75,7 @@ def evaluate(maps: Positional[Material],
     found: dict[str, Any]
     if reference is not None:
         found = map_rmse(svbrdf, material_of(reference)) if reference.startswith(
-            "builtin:") else evaluate_maps(
-            svbrdf, reference)
+            "builtin:") else evaluate_maps(svbrdf, reference)
         print_numbers("Map RMSE", found)
     elif capture is not None:
         fit = fit_of_maps(maps)

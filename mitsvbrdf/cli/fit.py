@@ -33,8 +33,8 @@ from .options import Out, Overwrite, Photos, Strict, check_new_files, keep_apart
 USUAL = FitOptions()
 Advanced = Annotated[bool, arg(help="With --help: show all options, also those for research.")]
 # Settings of methods that help shows without --advanced.
-SHOWN = ("bsdf", "budget", "iterations", "seed", "fix", "grey_specular", "calibrate", "flash_offset", "exact", "noise",
-         "preset", "pretrained")
+SHOWN = ("bsdf", "budget", "iterations", "seed", "fix", "grey_specular", "calibrate", "flash_offset", "exact",
+         "noise", "preset", "pretrained")
 THREE_WAYS = "--calibrate", "--exact"  # on, off or left to the fit
 
 
@@ -42,10 +42,11 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitAr
         method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"],
                           arg(help="How to fit. `fit --method gan --help` shows the options of that method.")]
         = "hierarchical",
-        explain: Annotated[bool, arg(help="Print what this fit omits, decides as it runs, and uses; do not fit.")]
-        = False,
+        explain: Annotated[bool, arg(help="Print what this fit omits, decides as it runs, and uses; do not "
+                                          "fit.")] = False,
         profile: Annotated[bool, arg(help="Print the time of each part of a step.")] = False,
-        pretrain: Annotated[bool, arg(help="First stage of --preset paper-two-stage: train the generator on the first "
+        pretrain: Annotated[bool, arg(help="First stage of --preset paper-two-stage: train the generator on "
+                                           "the first "
                                            "photo; OUT is its checkpoint, for --pretrained.")] = False,
         resume: Annotated[bool, arg(help="Continue from the checkpoint in OUT, with the same options and more "
                                          "--iterations.")] = False,
@@ -53,9 +54,9 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitAr
     """Recover the maps of a material from photos.
 
     `mitsvbrdf fit photos/ -o out` is enough. The default method ends by itself, after 120 s at the latest
-    (--budget). It shows rmse, the re-rendering error so far, and cost, which it minimises: squared errors over
-    the noise plus distances from expected values, the mean of all texels. Cost has no unit and can rise in a new
-    round.
+    (--budget). It shows rmse, the re-rendering error so far, and cost, which it minimises: squared errors
+    over the noise plus distances from expected values, the mean of all texels. Cost has no unit and can rise
+    in a new round.
 
     Hold photos out with --views 0,1,2,3,5,6,8 and predict them with `mitsvbrdf evaluate out --capture photos/
     --views 4,7`: the honest test of a fit. The paper's method is --method gan --preset paper-one-stage;
@@ -119,8 +120,8 @@ def _explain(task: FitTask, options: FitOptions) -> int:
 
 def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, options: FitOptions,
               profile: bool, resume: bool, overwrite: bool) -> tuple[Fit, int | None]:
-    """Fit, add plausible detail where asked to, and write the result; also tells the iteration of the checkpoint gone on
-    from.
+    """Fit, add plausible detail where asked to, and write the result; also tells the iteration of the
+    checkpoint gone on from.
     """
     from ..report.folder import write_fit_files
     from ..report.live import LivePage
@@ -130,8 +131,7 @@ def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, o
         raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
     shots, shown = options.chosen(photos)
     title = f"fit {shots.source.name if shots.source else ''} · {method_name(config)} · {engine.name}"
-    with contextlib.ExitStack() as last, results.output_folder(out, overwrite or resume,
-                                                                     resume) as folder:
+    with contextlib.ExitStack() as last, results.output_folder(out, overwrite or resume, resume) as folder:
         page = LivePage(folder, out)
         say(f"live page: {page.path}")
 
@@ -150,8 +150,7 @@ def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, o
     return result, before
 
 
-def _from_first_of(checkpoints: Sequence[Path], fitted: Callable[[Path], Fit]) -> tuple[Fit,
-                                                                                              int | None]:
+def _from_first_of(checkpoints: Sequence[Path], fitted: Callable[[Path], Fit]) -> tuple[Fit, int | None]:
     """Go on from the first checkpoint that is of this fit: what is left of another one does not hide a
     finished fit.
     """
@@ -171,13 +170,13 @@ def _from_first_of(checkpoints: Sequence[Path], fitted: Callable[[Path], Fit]) -
 
 def _say_detail(result: Fit) -> None:
     if result.detail_record:
-        say(f"detail/ after {result.detail_record['seconds']:.0f} s: one plausible draw, for pictures; re-rendering "
-            "RMSE "
-            f"{result.detail_record['rerender_rmse']:.4f}")
+        say(f"detail/ after {result.detail_record['seconds']:.0f} s: one plausible draw, for pictures; "
+            f"re-rendering RMSE {result.detail_record['rerender_rmse']:.4f}")
     elif why := why_not(result):
         say(f"plausible detail omitted: {why}")
     else:
-        say("interrupted: the maps were kept, without plausible detail; the same command with --resume makes it")
+        say("interrupted: the maps were kept, without plausible detail; the same command with --resume "
+            "makes it")
 
 
 def _say_result(result: Fit, shots: Capture, before: int | None) -> None:
@@ -235,13 +234,16 @@ def fit_command(arguments: Sequence[str], function: Callable[..., Any] = fit,
         shown = _usual_only(kind)
         default = shown(**vars(default))
     signature = inspect.signature(function)
-    parameters = [p.replace(default=default) if p.name == "config" else p for p in signature.parameters.values()]
-    parameters.append(inspect.Parameter("advanced", inspect.Parameter.KEYWORD_ONLY, default=False, annotation=Advanced))
+    parameters = [p.replace(default=default) if p.name == "config" else p
+                  for p in signature.parameters.values()]
+    parameters.append(inspect.Parameter("advanced", inspect.Parameter.KEYWORD_ONLY, default=False,
+                                        annotation=Advanced))
     # One flat set of options; --fix may be repeated.
     config = UseAppendAction[OmitArgPrefixes[shown]]  # type: ignore[misc, valid-type]
     command.__doc__ = function.__doc__
     command.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-    command.__annotations__ = get_type_hints(function, include_extras=True) | {"config": config, "advanced": Advanced}
+    command.__annotations__ = (get_type_hints(function, include_extras=True)
+                               | {"config": config, "advanced": Advanced})
     return command
 
 
@@ -271,7 +273,9 @@ def with_flags(arguments: list[str]) -> list[str]:
 
 
 def _asked(arguments: Sequence[str]) -> argparse.Namespace:
-    """What decides which options there are: method, preset, help; wrong values are left for their own parser."""
+    """What decides which options there are: method, preset, help; wrong values are left for their own
+    parser.
+    """
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     parser.add_argument("--method")
     parser.add_argument("--preset")

@@ -34,8 +34,8 @@ Strict = Annotated[bool, arg(help="Refuse damaged photos, and maps that would ha
 Variant = Annotated[Literal["llvm_ad_rgb", "cuda_ad_rgb"], arg(help="Mitsuba variant.")]
 ViewList = Annotated[str | None, arg(metavar="0,1,2,...", help="Which photos to use, by number; left out: "
                                                                "all.")]
-Material = Annotated[str, arg(metavar="MAPS", help="The OUT of a fit (OUT/detail for its plausible detail), a folder of "
-                                                   "maps, or "
+Material = Annotated[str, arg(metavar="MAPS", help="The OUT of a fit (OUT/detail for its plausible detail), "
+                                                   "a folder of maps, or "
                                                    "builtin:NAME (inlay, tiles, leather, plates).")]
 ViewSource = Annotated[str, arg(help="A capture whose views to use, or builtin:grid (nine views from two "
                                      "sides away).")]
@@ -44,8 +44,7 @@ Photos = Annotated[Path, arg(metavar="CAPTURE", help="A folder of photos, calibr
 TransferChoice = Literal["auto", Transfer]
 TransferOption = Annotated[TransferChoice,
                            arg(help="How photos encode light; auto: as the capture states, else gamma2.2 "
-                                    "for calibrated "
-                                    "captures and srgb for plain photos.")]
+                                    "for calibrated captures and srgb for plain photos.")]
 FalloffOption = Literal["auto", "inverse-square", "none"]
 
 
@@ -80,8 +79,8 @@ def folder_inside(parent: Path, name: str) -> Path:
 
 
 def name_of(maps: str) -> str:
-    """What a material is called: ``builtin:NAME`` by its name, others like the folder of their fit; its detail
-    NAME-detail.
+    """What a material is called: ``builtin:NAME`` by its name, others like the folder of their fit; its
+    detail NAME-detail.
     """
     if maps.startswith("builtin:"):
         return maps.removeprefix("builtin:")

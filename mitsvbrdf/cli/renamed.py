@@ -11,11 +11,7 @@ RENAMED_COMMANDS = {"pretrain": "fit --method gan --preset paper-two-stage --pre
 FIT = {"--own": "--detail-spread", "--tails": "--highlight-reach", "--likeness": "--similarity",
        "--no-independent": "--no-remove-burn-in", "--integrated": "--marginalise",
        "--no-rivals": "--no-multi-start", "--finish": "--detail", "--finish-steps": "--detail-steps"}
-RENAMED: dict[str, dict[str, str]] = {
-    "fit": FIT,
-    "batch": FIT,
-    "bench": {"--left-out": "--held-out"},
-}
+RENAMED: dict[str, dict[str, str]] = {"fit": FIT, "batch": FIT, "bench": {"--left-out": "--held-out"},}
 
 
 def with_new_names(arguments: Sequence[str]) -> list[str]:

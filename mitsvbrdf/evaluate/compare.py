@@ -79,8 +79,7 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_
         svbrdf = entry.svbrdf.resized(capture.resolution)
         found, images = evaluate_photos(svbrdf, fit, shots, renderer, priors)
         pictures.append(color.to_display(images, shots.transfer))
-        methods.append({
-            "name": entry.name, "folder": entry.folder, "resolution": entry.svbrdf.resolution,
+        methods.append({"name": entry.name, "folder": entry.folder, "resolution": entry.svbrdf.resolution,
             "bsdf": entry.svbrdf.bsdf,
             "transfer": shots.transfer, "falloff": fit.falloff, "flash_offset": fit.flash_offset,
             "map_rmse": None if map_errors is None else dict(map_errors(svbrdf)), **found})

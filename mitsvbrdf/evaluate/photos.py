@@ -91,7 +91,8 @@ def _together(errors: Mapping[str, float], names: list[str]) -> float | None:
 def _words(fit: Fit, fitted: list[str], capture: Capture) -> str:
     offset = fit.flash_offset
     beside = f" and the fit's flash offset ({offset[0]:.3f}, {offset[1]:.3f})" if offset else ""
-    unknown = "views estimated from the photos" if fit.estimated or fit.known_views is None else "default geometry"
+    unknown = ("views estimated from the photos" if fit.estimated or fit.known_views is None
+               else "default geometry")
     if not fitted:
         return f"{'calibrated views' if capture.calibrated else unknown}{beside}"
     if len(fitted) == len(capture):

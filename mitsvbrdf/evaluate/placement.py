@@ -41,8 +41,7 @@ def placed(capture: Capture, fit: Fit) -> Capture:
         return capture
     if fit.estimated and (why := why_not(capture)):
         raise CaptureError("photos from which views can be estimated, as for this fit",
-                           f"{len(capture)} of which {why}",
-                           "give all photos of the capture")
+                           f"{len(capture)} of which {why}", "give all photos of the capture")
     capture, _ = self_calibrated(capture)
     both = [(capture.index.index(number), row) for row, number in enumerate(fit.seen)
             if number in capture.index]
@@ -58,8 +57,7 @@ def placed(capture: Capture, fit: Fit) -> Capture:
                                           intensity=capture.views.intensity * brighter))
 
 
-def named_views(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[list[str], Views,
-                                                                                     list[str]]:
+def named_views(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[list[str], Views, list[str]]:
     """Names and views of a capture (:func:`placed` where it states none), or of ``builtin:grid``; and what
     was noticed.
 

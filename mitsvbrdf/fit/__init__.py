@@ -87,5 +87,4 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
 FitResult = Fit  # its name until version 0.2; it goes in the next one
 
 __all__ = ["DirectConfig", "Fit", "FitConfig", "FitResult", "FitTask", "GanConfig", "HierarchicalConfig",
-           "HybridConfig",
-           "fit_svbrdf", "make_method", "pretrain"]
+           "HybridConfig", "fit_svbrdf", "make_method", "pretrain"]

@@ -145,7 +145,8 @@ class HierarchicalConfig(FitConfig):
     multi_start: Switch = True
     """Fit exact photos from three starts with lobes of different width."""
     calibrate: bool | None = None
-    """Refine the camera and flash of every photo. Default: only for real photos; exact ones fit better without."""
+    """Refine the camera and flash of every photo. Default: only for real photos; exact ones fit better
+    without."""
     flash_offset: Switch = True
     """Fit one sideways distance between lens and flash for all photos."""
 

@@ -1,4 +1,6 @@
-"""What is known of a fit once its loop has ended: light power, errors, uncertainty, views, warnings; the :class:`Fit`."""
+"""What is known of a fit once its loop has ended: light power, errors, uncertainty, views, warnings; the
+:class:`Fit`.
+"""
 
 from __future__ import annotations
 
@@ -55,8 +57,7 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
     moved = (views.light - views.camera) - (capture.views.light - capture.views.camera)
     x, y = (moved.mean(dim=0)[:2] / views.size).tolist()
     profile = profile_summary()
-    record = {
-        "schema_version": SCHEMA_VERSION, "method": method_name(config),
+    record = {"schema_version": SCHEMA_VERSION, "method": method_name(config),
         "renderer": renderer.name, "variant": renderer.variant, "bsdf": svbrdf.bsdf,
         "rerender_rmse": total, "per_photo": dict(zip(capture.names, each)),
         "calibrated_rmse": _calibrated_rmse(svbrdf, views, capture, renderer, moved.mean(dim=0), told),
@@ -123,13 +124,11 @@ def views_record(capture: Capture, views: Views, estimated: EstimatedViews | Non
     told = [ESTIMATED.unpack(estimated.deviation)] if estimated else []
     told += [CHANGE.unpack(refined)] if refined is not None else []
     offset = ((sides.light - sides.camera) - (begun.light - begun.camera)).mean(dim=0)[:2].tolist()
-    return {
-        "from": capture.calibration, "estimated": estimated is not None, "refined": refined is not None,
+    return {"from": capture.calibration, "estimated": estimated is not None, "refined": refined is not None,
         "camera": dict(zip(capture.names, sides.camera.tolist())),
         "camera_sd": dict(zip(capture.names, _together([sure.camera for sure in told]))) if told else None,
         "log_exposure_sd": dict(zip(capture.names, _together([sure.log_exposure for sure in told]))) if told
-        else None,
-        "flash_offset": offset, "flash_offset_sd": None if flash is None else flash.tolist(),
+        else None, "flash_offset": offset, "flash_offset_sd": None if flash is None else flash.tolist(),
         "light_power": float(sides.intensity.mean()),
         "power_told": light_power_factor, "log_power_sd": POWER if estimated
         or capture.calibration == "photos" else None}

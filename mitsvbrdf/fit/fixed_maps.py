@@ -46,8 +46,7 @@ def stated_maps(fix: Sequence[str], bsdf: Bsdf, grey_specular: bool = False) -> 
                           "take one --fix out, or use `mitsvbrdf evaluate`")
     if grey_specular and ("specular" not in CHANNELS[bsdf] or "specular" in stated):
         raise ConfigError("--grey-specular with a specular map to fit",
-                          f"{bsdf} with {list(stated) or 'nothing'} fixed",
-                          "take one of the options out")
+                          f"{bsdf} with {list(stated) or 'nothing'} fixed", "take one of the options out")
     return stated
 
 
@@ -68,8 +67,7 @@ def fixed_maps(fix: Sequence[str], bsdf: Bsdf, resolution: int) -> dict[str, Ten
     fixed = {name: _tensor(name, value, bsdf, resolution) for name, value in stated_maps(fix, bsdf).items()}
     if "roughness" not in fixed and "specular" in fixed and not fixed["specular"].any():
         raise ConfigError("roughness held fixed too", "specular held at 0, without which no photo shows "
-                                                      "roughness",
-                          "add --fix roughness=1")
+                                                      "roughness", "add --fix roughness=1")
     return fixed
 
 

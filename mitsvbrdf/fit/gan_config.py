@@ -24,16 +24,14 @@ _PAPER: dict[str, Any] = {
     "clipping": False,
     "grow": False, "average": 0.0, "adversarial": 1.0, "features": 0.0, "diffuse": 10.0, "smooth": 0.0,
     "flash_offset": False}
-PRESETS: dict[str, dict[str, Any]] = {
-    "minutes": {
+PRESETS: dict[str, dict[str, Any]] = {"minutes": {
         "guess": "robust", "grey_specular": False, "generator": "all-photos", "start": True, "width": 16,
         "learning_rate": 2e-3, "head_start": 0.1, "decay": True, "normal_roughness_steps": 1,
         "fresh_pictures": False,
         "pictures": 6, "discriminator_rate": 1e-3, "game": "relativistic", "level": True, "angles": True,
         "paired": True,
         "clipping": True, "grow": True, "average": 0.0, "adversarial": 1.0, "features": 10.0, "diffuse": 5.0,
-        "smooth": 1.0, "flash_offset": True},
-    "paper-one-stage": _PAPER, "paper-two-stage": _PAPER}
+        "smooth": 1.0, "flash_offset": True}, "paper-one-stage": _PAPER, "paper-two-stage": _PAPER}
 
 # Side of the coarsest phase, texels: below it a discriminator has too few patches to learn anything but each
 # photo by heart (128 px, four known materials, equal time: mean map RMSE .069 from 64 px on, .076 from 32 px
@@ -66,7 +64,8 @@ class GanConfig(FitConfig):
     default_budget: ClassVar[float] = 300.0
 
     preset: Preset = "minutes"
-    """minutes: ours. paper-one-stage: 20,000 iterations. paper-two-stage: 10,000 on one picture, then 15,000."""
+    """minutes: ours. paper-one-stage: 20,000 iterations. paper-two-stage: 10,000 on one picture, then
+    15,000."""
     pretrained: str | None = None
     """Checkpoint of `--pretrain` from which the paper's second stage starts."""
     guess: GuessMethod = AS_PRESET
@@ -155,16 +154,13 @@ class GanConfig(FitConfig):
                               "picture",
                               f"generator {self.generator}, {'growing' if self.grow else 'not growing'}",
                               "give --generator two-stream and --no-grow, or a --pretrained first stage; in "
-                              "Python, "
-                              "GanConfig(preset=...) anew instead of replace(...)")
+                              "Python, GanConfig(preset=...) anew instead of replace(...)")
         if self.pretrained and self.preset != "paper-two-stage":
             raise ConfigError("--preset paper-two-stage beside a pretrained checkpoint",
-                              f"--preset {self.preset}",
-                              "add --preset paper-two-stage")
+                              f"--preset {self.preset}", "add --preset paper-two-stage")
         if self.normal_roughness_steps > 1 and self.generator != "two-stream":
             raise ConfigError("--generator two-stream with several steps of one decoder",
-                              f"--generator {self.generator}",
-                              "leave --normal-roughness-steps at 1")
+                              f"--generator {self.generator}", "leave --normal-roughness-steps at 1")
         if self.guessed_normal and not self.start:
             raise ConfigError("--start beside a guessed normal", "no start",
                               "add --start, or leave --guessed-normal out")

@@ -241,11 +241,12 @@ class Loop:
         parts = {f"--{name.replace('_', '-')}": repr(value) for name, value in asdict(self.config).items()
                  if name not in ("iterations", "budget", "fix")}
         parts |= {f"--fix {name}": _digest(value) for name, value in sorted(self.method.fixed.items())}
-        parts |= {"--renderer": self.renderer.name, "--transfer": capture.transfer, "--falloff": views.falloff,
-                  "size of the patch": repr(views.size)}
+        parts |= {"--renderer": self.renderer.name, "--transfer": capture.transfer,
+                  "--falloff": views.falloff, "size of the patch": repr(views.size)}
         for row, name in enumerate(capture.names):
             parts[f"photo {name}"] = _digest(capture.photos[row])
-            parts[f"view of photo {name}"] = _digest(views.camera[row], views.light[row], views.intensity[row])
+            parts[f"view of photo {name}"] = _digest(views.camera[row], views.light[row],
+                                                     views.intensity[row])
         return parts
 
     def save(self) -> None:

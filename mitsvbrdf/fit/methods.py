@@ -24,8 +24,7 @@ METHODS = {  # the default first
     "hierarchical": MethodEntry(HierarchicalConfig, ".hierarchical.rounds", "Hierarchical"),
     "hybrid": MethodEntry(HybridConfig, ".generator.hybrid", "Hybrid"),
     "gan": MethodEntry(GanConfig, ".generator.gan", "Gan"),
-    "direct": MethodEntry(DirectConfig, ".direct", "Direct"),
-}
+    "direct": MethodEntry(DirectConfig, ".direct", "Direct"),}
 
 
 def method_name(config: FitConfig) -> str:
@@ -38,8 +37,7 @@ def method_name(config: FitConfig) -> str:
         if isinstance(config, entry.config):
             return name
     raise ConfigError(f"a {', '.join(entry.config.__name__ for entry in METHODS.values())}",
-                      type(config).__name__,
-                      "use one of these")
+                      type(config).__name__, "use one of these")
 
 
 def make_method(task: FitTask[Config]) -> Method:

@@ -39,7 +39,8 @@ class FitOptions:
     variant: Literal["llvm_ad_rgb", "cuda_ad_rgb"] = "llvm_ad_rgb"
     """Mitsuba variant."""
     detail: Literal["none", "gan"] = "none"
-    """gan: write OUT/detail, one plausible draw of what no photo shows, for pictures. OUT/maps stays the same."""
+    """gan: write OUT/detail, one plausible draw of what no photo shows, for pictures. OUT/maps stays the
+    same."""
     detail_steps: int = DetailConfig.steps
     """Steps of --detail gan. 80 take under a minute at 256 px."""
 
@@ -60,7 +61,9 @@ class FitOptions:
         return DetailConfig(steps=self.detail_steps, seed=config.seed) if self.detail == "gan" else None
 
     def chosen(self, photos: Capture) -> tuple[Capture, Capture | None]:
-        """The photos to fit; and these with some held-out ones, which the page predicts, or None without any."""
+        """The photos to fit; and these with some held-out ones, which the page predicts, or None without
+        any.
+        """
         numbers = photo_numbers(self.views)
         shots = photos if numbers is None else photos.pick(numbers)
         unused = [number for number in photos.index if number not in shots.index][:PREDICTED]

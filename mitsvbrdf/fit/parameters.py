@@ -16,8 +16,7 @@ MAX_SLOPE = 1.5  # of the normal's x and y over z: 56 degrees along an axis
 # (III.D).
 STREAMS: dict[str, tuple[dict[str, int], dict[str, int]]] = {
     "roughconductor": ({"normal": 2, "roughness": 1}, {"diffuse": 3, "specular": 3}),
-    "principled": ({"normal": 2, "roughness": 1}, {"base_color": 3, "metallic": 1}),
-}
+    "principled": ({"normal": 2, "roughness": 1}, {"base_color": 3, "metallic": 1}),}
 
 Streams = tuple[dict[str, int], dict[str, int]]
 

@@ -14,8 +14,7 @@ SCHEMA_VERSION = 1
 FORMER = {"left_out": "omitted", "finish": "detail"}  # names of fields in fit.json of earlier versions
 NONE = type(None)
 # What a page needs of fit.json, as types; see :func:`~mitsvbrdf.io.json.shape_error`.
-_SHAPE = {
-    "method": str, "renderer": str, "bsdf": str, "rerender_rmse": NUMBER, "per_photo": {str: NUMBER},
+_SHAPE = {"method": str, "renderer": str, "bsdf": str, "rerender_rmse": NUMBER, "per_photo": {str: NUMBER},
     "calibrated_rmse": (*NUMBER, NONE),
     "confidence": {str: {"median_sd": NUMBER, "determined_share": NUMBER}}, "burn_in": {str: NUMBER},
     "warnings": [str], "stopped": str, "undone_steps": int, "undone": [{"iteration": int, "reason": str}],
@@ -25,13 +24,14 @@ _SHAPE = {
     "capture": {"photos": [int], "resolution": int, "transfer": str, "calibrated": bool, "notes": [str]},
     "versions": {str: object}, "machine": {str: object}, "trace": [{str: NUMBER}]}
 # What the views and the light of the maps are read from.
-_KNOWN = {
-    "views": {"size": NUMBER, "falloff": str, "camera": [[NUMBER]], "light": [[NUMBER]], "intensity": [[NUMBER]]},
+_KNOWN = {"views": {"size": NUMBER, "falloff": str, "camera": [[NUMBER]], "light": [[NUMBER]],
+              "intensity": [[NUMBER]]},
     "flash_offset": (dict, NONE), "capture": {"name": (str, NONE), "photos": [int], "transfer": str}}
 # where they are there
 _BESIDE = {"calibration": dict, "variant": (str, NONE), "detail": dict, "profile": dict}
 # What the page says of the views.
-FROM = {"given": "The views are those of the capture's calibration", "sheet": "The views come from a sheet of tags",
+FROM = {"given": "The views are those of the capture's calibration", "sheet": "The views come from a sheet "
+                                                                              "of tags",
         "photos": "The views come from features that the photos share",
         "none": "The views are a stated default geometry",
         "estimated": "The views were estimated from the rectified photos alone"}

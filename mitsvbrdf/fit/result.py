@@ -28,7 +28,8 @@ from .options import config_of
 from .record import FILE, SCHEMA_VERSION, checked, missing, record_in
 
 # Fields of the record that :meth:`Fit.but` changes there.
-_FACTS = {"rerender_rmse", "calibrated_rmse", "renderer", "variant", "warnings", "stopped", "trace", "profile"}
+_FACTS = {"rerender_rmse", "calibrated_rmse", "renderer", "variant", "warnings", "stopped", "trace",
+          "profile"}
 
 T = TypeVar("T")
 
@@ -86,8 +87,8 @@ class Fit:
     """What is known of the views and how surely; see :func:`mitsvbrdf.fit.diagnose.views_record`."""
 
     def __repr__(self) -> str:
-        return (f"Fit({self.method}, {self.svbrdf!r}, re-rendering RMSE {self.rerender_rmse:.4f}, {self.stopped})"
-                if self.record else "Fit()")
+        return (f"Fit({self.method}, {self.svbrdf!r}, re-rendering RMSE {self.rerender_rmse:.4f}, "
+                f"{self.stopped})" if self.record else "Fit()")
 
     @staticmethod
     def load(folder: str | Path) -> Fit:
@@ -156,7 +157,8 @@ class Fit:
     @cached_property
     def photos(self) -> Tensor:
         """The photos used, N x R x R x 3 in display values; in a folder, of 8 bits."""
-        return self._or("photos", lambda: torch.stack([self._image(f"photos/{name}.png") for name in self.names]))
+        return self._or("photos",
+                        lambda: torch.stack([self._image(f"photos/{name}.png") for name in self.names]))
 
     @cached_property
     def rerendered(self) -> Tensor:
@@ -166,7 +168,8 @@ class Fit:
 
     @cached_property
     def deviations(self) -> Mapping[str, Tensor]:
-        """Standard deviation (:mod:`mitsvbrdf.fit.confidence`) of each fitted map by name, r x r x C with r <= 64.
+        """Standard deviation (:mod:`mitsvbrdf.fit.confidence`) of each fitted map by name, r x r x C with r
+        <= 64.
 
         A folder keeps the root mean square over channels: C is 1 there.
         """
@@ -180,7 +183,8 @@ class Fit:
     @cached_property
     def config(self) -> FitConfig:
         """The method and its settings."""
-        return self._or("config", lambda: config_of({"method": self.record["method"], **self.record["config"]}))
+        return self._or("config",
+                        lambda: config_of({"method": self.record["method"], **self.record["config"]}))
 
     def engine(self) -> Renderer | None:
         """The renderer of the fit; None for one that is not ours."""
@@ -262,7 +266,8 @@ class Fit:
     @property
     def falloff(self) -> Falloff:
         """Falloff of its light; inverse-square when unknown."""
-        return self._or("falloff", lambda: self.record["views"]["falloff"] if self.record else "inverse-square")
+        return self._or("falloff", lambda: self.record["views"]["falloff"] if self.record
+                        else "inverse-square")
 
     @property
     def flash_offset(self) -> tuple[float, float] | None:

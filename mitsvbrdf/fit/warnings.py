@@ -105,8 +105,7 @@ def _twice(capture: Capture) -> Iterator[str]:
             if second not in named and float((small[first] - small[second]).square().mean().sqrt()) < ALIKE:
                 named.add(second)
                 yield (f"photos {capture.names[first]} and {capture.names[second]} are the same picture: "
-                       "leave one out with "
-                       "--views, and take another from elsewhere")
+                       "leave one out with --views, and take another from elsewhere")
 
 
 def _light(result: Fit, capture: Capture) -> Iterator[str]:
@@ -141,8 +140,7 @@ def _implausible(result: Fit) -> Iterator[str]:
         more = float(((material["diffuse"] + material["specular"]).amax(dim=-1) > 1).float().mean())
         if more > MORE_SHARE:
             yield (f"{more:.0%} of the texels reflect more than arrives (diffuse + specular above 1): the "
-                   "light may be "
-                   "stronger than stated, or try --fix specular=0.04 where it is no metal")
+                   "light may be stronger than stated, or try --fix specular=0.04 where it is no metal")
 
 
 def _place(mask: Tensor) -> str:
@@ -202,8 +200,7 @@ def _game(result: Fit) -> Iterator[str]:
         rate = (f"--discriminator-rate, now {config.discriminator_rate:g}" if isinstance(config, GanConfig)
                 else "--adversarial")
         yield ("the discriminator told renderings from photos almost surely (its loss in the end "
-               f"{loss:.2g}; {guess:.2g} is a "
-               f"guess), so it hardly helped: lower {rate}")
+               f"{loss:.2g}; {guess:.2g} is a guess), so it hardly helped: lower {rate}")
 
 
 def _refined_for_nothing(result: Fit) -> Iterator[str]:

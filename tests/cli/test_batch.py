@@ -68,8 +68,7 @@ def test_help_says_what_is_on_and_what_must_be_given(capsys):
 
 
 @pytest.mark.parametrize("words", ["batch shots -o library --budget foo", "batch shots -o library --bugdet 3",
-                                   "batch shots",
-                                   "library shots --wher x", "crosscheck --width x"])
+                                   "batch shots", "library shots --wher x", "crosscheck --width x"])
 def test_a_mistake_names_the_help_of_its_command_and_no_other(words, capsys):
     with pytest.raises(SystemExit) as end:
         cli.main(words.split())

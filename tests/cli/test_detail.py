@@ -1,5 +1,5 @@
-"""`fit --detail gan` writes plausible detail beside maps that are the same without it, says so, and other commands take
-it.
+"""`fit --detail gan` writes plausible detail beside maps that are the same without it, says so, and other
+commands take it.
 """
 
 import json
@@ -72,7 +72,8 @@ def test_a_whole_fit_resumes_into_its_detail(folders, shots, tmp_path, capsys):
     assert cli.main(["fit", str(shots), "-o", str(out), *QUICK, "--detail", "gan", "--resume"]) == 0
     assert "nothing was left to do" in capsys.readouterr().out
     assert (out / "maps/diffuse.exr").read_bytes() == before
-    assert (out / "detail/roughness.exr").read_bytes() == (folders / "finished/detail/roughness.exr").read_bytes()
+    assert (out / "detail/roughness.exr").read_bytes() == (
+        folders / "finished/detail/roughness.exr").read_bytes()
 
 
 def test_ctrl_c_during_plausible_detail_keeps_the_maps(shots, tmp_path, monkeypatch, capsys):

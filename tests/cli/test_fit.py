@@ -11,8 +11,7 @@ from mitsvbrdf.fit.checkpoint import load_tensors
 from mitsvbrdf.fit.config import HierarchicalConfig
 
 ENDED = {"calibrated_rmse": None, "per_photo": [0.01], "rerender_rmse": 0.01, "profile": None,
-         "deviations": {}, "warnings": (),
-         "trace": [{"seconds": 31.4, "iteration": 90}]}
+         "deviations": {}, "warnings": (), "trace": [{"seconds": 31.4, "iteration": 90}]}
 SHOTS = SimpleNamespace(names=("00",), views=SimpleNamespace(falloff="inverse-square"))
 
 
@@ -40,13 +39,14 @@ def test_help_shows_research_options_only_when_asked(capsys):
         with pytest.raises(SystemExit) as stop:
             cli.main(["fit", *advanced, "--help"])
         shown = capsys.readouterr().out
-        assert stop.value.code == 0 and "--budget" in shown and ("--highlight-reach" in shown) == bool(advanced)
+        assert stop.value.code == 0 and "--budget" in shown and ("--highlight-reach" in shown) == bool(
+            advanced)
 
 
 def test_the_first_stage_of_two_by_either_name(shots, tmp_path, capsys):
     options = ["--resolution", "16", "--renderer", "analytic", "--iterations", "1", "--width", "4"]
-    named = ["fit", str(shots), "-o", str(tmp_path / "a.safetensors"), "--method", "gan", "--preset", "paper-two-stage",
-             "--pretrain"]
+    named = ["fit", str(shots), "-o", str(tmp_path / "a.safetensors"), "--method", "gan", "--preset",
+             "paper-two-stage", "--pretrain"]
     assert cli.main([*named, *options]) == 0
     assert cli.main(["pretrain", str(shots), "-o", str(tmp_path / "b.safetensors"), *options]) == 0
     assert "pretrain is now fit --method gan" in capsys.readouterr().err

@@ -152,8 +152,7 @@ def spoil_pixel(folder, stated):
 @pytest.mark.parametrize("spoil, words", [
     (spoil_photos, ["00"]), (spoil_text, ["04.jpg"]), (spoil_sizes, ["03.png"]), (spoil_rows, ["8", "9"]),
     (spoil_nan, ["camera_pos[5][1]"]), (spoil_below, ["camera 2", "above"]), (spoil_shape, ["square"]),
-    (spoil_pixel, ["1 x 1"]),
-])
+    (spoil_pixel, ["1 x 1"]),])
 def test_bad_captures(copy, spoil, words, tmp_path, capsys):
     folder, stated, write = copy
     spoil(folder, stated)
@@ -184,8 +183,7 @@ def test_bad_maps(tmp_path, capsys):
     (["--views", "0,1,77"], "77"), (["--views", "0,0,1"], "once"), (["--seed", "99999999999999"], "seed"),
     (["--views", "one"], "one"), (["--resolution", "2"], "2"),
     (["--iterations", "0"], "iterations"), (["--budget", "-5"], "budget"),
-    (["--learning-rate", "-1"], "learning_rate"),
-])
+    (["--learning-rate", "-1"], "learning_rate"),])
 def test_bad_options(shots, wrong, word, tmp_path, capsys):
     command = ["fit", shots, "-o", tmp_path / "out", "--method", "direct", "--renderer", "analytic", *wrong]
     fails(capsys, tmp_path, command, word)

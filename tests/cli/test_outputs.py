@@ -19,12 +19,10 @@ def test_output_that_cannot_be_written(shots, tmp_path, capsys):
         fails(capsys, tmp_path, ["fit", shots, "-o", "/proc/out", *FAST], "/proc/out")
 
 
-WRITING = [
-    ["crosscheck", "--json"], ["crosscheck", "--html"], ["stability", "--json"],
+WRITING = [["crosscheck", "--json"], ["crosscheck", "--html"], ["stability", "--json"],
     ["stability", "--html"], ["evaluate", "builtin:tiles", "--reference", "builtin:tiles", "--json"],
     ["compare", "builtin:tiles", "--capture", "shots", "-o"],
-    ["compare", "builtin:tiles", "--capture", "shots", "-o", "../c.html", "--json"],
-    ["bench", "--page"],
+    ["compare", "builtin:tiles", "--capture", "shots", "-o", "../c.html", "--json"], ["bench", "--page"],
     ["sheet", "-o"], ["pretrain", "shots", "-o"]]
 
 
@@ -107,8 +105,7 @@ def test_results_among_maps_would_take_their_place(command, tmp_path, capsys):
 def test_a_fit_reads_no_photo_for_a_place_that_is_taken(lazy, capsys):
     with results.output_folder(lazy / "done", overwrite=False) as folder:
         (folder / "fit.json").touch()
-    with pytest.raises(ZeroDivisionError), results.output_folder(lazy / "begun",
-                                                                       overwrite=False) as folder:
+    with pytest.raises(ZeroDivisionError), results.output_folder(lazy / "begun", overwrite=False) as folder:
         (folder / results.CHECKPOINT).touch()
         raise ZeroDivisionError
     for out, words in (("done", "which has results"), ("begun", "no unfinished run"), ("file", "the file"),

@@ -19,8 +19,7 @@ def names(monkeypatch):
     (["adjust", "--no_lit"], ["fit", "--no-lamp"]),
     (["fit", "--out=--own", "--own-goal", "own"], ["fit", "--out=--own", "--own-goal", "own"]),
     (["fit", "--own=--own"], ["fit", "--detail-spread=--own"]),
-    (["fit", "--", "--own"], ["fit", "--", "--own"]),
-    (["batch", "--own"], ["batch", "--own"]),
+    (["fit", "--", "--own"], ["fit", "--", "--own"]), (["batch", "--own"], ["batch", "--own"]),
     (["--help"], ["--help"]), ([], [])])
 def test_old_names_change_as_whole_words(names, given, taken):
     assert with_new_names(given) == taken

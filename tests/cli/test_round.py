@@ -104,8 +104,7 @@ def test_resume_goes_on_and_needs_a_checkpoint(shots, tmp_path, capsys):
     # Nothing here hangs on how much of the run is done: more iterations go on as if they had been asked for
     # at once.
     gan = ["--method", "gan", "--width", "4", "--no-decay", "--head-start", "0", "--renderer", "analytic",
-           "--views", "0,3",
-           "--resolution", "32"]
+           "--views", "0,3", "--resolution", "32"]
     fails(capsys, tmp_path, ["fit", shots, "-o", out, "--resume", *FAST], "checkpoint")
     assert cli.main(["fit", str(shots), "-o", str(out), *gan, "--iterations", "2"]) == 0
     assert cli.main(["fit", str(shots), "-o", str(out), *gan, "--iterations", "4", "--resume"]) == 0
@@ -235,8 +234,7 @@ def test_evaluate_and_render_remember_how_the_fit_saw_its_photos(shots, tmp_path
     assert json.loads(figures.read_text())["rerender_rmse"] == pytest.approx(expected, rel=1e-5)
 
 
-@pytest.mark.parametrize("command", ["fit", "guess", "render", "evaluate", "synth", "doctor",
-                                     "demo"])
+@pytest.mark.parametrize("command", ["fit", "guess", "render", "evaluate", "synth", "doctor", "demo"])
 def test_help(command, capsys):
     with pytest.raises(SystemExit) as stop:
         cli.main([command, "--help"])

@@ -90,8 +90,7 @@ def made_fit(folder, views, seen=(0, 1), **more):
         "method": "hierarchical", "flash_offset": None, "capture": {"name": "photos", "transfer": "gamma2.2",
                                                                     "photos": seen},
         "views": {"size": 1.0, "falloff": "inverse-square", "camera": views.camera.tolist(),
-                  "light": views.light.tolist(),
-                  "intensity": views.intensity.tolist()}} | more))
+                  "light": views.light.tolist(), "intensity": views.intensity.tolist()}} | more))
     return folder
 
 
@@ -175,8 +174,7 @@ def test_evaluate_finds_the_same_figures(compared, shots):
 def test_evaluate_says_seen_and_left_out_apart_with_the_views_of_each(compared, shots, capsys):
     folder, record, _, _ = compared
     assert cli.main(["evaluate", str(folder / "fit"), "--capture", str(shots[0].source), "--renderer",
-                     "analytic",
-                     "--resolution", str(SIDE)]) == 0
+                     "analytic", "--resolution", str(SIDE)]) == 0
     said = capsys.readouterr().out.split("Burn-in")[0]
     fitted, stated = said.split("with calibrated views: ")
     assert fitted.startswith("Re-rendering RMSE, views as fitted for 00, 01, the others with the "
@@ -308,8 +306,7 @@ def test_mistakes_are_one_error(arguments, words, shots, tmp_path, monkeypatch, 
     before = sorted(tmp_path.rglob("*"))
     output = [] if "-o" in arguments else ["-o", "page.html"]
     assert cli.main(["compare", *(str(shots[0].source) if a == "PHOTOS" else a for a in arguments), *output,
-                     "--renderer",
-                     "analytic"]) == 2
+                     "--renderer", "analytic"]) == 2
     message = capsys.readouterr().err
     assert message.count("error:") == 1 and all(word in message for word in words), message
     assert sorted(tmp_path.rglob("*")) == before

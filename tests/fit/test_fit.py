@@ -246,7 +246,8 @@ def test_resume_refuses_another_fit(capture, tmp_path):
     darker = capture.photos.clone()
     darker[3] *= 0.5
     others = [(photos_of(make_material("tiles", 32)), {}, "photo 00, .* 5 more"),
-              (capture.pick([0, 1]), {}, "photo 02"), (dataclasses.replace(capture, photos=darker), {}, "photo 03"),
+              (capture.pick([0, 1]), {}, "photo 02"), (dataclasses.replace(capture, photos=darker), {},
+                                                       "photo 03"),
               (dataclasses.replace(capture, transfer="srgb"), {}, "--transfer"),
               (capture, {"seed": 1}, "--seed"), (capture, {"smooth": 0.5}, "--smooth")]
     for shots, change, named in others:
@@ -285,8 +286,7 @@ def test_presets_are_the_papers():
     ({"adversarial": 0.0, "features": 0.0, "diffuse": 0.0, "smooth": 0.0}, "a loss"),
     ({"head_start": 1.5}, "head start"),
     ({"preset": "paper-two-stage", "generator": "all-photos", "normal_roughness_steps": 1},
-     "--generator two-stream"),
-    ({"preset": "paper-two-stage", "grow": True}, "growing")])
+     "--generator two-stream"), ({"preset": "paper-two-stage", "grow": True}, "growing")])
 def test_settings_that_do_not_go_together_are_refused(settings, said):
     with pytest.raises(ConfigError, match=said):
         GanConfig(**settings).check()

@@ -145,8 +145,7 @@ def test_fixed_maps_from_files(tmp_path):
                                                            ["once"]),
     (["diffuse=none.exr"], "roughconductor", ["none.exr"]), (["specular=0"], "roughconductor",
                                                              ["roughness=1"]),
-    (["normal=flat", "metallic=0", "roughness=0.5", "base_color=0.5"], "principled", ["at least one map"]),
-])
+    (["normal=flat", "metallic=0", "roughness=0.5", "base_color=0.5"], "principled", ["at least one map"]),])
 def test_what_cannot_be_held(fix, bsdf, words):
     with pytest.raises(ConfigError) as error:
         DirectConfig(bsdf=bsdf, fix=tuple(fix)).check()
@@ -175,8 +174,7 @@ def test_grey_specular_needs_a_specular_map():
                                                                         "discriminator"}),
     ({"fix": ("diffuse=0.2",)}, {"diffuse"}), ({"fix": ("normal=flat",)}, {"tilt"}),
     ({"fix": ("specular=0.04", "roughness=0.4")}, {"total_variation"}),
-    ({"fix": ("base_color=0.2", "metallic=0.4"), "bsdf": "principled"}, {"diffuse"}), ({}, set()),
-])
+    ({"fix": ("base_color=0.2", "metallic=0.4"), "bsdf": "principled"}, {"diffuse"}), ({}, set()),])
 def test_losses_without_weight_or_subject_are_not_computed(settings, unused, capture, monkeypatch):
     called = set()
 
@@ -252,8 +250,7 @@ def test_fix_and_explain_on_the_command_line(bsdf, tmp_path, capsys):
     assert cli.main(["synth", "builtin:leather", "-o", str(shots), "--resolution", "16", "--renderer",
                      "analytic"]) == 0
     command = ["fit", str(shots), "-o", str(out), "--method", "direct", "--renderer", "analytic",
-               "--iterations", "2",
-               "--bsdf", bsdf, "--fix", "normal=flat", "--fix", "roughness=0.5"]
+               "--iterations", "2", "--bsdf", bsdf, "--fix", "normal=flat", "--fix", "roughness=0.5"]
     capsys.readouterr()
     assert cli.main([*command, "--explain"]) == 0 and not out.exists()
     said = capsys.readouterr().out

@@ -39,7 +39,8 @@ def test_networks_are_used_or_omitted(config, trained, leather):
     task = FitTask(leather, ANALYTIC, config)
     told, without = dict(used(task)), dict(omitted_by(task))
     assert set(told) == trained and NETWORKS & set(without) == NETWORKS - trained
-    assert ("docs/results/benchmark.md" in without.get("generator", "")) == (not trained)  # the measured reason
+    # the measured reason
+    assert ("docs/results/benchmark.md" in without.get("generator", "")) == (not trained)
 
 
 def test_how_a_network_is_used(leather):
@@ -85,8 +86,7 @@ def test_every_claim_has_a_measured_row(leather):
     assert said <= measured
     # The claims are all that the sources can make: each of these names, and one for each map and each loss.
     assert said >= {"Fresnel curve", "interreflection and path depth", "shadow rays", "environment",
-                    "ray tracing",
-                    "texture look-ups", "light falloff", "specular lobe", "diffuse lobe",
+                    "ray tracing", "texture look-ups", "light falloff", "specular lobe", "diffuse lobe",
                     "colour of the specular map",
                     "metallic map", "normal map", "guessed diffuse map", "flash offset", "generator",
                     "discriminator",
@@ -144,8 +144,8 @@ def test_explain_and_the_record_say_so(tmp_path, capsys):
         Fit.load(out)
 
 
-@pytest.mark.parametrize("stage, structure, said", [
-    (Stage.TOGETHER, 0.02, parts.CROSS_VALIDATION), (Stage.MULTI_START, 0.001, f"further {parts.MULTI_START}")])
+@pytest.mark.parametrize("stage, structure, said", [(Stage.TOGETHER, 0.02, parts.CROSS_VALIDATION),
+    (Stage.MULTI_START, 0.001, f"further {parts.MULTI_START}")])
 @pytest.mark.parametrize("hurried", [True, False])
 def test_what_time_was_too_short_for_is_said(hurried, stage, structure, said, leather):
     stages, again = Stages(multi_start=True), Stages(multi_start=True)

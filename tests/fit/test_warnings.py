@@ -32,16 +32,14 @@ def test_a_photo_from_elsewhere_is_named(leather):
     assert any(warning.startswith("photo 04 fits worse") for warning in result.warnings)
 
 
-@pytest.mark.parametrize("change, words", [
-    ({"rerendered": 4.0}, "darker than the photos by 4x"),
+@pytest.mark.parametrize("change, words", [({"rerendered": 4.0}, "darker than the photos by 4x"),
     ({"rerendered": 0.25}, "brighter than the photos by 4x"),
     ({"rerender_rmse": 0.2}, "only met to 0.2"), ({"stopped": "unstable"}, "ended early"),
     ({"undone": ({"iteration": 30, "reason": "flat not finite"},)}, "1 step undone; the first at iteration "
                                                                     "30: flat not"),
     ({"trace": [{"iteration": 0, "seconds": 0.0, "rerender_rmse": 0.1}]}, "no step was made"),
     ({"restarts": ({"iteration": 50, "reason": "x"},) * 2}, "diverged and went back to its lowest loss 2 "
-                                                            "times"),
-])
+                                                            "times"),])
 def test_each_doubt(change, words, fitted, leather):
     if "rerendered" in change:
         change = {"rerendered": fitted.rerendered / change["rerendered"]}
@@ -93,8 +91,7 @@ def with_maps(fitted, fix=(), spread=None, **values):
                                config=dataclasses.replace(fitted.config, fix=fix))
 
 
-@pytest.mark.parametrize("rows, columns, place", [
-    (slice(0, 16), slice(0, 16), "where none is yet"),
+@pytest.mark.parametrize("rows, columns, place", [(slice(0, 16), slice(0, 16), "where none is yet"),
     (slice(0, 16), slice(3, 16), "at the right of the patch"),
     (slice(0, 12), slice(0, 12), "at the top left of the patch"),
     (slice(4, 16), slice(0, 16), "at the bottom of the patch")])
@@ -179,11 +176,8 @@ def test_games_that_are_lost_and_games_that_are_not(game, leather):
 
 
 @pytest.mark.parametrize("change, said", [
-    ({}, 1), ({"config": HierarchicalConfig()}, 0), ({"omitted": (("multi-start", "photos of a phone"),)},
-                                                     0),
-    ({"calibrated_rmse": None}, 0), ({"calibrated_rmse": 0.002}, 0),
-    ({"flash_offset": (0.08, 0.0)}, 0),
-])
+    ({}, 1), ({"config": HierarchicalConfig()}, 0), ({"omitted": (("multi-start", "photos of a phone"),)}, 0),
+    ({"calibrated_rmse": None}, 0), ({"calibrated_rmse": 0.002}, 0), ({"flash_offset": (0.08, 0.0)}, 0),])
 def test_views_that_were_refined_though_exact_photos_said_they_were_right(change, said, fitted, leather):
     asked = {"config": HierarchicalConfig(calibrate=True),
              "omitted": (("tied stage", "the photos follow the model"),),

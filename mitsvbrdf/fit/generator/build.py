@@ -77,5 +77,4 @@ def load_generator(generator: nn.Module, config: GanConfig, path: str) -> None:
         raise ConfigError(f"a generator of width {config.width} for {config.bsdf}",
                           f"another one in {path} (bsdf {note.get('bsdf')})",
                           "use the --width, --bsdf, --generator, --highlight-aware, --fix and "
-                          "--grey-specular it was "
-                          "pretrained with") from None
+                          "--grey-specular it was pretrained with") from None

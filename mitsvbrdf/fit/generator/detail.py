@@ -1,4 +1,5 @@
-"""Plausible detail: one random draw of what no photo shows, for pictures; the solved maps stay, for validation.
+"""Plausible detail: one random draw of what no photo shows, for pictures; the solved maps stay, for
+validation.
 
 Where no photo shows a highlight, the maps hold expected values, or what the solver was left with. A rendering
 under a new light shows it and does not look like a photo. A small generator starts at the solved maps and
@@ -38,8 +39,8 @@ from .highlight_discriminator import PATCH, HighlightDiscriminator, patch_distan
 from .networks import AllPhotosGenerator, seeded
 from .novel_lights import NovelLight, draw, novel_views
 
-WHAT = ("detail/ is one plausible draw of what no photo shows, for pictures; maps/ holds the expected values, "
-        "for validation, and is the same with and without it")
+WHAT = ("detail/ is one plausible draw of what no photo shows, for pictures; maps/ holds the expected "
+        "values, for validation, and is the same with and without it")
 NOISE = 4  # channels of noise that the generator sees
 STEEPEST = 0.95  # length of x and y of a normal that is bent, or that of the solved one
 VIEW_SCALE = 10.0  # brings 1 - z of half vectors, some hundredths, to the size of display values
@@ -146,7 +147,9 @@ class DetailTraining:
         self.matte_photos = self._shown(self.matte, self.views)
 
     def weakened(self, worst: float) -> tuple[float, SVBRDF, tuple[Tensor, float, list[float]]]:
-        """The largest share of the change with at most this re-rendering RMSE, its maps, and these re-rendered."""
+        """The largest share of the change with at most this re-rendering RMSE, its maps, and these
+        re-rendered.
+        """
         for share in SHARES:
             detail = self.material(share).map(Tensor.contiguous)
             met = rerender(self.renderer, detail, self.views, self.capture)
@@ -155,7 +158,9 @@ class DetailTraining:
         return share, detail.check(), met
 
     def material(self, share: float = 1.0) -> SVBRDF:
-        """The present maps with a share of their change; where the bound of a map is 0, the solved value to the bit."""
+        """The present maps with a share of their change; where the bound of a map is 0, the solved value to
+        the bit.
+        """
         change = self.generator(self.condition)
         maps = dict(self.solved.maps)
         for name, bound in self.bounds.items():

@@ -77,8 +77,8 @@ class Gan(Method[GanConfig]):
     def _scale(self, phase: Phase, carried: dict[str, Tensor]) -> Conditioning:
         capture = (self.capture if phase.photos is None
                    else self.capture.pick(self.capture.index[:phase.photos]))
-        return Conditioning(self.task, capture, capture.resolution >> phase.halvings, self.streams, self.start,
-                     carried)
+        return Conditioning(self.task, capture, capture.resolution >> phase.halvings, self.streams,
+                            self.start, carried)
 
     def _begin(self, phase: int, carried: dict[str, Tensor]) -> None:
         """A phase: a new discriminator and new optimisers; the generator's weights stay."""
@@ -153,8 +153,7 @@ class Gan(Method[GanConfig]):
         if first:
             with profiled("losses"):
                 guess = self.scale.guess_in(pictures.window)
-                own: dict[str, Callable[[], Tensor]] = {
-                    "diffuse": lambda: losses.diffuse(svbrdf, guess),
+                own: dict[str, Callable[[], Tensor]] = {"diffuse": lambda: losses.diffuse(svbrdf, guess),
                     "smooth": lambda: losses.total_variation(svbrdf, losses.edge_weights(guess), self.fixed)}
                 terms = {name: loss() for name, loss in own.items() if name not in self.unused}
                 if terms:
@@ -181,7 +180,8 @@ class Gan(Method[GanConfig]):
             switch_at("hand-over, backward", *svbrdf.maps.values())
         return svbrdf
 
-    def _out(self, scale: Conditioning, pictures: Pictures, first: bool = True, photo: int = 0) -> dict[str, Tensor]:
+    def _out(self, scale: Conditioning, pictures: Pictures, first: bool = True, photo: int = 0) -> dict[str,
+                                                                                                        Tensor]:
         """What the generator puts out, before Tanh, in the window of the pictures; of all photos, ``photo``
         comes first.
         """

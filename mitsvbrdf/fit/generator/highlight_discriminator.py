@@ -22,8 +22,7 @@ class HighlightDiscriminator(nn.Module):
     def __init__(self, inputs: int, width: int = 32) -> None:
         super().__init__()
         w = width
-        self.layers = nn.Sequential(
-            nn.Conv2d(inputs, w, 4, stride=2, padding=1), nn.LeakyReLU(0.2),
+        self.layers = nn.Sequential(nn.Conv2d(inputs, w, 4, stride=2, padding=1), nn.LeakyReLU(0.2),
             nn.Conv2d(w, 2 * w, 4, stride=2, padding=1), nn.GroupNorm(2 * w, 2 * w), nn.LeakyReLU(0.2),
             nn.Conv2d(2 * w, 4 * w, 3, padding=1), nn.GroupNorm(4 * w, 4 * w), nn.LeakyReLU(0.2),
             nn.Conv2d(4 * w, 1, 3, padding=1))

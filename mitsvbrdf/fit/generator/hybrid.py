@@ -140,7 +140,8 @@ class Hybrid(Method[HybridConfig]):
             "offset": self.offset.detach().clone(), "random": self.random.get_state(),
             "peaks": torch.tensor(self.peaks, dtype=torch.float64)}
         if "adversarial" not in self.unused:
-            state |= module_state("discriminator", self.discriminator) | optimizer_state("judge", self.adversary)
+            state |= (module_state("discriminator", self.discriminator)
+                      | optimizer_state("judge", self.adversary))
         return state
 
     def load_state(self, state: dict[str, Tensor]) -> None:

@@ -54,8 +54,7 @@ class TwoStreamGenerator(nn.Module):
         super().__init__()
         w = width
         self.streams = streams
-        self.encoder = nn.Sequential(
-            block(nn.Conv2d(3, w, 7, padding=3, padding_mode="reflect")),
+        self.encoder = nn.Sequential(block(nn.Conv2d(3, w, 7, padding=3, padding_mode="reflect")),
             block(nn.Conv2d(w, 2 * w, 4, stride=2, padding=1)),
             block(nn.Conv2d(2 * w, 4 * w, 4, stride=2, padding=1)),
             block(nn.Conv2d(4 * w, 8 * w, 4, stride=2, padding=1)),
@@ -108,12 +107,10 @@ class PatchDiscriminator(nn.Module):
     def __init__(self, width: int = 64, inputs: int = 3, level: bool = False) -> None:
         super().__init__()
         w = width
-        self.layers = nn.ModuleList([
-            block(nn.Conv2d(inputs, w, 4, stride=2, padding=1), normalise=not level),
+        self.layers = nn.ModuleList([block(nn.Conv2d(inputs, w, 4, stride=2, padding=1), normalise=not level),
             block(nn.Conv2d(w, 2 * w, 4, stride=2, padding=1)),
             block(nn.Conv2d(2 * w, 4 * w, 4, stride=2, padding=1)),
-            block(nn.Conv2d(4 * w, 8 * w, 3, padding=1)),
-            nn.Conv2d(8 * w, 1, 3, padding=1)])
+            block(nn.Conv2d(4 * w, 8 * w, 3, padding=1)), nn.Conv2d(8 * w, 1, 3, padding=1)])
 
     def forward(self, image: Tensor) -> Tensor:
         """Probability of being a photo for each patch, N x 1 x r x r, of images N x 3 x R x R in display

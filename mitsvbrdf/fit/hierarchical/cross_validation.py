@@ -42,8 +42,8 @@ def steps_of_turns(count: int) -> int:
     return len(in_turn(count)) * (AGREED * (STEPS + 1) + len(NOISES) * ROUNDS * (STEPS + 1))
 
 
-def prediction_errors(photos: Observations, solver: TexelSolver, prior: TexelPrior, starts: Mapping[int, TexelEstimate],
-                      noises: Sequence[float]) -> Tensor:
+def prediction_errors(photos: Observations, solver: TexelSolver, prior: TexelPrior,
+                      starts: Mapping[int, TexelEstimate], noises: Sequence[float]) -> Tensor:
     """Mean squared error of some photos' display values, each predicted from all others: one row for each
     noise.
 

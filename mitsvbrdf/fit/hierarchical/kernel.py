@@ -82,8 +82,7 @@ class Kernel:
             better &= dr.isfinite(trial_data + trial_prior)
             damping = dr.select(k == 0, damping, next_damping(damping, better, trial, x))
             x, data, prior, slope, curve = chosen(better, [trial, trial_data, trial_prior, trial_slope,
-                                                           trial_curve],
-                                                  [x, data, prior, slope, curve])
+                                                           trial_curve], [x, data, prior, slope, curve])
             down = [p * (m - v) - s for s, p, v, m in zip(slope, precision, x, mean)]
             step = bounded_step(down, self._matrix(curve, precision), damping, x, low, high)
             trial = [dr.clip(v + s, least, most) for v, s, least, most in zip(x, step, low, high)]

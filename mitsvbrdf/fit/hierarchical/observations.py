@@ -1,4 +1,6 @@
-"""How the photos are seen in a round: their noise, the pixels that count most, and maps freed of burnt-in highlights."""
+"""How the photos are seen in a round: their noise, the pixels that count most, and maps freed of burnt-in
+highlights.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""What ``hierarchical`` omits, as these photos do not need it: known before the fit, or decided by its first stage."""
+"""What ``hierarchical`` omits, as these photos do not need it: known before the fit, or decided by its first
+stage.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,8 @@ def decided_later(task: FitTask[HierarchicalConfig]) -> list[Omitted]:
     if may_be_omitted(task):
         found.append(Omitted(LOBE, f"if {below}; {matte}"))
     if _may_start_anew(task):
-        found.append(Omitted(MULTI_START, f"unless {below}" + (", and without a lobe" if len(found) > 1 else "")))
+        found.append(Omitted(MULTI_START, f"unless {below}" + (", and without a lobe" if len(found) > 1
+                                                               else "")))
     if task.refined == "unless exact":
         found.append(Omitted(VIEWS, f"if {below}, and so do the stated views"))
     if _may_cross_validate(task):
@@ -60,9 +63,11 @@ def omitted_stages(task: FitTask[HierarchicalConfig], stages: Stages | None = No
     elif exact is False:
         items.append((MULTI_START, f"the photos do not follow the model: {why}"))
     elif exact and hurried:
-        items.append((f"further {MULTI_START}", "the fits could not have ended within their share of the time"))
+        items.append((f"further {MULTI_START}",
+                      "the fits could not have ended within their share of the time"))
     if task.refined == "never":
-        items.append((VIEWS, "the views are held" if config.holds_views else "the views are a stated default"))
+        items.append((VIEWS, "the views are held" if config.holds_views
+                      else "the views are a stated default"))
     elif exact and task.refined == "unless exact":
         items.append((VIEWS, f"{FOLLOW} with the stated views: {why}"))
     if exact:

@@ -16,13 +16,13 @@ Photos of a simulation follow the model to the last digit, and then a texel can 
 photos of a phone do not. So the fit first lets every texel explain its photos freely. What is left
 unexplained then tells which kind they are (:mod:`~mitsvbrdf.fit.hierarchical.stages`). Photos of a phone are
 first explained at 64 px, where texels must agree; at full size each may leave that answer by as much as the
-photos were seen to ask for (:mod:`~mitsvbrdf.fit.hierarchical.texel_prior`), and photos are believed as far as each
-is predicted from the others (:mod:`~mitsvbrdf.fit.hierarchical.cross_validation`).
+photos were seen to ask for (:mod:`~mitsvbrdf.fit.hierarchical.texel_prior`), and photos are believed as far
+as each is predicted from the others (:mod:`~mitsvbrdf.fit.hierarchical.cross_validation`).
 
 Texels that share a roughness also hold each other in a wrong one. Photos of a simulation, which can tell, are
 therefore explained from three starts, whose lobes are of very different width, and the most probable answer
-is refined at full size. Where they need no lobe (:mod:`~mitsvbrdf.fit.hierarchical.specular_test`), the rest is
-refined without one.
+is refined at full size. Where they need no lobe (:mod:`~mitsvbrdf.fit.hierarchical.specular_test`), the rest
+is refined without one.
 """
 
 from __future__ import annotations
@@ -82,7 +82,8 @@ class Hierarchical(Method[HierarchicalConfig]):
         self.stages.believe(config.noise or NOISE)
         seen = ObservationModel(self.stages, self.corrections, config)
         self.observations, self.without_burn_in = seen.observations, seen.without_burn_in
-        self.multi_start, self.budget = MultiStart(), TimeBudget(config.budget, self.stages, capture.resolution**2)
+        self.multi_start, self.budget = MultiStart(), TimeBudget(config.budget, self.stages,
+                                                                 capture.resolution**2)
         self.closed: TexelEstimate | None = None  # what the present answer ends in, once it was asked for
         self.cut = False  # whether the time left was too short for the whole of the latest round
         self.answer = self.start()
@@ -121,8 +122,8 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def _begin_next_stage(self) -> None:
         if self.stages.stage == Stage.ALONE:
-            self.stages.judge(unexplained(self.preview(), self.corrections.applied(self.views), self.scale.capture,
-                                          make_renderer("mitsuba", self.variant)))
+            self.stages.judge(unexplained(self.preview(), self.corrections.applied(self.views),
+                                          self.scale.capture, make_renderer("mitsuba", self.variant)))
             self._leave_lobe_out()
         if self.stages.stage == Stage.MULTI_START:
             if self.stages.finished:
@@ -284,7 +285,8 @@ class Hierarchical(Method[HierarchicalConfig]):
                 steps = self.budget.steps(LAST_STEPS, self.budget.to_come + LAST_STEPS)
                 answer = answer._replace(x=self._stepped(scale, answer, steps).x)
             x = answer.x.clone()
-            x[prior.shared] = prior.bounded(self.without_burn_in(x[prior.shared], scale, answer), prior.shared)
+            x[prior.shared] = prior.bounded(self.without_burn_in(x[prior.shared], scale, answer),
+                                            prior.shared)
             answer, steps = prior.fixed_but_diffuse(answer._replace(x=x)), self.budget.steps(LAST_STEPS)
         self.closed = answer._replace(x=self._stepped(scale, answer, steps).x) if steps else answer
         return self.closed.x
@@ -307,8 +309,8 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def state(self) -> dict[str, Tensor]:
         """The states of its parts."""
-        parts = self.answer._asdict(), *(part.state() for part in (self.stages, self.corrections, self.multi_start,
-                                                                   self.budget))
+        parts = self.answer._asdict(), *(part.state() for part in (self.stages, self.corrections,
+                                                                   self.multi_start, self.budget))
         return {name: value.clone() for part in parts for name, value in part.items()}
 
     def load_state(self, state: dict[str, Tensor]) -> None:

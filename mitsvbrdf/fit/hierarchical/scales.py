@@ -80,7 +80,8 @@ class Scales:
         """What this stage works on, with texels that are free or not."""
         capture = self.captures[stage]
         guess = area_averaged(self.guess, capture.resolution)
-        return Scale(capture, guess, self.solver(capture.resolution), self.basis, self.config.similarity, free)
+        return Scale(capture, guess, self.solver(capture.resolution), self.basis, self.config.similarity,
+                     free)
 
     def holding(self, **maps: Tensor) -> Scales:
         """The same photos with further maps held fixed, at full size."""

@@ -1,22 +1,23 @@
-"""Evidence shared between texels that look alike: the prior of one texel is what the others say (empirical Bayes).
+"""Evidence shared between texels that look alike: the prior of one texel is what the others say (empirical
+Bayes).
 
 A texel whose highlight no photo caught knows nothing of its specular level and roughness; texels of the same
 stuff do. The model is hierarchical: the number of a texel is that of its basis materials plus a deviation of
 its own with standard deviation tau. Each basis material has its own tau: gilt may vary where the wood around
-it does not. The posterior of a texel divided by its prior is what its photos alone say. The means of the basis
-materials are averages of that, weighted by precision. Tau follows by expectation-maximisation (Dempster et al.
-1977; the division is that of expectation propagation, Minka 2001).
+it does not. The posterior of a texel divided by its prior is what its photos alone say. The means of the
+basis materials are averages of that, weighted by precision. Tau follows by expectation-maximisation (Dempster
+et al. 1977; the division is that of expectation propagation, Minka 2001).
 
-The most probable slopes and diffuse colour of a texel explain its photos too well: slopes take up scatter that
-belongs to the roughness. Beside thousands of such numbers the few shared ones are biased by an amount that more
-texels do not reduce (Neyman and Scott 1948). :func:`marginalised` uses Laplace's approximation of the integral
-over the own numbers y,
+The most probable slopes and diffuse colour of a texel explain its photos too well: slopes take up scatter
+that belongs to the roughness. Beside thousands of such numbers the few shared ones are biased by an amount
+that more texels do not reduce (Neyman and Scott 1948). :func:`marginalised` uses Laplace's approximation of
+the integral over the own numbers y,
 
     int exp(-cost / 2) dy  ~  exp(-cost / 2) |H_yy|^(-1/2),    H = J^T W J + precision.
 
 It adds log |H_yy| to the cost, which moves the maximum of the rest by -V grad log |H_yy| / 2, V = H^-1: the
-first-order correction of Cox and Snell 1968 and Firth 1993. The correction grows with the square of the noise,
-so it uses the noise that is seen, which is less than the noise that texels are allowed.
+first-order correction of Cox and Snell 1968 and Firth 1993. The correction grows with the square of the
+noise, so it uses the noise that is seen, which is less than the noise that texels are allowed.
 """
 
 from __future__ import annotations
@@ -148,8 +149,8 @@ def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, pr
     return Shared(mean, tau2.sqrt().clamp_min(LEAST_SPREAD), common[:, 0].sqrt().clamp_min(LEAST_SPREAD))
 
 
-def marginalised(solver: TexelSolver, observations: Observations, x: Tensor, precision: Tensor, shared: Tensor,
-               low: Tensor, high: Tensor) -> Tensor:
+def marginalised(solver: TexelSolver, observations: Observations, x: Tensor, precision: Tensor,
+                 shared: Tensor, low: Tensor, high: Tensor) -> Tensor:
     """The most probable unknowns of each texel, the shared ones as they are with the others integrated out.
 
     Args:

@@ -96,7 +96,8 @@ def _lobe(specular: float, roughness: float, side: int) -> dict[str, Tensor]:
 
 
 def explained_without(answer: TexelEstimate, search: Search, lobeless: Search, noise: Tensor,
-                      observations: Callable[[Scale, TexelEstimate], Observations]) -> tuple[Scale, TexelEstimate] | None:
+                      observations: Callable[[Scale, TexelEstimate], Observations]) -> tuple[Scale,
+                                                                                             TexelEstimate] | None:
     """The answer without a lobe at full size and its scale; None where the photos, coarse or in full, may
     need one.
 
@@ -129,8 +130,8 @@ def explained_without(answer: TexelEstimate, search: Search, lobeless: Search, n
     return lobeless.scales.of(Stage.FINE), lobeless.prior.vague(own)
 
 
-def least_errors(solver: TexelSolver, photos: Observations, prior: TexelPrior, starts: list[Tensor], rounds: int = 0,
-                 steps: int = STEPS) -> tuple[Tensor, Tensor]:
+def least_errors(solver: TexelSolver, photos: Observations, prior: TexelPrior, starts: list[Tensor],
+                 rounds: int = 0, steps: int = STEPS) -> tuple[Tensor, Tensor]:
     """The unknowns, U x R x R, that explain each texel's photos best with no prior, and their sum of squared
     errors, R x R.
 

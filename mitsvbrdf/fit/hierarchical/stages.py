@@ -107,8 +107,8 @@ class Stages:
     def next(self) -> Stage:
         """The stage after this one; after ALONE, :meth:`judge` comes first."""
         if self.stage == Stage.ALONE:
-            return (Stage.TOGETHER if not self.exact else Stage.MULTI_START if self.multi_start and not self.matte
-                    else Stage.FINE)
+            return (Stage.TOGETHER if not self.exact else Stage.MULTI_START if self.multi_start
+                    and not self.matte else Stage.FINE)
         return Stage.FINE
 
     def judge(self, left: Tensor) -> None:
@@ -152,8 +152,7 @@ class Stages:
     def state(self) -> dict[str, Tensor]:
         """Everything :meth:`load_state` needs."""
         return {"stage": torch.tensor([self.stage, self.rounds, self.hurried]),
-                "matte": torch.tensor(self.matte),
-                "noise": self.noise.clone(), "detail": self.detail.clone(),
+                "matte": torch.tensor(self.matte), "noise": self.noise.clone(), "detail": self.detail.clone(),
                 "unexplained": self.unexplained.nan_to_num(-1.0)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:

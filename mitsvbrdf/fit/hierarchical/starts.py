@@ -37,12 +37,11 @@ def other_starts(prior: TexelPrior, turn: int) -> list[Callable[[TexelEstimate],
     """The answers of two neighbours, and two tilts of a texel of which nothing else is known; others each
     turn.
     """
-    starts: list[Callable[[TexelEstimate], TexelEstimate]] = [partial(_neighbour, by=1 if turn % 2 else -1, axis=axis)
-                                                for axis in (1, 2)]
+    starts: list[Callable[[TexelEstimate], TexelEstimate]] = [partial(_neighbour, by=1 if turn % 2 else -1,
+                                                                      axis=axis) for axis in (1, 2)]
     if len(prior.slopes):
         starts += [partial(_tilted, prior=prior, steep=TILTS[turn % len(TILTS)], along=GOLDEN * turn
-                           + half_turn)
-                   for half_turn in (0.0, math.pi)]
+                           + half_turn) for half_turn in (0.0, math.pi)]
     return starts
 
 
@@ -72,7 +71,8 @@ class MultiStart:
         mean[lobe] = x[lobe]
         return answer._replace(x=x, mean=mean)
 
-    def keep(self, answer: TexelEstimate, solver: TexelSolver, observations: Observations, prior: TexelPrior) -> None:
+    def keep(self, answer: TexelEstimate, solver: TexelSolver, observations: Observations,
+             prior: TexelPrior) -> None:
         """Keep this answer where the photos make it more probable than those of the starts before.
 
         Compared is -2 log of the marginal likelihood (Laplace's approximation): the cost, and by how much the

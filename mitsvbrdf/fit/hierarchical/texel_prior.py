@@ -22,8 +22,8 @@ BOUNDS = {"roughness": (0.05, 1.0), "normal": (-3.0, 3.0), "specular": (0.05, 1.
 VAGUE = {"diffuse": 0.5, "base_color": 0.5, "specular": 0.1, "metallic": 0.3, "roughness": 0.1, "normal": 0.1}
 LEAST_PRECISION = 1e-3  # added to that of the prior where variances are asked for
 FIXED = 1e-4  # standard deviation of a number that is not to move
-# How far a texel may leave its tied answer at full size, in units of config.detail_spread: standard deviations at first
-# and at least.
+# How far a texel may leave its tied answer at full size, in units of config.detail_spread: standard
+# deviations at first and at least.
 FREEDOM = {"normal": (0.5, 0.17), "roughness": (0.5, 0.5), "specular": (1.0, 1.0), "metallic": (1.0, 1.0)}
 FREEST = 2.5  # the same, at most
 
@@ -145,7 +145,8 @@ class TexelPrior:
         """Standard deviations of a map's texels around the tied answer: at first, at least and at most."""
         if name not in FREEDOM:
             return (VAGUE[name],) * 3
-        first, least, most = (max(times * self.config.detail_spread, FIXED) for times in (*FREEDOM[name], FREEST))
+        first, least, most = (max(times * self.config.detail_spread, FIXED) for times in (*FREEDOM[name],
+                                                                                          FREEST))
         return first, least, most
 
     def levelled(self, answer: TexelEstimate) -> tuple[TexelEstimate, Tensor]:

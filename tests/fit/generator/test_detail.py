@@ -1,5 +1,5 @@
-"""Plausible detail leaves the maps alone, moves only what is unsure, and pairs photos with lights of the same half
-vectors.
+"""Plausible detail leaves the maps alone, moves only what is unsure, and pairs photos with lights of the same
+half vectors.
 """
 
 import dataclasses
@@ -63,7 +63,8 @@ def test_a_look_that_misses_the_photos_is_weakened(result, capture):
     # Without judges that hold it: a step size that goes anywhere.
     wild = dataclasses.replace(QUICK, learning_rate=1.0, photometric=0.0, diffuse=0.0, worst=1.2)
     found = with_detail(result, capture, ANALYTIC, wild)
-    assert found.detail_record["share"] < 1 and found.detail_record["rerender_rmse"] <= 1.2 * result.rerender_rmse
+    assert found.detail_record["share"] < 1 and found.detail_record[
+        "rerender_rmse"] <= 1.2 * result.rerender_rmse
     images = ANALYTIC.render(found.detail, result.views)
     assert photo_rmse(images, capture.photos,
                       capture.transfer)[0] == pytest.approx(found.detail_record["rerender_rmse"], rel=1e-6)

@@ -44,13 +44,11 @@ def black(shots):
     return dataclasses.replace(shots, photos=torch.zeros_like(shots.photos))
 
 
-PHOTOS = {
-    "one": lambda shots: shots.pick([0]), "two": lambda shots: shots.pick([0, 3]),
+PHOTOS = {"one": lambda shots: shots.pick([0]), "two": lambda shots: shots.pick([0, 3]),
     "nine identical": lambda shots: Capture(shots.photos[:1].expand(9, -1, -1, -1).contiguous(), shots.views),
     "one photo nine times": lambda shots: Capture(shots.photos[[0] * 9], shots.views.pick([0] * 9)),
     "uncalibrated": lambda shots: Capture(shots.photos, Views.of([[0.0, 0.0, 2.0]] * 9,
-                                                                 intensity=4 * math.pi),
-                                          calibration="none"),
+                                                                 intensity=4 * math.pi), calibration="none"),
     "black": black, "one black": lambda shots: dataclasses.replace(
         shots, photos=torch.cat((torch.zeros_like(shots.photos[:1]), shots.photos[1:]))),
     "white": lambda shots: dataclasses.replace(shots, photos=torch.ones_like(shots.photos)),
@@ -60,8 +58,7 @@ PHOTOS = {
     "paper's light": lambda shots: dataclasses.replace(shots, views=dataclasses.replace(shots.views,
                                                                                         falloff="none")),
     "srgb, centimetres": lambda shots: dataclasses.replace(shots, transfer="srgb", views=Views.of(
-        shots.views.camera * 20, intensity=shots.views.intensity * 400, size=20.0)),
-}
+        shots.views.camera * 20, intensity=shots.views.intensity * 400, size=20.0)),}
 
 
 @pytest.mark.parametrize("change", mostly_slow(PHOTOS, "black"))
@@ -73,8 +70,7 @@ def test_any_photos(change, capture):
     assert result.flash_offset is not None and result.calibration["estimated"] == (change == "uncalibrated")
 
 
-OPTIONS = {
-    "grey": {"grey_specular": True}, "principled": {"bsdf": "principled"}, "min": {"guess": "min"},
+OPTIONS = {"grey": {"grey_specular": True}, "principled": {"bsdf": "principled"}, "min": {"guess": "min"},
     "no neighbours": {"neighbours": False}, "one material": {"materials": 1},
     "more than texels": {"materials": 1000},
     "own 0": {"detail_spread": 0.0}, "own tiny": {"detail_spread": 1e-20},
@@ -87,8 +83,7 @@ OPTIONS = {
     "diffuse only": {"fix": ("normal=flat", "specular=0.04", "roughness=0.5")},
     "normal only": {"fix": ("diffuse=0.1", "specular=0.04", "roughness=0.5")},
     "roughness only": {"fix": ("diffuse=0.1", "specular=0.04", "normal=flat")},
-    "matt": {"fix": ("specular=0", "roughness=1")},
-}
+    "matt": {"fix": ("specular=0", "roughness=1")},}
 OF_TWO_SIZES = "matt", "diffuse only", "normal only", "own 0", "own tiny"
 # Options that have nothing to do with each other, in one fit; each alone is in the slow suite.
 TOGETHER = {

@@ -65,18 +65,14 @@ class Case:
                                  precision, self.low, self.high, iterations, **options)
 
 
-CASES = {
-    "all free": Case,
-    "apart": lambda: Case(views=APART, transfer="srgb"),
+CASES = {"all free": Case, "apart": lambda: Case(views=APART, transfer="srgb"),
     "no falloff, cm": lambda: Case(views=PAPER, transfer="linear"),
     "grey, robust": lambda: Case(grey=True, robust=0.05),
     "weighted": lambda: Case(weighted=True, views=APART),
     "held normal": lambda: Case(held=("normal", "roughness"), views=APART),
-    "held colours": lambda: Case(held=("diffuse", "specular")),
-    "principled": lambda: Case("principled"),
+    "held colours": lambda: Case(held=("diffuse", "specular")), "principled": lambda: Case("principled"),
     "principled apart": lambda: Case("principled", views=APART, robust=0.1),
-    "principled held": lambda: Case("principled", held=("metallic",), weighted=True),
-}
+    "principled held": lambda: Case("principled", held=("metallic",), weighted=True),}
 
 
 class Twin:

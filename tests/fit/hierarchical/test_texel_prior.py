@@ -30,8 +30,7 @@ def striped():
         "specular": (0.04 * stripe + 0.06 * (1 - stripe)).expand(SIDE, SIDE, 3).contiguous(),
         "roughness": 0.25 * stripe + 0.35 * (1 - stripe), "normal": flat(SIDE)["normal"]})
     views = Views.of([[-0.5, 0.0, 1.5], [-0.4, 0.3, 1.5], [-0.45, -0.3, 1.5], [-0.3, 0.2, 1.6],
-                      [-0.35, -0.1, 1.5]],
-                     intensity=math.pi * 1.5**2)
+                      [-0.35, -0.1, 1.5]], intensity=math.pi * 1.5**2)
     return stripe[..., 0] > 0, truth, photos_of(truth, views)
 
 

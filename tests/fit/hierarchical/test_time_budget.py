@@ -89,7 +89,8 @@ def test_an_ample_budget_changes_nothing(timed):
 def test_what_cannot_end_in_time_is_not_begun_and_said(timed):
     method, clock = timed(1000)
     run(method, clock, 1000)
-    assert ("views", SIDE // 2, method.corrections.work) in clock.calls  # a quarter of what it takes at full size
+    # a quarter of what it takes at full size
+    assert ("views", SIDE // 2, method.corrections.work) in clock.calls
     assert ("views", SIDE, method.corrections.work) not in clock.calls
     assert {CROSS_VALIDATION, f"further {VIEWS}"} <= dict(method.omitted).keys()
 

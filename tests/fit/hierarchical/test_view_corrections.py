@@ -56,7 +56,8 @@ def test_views_that_were_estimated_keep_their_priors():
 def test_stated_views_are_sought_where_they_were_found(refined, monkeypatch):
     material, capture, _ = shots(0.2, 0.0)
     starts, seek = [], view_corrections.refine_views
-    monkeypatch.setattr(view_corrections, "refine_views", lambda *given: starts.append(given[5]) or seek(*given))
+    monkeypatch.setattr(view_corrections, "refine_views", lambda *given: starts.append(given[5])
+                        or seek(*given))
     views = ViewCorrections(capture, refined, True)
     views.refine(material, capture)
     first = views.change.clone()
