@@ -139,8 +139,8 @@ def estimate_views(capture: Capture) -> EstimatedViews:
     deviation = np.sqrt(np.einsum("npu,uv,npv->np", slope, covariance, slope))
     power, power_deviation = problem.power(found.x)
     size = capture.views.size
-    places, intensity = torch.from_numpy(camera * size), torch.from_numpy(power * exposure[:,
-                                                                                           None] * size**2).repeat(1, 3)
+    places = torch.from_numpy(camera * size)
+    intensity = torch.from_numpy(power * exposure[:, None] * size**2).repeat(1, 3)
     views = Views(places, places.clone(), intensity, size)
     return EstimatedViews(views, torch.from_numpy(deviation), power_deviation, shared["beam"])
 

@@ -36,21 +36,16 @@ LARGEST_SIDE = 256  # pixels a side, where nothing else is asked for
 
 
 def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", help=(
-                "Folders of maps, published or the OUT of fits, or builtin:NAME; NAME= is what captions "
-                "call it."))]],
+                "Folders of maps, published or the OUT of fits, or builtin:NAME. NAME= sets the caption."))]],
             capture: Annotated[Path, arg(metavar="CAPTURE", help="The photos.")], out: Out,
-            reference: Annotated[str | None,
-                                 arg(help="Known maps, where there are any: a folder or builtin:NAME.")] = None,
-            views: ViewList = None, resolution: Annotated[int | None,
-                                  arg(help="Side of photos and maps; left out: the smallest among them, at "
-                                           "most 256.")] = None, renderer: RendererName = "mitsuba",
-            transfer: Annotated[TransferOption,
-                                arg(help="How photos encode light; auto: as in each fit.")] = "auto",
-            refine_views: Annotated[bool,
-                                    arg(help="Measure again with camera, flash and exposure of each photo "
-                                             "refined, for every method alike.")] = False,
-            json_file: Annotated[Path | None,
-                                 arg(name="json", help="Write the figures to this file.")] = None,
+            reference: Annotated[str | None, arg(help="Known maps: a folder or builtin:NAME.")] = None,
+            views: ViewList = None, resolution: Annotated[int | None, arg(
+                help="Side of photos and maps. Default: the smallest among them, at most 256.")] = None,
+            renderer: RendererName = "mitsuba", transfer: Annotated[TransferOption, arg(
+                help="Encoding of light in photos. auto: as in each fit.")] = "auto",
+            refine_views: Annotated[bool, arg(
+                help="Measure again with camera, flash and exposure of each photo refined, for every method.")] = False,
+            json_file: Annotated[Path | None, arg(name="json", help="Write the figures to this file.")] = None,
             variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False, strict: Strict = False) -> int:
     """Show maps of several methods side by side: input, maps, errors, and every photo beside its
     re-renderings.

@@ -31,32 +31,28 @@ from .options import (
 
 def evaluate(maps: Positional[Material],
              reference: Annotated[str | None, arg(help="Known maps: a folder or builtin:NAME.")] = None,
-             capture: Annotated[Path | None,
-                                arg(metavar="CAPTURE", help="Photos to compare re-renderings with.")] = None,
-             views: ViewList = None, resolution: Annotated[int | None,
-                                   arg(help="Side of the photos; left out: that of the maps.")] = None,
+             capture: Annotated[Path | None, arg(metavar="CAPTURE", help="Photos to compare with.")] = None,
+             views: ViewList = None,
+             resolution: Annotated[int | None, arg(help="Side of the photos. Default: that of the maps.")] = None,
              renderer: RendererName = "mitsuba", transfer: TransferOption = "auto",
              falloff: Annotated[FalloffOption, arg(help="auto: as in the fit.")] = "auto",
-             flash_offset: Annotated[Literal["fitted", "none"],
-                                     arg(help="fitted: use the flash offset that the fit found.")] = "fitted",
-             refine_views: Annotated[bool,
-                                     arg(help="Measure again with camera, flash and exposure of each photo "
-                                              "refined; the maps stay as they are.")] = False,
-             json_file: Annotated[Path | None,
-                                  arg(name="json", help="Write the figures to this file.")] = None,
+             flash_offset: Annotated[Literal["fitted", "none"], arg(
+                 help="fitted: use the flash offset that the fit found.")] = "fitted",
+             refine_views: Annotated[bool, arg(help=(
+                 "Measure again with camera, flash and exposure of each photo refined; the maps stay."))] = False,
+             json_file: Annotated[Path | None, arg(name="json", help="Write the figures to this file.")] = None,
              variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False, strict: Strict = False) -> int:
     """Measure maps: against known maps (--reference) or against photos (--capture).
 
-    Map RMSE is counted as in the field: diffuse and specular gamma-encoded, roughness as stored, normal as (n
-    + 1) / 2. Re-rendering RMSE is in display values clipped to [0, 1], over all pixels. A photo that the fit
-    saw has the view that the fit ended with, which gives the numbers that the fit printed; photos left out
-    have the calibration and the flash offset of the fit. A line below has these for all, seen or not. Burn-in
-    is the share of a map's variance that lies as the highlights of the fit's photos do (without a fit.json:
-    of the photos given).
+    Map RMSE is counted as in the field: diffuse and specular gamma-encoded, roughness as stored, normal as
+    (n + 1) / 2. Re-rendering RMSE is in display values clipped to [0, 1], over all pixels. A photo that the fit
+    saw has the view that the fit ended with, so its error is the one that the fit printed. A held-out photo has
+    its calibration and the flash offset of the fit; a further line has these for all photos. Burn-in is the share
+    of the variance of a map that follows the highlights of the photos of the fit (without a fit.json: of the
+    photos given).
 
-    Photos left out of a fit have their own errors of calibration, which no fit can know. --refine-views also
-    measures with the camera, flash and exposure of each photo moved to where they explain it best, within
-    priors, and prints how far that was.
+    The calibration of held-out photos has errors that no fit can know. --refine-views also measures with the
+    camera, flash and exposure of each photo refined within priors, and prints how far they moved.
     """
     from ..calibrate.refine import Priors
     from ..evaluate import evaluate_maps, placed
@@ -119,12 +115,13 @@ def _print_errors(views: str, errors: dict, labels: Mapping[str, str]) -> None:
 
 
 def _totals(errors: dict) -> dict[str, float]:
-    """Over all photos; of photos seen and left out each its own, and none over both."""
-    apart = {"seen": errors["rmse_seen"], "left out": errors["rmse_held_out"]}
+    """Over all photos; of photos seen and held out each its own, and none over both."""
+    apart = {"seen": errors["rmse_seen"], "held out": errors["rmse_held_out"]}
     return {"all": errors["rerender_rmse"]} if None in apart.values() else apart
 
 
 def _moved(change: dict[str, float]) -> str:
     camera, flash = (", ".join(f"{change[f'{what}_{axis}']:+.3f}" for axis in "xyz") for what in ("camera",
                                                                                                   "flash"))
-    return f"camera ({camera}), flash beside it ({flash}) patch sides, light x {math.exp(change['log_exposure']):.3f}"
+    light = math.exp(change["log_exposure"])
+    return f"camera ({camera}), flash beside it ({flash}) patch sides, light x {light:.3f}"

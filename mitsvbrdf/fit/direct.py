@@ -61,9 +61,9 @@ class Direct(Method[DirectConfig]):
 
     def state(self) -> dict[str, Tensor]:
         """The raw maps, Adam's averages and the step size."""
-        return {f"raw.{k}": v.detach().clone() for k, v in self.raw.items()} | optimizer_state("optimizer",
-                                                                                               self.optimizer) | {
-            "peak": torch.tensor(self.peak, dtype=torch.float64)}
+        raw = {f"raw.{name}": value.detach().clone() for name, value in self.raw.items()}
+        peak = torch.tensor(self.peak, dtype=torch.float64)
+        return raw | optimizer_state("optimizer", self.optimizer) | {"peak": peak}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""

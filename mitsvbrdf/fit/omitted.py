@@ -11,7 +11,8 @@ from .gan_config import GanConfig
 from .task import FitTask
 
 # Of the methods that solve every texel by itself.
-_NO_GENERATOR = "each texel is solved by itself, and at equal time that errs less in the maps: docs/results/benchmark.md"
+_NO_GENERATOR = ("each texel is solved by itself, and at equal time that errs less in the maps: "
+                 "docs/results/benchmark.md")
 _NO_DISCRIMINATOR = "there is no generator to teach: each pixel's error says what to change"
 
 

@@ -66,13 +66,15 @@ def fit_warnings(result: Fit, capture: Capture) -> Iterator[str]:
     yield from _refined_for_nothing(result)
     yield from about_steps(result.undone, result.restarts)
     if result.stopped == "unstable":
-        yield "too many steps had to be undone, so the fit ended early: lower the learning rate or check the calibration"
+        yield ("too many steps had to be undone, so the fit ended early: lower the learning rate or "
+               "check the calibration")
 
 
 def about_steps(undone: Sequence[dict], restarts: Sequence[dict]) -> Iterator[str]:
     """Warnings about steps taken back so far."""
     if undone:
-        yield f"{_count(undone, 'step')} undone; the first at iteration {undone[0]['iteration']}: {undone[0]['reason']}"
+        yield (f"{_count(undone, 'step')} undone; the first at iteration {undone[0]['iteration']}: "
+               f"{undone[0]['reason']}")
     if restarts:
         yield f"the fit diverged and went back to its lowest loss {_count(restarts, 'time')}"
 
@@ -90,7 +92,8 @@ def about_photos(capture: Capture) -> Iterator[str]:
     if len(capture) == 1:
         yield "one photo: specular, roughness and normals are hardly determined; take more from other places"
     elif float((photos - photos.mean(dim=0)).square().mean().sqrt()) < ALIKE:
-        yield "the photos are all alike: no highlight moves, so specular, roughness and normals are hardly determined"
+        yield ("the photos are all alike: no highlight moves, so specular, roughness and normals are "
+               "hardly determined")
     else:
         yield from _twice(capture)
 
@@ -115,14 +118,16 @@ def _light(result: Fit, capture: Capture) -> Iterator[str]:
         gain = float((photos[usable] / images[usable]).median())
         if not 1 / GAIN < gain < GAIN:
             how, times = ("darker", gain) if gain > 1 else ("brighter", 1 / gain)
-            yield f"the re-rendering is {how} than the photos by {times:.2g}x: light power or distances may be off"
+            yield (f"the re-rendering is {how} than the photos by {times:.2g}x: light power or "
+                   "distances may be off")
     material = result.svbrdf.as_roughconductor()
     white = float((material["diffuse"].amax(dim=-1) > WHITE).float().mean())
     if white > WHITE_SHARE:
         yield f"{white:.0%} of the diffuse map is as white as can be: the light may be stronger than stated"
     specular, sure = float(material["specular"].median()), confidence(result.deviations).get("specular")
     if sure and sure["determined_share"] > 0.25 and 0 < specular < FAINT:
-        yield f"specular of {specular:.2g} is below that of any known material: the light may be weaker than stated"
+        yield (f"specular of {specular:.2g} is below that of any known material: the light may be "
+               "weaker than stated")
 
 
 def _implausible(result: Fit) -> Iterator[str]:
@@ -153,19 +158,22 @@ def _place(mask: Tensor) -> str:
 
 def _errors(result: Fit, capture: Capture) -> Iterator[str]:
     if result.rerender_rmse > POOR:
-        yield f"the photos are only met to {result.rerender_rmse:.2g}: fit longer, or check views, light and transfer function"
+        yield (f"the photos are only met to {result.rerender_rmse:.2g}: fit longer, or check views, "
+               "light and transfer function")
     if len(capture) > 2:
         typical = statistics.median(result.per_photo)
         for name, error in zip(capture.names, result.per_photo):
             if error > WORSE * max(typical, 0.01):
-                yield f"photo {name} fits worse than the rest ({error:.2g}, median {typical:.2g}): its view may be off"
+                yield (f"photo {name} fits worse than the rest ({error:.2g}, median {typical:.2g}): its "
+                       "view may be off")
 
 
 def _burnt_in(result: Fit) -> Iterator[str]:
     fixed = described(result.config.fix)
     for name, share in burn_in(result.svbrdf, result.views).items():
         if share > BURNT_IN and name not in fixed:
-            yield f"{share:.0%} of the {name} map lies as the photos' highlights do: it may be theirs, not the material's"
+            yield (f"{share:.0%} of the {name} map lies as the photos' highlights do: it may be theirs, "
+                   "not the material's")
     for name, share in local_burn_in(result.svbrdf, result.views).items():
         # fewer texels have it by chance
         if share > OVALS and name not in fixed and result.svbrdf.resolution >= LOCAL_SIDE:

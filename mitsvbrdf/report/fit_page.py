@@ -205,8 +205,10 @@ def _photo(photo: dict, side: int, found: Fit, *folders: Path) -> dict:
     memory = {}
     if "photos" in found.known and photo["name"] in found.names:
         row, transfer = found.names.index(photo["name"]), found.record["capture"]["transfer"]
-        memory = {photo["photo"]: found.photos[row],
-                  photo["rerendered"]: color.to_display(found.rerendered[row], transfer)}
+        shown = found.photos[row], color.to_display(found.rerendered[row], transfer)
+        # as their 8-bit files show them
+        memory = {name: (255 * value.clamp(0, 1)).round() / 255
+                  for name, value in zip((photo["photo"], photo["rerendered"]), shown)}
 
     def read(name: str) -> Tensor:
         if name in memory:

@@ -144,8 +144,6 @@ def test_a_fit_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     shots, out = photos_of(make_material("tiles", 8)), tmp_path / "out"
     found, fixed = (fit_svbrdf(shots, ANALYTIC, DirectConfig(iterations=1, fix=fix)) for fix in ((),
                                                                                                  ("roughness=0.5",)))
-    (out / "maps").mkdir(parents=True)
-    (out / "maps/mine.psd").write_text("mine")
     write_fit(found, shots, out, pages=False)
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     with monkeypatch.context() as patch:
@@ -160,7 +158,10 @@ def test_a_fit_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     write_fit(fixed, shots, out, pages=False, overwrite=True)
     assert not (out / "uncertainty/roughness.exr").exists() and Fit.of_maps(out).svbrdf[
         "roughness"].unique().item() == 0.5
-    assert (out / "maps/mine.psd").read_text() == "mine" and not list(out.rglob("*.old"))
+    (out / "maps/mine.psd").write_text("mine")
+    with pytest.raises(OutputError, match="mine.psd"):
+        write_fit(found, shots, out, pages=False, overwrite=True)
+    assert (out / "maps/mine.psd").read_text() == "mine"
 
 
 def test_a_page_is_not_written_beside_another_fit(copy, monkeypatch):

@@ -198,8 +198,8 @@ class DetailTraining:
         half = self._in_photos(lights, self.half)
         lean = half[..., :2].norm(dim=-1, keepdim=True)
         angles = torch.cat((VIEW_SCALE * (1 - half[..., 2:]), lean), dim=-1)
-        under = torch.stack([light.under_it(image, self.side) for light, image in zip(lights,
-                                                                                      self._shown(self.matte, moved))])
+        matte = self._shown(self.matte, moved)
+        under = torch.stack([light.under_it(image, self.side) for light, image in zip(lights, matte)])
         shown = _input(fake, under, angles)
         photo = _input(real, self._in_photos(lights, self.matte_photos), angles)
         logged = {"discriminator": self._learn(photo, shown.detach())}

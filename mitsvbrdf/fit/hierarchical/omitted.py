@@ -11,7 +11,8 @@ from .cross_validation import FEWEST
 from .specular_test import WEAK, may_be_omitted
 from .stages import EXACT, Stages
 
-TIED, MULTI_START, VIEWS, CROSS_VALIDATION = "tied stage", "multi-start", "view refinement", "cross-validation"
+TIED, MULTI_START = "tied stage", "multi-start"
+VIEWS, CROSS_VALIDATION = "view refinement", "cross-validation"
 LOBE = "search for a specular lobe"
 FOLLOW = "the photos follow the model"
 
@@ -50,7 +51,8 @@ def omitted_stages(task: FitTask[HierarchicalConfig], stages: Stages | None = No
     config, exact, why = task.config, task.config.exact, "stated by --exact"
     if exact is None and stages and stages.known:
         exact, structure = stages.exact, float(stages.unexplained[0])
-        why = f"a free fit leaves errors with a structure of {structure:.2g}, {'' if exact else 'not '}below {EXACT:g}"
+        below = "below" if exact else "not below"
+        why = f"a free fit leaves errors with a structure of {structure:.2g}, {below} {EXACT:g}"
     items, hurried = list[tuple[str, str]](), stages is not None and stages.hurried
     if exact:
         items.append((TIED, f"{FOLLOW}: {why}"))

@@ -95,9 +95,9 @@ def _lobe(specular: float, roughness: float, side: int) -> dict[str, Tensor]:
             for name, value in (("specular", specular), ("roughness", roughness))}
 
 
-def explained_without(answer: TexelEstimate, search: Search, lobeless: Search, noise: Tensor,
-                      observations: Callable[[Scale, TexelEstimate], Observations]) -> tuple[Scale,
-                                                                                             TexelEstimate] | None:
+def explained_without(
+        answer: TexelEstimate, search: Search, lobeless: Search, noise: Tensor,
+        observations: Callable[[Scale, TexelEstimate], Observations]) -> tuple[Scale, TexelEstimate] | None:
     """The answer without a lobe at full size and its scale; None where the photos, coarse or in full, may
     need one.
 
