@@ -45,7 +45,8 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
                 help="Encoding of light in photos. auto: as in each fit.")] = "auto",
             refine_views: Annotated[bool, arg(
                 help="Measure again with camera, flash and exposure of each photo refined, for every method.")] = False,
-            json_file: Annotated[Path | None, arg(name="json", help="Write the figures to this file.")] = None,
+            json_file: Annotated[Path | None,
+                                 arg(name="json", help="Write the figures to this file.")] = None,
             variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False, strict: Strict = False) -> int:
     """Show maps of several methods side by side: input, maps, errors, and every photo beside its
     re-renderings.

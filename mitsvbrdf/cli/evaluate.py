@@ -33,23 +33,25 @@ def evaluate(maps: Positional[Material],
              reference: Annotated[str | None, arg(help="Known maps: a folder or builtin:NAME.")] = None,
              capture: Annotated[Path | None, arg(metavar="CAPTURE", help="Photos to compare with.")] = None,
              views: ViewList = None,
-             resolution: Annotated[int | None, arg(help="Side of the photos. Default: that of the maps.")] = None,
+             resolution: Annotated[int | None,
+                                   arg(help="Side of the photos. Default: that of the maps.")] = None,
              renderer: RendererName = "mitsuba", transfer: TransferOption = "auto",
              falloff: Annotated[FalloffOption, arg(help="auto: as in the fit.")] = "auto",
              flash_offset: Annotated[Literal["fitted", "none"], arg(
                  help="fitted: use the flash offset that the fit found.")] = "fitted",
              refine_views: Annotated[bool, arg(help=(
                  "Measure again with camera, flash and exposure of each photo refined; the maps stay."))] = False,
-             json_file: Annotated[Path | None, arg(name="json", help="Write the figures to this file.")] = None,
+             json_file: Annotated[Path | None,
+                                  arg(name="json", help="Write the figures to this file.")] = None,
              variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False, strict: Strict = False) -> int:
     """Measure maps: against known maps (--reference) or against photos (--capture).
 
     Map RMSE is counted as in the field: diffuse and specular gamma-encoded, roughness as stored, normal as
-    (n + 1) / 2. Re-rendering RMSE is in display values clipped to [0, 1], over all pixels. A photo that the fit
-    saw has the view that the fit ended with, so its error is the one that the fit printed. A held-out photo has
-    its calibration and the flash offset of the fit; a further line has these for all photos. Burn-in is the share
-    of the variance of a map that follows the highlights of the photos of the fit (without a fit.json: of the
-    photos given).
+    (n + 1) / 2. Re-rendering RMSE is in display values clipped to [0, 1], over all pixels. A photo that the
+    fit saw has the view that the fit ended with, so its error is the one that the fit printed. A held-out
+    photo has its calibration and the flash offset of the fit; a further line has these for all photos.
+    Burn-in is the share of the variance of a map that follows the highlights of the photos of the fit
+    (without a fit.json: of the photos given).
 
     The calibration of held-out photos has errors that no fit can know. --refine-views also measures with the
     camera, flash and exposure of each photo refined within priors, and prints how far they moved.

@@ -169,8 +169,8 @@ def _write_page(found: Fit, record: dict, into: Path) -> None:
                maps=_maps(found), front=header(found, record["quick"]),
                photos=[_photo(photo, side, found, into, found.path) for photo in record["photos"]],
                viewer=viewer_html(found.svbrdf),
-               curves=error_and_losses(fit["trace"]), measured=_thinned(fit["trace"]), unknown=UNKNOWN, ramp=_ramp(),
-               titles=TITLES,
+               curves=error_and_losses(fit["trace"]), measured=_thinned(fit["trace"]), unknown=UNKNOWN,
+               ramp=_ramp(), titles=TITLES,
                detail=write_detail_page(found, into), scalar=_scalar,
                from_where=about_views(fit.get("calibration") or {}))
 
@@ -207,7 +207,7 @@ def _photo(photo: dict, side: int, found: Fit, *folders: Path) -> dict:
         row, transfer = found.names.index(photo["name"]), found.record["capture"]["transfer"]
         shown = found.photos[row], color.to_display(found.rerendered[row], transfer)
         # as their 8-bit files show them
-        memory = {name: (255 * value.clamp(0, 1)).round() / 255
+        memory = {name: (255 * value.clamp(0, 1).double()).round().float() / 255
                   for name, value in zip((photo["photo"], photo["rerendered"]), shown)}
 
     def read(name: str) -> Tensor:
