@@ -6,6 +6,9 @@ import pytest
 import torch
 
 import mitsvbrdf as mv
+from mitsvbrdf.capture.align.sheet import write_sheet
+from mitsvbrdf.capture.photo import Photo, photos_in
+from mitsvbrdf.capture.stages import make_capture
 from mitsvbrdf.errors import MitsvbrdfError
 from mitsvbrdf.kinds import _about
 from mitsvbrdf.material.maps import flat
@@ -37,6 +40,15 @@ WRONG = {
     "a patch size of text": lambda: mv.Views(VIEWS.camera, VIEWS.light, VIEWS.intensity, "1"),
     "photos without views": lambda: mv.Capture(CAPTURE.photos, 5),
     "photos without a pixel": lambda: mv.Capture(CAPTURE.photos[:, :0, :0], VIEWS),
+    "photos by the name of their folder": lambda: make_capture("photos"),
+    "photos by number": lambda: photos_in(5),
+    "a photo by number": lambda: Photo.open(5),
+    "photos averaged to text": lambda: CAPTURE.averaged("4"),
+    "photos sampled to text": lambda: CAPTURE.sampled("4"),
+    "photos sampled to nothing": lambda: CAPTURE.sampled(0),
+    "a sheet by number": lambda: write_sheet(5),
+    "a sheet's size of text": lambda: write_sheet("sheet.pdf", "18"),
+    "a sheet on unknown paper": lambda: write_sheet("sheet.pdf", 18.0, "a5"),
     "a capture by number": lambda: mv.fit_svbrdf(5, mv.make_renderer("analytic")),
     "a renderer by number": lambda: mv.fit_svbrdf(CAPTURE, 5),
     "settings by number": lambda: mv.fit_svbrdf(CAPTURE, mv.make_renderer("analytic"), 5),

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from .. import color
 from ..errors import CaptureError, ConfigError
-from ..kinds import check_fields
+from ..kinds import check_fields, kinds_checked
 from ..material.resample import area_averaged, sampled
 from ..views import Views, whole_numbers
 
@@ -92,16 +92,20 @@ class Capture:
         """The photos as linear radiance, N x R x R x 3 (clipped highlights stay at 1)."""
         return color.decode(self.photos, self.transfer)
 
+    @kinds_checked
     def averaged(self, resolution: int) -> Capture:
         """The photos at another size, by area averages of display values."""
         return replace(self, photos=area_averaged(self.photos, resolution).contiguous())
 
+    @kinds_checked
     def sampled(self, resolution: int) -> Capture:
         """Every k-th pixel of the photos, the middle one, for the greatest k that leaves at least
         ``resolution`` a side.
         """
-        return replace(self, photos=sampled(self.photos.movedim(-1, 1), resolution).movedim(1,
-                                                                                            -1).contiguous())
+        if resolution < 1:
+            raise ConfigError("a resolution of 1 or more", str(resolution), "choose a larger one")
+        photos = sampled(self.photos.movedim(-1, 1), resolution)
+        return replace(self, photos=photos.movedim(1, -1).contiguous())
 
     def pick(self, index: Sequence[int]) -> Capture:
         """The photos with these numbers (as in :attr:`index`), in this order.

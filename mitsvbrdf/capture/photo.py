@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import CaptureError, InputWarning
+from ..errors import CaptureError, ConfigError, InputWarning
 from ..io.decode import check_size, decoded, opened
 from ..io.decode import orientation as orientation_of
 from ..io.files import check_names
 from ..io.profile import profiled
+from ..kinds import kinds_checked
 
 PLAIN = (".png", ".jpg", ".jpeg")
 HEIC = (".heic", ".heif")  # need the extra `heic`
@@ -68,7 +69,8 @@ class Photo:
         return self.path.suffix.lower() in RAW
 
     @classmethod
-    def open(cls, path: Path) -> Photo:
+    @kinds_checked
+    def open(cls, path: str | Path) -> Photo:
         """A photo by its file, with only its header read.
 
         Raises:
@@ -177,13 +179,15 @@ def _needed(module: str, extra: str, path: Path) -> ModuleType:
                            f'pip install "mitsvbrdf[{extra}]", or export the photos as JPEG') from None
 
 
-def photos_in(folder: Path) -> list[Path]:
+@kinds_checked
+def photos_in(folder: str | Path) -> list[Path]:
     """The photos of a folder by name, hidden ones aside.
 
     Raises:
         CaptureError: none, or RAW files beside others, whose values mean something else.
         ConfigError: a name that is not UTF-8.
     """
+    folder = Path(folder)
     if not folder.is_dir():
         raise CaptureError("a folder of photos", f"no folder at {folder}", "check the name")
     found = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.name[0] != "."
@@ -209,7 +213,11 @@ def of_one_camera(photos: Sequence[Photo]) -> tuple[list[Photo], dict[str, str],
 
     Raises:
         CaptureError: RAW files among others.
+        ConfigError: something else than photos.
     """
+    if others := [photo for photo in photos if not isinstance(photo, Photo)]:
+        raise ConfigError("photos, each from Photo.open", repr(others[0]),
+                          "open each file that photos_in(folder) lists")
     if len({photo.linear for photo in photos}) > 1:
         raise CaptureError("photos of one kind", "RAW files among others", "give one kind alone")
     usual = Counter(photo.size for photo in photos).most_common(1)[0][0] if photos else (0, 0)

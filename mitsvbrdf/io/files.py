@@ -271,7 +271,11 @@ def check_names(*names: str | Path) -> None:
 
 def _places(path: Path) -> tuple[Path, Path]:
     """The file that a path stands for, links followed, and the temporary name beside it."""
-    target = Path(os.path.realpath(path))
+    try:
+        target = Path(os.path.realpath(path))
+    except FileNotFoundError:
+        raise OutputError(f"a current folder to write {path} in", "one that was deleted",
+                          "change to one that is there, or name a whole path") from None
     check_names(target)
     # a rename would replace a device or a pipe by a file
     if os.path.lexists(target) and not target.is_file():

@@ -136,3 +136,12 @@ def test_only_regular_files_are_opened(tmp_path):
         assert file.read() == b"x"
     with pytest.raises(OSError, match="no regular file"):
         files.file_hash(tmp_path / "pipe")
+
+
+def test_a_current_folder_that_was_deleted_is_said(tmp_path, monkeypatch):
+    (gone := tmp_path / "gone").mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    with pytest.raises(OutputError, match="a current folder .* deleted"):
+        files.write_json(Path("result.json"), {})
+    files.write_json(tmp_path / "result.json", {})

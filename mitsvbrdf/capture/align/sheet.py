@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ...errors import ConfigError
 from ...io import files
+from ...kinds import kinds_checked
 
 Paper = Literal["a4", "letter"]
 
@@ -132,6 +133,7 @@ _PLACES = _places()
 _CELLS, _WHITE = _grids()
 
 
+@kinds_checked
 def write_sheet(path: str | Path, size_cm: float = 18.0, paper: Paper = "a4") -> None:
     """The sheet at its true size on a page of A4 or Letter, to print at 100 %, with what to do in small
     print.
@@ -143,6 +145,8 @@ def write_sheet(path: str | Path, size_cm: float = 18.0, paper: Paper = "a4") ->
     Raises:
         ConfigError: a size that does not fit on the paper, or too small to be seen; a file of another kind.
     """
+    if paper not in SHEETS:
+        raise ConfigError(f"paper of {tuple(SHEETS)}", repr(paper), "choose one of these")
     path, (width, height) = Path(path), SHEETS[paper]
     kind = path.suffix.lower().removeprefix(".")
     if kind not in ("pdf", "svg", "png"):
