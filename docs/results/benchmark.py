@@ -157,10 +157,13 @@ def measure(file: Path) -> dict:
     records = run(methods, tasks, BUDGETS, SEEDS, renderer, file.with_suffix(".jsonl"),
                   lambda text, share: print(f"{share:4.0%} {text}", flush=True))
     record = json.loads(file.read_text())
-    others = [r for r in record["records"] if r["machine"] != "AMD EPYC"]
-    mine = [{**r, "machine": "AMD EPYC"} for r in records]
+    place = next(iter(record["machines"]))  # these records take the place of that machine's
+    others = [r for r in record["records"] if r["machine"] != place]
+    mine = [{**r, "machine": place} for r in records]
+    machines = {**record["machines"], place: {"machine": records[0]["machine"],
+                                              "versions": {"mitsvbrdf": records[0]["version"]}}}
     theirs = published(data / "peers.json", tasks) if data else []
-    return {**record, "published": theirs, "records": [*mine, *others]}
+    return {**record, "machines": machines, "published": theirs, "records": [*mine, *others]}
 
 
 if __name__ == "__main__":

@@ -231,7 +231,7 @@ def measure(record: dict) -> dict:
             errors = {} if "grey" in CASES[old["name"]][1] else rmse(result.svbrdf, truth)
             found.append({**old, "seconds": last["seconds"], "wall": time.perf_counter() - began, "why": None,
                           "iterations": last["iteration"], "stopped": result.stopped, "stated": stated,
-                          "warnings": list(result.warnings), "undone": result.undone_steps,
+                          "warnings": list(result.warnings), "undone": len(result.undone),
                           "errors": {**errors, "photos": result.rerender_rmse,
                                      "photos_start": start["rerender_rmse"]}})
             print(old["method"], old["name"], old["seed"], flush=True)

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any, Literal, NotRequired, TypedDict, get_args, get_type_hints
 
 import msgspec
-from torch import Tensor
 
 from .. import __version__
 from ..capture import Capture
@@ -195,17 +194,14 @@ def settings_of(config: FitConfig) -> dict[str, Any]:
 @functools.cache
 def version() -> str:
     """The version of mitsvbrdf; where it runs from its repository, with the commit, ``-dirty`` if changed."""
-    def git(*words: str) -> str:
-        done = subprocess.run(["git", "-C", str(Path(__file__).parent), *words], capture_output=True,
-                              text=True)
-        return done.stdout.strip() if done.returncode == 0 else ""
-
-    try:
-        commit = git("ls-files", Path(__file__).name) and git("describe", "--always", "--dirty",
-                                                              "--exclude=*")
-    except OSError:  # no git here
-        commit = ""
-    return f"{__version__}+{commit}" if commit else __version__
+    root = Path(__file__).parents[2]
+    if not (root / ".git").exists():
+        return __version__
+    with contextlib.suppress(OSError):  # no git here
+        done = subprocess.run(["git", "-C", str(root), "describe", "--always", "--dirty", "--exclude=*"],
+                              capture_output=True, text=True)
+        return f"{__version__}+{done.stdout.strip()}"
+    return __version__
 
 
 def fit(capture: Capture, renderer: Renderer, config: FitConfig,
@@ -225,8 +221,8 @@ def fit(capture: Capture, renderer: Renderer, config: FitConfig,
     if result.trace[-1]["iteration"] == 0:
         raise ConfigError("a fit of one step or more", "none in the budget", "give a longer budget")
 
-    def predicted(shots: Capture) -> tuple[Tensor, float]:
-        return predict(result.svbrdf, *as_fitted(result, lit(shots)))[:2]
+    def predicted(shots: Capture) -> float:
+        return predict(result.svbrdf, *as_fitted(result, lit(shots)))[1]
 
     return result, predicted
 

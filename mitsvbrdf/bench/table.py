@@ -115,7 +115,7 @@ def markdown(groups: Sequence[Judged]) -> str:
 
 
 def as_markdown(cells: pd.DataFrame) -> str:
-    """A table of text as Markdown: its index at the left, all else at the right."""
+    """A table of text as Markdown, all but its index at the right."""
     rows = [["", *cells.columns], ["---", *["---:"] * len(cells.columns)],
             *([name, *row] for name, row in zip(cells.index, cells.itertuples(index=False)))]
     return "\n".join(f"| {' | '.join(map(str, row))} |" for row in rows)

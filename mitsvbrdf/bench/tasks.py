@@ -4,32 +4,29 @@ from __future__ import annotations
 
 import math
 import os
-import statistics
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import ClassVar
 
 import torch
-from torch import Tensor
 
 from ..capture import Capture, read_capture
-from ..color import Transfer, to_display
+from ..color import to_display
 from ..errors import ConfigError
 from ..evaluate import evaluate_maps
 from ..evaluate.placement import named_views
 from ..material.made import MATERIALS, make_material
 from ..material.map_files import load_maps
 from ..material.maps import SVBRDF
-from ..measure.metrics import flip, map_rmse, photo_rmse
+from ..measure.metrics import map_rmse, photo_rmse
 from ..render import Renderer, make_renderer
 from ..synth import photograph
 from ..views import Views
 
 HELD_OUT = (4, 7)  # photos of a real capture that no fit sees, where nothing else is said
-# Images that a fit predicts for photos: N x R x R x 3 linear, and the RMSE over all in display values.
-Predict = Callable[[Capture], tuple[Tensor, float]]
+# RMSE in display values of what a fit predicts for photos.
+Predict = Callable[[Capture], float]
 
 
 @dataclass(frozen=True)
@@ -58,22 +55,15 @@ class KnownMaterial:
                 "views": self.seen_from}
 
     def errors(self, svbrdf: SVBRDF, predict: Predict) -> dict[str, float]:
-        """Errors of a fit.
+        """RMSE of each map and their ``mean``, of images under ``novel_light``, of the ``photos``.
 
         Args:
-            svbrdf: the maps it found.
+            svbrdf: the maps that a fit found.
             predict: what it predicts for photos.
-
-        Returns:
-            RMSE of each map and their ``mean``, of images under ``novel_light``, of the ``photos``; mean FLIP
-            of these images where flip-evaluator is installed.
         """
         maps = map_rmse(svbrdf, self.truth) if self.folder is None else evaluate_maps(svbrdf, self.folder)
-        found, exact = novel_images(svbrdf, self.truth, self.photos.views)
-        images, rmse = predict(self.photos)
-        looks = {"novel_light": mean_flip(found, exact),
-                 "photos": mean_flip(images, self.photos.linear, self.photos.transfer)}
-        return maps | {"novel_light": photo_rmse(found, to_display(exact))[0], "photos": rmse} | _named(looks)
+        novel = novel_light_rmse(svbrdf, self.truth, self.photos.views)
+        return maps | {"novel_light": novel, "photos": predict(self.photos)}
 
 
 @dataclass(frozen=True)
@@ -100,14 +90,9 @@ class RealCapture:
                 "held_out": list(self.held_out)}
 
     def errors(self, svbrdf: SVBRDF, predict: Predict) -> dict[str, float]:
-        """RMSE of the photos ``seen`` and ``held_out`` in display values, and mean FLIP of both; arguments as
-        of :meth:`KnownMaterial.errors`.
-        """
-        parts = {"seen": self.photos} | ({} if self.unseen is None else {"held_out": self.unseen})
-        found = {name: predict(shots) for name, shots in parts.items()}
-        looks = {name: mean_flip(found[name][0], shots.linear, shots.transfer)
-                 for name, shots in parts.items()}
-        return {name: rmse for name, (_, rmse) in found.items()} | _named(looks)
+        """RMSE of the photos ``seen`` and ``held_out``; arguments as of :meth:`KnownMaterial.errors`."""
+        held = {} if self.unseen is None else {"held_out": predict(self.unseen)}
+        return {"seen": predict(self.photos)} | held
 
 
 Task = KnownMaterial | RealCapture
@@ -217,8 +202,8 @@ def data_folder(folder: Path | None = None) -> Path | None:
     return named
 
 
-def novel_images(svbrdf: SVBRDF, truth: SVBRDF, views: Views) -> tuple[Tensor, Tensor]:
-    """Images of two materials under :func:`novel_views`, N x R x R x 3 linear; R is the smaller resolution.
+def novel_light_rmse(svbrdf: SVBRDF, truth: SVBRDF, views: Views) -> float:
+    """How different two materials look under :func:`novel_views`: RMSE in display values.
 
     Args:
         svbrdf: the estimate.
@@ -229,7 +214,7 @@ def novel_images(svbrdf: SVBRDF, truth: SVBRDF, views: Views) -> tuple[Tensor, T
     renderer, lit = make_renderer("analytic"), novel_views(views)
     with torch.no_grad():
         found, exact = (renderer.render(m.as_roughconductor().resized(size), lit) for m in (svbrdf, truth))
-    return found, exact
+    return photo_rmse(found, to_display(exact))[0]
 
 
 def novel_views(views: Views, tilts: Sequence[float] = (25.0, 50.0), around: int = 4) -> Views:
@@ -251,17 +236,6 @@ def novel_views(views: Views, tilts: Sequence[float] = (25.0, 50.0), around: int
             lights.append([height * math.sin(tilt) * math.cos(turn), height * math.sin(tilt) * math.sin(turn),
                            height * math.cos(tilt)])
     return Views.of([[0.0, 0.0, height]] * len(lights), lights, math.pi * height**2)
-
-
-def mean_flip(images: Tensor, exact: Tensor, transfer: Transfer = "gamma2.2") -> float | None:
-    """Mean FLIP over all pixels of N linear images; None without flip-evaluator."""
-    if find_spec("flip_evaluator") is None:
-        return None
-    return statistics.fmean(float(flip(a, b, transfer).mean()) for a, b in zip(images, exact))
-
-
-def _named(looks: Mapping[str, float | None]) -> dict[str, float]:
-    return {f"flip_{name}": value for name, value in looks.items() if value is not None}
 
 
 def _folders(data: Path | None, what: str) -> list[Path]:
