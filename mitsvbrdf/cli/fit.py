@@ -145,7 +145,7 @@ def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, o
             with progress_bar("plausible detail") as finish_report:
                 result = with_detail(result, shots, engine, settings, finish_report)
         last.enter_context(deferred_signals())  # until all is in place
-        write_fit_files(result, shots, folder, command=options.record(shots), left_out=shown)
+        write_fit_files(result, shots, folder, command=options.record(shots), held_out=shown)
         page.end()
     return result, before
 

@@ -31,7 +31,7 @@ def report(out: Positional[Annotated[Path,
     from ..report.page import figure
 
     found = Fit.load(out)
-    left_out = None
+    held_out = None
     if capture is not None:
         keep_apart(capture, out)
         about = found.record["capture"]
@@ -40,15 +40,15 @@ def report(out: Positional[Annotated[Path,
         used = shots.pick(found.seen)
         check_photos(found, used)
         others = [number for number in shots.index if number not in found.seen]
-        left_out = shots if others else None
+        held_out = shots if others else None
     with results.output_folder(out, overwrite=False, add=True) as folder:
         if capture is not None:
             keep_photos(folder, used)
         with progress_bar(f"report {out.name}") as tell:
-            record = write_report(out, quick, left_out, tell, folder)
-    if record["left_out_rmse"] is not None:
-        missed = {photo["name"]: photo["rmse"] for photo in record["photos"] if photo["left_out"]}
-        print_numbers("Re-rendering RMSE, left out of the fit", missed | {"all": record["left_out_rmse"]})
+            record = write_report(out, quick, held_out, tell, folder)
+    if record["held_out_rmse"] is not None:
+        missed = {photo["name"]: photo["rmse"] for photo in record["photos"] if photo["held_out"]}
+        print_numbers("Re-rendering RMSE, held out", missed | {"all": record["held_out_rmse"]})
     if record["crosscheck"]:
         for found_wrong in record["crosscheck"]["violations"]:
             say(f"exceeded: {found_wrong['renderer']}: {found_wrong['what']} {found_wrong['value']:.3g} > "

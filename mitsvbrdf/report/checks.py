@@ -1,6 +1,4 @@
-"""What a fit's page says beyond ``fit.json``: photos left out, checks of the renderer on this very material,
-what was saved.
-"""
+"""What a fit's page says beyond ``fit.json``: checks of the renderer on this material, and what was saved."""
 
 from __future__ import annotations
 

@@ -35,6 +35,7 @@ LARGEST_MAP = 512  # pixels a side on the page
 # bytes of a map's PNG; any of 256 px has less, and looked at closely it shows its texels
 EXACT_MAP = 256 * 1024
 LARGEST_PHOTO, SMALLEST_PHOTO, PHOTOS_WIDE = 512, 96, 768  # nine photos get 256 px, a hundred 96
+FORMER = "left_out", "left_out_rmse"  # keys of report.json of version 1.0
 ROWS = 200  # of the table of measurements
 # how far the error of a photo may be from what fit.json says; the same photos agree to float32, 1e-7
 SAME_PHOTO = 1e-4
@@ -62,7 +63,7 @@ def keep_photos(folder: Path, capture: Capture) -> None:
         images.write_png(folder / "photos" / f"{name}.png", photo)
 
 
-def write_report(fit: Fit | str | Path, quick: bool = False, left_out: Capture | None = None,
+def write_report(fit: Fit | str | Path, quick: bool = False, held_out: Capture | None = None,
                  report: Report = lambda text, share: None, into: Path | None = None) -> dict:
     """Measure what a page shows beside ``fit.json``, and write ``report.json`` and ``report.html`` into a
     fit's folder.
@@ -70,7 +71,7 @@ def write_report(fit: Fit | str | Path, quick: bool = False, left_out: Capture |
     Args:
         fit: the fit or its folder, with the photos it used in ``photos/`` where they are to be shown.
         quick: check the fit's renderer alone, on small maps and few views, and time nothing.
-        left_out: photos that the fit did not use, to predict and keep; None: those that an earlier page had.
+        held_out: photos that the fit did not use, to predict and keep; None: those that an earlier page had.
             Where the capture states no views, also those that it used: all help to place the others.
         report: told what is going on and the share done.
         into: the folder to write to, whose photos come before those of the fit's; left out: the fit's.
@@ -85,9 +86,9 @@ def write_report(fit: Fit | str | Path, quick: bool = False, left_out: Capture |
     """
     found = fit if isinstance(fit, Fit) else Fit.load(fit)
     engine, into = found.engine(), into or found.path
-    predicted, error = (_earlier(found) if left_out is None or engine is None
-                        else _predicted(found, left_out, engine, into))
-    photos = [{"name": name, "left_out": False, "rmse": rmse, "photo": _there(f"photos/{name}.png", into,
+    predicted, error = (_earlier(found) if held_out is None or engine is None
+                        else _predicted(found, held_out, engine, into))
+    photos = [{"name": name, "held_out": False, "rmse": rmse, "photo": _there(f"photos/{name}.png", into,
                                                                               found.path),
                "rerendered": f"rerendered/{name}.png"} for name, rmse in found.record["per_photo"].items()]
     transfer = found.record["capture"]["transfer"]
@@ -96,7 +97,7 @@ def write_report(fit: Fit | str | Path, quick: bool = False, left_out: Capture |
                           grey_specular=found.record["config"]["grey_specular"], quick=quick, report=report)
     if found is not fit and not found.unchanged():
         raise OutputError("the same fit as a moment ago", f"another one in {found.path}", "run it again")
-    record = measured | {"photos": photos + predicted, "left_out_rmse": error}
+    record = measured | {"photos": photos + predicted, "held_out_rmse": error}
     files.write_json(into / "report.json", record)
     _write_page(found, record, into)
     return record
@@ -137,17 +138,18 @@ def _predicted(found: Fit, capture: Capture, engine: Renderer, into: Path) -> tu
     keep_photos(into, capture)
     for name, image in zip(capture.names, predicted):
         images.write_png(into / "predicted" / f"{name}.png", color.to_display(image, capture.transfer))
-    return [{"name": name, "left_out": True, "rmse": rmse, "photo": f"photos/{name}.png",
+    return [{"name": name, "held_out": True, "rmse": rmse, "photo": f"photos/{name}.png",
              "rerendered": f"predicted/{name}.png"}
             for name, rmse in zip(capture.names, each)], error
 
 
 def _earlier(found: Fit) -> tuple[list[dict], float | None]:
-    """Photos left out that an earlier page of this folder had."""
+    """Held-out photos that an earlier page of this folder had."""
     try:
         record = load(found.path / "report.json")
-        photos, error = [photo for photo in record["photos"]
-                         if photo["left_out"] is True], record["left_out_rmse"]
+        held, rmse = ("held_out", "held_out_rmse") if "held_out_rmse" in record else FORMER
+        photos = [photo | {"held_out": True} for photo in record["photos"] if photo[held] is True]
+        error = record[rmse]
         numbers = [int(photo["name"]) for photo in photos]
     except (OSError, ValueError, KeyError, TypeError):
         return [], None

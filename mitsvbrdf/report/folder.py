@@ -24,7 +24,7 @@ from .overview import write_sheet
 
 @entry()
 def write_fit(result: Fit, capture: Capture, out: str | Path, command: dict | None = None,
-              left_out: Capture | None = None, pages: bool = True, overwrite: bool = False) -> None:
+              held_out: Capture | None = None, pages: bool = True, overwrite: bool = False) -> None:
     """Write a fit: maps, detail, uncertainty, guess, photos and re-renderings, sheet, curve, Mitsuba scene,
     ``fit.json``, page.
 
@@ -35,7 +35,7 @@ def write_fit(result: Fit, capture: Capture, out: str | Path, command: dict | No
         capture: the photos it was fitted to.
         out: the folder, made when missing.
         command: options of the command line, kept in ``fit.json``.
-        left_out: photos that the fit did not use, for the page to predict; see
+        held_out: photos that the fit did not use, for the page to predict; see
             :func:`.fit_page.write_report`.
         pages: whether all of that is written; else maps, detail, uncertainty and ``fit.json`` alone.
         overwrite: whether a fit that is there, finished or not, may be replaced.
@@ -44,15 +44,15 @@ def write_fit(result: Fit, capture: Capture, out: str | Path, command: dict | No
         OutputError: there is a fit already; ``out`` cannot be written or is in use, or its ``photos/`` is
             where the capture came from.
     """
-    for shots in (capture, left_out) if pages else ():
+    for shots in (capture, held_out) if pages else ():
         if shots is not None:
             check_apart(Path(out), shots)
     with output_folder(Path(out), overwrite) as folder:
-        write_fit_files(result, capture, folder, command, left_out, pages)
+        write_fit_files(result, capture, folder, command, held_out, pages)
 
 
 def write_fit_files(result: Fit, capture: Capture, out: Path, command: dict | None = None,
-                    left_out: Capture | None = None, pages: bool = True) -> None:
+                    held_out: Capture | None = None, pages: bool = True) -> None:
     """Write a fit, file by file, into a folder that will take its place later; see :func:`write_fit` for the
     arguments.
     """
@@ -66,10 +66,10 @@ def write_fit_files(result: Fit, capture: Capture, out: Path, command: dict | No
                          spread.square().mean(dim=-1, keepdim=True).sqrt())
     written = write_record(out, result, command or {})
     if pages:
-        _write_pages(written, capture, out, left_out)
+        _write_pages(written, capture, out, held_out)
 
 
-def _write_pages(result: Fit, capture: Capture, out: Path, left_out: Capture | None) -> None:
+def _write_pages(result: Fit, capture: Capture, out: Path, held_out: Capture | None) -> None:
     """What people look at, and the scene."""
     write_linear(out / "guess" / "diffuse", result.guess, "srgb")
     for name, image in zip(capture.names, result.rerendered):
@@ -88,7 +88,7 @@ def _write_pages(result: Fit, capture: Capture, out: Path, left_out: Capture | N
     # photos that an earlier fit left out are none of this one's
     (out / "report.json").unlink(missing_ok=True)
     try:
-        write_report(result, quick=True, left_out=left_out)
+        write_report(result, quick=True, held_out=held_out)
     except OutputError:
         raise
     except Exception as reason:  # whatever it is: the result of a long fit is worth more than its page

@@ -216,7 +216,7 @@ def test_photos_left_out_are_predicted_from_views_estimated_from_all(glossy, tmp
     error = json.loads((tmp_path / "e.json").read_text())["rerender_rmse"]
     assert error < 0.07  # measured 0.046, and 0.23 in the default geometry, which is the same for all photos
     page = json.loads((tmp_path / "out/report.json").read_text())
-    assert page["left_out_rmse"] == pytest.approx(error, rel=1e-4)
+    assert page["held_out_rmse"] == pytest.approx(error, rel=1e-4)
     text = (tmp_path / "out/report.html").read_text()
     assert "estimated from all photos and moved" in text and "The views were estimated from the rectified photos alone" in text
     shots, fit = read_capture(capture), Fit.of_maps(out)

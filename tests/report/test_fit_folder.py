@@ -37,28 +37,10 @@ def test_trouble_is_told(copy):
     assert "Nothing was measured after the start." in page.text
 
 
-def spoil_json(out):
-    (out / "fit.json").write_text("{")
-
-
-def spoil_version(out):
-    (out / "fit.json").write_text(json.dumps(json.loads((out / "fit.json").read_text())
-                                             | {"schema_version": 2}))
-
-
-def spoil_kind(out):
-    (out / "fit.json").write_text(json.dumps(json.loads((out / "fit.json").read_text())
-                                             | {"confidence": {"diffuse": {}}}))
-
-
-def spoil_names(out):
-    (out / "fit.json").write_text(json.dumps(json.loads((out / "fit.json").read_text())
-                                             | {"per_photo": {"../../etc": 0.1}}))
-
-
-def spoil_trace(out):
-    (out / "fit.json").write_text(json.dumps(json.loads((out / "fit.json").read_text())
-                                             | {"trace": [{"seconds": 1}]}))
+def changed(**fields):
+    """Spoils some fields of fit.json."""
+    return lambda out: (out / "fit.json").write_text(
+        json.dumps(json.loads((out / "fit.json").read_text()) | fields))
 
 
 def spoil_map(out):
@@ -66,19 +48,22 @@ def spoil_map(out):
     (out / "maps/normal.png").unlink()
 
 
-def spoil_rendering(out):
-    (out / "rerendered/01.png").write_text("no picture")
-
-
-def spoil_photo(out):
-    images.write_png(out / "photos/01.png", torch.zeros(8, 8, 3))
+def spoil_from(out):
+    record = json.loads((out / "fit.json").read_text())
+    record["calibration"]["from"] = "nowhere"
+    (out / "fit.json").write_text(json.dumps(record))
 
 
 @pytest.mark.parametrize("spoil, words", [
-    (lambda out: (out / "fit.json").unlink(), ("mitsvbrdf fit", "no fit.json")), (spoil_json, ("fit.json",)),
-    (spoil_version, ("schema version 1", "schema_version")), (spoil_kind, ("confidence.diffuse.median_sd",)),
-    (spoil_names, ("per_photo",)), (spoil_trace, ("trace",)), (spoil_map, ("normal.exr",)),
-    (spoil_rendering, ("01.png",)), (spoil_photo, ("photos/01.png", "--capture"))])
+    (lambda out: (out / "fit.json").unlink(), ("mitsvbrdf fit", "no fit.json")),
+    (lambda out: (out / "fit.json").write_text("{"), ("fit.json",)),
+    (changed(schema_version=2), ("schema version 1", "schema_version")),
+    (changed(confidence={"diffuse": {}}), ("confidence.diffuse.median_sd",)),
+    (changed(per_photo={"../../etc": 0.1}), ("per_photo",)),
+    (changed(trace=[{"seconds": 1}]), ("trace",)),
+    (spoil_from, ("calibration.from",)), (spoil_map, ("normal.exr",)),
+    (lambda out: (out / "rerendered/01.png").write_text("no picture"), ("01.png",)),
+    (lambda out: images.write_png(out / "photos/01.png", torch.zeros(8, 8, 3)), ("photos/01.png", "--capture"))])
 def test_folders_that_are_no_fit_are_refused(spoil, words, copy, capsys):
     spoil(copy)
     before = (copy / "report.html").read_text()
@@ -133,11 +118,11 @@ def test_a_second_fit_in_the_same_folder_shows_nothing_of_the_first(tmp_path):
     shots = photos_of(make_material("tiles", 8))
     for fix, others in (((), shots.pick([5])), (("roughness=0.5",), None)):
         write_fit(fit_svbrdf(shots.pick([0, 1]), ANALYTIC, DirectConfig(iterations=1, fix=fix)),
-                  shots.pick([0, 1]), tmp_path, left_out=others, overwrite=True)
+                  shots.pick([0, 1]), tmp_path, held_out=others, overwrite=True)
         page = Page(tmp_path / "report.html")
-        assert ("left out of the fit" in page.text) == ("Roughness: standard deviation" in page.pictures) == (
+        assert ("held out" in page.text) == ("Roughness: standard deviation" in page.pictures) == (
             not fix)
-    assert json.loads((tmp_path / "report.json").read_text())["left_out_rmse"] is None
+    assert json.loads((tmp_path / "report.json").read_text())["held_out_rmse"] is None
 
 
 def test_a_fit_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
@@ -190,9 +175,9 @@ def test_a_report_json_of_somebody_else_is_not_trusted(copy):
         photo |= {"photo": "../secret.png", "rerendered": "../secret.png"}
     images.write_png(copy.parent / "secret.png", torch.zeros(SIDE, SIDE, 3))
     (copy / "report.json").write_text(json.dumps(record))
-    assert [photo["left_out"] for photo in write_report(copy, quick=True)["photos"]] == [False] * 3
+    assert [photo["held_out"] for photo in write_report(copy, quick=True)["photos"]] == [False] * 3
     (copy / "report.json").write_text("[1]")
-    assert write_report(copy, quick=True)["left_out_rmse"] is None
+    assert write_report(copy, quick=True)["held_out_rmse"] is None
 
 
 def test_a_fit_read_back_gives_what_the_files_say(fitted):

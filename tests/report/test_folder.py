@@ -60,7 +60,7 @@ def test_without_photos_the_renderings_are_shown_and_the_capture_brings_them_bac
     page = Page(copy / "report.html")
     assert "were not kept here" in page.text and "photo 00" not in page.pictures
     assert page.pixels("photo 00, re-rendered").shape == (SIDE, SIDE,
-                                                          3) and "left out of the fit" not in page.text
+                                                          3) and "held out" not in page.text
     (copy / "photos/mine").rename(copy / "photos/00.png")
     assert cli.main(["report", str(copy), "--quick", "--capture", str(photos)]) == 2  # replaces nobody's file
     (copy / "photos/00.png").unlink()
@@ -106,7 +106,7 @@ def test_the_next_fit_takes_the_pages_files_away(copy, photos):
     assert cli.main(["report", str(copy), "--quick", "--capture", str(photos)]) == 0
     assert cli.main(["fit", str(photos), "-o", str(copy), *FAST, "--overwrite"]) == 0
     assert not (copy / "predicted").exists() and not list(copy.rglob("*.old"))
-    assert "left out of the fit" not in Page(copy / "report.html").text
+    assert "held out" not in Page(copy / "report.html").text
 
 
 def test_a_fit_predicts_nine_photos_and_report_all(tmp_path):
@@ -123,4 +123,4 @@ def test_a_fit_predicts_nine_photos_and_report_all(tmp_path):
     record = json.loads((out / "report.json").read_text())
     assert [photo["name"] for photo in record["photos"]] == ["11", *(f"{i:02d}" for i in range(11))]
     assert math.sqrt(np.mean([p["rmse"]**2 for p in record["photos"][1:]])) == pytest.approx(
-        record["left_out_rmse"], rel=1e-9)
+        record["held_out_rmse"], rel=1e-9)

@@ -41,7 +41,7 @@ def row_of(folder: Path, shown: Capture | None, engine: Renderer) -> dict:
 
     record, error = record_in(folder), None
     if (folder / "report.json").is_file():
-        error = load(folder / "report.json")["left_out_rmse"]
+        error = load(folder / "report.json")["held_out_rmse"]
     elif shown is not None:
         fit = Fit.of_maps(folder)
         around = placed(shown, fit)
