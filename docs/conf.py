@@ -79,8 +79,9 @@ def help_of(words: tuple[str, ...]) -> str:
 
 def with_commands(text: str) -> str:
     """The page of commands, and below it the help of each."""
-    methods = [("fit", "--method", name) for name in ("hybrid", "gan", "direct")]
-    for words in [*((name,) for name in cli.COMMANDS), *methods]:
+    fits = [("fit", "--method", name) for name in ("hybrid", "gan", "direct")]
+    research = [("fit", "--advanced"), ("fit", "--advanced", "--method", "gan")]
+    for words in [*((name,) for name in cli.COMMANDS), *fits, *research]:
         text += f"\n\n## {' '.join(words)}\n```text\n{help_of(words)}\n```"
     return text
 
