@@ -286,7 +286,7 @@ class Loop:
                               "resume with the same ones; only --iterations and --budget may change")
         try:
             if wrong := shape_error(note, NOTE):
-                raise ValueError(f"{wrong} in its note is missing or of another kind")
+                raise ValueError(f"{wrong} in its note")
             self.method.load_state(part(tensors, "method."))
             lit = part(tensors, "best_views.")
             views = replace(self.method.views, camera=lit["camera"], light=lit["light"],

@@ -62,7 +62,7 @@ def checked(record: dict) -> dict:
     shape = _KNOWN | {name: kind for name, kind in (_SHAPE | _BESIDE).items() if name in record
                       and name not in _KNOWN}
     if wrong := shape_error(record, shape):
-        raise ValueError(f"{wrong} is missing or of another kind")
+        raise ValueError(wrong)
     if record["capture"]["transfer"] not in get_args(color.Transfer):
         raise ValueError("unknown transfer")
     if record.get("bsdf", "roughconductor") not in CHANNELS:
@@ -73,7 +73,7 @@ def checked(record: dict) -> dict:
 def missing(record: dict) -> str:
     """What a record lacks for a page; empty text where it is whole."""
     if record.get("schema_version") != SCHEMA_VERSION:
-        return "schema_version"
+        return f"schema_version {record.get('schema_version')!r}"
     # older records lack these
     if wrong := shape_error({"used": [], "calibrated_rmse": None, **record}, _SHAPE):
         return wrong
@@ -90,4 +90,4 @@ def missing(record: dict) -> str:
     names, count = list(record["per_photo"]), len(record["views"]["camera"])
     whole = (names == [f"{number:02d}" for number in record["capture"]["photos"]] and count == len(names) > 0
              and all({"seconds", "rerender_rmse"} <= set(row) for row in record["trace"]))
-    return "" if whole else "per_photo, views or trace"
+    return "" if whole else "per_photo, views and trace do not fit together"

@@ -107,7 +107,7 @@ class Fit:
         fit = _read(folder)
         if wrong := missing(fit.record):
             raise MapsError(f"a {FILE} of schema version {SCHEMA_VERSION}",
-                            f"{folder / FILE}, whose {wrong} is missing or of another kind",
+                            f"{folder / FILE}: {wrong}",
                             "fit again with this version")
         _ = fit.svbrdf  # maps that cannot be read are an error here
         return fit

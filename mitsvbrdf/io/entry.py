@@ -1,8 +1,8 @@
-"""The edge of the Python API: what a public function computes with, whatever the program around it has set.
+"""The edge of the Python API: public functions compute the same whatever the program around them has set.
 
-torch's default dtype belongs to the process, gradient and inference mode to the thread. Behind the edge
-numbers are float32 where nothing else is said, gradients are recorded where a function needs them, and no
-tensor is one of inference mode, which autograd refuses. All is left as it was found.
+torch's default dtype belongs to the process, gradient and inference mode to the thread. Behind the edge the default
+dtype is float32, gradients are recorded where a function needs them, and no tensor is one of inference mode, which
+autograd refuses. A program's own default comes back when the last call, of whatever thread, is over.
 """
 
 from __future__ import annotations
@@ -17,21 +17,17 @@ from typing import Any, ParamSpec, TypeVar
 import torch
 from torch import Tensor
 
-from ..kinds import check_arguments
-
 P = ParamSpec("P")
 T = TypeVar("T")
 
-_counting = threading.Lock()
-_inside: set[object] = set()  # the calls behind the edge, of all threads
-_found = torch.float32  # the default dtype before the first of them
-_later: dict[str, Callable[[], object]] = {}  # by what it is about, what puts it back after the last of them
+_lock = threading.Lock()
+_calls = 0  # behind the edge, of all threads
+_default = torch.float32  # the default dtype that the first of them found
+_undo: dict[str, Callable[[], object]] = {}  # by what else was changed for them, what puts it back
 
 
 def entry(gradients: bool = False) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Makes a function one that a program may call under defaults of its own, and with wrong arguments.
-
-    An argument of another kind than its annotation raises ConfigError.
+    """Makes a function one that a program may call under defaults of its own.
 
     Args:
         gradients: whether the function needs gradients and records them even where its caller has switched
@@ -40,8 +36,8 @@ def entry(gradients: bool = False) -> Callable[[Callable[P, T]], Callable[P, T]]
     def decorated(function: Callable[P, T]) -> Callable[P, T]:
         @functools.wraps(function)
         def called(*args: P.args, **kwargs: P.kwargs) -> T:
-            check_arguments(function, args, kwargs)
-            with _float32(), _recording(gradients or torch.is_grad_enabled()):
+            recorded = gradients or torch.is_grad_enabled()
+            with _float32(), torch.inference_mode(False), torch.set_grad_enabled(recorded):
                 return function(*_ordinary(args), **_ordinary(kwargs))
 
         return called
@@ -50,46 +46,38 @@ def entry(gradients: bool = False) -> Callable[[Callable[P, T]], Callable[P, T]]
 
 
 @contextlib.contextmanager
-def _recording(gradients: bool) -> Iterator[None]:
-    with torch.inference_mode(False), torch.set_grad_enabled(gradients):
-        yield
-
-
-@contextlib.contextmanager
 def _float32() -> Iterator[None]:
-    """float32 is torch's default until the last call, of whatever thread, is over."""
-    global _found
-    call = object()
-    try:
-        with _counting:
-            if not _inside:
-                _found = torch.get_default_dtype()
-            _inside.add(call)
+    """float32 is torch's default until the last call is over."""
+    global _calls, _default
+    with _lock:
+        if not _calls:
+            _default = torch.get_default_dtype()
             torch.set_default_dtype(torch.float32)
+        _calls += 1
+    try:
         yield
     finally:
-        over = list[Callable[[], object]]()
-        with _counting:
-            _inside.discard(call)
-            if not _inside:
-                torch.set_default_dtype(_found)
-                over += _later.values()
-                _later.clear()
-        for undo in over:
+        later: list[Callable[[], object]] = []
+        with _lock:
+            _calls -= 1
+            if not _calls:
+                torch.set_default_dtype(_default)
+                later += _undo.values()
+                _undo.clear()
+        for undo in later:
             undo()
 
 
 def put_back(what: str, undo: Callable[[], object]) -> None:
-    """Undo a change of what the process has once: after the last call behind the edge, or now where there is
-    none.
+    """Undo a change of what the process has once: after the last call behind the edge, or now where there is none.
 
     Args:
         what: was changed; of several changes the first is undone.
         undo: puts back what was found.
     """
-    with _counting:
-        if _inside:
-            _later.setdefault(what, undo)
+    with _lock:
+        if _calls:
+            _undo.setdefault(what, undo)
             return
     undo()
 
@@ -100,10 +88,9 @@ def _ordinary(value: Any) -> Any:
         return value.clone() if value.is_inference() else value
     if is_dataclass(value) and not isinstance(value, type):
         old = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
-        new = _ordinary(old)
-        return value if new is old else replace(value,
-                                                **{name: new[name] for name in new
-                                                   if new[name] is not old[name]})
+        new = {name: _ordinary(each) for name, each in old.items()}
+        changed = {name: new[name] for name in old if new[name] is not old[name]}
+        return replace(value, **changed) if changed else value
     if type(value) in (list, tuple):
         items = type(value)(map(_ordinary, value))
         return value if all(map(lambda a, b: a is b, items, value)) else items

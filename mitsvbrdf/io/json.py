@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
+import operator
 import os
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
+
+import msgspec
 
 from ..errors import MitsvbrdfError
 from .files import open_regular
@@ -88,21 +92,30 @@ def error_text(reason: Exception) -> str:
 
 
 def shape_error(value: object, shape: object, where: str = "") -> str:
-    """Where a value does not have a shape; empty text where it has.
+    """Where a value does not have a shape, what was expected and what came; empty text where it has.
 
-    A shape is made of types: ``[X]`` is a list of X, ``{str: X}`` an object of X, ``{"name": X, ...}`` one
-    that has these keys.
+    A shape is a type that msgspec knows, ``list[X]`` and ``dict[str, X]`` among them. ``[X]`` is a list of X,
+    ``{str: X}`` an object of X, ``{"name": X, ...}`` one that has these keys, (X, Y) either.
     """
+    try:
+        msgspec.convert(value, _type_of(shape))
+    except msgspec.ValidationError as reason:
+        what, _, place = str(reason).replace("`", "").partition(" - at $")
+        return f"{(where + place).lstrip('.') or 'the whole'} ({what[:1].lower()}{what[1:]})"
+    return ""
+
+
+def _type_of(shape: Any) -> Any:
+    """The type of a shape, for type checkers and msgspec."""
     if isinstance(shape, list):
-        parts = [(part, shape[0], where) for part in value] if isinstance(value, list) else None
-    elif isinstance(shape, dict) and isinstance(value, dict):
-        keys = list(value) if list(shape) == [str] else list(shape)
-        parts = [(value.get(key), shape.get(key, shape.get(str)), f"{where}.{key}" if where else key)
-                 for key in keys]
-    else:
-        return "" if not isinstance(shape, dict) and isinstance(value,
-                                                                shape) else where  # type: ignore[arg-type]
-    return where if parts is None else next(filter(None, (shape_error(*part) for part in parts)), "")
+        return list[_type_of(shape[0])]  # type: ignore[misc]
+    if isinstance(shape, tuple):
+        return functools.reduce(operator.or_, map(_type_of, shape))
+    if isinstance(shape, dict):
+        if list(shape) == [str]:
+            return dict[str, _type_of(shape[str])]  # type: ignore[misc]
+        return TypedDict("Shape", {name: _type_of(each) for name, each in shape.items()})  # type: ignore[operator]
+    return Any if shape is object else shape
 
 
 def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

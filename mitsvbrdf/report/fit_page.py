@@ -154,7 +154,7 @@ def _earlier(found: Fit) -> tuple[list[dict], float | None]:
     except (OSError, ValueError, KeyError, TypeError):
         return [], None
     shape = {"name": str, "rmse": NUMBER, "photo": str, "rerendered": str}
-    if (not photos or shape_error(photos, [shape], "photos") or not isinstance(error, NUMBER)
+    if (not photos or shape_error(photos, [shape]) or not isinstance(error, NUMBER)
             or not all(photo["photo"] == f"photos/{n:02d}.png"
                        and photo["rerendered"] == f"predicted/{n:02d}.png"
                        and _there(photo["photo"], found.path) and _there(photo["rerendered"], found.path)

@@ -58,12 +58,15 @@ def test_a_file_that_cannot_be_read_is_one_error(tmp_path, monkeypatch):
     assert load(tmp_path / "large") == {}
 
 
-@pytest.mark.parametrize("value, shape, where", [
-    ({"a": 1, "b": [1.5, 2]}, {"a": int, "b": [NUMBER]}, ""), ({"a": 1}, {"a": int, "b": [NUMBER]}, "b"),
-    ({"a": [[1, "x"]]}, {"a": [[NUMBER]]}, "a"), ({"a": {"x": 1, "y": None}}, {"a": {str: int}}, "a.y"),
-    ({"a": []}, {"a": {str: int}}, "a"), ({"a": {"x": 1, "more": 2}}, {"a": {"x": int}}, "")])
-def test_where_a_value_does_not_fit(value, shape, where):
-    assert shape_error(value, shape) == where
+@pytest.mark.parametrize("value, shape, said", [
+    ({"a": 1, "b": [1.5, 2]}, {"a": int, "b": [NUMBER]}, ""), ({"a": {"x": 1, "more": 2}}, {"a": {"x": int}}, ""),
+    ({"a": 1}, {"a": int, "b": [NUMBER]}, "the whole (object missing required field b)"),
+    ({"a": [[1, "x"]]}, {"a": [[NUMBER]]}, "a[0][1] (expected int | float, got str)"),
+    ({"a": {"x": 1, "y": None}}, {"a": {str: int}}, "a[...] (expected int, got null)"),
+    ({"a": []}, {"a": {str: object}}, "a (expected object, got array)"),
+    ({"a": 3}, {"a": (str, type(None))}, "a (expected str | null, got int)"), ({"a": None}, {"a": (dict, type(None))}, "")])
+def test_where_a_value_does_not_fit(value, shape, said):
+    assert shape_error(value, shape) == said
 
 
 READERS = {
