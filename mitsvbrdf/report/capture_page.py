@@ -44,7 +44,8 @@ def write_quality(result: CaptureResult, folder: str | Path) -> None:
                 [*zip(result.used, result.capture.photos),
                  *((n, p) for n, p in rejected.items() if p is not None)]}
     write_page(folder / "quality.html", "report/capture.html", title=f"Capture: {_name(result)}",
-               record=record, pictures=pictures, coverage=png_uri(_coverage_picture(result.coverage)), plan=_plan(result))
+               record=record, pictures=pictures, plan=_plan(result),
+               coverage=png_uri(_coverage_picture(result.coverage)))
 
 
 def quality_record(result: CaptureResult) -> dict:

@@ -68,13 +68,12 @@ def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names
         names=[names[k] for k in chosen],
         transfer=transfer, report=lambda text, share: report("renderers against float64", 0.7 * share))
     saved = None if quick or renderer is None else _saved(
-        svbrdf.resized(side), shown, renderer, fixed, grey_specular, lambda share: report("what was saved",
-                                                                                          0.7 + 0.3 * share))
-    return {"schema_version": SCHEMA_VERSION, "quick": quick, "maps": maps, "condition": _condition(svbrdf,
-                                                                                                    views, transfer),
+        svbrdf.resized(side), shown, renderer, fixed, grey_specular,
+        lambda share: report("what was saved", 0.7 + 0.3 * share))
+    return {"schema_version": SCHEMA_VERSION, "quick": quick, "maps": maps,
+            "condition": _condition(svbrdf, views, transfer),
             "crosscheck": checked and _figures(checked, timed=not quick), "saved": saved,
-            "machine": machine(),
-            "versions": versions()}
+            "machine": machine(), "versions": versions()}
 
 
 def _available(name: str, beside: Renderer | None) -> list[Renderer]:

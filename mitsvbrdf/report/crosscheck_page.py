@@ -87,7 +87,7 @@ def error_against_time(record: dict) -> Figure:
     line.set_label("stated tolerance")
     if not all(c["rough"] for c in record["configurations"]):
         panels[0].plot([], [], "o", color=CHART_FAINT, markerfacecolor="none", markersize=4,
-                       label=f"hollow: all texels below roughness {record['rough_from']}, no tolerance stated")
+                       label=f"hollow: all texels below roughness {record['rough_from']}, no tolerance")
     drawing.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     return drawing
 

@@ -1,4 +1,4 @@
-"""The page of the plausible detail of a fit: the draw that is for pictures, beside the maps that are for validation."""
+"""The page of the plausible detail of a fit, which is for pictures only."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from ..fit.result import Fit
 from ..material.maps import CHANNELS, TITLES, shown_map
 from ..render.analytic import AnalyticRenderer
 from ..views import Views
+from .header import material_name
 from .page import write_page
 from .pictures import at_most, picture_uri
 from .viewer import viewer_html
@@ -21,7 +22,7 @@ LARGEST = 512  # pixels a side on the page
 
 
 def write_detail_page(found: Fit, into: Path) -> str | None:
-    """Write ``detail.html`` of a fit: maps, a light that no photo had, and the live viewer, all of its detail.
+    """Write ``detail.html`` of a fit: maps, a new light and the live viewer, all of its plausible detail.
 
     Args:
         found: the fit.
@@ -45,9 +46,9 @@ def write_detail_page(found: Fit, into: Path) -> str | None:
                  for title, svbrdf in (("maps/", found.svbrdf), ("detail/", found.detail))]
     maps = [(TITLES[name], picture_uri(at_most(shown_map(name, found.detail[name]), LARGEST)))
             for name in CHANNELS[found.detail.bsdf]]
-    name = found.record["capture"].get("name") or "Capture"
-    write_page(into / PAGE, "report/detail.html", title=f"{name}: plausible detail", detail=settings, maps=maps, relit=relit,
-               solved_rmse=found.record["rerender_rmse"], viewer=viewer_html(found.detail))
+    write_page(into / PAGE, "report/detail.html", title=f"{material_name(found)}: plausible detail",
+               detail=settings, maps=maps, relit=relit, solved_rmse=found.rerender_rmse,
+               viewer=viewer_html(found.detail))
     return PAGE
 
 

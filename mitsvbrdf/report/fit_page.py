@@ -26,7 +26,7 @@ from ..render import Renderer
 from .checks import fit_report
 from .curves import error_and_losses
 from .detail_page import write_detail_page
-from .header import header
+from .header import header, material_name
 from .page import write_page
 from .pictures import at_most, magma, picture_uri
 from .viewer import viewer_html
@@ -88,13 +88,12 @@ def write_report(fit: Fit | str | Path, quick: bool = False, held_out: Capture |
     engine, into = found.engine(), into or found.path
     predicted, error = (_earlier(found) if held_out is None or engine is None
                         else _predicted(found, held_out, engine, into))
-    photos = [{"name": name, "held_out": False, "rmse": rmse, "photo": _there(f"photos/{name}.png", into,
-                                                                              found.path),
-               "rerendered": f"rerendered/{name}.png"} for name, rmse in found.record["per_photo"].items()]
-    transfer = found.record["capture"]["transfer"]
-    measured = fit_report(found.svbrdf, found.views, engine, names=found.names, transfer=transfer,
-                          fixed=found.fixed,
-                          grey_specular=found.record["config"]["grey_specular"], quick=quick, report=report)
+    photos = [{"name": name, "held_out": False, "rmse": rmse, "rerendered": f"rerendered/{name}.png",
+               "photo": _there(f"photos/{name}.png", into, found.path)}
+              for name, rmse in found.record["per_photo"].items()]
+    measured = fit_report(found.svbrdf, found.views, engine, names=found.names, fixed=found.fixed,
+                          transfer=found.record["capture"]["transfer"], quick=quick, report=report,
+                          grey_specular=found.record["config"]["grey_specular"])
     if found is not fit and not found.unchanged():
         raise OutputError("the same fit as a moment ago", f"another one in {found.path}", "run it again")
     record = measured | {"photos": photos + predicted, "held_out_rmse": error}
@@ -104,27 +103,20 @@ def write_report(fit: Fit | str | Path, quick: bool = False, held_out: Capture |
 
 
 def check_photos(found: Fit, capture: Capture) -> None:
-    """Raise CaptureError unless these are the photos of the fit, as their errors and whether they are
-    calibrated tell.
-    """
+    """Raise CaptureError unless these are the photos of the fit, as their errors and calibration tell."""
+    way_out = "give the capture that was fitted"
     if capture.calibrated != found.record["capture"]["calibrated"]:
-        raise CaptureError(f"a capture {'without' if capture.calibrated else 'with'} calibration, as that "
-                           "of this fit",
-                           f"{capture.source}, which has {'one' if capture.calibrated else 'none'}",
-                           "give the capture that was fitted")
-    rendered = torch.stack([images.read_image(found.path / "rerendered" / f"{name}.exr", MapsError)
-                            for name in found.names])
-    if rendered.shape != capture.photos.shape:
-        raise CaptureError(f"photos of {rendered.shape[1]} px",
-                           f"{capture.resolution} px in {capture.source}",
-                           "give the capture that was fitted")
-    errors = photo_rmse(rendered, capture.photos, found.record["capture"]["transfer"])[1]
-    for name, error in zip(found.names, errors):
-        if abs(error - found.record["per_photo"][name]) > SAME_PHOTO:
+        wanted, got = ("without", "one") if capture.calibrated else ("with", "none")
+        raise CaptureError(f"a capture {wanted} calibration, as that of this fit",
+                           f"{capture.source}, which has {got}", way_out)
+    if found.rerendered.shape != capture.photos.shape:
+        raise CaptureError(f"photos of {found.rerendered.shape[1]} px",
+                           f"{capture.resolution} px in {capture.source}", way_out)
+    errors = photo_rmse(found.rerendered, capture.photos, found.record["capture"]["transfer"])[1]
+    for name, error, stated in zip(found.names, errors, found.per_photo):
+        if abs(error - stated) > SAME_PHOTO:
             raise CaptureError("the photos of this fit", f"{capture.source}, whose photo {name} is another "
-                                                         f"(error {error:.4f} "
-                               f"instead of {found.record['per_photo'][name]:.4f})",
-                               "give the capture that was fitted")
+                               f"(error {error:.4f} instead of {stated:.4f})", way_out)
 
 
 def _there(name: str, *folders: Path) -> str | None:
@@ -166,8 +158,8 @@ def _earlier(found: Fit) -> tuple[list[dict], float | None]:
 def _write_page(found: Fit, record: dict, into: Path) -> None:
     fit = found.record
     side = int(max(SMALLEST_PHOTO, min(LARGEST_PHOTO, PHOTOS_WIDE / len(record["photos"])**0.5)))
-    title = f"{fit['capture'].get('name') or 'Capture'}: recovered material"
-    write_page(into / "report.html", "report/report.html", title=title, fit=fit, record=record,
+    write_page(into / "report.html", "report/report.html", fit=fit, record=record,
+               title=f"{material_name(found)}: recovered material",
                maps=_maps(found), front=header(found, record["quick"]),
                photos=[_photo(photo, side, found, into, found.path) for photo in record["photos"]],
                viewer=viewer_html(found.svbrdf),

@@ -9,7 +9,6 @@ from ..capture import Capture
 from ..errors import OutputError
 from ..export.mitsuba import write_scene
 from ..fit.confidence import confidence
-from ..fit.methods import method_name
 from ..fit.result import Fit, write_record
 from ..io import images
 from ..io.entry import entry
@@ -19,6 +18,7 @@ from ..io.results import output_folder
 from ..material.map_files import DETAIL, save_maps
 from .charts import loss_curve
 from .fit_page import check_apart, keep_photos, write_report
+from .header import material_name
 from .overview import write_sheet
 
 
@@ -74,7 +74,7 @@ def _write_pages(result: Fit, capture: Capture, out: Path, held_out: Capture | N
     write_linear(out / "guess" / "diffuse", result.guess, "srgb")
     for name, image in zip(capture.names, result.rerendered):
         write_linear(out / "rerendered" / name, image, capture.transfer)
-    title = f"{capture.source.name if capture.source else 'capture'}: {method_name(result.config)}, {result.svbrdf.bsdf}"
+    title = f"{material_name(result)}: {result.method}, {result.svbrdf.bsdf}"
     sure = confidence(result.deviations)
     remarks = {name: f"{sure[name]['determined_share']:.0%} determined" if name in sure else "held fixed"
                for name in result.svbrdf.maps}
@@ -85,7 +85,7 @@ def _write_pages(result: Fit, capture: Capture, out: Path, held_out: Capture | N
                 remarks=remarks)
     loss_curve(out / "curve.svg", result.trace)
     write_scene(out, result.svbrdf, result.views)
-    # photos that an earlier fit left out are none of this one's
+    # held-out photos of an earlier fit are none of this one's
     (out / "report.json").unlink(missing_ok=True)
     try:
         write_report(result, quick=True, held_out=held_out)

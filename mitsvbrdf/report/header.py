@@ -1,6 +1,4 @@
-"""What a page begins with: the material on a sphere, whether it can be trusted, and its textures to take
-along.
-"""
+"""What a page begins with: the material on a sphere, a verdict, and textures to download."""
 
 from __future__ import annotations
 
@@ -35,7 +33,6 @@ def header(found: Fit, quick: bool) -> dict:
         ``archive``, name and address of a zip of textures, and the ``side`` of these in texels; ``metres``,
         side of the patch or None.
     """
-    name = found.record["capture"].get("name") or "material"
     try:
         picture = picture_uri(sphere(found.svbrdf, QUICK if quick else FULL))
     except BackendError:
@@ -43,7 +40,7 @@ def header(found: Fit, quick: bool) -> dict:
     good, verdict = judged(found.record)
     for side in SIDES:
         textures = found.svbrdf.resized(min(side, found.svbrdf.resolution))
-        file, archive = packed(textures, name)
+        file, archive = packed(textures, material_name(found))
         if len(archive) <= HEAVIEST:
             break
     return {"picture": picture, "good": good, "verdict": verdict, "file": file, "side": textures.resolution,
@@ -51,10 +48,16 @@ def header(found: Fit, quick: bool) -> dict:
             "metres": found.side_metres}
 
 
+def material_name(found: Fit) -> str:
+    """What every page and file of a fit calls its material: the name of the folder of its photos."""
+    return found.capture or "material"
+
+
 def judged(record: dict) -> tuple[bool, str]:
     """Whether no check found a fault in the maps, and one sentence that says so, or what to look at first."""
     photos = f"{len(record['per_photo'])} photo{'s' * (len(record['per_photo']) != 1)}"
-    met = f"rendered again, they differ from {photos} by {record['rerender_rmse']:.3f} (RMSE, where 1 is white)"
+    error = f"{record['rerender_rmse']:.3f} (RMSE, where 1 is white)"
+    met = f"rendered again, they differ from {photos} by {error}"
     if record["stopped"] == "interrupted":
         return False, f"Look at this: the fit was interrupted, and these are the best maps until then; {met}."
     if record["warnings"]:

@@ -54,7 +54,8 @@ def _(capture: Capture) -> str:
 @html_of.register
 def _(fit: Fit) -> str:
     end = fit.trace[-1] if fit.trace else {}
-    took = f" after {end['seconds']:.1f} s, {end['iteration']} iterations" if {"seconds", "iteration"} <= set(end) else ""
+    took = (f" after {end['seconds']:.1f} s, {end['iteration']} iterations"
+            if {"seconds", "iteration"} <= set(end) else "")
     stated = ("" if fit.calibrated_rmse is None
               else f" with views as fitted, {fit.calibrated_rmse:.4f} as calibrated")
     again = [(f"#{number} · {error:.4f}", _uri(color.to_display(image, "srgb")))

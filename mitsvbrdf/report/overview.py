@@ -1,6 +1,4 @@
-"""Pictures of a result: the sheet of maps and photos, and the error over time. They show numbers and compute
-none.
-"""
+"""The overview of a fit: one picture of its maps, photos and re-renderings."""
 
 from __future__ import annotations
 
@@ -54,7 +52,8 @@ def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Te
     if not count or photos.shape != rerendered.shape or not count == len(per_photo) == len(names):
         raise CaptureError("a re-rendering, an error and a name for each photo",
                            f"photos {tuple(photos.shape)}, re-rendered {tuple(rerendered.shape)}, "
-                           f"{len(per_photo)} errors, {len(names)} names", "give all of them for the same photos")
+                           f"{len(per_photo)} errors, {len(names)} names",
+                           "give all of them for the same photos")
     shown = min(count, SHOWN)
     behind = {name: f"  ·  {remark}" for name, remark in (remarks or {}).items()}
     tiles = [(TITLES[name] + behind.get(name, ""), shown_map(name, svbrdf[name]))

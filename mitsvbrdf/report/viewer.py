@@ -43,7 +43,8 @@ def viewer_html(svbrdf: SVBRDF, *, largest: int = VIEWER_SIDE) -> str:
         svbrdf = svbrdf.resized(largest)
     about, planes = encode_maps(svbrdf)
     shares = viewer_lighting.shares(MIN_ALPHA[svbrdf.bsdf])
-    coded = [encode("lobes", viewer_lighting.lobes(), "square"), encode("diffuseLight", viewer_lighting.diffuse(), "square"),
+    coded = [encode("lobes", viewer_lighting.lobes(), "square"),
+             encode("diffuseLight", viewer_lighting.diffuse(), "square"),
              encode("shares", shares, "plain")]
     about["studio"] = [entry for entry, _ in coded]
     planes += [plane for _, each in coded for plane in each]
