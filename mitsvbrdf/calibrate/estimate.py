@@ -166,9 +166,7 @@ class Problem:
         self.typical = float(np.median(self.light, axis=0).max())
 
     def mirror_points(self) -> np.ndarray:
-        """Where each photo is brightest beside the others, N x 2: where its highlight is, or what is nearest
-        the flash.
-        """
+        """Place of each photo that is brightest relative to the others, N x 2: mostly its highlight."""
         level = np.median(self.light, axis=(1, 2), keepdims=True) + DARK_RADIANCE
         logs = np.log(self.light / level + DARK_RADIANCE)
         excess = logs - np.median(logs, axis=0)
@@ -209,9 +207,7 @@ class Problem:
         return slope
 
     def shading(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """What rho and k of a texel are multiplied by, N x R x R each, 1 below a flash at the common height;
-        and k's level.
-        """
+        """Factors of rho and k, N x R x R each, 1 below a flash at the common height; and the level of k."""
         camera, exposure, shared = self.places(u)
         away = camera[:, None, None] - self.texels
         square = (away**2).sum(axis=-1)
@@ -257,9 +253,7 @@ class Problem:
         return np.concatenate((robust, u, [math.log(ratio / SPREAD[0]) / SPREAD[1]]))
 
     def power(self, u: np.ndarray) -> tuple[float, float]:
-        """Radiant intensity in patch sides squared, such that albedo and F0 are as usual, and its deviation
-        in logarithms.
-        """
+        """Radiant intensity (patch sides squared) that makes albedo and F0 usual, and its log deviation."""
         rho, _, _ = self.texel_fit(u)
         _, _, shared = self.places(u)
         votes = [(math.log(shared["level"] / F0[0]), F0[1]), (math.log(np.median(rho) / USUAL_ALBEDO[0]),

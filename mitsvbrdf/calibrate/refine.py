@@ -172,9 +172,7 @@ def moved(views: Views, change: Tensor) -> Views:
 
 
 class Linear(NamedTuple):
-    """The cost around u: its value, gradient and Gauss-Newton matrix, and the evidence it was counted
-    with.
-    """
+    """The cost at u: value, gradient and Gauss-Newton matrix, and the evidence used for it."""
 
     u: Tensor
     evidence: tuple[Tensor, Tensor]
@@ -236,9 +234,7 @@ class Problem:
         return photo_rmse(self.renderer.render(self.maps, views), self.photos, self.transfer)[1]
 
     def residuals(self, radiance: Tensor) -> Tensor:
-        """Display values over those of the photos, N x R x R x 3; where a photo is clipped, 0 where it is
-        bright enough.
-        """
+        """Display values minus those of the photos, N x R x R x 3; 0 where a clipped photo is met."""
         error = color.encode(radiance, self.transfer) - self.photos
         return torch.where(self.clipped, error.clamp_max(0), error)
 

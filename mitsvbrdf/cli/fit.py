@@ -120,9 +120,7 @@ def _explain(task: FitTask, options: FitOptions) -> int:
 
 def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, options: FitOptions,
               profile: bool, resume: bool, overwrite: bool) -> tuple[Fit, int | None]:
-    """Fit, add plausible detail where asked to, and write the result; also tells the iteration of the
-    checkpoint gone on from.
-    """
+    """Fit, add detail and write the result; also returns the iteration of the checkpoint resumed."""
     from ..report.folder import write_fit_files
     from ..report.live import LivePage
 
@@ -151,9 +149,7 @@ def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, o
 
 
 def _from_first_of(checkpoints: Sequence[Path], fitted: Callable[[Path], Fit]) -> tuple[Fit, int | None]:
-    """Go on from the first checkpoint that is of this fit: what is left of another one does not hide a
-    finished fit.
-    """
+    """Resume from the first checkpoint of this fit; a leftover of another fit hides no finished one."""
     wrong: list[ConfigError] = []
     for path in checkpoints:
         try:
@@ -273,9 +269,7 @@ def with_flags(arguments: list[str]) -> list[str]:
 
 
 def _asked(arguments: Sequence[str]) -> argparse.Namespace:
-    """What decides which options there are: method, preset, help; wrong values are left for their own
-    parser.
-    """
+    """What decides which options exist: method, preset, help. Wrong values are for the main parser."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     parser.add_argument("--method")
     parser.add_argument("--preset")

@@ -49,18 +49,14 @@ FalloffOption = Literal["auto", "inverse-square", "none"]
 
 
 def keep_apart(capture: Path, out: Path) -> None:
-    """Results among photos would be read as photos the next time, or take the place of photos of the same
-    name.
-    """
+    """Raise ConfigError for results among photos: they would be read as photos or replace them."""
     if _photo_folders(capture) & {os.path.realpath(path) for path in (out, out / "photos")}:
         raise ConfigError("an output folder of its own", f"{out}, which holds the photos",
                           "choose another folder")
 
 
 def keep_apart_from_maps(maps: str, out: Path) -> None:
-    """Results among the maps would replace the fit, or be read as maps the next time; ``builtin:NAME`` lies
-    nowhere.
-    """
+    """Raise ConfigError for results among the maps: they would replace the fit or be read as maps."""
     folders = {os.path.realpath(os.path.join(maps, part)) for part in ("", "maps", "..")}
     if not maps.startswith("builtin:") and os.path.realpath(out) in folders:
         raise ConfigError("an output folder of its own", f"{out}, which holds the maps",
@@ -68,9 +64,7 @@ def keep_apart_from_maps(maps: str, out: Path) -> None:
 
 
 def folder_inside(parent: Path, name: str) -> Path:
-    """A folder for results that no user named: a link in its place is not followed, and no name leads out of
-    ``parent``.
-    """
+    """A folder for results that no user named; a link, or a name that leads out of ``parent``, raises."""
     found = files.inside(parent, name)
     if found is None:
         raise OutputError(f"a folder {name} inside {parent}", "a link, or a name that leads elsewhere",
@@ -79,9 +73,7 @@ def folder_inside(parent: Path, name: str) -> Path:
 
 
 def name_of(maps: str) -> str:
-    """What a material is called: ``builtin:NAME`` by its name, others like the folder of their fit; its
-    detail NAME-detail.
-    """
+    """Name of a material: NAME of ``builtin:NAME``, else the folder of its fit; with detail NAME-detail."""
     if maps.startswith("builtin:"):
         return maps.removeprefix("builtin:")
     folder = Path(os.path.abspath(maps))
@@ -171,9 +163,7 @@ def material_of(name: str, resolution: int = 256) -> SVBRDF:
 
 
 def views_of(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[list[str], Views]:
-    """Names and views of a capture (:func:`~mitsvbrdf.evaluate.placed` where it states none), or of
-    ``builtin:grid``.
-    """
+    """Names and views of a capture (:func:`~mitsvbrdf.evaluate.placed`), or of ``builtin:grid``."""
     from ..evaluate.placement import named_views
 
     names, views, notes = named_views(source, falloff, fit)

@@ -1,6 +1,4 @@
-"""The maps of a fit against photos: every error with the views it was counted with, photos seen and left out
-apart.
-"""
+"""The maps of a fit against photos: errors with the views they belong to, seen and held-out photos apart."""
 
 from __future__ import annotations
 

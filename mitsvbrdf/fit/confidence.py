@@ -143,9 +143,7 @@ def _with_other_lobes(variance: Tensor, known: SVBRDF, numbers: Mapping[str, Ten
 
 
 def _chords(numbers: Mapping[str, Tensor], spread: Tensor) -> Tensor:
-    """Mean slopes of what numbers stand for, over so much around them but not below 0, r^2 x unknowns; 1 but
-    for colours.
-    """
+    """Mean slopes of colours by their numbers within ``spread`` and above 0, r^2 x unknowns; else 1."""
     coloured = torch.tensor([name in COLOURS for name, value in numbers.items()
                              for _ in range(value.shape[-1])])
     x = _columns(numbers)

@@ -103,9 +103,7 @@ class FitConfig:
 
     @property
     def refines_views(self) -> bool | None:
-        """Whether each photo's view is refined; None: a stated one only where the photos do not follow the
-        model.
-        """
+        """Whether each view is refined; None: a stated view only if the photos do not follow the model."""
         return False
 
     @property
@@ -116,9 +114,7 @@ class FitConfig:
 
 @dataclass(frozen=True)
 class HierarchicalConfig(FitConfig):
-    """The default method: every texel solved by itself, specular and roughness shared between texels that
-    look alike.
-    """
+    """The default method: each texel is solved by itself; texels that look alike share their lobe."""
 
     materials: int = 64
     """Number of basis materials. Texels share specular and roughness within a basis material."""

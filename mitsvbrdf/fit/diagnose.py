@@ -1,6 +1,4 @@
-"""What is known of a fit once its loop has ended: light power, errors, uncertainty, views, warnings; the
-:class:`Fit`.
-"""
+"""What is known of a fit once its loop has ended: light power, errors, uncertainty, views, warnings."""
 
 from __future__ import annotations
 

@@ -211,9 +211,7 @@ class GanConfig(FitConfig):
         return {"iterations": second if self.pretrained else first + second}
 
     def phases(self, resolution: int) -> list[Phase]:
-        """The parts of the training, for maps of this side: the paper's two stages, or growing
-        resolutions.
-        """
+        """The phases of the training for maps of this side: the paper's stages, or growing resolutions."""
         if self._one_picture_first:
             first, second = self.stages
             return [Phase(first / (first + second), photos=1), Phase(second / (first + second))]

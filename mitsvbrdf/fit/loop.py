@@ -80,9 +80,7 @@ class Loop:
         self.rising = 0  # measurements running at which the loss was DIVERGED times the lowest
 
     def run(self) -> str:
-        """Advance until a limit or Ctrl-C; returns "budget", "iterations", "interrupted", "unstable" or
-        "settled".
-        """
+        """Advance until a limit or Ctrl-C; returns why it ended, as :attr:`Fit.stopped` says."""
         with stop_signals() as stop:
             self.started, saved = time.perf_counter() - self.seconds, time.perf_counter()
             if self.iteration == 0:
@@ -148,9 +146,7 @@ class Loop:
 
     def _checked(self, good: dict[str, Tensor], losses: dict[str, float]) -> tuple[dict[str, Tensor],
                                                                                    dict[str, float], Seen]:
-        """The present state, what it looks like and its losses; the one before, without losses, where it is
-        not finite.
-        """
+        """The present state, its losses and its look; if not finite, the one before without losses."""
         seen = self._look()
         if not isinstance(seen, str):
             return self.method.state(), losses, seen
@@ -162,9 +158,7 @@ class Loop:
         return good, {}, seen
 
     def _look(self) -> Seen | str:
-        """What the present state looks like; or what of it is not finite: parameters, averages of Adam,
-        photos.
-        """
+        """Error, maps and views of the present state, or the name of what in it is not finite."""
         with profiled("measuring"):
             for name, value in self.method.state().items():
                 if not finite(value):
@@ -250,9 +244,7 @@ class Loop:
         return parts
 
     def save(self) -> None:
-        """Write the checkpoint: tensors only, with the trace as text in its header. A broken state is not
-        worth one.
-        """
+        """Write the checkpoint: tensors, and the trace as text in its header; none of a broken state."""
         assert self.checkpoint is not None
         state = self.method.state()
         if not all(map(finite, state.values())):

@@ -67,9 +67,7 @@ def photometric(rendered: Tensor, photos: Tensor, transfer: color.Transfer) -> T
 
 
 def diffuse(svbrdf: SVBRDF, guess: Tensor) -> Tensor:
-    """Mean absolute distance of the diffuse map to the guessed one, gamma 2.2 encoded (paper III.A,
-    III.F).
-    """
+    """Mean absolute distance of diffuse map and guess, gamma 2.2 encoded (paper III.A, III.F)."""
     return F.l1_loss(color.encode(svbrdf.as_roughconductor()["diffuse"]), color.encode(guess))
 
 
@@ -92,9 +90,7 @@ def total_variation(svbrdf: SVBRDF, edges: Tensor, fixed: Collection[str] = ()) 
 
 
 def edge_weights(guess: Tensor, sharpness: float = 10.0) -> Tensor:
-    """Weights 2 x R x R x 1 in (0, 1]: exp(-sharpness * step of the encoded guess) downward and to the
-    right.
-    """
+    """Weights 2 x R x R x 1 in (0, 1]: exp(-sharpness * step of the encoded guess) down and right."""
     g = color.encode(guess)
     down = F.pad((g[1:] - g[:-1]).abs().amax(-1, keepdim=True), (0, 0, 0, 0, 0, 1))
     right = F.pad((g[:, 1:] - g[:, :-1]).abs().amax(-1, keepdim=True), (0, 0, 0, 1, 0, 0))
@@ -139,8 +135,6 @@ def adversarial(real: Tensor, fake: Tensor, game: Game = "bce") -> Tensor:
 
 
 def features(real: Sequence[Tensor], fake: Sequence[Tensor]) -> Tensor:
-    """Mean distance of a discriminator's activations, each layer in units of the photo's mean (Salimans
-    2016).
-    """
+    """Mean distance of activations, each layer in units of the photo's mean (Salimans 2016)."""
     return torch.stack([(f - r).abs().mean() / r.abs().mean().clamp_min(1e-3) for r, f in zip(real,
                                                                                               fake)]).mean()

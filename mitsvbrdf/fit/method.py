@@ -35,9 +35,7 @@ class Method(ABC, Generic[Config]):
 
     @abstractmethod
     def step(self, progress: float) -> dict[str, float]:
-        """One iteration at this share (0 to 1) of the run; returns each loss of the state before it,
-        unweighted.
-        """
+        """One iteration at this share (0 to 1) of the run; returns the unweighted losses before it."""
 
     @abstractmethod
     def estimate(self) -> tuple[SVBRDF, Views]:
@@ -60,9 +58,7 @@ class Method(ABC, Generic[Config]):
         return False
 
     def preview(self) -> SVBRDF | None:
-        """The present material between measurements, of any size and nearly for free; None shows that of the
-        latest one.
-        """
+        """The present material of any size, nearly for free; None stands for the latest measurement."""
         return None
 
     @property
@@ -72,9 +68,7 @@ class Method(ABC, Generic[Config]):
 
     @property
     def views_deviation(self) -> tuple[Tensor | None, Tensor | None]:
-        """Standard deviations of the changes of the views, N x 7, and of the common flash offset; None where
-        not refined.
-        """
+        """Standard deviations of the view changes, N x 7, and of the flash offset; None if not refined."""
         return None, None
 
 

@@ -22,9 +22,7 @@ Streams = tuple[dict[str, int], dict[str, int]]
 
 
 def streams_of(bsdf: str, fixed: Mapping[str, Tensor], grey_specular: bool = False) -> Streams:
-    """The channels of the maps to fit: :data:`STREAMS` without those fixed, and one channel of a grey
-    specular map.
-    """
+    """The channels of the maps to fit: :data:`STREAMS` without fixed maps; one of a grey specular map."""
     first, second = ({name: 1 if grey_specular and name == "specular" else channels
                       for name, channels in stream.items() if name not in fixed} for stream in STREAMS[bsdf])
     return first, second
@@ -40,9 +38,7 @@ def to_svbrdf(bsdf: Bsdf, raw: Mapping[str, Tensor], fixed: Mapping[str, Tensor]
 
 
 def before_tanh(raw: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """What a last layer with Tanh, as the paper's, has to put out for these raw maps: they are logits but for
-    the normal.
-    """
+    """Output of a last layer before Tanh for these raw maps, which are logits but for the normal."""
     return {name: x if name == "normal" else x / 2 for name, x in raw.items()}
 
 

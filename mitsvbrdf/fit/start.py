@@ -1,6 +1,4 @@
-"""The robust start: guessed diffuse, one specular level and one roughness for all texels, flat normals, or
-the fixed maps.
-"""
+"""The robust start: guessed diffuse, one specular level, one roughness, flat normals, or fixed maps."""
 
 from __future__ import annotations
 

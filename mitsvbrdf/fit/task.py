@@ -1,6 +1,4 @@
-"""What a fit is given and what it may find, decided once for all methods: guess, fixed maps, and which views
-may move.
-"""
+"""What a fit is given and may find, decided once for all methods: guess, fixed maps, free views."""
 
 from __future__ import annotations
 
@@ -80,9 +78,7 @@ class FitTask(Generic[Config]):
 
     @property
     def refined(self) -> Refined:
-        """When the method refines camera, flash and exposure of each photo; exact are photos that follow the
-        model.
-        """
+        """When the method refines camera, flash and exposure of each photo."""
         if self.config.holds_views or self.config.refines_views is False or not self.views_known:
             return "never"
         return ("always" if self.config.refines_views or self.capture.calibration in ("photos", "none")
@@ -90,16 +86,12 @@ class FitTask(Generic[Config]):
 
     @property
     def light_power_unknown(self) -> bool:
-        """Whether the maps may tell the light power: it was estimated, or views come from features, which do
-        not tell it.
-        """
+        """Whether the maps may tell the light power: it was estimated, or views come from features."""
         return (self.estimated is not None
                 or self.capture.calibration == "photos" and not self.config.holds_views)
 
 
 def fit_task(capture: Capture, renderer: Renderer, config: Config) -> FitTask[Config]:
-    """The task of a fit, with views estimated where the capture has none, but for a method that holds
-    them.
-    """
+    """The task of a fit, with views estimated if the capture has none and the method moves them."""
     capture, estimated = (capture, None) if config.holds_views else self_calibrated(capture)
     return FitTask(capture, renderer, config, estimated=estimated)

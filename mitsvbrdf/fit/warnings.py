@@ -184,9 +184,7 @@ def _burnt_in(result: Fit) -> Iterator[str]:
 
 
 def _cut_short(result: Fit) -> Iterator[str]:
-    """Whether the fit was still on its way when it ended; the schedules of other methods end when their
-    budget does.
-    """
+    """Whether the fit ended too early; the schedules of other methods end with their budget."""
     if result.trace[-1]["iteration"] == 0:
         yield "no step was made, so the maps are where the fit starts: give more seconds"
     elif isinstance(result.config, HierarchicalConfig) and result.stopped in ("budget", "iterations",
@@ -195,9 +193,7 @@ def _cut_short(result: Fit) -> Iterator[str]:
 
 
 def _game(result: Fit) -> Iterator[str]:
-    """Whether the discriminator was so sure that it learned no more; its verdict then says little about what
-    to change.
-    """
+    """Whether the discriminator was so sure that its verdict says little about what to change."""
     losses, config = [entry["discriminator"] for entry in result.trace
                       if "discriminator" in entry], result.config
     if len(losses) < MEASURED:
@@ -212,9 +208,7 @@ def _game(result: Fit) -> Iterator[str]:
 
 
 def _refined_for_nothing(result: Fit) -> Iterator[str]:
-    """Whether stated views were refined, as asked for, where exact photos said as much with the views as they
-    were.
-    """
+    """Whether stated views were refined although exact photos are explained as well without."""
     from .hierarchical.omitted import TIED
     from .hierarchical.view_corrections import TILTED  # with OpenCV, which results alone do not need
 

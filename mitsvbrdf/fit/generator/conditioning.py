@@ -47,9 +47,7 @@ class Conditioning:
         return (variational.condition_of if self.variational else condition_of)(capture, self.guess)
 
     def condition_from(self, photo: int) -> Tensor:
-        """What a generator of all photos is shown, with this one in the first place and the others after it,
-        in their order.
-        """
+        """Input of a generator of all photos; this photo comes first, then the others in their order."""
         numbers = self.capture.index
         return (self._condition(self.capture.pick((*numbers[photo:], *numbers[:photo]))) if photo
                 else self.condition)
@@ -81,9 +79,7 @@ class Conditioning:
 
 
 def condition_of(capture: Capture, guess: Tensor) -> Tensor:
-    """What a generator of all photos is shown, 1 x C x R x R in -1 to 1: each photo, where it is clipped, and
-    the guess.
-    """
+    """Input of a generator of all photos, 1 x C x R x R in -1 to 1: photos, clipped pixels, the guess."""
     photos = capture.photos.permute(0, 3, 1, 2)
     clipped = (photos >= CLIPPED).any(dim=1).float()
     return torch.cat((photos.flatten(0, 1), clipped, color.encode(guess).permute(2, 0, 1)))[None] * 2 - 1

@@ -147,9 +147,7 @@ class DetailTraining:
         self.matte_photos = self._shown(self.matte, self.views)
 
     def weakened(self, worst: float) -> tuple[float, SVBRDF, tuple[Tensor, float, list[float]]]:
-        """The largest share of the change with at most this re-rendering RMSE, its maps, and these
-        re-rendered.
-        """
+        """The largest share of the change within this re-rendering RMSE, its maps, and these re-rendered."""
         for share in SHARES:
             detail = self.material(share).map(Tensor.contiguous)
             met = rerender(self.renderer, detail, self.views, self.capture)
@@ -158,9 +156,7 @@ class DetailTraining:
         return share, detail.check(), met
 
     def material(self, share: float = 1.0) -> SVBRDF:
-        """The present maps with a share of their change; where the bound of a map is 0, the solved value to
-        the bit.
-        """
+        """The present maps with a share of their change; where the bound is 0, exactly the solved value."""
         change = self.generator(self.condition)
         maps = dict(self.solved.maps)
         for name, bound in self.bounds.items():
@@ -240,7 +236,5 @@ def joined(first: Views, second: Views) -> Views:
 
 
 def _input(picture: Tensor, matte: Tensor, angles: Tensor) -> Tensor:
-    """What the discriminator sees, N x 8 x H x W: display values and those of the diffuse part from -1 to 1,
-    half vectors.
-    """
+    """Input of the discriminator, N x 8 x H x W: display values, those of the diffuse part, half vectors."""
     return torch.cat((2 * picture - 1, 2 * matte - 1, angles), dim=-1).permute(0, 3, 1, 2)

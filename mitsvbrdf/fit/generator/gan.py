@@ -103,9 +103,7 @@ class Gan(Method[GanConfig]):
                          if config.average else {})
 
     def step(self, progress: float) -> dict[str, float]:
-        """One iteration: the discriminator learns once; then the generator, its normal/roughness decoder
-        perhaps repeatedly.
-        """
+        """One step of the discriminator, then of the generator; its normal/roughness decoder may repeat."""
         share = self._enter_phase(progress)
         for name, optimizer in self.optimizers.items():
             optimizer.param_groups[0]["lr"] = self._rate(name, share)
@@ -121,9 +119,7 @@ class Gan(Method[GanConfig]):
         return logged | {"phase": float(self.phase)}
 
     def _enter_phase(self, progress: float) -> float:
-        """Begin the phase that is due; returns its share that is done, below 0 in a run resumed with a higher
-        limit.
-        """
+        """Begin the phase that is due; returns its share done, < 0 in a run resumed with a higher limit."""
         begins = list(itertools.accumulate((phase.share for phase in self.phases[:-1]), initial=0.0))
         present = max(number for number, begin in enumerate(begins) if progress >= begin)
         if present > self.phase:
@@ -182,9 +178,7 @@ class Gan(Method[GanConfig]):
 
     def _out(self, scale: Conditioning, pictures: Pictures, first: bool = True, photo: int = 0) -> dict[str,
                                                                                                         Tensor]:
-        """What the generator puts out, before Tanh, in the window of the pictures; of all photos, ``photo``
-        comes first.
-        """
+        """Output of the generator before Tanh, in the window of the pictures; ``photo`` comes first."""
         g, (top, left, side) = self.generator, pictures.window
         with self._networks():
             if isinstance(g, TwoStreamGenerator):
@@ -247,9 +241,7 @@ class Gan(Method[GanConfig]):
             self.averaged[name].lerp_(value, 1 - self.config.average)
 
     def estimate(self) -> tuple[SVBRDF, Views]:
-        """The maps generated from the first photo, or from all, at full size, and the views with the flash
-        offset found.
-        """
+        """The maps generated from the first photo or from all, at full size, and the fitted views."""
         with torch.no_grad():
             return self.maps_from(0), self._views()
 

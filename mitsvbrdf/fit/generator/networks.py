@@ -18,9 +18,7 @@ from ..parameters import STREAMS, Streams
 
 @contextlib.contextmanager
 def seeded(seed: int) -> Iterator[None]:
-    """Weights drawn in this block depend on the seed alone, and torch's own random numbers are left as they
-    were.
-    """
+    """Weights drawn in this block depend on the seed alone; torch's random state stays as it was."""
     with PROCESS, torch.random.fork_rng(devices=[]):  # which all threads share
         torch.manual_seed(seed)
         yield
@@ -113,9 +111,7 @@ class PatchDiscriminator(nn.Module):
             block(nn.Conv2d(4 * w, 8 * w, 3, padding=1)), nn.Conv2d(8 * w, 1, 3, padding=1)])
 
     def forward(self, image: Tensor) -> Tensor:
-        """Probability of being a photo for each patch, N x 1 x r x r, of images N x 3 x R x R in display
-        values.
-        """
+        """Probability that a patch is a photo, N x 1 x r x r, of images N x 3 x R x R in display values."""
         return torch.sigmoid(self.activations(image)[-1])
 
     def activations(self, image: Tensor, told: Tensor | None = None) -> list[Tensor]:
@@ -134,9 +130,7 @@ class PatchDiscriminator(nn.Module):
 
     def learn(self, photos: Tensor, renderings: Tensor, optimizer: torch.optim.Optimizer, game: Game = "bce",
               told: Tensor | None = None) -> float:
-        """One step towards telling photos from renderings; returns the loss before it, NaN where no step was
-        made.
-        """
+        """One step of training; returns the loss before it, NaN where no step was made."""
         both = torch.cat((photos, renderings)), None if told is None else torch.cat((told, told))
         real, fake = self.activations(*both)[-1].float().chunk(2)
         loss = losses.discriminator(real, fake, game)

@@ -1,6 +1,4 @@
-"""What the discriminator compares: photos and blends of two (III.F), and the renderings of the same views,
-blended alike.
-"""
+"""What the discriminator compares: photos or blends of two (III.F), and the same of renderings."""
 
 from __future__ import annotations
 

@@ -29,9 +29,7 @@ SURE = -4.0  # log variance that a photo's say begins with: codes drawn are near
 
 
 def condition_of(capture: Capture, guess: Tensor) -> Tensor:
-    """What the generator is shown, N x 9 x R x R: each photo, where it is clipped, where highlights would
-    lie, the guess.
-    """
+    """Input of the generator, N x 9 x R x R: photo, clipped pixels, highlight positions, the guess."""
     photos = capture.photos.permute(0, 3, 1, 2) * 2 - 1
     clipped = (capture.photos >= CLIPPED).any(dim=-1).float()[:, None] * 2 - 1
     flat = angles(capture)
@@ -125,9 +123,7 @@ def of_all(layer: nn.Conv2d) -> nn.Sequential:
 
 
 def product_of_experts(means: Tensor, log_variances: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and variance of the product of N normal distributions and a standard one: 1 x C x r x r, of N x C
-    x r x r each.
-    """
+    """Mean and variance, 1 x C x r x r, of the product of N normal distributions and a standard one."""
     precisions = torch.exp(-log_variances.clamp(-8, 8))
     variance = 1 / (1 + precisions.sum(dim=0, keepdim=True))
     return variance * (precisions * means).sum(dim=0, keepdim=True), variance

@@ -15,9 +15,7 @@ Matrix = dict[tuple[int, int], Any]
 
 
 def factor(matrix: Matrix, size: int) -> Matrix:
-    """The lower Cholesky factor L of a positive definite matrix, L L^T; on its diagonal stand the inverses of
-    L's.
-    """
+    """The lower Cholesky factor L of a positive definite matrix, its diagonal inverted."""
     import drjit as dr
 
     lower: Matrix = {}

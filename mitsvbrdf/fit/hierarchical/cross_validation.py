@@ -36,9 +36,7 @@ def in_turn(count: int) -> range:
 
 
 def steps_of_turns(count: int) -> int:
-    """How many steps of the solver it takes to predict each photo of so many that is left out; variances
-    count as one.
-    """
+    """Steps of the solver for the cross-validation of so many photos; variances count as one."""
     return len(in_turn(count)) * (AGREED * (STEPS + 1) + len(NOISES) * ROUNDS * (STEPS + 1))
 
 

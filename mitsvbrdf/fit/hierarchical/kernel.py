@@ -198,9 +198,7 @@ class Texels:
         return shown, lit, seeds
 
     def _weighed(self, shown: Any, view: Any) -> tuple:
-        """Errors of a view's display values, their weights in the normal equations, and their part of the
-        cost.
-        """
+        """Errors of the display values of a view, their weights, and their part of the cost."""
         import drjit as dr
 
         problem, place = self.problem, view * self.kernel.texels + self.index
@@ -242,9 +240,7 @@ def chosen(better: Any, new: Any, old: Any) -> Any:
 
 
 def traced_maps(mi: ModuleType, unknowns: Unknowns, x: list, fixed: dict) -> tuple[dict, list]:
-    """The maps as the plugin takes them (an unknown normal: its slopes), and the slope of each by its
-    unknown.
-    """
+    """The maps as the plugin takes them (an unknown normal: its slopes), and their slopes by unknowns."""
     def whole(planes: Sequence) -> Any:
         return mi.Color3f(*planes) if len(planes) == 3 else planes[0]
 

@@ -1,6 +1,4 @@
-"""How the photos are seen in a round: their noise, the pixels that count most, and maps freed of burnt-in
-highlights.
-"""
+"""The photos as a round sees them: noise, weights of pixels, and maps freed of burnt-in highlights."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""What ``hierarchical`` omits, as these photos do not need it: known before the fit, or decided by its first
-stage.
-"""
+"""What ``hierarchical`` omits for these photos: known before the fit, or decided by its first stage."""
 
 from __future__ import annotations
 

@@ -95,9 +95,7 @@ class Hierarchical(Method[HierarchicalConfig]):
             robust_start(scale.capture, scale.guess, self.config.bsdf, scale.solver.fixed)))
 
     def step(self, progress: float) -> dict[str, float]:
-        """One round of the present stage, or the first of the next; where no time is left for one, the last
-        steps.
-        """
+        """One round of the present stage or the first of the next; without time for one, the last steps."""
         stages = self.stages
         self.budget.begin(progress)
         if stages.over(progress, short=not self.budget.in_time(ROUND_STEPS * self.scale.texels)):
@@ -142,9 +140,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         self.stages.enter(stage, hurried)
 
     def _leave_lobe_out(self) -> None:
-        """Search no further for a specular lobe where the first stage came to its end and the photos need
-        none.
-        """
+        """Omit the search for a specular lobe if the first stage is finished and the photos need none."""
         stages, found = self.stages, None
         asked = stages.exact and stages.finished and may_be_omitted(self.task)
         if asked and self.budget.in_time(decision_work(self.search.scales)):
@@ -224,9 +220,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         return cost.mean()
 
     def _move_views(self) -> None:
-        """Move camera and flash where this round asks for it; the patch as a whole is flat (it lies in z =
-        0).
-        """
+        """Move camera and flash if this round does so; the patch as a whole is flat (in z = 0)."""
         stage, rounds, sloped = self.stages.stage, self.stages.rounds, len(self.prior.slopes) > 0
         if not self.corrections.may_move(self.stages.tied):
             return
@@ -297,9 +291,7 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     @property
     def views_deviation(self) -> tuple[Tensor | None, Tensor | None]:
-        """Standard deviations of the changes of the views, N x 7, and of the common flash offset; None where
-        not refined.
-        """
+        """Standard deviations of the view changes, N x 7, and of the flash offset; None if not refined."""
         return self.corrections.deviations
 
     @property

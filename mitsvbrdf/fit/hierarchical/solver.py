@@ -115,9 +115,7 @@ class TexelSolver:
         self._kernels: dict[tuple, Kept[Kernel]] = {}
 
     def numbers(self, svbrdf: SVBRDF) -> Tensor:
-        """The unknowns of a material, U x R x R; where specular is one number, of its mean over the
-        channels.
-        """
+        """The unknowns of a material, U x R x R; a grey specular is the mean over the channels."""
         planes: list[Tensor] = []
         for name, (count,) in self.unknowns.shapes.items():
             value = svbrdf[name]
@@ -129,9 +127,7 @@ class TexelSolver:
         return torch.stack(planes)
 
     def svbrdf(self, x: Tensor) -> SVBRDF:
-        """The material of unknowns U x R x R, with the fixed maps; an expanded specular map where it is one
-        number.
-        """
+        """The material of unknowns U x R x R, with the fixed maps; a grey specular map is expanded."""
         maps = dict(self.fixed)
         for name, of in self.unknowns.slices.items():
             value = x.permute(1, 2, 0)[..., of]
@@ -205,9 +201,7 @@ class TexelSolver:
 
     @staticmethod
     def _found(side: int, x: Tensor, parts: Sequence[list]) -> Iterator[Tensor]:
-        """Copies of what a kernel found, each ? x R x R; no Dr.Jit array outlives the call that hands it
-        over.
-        """
+        """Copies of the results of a kernel, each ? x R x R; no Dr.Jit array outlives the call."""
         return iter([to_torch(part).reshape(-1, side, side).to(x.device) for part in parts])
 
     def _planes(self, values: Tensor) -> list:
@@ -221,9 +215,7 @@ class TexelSolver:
                        if name in self.fixed}
 
     def _problem(self, observations: Observations, side: int) -> dict:
-        """The observations and the fixed maps as Dr.Jit arrays, for
-        :class:`~mitsvbrdf.fit.hierarchical.kernel.Kernel`.
-        """
+        """The observations and the fixed maps as Dr.Jit arrays, for a kernel."""
         mi, views = self.mi, observations.views.in_patch_sides().to(torch.float64)
         _, fixed = self._known(observations.views, side)
         problem = {"photos": from_torch(mi, observations.photos.float()), "count": opaque(mi, len(views)),

@@ -62,27 +62,21 @@ class Search(NamedTuple):
 
 
 def may_be_omitted(task: FitTask) -> bool:
-    """Whether this fit searches for a lobe that its photos may turn out not to need: with no map of it held,
-    but not alone.
-    """
+    """Whether the search for a lobe may be omitted: no map of it is held, and others are fitted."""
     lobe = LOBE.get(task.config.bsdf, ())
     others = {"diffuse", "normal"} - set(task.fixed)
     return bool(lobe and others) and not set(lobe) & set(task.fixed)
 
 
 def decision_work(scales: Scales) -> int:
-    """Texels times steps of the solver, at most, that :func:`explained_without` takes; a texel has four other
-    starts.
-    """
+    """Largest work of :func:`explained_without` in texels times steps; a texel has four other starts."""
     coarse, fine = (scales.of(stage).texels for stage in (Stage.ALONE, Stage.FINE))
     both = (2 + len(STARTS)) * STEPS + 2 * ROUNDS * 4 * (STEPS // 2)
     return (both + len(WIDTHS) * STEPS) * coarse + (both * fine if fine > coarse else 0)
 
 
 def without_lobe(search: Search) -> Search:
-    """The search for the rest: specular is held at 0, and roughness, which then shows nowhere, as the robust
-    start has it.
-    """
+    """The search without a lobe: specular is held at 0, roughness at that of the robust start."""
     coarse, config, side = search.scales.of(Stage.ALONE), search.prior.config, search.scales.captures[
         Stage.FINE].resolution
     start = robust_start(coarse.capture, coarse.guess, config.bsdf, coarse.solver.fixed)

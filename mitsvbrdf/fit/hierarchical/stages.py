@@ -79,9 +79,7 @@ class Stages:
 
     @property
     def tied(self) -> bool:
-        """Whether texels are held to what their look-alikes said: photos of a phone, once they are known to
-        be.
-        """
+        """Whether texels are tied to their look-alikes: real photos, once they are known to be real."""
         return self.stage != Stage.ALONE and not self.exact
 
     @property

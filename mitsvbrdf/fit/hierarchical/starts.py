@@ -26,17 +26,13 @@ TILTS, GOLDEN = (0.15, 0.4, 0.8), math.pi * (3 - math.sqrt(5))
 
 def stepped(solver: TexelSolver, observations: Observations, answer: TexelEstimate, prior: TexelPrior,
             count: int) -> Solved:
-    """So many Levenberg-Marquardt steps of every texel from an answer, within its bounds and with its
-    prior.
-    """
+    """Levenberg-Marquardt steps of every texel from an estimate, within bounds and with its prior."""
     return solver.solve(observations, answer.x, torch.full_like(answer.x[0], DAMPING), answer.mean,
                         answer.precision, prior.low, prior.high, count)
 
 
 def other_starts(prior: TexelPrior, turn: int) -> list[Callable[[TexelEstimate], TexelEstimate]]:
-    """The answers of two neighbours, and two tilts of a texel of which nothing else is known; others each
-    turn.
-    """
+    """Starts from two neighbours and two tilts; others in each turn."""
     starts: list[Callable[[TexelEstimate], TexelEstimate]] = [partial(_neighbour, by=1 if turn % 2 else -1,
                                                                       axis=axis) for axis in (1, 2)]
     if len(prior.slopes):

@@ -1,6 +1,4 @@
-"""What is known of texels before their photos are looked at: bounds, a prior, and what ties texels to each
-other.
-"""
+"""What is known of texels before their photos: bounds, a prior, and how texels are tied to each other."""
 
 from __future__ import annotations
 
@@ -104,9 +102,7 @@ class TexelPrior:
         return TexelEstimate(answer.x, mean, precision, spread)
 
     def enlarge(self, answer: TexelEstimate, coarse: Scale, fine: Scale, tied: bool) -> TexelEstimate:
-        """An answer at full size; shared unknowns follow the look-alikes there (joint upsampling, Kopf et al.
-        2007).
-        """
+        """An estimate at full size; shared unknowns follow look-alikes (joint upsampling, Kopf 2007)."""
         side = fine.capture.resolution
         if side == coarse.capture.resolution:
             return answer
@@ -126,9 +122,7 @@ class TexelPrior:
                                                                                     name)[0]))
 
     def loosen(self, answer: TexelEstimate, variance: Tensor) -> TexelEstimate:
-        """How far texels went from their tied answer becomes how far they may go
-        (expectation-maximisation).
-        """
+        """Set the spread around the tied estimate to the one seen (expectation-maximisation)."""
         precision = answer.precision.clone()
         for name in sorted(set(self.unknowns.shapes) & set(FREEDOM)):
             of = self.unknowns.of(name)

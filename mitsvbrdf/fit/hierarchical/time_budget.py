@@ -45,9 +45,7 @@ class TimeBudget:
         self.rates: dict[Kind, float] = {}
 
     def begin(self, progress: float) -> None:
-        """Learn from the first step when the run ends: this share of it is over. A resumed run knows what it
-        has spent.
-        """
+        """Set the end of the run at its first step, of which this share is over."""
         if self.budget and math.isinf(self.end):
             self.end = self.clock() + self.budget * (1 - progress)
 
@@ -79,9 +77,7 @@ class TimeBudget:
                 + solver * (self.to_come + beside) * self.full)
 
     def steps(self, most: int, keep: int = 0) -> int:
-        """How many of at most so many steps of the solver at full size end in time, with some kept; at least
-        one is made.
-        """
+        """Steps of the solver at full size that end in time, at most ``most``, some kept; at least one."""
         seconds = self.rates.get("solver", 0.0) * self.full
         return max(1, int(min(most, (self.end - self.clock()) / seconds - keep))) if seconds else most
 

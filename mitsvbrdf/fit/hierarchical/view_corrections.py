@@ -62,9 +62,7 @@ class ViewCorrections:
         return self.refined == "always" or self.refined == "unless exact" and tied
 
     def begun(self, in_time: bool) -> bool:
-        """Whether a refinement is begun, which can end in time or not; that one was left out is
-        remembered.
-        """
+        """Whether a refinement is begun; one that cannot end in time is omitted and noted."""
         self.skipped = self.skipped if in_time else torch.ones(())
         return in_time
 
@@ -78,9 +76,7 @@ class ViewCorrections:
 
     @property
     def work(self) -> int:
-        """Renderings of the maps from all views, at most, of a refinement: two for the slope of each of its
-        unknowns.
-        """
+        """Largest number of renderings of all views in a refinement: two for each slope."""
         return self._steps * 2 * CHANGE.size
 
     def level(self, slope: Tensor) -> None:
@@ -100,9 +96,7 @@ class ViewCorrections:
         flash += DAMPED * (variance / (variance + TILTED**2) * said - common)
 
     def refine(self, svbrdf: SVBRDF, capture: Capture) -> None:
-        """Find where camera and flash stood from the maps so far; where they were stated, from where they
-        seemed to before.
-        """
+        """Refine camera and flash with the maps so far; stated views start at the earlier changes."""
         start = None if self.refined == "always" else self.change
         found = refine_views(svbrdf, capture.views, capture, self.priors, self._steps, start)
         self.change, self.deviation = found.change, found.deviation
@@ -114,9 +108,7 @@ class ViewCorrections:
 
     @property
     def deviations(self) -> tuple[Tensor | None, Tensor | None]:
-        """Standard deviations of the changes, N x 7, and of the common flash offset, 2; None where not
-        refined.
-        """
+        """Standard deviations of the changes, N x 7, and of the flash offset, 2; None if not refined."""
         if not self.deviation.any():
             return None, None
         return self.deviation, self.flash_deviation if self.fits_offset else None
