@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 
 import torch
@@ -14,8 +16,12 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from ..capture import Capture
 from ..errors import ConfigError
 from ..io.files import atomic_write, to_disk
+from .config import FitConfig
+
+MOST_NAMED = 4  # of what differs from the run that is resumed
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], note: dict) -> None:
@@ -100,3 +106,35 @@ def module_state(name: str, module: torch.nn.Module) -> dict[str, Tensor]:
 def load_module_state(name: str, module: torch.nn.Module, state: dict[str, Tensor]) -> None:
     """The inverse of :func:`module_state`."""
     module.load_state_dict(part(state, f"{name}."))
+
+
+def fingerprints(config: FitConfig, capture: Capture, renderer: str, fixed: Mapping[str, Tensor]) -> dict[str, str]:
+    """Fingerprints, by name, of everything that shapes a fit but its limits.
+
+    Fixed maps count by their values: the same file name may stand for others later.
+    """
+    views = capture.views
+    parts = {f"--{name.replace('_', '-')}": repr(value) for name, value in asdict(config).items()
+             if name not in ("iterations", "budget", "fix")}
+    parts |= {f"--fix {name}": _digest(value) for name, value in sorted(fixed.items())}
+    parts |= {"--renderer": renderer, "--transfer": capture.transfer, "--falloff": views.falloff,
+              "size of the patch": repr(views.size)}
+    for row, name in enumerate(capture.names):
+        parts[f"photo {name}"] = _digest(capture.photos[row])
+        parts[f"view of photo {name}"] = _digest(views.camera[row], views.light[row], views.intensity[row])
+    return parts
+
+
+def _digest(*tensors: Tensor) -> str:
+    digest = hashlib.sha256()
+    for tensor in tensors:
+        digest.update(tensor.numpy().tobytes())
+    return digest.hexdigest()
+
+
+def differing(before: object, now: Mapping[str, str]) -> list[str]:
+    """Names of fingerprints that are not as they were, at most :data:`MOST_NAMED`."""
+    if not isinstance(before, dict):
+        return ["all that an earlier version noted"]
+    names = [name for name in (*now, *(set(before) - set(now))) if before.get(name) != now.get(name)]
+    return names if len(names) <= MOST_NAMED else [*names[:MOST_NAMED], f"{len(names) - MOST_NAMED} more"]

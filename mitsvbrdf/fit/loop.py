@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
@@ -21,13 +20,12 @@ from ..material.maps import SVBRDF
 from ..measure.rerender import rerender
 from ..render import Renderer
 from ..views import Views
-from .checkpoint import load_tensors, part, save_tensors
+from .checkpoint import differing, fingerprints, load_tensors, part, save_tensors
 from .config import FitConfig
 from .method import Method, finite
 
 CHECKPOINT_SECONDS = 30.0
 MAX_UNDONE = 20
-MOST_NAMED = 4  # of what differs from the run that is resumed
 # A loss this many times its lowest, at so many measurements running, is that of a fit that diverges. Measured
 # on twelve real captures, `hybrid` and `direct`: at no measurement was the loss above its lowest at all.
 DIVERGED, PATIENCE = 1.5, 5
@@ -229,19 +227,7 @@ class Loop:
             self.report(entry, self.progress)
 
     def _task(self) -> dict[str, str]:
-        """Fingerprints, by name, of everything that shapes the fit but its limits."""
-        # Fixed maps count by their values: the same file name may stand for others by now.
-        capture, views = self.capture, self.capture.views
-        parts = {f"--{name.replace('_', '-')}": repr(value) for name, value in asdict(self.config).items()
-                 if name not in ("iterations", "budget", "fix")}
-        parts |= {f"--fix {name}": _digest(value) for name, value in sorted(self.method.fixed.items())}
-        parts |= {"--renderer": self.renderer.name, "--transfer": capture.transfer,
-                  "--falloff": views.falloff, "size of the patch": repr(views.size)}
-        for row, name in enumerate(capture.names):
-            parts[f"photo {name}"] = _digest(capture.photos[row])
-            parts[f"view of photo {name}"] = _digest(views.camera[row], views.light[row],
-                                                     views.intensity[row])
-        return parts
+        return fingerprints(self.config, self.capture, self.renderer.name, self.method.fixed)
 
     def save(self) -> None:
         """Write the checkpoint: tensors, and the trace as text in its header; none of a broken state."""
@@ -272,7 +258,7 @@ class Loop:
             raise ConfigError(f"a checkpoint of {type(self.method).__name__} / {self.config.bsdf}",
                               f"{note.get('method')} / {note.get('bsdf')} in {path}",
                               "resume with the same options")
-        if other := _differing(note.get("task"), self._task()):
+        if other := differing(note.get("task"), self._task()):
             raise ConfigError("the photos, views, renderer and options of the first run",
                               f"others than {path} was made with: {', '.join(other)}",
                               "resume with the same ones; only --iterations and --budget may change")
@@ -294,18 +280,3 @@ class Loop:
         self.iteration, self.seconds, self.trace = note["iteration"], note["seconds"], note["trace"]
         self.undone, self.restarts, self.rising = note["undone"], note["restarts"], note["rising"]
         self.lowest = note["lowest_loss"], part(tensors, "lowest.")
-
-
-def _digest(*tensors: Tensor) -> str:
-    digest = hashlib.sha256()
-    for tensor in tensors:
-        digest.update(tensor.numpy().tobytes())
-    return digest.hexdigest()
-
-
-def _differing(before: object, now: dict[str, str]) -> list[str]:
-    """Names of what is not as it was, at most four."""
-    if not isinstance(before, dict):
-        return ["all that an earlier version noted"]
-    names = [name for name in (*now, *(set(before) - set(now))) if before.get(name) != now.get(name)]
-    return names if len(names) <= MOST_NAMED else [*names[:MOST_NAMED], f"{len(names) - MOST_NAMED} more"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import get_args
+from typing import Any, Generic, TypeVar, get_args
 
 from .. import color
 from ..io.json import NUMBER, load, shape_error
@@ -37,6 +37,26 @@ FROM = {"given": "The views are those of the capture's calibration", "sheet": "T
         "estimated": "The views were estimated from the rectified photos alone"}
 _CALIBRATION = {"from": str, "estimated": bool, "refined": bool, "log_power_sd": NUMBER,
                 "camera_sd": {str: [NUMBER]}, "log_exposure_sd": {str: NUMBER}, "flash_offset_sd": [NUMBER]}
+
+
+T = TypeVar("T")
+
+
+class Fact(Generic[T]):
+    """An attribute of a fit that is a field of its record; without a default the record has it.
+
+    Args:
+        default: where the record lacks it.
+    """
+
+    def __init__(self, default: Any = ...) -> None:
+        self.default = default
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, fit: Any, owner: type | None = None) -> T:
+        return fit.record[self.name] if self.default is ... else fit.record.get(self.name, self.default)
 
 
 def record_in(folder: Path) -> dict:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Generic, TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
 import torch
 from torch import Tensor
@@ -25,30 +25,13 @@ from ..views import Falloff, Views
 from .config import FitConfig
 from .fixed_maps import described
 from .options import config_of
-from .record import FILE, SCHEMA_VERSION, checked, missing, record_in
+from .record import FILE, SCHEMA_VERSION, Fact, checked, missing, record_in
 
 # Fields of the record that :meth:`Fit.but` changes there.
 _FACTS = {"rerender_rmse", "calibrated_rmse", "renderer", "variant", "warnings", "stopped", "trace",
           "profile"}
 
 T = TypeVar("T")
-
-
-class Fact(Generic[T]):
-    """An attribute of a fit that is a field of its record; without a default the record has it.
-
-    Args:
-        default: where the record lacks it.
-    """
-
-    def __init__(self, default: Any = ...) -> None:
-        self.default = default
-
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
-
-    def __get__(self, fit: Fit, owner: type | None = None) -> T:
-        return fit.record[self.name] if self.default is ... else fit.record.get(self.name, self.default)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -66,10 +66,10 @@ def write_fit_files(result: Fit, capture: Capture, out: Path, command: dict | No
                          spread.square().mean(dim=-1, keepdim=True).sqrt())
     written = write_record(out, result, command or {})
     if pages:
-        _write_pages(written, capture, out, held_out)
+        _write_pages(result, written, capture, out, held_out)
 
 
-def _write_pages(result: Fit, capture: Capture, out: Path, held_out: Capture | None) -> None:
+def _write_pages(result: Fit, written: Fit, capture: Capture, out: Path, held_out: Capture | None) -> None:
     """What people look at, and the scene."""
     write_linear(out / "guess" / "diffuse", result.guess, "srgb")
     for name, image in zip(capture.names, result.rerendered):
@@ -88,7 +88,7 @@ def _write_pages(result: Fit, capture: Capture, out: Path, held_out: Capture | N
     # held-out photos of an earlier fit are none of this one's
     (out / "report.json").unlink(missing_ok=True)
     try:
-        write_report(result, quick=True, held_out=held_out)
+        write_report(written, quick=True, held_out=held_out)
     except OutputError:
         raise
     except Exception as reason:  # whatever it is: the result of a long fit is worth more than its page

@@ -30,7 +30,7 @@ from ..parameters import from_units, streams_of
 from ..task import FitTask
 from .build import make_generator, starting_material
 from .conditioning import Conditioning
-from .networks import PatchDiscriminator, TwoStreamGenerator, seeded
+from .networks import PatchDiscriminator, TwoStreamGenerator, frozen, seeded
 from .pictures import Pictures, PictureSource, seen_through
 from .precision import is_faster_in_bfloat16
 from .variational import VariationalGenerator
@@ -302,15 +302,3 @@ class Gan(Method[GanConfig]):
         for name, optimizer in self.optimizers.items():
             load_optimizer_state(name, optimizer, state)
         self.averaged = {name: state[f"averaged{name}"].clone() for name in self.averaged}
-
-
-@contextlib.contextmanager
-def frozen(module: nn.Module) -> Iterator[None]:
-    """Gradients pass through the module inside, and none of its own weights is computed."""
-    for parameter in module.parameters():
-        parameter.requires_grad_(False)
-    try:
-        yield
-    finally:
-        for parameter in module.parameters():
-            parameter.requires_grad_(True)

@@ -206,3 +206,15 @@ def pad_to_multiple(image: Tensor, factor: int) -> Tensor:
     """
     bottom, right = (max(-(-side // factor), 2) * factor - side for side in image.shape[-2:])
     return F.pad(image, (0, right, 0, bottom), mode="replicate")
+
+
+@contextlib.contextmanager
+def frozen(module: nn.Module) -> Iterator[None]:
+    """Gradients pass through the module inside, and none of its own weights is computed."""
+    for parameter in module.parameters():
+        parameter.requires_grad_(False)
+    try:
+        yield
+    finally:
+        for parameter in module.parameters():
+            parameter.requires_grad_(True)

@@ -1,28 +1,23 @@
 """``hierarchical``, the default: every texel solved by itself, tied to the texels that look like it.
 
-A texel has nine unknowns and some nine grey values to tell them by, so on its own it explains its photos by
-whatever fits: highlights it never showed are left open, and what the model lacks is burnt in. Three things
-mend that, in turns:
+A texel has nine unknowns and some nine grey values, so on its own it explains its photos by whatever fits:
+unseen highlights stay open, and errors of the model are burnt in. Three steps, in turns, mend that:
 
-1. each texel's few unknowns are solved by Levenberg-Marquardt through Mitsuba's BSDF, all at once in one
-   kernel (:mod:`~mitsvbrdf.fit.hierarchical.solver`), and a neighbour's answer is taken over as a start where
-   it leads to a lower cost (:mod:`~mitsvbrdf.fit.hierarchical.starts`; propagation, as in PatchMatch, Barnes
-   et al. 2009);
-2. specular and roughness are shared between texels that look alike
-(:mod:`~mitsvbrdf.fit.hierarchical.sharing`); 3. where camera and flash stood is refined from the maps so far
-(:mod:`~mitsvbrdf.fit.hierarchical.view_corrections`).
+1. Levenberg-Marquardt through Mitsuba's BSDF solves the unknowns of each texel, all texels in one kernel
+   (:mod:`.solver`). A neighbour's estimate with a lower cost becomes a start (:mod:`.starts`; PatchMatch, Barnes
+   et al. 2009).
+2. Texels that look alike share specular and roughness (:mod:`.sharing`).
+3. Camera and flash are refined with the maps so far (:mod:`.view_corrections`).
 
-Photos of a simulation follow the model to the last digit, and then a texel can be trusted with everything;
-photos of a phone do not. So the fit first lets every texel explain its photos freely. What is left
-unexplained then tells which kind they are (:mod:`~mitsvbrdf.fit.hierarchical.stages`). Photos of a phone are
-first explained at 64 px, where texels must agree; at full size each may leave that answer by as much as the
-photos were seen to ask for (:mod:`~mitsvbrdf.fit.hierarchical.texel_prior`), and photos are believed as far
-as each is predicted from the others (:mod:`~mitsvbrdf.fit.hierarchical.cross_validation`).
+Simulated photos follow the model exactly, real photos do not. The fit first lets every texel explain its photos
+freely; what stays unexplained tells the two apart (:mod:`.stages`). Real photos are first explained at 64 px,
+where texels must agree. At full size each texel may leave that estimate by as much as the photos ask for
+(:mod:`.texel_prior`), and photos are trusted as far as each is predicted from the others
+(:mod:`.cross_validation`).
 
-Texels that share a roughness also hold each other in a wrong one. Photos of a simulation, which can tell, are
-therefore explained from three starts, whose lobes are of very different width, and the most probable answer
-is refined at full size. Where they need no lobe (:mod:`~mitsvbrdf.fit.hierarchical.specular_test`), the rest
-is refined without one.
+Texels that share a wrong roughness hold each other in it. Simulated photos are therefore explained from three
+starts with lobes of different width; the most probable estimate is refined at full size. Where they need no lobe
+(:mod:`.specular_test`), the rest is refined without one.
 """
 
 from __future__ import annotations
@@ -200,8 +195,6 @@ class Hierarchical(Method[HierarchicalConfig]):
         """Whether another round would change little."""
         return self.stages.settled
 
-    # A round.
-
     def solve(self) -> Tensor:
         """Solve every texel, then try other starts where they lead to less; returns the mean cost."""
         fine = self.stages.stage == Stage.FINE
@@ -245,8 +238,6 @@ class Hierarchical(Method[HierarchicalConfig]):
         shared = prior.share(answer._replace(x=says), variance, scale.member, len(photos.views),
                             self.stages.tied, lambda planes: self.without_burn_in(planes, scale, answer))
         return shared._replace(x=answer.x)
-
-    # What comes out.
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The present maps at full size, of tied texels with the freedom that they have in the end."""
