@@ -35,17 +35,16 @@ COMMANDS = {
     "evaluate": "Measure maps: against known maps (--reference) or against photos (--capture).",
     "compare": "Show maps of several methods side by side: input, maps, errors, and every photo beside its "
                "re-renderings.",
-    "crosscheck": "Hold every renderer and BSDF against the float64 twin: images, gradients, run time.",
+    "crosscheck": "Compare every renderer and BSDF with the float64 twin: images, gradients, run time.",
     "stability": "Sweep every parameter to its ends and give a verdict on each renderer.",
     "bench": "Measure error against run time: methods x materials and captures x budgets x seeds.",
-    "synth": "Take photos of known maps: rectified ones with their calibration, to test fits on, or raw "
-             "ones by a simulated phone.",
+    "synth": "Take photos of known maps: rectified photos with their calibration, or raw photos of a "
+             "simulated phone.",
     "doctor": "Show what is installed, prove libLLVM in a child process, and say what is missing and how to "
               "get it.",
     "export": "Write a material for other programs: OUT/FORMAT/, with an export.json that states what each "
               "file holds.",
-    "relight": "Show a material under other light, path traced with Mitsuba: stills as EXR and PNG, movies "
-               "as MP4 and GIF.",
+    "relight": "Show a material under other light, path traced with Mitsuba.",
     "report": "Write OUT/report.html, one page about a fit that opens from disk, and its numbers, "
               "OUT/report.json.",
     "sheet": "Write a sheet of AprilTags to print.",

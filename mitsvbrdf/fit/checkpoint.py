@@ -136,5 +136,5 @@ def differing(before: object, now: Mapping[str, str]) -> list[str]:
     """Names of fingerprints that are not as they were, at most :data:`MOST_NAMED`."""
     if not isinstance(before, dict):
         return ["all that an earlier version noted"]
-    names = [name for name in (*now, *(set(before) - set(now))) if before.get(name) != now.get(name)]
+    names = [name for name in dict.fromkeys([*now, *before]) if before.get(name) != now.get(name)]
     return names if len(names) <= MOST_NAMED else [*names[:MOST_NAMED], f"{len(names) - MOST_NAMED} more"]

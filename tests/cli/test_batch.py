@@ -58,11 +58,11 @@ def test_a_ray_that_is_broken_is_told_and_leaves_no_library(tmp_path, capsys, mo
 
 def test_help_says_what_is_on_and_what_must_be_given(capsys):
     with pytest.raises(SystemExit):
-        cli.main(["batch", "--help"])
+        cli.main(["batch", "--advanced", "--help"])
     told = re.sub(r"[│\s]+", " ", capsys.readouterr().out)
     assert "(default: )" not in told and "(default: True)" not in told
     options = {words.split()[0]: words for words in told.split(" --")}
-    for option in ("no-independent", "no-neighbours", "no-flash-offset"):
+    for option in ("no-remove-burn-in", "no-neighbours", "no-flash-offset"):
         assert "(default: on)" in options[option]
     assert "(default: off)" in options["grey-specular"]
 

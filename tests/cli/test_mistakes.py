@@ -74,7 +74,7 @@ def test_damaged_photos_are_named_and_refused_when_strict(copy, tmp_path, capsys
 
 
 @pytest.mark.parametrize("options, word", [
-    (["fit", "PHOTOS", "--similarity", "1e300"], "likeness"), (["fit", "PHOTOS", "--resolution", "1000000"],
+    (["fit", "PHOTOS", "--similarity", "1e300"], "similarity"), (["fit", "PHOTOS", "--resolution", "1000000"],
                                                              "resolution"),
     (["fit", "PHOTOS", "--method", "hybrid", "--width", "999999"], "width"),
     (["capture", "PHOTOS", "--sheet", "1e300"], "sheet"),

@@ -33,7 +33,7 @@ def test_each_old_name_is_said_once(names, capsys):
 def test_new_names_are_options_of_their_command(capsys):
     for name, options in table.RENAMED.items():
         with pytest.raises(SystemExit):
-            cli.main([name, "--help"])
+            cli.main([name, *(["--advanced"] if name in cli.FITTING else []), "--help"])
         shown = capsys.readouterr().out
         for old, new in options.items():
             assert new in shown and f"{old} " not in shown, (name, old)
