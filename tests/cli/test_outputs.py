@@ -38,12 +38,10 @@ def lazy(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("command", [*WRITING, ["stability", "--md"], ["bench", "--json"]])
+@pytest.mark.parametrize("command", [*WRITING, ["bench", "--json"]])
 def test_bad_outputs_are_found_before_the_work(command, lazy, capsys):
     fails(capsys, lazy, [*command, lazy], "a file to write")
     fails(capsys, lazy, [*command, lazy / "file/record"], "file/record")
-    if command[:2] == ["stability", "--md"]:
-        fails(capsys, lazy, [*command, lazy / "file"], "without them")
 
 
 @pytest.mark.parametrize("command", WRITING)
