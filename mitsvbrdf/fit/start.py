@@ -17,8 +17,9 @@ ROUGHNESS_GRID = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.7, 0.85)
 
 def robust_start(capture: Capture, guess: Tensor, bsdf: Bsdf, fixed: Mapping[str, Tensor]
                  | None = None) -> SVBRDF:
-    """A material to start from: the guess, and the specular level and roughness whose lobe best explains what
-    it leaves.
+    """The start of a fit: the guess, and one specular level and roughness for all texels.
+
+    Their lobe explains best what the guess leaves of the photos.
 
     For each roughness of a short grid the level is the least-squares one over unclipped pixels of all photos.
 

@@ -1,11 +1,9 @@
-"""A simulated phone: raw photos of known maps, taken by hand, to test on what the road from a phone to maps
-brings back.
+"""A simulated phone takes raw photos of known maps, to test the way from photos to maps.
 
-What it has of a phone: a lens with distortion, vignetting and a principal point off the middle, a flash
-beside it, one manual exposure, noise, 8 bits, JPEG and EXIF. What it has not: a mosaic of colours,
-sharpening, noise reduction, local tone curves, a focus that changes the lens, a lens that follows another
-model than :mod:`mitsvbrdf.capture.lens`. Errors measured on it are therefore those of noise, resolution and
-method, not of a model that does not fit.
+It has a lens with distortion, vignetting and a principal point off the centre, a flash beside the lens, one
+manual exposure, noise, 8 bits, JPEG and EXIF. It has no colour mosaic, sharpening, noise reduction, local
+tone curve or focus breathing. Its lens follows the model of :mod:`mitsvbrdf.capture.lens`. Errors measured
+on it come from noise, resolution and method, not from a wrong lens model.
 """
 
 from __future__ import annotations

@@ -1,15 +1,14 @@
 """Raw photos of a flat material to lens and poses, from the features that they share.
 
-Features agree with one homography between each pair of photos that overlap; a tree of the best of them places
-every photo, and bundle adjustment finds lens and poses (:mod:`.planar`). Photos that cannot be used are named
-with the reason.
+Features agree with one homography between each pair of photos that overlap; a tree of the best of them
+places every photo, and bundle adjustment finds lens and poses (:mod:`.planar`). Photos that cannot be used
+are named with the reason.
 
-More was tried and does harm where the flash moves what is seen of a relief: aligning the rectified photos by
-their detail (enhanced correlation) took fake-022 from 0.11 to 1.09 pixels at 512, and brick-uneven-stones
-from 0.30 to 0.27; features matched again near where the poses expect them took metal-plating from 0.66 to
-0.82.
+Two further steps do harm, because the flash changes the look of a relief. Alignment of the rectified photos
+by enhanced correlation takes fake-022 from 0.11 to 1.09 pixels at 512 (brick-uneven-stones from 0.30 to
+0.27). Matching features again near their expected places takes metal-plating from 0.66 to 0.82.
 
-Source: the paper, III.C, for aligned photos; the steps' own are named where they are.
+Source: the paper, III.C, for aligned photos. Each step names its own source.
 """
 
 from __future__ import annotations

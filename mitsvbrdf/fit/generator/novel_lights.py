@@ -1,9 +1,8 @@
-"""Lights that no photo had, and pieces of photos to compare renderings under them with.
+"""Lights that no photo had, and the crops of photos to compare their renderings with.
 
-A novel light is a photo's camera and flash, both carried sideways by whole texels. What the photo shows at a
-place, the material carried along would show at the place carried along: half vectors, distances and exposure
-are the same there to the bit. So the two can be judged side by side, though they show different pieces of the
-material.
+A novel light is the camera and the flash of a photo, both shifted sideways by whole texels. Half vectors,
+distances and exposure at a shifted place equal those of the photo at the original place, to the bit. A
+rendering and a photo can therefore be compared, although they show different pieces of the material.
 """
 
 from __future__ import annotations
