@@ -234,14 +234,6 @@ def coverage_angle(views: Views, resolution: int) -> Tensor:
     return half_angles(views, resolution).amin(dim=0)
 
 
-def cubic(x: Tensor, values: Tensor) -> Tensor:
-    """Least-squares cubics in x (M) through values (S x M), at x: S x M, float64."""
-    x = x.double() - x.double().mean()
-    powers = torch.stack([(x / x.abs().max().clamp_min(1e-9)) ** k for k in range(4)], dim=1)
-    # gelsd: x may be constant
-    return (powers @ torch.linalg.lstsq(powers, values.double().T, driver="gelsd").solution).T
-
-
 def nine_view_grid(distance: float = 2.0, spread: float = 0.4) -> Views:
     """Nine co-located views on a 3 x 3 grid at one height, in patch sides: a plausible hand-held capture.
 

@@ -114,7 +114,7 @@ def _with_offset(views: Views, offset: tuple[float, float] | None) -> Views:
 
 
 def _print(record: dict) -> None:
-    from ..verify.crosscheck import omitted
+    from ..verify.findings import omitted
 
     for bsdf, how in dict.fromkeys(pair for m in record["materials"].values()
                                    for pair in m["converted"].items()):

@@ -101,7 +101,7 @@ def relight(
                              tiling=tiling, displacement=displacement, views=fit.known_views) for each in chosen]
         if explain:
             for stage in stages:
-                for what, why in stage.left_out:
+                for what, why in stage.omitted:
                     say(f"{stage.name} omits: {what} ({why})")
             return 0
         if "mp4" in kinds and any(stage.frames > 1 for stage in stages):

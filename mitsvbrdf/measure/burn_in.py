@@ -25,7 +25,7 @@ from torch import Tensor
 
 from .. import color
 from ..material.maps import SVBRDF
-from ..views import Views, coverage_angle, cubic, half_angles
+from ..views import Views, coverage_angle, half_angles
 
 # a map whose deviation is below this share of its size is constant: float32 and the encoding leave 1e-7
 CONSTANT_BELOW = 1e-6
@@ -118,3 +118,11 @@ def explained_share(values: Tensor, angle: Tensor) -> float:
     if y.square().mean().sqrt() <= CONSTANT_BELOW * size:
         return 0.0
     return float((1 - (y - cubic(x, y[None])[0]).square().sum() / y.square().sum()).clamp(0, 1))
+
+
+def cubic(x: Tensor, values: Tensor) -> Tensor:
+    """Least-squares cubics in x (M) through values (S x M), at x: S x M, float64."""
+    x = x.double() - x.double().mean()
+    powers = torch.stack([(x / x.abs().max().clamp_min(1e-9)) ** k for k in range(4)], dim=1)
+    # gelsd: x may be constant
+    return (powers @ torch.linalg.lstsq(powers, values.double().T, driver="gelsd").solution).T

@@ -41,13 +41,13 @@ class Environment:
         turned: angle in degrees (counter-clockwise, seen from above) -> values by key of
             ``mi.traverse(scene)``.
         dark_below: nothing shines below the horizon.
-        left_out: (what, why).
+        omitted: (what, why).
     """
 
     emitters: dict[str, dict[str, Any]]
     turned: Callable[[float], dict[str, Any]]
     dark_below: bool = False
-    left_out: tuple[tuple[str, str], ...] = ()
+    omitted: tuple[tuple[str, str], ...] = ()
 
 
 def make_environment(mi: ModuleType, name: str) -> Environment:
@@ -62,7 +62,7 @@ def make_environment(mi: ModuleType, name: str) -> Environment:
                 "intensity": {"type": "rgb", "value": WHITE_LUMINANCE * math.pi * math.hypot(*LAMP) ** 2}}
         return Environment({"light": lamp},
                            lambda angle: {"light.position": mi.Point3f(*_about_z(LAMP, angle))},
-                           left_out=(("environment", "a single light is asked for"),))
+                           omitted=(("environment", "a single light is asked for"),))
     if name == "sunsky":
         emitter = read_scene(mi, "sunsky.xml")["environment"]
         sun = tuple(emitter["sun_direction"])

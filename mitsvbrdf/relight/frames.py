@@ -33,7 +33,7 @@ class Record:
 
     Args:
         settings: all that the pictures depend on, as JSON has it; a run that goes on has the same.
-        presets: by preset ``fps``, ``left_out``, and ``frames``: one dict each with ``frame``, ``file``,
+        presets: by preset ``fps``, ``omitted``, and ``frames``: one dict each with ``frame``, ``file``,
             ``samples``, ``seconds``, ``error``, ``stopped`` and ``curve``.
     """
 
@@ -157,7 +157,7 @@ def render_stages(mi: ModuleType, stages: Sequence[Stage], stop: Stop, record: R
     for stage in stages:
         have = record.of(stage.name)
         kept = record.presets.setdefault(stage.name, {"frames": []})
-        kept |= {"fps": stage.fps, "left_out": [{"what": what, "why": why} for what, why in stage.left_out]}
+        kept |= {"fps": stage.fps, "omitted": [{"what": what, "why": why} for what, why in stage.omitted]}
         missing = [k for k in range(stage.frames) if k not in have]
         scene = mi.load_dict(stage.scene) if missing else None
         held = mi.traverse(scene) if missing else None

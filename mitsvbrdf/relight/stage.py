@@ -56,7 +56,7 @@ class Stage:
         frames: 1 for a still.
         fps: frames a second.
         place: frame number -> values by key of ``mi.traverse(scene)``; none of them needs another kernel.
-        left_out: (what, why) of each thing that this preview does without.
+        omitted: (what, why) of each thing that this preview does without.
         views: of ``novel``: camera and light of each frame.
     """
 
@@ -65,7 +65,7 @@ class Stage:
     frames: int
     fps: float
     place: Place
-    left_out: tuple[tuple[str, str], ...]
+    omitted: tuple[tuple[str, str], ...]
     views: Views | None = None
 
     def move(self, held: Any, frame: int) -> None:
@@ -123,23 +123,23 @@ def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str 
     svbrdf = svbrdf.detach().to(torch.float32)
     needs = material_needs(svbrdf)
     scene["material"] = _material(mi, svbrdf, needs, tiling, preset)
-    left_out = [*needs.omitted,
-                *(around.left_out if around else [("environment", "the preset has a light of its own")])]
+    omitted = [*needs.omitted,
+                *(around.omitted if around else [("environment", "the preset has a light of its own")])]
     if displacement:
         _displace(mi, scene, svbrdf, tiling, displacement)
     elif preset not in ROUND:
-        left_out.append(("displacement", "not asked for: normals shade, the surface is flat"))
+        omitted.append(("displacement", "not asked for: normals shade, the surface is flat"))
     if preset == "sphere" and not (around and around.dark_below):
         del scene["floor"]
-        left_out.append(("floor", "nothing surrounds the sphere" if name == "none" else
+        omitted.append(("floor", "nothing surrounds the sphere" if name == "none" else
                          "what surrounds the sphere goes on below the horizon"))
     reflections, why = (1, "a convex shape does not see itself")
     if displacement or "floor" in scene:
         reflections, why = _reflections(svbrdf)
-    left_out.append((f"light after {reflections} reflection{'s' * (reflections > 1)}", why))
+    omitted.append((f"light after {reflections} reflection{'s' * (reflections > 1)}", why))
     scene["integrator"] = {"type": "path", "max_depth": reflections + 1}
     scene["sensor"]["film"] |= {"width": int(size[0]), "height": int(size[1])}
-    return Stage(preset, scene, frames, FPS, place, tuple(left_out), shown)
+    return Stage(preset, scene, frames, FPS, place, tuple(omitted), shown)
 
 
 def _check(preset: str, size: tuple[int, int], frames: int, tiling: int, displacement: float) -> None:

@@ -31,7 +31,6 @@ from ..io.json import load
 from ..io.signals import PROCESS
 
 VARIABLE = "DRJIT_LIBLLVM_PATH"
-STATED = os.environ.get(VARIABLE)  # the user's, before :func:`use_llvm` sets its own
 OLDEST = 19
 MEASURED = (19, 22)  # versions this package was developed with; the first to be tried
 

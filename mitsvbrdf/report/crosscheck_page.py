@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from torch import Tensor
 
-from ..verify.crosscheck import omitted
+from ..verify.findings import omitted
 from .charts import quiet, svg
 from .colours import CHART_BOUND, CHART_FAINT
 from .page import figure, write_page

@@ -56,7 +56,7 @@ def test_every_preset_goes_with_every_environment(mi, preset, environment):
     picture = drawn(mi, stage)
     assert bool(torch.isfinite(picture).all()) and float(picture.mean()) > 0.02
     assert ("environment" in stage.scene) == (environment != "none")
-    assert ("environment" in dict(stage.left_out)) == (environment == "none")
+    assert ("environment" in dict(stage.omitted)) == (environment == "none")
 
 
 def test_the_turntable_turns_the_patch_counter_clockwise_and_nothing_else(mi):
@@ -105,9 +105,9 @@ def test_only_what_a_material_needs_is_loaded(mi):
     stage = make_stage(mi, flat(4, specular=0.0), "turntable")
     assert stage.scene["material"]["type"] == "diffuse"
     assert {"specular lobe", "normal map", "displacement",
-            "light after 1 reflection"} <= dict(stage.left_out).keys()
+            "light after 1 reflection"} <= dict(stage.omitted).keys()
     full = make_stage(mi, make_material("inlay", 8), "turntable")
-    assert full.scene["material"]["type"] == "normalmap" and "specular lobe" not in dict(full.left_out)
+    assert full.scene["material"]["type"] == "normalmap" and "specular lobe" not in dict(full.omitted)
     lobe = full.scene["material"]["bsdf"]["specular"]
     assert lobe["type"] == "roughconductor" and lobe["eta"]["type"] == "bitmap"  # its real Fresnel curve
 
@@ -123,7 +123,7 @@ def test_a_sphere_needs_one_reflection_and_a_shader_ball_more(mi):
     ball = make_stage(mi, material, "shaderball", size=(24, 24))
     enough = drawn(mi, ball, spp=64)
     depth = ball.scene["integrator"]["max_depth"]
-    assert dict(ball.left_out)[f"light after {depth - 1} reflections"]
+    assert dict(ball.omitted)[f"light after {depth - 1} reflections"]
     ball.scene["integrator"]["max_depth"] = 2
     assert float(drawn(mi, ball, spp=64).mean()) < 0.97 * float(enough.mean())
     ball.scene["integrator"]["max_depth"] = 3 * depth
@@ -142,13 +142,13 @@ def test_options_that_do_not_go_together_are_refused(mi, options, what):
         make_stage(mi, flat(2), **options)
 
 
-def test_what_is_left_out_is_said_as_it_is(mi):
-    floor = [dict(make_stage(mi, flat(2), "sphere", environment=name).left_out).get("floor")
+def test_what_is_omitted_is_said_as_it_is(mi):
+    floor = [dict(make_stage(mi, flat(2), "sphere", environment=name).omitted).get("floor")
              for name in ("studio", "none")]
     assert "goes on below" in floor[0] and "nothing surrounds" in floor[1]
     for share, said in ((0.0, "0%"), (0.9, "180%")):  # of what arrives, diffuse and specular
-        left_out = make_stage(mi, flat(2, diffuse=share, specular=share), "shaderball").left_out
-        assert any(why == f"the material reflects {said} on average" for _, why in left_out)
+        omitted = make_stage(mi, flat(2, diffuse=share, specular=share), "shaderball").omitted
+        assert any(why == f"the material reflects {said} on average" for _, why in omitted)
 
 
 @pytest.mark.parametrize("path", sorted(SCENES.glob("*.xml")), ids=lambda path: path.name)

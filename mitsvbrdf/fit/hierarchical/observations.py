@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from ...views import Views, coverage_angle, cubic, geometry
+from ...measure.burn_in import cubic
+from ...views import Views, coverage_angle, geometry
 from ..config import HierarchicalConfig
 from .scales import Scale
 from .solver import Observations

@@ -16,8 +16,8 @@ from mitsvbrdf.fit.hierarchical.stages import Stage
 from mitsvbrdf.fit.hierarchical.texel_prior import VAGUE, TexelPrior
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF, flat
-from mitsvbrdf.measure.burn_in import explained_share
-from mitsvbrdf.views import Views, coverage_angle, cubic, texel_positions
+from mitsvbrdf.measure.burn_in import cubic, explained_share
+from mitsvbrdf.views import Views, coverage_angle, texel_positions
 
 
 def striped():
