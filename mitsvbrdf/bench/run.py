@@ -60,6 +60,7 @@ class Record(TypedDict):
     same_as: NotRequired[float]
 
 
+BEGUN = b'{"method":'  # what every record begins with
 RESULTS = ("seconds", "wall", "iterations", "stopped", "why", "errors", "same_as")  # the others are the key
 
 
@@ -154,9 +155,11 @@ def read_records(path: Path) -> list[Record]:
     what, fix = "records of a benchmark, one JSON object a line", "choose another --json"
     try:
         with files.open_regular(Path(os.path.realpath(path))) as file:
-            lines = file.read().split(b"\n")[:-1]
+            *lines, torn = file.read().split(b"\n")
     except OSError as reason:
         raise ConfigError(what, f"{path}: {reason.strerror or reason}", fix) from None
+    if torn and not torn.startswith(BEGUN) and not BEGUN.startswith(torn):
+        raise ConfigError(what, f"{path}, whose last line is no begun record", fix)
     found = []
     for number, line in enumerate(lines, 1):
         try:
