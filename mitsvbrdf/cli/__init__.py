@@ -7,6 +7,7 @@ Mitsuba.
 
 from __future__ import annotations
 
+import ast
 import functools
 import importlib
 import inspect
@@ -14,6 +15,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import fields, is_dataclass
+from pathlib import Path
 from typing import Any
 
 from .. import __version__
@@ -22,34 +24,8 @@ from ..errors import strict as refused
 from ..io.files import check_names
 from .renamed import with_new_names
 
-# What each command does, the first line of its docstring.
-COMMANDS = {
-    "capture": "Make a capture of raw photos for `mitsvbrdf fit`: find the poses of the phone, rectify, "
-               "reject bad photos.",
-    "fit": "Recover the maps of a material from photos.",
-    "batch": "Fit many captures into one library, whatever dies on the way.",
-    "library": "Look through a library of materials: list, check, export or tidy up what `mitsvbrdf batch` "
-               "made.",
-    "guess": "Guess the diffuse map, without a fit: OUT/diffuse.exr and diffuse.png.",
-    "render": "Render maps for the views of a capture: OUT/NN.png (display values) and NN.exr (linear).",
-    "evaluate": "Measure maps: against known maps (--reference) or against photos (--capture).",
-    "compare": "Show maps of several methods side by side: input, maps, errors, and every photo beside its "
-               "re-renderings.",
-    "crosscheck": "Compare every renderer and BSDF with the float64 twin: images, gradients, run time.",
-    "stability": "Sweep every parameter to its ends and give a verdict on each renderer.",
-    "bench": "Measure error against run time: methods x materials and captures x budgets x seeds.",
-    "synth": "Take photos of known maps: rectified photos with their calibration, or raw photos of a "
-             "simulated phone.",
-    "doctor": "Show what is installed, prove libLLVM in a child process, and say what is missing and how to "
-              "get it.",
-    "export": "Write a material for other programs: OUT/FORMAT/, with an export.json that states what each "
-              "file holds.",
-    "relight": "Show a material under other light, path traced with Mitsuba.",
-    "report": "Write OUT/report.html, one page about a fit that opens from disk, and its numbers, "
-              "OUT/report.json.",
-    "sheet": "Write a sheet of AprilTags to print.",
-    "demo": "Photograph a made material, recover it, and compare with the truth; about two minutes.",
-}
+COMMANDS = ("capture", "fit", "batch", "library", "guess", "render", "evaluate", "compare", "crosscheck",
+            "stability", "bench", "synth", "doctor", "export", "relight", "report", "sheet", "demo")
 FITTING = ("fit", "batch")  # these have the options of the methods
 RESUMED = ("fit", "relight")  # what these leave unfinished goes on with --resume
 MOST = {"resolution": 16384, "size": 16384, "repeats": 10_000, "frames": 100_000}  # what takes memory, or days
@@ -121,11 +97,18 @@ def _run(arguments: list[str]) -> int:
             options = with_flags(options)
         return tyro.cli(command(name, options), prog=f"mitsvbrdf {name}", args=options, config=config)
     completion = any(word.startswith(("--tyro-print-completion", "--tyro-write-completion")) for word in arguments)
-    commands = {each: command(each) if completion else _named_only(text) for each, text in COMMANDS.items()}
+    commands = {each: command(each) if completion else _named_only(summary(each)) for each in COMMANDS}
     return tyro.extras.subcommand_cli_from_dict(
         commands, prog="mitsvbrdf", args=arguments, config=config,
         description="Recover the maps of a material (diffuse, specular, roughness, normal) from a few flash photos, "
                     "fitted through Mitsuba 3, without any training data.")
+
+
+def summary(name: str) -> str:
+    """The first paragraph of a command's docstring, read without importing what the command needs."""
+    module = ast.parse(Path(__file__).with_name(f"{name}.py").read_text(encoding="utf-8"))
+    functions = (node for node in module.body if isinstance(node, ast.FunctionDef) and node.name == name)
+    return " ".join((ast.get_docstring(next(functions)) or "").partition("\n\n")[0].split())
 
 
 def _named_only(text: str) -> Callable[[], int]:
