@@ -12,18 +12,17 @@ from ..io.progress import print_numbers, progress_bar, say, say_written
 from .options import Strict, keep_apart
 
 
-def report(out: Positional[Annotated[Path,
-                                     arg(metavar="OUT", help="The folder that `mitsvbrdf fit` wrote.")]],
+def report(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder of a fit.")]],
            capture: Annotated[Path | None, arg(metavar="CAPTURE", help=(
-               "The photos of the fit: shown beside their re-renderings, and those left out of it predicted."))] = None,
+               "The photos: the page shows those of the fit and predicts the rest."))
+           ] = None,
            quick: Annotated[bool, arg(
-               help="Check as `fit` does: its own renderer, small, nothing timed.")] = False,
+               help="Check only the renderer of the fit, on small maps, without timing.")] = False,
            strict: Strict = False) -> int:
     """Write OUT/report.html, one page about a fit that opens from disk, and its numbers, OUT/report.json.
 
-    `fit` writes them too, quickly. This command holds every renderer against the float64 twin on the fitted
-    maps in the views of the fit, with run times, and measures what was saved by leaving out what the material
-    does not need.
+    `fit` writes them too, with fewer checks. This command compares every renderer with the float64 twin, on
+    the fitted maps in the views of the fit, with run times. It also measures the time that omitted parts save.
     """
     from ..capture import read_capture
     from ..fit.result import Fit

@@ -63,7 +63,8 @@ def spoil_from(out):
     (changed(trace=[{"seconds": 1}]), ("trace",)),
     (spoil_from, ("calibration.from",)), (spoil_map, ("normal.exr",)),
     (lambda out: (out / "rerendered/01.png").write_text("no picture"), ("01.png",)),
-    (lambda out: images.write_png(out / "photos/01.png", torch.zeros(8, 8, 3)), ("photos/01.png", "--capture"))])
+    (lambda out: images.write_png(out / "photos/01.png", torch.zeros(8, 8, 3)),
+     ("photos/01.png", "--capture"))])
 def test_folders_that_are_no_fit_are_refused(spoil, words, copy, capsys):
     spoil(copy)
     before = (copy / "report.html").read_text()

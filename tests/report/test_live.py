@@ -1,4 +1,4 @@
-"""The live page of a fit: static, self-contained, gone when the result is there, and without effect on the fit."""
+"""The live page of a fit: static, self-contained, gone with the end, and without effect on the fit."""
 
 import base64
 import json
@@ -79,8 +79,8 @@ def test_the_page_asks_nobody_and_holds_names_as_text(shots, every_step, tmp_pat
     for text in (first, *pages):
         assert HOSTILE not in text and re.search(r"Last written at \d\d:\d\d:\d\d", text)
         addresses = re.findall(r"""(?:src|href)=["']?([^"'\s>]+)""", text)
-        assert all(each.startswith("data:") or each == "../out%3Cscript%3Ealert%281%29%3C%25script%3E/report.html"
-                   for each in addresses)
+        report = "../out%3Cscript%3Ealert%281%29%3C%25script%3E/report.html"
+        assert all(each.startswith("data:") or each == report for each in addresses)
     assert all(text.count("data:image/png") >= 4 for text in pages) and "all iterations done" in pages[-1]
     assert "<dd>20</dd>" in pages[-1]
 
@@ -96,8 +96,8 @@ def test_the_command_names_it_and_leaves_none_in_the_result(shots, tmp_path, cap
 
     monkeypatch.setattr(LivePage, "_write", noted)
     out = tmp_path / "out"
-    assert cli.main(["fit", str(tmp_path / "photos"), "-o", str(out), "--method", "direct", "--iterations", "3",
-                     "--resolution", "16", "--renderer", "analytic"]) == 0
+    assert cli.main(["fit", str(tmp_path / "photos"), "-o", str(out), "--method", "direct", "--iterations",
+                     "3", "--resolution", "16", "--renderer", "analytic"]) == 0
     assert f"live page: {written[0]}" in capsys.readouterr().out.splitlines()[0] and len(written) > 2
     assert not written[0].exists() and not list(out.rglob("live.*"))
     assert "live.html" not in json.dumps(json.loads((out / ".mitsvbrdf").read_text()))
@@ -110,7 +110,7 @@ def test_in_a_browser_it_goes_on_to_the_report(shots, tmp_path, every_step):
     made, out = tmp_path / "out.partial", tmp_path / "out"
     page_file = LivePage(made, out)
     fit_svbrdf(shots, ANALYTIC, FAST, live=page_file)
-    # It finds out that the fit has ended by asking for a picture that is gone, which the browser complains of.
+    # It asks for a picture that is gone when the fit has ended, and the browser says so.
     gone = r"said \['error: Failed to load resource: net::ERR_FILE_NOT_FOUND'\] and asked for \[\]"
     with pytest.raises(AssertionError, match=gone), opened(page_file.path, beside=tmp_path) as page:
         assert "its result is being written" in page.inner_text("body").lower()

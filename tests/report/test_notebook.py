@@ -129,7 +129,7 @@ def test_many_large_photos_of_noise_stay_small():
 
 def test_a_result_shows_maps_error_and_why_it_stopped(result):
     shown = Shown(result)
-    assert f"re-rendering RMSE {result.rerender_rmse:.4f} over 9 photos; stopped: iterations after" in shown.words
+    assert f"RMSE {result.rerender_rmse:.4f} over 9 photos; stopped: iterations after" in shown.words
     assert "2 iterations" in shown.words and "direct · analytic · roughconductor" in shown.words
     assert len(shown.sources) == 4 + 1 + 9
     # Re-rendered photos are shown in sRGB, whose closed form is applied here in float64.
@@ -179,6 +179,16 @@ def test_importing_stays_light():
             "from mitsvbrdf.material.maps import flat\nfrom mitsvbrdf.report.notebook import html_of\n"
             "assert '<img' in html_of(flat(2))\n"
             "assert not {'mitsuba', 'drjit', 'matplotlib'} & set(sys.modules)\n")
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_ipython_shows_values_as_pictures():
+    # A value type knows no HTML: importing the package inside IPython registers it.
+    code = ("from IPython.core.interactiveshell import InteractiveShell\nshell = InteractiveShell.instance()\n"
+            "import sys, mitsvbrdf\nassert 'torch' not in sys.modules\n"
+            "from mitsvbrdf.material.maps import flat\n"
+            "html = shell.display_formatter.format(flat(2))[0]['text/html']\n"
+            "assert html.count('<img') == 4 and not hasattr(flat(2), '_repr_html_')\n")
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
