@@ -1,11 +1,8 @@
 """Many captures, one library: a batch that survives what may die, on Ray.
 
-The way of a capture: it is named (``entries``), gets an identity (``identity``, ``prepare``), waits in the
-``manifest``, is handed out (``schedule``, ``run``), fitted (``child``), and appears whole (``places``); what
-came of all is the ``library``.
+The way of a capture: it is named (``captures``), gets options and an identity (``asked``), is handed to a task
+of Ray (``run``), fitted in a warm worker (``fitting``), and appears whole in the library (``results``).
+``library`` tells what lies there, and makes its page.
 
-Three processes. The *supervisor*, the command itself, has the manifest and decides who fits what. The
-*gateway* talks to Ray, and is started anew when it or Ray's head dies. A *worker* is a Ray actor that keeps
-one warm child and watches it (``workers``). ``planning`` measures and simulates a large batch before it is
-run.
+The folders of a library are its only record: a result that lies there is done, whatever else was lost.
 """

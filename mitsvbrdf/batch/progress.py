@@ -1,54 +1,80 @@
-"""How a batch goes, on the terminal: a bar and counts; on a pipe one line a capture. Both count what this run
-has to do.
-"""
+"""How a batch stands: in words, on a terminal by a bar, on a pipe by one line a capture."""
 
 from __future__ import annotations
 
 import contextlib
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import rich.progress
+from rich.console import Console
 
-from ..io.progress import console, say
-from .run import Progress, Tell
+
+@dataclass(frozen=True)
+class Progress:
+    """How a batch stands.
+
+    Args:
+        ended: how many captures ended in this run.
+        left: how many have not.
+        running: how many run now.
+        failed: how many failed in this run.
+        seconds: since the run began.
+    """
+
+    ended: int
+    left: int
+    running: int
+    failed: int
+    seconds: float
+
+    @property
+    def words(self) -> str:
+        """A line."""
+        parts = [f"{self.ended:,} of {self.ended + self.left:,} ended",
+                 *(f"{n:,} {what}" for n, what in ((self.running, "running"), (self.failed, "failed")) if n)]
+        if self.ended >= max(1, self.running) and self.left:  # earlier ends say too little
+            hourly = 3600 * self.ended / self.seconds
+            parts += [rate(hourly), f"about {duration(3600 * self.left / hourly)} left"]
+        return ", ".join(parts)
+
+
+Tell = Callable[[Progress, str], None]
 
 
 @contextlib.contextmanager
 def telling(title: str) -> Iterator[Tell]:
-    """What to tell how a batch stands."""
-    if not sys.stdout.isatty():
-        yield _line
+    """What to tell how a batch stands, with a line about the capture that ended; it goes to what standard
+    output is now.
+    """
+    out = sys.stdout
+
+    def print_line(stands: Progress, line: str) -> None:
+        with contextlib.suppress(OSError, ValueError):  # nobody reads it any more
+            if line:
+                print(f"[{stands.ended}/{stands.ended + stands.left}] {line}", file=out, flush=True)
+
+    if out is None or not out.isatty():
+        yield print_line
         return
     columns = (rich.progress.TextColumn("{task.description}", markup=False), rich.progress.BarColumn(),
                rich.progress.TextColumn("{task.fields[words]}", markup=False))
-    with rich.progress.Progress(*columns, console=console, transient=True) as bar:
+    with rich.progress.Progress(*columns, console=Console(file=out), transient=True,
+                                redirect_stdout=False) as bar:
         task = bar.add_task(title, total=None, words="")
 
         def tell(stands: Progress, line: str) -> None:
             if line:
                 bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
-            bar.update(task, total=stands.ended + stands.left, completed=stands.ended, words=words(stands))
+            bar.update(task, total=stands.ended + stands.left, completed=stands.ended, words=stands.words)
 
         yield tell
 
 
-def words(stands: Progress) -> str:
-    """How a batch stands, in a line."""
-    now = {name: stands.counts[name] - stands.before.get(name, 0) for name in ("running", "failed")}
-    parts = [f"{stands.ended} of {stands.ended + stands.left} ended",
-             *(f"{n} {name}" for name, n in now.items() if n)]
-    if stands.left_seconds is not None:
-        parts += [rate(stands.per_hour), f"about {duration(stands.left_seconds)} left"]
-    before = [f"{n} {name}" for name in ("done", "failed") if (n := stands.before.get(name))]
-    return ", ".join(parts) + (f" ({' and '.join(before)} before)" if before else "")
-
-
 def duration(seconds: float) -> str:
-    """A length of time in at most two units: 0.8 s, 40 s, 12 min, 3 h 20 min, 2 days 5 h; the page says the
-    same.
-    """
+    """A length of time in at most two units: 0.8 s, 40 s, 12 min, 3 h 20 min, 2 days 5 h."""
     minutes, hours = math.floor(seconds / 60 + 0.5), math.floor(seconds / 3600 + 0.5)
     if seconds < 89.5:
         return f"{seconds:.1f} s" if seconds < 9.95 else f"{math.floor(seconds + 0.5)} s"
@@ -59,13 +85,8 @@ def duration(seconds: float) -> str:
     return f"{hours // 24} days" + f" {hours % 24} h" * bool(hours % 24)
 
 
-def rate(per_hour: float) -> str:
+def rate(hourly: float) -> str:
     """How many in an hour; fewer than one is told by the time that it takes."""
-    if per_hour < 1:
-        return f"one in {duration(3600 / per_hour)}"
-    return f"{per_hour:.1f} an hour" if per_hour < 9.95 else f"{per_hour:,.0f} an hour"
-
-
-def _line(stands: Progress, line: str) -> None:
-    if line:
-        say(f"[{stands.ended}/{stands.ended + stands.left}] {line}")
+    if hourly < 1:
+        return f"one in {duration(3600 / hourly)}"
+    return f"{hourly:.1f} an hour" if hourly < 9.95 else f"{hourly:,.0f} an hour"

@@ -1,253 +1,235 @@
-"""The loop of a batch: hand work out, note what became of it, tell how it goes."""
+"""The loop of a batch: captures are handed out, what became of each is noted, and told."""
 
 from __future__ import annotations
 
 import contextlib
+import heapq
+import re
+import secrets
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
 
-from ..errors import OutputError
+import msgspec
+
+from .. import __version__
+from ..errors import BackendError, OutputError
+from ..io.files import is_regular
+from ..io.interrupts import stop_signals
 from ..io.progress import several
-from ..io.signals import stop_signals
-from .library.rows import write_library
-from .manifest import Manifest
-from .places.address import title_of
-from .places.place import Place
-from .prepare import quarantine, release, task_of
-from .schedule import Scheduler, Work
-from .workers.pool import Pool
+from .fitting import HELD, LOG_CHARACTERS, log_path
+from .library import Library
+from .progress import Progress, Tell
+from .records import Failure, Material, Pending
+from .settings import BatchSettings
 
 TURN_SECONDS = 0.5  # at most so long nothing is looked at
 PAGE_SECONDS = 5.0  # between two writings of the page, which takes at most a fiftieth of the time
 PAGE_SHARE = 1 / 50
-NO_SPACE = "no space is left for results"
+MOST_LOST = 8  # times that a capture's node may die before the capture counts as failed
+LAST_WORDS = re.compile(rf"^(?:Fatal Python error: |{HELD} ).*", re.MULTILINE)
 
 
-@dataclass(frozen=True)
-class Progress:
-    """How a batch stands.
-
-    Args:
-        counts: how many are done, failed, running and pending.
-        seconds: since it began.
-        ended: how many ended since then.
-        running: the names of those that run.
-        before: the counts when it began.
-    """
-
-    counts: dict[str, int]
-    seconds: float
-    ended: int
-    running: Sequence[str]
-    before: Mapping[str, int] = field(default_factory=dict)
+class Tasks(Protocol):
+    """What runs fits; see :class:`~.tasks.RayTasks`."""
 
     @property
-    def per_hour(self) -> float:
-        """Captures that end in an hour."""
-        return 3600 * self.ended / self.seconds if self.seconds else 0.0
-
-    @property
-    def left_seconds(self) -> float | None:
-        """Until all have ended; None before as many have as run at a time: earlier ends say too little."""
-        known = self.per_hour and self.ended >= self.counts["running"]
-        return 3600 * self.left / self.per_hour if known else None
-
-    @property
-    def left(self) -> int:
-        """How many have not ended."""
-        return self.counts["running"] + self.counts["pending"]
+    def slots(self) -> int: ...  # noqa: D102
+    def start(self, name: str, task: dict) -> None: ...  # noqa: D102
+    def cancel(self, *names: str) -> None: ...  # noqa: D102
+    def events(self, seconds: float) -> Sequence[tuple[str, dict]]: ...  # noqa: D102
 
 
-Tell = Callable[[Progress, str], None]
+@dataclass
+class Attempt:
+    """A fit that runs: of which material, and since when; None before its worker is ready."""
+
+    material: Pending
+    began: float | None = None
 
 
 class Batch:
     """A library that is being filled.
 
+    The largest captures go first, so that none is waited for alone at the end. A fit that crashed, or took
+    more time or memory than allowed, is tried again after all others; one that was refused is not, for it
+    would be refused again. What was lost with its node is handed out again at once.
+
     Args:
-        home: folder of the manifest, the page and the quarantine.
-        library: where results go: the same folder, or a URL.
-        place: that, opened.
-        manifest: what became of each capture.
-        scheduler: what is left to do.
+        library: takes the results.
+        work: what is left to do.
+        settings: limits.
+        token: that of the library, which each node must see.
         tell: told how it stands after each end, with a line about it, and now and then with none.
         command: what was typed, for the page of a batch that was stopped.
         clock: seconds since any moment.
     """
 
-    def __init__(self, home: Path, library: str, place: Place, manifest: Manifest, scheduler: Scheduler,
-                 tell: Tell, command: str | None = None, clock: Callable[[], float] = time.monotonic) -> None:
-        self.home, self.library, self.place, self.manifest = home, library, place, manifest
-        self.scheduler, self.tell, self.command, self.clock = scheduler, tell, command, clock
-        self.idle: dict[str, str] = {}  # hosts of workers without work
-        self.attempts: dict[str, str] = {}  # by worker
-        self.names: dict[str, str] = {}  # of what each worker runs
-        self.hosts: dict[str, str] = {}
-        # kept here too: to count 100,000 rows at each event would take most of the time
-        self.counts = manifest.counts()
-        self.before = dict(self.counts)
-        self.started, self.ended, self.trouble = clock(), 0, ""
-        self._page_due, self.going = 0.0, True
+    def __init__(self, library: Library, work: Sequence[Pending], settings: BatchSettings, token: str, tell: Tell,
+                 command: str | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+        self.library, self.settings, self.token = library, settings, token
+        self.tell, self.command, self.clock = tell, command, clock
+        self.name = secrets.token_hex(4)  # of this run, in the names of its attempts
+        self.waiting = [(0, -each.cost, number, each) for number, each in enumerate(work)]
+        heapq.heapify(self.waiting)
+        self.running: dict[str, Attempt] = {}
+        self.tried, self.lost = Counter[str](), Counter[str]()
+        self.started, self.ended, self.failed, self.trouble = clock(), 0, 0, ""
+        self._count, self._page_due = len(self.waiting), 0.0
+        self.memory = settings.memory if settings.address else settings.local_memory()
 
-    def run(self, pool: Pool) -> bool:
+    def run(self, tasks: Tasks) -> bool:
         """Until all is done, or Ctrl-C: the first one waits for what runs, the second one does not.
 
         Returns:
             Whether it was interrupted.
+
+        Raises:
+            BackendError: Ray ended, or a node does not fit this command.
         """
-        with stop_signals() as stop:
-            warned = False
-            while len(stop) < 2:
-                if not (stop or self.trouble):
+        told = False
+        try:
+            with stop_signals() as stop:
+                while len(stop) < 2 and (self.running or self.waiting and not stop and not self.trouble):
                     with self._noting():
-                        self._hand_out(pool)
-                if not self.scheduler.running and (stop or self.trouble or not self.scheduler.waiting):
-                    break
-                if stop and not warned:
-                    warned = True
-                    running = several(len(self.scheduler.running), "fit")
-                    self.tell(self.progress(), f"stopping: waiting for {running} (Ctrl-C again ends at once)")
-                for event in pool.events(TURN_SECONDS):
+                        self._hand_out(tasks, bool(stop))
+                    if stop and not told:
+                        told = True
+                        self._say(f"stopping: waiting for {several(len(self.running), 'fit')} "
+                                  "(Ctrl-C again ends at once)")
+                    for name, event in tasks.events(TURN_SECONDS):
+                        with self._noting():
+                            self._heard(tasks, name, event)
+                    tasks.cancel(*self._overdue())
                     with self._noting():
-                        self._heard(event)
-                with self._noting():
-                    self._show()
-        with self._noting():
-            self.going = False
-            self.manifest.interrupted()
-            self.write_page()
-        return bool(stop)
+                        self._show()
+                return bool(stop)
+        finally:
+            self.library.running.clear()
+            with self._noting():
+                self.library.write(command=self.command)
 
     @contextlib.contextmanager
     def _noting(self) -> Iterator[None]:
-        """Where manifest or page cannot be written, nothing more is handed out, and what runs ends."""
+        """Where the library cannot be written, nothing more is handed out, and what runs ends."""
         try:
             yield
-        except OutputError as reason:
+        except (OutputError, OSError) as reason:
             self.trouble = self.trouble or str(reason)
-            for worker in set(self.scheduler.running) - set(self.attempts):  # not begun
-                self.scheduler.put_back(worker)
 
-    def _heard(self, event: dict) -> None:
-        """Take in what the pool says of a worker."""
-        worker = event["worker"]
-        if event["is"] == "worker":
-            self.idle[worker] = self.hosts[worker] = event["host"]
-        elif event["is"] == "done":
-            self._finished(worker, event["outcome"])
-        else:
-            self.idle.pop(worker, None)
-            self._lost(worker, event["reason"])
-
-    def _hand_out(self, pool: Pool) -> None:
+    def _hand_out(self, tasks: Tasks, stop: bool) -> None:
         """Give work to every idle worker."""
-        for worker in list(self.idle):
-            work = self._next(worker)
-            if work is None:
-                return
-            attempt = self.manifest.begin(work.identity, worker, self.idle.pop(worker))
-            task = task_of(self.manifest, work, attempt, self.library)
-            self.attempts[worker], self.names[worker] = attempt, task["name"]
-            self._moved("pending", "running")
-            pool.run(worker, task)
+        while self.waiting and not stop and not self.trouble and len(self.running) < tasks.slots:
+            material = heapq.heappop(self.waiting)[-1]
+            material = msgspec.structs.replace(material, attempts=material.attempts + 1)
+            name = f"{material.folder}-{self.name}-{material.attempts}"
+            tasks.start(name, {
+                "library": self.library.results.address, "token": self.token, "version": __version__,
+                "material": msgspec.to_builtins(material), "attempt": name, "threads": self.settings.threads,
+                "memory": self.memory})
+            self.running[name] = Attempt(material)
+            self.library.running.add(material.folder)
 
-    def _next(self, worker: str) -> Work | None:
-        """The next work that is not done yet: one whose worker was lost may have let its result appear
-        before.
-        """
-        while work := self.scheduler.hand_out(worker):
-            folder = self.manifest.material(work.identity)
-            record = self.place.record(folder["folder"]) if folder["attempts"] else None
-            if record is None or record.get("identity") != work.identity:
-                return work
-            self.manifest.adopt(work.identity, record)
-            release(self.home, folder["folder"])
-            self.scheduler.found_done(worker)
-            self._moved("pending", "done")
-            self._said(work, "done", {"reason": "", "row": record["row"],
-                                      "seconds": record["row"].get("seconds")})
-        return None
+    def _overdue(self) -> list[str]:
+        """The attempts that take more time than allowed."""
+        return [name for name, each in self.running.items() if each.began is not None
+                and (limit := self.settings.timeout or each.material.limit)
+                and self.clock() > each.began + limit]
 
-    def _finished(self, worker: str, outcome: dict) -> None:
-        attempt, _ = self.attempts.pop(worker, None), self.names.pop(worker, "")
+    def _heard(self, tasks: Tasks, name: str, event: dict) -> None:
+        """Take in what a task yielded."""
+        attempt = self.running.get(name)
         if attempt is None:
             return
-        self.idle[worker] = self.hosts[worker]
-        work = self.scheduler.running[worker]
-        if outcome["state"] == "full":
-            self.trouble = f"{NO_SPACE}: {outcome['reason']}; free space"
-            self.scheduler.put_back(worker)
-            self.manifest.end(attempt, "pending", outcome)
-            self._moved("running", "pending")
+        if "state" not in event:
+            self._check_node(event)
+            attempt.began = self.clock()
             return
-        verdict = self.scheduler.finished(worker, outcome["state"])
-        self._noted(work, attempt, verdict, outcome)
+        overdue = name in self._overdue()
+        del self.running[name]
+        material = attempt.material
+        self.library.running.discard(material.folder)
+        if event["state"] == "cancelled" and overdue:
+            limit = self.settings.timeout or material.limit
+            event |= {"state": "timeout", "reason": f"killed after {limit:g} s, the limit"}
+        self._ended(material, event | self._last_words(name, event))
 
-    def _lost(self, worker: str, reason: str) -> None:
-        attempt, found, _ = self.attempts.pop(worker,
-                                              None), self.scheduler.lost(worker), self.names.pop(worker, "")
-        if attempt and found:
-            self._noted(found[0], attempt, found[1], {"state": "lost", "reason": reason, "log": ""})
+    def _check_node(self, about: dict) -> None:
+        """Raise BackendError for a node that cannot take part."""
+        if about["version"] != __version__:
+            raise BackendError(f"mitsvbrdf {__version__} on all nodes", f"{about['version']} on {about['host']}",
+                               "install the same version there")
+        if about["token"] != self.token:
+            raise BackendError("a library that all nodes see",
+                               f"{self.library.results.address}, which {about['host']} does not see",
+                               "put it on a file system that all nodes share, under the same path, or give its URL")
 
-    def _noted(self, work: Work, attempt: str, verdict: str, outcome: dict) -> None:
-        """Write down how an attempt ended, by what lies in the library; a capture that failed goes to the
-        quarantine.
-        """
-        material = self.manifest.material(work.identity)
-        record = (self.place.record(material["folder"]) or {}) if verdict != "again" else {}
-        there = record.get("identity") == work.identity
-        if verdict == "done" and not there:
-            verdict, outcome = "failed", outcome | {"state": "failed", "reason": "its result did not appear",
-                                                    "row": None}
-        elif verdict == "failed" and there:  # it died after its result had appeared
-            verdict, outcome = "done", outcome | {"row": record["row"]}
-        if verdict == "done":
-            self.manifest.end(attempt, "done", outcome, record["attempt"])
-            release(self.home, material["folder"])
-        elif verdict == "failed":  # first its reason: who dies here finds it waiting
-            quarantine(self.home, material, outcome["state"], outcome["reason"], outcome.get("log", ""))
-            self.manifest.end(attempt, "failed", outcome)
+    def _last_words(self, name: str, event: dict) -> dict:
+        """What a worker that died had printed, and its reason, where it said one."""
+        path = log_path(self.library.results, name)
+        if "log" in event or not is_regular(path) or path is None:
+            return {}
+        with path.open("rb") as file:
+            file.seek(max(0, path.stat().st_size - 4 * LOG_CHARACTERS))
+            log = file.read().decode(errors="replace")[-LOG_CHARACTERS:]
+        found = LAST_WORDS.findall(log)
+        if not found or event["state"] != "crashed":
+            return {"log": log}
+        return {"log": log, "reason": found[-1], "state": "memory" if found[-1].startswith(HELD) else "crashed"}
+
+    def _ended(self, material: Pending, event: dict) -> None:
+        """Note how an attempt ended, by what lies in the library."""
+        result = self.library.results.result(material.folder)
+        state, folder = event["state"], material.folder
+        if result and result.identity == material.identity:  # also of a worker that died after that
+            self.library.done(result)
+            error = "" if result.row.error is None else f", RMSE {result.row.error:.4f}"
+            self._say(f"{material.name}: done{error}, {result.row.seconds or 0:.1f} s", ended=True)
+        elif state == "full":
+            self.trouble = f"no space is left for results: {event['reason']}; free space"
+            self._wait(material, first=True)
+        elif state == "lost" and self.lost[folder] < MOST_LOST:
+            self.lost[folder] += 1
+            self._again(material, event, first=True)
+        elif state not in ("failed", "done", "lost") and self.tried[folder] < self.settings.retries:
+            self.tried[folder] += 1
+            self._again(material, event)
         else:
-            self.manifest.end(attempt, "pending", outcome)
-        self._moved("running", "pending" if verdict == "again" else verdict)
-        self._said(work, verdict, outcome)
+            reason = "its result did not appear" if state == "done" else event["reason"]
+            stated = {name: getattr(material, name) for name in Material.__struct_fields__}
+            self.failed += 1
+            self._say(f"{material.name}: failed{_how(state)}: {reason}", ended=True)
+            self.library.failed(Failure(**stated, state=state, reason=reason), event.get("log", ""))
 
-    def _moved(self, before: str, after: str) -> None:
-        """A capture is in another state now."""
-        self.counts[before] -= 1
-        self.counts[after] += 1
+    def _again(self, material: Pending, event: dict, first: bool = False) -> None:
+        self._wait(material, first)
+        self._say(f"{material.name}: tried again{_how(event['state'])}: {event['reason']}")
 
-    def _said(self, work: Work, verdict: str, outcome: dict) -> None:
-        """One line about a capture."""
-        name = self.manifest.material(work.identity)["name"]
-        self.ended += verdict != "again"
-        row = outcome.get("row") or {}
-        if verdict == "done":
-            error = f", RMSE {row['error']:.4f}" if row.get("error") is not None else ""
-            line = f"{name}: done{error}, {outcome.get('seconds') or 0:.1f} s"
-        else:
-            how = "" if outcome["state"] == "failed" else f" ({outcome['state']})"
-            line = f"{name}: {'failed' if verdict == 'failed' else 'tried again'}{how}: {outcome['reason']}"
-        self.tell(self.progress(), line)
+    def _wait(self, material: Pending, first: bool = False) -> None:
+        """Let a capture wait; ``first`` among those that are as large and were tried as often."""
+        self._count += 1
+        heapq.heappush(self.waiting, (self.tried[material.folder], -material.cost,
+                                      -self._count if first else self._count, material))
 
     def progress(self) -> Progress:
         """How it stands now."""
-        return Progress(dict(self.counts), self.clock() - self.started, self.ended, list(self.names.values()),
-                        self.before)
+        return Progress(self.ended, len(self.waiting) + len(self.running), len(self.running), self.failed,
+                        self.clock() - self.started)
+
+    def _say(self, line: str, ended: bool = False) -> None:
+        self.ended += ended
+        self.tell(self.progress(), line)
 
     def _show(self) -> None:
         """Tell how it stands, and write the page anew where it is time."""
         self.tell(self.progress(), "")
-        if self.clock() >= self._page_due:
-            before = self.clock()
-            self.write_page()
+        if (before := self.clock()) >= self._page_due:
+            self.library.write(self.progress().words)
             took = self.clock() - before
             self._page_due = before + took + max(PAGE_SECONDS, took / PAGE_SHARE)
 
-    def write_page(self) -> None:
-        """Write ``library.json`` and ``index.html``; how fast it goes stands there only while it does."""
-        stands = self.progress()
-        rate = {"per_hour": stands.per_hour, "left_seconds": stands.left_seconds} if self.going else None
-        write_library(self.home, self.manifest, title_of(self.library), rate, self.command)
+
+def _how(state: str) -> str:
+    return "" if state == "failed" else f" ({state})"

@@ -81,6 +81,12 @@ def unknown_but(fixed: Mapping[str, Tensor], bsdf: Bsdf, resolution: int, grey_s
                          for n, channels in CHANNELS[bsdf].items()})
 
 
+def named_files(fix: Sequence[str]) -> list[str]:
+    """The image files that ``--fix`` names."""
+    values = [item.partition("=")[2] for item in fix]
+    return [value for value in values if value != "flat" and _numbers(value) is None]
+
+
 def described(fix: Sequence[str]) -> dict[str, str]:
     """Map name -> "held at VALUE", for lists of what a fit left out."""
     return {name: f"held at {value}" for name, _, value in (item.partition("=") for item in fix)}

@@ -1,10 +1,9 @@
 """A batch in which everything dies: workers, Ray's head, the command itself; then every result is counted.
 
-    python tests/batch/chaos.py FOLDER --captures 10000 --side 16 --worker-every 20 --heads 2 --commands 3
+    python tests/batch/chaos.py FOLDER --captures 1000 --side 16 --worker-every 20 --heads 0 --commands 3
 
-makes captures in FOLDER/captures, fits them into FOLDER/library while it kills, and counts. With ``--quiet``
-it fits them again undisturbed into FOLDER/quiet, holds every map against it, and with ``--results
-docs/results`` puts the figures into batch.json. A slow test runs the same with few captures.
+makes captures in FOLDER/captures, fits them into FOLDER/library while it kills, fits them again undisturbed into
+FOLDER/quiet, compares every map, and prints what it counted as JSON. A test does the same with few captures.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ import json
 import os
 import random
 import signal
-import sqlite3
 import subprocess
 import sys
 import time
@@ -34,6 +32,8 @@ from mitsvbrdf.views import nine_view_grid
 
 NOISE = 0.004  # of the made photos, in display values
 QUICKEST = ("--guess", "min", "--iterations", "4", "--pages", "none")  # a fit of 16 px in a third of a second
+HEAD = ("/gcs_server", "/raylet ")
+WORKER = ("ray::fit_task", "ray::IDLE")
 
 
 def make_captures(folder: Path, count: int, side: int) -> None:
@@ -57,122 +57,81 @@ def make_captures(folder: Path, count: int, side: int) -> None:
 
 def command(captures: Path, library: Path, side: int, workers: int) -> list[str]:
     """The batch that is disturbed."""
-    return [sys.executable, "-m", "mitsvbrdf", "batch", str(captures), "-o", str(library), "--resolution",
-            str(side),
+    return [sys.executable, "-m", "mitsvbrdf", "batch", str(captures), "-o", str(library), "--resolution", str(side),
             "--workers", str(workers), *QUICKEST]
 
 
-class Family:
-    """The processes below one, by what they are."""
-
-    def __init__(self, root: int) -> None:
-        parents, self.words = {}, {}
-        for entry in Path("/proc").iterdir():
-            if entry.name.isdigit():
-                try:
-                    status = (entry / "stat").read_text().rpartition(")")[2].split()
-                    parents[int(entry.name)] = int(status[1])
-                    self.words[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0",
-                                                                                           b" ").decode(errors="replace")
-                except OSError:
-                    continue
-        self.pids = {root}
-        while more := {pid for pid, parent in parents.items() if parent in self.pids} - self.pids:
-            self.pids |= more
-
-    def like(self, *parts: str) -> list[int]:
-        """Those whose command line has one of these parts."""
-        return sorted(pid for pid in self.pids if any(part in self.words.get(pid, "") for part in parts))
-
-
-def resident(pid: int) -> int:
-    """Bytes of memory of a process; 0 where it is gone."""
-    try:
-        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-        return next(int(line.split()[1]) << 10 for line in lines if line.startswith("VmRSS"))
-    except (OSError, StopIteration):
-        return 0
+def below(root: int, *parts: str) -> list[int]:
+    """The processes below one whose command line has one of these parts."""
+    parents, words = {}, {}
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                status = (entry / "stat").read_text().rpartition(")")[2].split()
+                line = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+            except OSError:
+                continue
+            if status[0] != "Z":
+                parents[int(entry.name)], words[int(entry.name)] = int(status[1]), line
+    family = {root}
+    while more := {pid for pid, parent in parents.items() if parent in family} - family:
+        family |= more
+    return sorted(pid for pid in family if any(part in words.get(pid, "") for part in parts))
 
 
 def disturbed(start: list[str], library: Path, log: Path, *, worker_every: float, heads: int, commands: int,
               total: int, seed: int = 0) -> dict:
-    """Run a batch to its end while its processes are killed; what was killed, and the memory of the command
-    over time.
-    """
-    rng, killed, memory, runs = random.Random(seed), Counter[str](), [], 0
-    # Deaths of the head and of the command, by how much is done.
-    plan = [("head", share) for share in np.linspace(0.2, 0.7, heads)]
-    plan = sorted(plan + [("command", share) for share in np.linspace(0.1, 0.8, commands)],
-                  key=lambda each: each[1])
+    """Run a batch to its end while its processes are killed, typing the command again where it ended by that."""
+    rng, killed, runs = random.Random(seed), Counter[str](), 0
+    plan = [("head", share) for share in np.linspace(0.2, 0.7, heads)]  # by how much is done
+    plan += [("command", share) for share in np.linspace(0.1, 0.8, commands)]
+    plan.sort(key=lambda each: each[1])
     began = time.monotonic()
     with log.open("ab") as words:
         while True:
-            runs += 1
+            runs, head_died = runs + 1, False
             batch = subprocess.Popen(start, stdout=words, stderr=words)
             due = time.monotonic() + worker_every
             while batch.poll() is None:
                 time.sleep(0.25)
-                done = done_in(library)
-                memory.append((round(time.monotonic() - began, 1), runs, done, resident(batch.pid),
-                               sum(map(resident, Family(batch.pid).like("batch.gateway")))))
-                if plan and done >= plan[0][1] * total:
-                    what = plan.pop(0)[0]
-                    family = Family(batch.pid)
-                    targets = [batch.pid] if what == "command" else family.like("gcs_server", "raylet/raylet")
-                    if not targets:
-                        plan.insert(0, (what, 0.0))
-                        continue
+                what, targets = "", list[int]()
+                if plan and not head_died and done_in(library) >= plan[0][1] * total:
+                    what = plan[0][0]
+                    targets = [batch.pid] if what == "command" else below(batch.pid, *HEAD)
+                elif time.monotonic() > due:
+                    what, targets = "worker", below(batch.pid, *WORKER)
+                    due += worker_every
+                if targets:
                     os.kill(rng.choice(targets), signal.SIGKILL)
                     killed[what] += 1
-                elif time.monotonic() > due:
-                    due += worker_every
-                    if targets := Family(batch.pid).like("batch.child", "ray::Worker"):
-                        victim = rng.choice(targets)
-                        os.kill(victim, signal.SIGKILL)
-                        killed["worker"] += 1
-            if batch.returncode != -signal.SIGKILL:
-                return {"exit": batch.returncode, "runs": runs, "killed": dict(killed), "memory": memory,
+                    head_died = what == "head"
+                    if what != "worker":
+                        plan.pop(0)
+            if batch.returncode != -signal.SIGKILL and not head_died:
+                return {"exit": batch.returncode, "runs": runs, "killed": dict(killed),
                         "seconds": round(time.monotonic() - began, 1)}
 
 
 def done_in(library: Path) -> int:
-    """How many the manifest has as done."""
-    try:
-        with sqlite3.connect(f"file:{library}/manifest.sqlite?mode=ro", uri=True, timeout=5) as db:
-            return db.execute("select count(*) from materials where state = 'done'").fetchone()[0]
-    except sqlite3.Error:
-        return 0
+    """How many results lie there."""
+    return sum(1 for _ in library.glob("*-*/batch.json"))
 
 
 def counted(library: Path) -> dict:
-    """What lies in a library, by its manifest and by its files."""
-    db = sqlite3.connect(library / "manifest.sqlite")
-    published = Counter(row[0] for row in db.execute("select published from materials where state = 'done'"))
-    found = Counter[str]()
+    """What lies in a library, by its folders."""
+    found, identities = Counter[str](), Counter[str]()
     for folder in library.iterdir():
-        if folder.is_dir() and folder.name not in (".work", "quarantine"):
+        if folder.is_dir() and folder.name not in ("failed", "pending") and not folder.name.startswith("."):
             record = json.loads((folder / "batch.json").read_text())
-            torn = [name for name, stated in record["files"].items()
-                    if file_hash(folder / name) != stated["sha256"]]
-            extra = ({str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
-                     - {*record["files"], "batch.json"})
-            found["folders"] += 1
-            found["torn"] += bool(torn or extra)
-            found["of the attempt that the manifest names"] += published[record["attempt"]]
-            found[f"identity {record['identity']}"] += 1
-    identities = [count for name, count in found.items() if name.startswith("identity ")]
-    return {
-        "folders": found["folders"], "identities": len(identities),
-        "twice": sum(count > 1 for count in identities),
-        "torn": found["torn"], "same attempt": found["of the attempt that the manifest names"],
-        "states": dict(db.execute("select state, count(*) from materials group by state")),
-        "published": len(published), "published twice": sum(count > 1 for count in published.values()),
-        "attempts": dict(db.execute("select state, count(*) from attempts group by state")),
-        "done twice": db.execute("select count(*) from (select identity from attempts where state = 'done' "
-                                 "group by identity "
-                                 "having count(*) > 1)").fetchone()[0],
-        "left over": sorted(p.name for p in (library / ".work").iterdir()) if (library / ".work").is_dir()
-        else []}
+            there = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+            torn = [name for name, stated in record["files"].items() if name not in there
+                    or file_hash(folder / name) != stated["sha256"]]
+            found["torn"] += bool(torn or there - {*record["files"], "batch.json"})
+            found["attempts"] += record["attempts"]
+            identities[record["identity"]] += 1
+    names = [path.name for part in (".work*", "pending/*", "failed/*") for path in library.glob(part)]
+    return {"folders": identities.total(), "identities": len(identities), "torn": found["torn"],
+            "attempts": found["attempts"], "left over": names}
 
 
 def different_maps(one: Path, other: Path) -> list[str]:
@@ -182,46 +141,25 @@ def different_maps(one: Path, other: Path) -> list[str]:
             or path.read_bytes() != twin.read_bytes()]
 
 
-def write_results(folder: Path, out: Path, captures: int, side: int) -> None:
-    """Put the figures of both runs into ``batch.json``, memory thinned to some two hundred moments;
-    ``python docs/results/batch.py`` makes the page.
-    """
-    noisy, quiet = (json.loads((folder / f"{name}.json").read_text()) for name in ("library", "quiet"))
-    noisy["memory"], quiet["memory"] = noisy["memory"][::max(1, len(noisy["memory"]) // 200)], []
-    file = out / "batch.json"
-    chaos = {"captures": captures, "side": side, "disturbed": noisy, "undisturbed": quiet}
-    file.write_text(json.dumps(json.loads(file.read_text()) | {"chaos": chaos}))
-
-
 def main() -> None:
-    """See the module."""
-    words = argparse.ArgumentParser()
-    words.add_argument("folder", type=Path)
-    words.add_argument("--captures", type=int, default=10_000)
-    words.add_argument("--side", type=int, default=16)
-    words.add_argument("--workers", type=int, default=2)
-    words.add_argument("--worker-every", type=float, default=20.0)
-    words.add_argument("--heads", type=int, default=2)
-    words.add_argument("--commands", type=int, default=3)
-    words.add_argument("--quiet", action="store_true")
-    words.add_argument("--results", type=Path)
-    asked = words.parse_args()
-    torch.set_num_threads(1)
-    captures, library = asked.folder / "captures", asked.folder / ("quiet" if asked.quiet else "library")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    for name, usual in {"captures": 1000, "side": 16, "workers": 2, "heads": 0, "commands": 3}.items():
+        parser.add_argument(f"--{name}", type=int, default=usual)
+    parser.add_argument("--worker-every", type=float, default=20.0)
+    asked = parser.parse_args()
+    captures, library, quiet = (asked.folder / name for name in ("captures", "library", "quiet"))
     make_captures(captures, asked.captures, asked.side)
     start = command(captures, library, asked.side, asked.workers)
-    quiet = {"worker_every": 1e9, "heads": 0, "commands": 0}
-    noisy = {"worker_every": asked.worker_every, "heads": asked.heads, "commands": asked.commands}
-    found = disturbed(start, library, asked.folder / f"{library.name}.log", total=asked.captures,
-                      **(quiet if asked.quiet else noisy))
-    found |= counted(library)
-    if asked.quiet:
-        found["different maps"] = different_maps(library, asked.folder / "library")
-        found["maps"] = len(list(library.glob("*/maps/*")))
-    (asked.folder / f"{library.name}.json").write_text(json.dumps(found, indent=1))
-    print({name: value for name, value in found.items() if name != "memory"})
-    if asked.results and asked.quiet:
-        write_results(asked.folder, asked.results, asked.captures, asked.side)
+    found = disturbed(start, library, asked.folder / "log", worker_every=asked.worker_every, heads=asked.heads,
+                      commands=asked.commands, total=asked.captures) | {"counted": counted(library)}
+    print(json.dumps(found, indent=1), flush=True)
+    with (asked.folder / "quiet.log").open("ab") as words:
+        began = time.monotonic()
+        subprocess.run(command(captures, quiet, asked.side, asked.workers), stdout=words, check=True)
+    found |= {"quiet": counted(quiet), "quiet seconds": round(time.monotonic() - began, 1),
+              "different maps": different_maps(quiet, library), "maps": len(list(quiet.glob("*/maps/*")))}
+    print(json.dumps(found, indent=1))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,277 @@
+"""One capture fitted in a warm worker of Ray, and its result put into the library."""
+
+from __future__ import annotations
+
+import contextlib
+import faulthandler
+import os
+import resource
+import signal
+import socket
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import UTC, datetime
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from .. import __version__
+from ..errors import MitsvbrdfError, plain_warnings, strict
+from .captures import local_capture, rectified
+from .records import Pending, Result, Row
+from .results import MARK, NO_SPACE, WORK, ResultStore
+from .stores import Disk
+
+if TYPE_CHECKING:
+    from ..capture import Capture
+    from ..material import SVBRDF
+    from ..render import Renderer
+
+GIB = 1 << 30
+LOG_CHARACTERS = 20_000  # of what a fit printed, kept where it fails
+LOOK_SECONDS = 0.2  # between two looks at memory
+HELD = "killed when it held"  # the words of a worker before it ends itself
+
+SIDE = 192  # pixels a side of a preview
+# of the patch: a highlight on it, and light aslant that shows relief
+LIGHTS = ((-0.35, 0.35, 1.3), (0.9, 0.5, 1.2))
+CAMERA = (0.0, 0.0, 2.2)
+BRIGHT = 0.9  # quantile of the radiance that becomes mid-bright
+QUALITY = 85
+
+
+def fit_task(task: dict) -> Iterator[dict]:
+    """Fit one capture; a task of Ray.
+
+    First comes who fits (``host``, ``version``, ``token`` of the library as seen here), once the worker is warm;
+    then what came of it: ``state`` (done, failed, or full where no space is left), ``reason``, and ``log``,
+    the tail of what the fit printed. A worker that sees another library, or has another version, does not fit.
+
+    Args:
+        task: ``library``, ``token``, ``version``, ``material`` (a Pending as JSON holds it), ``attempt`` (its
+            name), ``threads``, ``memory`` in GiB or None.
+    """
+    results = ResultStore(task["library"])
+    _warm(task["threads"])
+    try:
+        token = results.store.read(MARK).decode()
+    except (OSError, MitsvbrdfError):
+        token = ""
+    yield {"host": socket.gethostname(), "version": __version__, "token": token}
+    if (token, __version__) != (task["token"], task["version"]):
+        return
+    material = msgspec.convert(task["material"], Pending)
+    with _printed(results, task["attempt"]) as log, _memory_limit(task["memory"]), plain_warnings():
+        found = _outcome(results, material, task["attempt"])
+        sys.stdout.flush()
+        sys.stderr.flush()
+        text = log.read_text(errors="replace")[-LOG_CHARACTERS:]
+    yield found | {"log": text}
+
+
+def _outcome(results: ResultStore, material: Pending, attempt: str) -> dict:
+    """Fit into the library; what the fit raises is told."""
+    try:
+        _fit_into(results, material, attempt)
+        return {"state": "done", "reason": ""}
+    except (MitsvbrdfError, OSError) as reason:
+        cause = reason if isinstance(reason, OSError) else reason.__context__
+        full = isinstance(cause, OSError) and cause.errno in NO_SPACE
+        if isinstance(reason, OSError):
+            traceback.print_exc()
+        return {"state": "full" if full else "failed", "reason": str(reason)}
+    except Exception as reason:
+        traceback.print_exc()
+        return {"state": "failed", "reason": f"{type(reason).__name__}: {reason}"}
+
+
+def _fit_into(results: ResultStore, material: Pending, attempt: str) -> None:
+    started = time.perf_counter()
+    with contextlib.suppress(OSError):  # paths in the options start there
+        os.chdir(material.base)
+    with (results.building(attempt) as made, local_capture(material.source) as capture,
+          strict(material.asked.get("strict", False))):
+        row = fit_capture(capture, made, material.asked)
+        row = msgspec.structs.replace(row, seconds=round(time.perf_counter() - started, 3),
+                                      peak_bytes=_memory()["VmHWM"])
+        stated = {name: getattr(material, name) for name in ("identity", "name", "source", "asked", "words",
+                                                             "tags", "attempts")}
+        results.publish(made, Result(**stated, date=now(), host=socket.gethostname(), row=row, files={}))
+
+
+def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
+    """Fit a capture and write the result, its page where wanted, and its preview.
+
+    Args:
+        capture: folder or JSON file.
+        out: the folder to write into.
+        asked: ``config``, ``options``, ``pages`` and ``sheet``, as ``Asked.record`` has them.
+
+    Returns:
+        Its row without seconds.
+    """
+    from ..capture import read_capture
+    from ..fit import fit_svbrdf
+    from ..fit.generator.detail import with_detail
+    from ..fit.options import FitOptions, config_of
+    from ..report.folder import write_fit_files
+
+    config, options = config_of(asked["config"]), FitOptions(**asked["options"])
+    transfer = None if options.transfer == "auto" else options.transfer
+    made = rectified(capture, out / "capture", asked["sheet"], transfer)
+    photos = read_capture(made, options.resolution, transfer=transfer if made == capture else None,
+                          falloff=options.light(config))
+    photos = replace(photos, source=capture)  # what it is called
+    shots, shown = options.chosen(photos)
+    engine = _renderer(options.renderer, options.variant)
+    result = fit_svbrdf(shots, engine, config)
+    if settings := options.detail_config(config):
+        result = with_detail(result, shots, engine, settings)
+    write_fit_files(result, shots, out, options.record(shots), shown, pages=asked["pages"])
+    write_preview(out / "preview.jpg", result.detail or result.svbrdf)
+    return _row(out, shown, engine)
+
+
+def _row(folder: Path, shown: Capture | None, engine: Renderer) -> Row:
+    """What the list of materials says of a fit; ``shown`` has photos that were held out, which ``engine``
+    predicts.
+    """
+    from ..evaluate import placed
+    from ..evaluate.placement import predict
+    from ..fit.record import read_fit, record_in
+    from ..io.json import load
+
+    record, error = record_in(folder), None
+    if (folder / "report.json").is_file():
+        error = load(folder / "report.json")["left_out_rmse"]
+    elif shown is not None:
+        fit = read_fit(folder)
+        around = placed(shown, fit)
+        unseen = around.pick([number for number in around.index if number not in fit.seen])
+        error = predict(fit.svbrdf, unseen, engine, fit.flash_offset)[1]
+    burn_in = [value for name, value in record["burn_in"].items() if name in ("specular", "roughness")]
+    there = {name: name if (folder / name).is_file() else None for name in ("preview.jpg", "report.html")}
+    return Row(error=record["rerender_rmse"], held_out_error=error, burn_in=max(burn_in, default=None),
+               warnings=record["warnings"], method=record["method"], resolution=record["capture"]["resolution"],
+               photos=len(record["capture"]["photos"]), preview=there["preview.jpg"],
+               report=there["report.html"])
+
+
+def write_preview(path: Path, svbrdf: SVBRDF, side: int = SIDE) -> None:
+    """A JPEG of the patch under two point lights, seen from above.
+
+    Args:
+        path: of the file.
+        svbrdf: the material.
+        side: pixels a side; smaller maps are enlarged.
+    """
+    import cv2
+    import numpy as np
+    import torch
+
+    from .. import color
+    from ..io.files import write_bytes
+    from ..render import make_renderer
+    from ..views import Views
+
+    material = svbrdf.resized(min(side, svbrdf.resolution))
+    views = Views.of([CAMERA] * len(LIGHTS), LIGHTS, [(1.0, 1.0, 1.0), (0.45, 0.45, 0.45)], 1.0)
+    with torch.no_grad():
+        radiance = make_renderer("analytic").render(material, views).sum(dim=0)
+    level = float(radiance.mean(dim=-1).quantile(BRIGHT)) or 1.0
+    display = color.to_display(radiance * (0.45 / level), "srgb")
+    pixels = np.rint(display.numpy()[..., ::-1] * 255).clip(0, 255).astype(np.uint8)
+    if pixels.shape[0] < side:
+        pixels = cv2.resize(pixels, (side, side), interpolation=cv2.INTER_CUBIC)
+    ok, data = cv2.imencode(".jpg", np.ascontiguousarray(pixels), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    assert ok
+    write_bytes(path, data.tobytes())
+
+
+def now() -> str:
+    """The time as a library has it: UTC, to the second."""
+    return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+@cache
+def _warm(threads: int) -> None:
+    """Load what every fit needs, and use so many threads; once a worker."""
+    import drjit
+    import torch
+
+    _renderer("mitsuba", "llvm_ad_rgb")
+    # A fit that hears a signal ends early, and half a fit would count
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    torch.set_num_threads(threads)
+    drjit.set_thread_count(threads)
+
+
+@cache
+def _renderer(name: str, variant: str) -> Renderer:
+    from ..render import make_renderer
+
+    return make_renderer(name, variant)  # type: ignore[arg-type]
+
+
+@contextlib.contextmanager
+def _printed(results: ResultStore, attempt: str) -> Iterator[Path]:
+    """Inside, all that this process prints goes to a file, which outlives its death in a folder; its path."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory(prefix="mitsvbrdf-log-") as folder:
+        path = log_path(results, attempt) or Path(folder) / "log"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        before = [os.dup(number) for number in (1, 2)]
+        with path.open("wb") as log:
+            for number in (1, 2):
+                os.dup2(log.fileno(), number)
+        faulthandler.enable(2)  # a crash says where
+        try:
+            yield path
+        finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
+            for number, other in zip((1, 2), before):
+                os.dup2(other, number)
+                os.close(other)
+            path.unlink(missing_ok=True)
+
+
+def log_path(results: ResultStore, attempt: str) -> Path | None:
+    """Where an attempt prints; None where the library is no folder, and what a dying worker says is lost."""
+    return results.store.path(f"{WORK}/{attempt}.log") if isinstance(results.store, Disk) else None
+
+
+@contextlib.contextmanager
+def _memory_limit(gib: float | None) -> Iterator[None]:
+    """Inside, this process ends itself once it holds more than so much."""
+    with contextlib.suppress(OSError):  # the peak begins anew with each task
+        Path("/proc/self/clear_refs").write_text("5")
+    done = threading.Event()
+
+    def watch() -> None:
+        while not done.wait(LOOK_SECONDS):
+            if gib and (used := _memory()["VmRSS"] / GIB) > gib:
+                os.write(2, f"{HELD} {used:.2f} GiB, the limit is {gib:g} GiB\n".encode())
+                os.kill(os.getpid(), signal.SIGKILL)
+
+    threading.Thread(target=watch, daemon=True).start()
+    try:
+        yield
+    finally:
+        done.set()
+
+
+def _memory() -> dict[str, int]:
+    """Bytes that this process holds (``VmRSS``) and that it held at most (``VmHWM``)."""
+    try:
+        pairs = (line.partition(":")[::2] for line in Path("/proc/self/status").read_text().splitlines())
+        return {name: int(value.split()[0]) << 10 for name, value in pairs if name in ("VmRSS", "VmHWM")}
+    except OSError:  # no /proc here
+        return {"VmRSS": 0, "VmHWM": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10}

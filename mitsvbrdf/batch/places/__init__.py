@@ -1,1 +1,0 @@
-"""Where captures lie and results appear: a folder that all workers see, or an object store."""

@@ -1,0 +1,239 @@
+"""Tasks on Ray: a Ray of this batch alone, or a cluster that it joins."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import logging
+import os
+import secrets
+import shutil
+import socket
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from ..errors import BackendError
+from .fitting import fit_task
+from .settings import BatchSettings
+
+PREFIX = "mitsvbrdf-ray-"  # of the folder of a Ray of its own
+OBJECT_STORE_BYTES = 80 << 20  # Ray wants 75 MiB at least; it is shared memory that stays untouched
+LOOPBACK = "127.0.0.1"
+ALONE = {
+    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # on Linux too it is this that lets Ray keep to loopback
+    "RAY_USAGE_STATS_ENABLED": "0",
+    "RAY_AUTH_MODE": "token",  # other users of this machine reach the ports too
+    # else a process a CPU, which no one needs
+    "RAY_enable_worker_prestart": "0", "RAY_prestart_worker_first_driver": "0",
+    "RAY_enable_metrics_collection": "0",
+    "RAY_worker_niceness": "0",
+}
+THREADS = "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"
+CALLS = 200  # fits of a worker, before a new one takes its place and its memory is free again
+LOOK_SECONDS = 5.0  # between two looks at a cluster's nodes
+SILENT_SECONDS = 30.0  # a cluster that gives no answer for so long is gone
+GONE = "run the same command again: it goes on"
+
+
+class RayTasks:
+    """Fits that run on Ray; a context, which starts Ray or joins it, and ends what is its own.
+
+    Args:
+        settings: of the batch.
+        function: yields who does a task, then what came of it; loaded by each node from its own package.
+    """
+
+    def __init__(self, settings: BatchSettings, function: Callable[[dict], Iterator[dict]] = fit_task) -> None:
+        self.settings, self.function = settings, function
+        self._tasks: dict[Any, str] = {}  # names by generator
+        self._servers: set[int] = set()  # processes of a Ray of its own
+        self._nodes: list[dict] = []
+        self._heard = time.monotonic()
+
+    def __enter__(self) -> RayTasks:
+        with contextlib.ExitStack() as last:
+            folder = Path(last.enter_context(_private_folder()))
+            # Ray prints what happens to workers; the batch tells of captures
+            log = last.enter_context((folder / "ray.log").open("a"))
+            last.enter_context(contextlib.redirect_stdout(log))
+            self._start(folder)
+            import ray
+
+            last.callback(ray.shutdown)
+            self._call = ray.remote(num_cpus=self.settings.threads, max_retries=0, max_calls=CALLS,
+                                    num_returns="streaming", scheduling_strategy="SPREAD")(self.function)
+            self._last = last.pop_all()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.cancel(*self._tasks.values())
+        self._last.close()
+
+    @property
+    def slots(self) -> int:
+        """How many fits may run at a time now."""
+        if self.settings.address is None:
+            return self.settings.local_workers()
+        cores = [node["Resources"].get("CPU", 0) for node in self._nodes if node["Alive"]]
+        return self.settings.workers or sum(int(each // self.settings.threads) for each in cores)
+
+    def start(self, name: str, task: dict) -> None:
+        """Hand out a task."""
+        self._tasks[self._call.remote(task)] = name
+
+    def cancel(self, *names: str) -> None:
+        """Kill the workers of tasks; each then ends as ``cancelled``, where it had not ended yet."""
+        import ray
+
+        for task, name in self._tasks.items():
+            if name in names:
+                with contextlib.suppress(ray.exceptions.RayError):
+                    ray.cancel(task, force=True)
+
+    def events(self, seconds: float) -> list[tuple[str, dict]]:
+        """What tasks yielded since the last call, by their names; waits so long for the first.
+
+        A task whose worker is gone yields ``{"state": "crashed" | "lost" | "cancelled" | "memory", "reason"}``;
+        lost are those of a node that died. A task ends with its first ``state``.
+
+        Raises:
+            BackendError: Ray itself ended.
+        """
+        import ray
+
+        if not self._tasks:
+            time.sleep(seconds)
+        elif ray.wait(list(self._tasks), timeout=seconds)[0]:
+            ready = ray.wait(list(self._tasks), num_returns=len(self._tasks), timeout=0)[0]
+            found = [(self._tasks[task], self._item(task)) for task in ready]
+            self._tasks = {task: name for task, name in self._tasks.items()
+                           if not any(name == other and "state" in item for other, item in found)}
+            self._check()
+            return found
+        self._check()
+        return []
+
+    def _item(self, task: Any) -> dict:
+        from ray import exceptions, get
+
+        try:
+            return get(next(task))
+        except StopIteration:
+            return {"state": "crashed", "reason": "its worker told nothing"}
+        except exceptions.TaskCancelledError:
+            return {"state": "cancelled", "reason": "its worker was killed"}
+        except exceptions.OutOfMemoryError:
+            return {"state": "memory", "reason": "its worker was killed by Ray, as memory ran out"}
+        except (exceptions.NodeDiedError, exceptions.LocalRayletDiedError):
+            return {"state": "lost", "reason": "its node died"}
+        except exceptions.RayTaskError as reason:
+            return {"state": "failed", "reason": str(reason.cause)}
+        except exceptions.RayError:
+            return {"state": "crashed", "reason": "its worker died, by itself, by hand, or as memory ran out"}
+
+    def _start(self, folder: Path) -> None:
+        """Start a Ray of its own, or join a cluster."""
+        settings = self.settings
+        names = dict.fromkeys(THREADS, str(settings.threads))
+        if settings.address is None:
+            os.environ.pop("RAY_ADDRESS", None)
+            os.environ.update(ALONE)
+            os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
+        else:
+            os.environ["RAY_ENABLE_UV_RUN_RUNTIME_ENV"] = "0"  # the nodes have mitsvbrdf already
+        import ray
+
+        before = _children()
+        # Ray lets workers import from the folder that it is started in
+        try:
+            with contextlib.chdir(folder):
+                if settings.address is None:
+                    ray.init("local", num_cpus=settings.local_workers() * settings.threads, num_gpus=0,
+                             object_store_memory=OBJECT_STORE_BYTES, include_dashboard=settings.dashboard,
+                             log_to_driver=False, logging_level=logging.CRITICAL, _node_ip_address=LOOPBACK,
+                             _temp_dir=str(folder / "ray"), runtime_env={"env_vars": names})
+                    if (address := ray.nodes()[0]["NodeManagerAddress"]) != LOOPBACK:
+                        raise RuntimeError(f"Ray listens on {address}, not on loopback alone")
+                    self._servers = _children() - before
+                else:
+                    _reach(settings.address)
+                    ray.init(settings.address, log_to_driver=False, logging_level=logging.CRITICAL,
+                             runtime_env={"env_vars": names})
+                    self._nodes = ray.nodes()
+                    threading.Thread(target=self._look, daemon=True).start()
+        except Exception as error:  # Ray raises what it likes
+            ray.shutdown()
+            here = settings.address is None
+            raise BackendError(
+                "Ray to start" if here else f"a Ray cluster at {settings.address}",
+                f"{type(error).__name__}: {str(error)[:500]}",
+                "install it again: pip install --force-reinstall ray" if here else
+                "check the address: that of `ray start --head`, seen from this machine") from error
+
+    def _look(self) -> None:
+        """See which nodes a cluster has, again and again."""
+        import ray
+
+        with contextlib.suppress(Exception):  # disconnected
+            while True:
+                self._nodes, self._heard = ray.nodes(), time.monotonic()
+                time.sleep(LOOK_SECONDS)
+
+    def _check(self) -> None:
+        """Raise BackendError where Ray is gone: without its head nothing more would come back."""
+        if any(map(_has_ended, self._servers)):
+            raise BackendError("Ray to run as long as the batch", "the end of one of its processes", GONE)
+        if self.settings.address is not None and time.monotonic() > self._heard + SILENT_SECONDS:
+            raise BackendError("a Ray cluster that answers", f"silence for {SILENT_SECONDS:g} s", GONE)
+
+
+def require_ray() -> None:
+    """Raise BackendError where Ray is missing."""
+    import importlib.util
+
+    if importlib.util.find_spec("ray") is None:
+        raise BackendError("the package ray", "none", "type: pip install 'mitsvbrdf[batch]'")
+
+
+def _reach(address: str) -> None:
+    """Raise OSError at once for a port that nobody listens on; Ray would try for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if port.isdigit():
+        socket.create_connection((host.strip("[]"), int(port)), timeout=10).close()
+
+
+@contextlib.contextmanager
+def _private_folder() -> Iterator[str]:
+    """A folder for what Ray writes, which nobody else may enter; those of commands that were killed go."""
+    for old in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
+        with contextlib.suppress(OSError), (old / "lock").open() as lock:
+            if old.stat().st_uid == os.getuid() and not old.is_symlink():
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(old, ignore_errors=True)
+    folder = tempfile.mkdtemp(prefix=PREFIX)
+    with (Path(folder) / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        try:
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _children() -> set[int]:
+    """The processes that this one started; none where that cannot be told."""
+    found = set[int]()
+    with contextlib.suppress(OSError):
+        for thread in Path("/proc/self/task").iterdir():
+            found |= set(map(int, (thread / "children").read_text().split()))
+    return found
+
+
+def _has_ended(child: int) -> bool:
+    try:
+        return os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+    except ChildProcessError:
+        return True
