@@ -20,7 +20,7 @@ from ..capture.photo import SUFFIXES
 from ..color import Transfer
 from ..errors import CaptureError, ConfigError, MitsvbrdfError
 from ..io.files import stays_inside
-from .stores import Bucket, is_url, reached
+from .stores import MARK, Bucket, is_url, reached
 
 CALIBRATIONS = ("capture.json", "camera_pos.txt")
 PATTERN = frozenset("*?[")
@@ -140,9 +140,10 @@ def rectified(folder: Path, out: Path, sheet: float | None, transfer: Transfer |
         CaptureError: the raw photos make no capture.
     """
     from ..capture import write_capture
+    from ..capture.align.from_sheet import refuse_tags
     from ..capture.photo import Photo, photos_in
-    from ..capture.rig import LEAST_PHOTOS
-    from ..capture.stages import OnePlace, capture_keys, make_capture, refuse_tags
+    from ..capture.rig import LEAST_PHOTOS, OnePlace
+    from ..capture.stages import capture_keys, make_capture
     from ..report.capture_page import write_quality
 
     if is_calibrated(str(folder)):
@@ -189,7 +190,7 @@ def _expanded(name: str, mistakes: Mistakes, own: tuple[str, ...] = (), where: s
 
 def _captures_in(folder: Path, where: str) -> list[Path]:
     """The folder itself where it is a capture, else the captures right inside it; none of a library."""
-    if (folder / ".token").is_file():
+    if (folder / MARK).is_file():
         return []
     if _folder_is_capture(folder):
         return [folder]
@@ -212,10 +213,10 @@ def _behind(url: str) -> list[str]:
     bucket, found = Bucket(url.removesuffix("/capture.json")), list[str]()
     with contextlib.suppress(FileNotFoundError), reached(url):
         for folder in bucket.matches():
-            names, folders = bucket.listed(folder)
+            names, folders = bucket.listed_at(folder)
             inside = [folder] if is_capture(names) else [
                 f"{folder}/{name}" for name in sorted(folders)
-                if name[0] != "." and is_capture(bucket.listed(f"{folder}/{name}")[0])]
+                if name[0] != "." and is_capture(bucket.listed_at(f"{folder}/{name}")[0])]
             found += map(bucket.url_of, inside)
     if not found:
         raise CaptureError("captures", f"none at {url}", "check the address")

@@ -25,12 +25,12 @@ from .. import __version__
 from ..errors import MitsvbrdfError, plain_warnings, strict
 from .captures import local_capture, rectified
 from .records import Pending, Result, Row
-from .results import MARK, NO_SPACE, WORK, ResultStore
-from .stores import Disk
+from .results import NO_SPACE, WORK, ResultStore
+from .stores import MARK, Disk
 
 if TYPE_CHECKING:
     from ..capture import Capture
-    from ..material import SVBRDF
+    from ..material.maps import SVBRDF
     from ..render import Renderer
 
 GIB = 1 << 30
@@ -149,7 +149,8 @@ def _row(folder: Path, shown: Capture | None, engine: Renderer) -> Row:
 
     record, error = record_in(folder), None
     if (folder / "report.json").is_file():
-        error = load(folder / "report.json")["left_out_rmse"]
+        report = load(folder / "report.json")
+        error = report.get("held_out_rmse", report.get("left_out_rmse"))
     elif shown is not None:
         fit = read_fit(folder)
         around = placed(shown, fit)

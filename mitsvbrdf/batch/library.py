@@ -40,6 +40,7 @@ class Library:
     def __init__(self, results: ResultStore) -> None:
         self.results = results
         self.materials: dict[str, Material] = {**results.pending(), **results.failures()}
+        self._unsettled = set(self.materials)  # folders that are waited for, or failed
         self.materials |= {name: found for name in results.names() if (found := results.result(name))}
         self.running = set[str]()  # folders of what is fitted now
 
@@ -47,11 +48,13 @@ class Library:
         """A material waits to be fitted."""
         self.results.want(material)
         self.materials[material.folder] = material
+        self._unsettled.add(material.folder)
 
     def done(self, result: Result) -> None:
         """A result lies in the library."""
-        if not isinstance(self.materials.get(result.folder), Result):
+        if result.folder in self._unsettled:
             self.results.settle(result.folder)
+            self._unsettled.discard(result.folder)
         self.materials[result.folder] = result
 
     def failed(self, failure: Failure, log: str = "") -> None:
@@ -59,6 +62,7 @@ class Library:
         failure = msgspec.structs.replace(failure, log=bool(log.strip()), date=now())
         self.results.settle(failure.folder, failure, log)
         self.materials[failure.folder] = failure
+        self._unsettled.add(failure.folder)
 
     def shown(self) -> dict[str, Material]:
         """The materials that no newer one of the same capture and options takes the place of."""

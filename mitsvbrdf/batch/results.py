@@ -28,13 +28,13 @@ from ..io.files import is_entry, is_regular, stays_inside, to_disk, write_json
 from ..io.json import parsed
 from .captures import is_capture
 from .records import SHORT, Failure, File, Material, Pending, Result
-from .stores import Bucket, Disk, is_url, title_of
+from .stores import MARK, Bucket, Disk, is_url, title_of
 
 RECORD = "batch.json"  # of a result: which capture and options it is of, and what its files hold
 REASON, LOG = "reason.json", "log.txt"  # of a failed capture
 FAILED, PENDING = "failed", "pending"
 PAGES = "library.json", "library.js", "index.html"
-MARK, LOCK, WORK = ".token", ".lock", ".work"  # what a library is known by, what holds it, what is being made
+LOCK, WORK = ".lock", ".work"  # what holds a library, and what is being made
 RESULT = re.compile(rf".+-[0-9a-f]{{{SHORT}}}")
 ASIDE = re.compile(RESULT.pattern + r"\.damaged[0-9]*")
 NO_SPACE = (errno.ENOSPC, errno.EDQUOT)

@@ -28,7 +28,7 @@ from .settings import BatchSettings
 TURN_SECONDS = 0.5  # at most so long nothing is looked at
 PAGE_SECONDS = 5.0  # between two writings of the page, which takes at most a fiftieth of the time
 PAGE_SHARE = 1 / 50
-MOST_LOST = 8  # times that a capture's node may die before the capture counts as failed
+MOST_LOST = 8  # times that a capture's node, or its worker before the fit, may die until it counts as failed
 LAST_WORDS = re.compile(rf"^(?:Fatal Python error: |{HELD} ).*", re.MULTILINE)
 
 
@@ -55,7 +55,7 @@ class Batch:
 
     The largest captures go first, so that none is waited for alone at the end. A fit that crashed, or took
     more time or memory than allowed, is tried again after all others; one that was refused is not, for it
-    would be refused again. What was lost with its node is handed out again at once.
+    would be refused again. What was lost with its node, or before the fit began, is handed out again at once.
 
     Args:
         library: takes the results.
@@ -154,6 +154,8 @@ class Batch:
         if event["state"] == "cancelled" and overdue:
             limit = self.settings.timeout or material.limit
             event |= {"state": "timeout", "reason": f"killed after {limit:g} s, the limit"}
+        elif event["state"] == "crashed" and attempt.began is None:  # before it looked at the capture
+            event |= {"state": "lost"}
         self._ended(material, event | self._last_words(name, event))
 
     def _check_node(self, about: dict) -> None:

@@ -16,6 +16,7 @@ from ..io.files import file_hash, inside, is_regular, open_regular, remove, stay
 
 # fsspec's names of this machine's files: the only ones where folders have to be made
 LOCAL = ("file", "local")
+MARK = ".token"  # what a library is known by
 EXTRAS = {"s3": "pip install 'mitsvbrdf[s3]'", "s3a": "pip install 'mitsvbrdf[s3]'",
           "gs": "pip install gcsfs", "gcs": "pip install gcsfs",
           "abfs": "pip install adlfs", "az": "pip install adlfs"}
@@ -170,13 +171,16 @@ class Bucket:
         return sorted(self.fs.glob(self.root)) if set("*?[") & set(self.root) else [self.root]
 
     def listed(self, name: str = "") -> tuple[list[str], list[str]]:
-        """The names of the objects right inside a folder, and of the folders; ``name`` may be a match."""
-        folder = name if name.startswith(self.root) and name else self.path(name)
+        """The names of the objects right inside a folder, and of the folders."""
+        return self.listed_at(self.path(name))
+
+    def listed_at(self, path: str) -> tuple[list[str], list[str]]:
+        """The same of a folder as the store names it."""
         names: dict[str, list[str]] = {"file": [], "directory": []}
         with reached(self.url), contextlib.suppress(FileNotFoundError):
-            for info in self.fs.ls(folder, detail=True):
-                if (path := info["name"].rstrip("/")) != folder:
-                    names.setdefault(info["type"], []).append(path.rsplit("/", 1)[-1])
+            for info in self.fs.ls(path, detail=True):
+                if (other := info["name"].rstrip("/")) != path:
+                    names.setdefault(info["type"], []).append(other.rsplit("/", 1)[-1])
         return names["file"], names["directory"]
 
     def objects(self, name: str = "") -> dict[str, dict]:

@@ -34,6 +34,7 @@ ALONE = {
 }
 THREADS = "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"
 CALLS = 200  # fits of a worker, before a new one takes its place and its memory is free again
+TRIES = 3  # Ray gives up where a busy machine takes more than half a minute to start it
 LOOK_SECONDS = 5.0  # between two looks at a cluster's nodes
 SILENT_SECONDS = 30.0  # a cluster that gives no answer for so long is gone
 GONE = "run the same command again: it goes on"
@@ -137,42 +138,58 @@ class RayTasks:
 
     def _start(self, folder: Path) -> None:
         """Start a Ray of its own, or join a cluster."""
-        settings = self.settings
-        names = dict.fromkeys(THREADS, str(settings.threads))
-        if settings.address is None:
-            os.environ.pop("RAY_ADDRESS", None)
-            os.environ.update(ALONE)
-            os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
-        else:
-            os.environ["RAY_ENABLE_UV_RUN_RUNTIME_ENV"] = "0"  # the nodes have mitsvbrdf already
-        import ray
-
-        before = _children()
-        # Ray lets workers import from the folder that it is started in
+        address, here = self.settings.address, self.settings.address is None
         try:
-            with contextlib.chdir(folder):
-                if settings.address is None:
-                    ray.init("local", num_cpus=settings.local_workers() * settings.threads, num_gpus=0,
-                             object_store_memory=OBJECT_STORE_BYTES, include_dashboard=settings.dashboard,
-                             log_to_driver=False, logging_level=logging.CRITICAL, _node_ip_address=LOOPBACK,
-                             _temp_dir=str(folder / "ray"), runtime_env={"env_vars": names})
-                    if (address := ray.nodes()[0]["NodeManagerAddress"]) != LOOPBACK:
-                        raise RuntimeError(f"Ray listens on {address}, not on loopback alone")
-                    self._servers = _children() - before
-                else:
-                    _reach(settings.address)
-                    ray.init(settings.address, log_to_driver=False, logging_level=logging.CRITICAL,
-                             runtime_env={"env_vars": names})
-                    self._nodes = ray.nodes()
-                    threading.Thread(target=self._look, daemon=True).start()
+            if here:
+                self._start_own(folder)
+            else:
+                os.environ["RAY_ENABLE_UV_RUN_RUNTIME_ENV"] = "0"  # the nodes have mitsvbrdf already
+                _reach(str(address))
+                self._init(folder, address)
+                import ray
+
+                self._nodes = ray.nodes()
+                threading.Thread(target=self._look, daemon=True).start()
         except Exception as error:  # Ray raises what it likes
-            ray.shutdown()
-            here = settings.address is None
             raise BackendError(
-                "Ray to start" if here else f"a Ray cluster at {settings.address}",
+                "Ray to start" if here else f"a Ray cluster at {address}",
                 f"{type(error).__name__}: {str(error)[:500]}",
                 "install it again: pip install --force-reinstall ray" if here else
                 "check the address: that of `ray start --head`, seen from this machine") from error
+
+    def _start_own(self, folder: Path) -> None:
+        """Start a Ray on this machine alone, with as many CPUs as the workers use, whatever there are."""
+        settings, before = self.settings, _children()
+        os.environ.pop("RAY_ADDRESS", None)
+        os.environ.update(ALONE)
+        os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
+        for left in reversed(range(TRIES)):
+            try:
+                self._init(folder, "local", num_cpus=settings.local_workers() * settings.threads, num_gpus=0,
+                           object_store_memory=OBJECT_STORE_BYTES, include_dashboard=settings.dashboard,
+                           _node_ip_address=LOOPBACK, _temp_dir=str(folder / f"ray{left}"))
+                break
+            except Exception as error:
+                if not left or "timed out" not in str(error):
+                    raise
+        import ray
+
+        if (address := ray.nodes()[0]["NodeManagerAddress"]) != LOOPBACK:
+            ray.shutdown()
+            raise RuntimeError(f"Ray listens on {address}, not on loopback alone")
+        self._servers = _children() - before
+
+    def _init(self, folder: Path, address: str | None, **options: Any) -> None:
+        """Start or join; workers may import from the folder in which that is done, so it is an empty one."""
+        import ray
+
+        env = {"env_vars": dict.fromkeys(THREADS, str(self.settings.threads))}
+        try:
+            with contextlib.chdir(folder):
+                ray.init(address, log_to_driver=False, logging_level=logging.CRITICAL, runtime_env=env, **options)
+        except BaseException:
+            ray.shutdown()
+            raise
 
     def _look(self) -> None:
         """See which nodes a cluster has, again and again."""

@@ -68,7 +68,8 @@ def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="c
     require_ray()
     asked = _asked(names, Asked(Entry(""), config, shared, pages == "all", _split(tag), sheet, strict))
     results = ResultStore(out)
-    with results.claimed() as token, _new_or_kept(results):
+    new = not results.is_library()
+    with results.claimed() as token, _taken_away(results, new):
         results.clear_work()
         library = Library(results)
         with progress_bar("reading captures") as report:
@@ -138,9 +139,8 @@ def _typed() -> str | None:
 
 
 @contextlib.contextmanager
-def _new_or_kept(results: ResultStore) -> Iterator[None]:
-    """A new library is taken away again where an error ends the command before anything has ended in it."""
-    new = not results.is_library()
+def _taken_away(results: ResultStore, new: bool) -> Iterator[None]:
+    """A new library goes again where an error ends the command before anything has ended in it."""
     try:
         yield
     except MitsvbrdfError:

@@ -13,7 +13,7 @@ import pytest
 from helpers.batches import asked, make_capture
 
 from mitsvbrdf.batch.asked import Asked
-from mitsvbrdf.batch.entries import Entry
+from mitsvbrdf.batch.captures import Entry
 from mitsvbrdf.cli.batch import with_own_options
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import DirectConfig, GanConfig, HierarchicalConfig

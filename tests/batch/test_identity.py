@@ -10,12 +10,9 @@ from pathlib import Path
 import pytest
 from helpers.batches import asked, make_capture
 
-from mitsvbrdf.batch import identity as identity_module
-from mitsvbrdf.batch.identity import capture_files, identity
-from mitsvbrdf.batch.manifest import FILE, Manifest
-from mitsvbrdf.batch.prepare import register
+from mitsvbrdf.batch import asked as asked_module
+from mitsvbrdf.batch.asked import capture_files
 from mitsvbrdf.fit import GanConfig, HierarchicalConfig
-from mitsvbrdf.io.files import file_hash
 
 
 @pytest.fixture
@@ -25,7 +22,7 @@ def capture(tmp_path, monkeypatch):
 
 
 def identity_of(capture, config=None, **options):
-    return identity(str(capture), asked(capture, config, **options).record, file_hash)
+    return asked(capture, config, **options).identity
 
 
 def test_it_is_a_hash_and_the_same_each_time(capture):
@@ -66,14 +63,13 @@ def test_a_capture_may_move_and_be_called_otherwise(capture, tmp_path):
 
 
 def test_it_changes_with_options_settings_and_version(capture, monkeypatch):
-    record = asked(capture).record
     found = [identity_of(capture), identity_of(capture, resolution=128), identity_of(capture, views="0,1"),
              identity_of(capture, HierarchicalConfig(budget=11.0)),
              identity_of(capture, HierarchicalConfig(budget=10.0, seed=1)),
              identity_of(capture, GanConfig(budget=10.0)),
-             identity(str(capture), record | {"pages": True}, file_hash),
-             identity(str(capture), record | {"sheet": 12.0}, file_hash)]
-    monkeypatch.setattr(identity_module, "__version__", "99")
+             replace(asked(capture), pages=True).identity, replace(asked(capture), sheet=12.0).identity,
+             replace(asked(capture), strict=True).identity]
+    monkeypatch.setattr(asked_module, "__version__", "99")
     assert len({*found, identity_of(capture)}) == len(found) + 1
 
 
@@ -81,25 +77,29 @@ def test_the_size_of_a_sheet_changes_it_only_where_somebody_looks_for_one(captur
     raw = tmp_path / "raw"
     raw.mkdir()
     (raw / "IMG_1.jpg").write_bytes(b"a photo")
-    manifest = Manifest(tmp_path / FILE)
 
-    def registered(source, sheet):
-        register([replace(asked(source), sheet=sheet)], manifest, lambda text, share: None)
-        return {(row["identity"], row["own"]) for row in manifest.materials() if row["source"] == str(source)}
+    def known(source, sheet):
+        return replace(asked(source), sheet=sheet).settled().identity
 
-    assert registered(capture, None) == registered(capture, 18.0)
-    assert len(registered(raw, None)) == 1 and len(registered(raw, 18.0)) == 2
-    manifest.close()
+    assert known(capture, None) == known(capture, 18.0) and known(raw, None) != known(raw, 18.0)
 
 
-def test_it_changes_with_a_file_that_an_option_names(capture):
-    config = HierarchicalConfig(fix=("normal=flat.png",))
-    missing = identity(str(capture), {"config": {"fix": config.fix}}, file_hash)
+@pytest.mark.parametrize("config", [HierarchicalConfig(fix=("normal=flat.png",)),
+                                    GanConfig(pretrained="flat.png")], ids=["fix", "pretrained"])
+def test_it_changes_with_a_file_that_an_option_names(capture, config):
+    missing = identity_of(capture, config)
     Path("flat.png").write_bytes(b"flat")
-    there = identity(str(capture), {"config": {"fix": config.fix}}, file_hash)
+    there = identity_of(capture, config)
     Path("flat.png").write_bytes(b"bumpy")
-    changed = identity(str(capture), {"config": {"fix": config.fix}}, file_hash)
-    assert len({missing, there, changed}) == 3
+    assert len({missing, there, identity_of(capture, config)}) == 3
+
+
+def test_it_does_not_change_with_a_file_whose_name_is_the_value_of_an_option(capture):
+    config = HierarchicalConfig(fix=("normal=flat", "roughness=0.5"))
+    before = identity_of(capture, config)
+    for name in ("mitsuba", "hierarchical", "auto", "robust", "none", "flat", "0.5", "llvm_ad_rgb", "roughconductor"):
+        Path(name).write_text("mine")
+    assert identity_of(capture, config) == before
 
 
 def test_a_json_file_in_the_place_of_a_folder_is_read_with_its_photos(capture):
@@ -119,11 +119,3 @@ def test_a_broken_calibration_has_an_identity_and_the_fit_says_what_is_wrong(cap
     (capture / "capture.json").write_text(text)
     assert [path.name for path in capture_files(capture)] == ["capture.json"]
     assert len(identity_of(capture)) == 64
-
-
-def test_the_same_photos_under_two_names_are_fitted_once_and_that_is_said(tmp_path):
-    one, other = (make_capture(tmp_path / name, [b"the same"]) for name in ("first", "second"))
-    manifest = Manifest(tmp_path / FILE)
-    found = register([asked(each) for each in (one, other, one)], manifest, lambda text, share: None)
-    assert found.same == {str(other): str(one)} and not found.nameless
-    assert [row["name"] for row in manifest.materials("pending")] == ["first"]

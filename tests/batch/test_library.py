@@ -1,56 +1,38 @@
-"""A library that a batch made: listed, checked, exported, tidied up."""
+"""A library that a batch made: listed, checked, exported, tidied up; and its page."""
 
-import contextlib
+from __future__ import annotations
+
 import json
 import shutil
 
 import pytest
-from helpers.captures import SIDE, write_captures
+from helpers.batches import publish, result_of
+from helpers.libraries import random_rows
 
 from mitsvbrdf import cli
-from mitsvbrdf.batch.asked import Asked
-from mitsvbrdf.batch.child import fit_into_library
-from mitsvbrdf.batch.entries import Entry
-from mitsvbrdf.batch.library.rows import write_library
-from mitsvbrdf.batch.manifest import FILE, Manifest
-from mitsvbrdf.batch.places.place import RECORD, LocalPlace
-from mitsvbrdf.batch.prepare import library_lock, quarantine, register, take_stock, task_of
-from mitsvbrdf.fit.config import HierarchicalConfig
-from mitsvbrdf.fit.options import FitOptions
-
-NAMES = ("shot-0", "shot-1", "shot-2")
+from mitsvbrdf.batch.library import Library, address, data_script, library_page
+from mitsvbrdf.batch.records import Failure, Pending, Row
+from mitsvbrdf.batch.results import ResultStore
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.map_files import save_maps
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """Two materials done, one of them twice since its calibration has changed, and one that failed."""
+    """Two materials done, one of them twice since its photos changed; one that failed, and one that waits."""
     root = tmp_path_factory.mktemp("made")
-    captures, home = write_captures(root / "shots", 3), root / "library"
-    library_lock(home)()
-    manifest = Manifest(home / FILE)
-
-    def fit(captures, iterations, tags):
-        config = HierarchicalConfig(guess="min", iterations=iterations)
-        asked = [Asked(Entry(str(capture)), config, FitOptions(resolution=SIDE), False, tags)
-                 for capture in captures]
-        register(asked, manifest, lambda *_: None)
-        for work in take_stock(manifest, LocalPlace(home), home, False).work:
-            attempt = manifest.begin(work.identity, "w1", "here")
-            task = task_of(manifest, work, attempt, str(home))
-            if task["name"] == NAMES[2]:
-                manifest.end(attempt, "failed", {"state": "crashed", "reason": "killed"})
-                quarantine(home, manifest.material(work.identity), "crashed", "killed", "a log")
-            else:
-                manifest.end(attempt, "done", {"state": "done", "row": fit_into_library(task),
-                                               "seconds": 1.0})
-
-    fit(captures[:1], 4, ("old",))
-    with (captures[0] / "capture.json").open("a") as calibration:
-        calibration.write("\n")
-    fit(captures, 4, ("wood",))
-    write_library(home, manifest, home.name)
-    manifest.close()
-    return home
+    save_maps(make_material("inlay", 16), root / "maps")
+    files = {f"maps/{path.name}": path.read_bytes() for path in (root / "maps").iterdir()}
+    results = ResultStore(str(root / "library"))
+    with results.claimed():
+        for letter, name, day in (("a", "oak-2", 1), ("b", "oak-2", 2), ("c", "oak-10", 3)):
+            publish(results, result_of(identity=letter * 64, name=name, source=f"/shots/{name}", tags=["wood"],
+                                       date=f"2026-11-0{day}T00:00:00Z", row=Row(error=0.01 * day)), letter, files)
+        results.settle("ash-dddddddd", Failure(identity="d" * 64, name="ash", source="/shots/ash", state="crashed",
+                                               reason="SIGSEGV", log=True, date="2026"), "its last words")
+        results.want(Pending(identity="e" * 64, name="elm", source="/shots/elm", base="/", cost=1.0, limit=None))
+        Library(results).write()
+    return root / "library"
 
 
 @pytest.fixture
@@ -70,133 +52,105 @@ def ask(library, capsys):
     return ask
 
 
-def results(library):
-    return sorted(path.parent.name for path in library.glob(f"*/{RECORD}"))
+def folders(library):
+    return sorted(path.parent.name for path in library.glob("*/batch.json"))
 
 
-def test_rows(library, ask):
-    code, lines, _ = ask("--json")
-    first, second, failed = rows = [json.loads(line) for line in lines]
-    assert code == 0 and [row["name"] for row in rows] == list(NAMES)
+def test_rows_are_those_of_the_folders_and_of_the_file_for_pandas(ask, library):
+    rows = [json.loads(line) for line in ask("--json")[1]]
+    assert [(row["name"], row["state"], row["id"]) for row in rows] == [
+        ("ash", "failed", "d" * 8), ("elm", "pending", "e" * 8), ("oak-2", "done", "b" * 8), ("oak-10", "done", "c" * 8)]
     assert rows == json.loads((library / "library.json").read_text())["materials"]
-    for row in (first, second):
-        record = json.loads((library / row["folder"] / "fit.json").read_text())
-        assert row["state"] == "done" and row["error"] == record["rerender_rmse"] > 0
-        assert (row["resolution"], row["photos"], row["tags"]) == (SIDE, len(record["capture"]["photos"]),
-                                                                   ["wood"])
-        assert (library / row["preview"]).is_file() and row["report"] is None  # no pages were asked for
-    assert failed["state"] == "failed" and failed["reason"] == "killed" and failed["error"] is failed[
-        "preview"] is None
-    assert (library / failed["log"]).read_text() == "a log" and first["log"] is None
-    (library / failed["log"]).write_text("")
-    assert json.loads(ask("--json")[1][2])["log"] is None  # nobody is sent to an empty log
+    assert rows[0]["log"] == "failed/ash-dddddddd/log.txt" and (library / rows[0]["log"]).read_text() == "its last words"
+
+
+@pytest.mark.parametrize("options, names", [
+    ([], ["ash", "elm", "oak-2", "oak-10"]), (["--search", "WOOD"], ["oak-2", "oak-10"]), (["--search", "sigs"], ["ash"]),
+    (["--state", "pending"], ["elm"]), (["--search", "k-1", "--state", "done"], ["oak-10"]), (["--search", "x y"], [])])
+def test_search_is_by_text_and_state(ask, options, names):
+    assert [json.loads(line)["name"] for line in ask("--json", *options)[1]] == names
 
 
 def test_listing(ask):
-    code, lines, _ = ask()
-    assert code == 0 and lines[0].strip() == "3 materials" and sum("done" in line for line in lines) == 2
-    assert lines[-1].startswith("failed: shot-2-") and lines[-1].endswith(": killed")
-    code, lines, _ = ask("--where", "shot-1")
-    assert code == 0 and lines[0].strip() == "1 material"
-    assert ask("--where", "nothing") == (0, ["no material matches"], "")
+    code, said, _ = ask()
+    assert code == 0 and "4 materials" in said[0] and any("oak-10-cccccccc" in line and "0.0300" in line for line in said)
+    assert any(line == "failed: ash-dddddddd: SIGSEGV" for line in said)
+    assert ask("--search", "nothing")[1] == ["no material matches"]
 
 
-@pytest.mark.parametrize("where, names", [
-    ("state:done", NAMES[:2]), ("state:failed", NAMES[2:]), ("tag:wood shot-1", NAMES[1:2]), ("tag:old", ()),
-    ("error<1", NAMES[:2]), ("error>1", ()), (f"resolution={SIDE} reason:kill", NAMES[2:])])
-def test_where(where, names, ask):
-    code, lines, _ = ask("--json", "--where", where)
-    assert code == 0 and [json.loads(line)["name"] for line in lines] == list(names)
+@pytest.mark.parametrize("name", ["library.json", "index.html", "library.js", ".token", "failed", "pending"])
+@pytest.mark.parametrize("content", [None, "", "{", '{"materials": [NaN]}'])
+def test_nothing_but_the_folders_counts(ask, library, name, content):
+    path = library / name
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    if content is not None and name not in ("failed", "pending"):
+        path.write_text(content)
+    code, said, _ = ask("--json", "--state", "done")
+    assert code == 0 and [json.loads(line)["name"] for line in said] == ["oak-2", "oak-10"]
+    assert "NaN" not in "".join(said)
 
 
-def test_verify_finds_what_changed(library, ask):
-    code, lines, _ = ask("--verify")
-    assert code == 0 and lines[-1] == "unchanged: 2 of 2 results"
-    first, second = (json.loads(line)["folder"] for line in ask("--json", "--where", "state:done")[1])
-    maps = library / first / "maps" / "diffuse.exr"
-    content = bytearray(maps.read_bytes())
-    content[-1] ^= 1
-    maps.write_bytes(content)
-    (library / second / "preview.jpg").unlink()
-    code, lines, _ = ask("--verify")
-    assert code == 1 and lines[-1] == "unchanged: 0 of 2 results" and "run the same batch again" in lines[-2]
-    assert f"changed: {first}: maps/diffuse.exr has changed" in lines
-    assert f"changed: {second}: preview.jpg is missing" in lines
-    (library / second / RECORD).unlink()
-    code, lines, _ = ask("--verify", "--where", "shot-1")
-    assert code == 1 and f"changed: {second}: its record is missing" in lines and lines[
-        -1] == "unchanged: 0 of 1 result"
+def test_verify_finds_what_changed(ask, library):
+    assert ask("--verify")[:2] == (0, ["hashing", "unchanged: 2 of 2 results"])
+    (library / "oak-10-cccccccc/maps/diffuse.png").write_bytes(b"another")
+    code, said, _ = ask("--verify")
+    assert code == 1 and "changed: oak-10-cccccccc: maps/diffuse.png has changed" in said
+    assert ask("--verify", "--search", "oak-2")[0] == 0
 
 
-def test_prune_deletes_what_was_superseded_and_nothing_else(library, ask):
-    before, wanted = results(library), ask("--json")[1]
-    keep = [json.loads(line)["folder"] for line in wanted][:2]
-    old, = set(before) - set(keep)
-    assert old.startswith(NAMES[0])
-    aside = [f"{keep[0]}.damaged", f"{keep[0]}.damaged1"]
-    for folder in (*aside, "mine.damaged"):
-        (library / folder / "maps").mkdir(parents=True)
-    with contextlib.closing(Manifest(library / FILE)) as manifest:
-        failed, = manifest.materials("failed")
-        # new photos
-        manifest.want([dict(failed) | {"identity": "f" * 64, "asked": json.loads(failed["asked"]),
-                                       "tags": []}])
-    wanted = ask("--json")[1]
-    there = sorted(library.rglob("*"))
-    told = [f"{old} (a newer result took its place)",
-            *(f"{folder} (damaged, and made anew)" for folder in aside),
-            f"quarantine/{failed['folder']} (its capture has changed)"]
-    code, lines, _ = ask("--prune", "--dry-run")
-    assert code == 0 and lines[:-1] == [f"would delete: {each}"
-                                        for each in told] and sorted(library.rglob("*")) == there
-    code, lines, _ = ask("--prune")
-    assert code == 0 and lines[:-1] == [f"deleted: {each}" for each in told]
-    assert lines[-1] == "deleted 3 results, and the reasons of 1 failure"
-    assert results(library) == sorted(keep) and not (library / old).exists() and ask("--json")[1] == wanted
-    assert not list(library.glob(f"{keep[0]}.*")) and (library / "mine.damaged").is_dir()
-    assert not list((library / "quarantine").iterdir()) and ask("--verify")[0] == 0
-    assert ask("--prune")[1] == ["deleted 0 results, and the reasons of 0 failures"] and results(
-        library) == sorted(keep)
-    code, _, error = ask("--dry-run")
-    assert code == 2 and "--prune beside --dry-run" in error
+def test_prune_deletes_what_was_superseded_and_nothing_else(ask, library):
+    (library / "oak-2-aaaaaaaa.damaged").mkdir()
+    (library / "notes.txt").write_text("mine")
+    before = folders(library)
+    code, said, _ = ask("--prune", "--dry-run")
+    assert code == 0 and folders(library) == before and "would delete 2 results" in said[-1]
+    code, said, _ = ask("--prune")
+    assert code == 0 and folders(library) == ["oak-10-cccccccc", "oak-2-bbbbbbbb"] and (library / "notes.txt").exists()
+    assert not (library / "oak-2-aaaaaaaa.damaged").exists() and "deleted 2 results" in said[-1]
+    assert len([json.loads(line) for line in ask("--json")[1]]) == 4
 
 
-def test_export_goes_on_after_one_that_fails(library, ask, tmp_path):
-    first, second = (json.loads(line)["folder"] for line in ask("--json", "--where", "state:done")[1])
-    (library / first / "fit.json").write_text("{")
-    code, _, error = ask("--export", "maps,glft", "-o", tmp_path / "out")
-    assert code == 2 and "'glft'" in error and not (tmp_path / "out").exists()
-    code, lines, _ = ask("--export", "maps", "-o", tmp_path / "out")
-    assert code == 1 and lines[-1] == f"exported 1 of 2 to {tmp_path / 'out'}"
-    assert any(line.startswith(f"not exported: {first}: ") for line in lines)
-    assert list((tmp_path / "out" / second / "maps").glob("*.png")) and not list(
-        (tmp_path / "out").glob(f"{first}/maps/*"))
-    for options in (["--export", "maps"], ["-o", tmp_path / "out"]):
-        code, _, error = ask(*options)
-        assert code == 2 and "give both, or neither" in error
-    assert ask("--where", "shot-1", "--export", "maps", "-o", tmp_path / "out")[0] == 1  # it is there already
-    assert ask("--where", "shot-1", "--export", "maps", "-o", tmp_path / "out", "--overwrite")[0] == 0
+def test_export_goes_on_after_one_that_fails(ask, library, tmp_path):
+    shutil.rmtree(library / "oak-2-bbbbbbbb/maps")
+    code, said, _ = ask("--export", "maps", "-o", tmp_path / "out", "--state", "done")
+    assert code == 1 and said[-1] == f"exported 1 of 2 to {tmp_path / 'out'}"
+    assert (tmp_path / "out/oak-10-cccccccc/maps").is_dir() and not (tmp_path / "out/oak-2-bbbbbbbb/maps").exists()
 
 
-def test_what_is_no_library(ask, tmp_path):
-    (tmp_path / "other").mkdir()
-    for folder in (tmp_path / "other", tmp_path / "nowhere"):
-        for options in ([], ["--prune"], ["--verify"]):
-            code, _, error = ask(*options, folder=folder)
-            assert code == 2 and "expected the LIBRARY of a batch" in error and str(folder) in error
-    assert not (tmp_path / "nowhere").exists() and not list((tmp_path / "other").iterdir())
+def test_mistakes(ask, tmp_path):
+    (tmp_path / "empty").mkdir()
+    for folder in (tmp_path / "empty", tmp_path / "missing"):
+        code, _, errors = ask(folder=folder)
+        assert code == 2 and "`mitsvbrdf batch` makes one" in errors
+    for options in (["--export", "gltf"], ["-o", tmp_path / "out"], ["--dry-run"]):
+        assert ask(*options)[0] == 2
 
 
-def test_a_library_in_use_is_looked_at_and_not_pruned(library, ask):
-    before = results(library)
-    unlock = library_lock(library)
-    manifest = Manifest(library / FILE)
-    try:
-        for options in (["--json"], ["--verify"], []):
-            assert ask(*options)[0] == 0
-        code, _, error = ask("--prune")
-        assert code == 2 and "in use" in error
-    finally:
-        manifest.close()
-        unlock()
-    assert results(library) == before and ask("--prune")[0] == 0
+def test_a_library_in_use_is_looked_at_and_not_pruned(ask, library):
+    with ResultStore(str(library)).claimed():
+        assert ask("--json")[0] == 0
+        code, _, errors = ask("--prune")
+        assert code == 2 and "in use by another one" in errors
+
+
+@pytest.mark.parametrize("path, expected", [
+    ("wood-1a2b3c4d/report.html", "wood-1a2b3c4d/report.html"), ("a b/ü?#.jpg", "a%20b/%C3%BC%3F%23.jpg"), (None, None),
+    ("", None), ("../mine", None), ("/etc/passwd", None), ("a//b", None), ("javascript:hit()", None), ("a\\b", None),
+    ("a/./b", None), ("\ud800", None)])
+def test_addresses_lead_nowhere_else(path, expected):
+    assert address(path) == expected
+
+
+def test_the_data_of_the_page_is_json_in_an_assignment():
+    rows = random_rows(50)
+    rows[0]["name"] = "</script><script>hit()</script>"
+    script = data_script({"title": "a"}, rows)
+    assert "<" not in script and script.isascii()
+    data = json.loads(script[script.index("{"):script.rindex("}") + 1])
+    assert data["columns"]["name"] == [row["name"] for row in rows] and len(data["columns"]["error"]) == 50
+
+
+def test_a_page_bears_its_nonce_alone():
+    page = library_page("<b>wood</b>")
+    assert "&lt;b&gt;wood" in page and page.count("<script") == page.count('<script nonce="')
+    assert page != library_page("<b>wood</b>")

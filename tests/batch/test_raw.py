@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from mitsvbrdf.batch.raw import rectified
+from mitsvbrdf.batch.captures import rectified
 from mitsvbrdf.capture.align import tag_edges
 from mitsvbrdf.errors import CaptureError
 from mitsvbrdf.io import images

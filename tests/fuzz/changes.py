@@ -12,7 +12,6 @@ import json
 import os
 import re
 import shutil
-import sqlite3
 import struct
 import zlib
 from collections.abc import Callable, Mapping, Sequence
@@ -206,17 +205,3 @@ def sized(folder: Path, under: str, nth: int, width: int, height: int) -> None:
                                                      (height - 1) & 0xFFFFFFFF)
     if data:
         path.write_bytes(data)
-
-
-@_change
-def row(folder: Path, path: str, nth: int, column: str, value: object) -> None:
-    """Change a value of a library's manifest."""
-    if not (folder / path).is_file():
-        return
-    unstorable = UnicodeEncodeError  # half a character
-    with contextlib.suppress(sqlite3.Error,
-                             unstorable), contextlib.closing(sqlite3.connect(folder / path)) as db:
-        db.execute("pragma journal_mode = delete")
-        rows = [each[0] for each in db.execute("select rowid from materials")]
-        db.execute(f"update materials set {column} = ? where rowid = ?", (value, rows[nth % len(rows)]))
-        db.commit()

@@ -30,10 +30,10 @@ def main() -> int:
 
 
 def _cut() -> None:
-    from mitsvbrdf.batch.workers.pool import RayPool
+    from mitsvbrdf.batch.tasks import RayTasks
     from mitsvbrdf.errors import BackendError
 
     def no_workers(*_: object, **__: object) -> None:
         raise BackendError("workers", "none, in a test", "run it without")
 
-    RayPool.__init__ = no_workers  # type: ignore[assignment,method-assign]
+    RayTasks.__init__ = no_workers  # type: ignore[assignment,method-assign]

@@ -9,14 +9,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 from fuzz.words import DIRECT, FIT, RELIT
-from helpers.batches import ROW, asked, write_result
+from helpers.batches import asked, publish, result_of
 
 from mitsvbrdf import cli
-from mitsvbrdf.batch.library.rows import write_library
-from mitsvbrdf.batch.manifest import FILE, Manifest
-from mitsvbrdf.batch.places.place import LocalPlace
-from mitsvbrdf.batch.prepare import library_lock, register, task_of
-from mitsvbrdf.batch.schedule import Work
+from mitsvbrdf.batch.library import Library
+from mitsvbrdf.batch.results import ResultStore
+from mitsvbrdf.batch.stock import take_stock
 from mitsvbrdf.capture import read_capture, write_capture
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
@@ -93,25 +91,17 @@ def _list(folder: Path) -> None:
 
 def _library(folder: Path) -> None:
     """Two materials that are done, and one of them as it was before its photos changed."""
-    home = folder / "library"
-    library_lock(home)()
-    manifest, place = Manifest(home / FILE), LocalPlace(home)
+    results = ResultStore(str(folder / "library"))
     written = folder / "fit/fit.json", *(folder / "fit/maps").iterdir()
     files = {str(path.relative_to(folder / "fit")): path.read_bytes() for path in written}
-    for number, name in enumerate(("wood", "stone", "wood")):
-        source = folder / "shots" / name
-        if not source.exists():
-            shutil.copytree(folder / "capture", source)
-        with (source / "capture.json").open("a") as stated:
-            stated.write("\n" * (number + 1))
-        register([asked(source)], manifest, lambda *_: None)
-        row = manifest.materials("pending")[0]
-        attempt = manifest.begin(row["identity"], "w1", "here")
-        task = task_of(manifest, Work(row["identity"], 1.0), attempt, str(home))
-        staging = place.staging(attempt)
-        write_result(staging, task, files)
-        place.publish(staging, row["folder"])
-        manifest.end(attempt, "done", {"state": "done", "row": ROW, "seconds": 1.0})
-    write_library(home, manifest, home.name)
-    manifest.close()
+    with results.claimed():
+        for number, name in enumerate(("wood", "stone", "wood")):
+            source = folder / "shots" / name
+            if not source.exists():
+                shutil.copytree(folder / "capture", source)
+            with (source / "capture.json").open("a") as stated:
+                stated.write("\n" * (number + 1))
+            for material in take_stock([asked(source)], Library(results), False).work:
+                publish(results, result_of(material, date=f"2026-11-0{number + 1}T00:00:00Z"), name, files)
+        Library(results).write()
     shutil.rmtree(folder / "shots")

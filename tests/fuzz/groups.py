@@ -182,20 +182,12 @@ def relights() -> Drawn[Case]:
 
 
 def libraries() -> Drawn[Case]:
-    """The manifest of a library, its index, and the records of its results."""
-    columns = st.sampled_from(("identity name folder source asked own tags cost wanted state reason "
-                               "attempts row seconds date "
-                               "peak_bytes host worker published").split())
-    values = st.one_of(names, st.sampled_from(TOKENS), st.none(), st.integers(-2**63, 2**63 - 1), st.floats())
-    path, index = "in/library/manifest.sqlite", "in/library/library.json"
-    ways = st.one_of(change("row", path=path, nth=whole, column=columns, value=values), spoiled(path),
-                     spoiled("in/library"), change("row", path=path, nth=whole, column="folder", value=names),
-                     change("row", path=path, nth=whole, column="wanted", value=0), stated(index),
-                     replaced(path, index, "in/library/.lock"),
-                     stated("in/library/wood-*/batch.json"))
-    quick = [f"library ../in/library{words}" for words in ("", " --json", " --where error<1", " --verify")]
-    looking = cases("library", "library", ways, *quick, *quick,
-                    "library ../in/library --export materialx -o out")
+    """The records of a library's results, and what it writes beside them."""
+    index = "in/library/library.json"
+    ways = st.one_of(spoiled("in/library"), stated(index), stated("in/library/wood-*/batch.json"),
+                     stated("in/library/stone-*/batch.json"), replaced(index, "in/library/.lock", "in/library/.token"))
+    quick = [f"library ../in/library{words}" for words in ("", " --json", " --search wood", " --verify")]
+    looking = cases("library", "library", ways, *quick, *quick, "library ../in/library --export materialx -o out")
     return st.one_of(looking, looking, cases("library", "library capture", ways,
                                              "library ../in/library --prune",
                                              f"batch ../in/capture -o ../in/library {FIT}", out="in/library"))

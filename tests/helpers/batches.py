@@ -1,27 +1,24 @@
-"""Batches without fits: captures of a few bytes, results made by hand, a pool whose workers do as they are
-told.
-"""
+"""Batches without fits: captures of a few bytes, results made by hand, tasks that end as they are told."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import msgspec
+
 from mitsvbrdf.batch.asked import Asked
-from mitsvbrdf.batch.entries import Entry
-from mitsvbrdf.batch.places.place import LocalPlace
+from mitsvbrdf.batch.captures import Entry
+from mitsvbrdf.batch.records import Material, Pending, Result, Row
+from mitsvbrdf.batch.results import ResultStore
 from mitsvbrdf.fit.config import FitConfig, HierarchicalConfig
 from mitsvbrdf.fit.options import FitOptions
 
 FILES = {"maps/diffuse.png": b"diffuse", "fit.json": b"{}"}
-ROW = {"error": 0.25, "seconds": 1.5, "date": "2026-11-23T10:00:00Z", "preview": None, "report": None,
-       "warnings": []}
-
-TASK = {"attempt": "aaaaaaaa-1", "identity": "a" * 64, "name": "wood"}
-FOLDER = "wood-aaaaaaaa"  # where its result lies
+ROW = Row(error=0.25, seconds=1.5, warnings=["dark"], preview="preview.jpg")
+DATE = "2026-11-23T10:00:00Z"
 
 
 def make_capture(folder: Path, photos: Sequence[bytes] = (b"one", b"two")) -> Path:
@@ -33,115 +30,67 @@ def make_capture(folder: Path, photos: Sequence[bytes] = (b"one", b"two")) -> Pa
     return folder
 
 
-def asked(capture: Path, config: FitConfig | None = None, **options: object) -> Asked:
+def asked(capture: Path, config: FitConfig | None = None, tags: tuple[str, ...] = (), **options: object) -> Asked:
     """A capture with what is asked for."""
     config = config or HierarchicalConfig(budget=10.0)
-    return Asked(Entry(str(capture)), config, FitOptions(**options), False, ())  # type: ignore[arg-type]
+    return Asked(Entry(str(capture)), config, FitOptions(**options), False, tags)  # type: ignore[arg-type]
 
 
-# Records that say no result: of somebody else, or spoiled.
-NO_RECORDS = (
-    "", "{", "[]", "3", "{}", '{"identity": "a", "attempt": "a-1", "row": {}}', "\xff", "[" * 100_000,
-    '{"identity": "a", "attempt": "a-1", "row": [], "files": {}}',
-    '{"identity": 3, "attempt": "a-1", "row": {}, "files": {}}',
-    '{"identity": "a", "attempt": "first", "row": {}, "files": {}}',
-    '{"identity": "a", "attempt": "a-1", "row": {"error": "low"}, "files": {}}',
-    '{"identity": "a", "attempt": "a-1", "row": {"date": [1]}, "files": {}}',
-    '{"identity": "a", "attempt": "a-1", "row": {}, "files": {"fit.json": 3}}',
-    '{"identity": "a", "attempt": "a-1", "row": {}, "files": {"../fit.json": {"bytes": 1, "sha256": ""}}}')
-# no names of results
-ELSEWHERE = ("", ".", "..", "../mine", "a/b", "/mine", "*", "mine-[0-9]", "mine-????????", "a\0")
+def result_of(material: Material | None = None, **changes: object) -> Result:
+    """A record without files; of ``wood`` where no material is given."""
+    names = Material.__struct_fields__
+    stated = {"identity": "a" * 64, "name": "wood"} if material is None else {n: getattr(material, n) for n in names}
+    return Result(**({**stated, "row": ROW, "files": {}, "date": DATE} | changes))  # type: ignore[arg-type]
 
 
-def write_result(staging: Path, task: Mapping, files: Mapping[str, bytes] = FILES) -> None:
-    """A result as a child leaves it."""
-    for name, content in files.items():
-        (staging / name).parent.mkdir(parents=True, exist_ok=True)
-        (staging / name).write_bytes(content)
-    stated = {name: {"bytes": len(content), "sha256": hashlib.sha256(content).hexdigest()}
-              for name, content in files.items()}
-    (staging / "batch.json").write_text(json.dumps({
-        "identity": task["identity"], "name": task["name"], "attempt": task["attempt"],
-        "source": task.get("capture", ""),
-        "asked": {}, "row": ROW, "files": stated}))
-
-
-def publish_result(place: LocalPlace, task: Mapping) -> bool:
+def publish(results: ResultStore, result: Result, attempt: str = "one", files: Mapping[str, bytes] = FILES) -> bool:
     """Make a result and let it appear."""
-    staging = place.staging(task["attempt"])
-    write_result(staging, task)
-    return place.publish(staging, f"{task['name']}-{task['identity'][:8]}")
+    with results.building(attempt) as made:
+        for name, content in files.items():
+            (made / name).parent.mkdir(parents=True, exist_ok=True)
+            (made / name).write_bytes(content)
+        return results.publish(made, result)
 
 
-class FakePool:
-    """Workers in this process.
+class FakeTasks:
+    """Tasks in this process, see :class:`mitsvbrdf.batch.tasks.RayTasks`.
 
-    A deed is what becomes of a task: an outcome's state (``done`` publishes a result first), ``lost``,
-    ``published, lost``, ``published, crashed``, ``claimed`` (says done, and there is nothing), ``held``
-    (until :meth:`release`).
+    A deed is what becomes of a task: a state (``done`` publishes a result first), ``published, crashed``,
+    ``claimed`` (says done, and there is nothing), ``held`` (until it is cancelled).
 
     Args:
-        place: where results appear.
-        deeds: by a capture's name, one an attempt; the last one is for all later ones; ``done`` where there
-            are none.
-        workers: how many.
-        meanwhile: called at each look for events.
+        results: where results appear.
+        deeds: by a capture's name, one an attempt; the last one is for all later ones; ``done`` where none is.
+        slots: how many run at a time.
     """
 
-    def __init__(self, place: LocalPlace, deeds: Mapping[str, Sequence[str]] | None = None, workers: int = 1,
-                 meanwhile: Callable[[], None] = lambda: None) -> None:
-        self.place, self.deeds, self.meanwhile = place, {name: deque(each)
-                                                         for name, each in (deeds or {}).items()}, meanwhile
-        self.tasks: list[dict] = []
-        self.held: dict[str, dict] = {}
-        self._events: list[dict] = []
-        self._named = 0
-        for _ in range(workers):
-            self._up()
+    def __init__(self, results: ResultStore, deeds: Mapping[str, Sequence[str]] | None = None, slots: int = 1) -> None:
+        self.results, self.slots, self.order = results, slots, list[str]()
+        self.deeds = {name: deque(each) for name, each in (deeds or {}).items()}
+        self.about = {"host": "here", "version": "", "token": ""}
+        self.said = list[tuple[str, dict]]()
+        self.held = set[str]()
 
-    def run(self, worker: str, task: dict) -> None:
-        self.tasks.append(task)
-        deeds = self.deeds.get(task["name"], deque(["done"]))
-        self._do(worker, task, deeds.popleft() if len(deeds) > 1 else deeds[0])
-
-    def events(self, seconds: float) -> list[dict]:
-        self.meanwhile()
-        found, self._events = self._events, []
-        return found
-
-    def close(self) -> None:
-        self.held.clear()
-
-    def release(self) -> None:
-        """What was held is done now."""
-        for worker, task in self.held.items():
-            self._do(worker, task, "done")
-        self.held.clear()
-
-    def names(self) -> list[str]:
-        """The captures in the order in which they were handed out."""
-        return [task["name"] for task in self.tasks]
-
-    def _up(self) -> None:
-        self._named += 1
-        self._events.append({"is": "worker", "worker": f"w{self._named}", "host": "here", "pid": 1,
-                             "version": "0"})
-
-    def _do(self, worker: str, task: dict, deed: str) -> None:
+    def start(self, name: str, task: dict) -> None:
+        material = msgspec.convert(task["material"], Pending)
+        deeds = self.deeds.get(material.name, deque(["done"]))
+        deed = deeds.popleft() if len(deeds) > 1 else deeds[0]
+        self.order.append(material.name)
+        self.said.append((name, {"host": "here", "version": task["version"], "token": task["token"]}))
         if deed == "held":
-            self.held[worker] = task
+            self.held.add(name)
             return
         if deed == "done" or deed.startswith("published"):
-            publish_result(self.place, task)
-        deed = deed.removeprefix("published, ")
-        if deed == "lost":
-            self._events.append({"is": "lost", "worker": worker, "attempt": task["attempt"],
-                                 "reason": "the node died"})
-            self._up()
-            return
-        state = "done" if deed == "claimed" else deed
-        row = ROW if state == "done" else None
-        self._events.append({"is": "done", "worker": worker, "attempt": task["attempt"], "outcome": {
-            "state": state, "reason": "" if row else f"it {state}", "log": "the log", "seconds": 2.0,
-            "peak_bytes": 7,
-            "row": row, "host": "here"}})
+            publish(self.results, result_of(material), name)
+        state = "done" if deed == "claimed" else deed.removeprefix("published, ")
+        log = {} if state in ("crashed", "lost") else {"log": "the log"}
+        self.said.append((name, {"state": state, "reason": f"it {state}", **log}))
+
+    def cancel(self, *names: str) -> None:
+        self.said += [(name, {"state": "cancelled", "reason": "its worker was killed"})
+                      for name in names if name in self.held]
+        self.held -= set(names)
+
+    def events(self, seconds: float) -> list[tuple[str, dict]]:
+        said, self.said = self.said, []
+        return said

@@ -17,7 +17,8 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
-from mitsvbrdf.batch.places.place import RECORD, LocalPlace
+from mitsvbrdf.batch.records import Result, Row
+from mitsvbrdf.batch.results import ResultStore
 from mitsvbrdf.io import files, results
 
 # a point to be killed at like the others; none of this has to outlive a power cut
@@ -57,17 +58,16 @@ class Fails(Exception):
 
 def publish(root: Path) -> None:
     """What a worker of a batch does."""
-    place = LocalPlace(root)
-    staging = place.staging("one")
-    write(staging, {"maps/a.exr": "2", "fit.json": "2"})
-    files.write_json(staging / RECORD, {"identity": "i", "attempt": "one-1", "row": {}, "files": {}})
-    place.publish(staging, "wood")
+    results = ResultStore(str(root))
+    with results.building("one") as made:
+        write(made, {"maps/a.exr": "2", "fit.json": "2"})
+        results.publish(made, Result(identity="a" * 64, name="wood", row=Row(), files={}))
 
 
 def after_publishing(root: Path) -> dict:
     """What a batch that starts anew finds."""
-    there = LocalPlace(root).record("wood") is not None
-    found = tree(root / "wood") if there else {}
+    there = ResultStore(str(root)).result("wood-aaaaaaaa") is not None
+    found = tree(root / "wood-aaaaaaaa") if there else {}
     return {"reader": found, "command": found, "beside": []}
 
 
@@ -134,7 +134,7 @@ def main(name: str, folder: Path) -> None:
             break
         points.append(shape.found(out))
         shutil.rmtree(out.parent, ignore_errors=True)
-    after = tree(out / "wood" if shape.batch else out)
+    after = tree(out / "wood-aaaaaaaa" if shape.batch else out)
     print(json.dumps({"before": before, "after": after, "points": points}))
 
 

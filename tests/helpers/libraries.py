@@ -5,13 +5,12 @@ of their own.
 from __future__ import annotations
 
 import datetime
-import json
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from mitsvbrdf.batch.library.page import write_library_page
+from mitsvbrdf.batch.library import DATA, PAGE, data_script, library_page
 
 KINDS = ("wood", "brick", "leather", "fabric", "metal", "stone", "tile", "paper", "plaster", "rubber", "cork",
          "sand")
@@ -41,14 +40,14 @@ def random_row(k: int, random: np.random.Generator, state: str, date: str) -> di
     kind, place = (str(random.choice(words)) for words in (KINDS, PLACES))
     name, identity = f"{kind}-{place}-{k}", f"{int(random.integers(2**32)):08x}"
     fitted, ended = state == "done", state in ("done", "failed")
-    folder = f"{'quarantine/' if state == 'failed' else ''}{name}-{identity}"
+    folder = f"{'failed/' if state == 'failed' else ''}{name}-{identity}"
 
     def number(value: float, share: float) -> float | None:
         return round(float(value), 5) if fitted and random.random() < share else None
 
     return {
         "name": name, "id": identity, "folder": folder, "state": state,
-        "error": number(random.lognormal(-3.5, 0.5), 1), "left_out_error": number(random.lognormal(-2.8, 0.5),
+        "error": number(random.lognormal(-3.5, 0.5), 1), "held_out_error": number(random.lognormal(-2.8, 0.5),
                                                                                   0.8),
         "burn_in": number(random.beta(1, 12), 0.8),
         "warnings": random.choice(WARNINGS, random.choice([0, 0, 0, 1, 2]), replace=False).tolist() if fitted
@@ -60,8 +59,7 @@ def random_row(k: int, random: np.random.Generator, state: str, date: str) -> di
         "method": "gan" if random.random() < 0.2 else "hierarchical", "resolution": 512
         if random.random() < 0.3 else 256,
         "photos": int(random.integers(1, 12)),
-        "worker": f"w{random.integers(8)}" if ended else None, "host": f"node-{random.integers(3)}" if ended
-        else None,
+        "host": f"node-{random.integers(3)}" if ended else None,
         "source": f"captures/{kind}/{name}", "options": "--budget 60",
         "reason": str(random.choice(REASONS)) if state == "failed" else "",
         "preview": f"{folder}/preview.jpg" if fitted else None, "report": f"{folder}/report.html" if fitted
@@ -69,8 +67,11 @@ def random_row(k: int, random: np.random.Generator, state: str, date: str) -> di
         "log": f"{folder}/log.txt" if state == "failed" else None}
 
 
-def library_of(rows: list[dict], title: str = "A library", **more: object) -> dict:
-    return {"title": title, "made": "2026-11-23T10:00:00Z", "version": "0.1.0", "materials": rows, **more}
+def write_page(folder: Path, rows: list[dict], title: str = "A library", progress: str = "", command: str | None = None) -> None:
+    """The page of a library and its data."""
+    about = {"title": title, "made": "2026-11-23T10:00:00Z", "version": "1.0.0", "progress": progress, "command": command}
+    (folder / DATA).write_text(data_script(about, rows))
+    (folder / PAGE).write_text(library_page(title))
 
 
 def picture(seed: int, side: int = 128) -> bytes:
@@ -110,14 +111,5 @@ def write_library(folder: Path, rows: list[dict], pictures: int | None = None, *
         (folder / row["preview"]).write_bytes(picture(k))
         (folder / row["report"]).write_text("<!doctype html><link rel=icon "
                                             f"href=data:,><title>{row['name']}</title>a report")
-    write_library_page(folder, library_of(rows, **more))
+    write_page(folder, rows, **more)
     return folder / "index.html"
-
-
-def write_whole_library(folder: Path, rows: list[dict]) -> None:
-    """A library as a batch leaves it: page, data, pictures of the materials that are done, ``library.json``
-    and a manifest.
-    """
-    write_library(folder, rows)
-    (folder / "library.json").write_text(json.dumps(library_of(rows)))
-    (folder / "manifest.sqlite").write_text("secret")

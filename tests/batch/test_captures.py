@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from mitsvbrdf.batch import entries as entries_module
-from mitsvbrdf.batch.entries import Entry, entries, name_of_source
+from mitsvbrdf.batch import captures as captures_module
+from mitsvbrdf.batch.captures import Entry, Mistakes, captures, local_capture, name_of
 from mitsvbrdf.errors import CaptureError, ConfigError, MitsvbrdfError
 
 
@@ -29,6 +29,14 @@ def shots(tmp_path, monkeypatch):
     (tmp_path / "shots/fit/fit.json").touch()  # a result, with its preview
     (tmp_path / "shots/fit/preview.jpg").touch()
     return Path(os.path.realpath(tmp_path / "shots"))
+
+
+def entries(names):
+    """The captures that names stand for; mistakes are raised."""
+    mistakes = Mistakes()
+    found = captures(names, mistakes)
+    mistakes.tell()
+    return found
 
 
 def found(*names):
@@ -145,7 +153,7 @@ def test_all_mistakes_of_all_lists_are_told_at_once(shots):
 
 def test_a_library_among_the_captures_is_passed_over(shots):
     (shots / "library/wood-1a2b3c4d").mkdir(parents=True)
-    (shots / "library/manifest.sqlite").touch()
+    (shots / "library/.token").touch()
     (shots / "library/wood-1a2b3c4d/preview.jpg").touch()
     for names in (["shots"], ["shots/[lwb]*", "shots/text", "shots/a b"], ["shots", "shots/library"]):
         assert sorted(found(*names)) == [("a b",), ("brick",), ("text",), ("wood",)]
@@ -170,7 +178,7 @@ def test_a_folder_that_may_not_be_read_counts_as_a_capture_so_that_others_go_on(
             raise PermissionError(13, "Permission denied", str(folder))
         return listed(folder)
 
-    monkeypatch.setattr(entries_module.os, "listdir", forbidden)
+    monkeypatch.setattr(captures_module.os, "listdir", forbidden)
     assert found("shots") == [("a b",), ("brick",), ("text",), ("wood",)]
 
 
@@ -179,4 +187,15 @@ def test_a_folder_that_may_not_be_read_counts_as_a_capture_so_that_others_go_on(
     ("/x/木目", "capture"), ("/x/.hidden", "hidden"), ("/x/a\nb", "a_b"), ("/x/-rf", "rf"),
     ("/x/" + "a" * 200, "a" * 80), ("/", "capture"), ("/x/../..", "capture")])
 def test_names_have_letters_that_every_file_system_has(source, name):
-    assert name_of_source(source) == name
+    assert name_of(source) == name
+
+
+def test_captures_behind_a_url_are_found_as_in_a_folder(shots):
+    url = shots.as_uri()
+    assert found(url) == found("shots") and found(f"{url}/w*") == [("wood",)]
+    assert found(f"{url}/a b/capture.json") == [("a b",)]
+    with pytest.raises(CaptureError, match="none at"):
+        entries([f"{url}/empty"])
+    with local_capture(f"{url}/wood") as folder:
+        assert [path.name for path in folder.iterdir()] == ["00.png"] and folder.name == "wood"
+    assert not folder.exists()

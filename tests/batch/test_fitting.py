@@ -1,0 +1,129 @@
+"""A capture fitted by a worker: the same maps as `mitsvbrdf fit`, a whole result or none, and what it printed."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import msgspec
+import pytest
+from batch.chaos import make_captures
+from helpers.batches import asked, make_capture
+
+from mitsvbrdf import __version__
+from mitsvbrdf.batch.fitting import HELD, fit_capture
+from mitsvbrdf.batch.library import Library
+from mitsvbrdf.batch.results import ResultStore
+from mitsvbrdf.batch.stock import take_stock
+from mitsvbrdf.fit import HierarchicalConfig
+
+SIDE = 16
+QUICK = HierarchicalConfig(guess="min", iterations=4)
+# A worker: yields of the task of a file, and what is done to it once it is warm.
+WORKER = """
+import json, os, signal, sys, threading
+from mitsvbrdf.batch import fitting
+task, deed = json.load(open(sys.argv[1])), sys.argv[2]
+fit = fitting.fit_capture
+def fit_capture(*words):
+    if deed == "term": threading.Timer(0.05, os.kill, (os.getpid(), signal.SIGTERM)).start()
+    if deed == "eat": held = b"1" * (1 << 30); __import__("time").sleep(60)
+    if deed == "abort": os.abort()
+    if deed == "print": print("its words", flush=True)
+    if deed == "full": raise OSError(28, "No space left on device")
+    return fit(*words)
+fitting.fit_capture = fit_capture
+for each in fitting.fit_task(task):
+    print(json.dumps(each), file=sys.stdout, flush=True)
+"""
+
+
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("captures")
+    make_captures(folder, 2, SIDE)
+    return sorted(folder.iterdir())
+
+
+@pytest.fixture
+def worker(captures, tmp_path):
+    """A worker that fits the first capture, or another: deed -> what it yielded, its exit code and errors."""
+    results = ResultStore(str(tmp_path / "library"))
+
+    def work(deed="", capture=captures[0], **changes):
+        with results.claimed() as token:
+            stock = take_stock([asked(capture, QUICK, resolution=SIDE)], Library(results), True)
+            task = {"library": results.address, "token": token, "version": __version__, "attempt": "one",
+                    "material": msgspec.to_builtins(stock.work[0]), "threads": 1, "memory": None} | changes
+            (tmp_path / "task.json").write_text(json.dumps(task))
+            ran = subprocess.run([sys.executable, "-c", WORKER, str(tmp_path / "task.json"), deed],
+                                 capture_output=True, text=True)
+        return [json.loads(line) for line in ran.stdout.splitlines()], ran.returncode, ran.stderr
+
+    work.results = results
+    return work
+
+
+def maps_of(folder):
+    return {str(path.relative_to(folder)): path.read_bytes() for part in ("maps", "uncertainty")
+            for path in sorted((folder / part).iterdir())}
+
+
+def test_a_worker_makes_the_maps_of_the_fit_command(worker, captures, tmp_path):
+    (about, outcome), code, errors = worker("print")
+    assert code == 0 and about["version"] == __version__ and outcome["state"] == "done", errors
+    (folder,) = worker.results.names()
+    subprocess.run([sys.executable, "-m", "mitsvbrdf", "fit", str(captures[0]), "-o", str(tmp_path / "fit"),
+                    "--resolution", str(SIDE), "--guess", "min", "--iterations", "4"], check=True,
+                   stdout=subprocess.DEVNULL, env=os.environ | {"OMP_NUM_THREADS": "1"})
+    assert maps_of(tmp_path / "library" / folder) == maps_of(tmp_path / "fit")
+    result = worker.results.result(folder)
+    assert result.row.photos == 9 and 0 < result.row.error < 0.2 and result.row.peak_bytes > 1e8
+    there = {str(path.relative_to(tmp_path / "library" / folder))
+             for path in (tmp_path / "library" / folder).rglob("*") if path.is_file()}
+    assert set(result.files) == there - {"batch.json"} and not worker.results.damage(result, hashes=True)
+    assert not list((tmp_path / "library/.work").iterdir())
+    assert "its words" in outcome["log"]
+
+
+def test_sigterm_ends_a_worker_so_that_no_half_fit_counts(worker):
+    """A system that shuts down asks all its processes to end; `mitsvbrdf fit` would then keep what it has."""
+    said, code, _ = worker("term")
+    assert code != 0 and len(said) == 1 and worker.results.names() == []
+
+
+@pytest.mark.parametrize("deed, memory, words", [("eat", 1.0, HELD), ("abort", None, "Fatal Python error: Aborted")])
+def test_a_worker_that_dies_leaves_its_last_words(worker, deed, memory, words):
+    said, code, _ = worker(deed, memory=memory)
+    assert code < 0 and len(said) == 1
+    assert words in (worker.results.store.root / ".work/one.log").read_text()
+
+
+@pytest.mark.parametrize("deed, state", [("full", "full"), ("", "failed")])
+def test_what_fails_is_told_and_leaves_nothing_behind(worker, tmp_path, deed, state):
+    capture = make_capture(tmp_path / "wood", [b"no photo"])
+    (_, outcome), code, _ = worker(deed, capture)
+    assert (outcome["state"], code, worker.results.names()) == (state, 0, [])
+    assert not [path for path in (tmp_path / "library/.work").iterdir()]
+
+
+@pytest.mark.parametrize("changes", [{"token": "other"}, {"version": "0.1"}])
+def test_a_worker_of_another_library_or_version_does_not_fit(worker, changes):
+    said, code, _ = worker(**changes)
+    assert code == 0 and len(said) == 1 and worker.results.names() == []
+
+
+def test_pages_change_neither_maps_nor_figures_also_of_photos_held_out(captures, tmp_path):
+    record = replace(asked(captures[0], QUICK, resolution=SIDE, views="0,1,2,3,4,5,6")).record
+    bare, full = (fit_capture(captures[0], tmp_path / str(pages), record | {"pages": pages}) for pages in (False, True))
+    assert maps_of(tmp_path / "False") == maps_of(tmp_path / "True")
+    for name in ("error", "burn_in", "warnings", "method", "resolution", "photos"):
+        assert getattr(bare, name) == getattr(full, name), name
+    assert bare.photos == 7 and bare.held_out_error == pytest.approx(full.held_out_error, rel=1e-3)
+    assert {path.name for path in (tmp_path / "False").iterdir()} == {"maps", "uncertainty", "fit.json", "preview.jpg"}
+    assert (bare.report, full.report, bare.preview) == (None, "report.html", "preview.jpg")
+
+

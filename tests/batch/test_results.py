@@ -1,0 +1,231 @@
+"""Results appear whole or not at all, in a folder and in an object store; damage is named, nothing else is touched."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import msgspec
+import pytest
+from helpers.batches import FILES, publish, result_of
+
+from mitsvbrdf.batch import results as module
+from mitsvbrdf.batch.records import Failure, Pending
+from mitsvbrdf.batch.results import RECORD, WORK, ResultStore
+from mitsvbrdf.errors import BackendError, OutputError
+
+FOLDER = "wood-aaaaaaaa"
+# Records that say no result: of somebody else, or spoiled.
+NO_RECORDS = ("", "{", "[]", "3", "{}", '{"identity": "a"}', "\xff", "[" * 100_000, '{"identity": NaN}')
+STATED = {"identity": "a" * 64, "name": "wood", "row": {}, "files": {}}
+SPOILED = ({"row": []}, {"identity": 3}, {"row": {"error": "low"}}, {"row": {"warnings": "many"}}, {"tags": [1]},
+           {"files": {"fit.json": 3}}, {"files": {"../fit.json": {"bytes": 1, "sha256": ""}}}, {"name": "../wood"},
+           {"name": "brick"}, {"identity": "b" * 64}, {"source": "\ud800"})
+
+
+@pytest.fixture(params=["folder", "store"])
+def results(request, tmp_path, monkeypatch):
+    """An empty library, as a folder and behind a URL."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    (tmp_path / "library").mkdir()
+    return ResultStore(str(tmp_path / "library") if request.param == "folder" else f"file://{tmp_path}/library")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "library").mkdir()
+    return ResultStore(str(tmp_path / "library"))
+
+
+def at(results) -> Path:
+    return Path(results.address.removeprefix("file://"))
+
+
+def tree(path) -> dict:
+    return {str(each.relative_to(path)): each.read_bytes() if each.is_file() else None
+            for each in sorted(path.rglob("*"))}
+
+
+def test_a_result_is_there_with_its_record_and_files(results):
+    assert results.result(FOLDER) is None and publish(results, result_of(tags=["old"]))
+    found = results.result(FOLDER)
+    assert found.tags == ["old"] and set(found.files) == set(FILES) and results.names() == [FOLDER]
+    assert not results.damage(found, hashes=True)
+    assert {name: (at(results) / FOLDER / name).read_bytes() for name in FILES} == FILES
+
+
+def test_a_result_appears_by_one_rename_after_all_is_on_the_disk(folder, monkeypatch):
+    done, rename, sync = [], os.rename, module.to_disk
+    monkeypatch.setattr(module.os, "rename", lambda *names: (done.append("rename"), rename(*names)))
+    monkeypatch.setattr(module, "to_disk", lambda path: (done.append(path.name), sync(path)))
+    publish(folder, result_of())
+    assert done.index("rename") > max(done.index(name) for name in ("diffuse.png", "fit.json", RECORD, "maps", "one"))
+    assert not list((folder.store.root / WORK).iterdir())
+
+
+def test_in_a_store_the_record_comes_last(tmp_path, monkeypatch):
+    results, order = ResultStore(f"file://{tmp_path}/library"), []
+    put = type(results.store).put
+    monkeypatch.setattr(type(results.store), "put", lambda self, file, name: (order.append(name), put(self, file, name)))
+    publish(results, result_of())
+    assert order[-1] == f"{FOLDER}/{RECORD}" and len(order) == len(FILES) + 1
+
+
+def test_a_result_is_never_replaced(results):
+    publish(results, result_of())
+    assert not publish(results, result_of(), "two", {"fit.json": b"another"})
+    assert (at(results) / FOLDER / "fit.json").read_bytes() == FILES["fit.json"]
+
+
+@pytest.mark.parametrize("what", ["file", "folder", "torn"])
+def test_what_is_no_result_goes_aside(folder, what):
+    path = folder.store.root / FOLDER
+    if what == "file":
+        path.write_text("mine")
+    else:
+        path.mkdir()
+        (path / RECORD if what == "torn" else path / "mine").write_text("{")
+    assert publish(folder, result_of()) and folder.result(FOLDER)
+    assert folder.aside() == [f"{FOLDER}.damaged"]
+
+
+def test_a_worker_that_outlived_its_batch_publishes_nothing(folder):
+    with pytest.raises(OutputError, match="taken away meanwhile"), folder.building("one") as made:
+        (made / "fit.json").write_text("{}")
+        folder.clear_work()
+        made.mkdir(parents=True)  # it writes its next file
+        (made / "late.json").write_text("{}")
+        folder.publish(made, result_of())
+    assert folder.names() == []
+
+
+@pytest.mark.parametrize("text", [*NO_RECORDS, *(json.dumps(STATED | change) for change in SPOILED)])
+def test_a_record_that_is_none_counts_for_nothing(results, text):
+    publish(results, result_of())
+    (at(results) / FOLDER / RECORD).write_text(text, encoding="latin-1")
+    assert results.result(FOLDER) is None
+
+
+def test_a_record_of_version_1_0_0_is_read(folder):
+    publish(folder, result_of())
+    old = {"identity": "a" * 64, "name": "wood", "attempt": "aaaa-1", "source": "/shots/wood", "asked": {},
+           "row": {"error": 0.1, "left_out_error": 0.2, "seconds": 1, "date": "2026-11-01T00:00:00Z"},
+           "files": {"fit.json": {"bytes": 2, "sha256": "0"}}}
+    (folder.store.root / FOLDER / RECORD).write_text(json.dumps(old))
+    assert folder.result(FOLDER).row.held_out_error == 0.2
+
+
+@pytest.mark.parametrize("harm, by_size, by_hash", [
+    (lambda path: path.write_bytes(b"longer than before"), True, True),
+    (lambda path: path.write_bytes(b"[]"), False, True), (lambda path: path.unlink(), True, True)])
+def test_damage_is_named(results, harm, by_size, by_hash):
+    publish(results, result_of())
+    harm(at(results) / FOLDER / "fit.json")
+    for hashes, wrong in ((False, by_size), (True, by_hash)):
+        assert ("fit.json" in results.damage(results.result(FOLDER), hashes)) == wrong
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/etc/passwd")], ids=["pipe", "link"])
+def test_what_is_no_file_is_damage_and_not_opened(folder, make):
+    publish(folder, result_of())
+    for name in ("fit.json", RECORD):
+        found = folder.result(FOLDER)
+        (folder.store.root / FOLDER / name).unlink()
+        make(folder.store.root / FOLDER / name)
+        assert name == RECORD or folder.damage(found, hashes=True) == "fit.json is missing"
+    assert folder.result(FOLDER) is None
+
+
+def test_what_is_set_aside_is_kept_under_a_number_and_can_be_removed(results):
+    for number in range(2):
+        publish(results, result_of(), str(number))
+        results.set_aside(FOLDER)
+    assert results.aside() == [f"{FOLDER}.damaged", f"{FOLDER}.damaged1"] and results.names() == []
+    results.remove(f"{FOLDER}.damaged")
+    assert results.aside() == [f"{FOLDER}.damaged1"]
+
+
+def test_failures_and_what_waits_are_remembered(results):
+    stated = {"identity": "b" * 64, "name": "oak"}
+    results.want(Pending(**stated, base="/", cost=1.0, limit=None))
+    assert list(results.pending()) == ["oak-bbbbbbbb"]
+    results.settle("oak-bbbbbbbb", Failure(**stated, state="crashed", reason="SIGSEGV"), "its last words")
+    assert results.pending() == {} and results.failures()["oak-bbbbbbbb"].reason == "SIGSEGV"
+    assert (at(results) / "failed/oak-bbbbbbbb/log.txt").read_text() == "its last words"
+    results.settle("oak-bbbbbbbb")
+    assert results.failures() == {} and results.names() == []
+
+
+def test_one_batch_at_a_time(results):
+    with results.claimed() as token:
+        code = ("import sys; from mitsvbrdf.batch.results import ResultStore\n"
+                "with ResultStore(sys.argv[1]).claimed(): pass")
+        other = subprocess.run([sys.executable, "-c", code, results.address], capture_output=True, text=True)
+        assert "in use by another one" in other.stderr, other.stderr
+    with results.claimed() as again:
+        assert token == again and results.is_library()
+
+
+@pytest.mark.parametrize("name", ["photo.png", "notes.txt", "oak-bbbbbbbb/maps/diffuse.exr", "library.json"])
+def test_a_folder_of_somebody_else_is_refused_and_left_as_it_is(folder, name):
+    path = folder.store.root / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("mine")
+    before = tree(folder.store.root)
+    with pytest.raises(OutputError, match="a new folder or a library"), folder.claimed():
+        pass
+    assert tree(folder.store.root) == before
+
+
+def test_a_library_that_lost_all_but_its_results_is_accepted(folder):
+    publish(folder, result_of())
+    (folder.store.root / "library.json").write_text("NaN")
+    with folder.claimed():
+        assert folder.result(FOLDER)
+
+
+@pytest.mark.parametrize("name", [".lock", ".token", ".work", "library.json", "index.html", "failed", "pending"])
+def test_nothing_is_written_through_a_link_in_a_library(folder, tmp_path, name):
+    publish(folder, result_of())
+    (tmp_path / "outside").mkdir()
+    with folder.claimed():
+        pass
+    folder.clear_work()
+    path = folder.store.root / name
+    if path.exists():
+        path.unlink()
+    path.symlink_to(tmp_path / "outside")
+    with pytest.raises(OutputError, match="link"), folder.claimed():
+        pass
+    assert tree(tmp_path / "outside") == {}
+
+
+def test_what_is_removed_is_inside(folder, tmp_path):
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "outside" / RECORD).write_text("mine")
+    (folder.store.root / FOLDER).symlink_to(tmp_path / "outside")
+    folder.remove(FOLDER)
+    assert tree(tmp_path / "outside") == {RECORD: b"mine"} and not os.path.lexists(folder.store.root / FOLDER)
+    (folder.store.root / f"{WORK}-old").symlink_to(tmp_path / "outside")
+    folder.clear_work()
+    assert tree(tmp_path / "outside") == {RECORD: b"mine"}
+
+
+def test_a_store_that_cannot_be_had_is_one_error(tmp_path):
+    with pytest.raises(OutputError, match="an address that fsspec knows"):
+        ResultStore("nowhere://library")
+    with pytest.raises((BackendError, OutputError)), ResultStore("s3://library").claimed():
+        pass
+    with pytest.raises(OutputError), ResultStore(f"file://{tmp_path}/\0").claimed():
+        pass
+
+
+def test_records_say_all_that_they_hold(results):
+    found = result_of(tags=["a"], host="here", words="--seed 3", attempts=2)
+    publish(results, found)
+    assert msgspec.structs.replace(results.result(FOLDER), files={}) == found
+    results.restate(msgspec.structs.replace(results.result(FOLDER), tags=["b"]))
+    assert results.result(FOLDER).tags == ["b"] and not results.damage(results.result(FOLDER), hashes=True)
