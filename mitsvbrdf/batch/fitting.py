@@ -144,15 +144,15 @@ def _row(folder: Path, shown: Capture | None, engine: Renderer) -> Row:
     """
     from ..evaluate import placed
     from ..evaluate.placement import predict
-    from ..fit.record import read_fit, record_in
+    from ..fit.record import record_in
+    from ..fit.result import Fit
     from ..io.json import load
 
     record, error = record_in(folder), None
     if (folder / "report.json").is_file():
-        report = load(folder / "report.json")
-        error = report.get("held_out_rmse", report.get("left_out_rmse"))
+        error = load(folder / "report.json")["held_out_rmse"]
     elif shown is not None:
-        fit = read_fit(folder)
+        fit = Fit.of_maps(folder)
         around = placed(shown, fit)
         unseen = around.pick([number for number in around.index if number not in fit.seen])
         error = predict(fit.svbrdf, unseen, engine, fit.flash_offset)[1]

@@ -17,8 +17,8 @@ import msgspec
 from .. import __version__
 from ..errors import BackendError, OutputError
 from ..io.files import is_regular
-from ..io.interrupts import stop_signals
 from ..io.progress import several
+from ..io.signals import stop_signals
 from .fitting import HELD, LOG_CHARACTERS, log_path
 from .library import Library
 from .progress import Progress, Tell

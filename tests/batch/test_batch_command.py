@@ -81,6 +81,11 @@ def run(capfd, *words, library="library"):
     return code, (said.out + said.err).splitlines()
 
 
+def begins(said, begin, end):
+    """Whether a line begins and ends so."""
+    return any(line.startswith(begin) and line.endswith(end) for line in said)
+
+
 def names_in(folder):
     return sorted(path.name for path in Path(folder).iterdir())
 
@@ -103,14 +108,14 @@ def test_a_whole_round(shots, capfd):
     before = {path: path.stat().st_mtime_ns for path in Path("library").glob("*/maps/*")}
 
     code, said = run(capfd, "shots")
-    assert code == 0 and any(line.startswith("0 to fit") and line.endswith("; 6 done already") for line in said) and said[-1].startswith("6 done")
+    assert code == 0 and begins(said, "0 to fit", "; 6 done already") and said[-1].startswith("6 done")
     assert {path: path.stat().st_mtime_ns for path in Path("library").glob("*/maps/*")} == before
 
     first = sorted(shots.iterdir())[0].name
     photo = shots / first / "target/00.png"
     shutil.copy(shots / first / "target/01.png", photo)
     code, said = run(capfd, "shots")
-    assert code == 0 and any(line.startswith("1 to fit") and line.endswith("; 5 done already") for line in said)
+    assert code == 0 and begins(said, "1 to fit", "; 5 done already")
     assert len(list(Path("library").glob(f"{first}-*/batch.json"))) == 2  # the former result is kept
 
     Path("shots/list.txt").write_text(f"{first} --seed 3 --tag 'old wood'  # a remark\n")

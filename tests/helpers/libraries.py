@@ -67,9 +67,11 @@ def random_row(k: int, random: np.random.Generator, state: str, date: str) -> di
         "log": f"{folder}/log.txt" if state == "failed" else None}
 
 
-def write_page(folder: Path, rows: list[dict], title: str = "A library", progress: str = "", command: str | None = None) -> None:
+def write_page(folder: Path, rows: list[dict], title: str = "A library", progress: str = "",
+               command: str | None = None) -> None:
     """The page of a library and its data."""
-    about = {"title": title, "made": "2026-11-23T10:00:00Z", "version": "1.0.0", "progress": progress, "command": command}
+    about = {"title": title, "made": "2026-11-23T10:00:00Z", "version": "1.0.0", "progress": progress,
+             "command": command}
     (folder / DATA).write_text(data_script(about, rows))
     (folder / PAGE).write_text(library_page(title))
 
