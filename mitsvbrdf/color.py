@@ -28,7 +28,7 @@ TOE = 2e-6
 
 
 class Operations(NamedTuple):
-    """What responses compute with, of torch or of Dr.Jit: ``where(condition, a, b)`` and ``at_least(x, c)``."""
+    """What responses compute with, of torch or Dr.Jit: ``where(condition, a, b)``, ``at_least(x, c)``."""
 
     where: Callable
     at_least: Callable

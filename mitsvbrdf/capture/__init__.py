@@ -1,10 +1,8 @@
-"""From photographs to a :class:`Capture`: photos of one patch, rectified, with the views they were taken
-from.
+"""From photographs to a :class:`Capture`: photos of one patch, rectified, with their views.
 
-``read`` takes a folder: with a calibration in it, ``calibrated`` makes the capture; of raw photos, ``make``
-does, which finds lens and poses (``align``: a ``rig``), rectifies the photos (``rectify``), finds flash,
-vignetting and exposures (``light``) and leaves bad photos out (``quality``). ``guess`` makes a first diffuse
-map of a capture; ``page`` shows how good a capture is.
+``read`` takes a folder. ``calibrated`` makes the capture where the folder states a calibration, ``stages``
+where it holds raw photos: lens and poses (``align``, a ``rig``), rectified photos (``rectify``), flash,
+vignetting and exposures (``light``), bad photos rejected (``quality``). ``guess`` makes a first diffuse map.
 
 The public names are loaded on first use: the sheet of tags needs no torch.
 """

@@ -25,8 +25,7 @@ MOST_HELD = 500_000_000  # pixels of all photos of a capture, shrunk: 6 GB
 
 
 def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
-    """The capture of a ``capture.json``, shrunk to ``resolution``; without ``camera_pos`` its views are the
-    default geometry.
+    """The capture of a ``capture.json``; without ``camera_pos`` its views are the default geometry.
 
     Raises:
         CaptureError: naming what is missing or wrong.
@@ -72,9 +71,7 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
 
 
 def _calibration(stated: dict, path: Path) -> Calibration:
-    """Where the views come from, as stated; captures of other tools do not say it, and ``calibrated`` is our
-    older word.
-    """
+    """Where the views come from. Other tools do not state it; ``calibrated`` is our older word."""
     found = stated.get("calibration", "none" if stated.get("calibrated", True) is False else "given")
     if found not in get_args(Calibration):
         raise CaptureError(f"a calibration of {get_args(Calibration)}", f"{found!r} in {path}",
@@ -138,11 +135,10 @@ def _common_side(paths: list[Path], sizes: list[tuple[int, int]], source: Path) 
     for path, (width, height) in zip(paths, sizes):
         if min(width, height) < LEAST_SIDE:
             raise CaptureError(f"photos of {LEAST_SIDE} pixels or more a side",
-                               f"{path} of {width} x {height}",
-                               "use the original photo")
+                               f"{path} of {width} x {height}", "use the original photo")
         if (width, height) != sizes[0]:
-            raise CaptureError("photos of one size", f"{paths[0].name} of {sizes[0][0]} x {sizes[0][1]} and "
-                                                     f"{path.name} of "
+            raise CaptureError("photos of one size",
+                               f"{paths[0].name} of {sizes[0][0]} x {sizes[0][1]} and {path.name} of "
                                f"{width} x {height} in {source}", "rectify them to one size")
         if width != height:
             raise CaptureError("square photos, rectified to the patch", f"{path} of {width} x {height}",
@@ -163,8 +159,8 @@ def _numbered(folder: Path) -> dict[int, Path]:
     paths: dict[int, Path] = {}
     for path in sorted(p for p in _photos_in(folder) if p.stem.isdecimal()):
         if int(path.stem) in paths:
-            raise CaptureError("one photo of each number", f"{paths[int(path.stem)].name} and {path.name} "
-                                                           f"in {folder}",
+            raise CaptureError("one photo of each number",
+                               f"{paths[int(path.stem)].name} and {path.name} in {folder}",
                                "remove one of them")
         paths[int(path.stem)] = path
     if not paths:

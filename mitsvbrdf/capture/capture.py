@@ -33,7 +33,7 @@ class Capture:
         index: the number of each photo in the capture it was read from (0-based), e.g. (0, 1, 2, 3, 5, 6, 8).
         calibration: where the views come from; of ``none`` they are the stated default geometry.
         source: the folder it came from.
-        notes: what a user should know about how it was read (photos left out, default geometry, ...).
+        notes: what a user should know about how it was read (rejected photos, default geometry, ...).
 
     Raises:
         CaptureError: photos of another shape or with values that no photo has, or not a view and a number for
@@ -62,7 +62,7 @@ class Capture:
         index = whole_numbers(self.index) or list(range(len(self)))
         if len(index) != len(self) or len(set(index)) < len(index) or min(index) < 0:
             raise CaptureError(f"a number of its own for each of {len(self)} photos", str(index),
-                               "leave the index out")
+                               "omit the index")
         object.__setattr__(self, "index", tuple(index))
 
     def __len__(self) -> int:
@@ -99,9 +99,7 @@ class Capture:
 
     @kinds_checked
     def sampled(self, resolution: int) -> Capture:
-        """Every k-th pixel of the photos, the middle one, for the greatest k that leaves at least
-        ``resolution`` a side.
-        """
+        """Every k-th pixel of the photos, for the greatest k that leaves ``resolution`` or more a side."""
         if resolution < 1:
             raise ConfigError("a resolution of 1 or more", str(resolution), "choose a larger one")
         photos = sampled(self.photos.movedim(-1, 1), resolution)

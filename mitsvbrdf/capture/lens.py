@@ -70,9 +70,7 @@ class Lens:
 
 
 def field_of_view(focal_35mm: float, width: int, height: int) -> float:
-    """Degrees across the long side of a photo, from its 35 mm equivalent focal length (equal diagonals, 43.27
-    mm).
-    """
+    """Degrees across the long side of a photo, from its 35 mm equivalent (equal diagonals, 43.27 mm)."""
     focal = focal_35mm / math.hypot(36, 24) * math.hypot(width, height)
     return math.degrees(2 * math.atan(max(width, height) / 2 / focal))
 
@@ -91,8 +89,8 @@ def expected_lens(size: tuple[int, int], focal_35mm: Sequence[float]) -> Lens:
 
 def unsure_note(share: float) -> str:
     """What a user should know of a focal length that may be off by this share."""
-    return (f"the focal length is uncertain by {share:.1%}, and so are the heights of the cameras: the photos "
-            "are too few or too much alike; a few more from aside settle it")
+    return (f"the focal length is uncertain by {share:.1%}, and so are the heights of the cameras: the "
+            "photos are too few or too much alike; a few more from aside settle it")
 
 
 @dataclass(frozen=True)
@@ -109,9 +107,7 @@ class Pose:
 
     @classmethod
     def looking_at(cls, position: ArrayLike, target: ArrayLike, turn: float = 0.0) -> Pose:
-        """A camera at ``position`` that has ``target`` in its middle; at ``turn`` 0 (rad) the world's y
-        points up in it.
-        """
+        """A camera at ``position`` with ``target`` in its middle; at ``turn`` 0 (rad) the world's y is up."""
         position = np.asarray(position, dtype=np.float64)
         z = np.asarray(target, dtype=np.float64) - position
         z = z / np.linalg.norm(z)

@@ -81,8 +81,8 @@ class Photo:
             raise Unreadable("a photo", f"no file at {path}", "check the name")
         if path.suffix.lower() in RAW:
             with _readable(path), _rawpy(path).imread(str(path)) as raw:
-                size, orientation = (raw.sizes.width,
-                                     raw.sizes.height), ORIENTATION_OF_FLIP.get(raw.sizes.flip, 1)
+                size = raw.sizes.width, raw.sizes.height
+                orientation = ORIENTATION_OF_FLIP.get(raw.sizes.flip, 1)
         else:
             with _readable(path), _opened(path) as image:
                 size, orientation = image.size, orientation_of(image)
@@ -93,8 +93,7 @@ class Photo:
         check_size(path, size, CaptureError)
         if max(size) > LONGEST * min(size):
             raise CaptureError(f"photos at most {LONGEST} times as long as wide",
-                               f"{path} of {size[0]} x {size[1]} pixels",
-                               "crop it, or leave it out")
+                               f"{path} of {size[0]} x {size[1]} pixels", "crop it, or take it out")
         return cls(path, size, orientation if orientation in range(1, 9) else 1, read_exif(path))
 
     def pixels(self, most: int | None = None) -> np.ndarray:
@@ -127,9 +126,7 @@ class Photo:
 
 
 def reduced(image: np.ndarray, most: int) -> np.ndarray:
-    """Pixels divided by the least whole number that makes their long side ``most`` or less, by area
-    averages.
-    """
+    """Pixels averaged over squares of the least whole side that makes the long side ``most`` or less."""
     import cv2
 
     times = math.ceil(max(image.shape[:2]) / most)
@@ -150,15 +147,13 @@ def _readable(path: Path) -> Iterator[None]:
     except Exception as reason:  # Pillow, OpenCV and LibRaw raise all kinds
         said = reason.args[0] if reason.args else type(reason).__name__
         said = said.decode(errors="replace") if isinstance(said, bytes) else said
-        raise Unreadable("a readable photo", f"{path}: {said}", "copy it from the phone again, or leave it "
-                                                                "out") from None
+        raise Unreadable("a readable photo", f"{path}: {said}",
+                         "copy it from the phone again, or take it out of the folder") from None
 
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator:
-    """The file in Pillow, as nothing but what its name says: Pillow hands PostScript to Ghostscript, whatever
-    it is called.
-    """
+    """The file in Pillow, read as its name says: Pillow hands PostScript of any name to Ghostscript."""
     if heic := path.suffix.lower() in HEIC:
         _needed("pillow_heif", "heic", path).register_heif_opener()
     with opened(path, ("HEIF",) if heic else ("PNG", "JPEG")) as image:
@@ -198,8 +193,8 @@ def photos_in(folder: str | Path) -> list[Path]:
                            "give the folder that holds them")
     raw = [p for p in found if p.suffix.lower() in RAW]
     if raw and len(raw) < len(found):
-        raise CaptureError("photos of one kind", f"{len(raw)} RAW files and {len(found) - len(raw)} others "
-                                                 f"in {folder}",
+        raise CaptureError("photos of one kind",
+                           f"{len(raw)} RAW files and {len(found) - len(raw)} others in {folder}",
                            "move one kind to another folder")
     return found
 

@@ -47,8 +47,8 @@ def read_capture(
       photos are rectified;
     - ``camera_pos.txt``, ``image_size.txt``, ``light_power.txt`` and where given ``light_pos.txt`` beside the
       photos ``00.png|jpg``, ... (MaterialGAN);
-    - photos alone, as a phone wrote them: three or more as :func:`~mitsvbrdf.capture.stages.make_capture` sees
-      them, upright as the first; fewer, the first by name alone, with the stated default geometry.
+    - photos alone, as a phone wrote them: three or more as
+      :func:`~mitsvbrdf.capture.stages.make_capture` sees them, upright as the first; fewer, the first by name alone, with the stated default geometry.
 
     Args:
         folder: the folder, or the JSON file itself.
@@ -129,8 +129,7 @@ def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None
 
 def _from_plain(folder: Path, falloff: Falloff, resolution: int | None, transfer: color.Transfer | None,
                 report: Callable[[str, float], object]) -> Capture:
-    """Raw photos: what `mitsvbrdf capture` would make of them; of fewer than three that can be used, the
-    first alone.
+    """Raw photos: what `mitsvbrdf capture` makes of them; of fewer than three, the first alone.
 
     Photos that show everything in the same place are taken for rectified.
     """
@@ -164,21 +163,18 @@ def _single(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution:
     shot = _unposed(photos[:1], falloff, folder, resolution, [*differences(photos), *alone])
     z, focal = float(shot.views.camera[0, 2]), photos[0].exif.get("35 mm focal length")
     geometry = (f"no calibration: camera and light are taken to be together, {z:.2f} patch sides above the "
-                "centre (field of "
-                f"view {_angle(photos[0]):.0f} degrees, {'from EXIF' if focal else 'assumed'}); a white "
-                "texel there has "
-                "radiance 1")
+                f"centre (field of view {_angle(photos[0]):.0f} degrees, "
+                f"{'from EXIF' if focal else 'assumed'}); a white texel there has radiance 1")
     return replace(shot, notes=(*shot.notes, geometry))
 
 
 def _rectified(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution: int | None) -> Capture:
-    """The middle squares of photos that show everything in the same place, of whose views nothing is
-    known.
-    """
+    """The middle squares of photos from one place, of whose views nothing is known."""
     size = Counter(photo.size for photo in photos).most_common(1)[0][0]
     kept = [photo for photo in photos if photo.size == size]
     others = [f"{photo.name} is rejected: it has another size" for photo in photos if photo.size != size]
-    note = "the photos show everything in the same place, so they are taken for rectified; nothing is known of their views"
+    note = ("the photos show everything in the same place, so they are taken for rectified; nothing is known "
+            "of their views")
     notes = [*differences(photos), *others, note]
     return _unposed(kept, falloff, folder, resolution, notes, [photos.index(photo) for photo in kept])
 
@@ -200,9 +196,7 @@ def _angle(photo: Photo) -> float:
 
 
 def _square(photo: Photo, resolution: int | None) -> np.ndarray:
-    """The middle square of a photo as it is shown, S x S x 3 display values, S at most :data:`MOST_SQUARE`;
-    then shrunk.
-    """
+    """The middle square of a photo as shown, S x S x 3 display values, S <= :data:`MOST_SQUARE`, shrunk."""
     pixels = upright(photo.pixels(), photo.orientation)
     (height, width), side = pixels.shape[:2], min(pixels.shape[:2])
     if side < LEAST_SIDE:

@@ -34,9 +34,7 @@ class Rectified:
     @classmethod
     def of(cls, rig: Rig, photos: Sequence[Photo], resolution: int, report: Callable[[str, float], object]
            ) -> Rectified:
-        """The photos that ``rig`` has poses of, in ``resolution`` pixels a side, or in as many as they
-        show.
-        """
+        """The photos of ``rig``, in ``resolution`` pixels a side, or in as many as they show."""
         photos = [photo for photo in photos if photo.name in rig.poses]
         shown = int(np.median([_resolved(rig.lens, pose, rig.size) for pose in rig.poses.values()]))
         side, pictures, small = max(LEAST_SIDE, min(resolution, shown)), {}, {}
@@ -56,8 +54,7 @@ def _resolved(lens: Lens, pose: Pose, size: float) -> float:
 
 
 def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolution: int) -> np.ndarray:
-    """A photo as seen straight from above: the patch in R x R pixels, row 0 at the top, lens distortion
-    undone.
+    """A photo as seen from straight above: the patch in R x R pixels, row 0 at the top, undistorted.
 
     Each pixel is the average over its area, from as many samples as the photo has pixels there, or more.
 

@@ -23,8 +23,7 @@ class OnePlace(CaptureError):
 
 @dataclass(frozen=True)
 class Rig:
-    """A lens and where it stood in each photo. The patch is the square of side ``size`` around the world's
-    origin.
+    """A lens and where it stood in each photo. The patch is the square around the world's origin.
 
     Args:
         lens: what all photos share.
@@ -51,9 +50,7 @@ class Rig:
 
 
 def rig_to_json(rig: Rig) -> dict:
-    """What :func:`rig_from_json` makes a rig of again, for ``capture.json["rig"]``: plain numbers, lists and
-    texts.
-    """
+    """A rig as numbers, lists and texts, for ``capture.json["rig"]``; see :func:`rig_from_json`."""
     lens = {name: list(value) if isinstance(value, tuple) else value
             for name, value in asdict(rig.lens).items()}
     poses = {name: {"position": np.asarray(pose.position).tolist(),

@@ -132,7 +132,8 @@ class _Asked:
 
     def __post_init__(self) -> None:
         if not LEAST_SIDE <= self.resolution <= MOST_SIDE:
-            raise ConfigError(f"a resolution of {LEAST_SIDE} to {MOST_SIDE}", str(self.resolution), "try 1024")
+            raise ConfigError(f"a resolution of {LEAST_SIDE} to {MOST_SIDE}", str(self.resolution),
+                              "try 1024")
         if self.sheet_cm is not None and not (math.isfinite(self.sheet_cm) and self.sheet_cm > 0):
             raise ConfigError("the size of the sheet in cm", str(self.sheet_cm),
                               "measure the frame of tags from edge to edge")

@@ -101,7 +101,8 @@ def _print(result: CaptureResult, asked: int) -> None:
         quality, error = result.qualities.get(photo.name), result.rig.errors.get(photo.name)
         table.add_row(photo.name, result.rig.rejected.get(photo.name) or number[photo.name],
                       "" if error is None else f"{error:.2f} px",
-                      f"{quality.sharpness:.2f}" if quality else "", f"{quality.clipped:.0%}" if quality else "")
+                      f"{quality.sharpness:.2f}" if quality else "",
+                      f"{quality.clipped:.0%}" if quality else "")
     print_rich(table, markup=False)
     for warning in result.warnings:
         say(f"note: {warning}")

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 FEATURE_SIDE = 2048  # photos are searched for features at no more than this many pixels a side
 MOST_FEATURES = 8000
 FEW_FEATURES = 3000  # the strongest, which are compared first: time grows with the square
-# weakest feature; with OpenCV's 0.04, flash photos of wood were warped 50 pixels wrong or left out
+# weakest feature; with OpenCV's 0.04, flash photos of wood were warped 50 pixels wrong or rejected
 CONTRAST = 0.01
 RATIO = 0.8  # a match counts when its distance is below this share of the second best's (Lowe 2004)
 REPROJECTION = 3.0  # pixels off at which a match is an outlier, at the size at which features were searched
@@ -53,8 +53,8 @@ def find_features(photo: Photo) -> Features:
     import cv2
 
     pixels = photo.pixels(FEATURE_SIDE)
-    image = np.rint(pixels.astype(np.float32).mean(axis=2) * (255 / np.iinfo(pixels.dtype).max)).astype(
-        np.uint8)
+    grey = pixels.astype(np.float32).mean(axis=2) * (255 / np.iinfo(pixels.dtype).max)
+    image = np.rint(grey).astype(np.uint8)
     # else off by 0.25 pixels
     sift = cv2.SIFT_create(MOST_FEATURES, contrastThreshold=CONTRAST, enable_precise_upscale=True)
     found, descriptors = sift.detectAndCompute(image, None)
@@ -69,8 +69,7 @@ def find_features(photo: Photo) -> Features:
 
 
 def match(a: Features, b: Features, most: int = MOST_FEATURES) -> NDArray[np.intp]:
-    """Pairs (M x 2: index in a, in b) that are each other's nearest, and clearly nearer than the second
-    nearest of b.
+    """Pairs (M x 2: index in a, in b) that are each other's nearest, clearly nearer than the second best.
 
     Args:
         most: only so many of the strongest features of each are looked at.
@@ -92,9 +91,8 @@ def match(a: Features, b: Features, most: int = MOST_FEATURES) -> NDArray[np.int
 
 
 def repeats(features: Features) -> float:
-    """Whether a pattern repeats itself, within one photo: share of the pairs of features there that are each
-    other's nearest which agree with one homography. Exact repeats: 0.26 to 0.33; tiles, inlays and bricks
-    that vary: at most 0.05.
+    """Whether a pattern repeats itself within one photo: the share of its pairs of nearest features that
+    agree with one homography. Exact repeats: 0.26 to 0.33; tiles, inlays and bricks that vary: at most 0.05.
     """
     import torch
 
@@ -111,8 +109,7 @@ def repeats(features: Features) -> float:
 
 
 def homography(source: Array, aim: Array, pixel: float) -> tuple[Array | None, NDArray[np.bool_]]:
-    """The 3 x 3 map from pixels (K x 2) to pixels (K x 2) that most agree with, and which do; None where too
-    few do.
+    """The 3 x 3 map from pixels (K x 2) to pixels that most agree with, and which do; None: too few do.
 
     Args:
         pixel: unit of the threshold, in pixels.
@@ -137,9 +134,7 @@ def mapped(warp: Array, points: Array) -> Array:
 
 
 def wild(warp: Array, size: tuple[int, int]) -> bool:
-    """Whether a homography between photos of this size folds one, or scales or bends it more than a handheld
-    camera does.
-    """
+    """Whether a homography folds a photo, or scales or bends it more than a handheld camera does."""
     width, height = size
     corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=np.float64)
     depth = np.concatenate([corners, np.ones((4, 1))], axis=1) @ warp[2]

@@ -69,7 +69,8 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
         if name not in rejected:
             features[name] = find_features(by_name[name])
             if len(features[name]) < LEAST_INLIERS:
-                rejected[name] = f"{len(features.pop(name))} features, too few to align: blurred, dark or without detail"
+                rejected[name] = (f"{len(features.pop(name))} features, too few to align: blurred, dark or "
+                                  "without detail")
     check_enough(features, rejected, *NEEDED)
     size = photos[0].size
     pairs = find_pairs(features, size, lambda share: report("features in common", 0.4 + 0.3 * share))
@@ -123,8 +124,8 @@ def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pa
     focal = lens.focal
     agreed = [p.matches.pick(p.agree) for p in pairs if p.warp is not None]
     few = _limited([m for m in agreed if _as_chained(m, warps)], lens.size, MOST_MATCHES // 3)
-    found = [adjust(lens, start, hub, few, focal, focal_share, steps=20) for start in starts(lens, warps,
-                                                                                             hub)]
+    found = [adjust(lens, start, hub, few, focal, focal_share, steps=20)
+             for start in starts(lens, warps, hub)]
     lens, poses, _, unsure = min(found, key=lambda f: f[2])
     settled = 0
     while True:
@@ -133,7 +134,8 @@ def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pa
         shares = {name: _agreeing(name, pairs, matches) for name in poses}
         worst = min(shares, key=shares.__getitem__)
         if shares[worst] < AGREEING:
-            rejected[worst] = f"only {shares[worst]:.0%} of what it has in common with other photos fits a place of the camera"
+            rejected[worst] = (f"only {shares[worst]:.0%} of what it has in common with other photos fits a "
+                               "place of the camera")
             del poses[worst]
             pairs = [p for p in pairs if worst not in (p.a, p.b)]
             if len(poses) < LEAST_PHOTOS:
@@ -154,9 +156,7 @@ def _as_chained(m: Match, warps: dict[str, Array]) -> bool:
 
 
 def _agreeing(name: str, pairs: list[Pair], matches: list[Match]) -> float:
-    """The matches of a photo that agree with the poses, as a share of those that agree with homographies of
-    their own.
-    """
+    """The matches of a photo that agree with the poses, over those that agree with homographies."""
     own = [(p.count, len(m.at_a)) for p, m in zip(pairs, matches) if name in (p.a, p.b) and p.count]
     return sum(there for _, there in own) / max(1, sum(count for count, _ in own))
 
@@ -179,7 +179,7 @@ def _errors(lens: Lens, poses: dict[str, Pose], matches: list[Match]) -> dict[st
 
 def _placed(lens: Lens, poses: dict[str, Pose], photos: dict[str, Photo],
             reference: str) -> tuple[dict[str, Pose], list[str]]:
-    """Poses in the frame of the patch, and the photos that are left out for it."""
+    """Poses in the frame of the patch, and the photos that are rejected for it."""
     angles = {name: upright(pose, photos[name].orientation) for name, pose in poses.items()}
     chosen = next(iter(sorted(poses))) if reference == "first" else _frontal(poses, angles)
     poses = {name: turned(pose, angles[chosen]) for name, pose in poses.items()}

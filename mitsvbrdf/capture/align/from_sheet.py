@@ -41,8 +41,7 @@ LENS = Layout(log_focal=(), centre=(2,), distortion=(2,))  # its unknowns: what 
 
 def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.0,
                    report: Callable[[str, float], object] = lambda text, share: None) -> Rig:
-    """Lens and poses from photos of the sheet, in cm; the patch is the middle 0.64 of it, in z = 0 below the
-    hole.
+    """Lens and poses in cm from photos of the sheet; the patch is its middle 0.64, in z = 0.
 
     One photo at a time is in memory.
 
@@ -72,8 +71,8 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
     size = photos[0].size
     start = expected_lens(size, stated), FOCAL_SHARE if stated else FOCAL_SHARE_UNKNOWN
     while True:
-        check_enough(seen, rejected, "that show the sheet", "take photos with all tags in view, sharp; where no "
-                     "sheet lies there, omit --sheet")
+        check_enough(seen, rejected, "that show the sheet",
+                     "take photos with all tags in view, sharp; where no sheet lies there, omit --sheet")
         report("poses", 0.8)
         lens, poses, errors, deviations, focal = _bundle(*start, sheet, depth_cm, seen)
         limit = max(LARGE * max(size), TIMES_MEDIAN * float(np.median(list(errors.values()))))
@@ -94,8 +93,7 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
 
 def refuse_tags(photos: Sequence[Photo],
                 how: str = "give that, for example `mitsvbrdf capture PHOTOS -o CAPTURE --sheet 18`") -> None:
-    """Raise CaptureError where a sheet of tags is in the first photo: without its size the tags would pass
-    for material.
+    """Refuse photos of a sheet without its size: the tags would pass for material.
 
     Args:
         photos: those of a capture.
@@ -133,9 +131,7 @@ def _first_pose(lens: Lens, edges: Edges, sheet: Sheet, depth: float) -> Pose:
 
 def _bundle(lens: Lens, focal_share: float, sheet: Sheet, depth: float, seen: dict[str, Edges]
             ) -> tuple[Lens, dict[str, Pose], dict[str, float], dict[str, float], float]:
-    """The lens, poses, RMS errors (pixels), deviations of positions (cm), and of the focal length as a
-    share.
-    """
+    """The lens, poses, RMS errors (pixels), deviations of positions (cm), and of the focal length (share)."""
     from scipy.optimize import least_squares
 
     problem = _Bundle(lens, focal_share, sheet, depth, seen)
@@ -155,13 +151,12 @@ def _bundle(lens: Lens, focal_share: float, sheet: Sheet, depth: float, seen: di
                               * np.linalg.norm(problem.firsts[name].position))
                   for name, own in problem.own.items()}
     focal = LENS.unpack(problem.layout.numbers.lens).log_focal
-    return problem.lens_of(x), poses, errors, deviations, float(np.sqrt(covariance[focal,
-                                                                                   focal]) * focal_share)
+    focal_sd = float(np.sqrt(covariance[focal, focal]) * focal_share)
+    return problem.lens_of(x), poses, errors, deviations, focal_sd
 
 
 class _Bundle:
-    """The least-squares problem of all photos: the prior of the lens, then each photo's points, off across
-    their edges.
+    """The least-squares problem of all photos: the prior of the lens, then each photo's points.
 
     Residuals by ``equations``: ``prior``, five of the lens, and ``points``, one each, those of a photo at
     ``rows``. Unknowns by ``layout``: ``lens``, by :data:`LENS` over its prior's deviations; ``poses``, of

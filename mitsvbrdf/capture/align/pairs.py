@@ -81,8 +81,7 @@ def _pair(features: dict[str, Features], a: str, b: str, size: tuple[int, int], 
 
 
 def chained_pairs(names: Collection[str], pairs: list[Pair]) -> tuple[str, dict[str, Array]]:
-    """Homographies from the photo that has most in common with others, the hub, to each that can be reached
-    from it.
+    """Homographies from the photo that has most in common with others, the hub, to each within reach.
 
     The maximum spanning tree over the number of agreeing matches (Prim 1957), in the largest group of
     connected photos.
@@ -111,9 +110,9 @@ def apart(name: str, pairs: list[Pair]) -> str:
     most = max(own, key=lambda p: int(p.agree.sum()))
     other = most.b if most.a == name else most.a
     if any(p.wild for p in own):
-        return "its homography is wild (folded, or scaled very differently): another surface, or one that is not flat"
+        return ("its homography is wild (folded, or scaled very differently): another surface, or one that "
+                "is not flat")
     if any(p.count for p in own):
         return f"it has something in common only with {other}, not with the larger group of photos"
     return (f"no agreement with any other photo: at most {int(most.agree.sum())} features agree with "
-            f"{other}, "
-            f"{LEAST_INLIERS} needed; another material, too little overlap, or blurred")
+            f"{other}, {LEAST_INLIERS} needed; another material, too little overlap, or blurred")

@@ -16,16 +16,14 @@ SQUARE = Layout(centre=(2,), half=())  # an upright square by half its side
 
 PHOTO_MARGIN = 0.01  # of a photo's sides: kept off its border
 CENTRED = 0.95  # of the largest square's side: so much of it is kept to have the patch below the cameras
-GAIN = 1.25  # a photo without which the patch's side would grow by more than this factor is better left out
+GAIN = 1.25  # a photo without which the patch's side would grow by more than this factor is rejected
 
 # Where the top of a photo as shown is in its stored pixels, by EXIF orientation.
 TOP = {1: (0, -1), 2: (0, -1), 3: (0, 1), 4: (0, 1), 5: (-1, 0), 6: (-1, 0), 7: (1, 0), 8: (1, 0)}
 
 
 def upright(pose: Pose, orientation: int) -> float:
-    """The angle (rad) by which the plane must be turned about z so that its y points up in a photo as
-    shown.
-    """
+    """The angle (rad) to turn the plane about z by, so that its y points up in a photo as shown."""
     x, y, _ = pose.rotation.T @ np.array([*TOP[orientation], 0.0])
     return float(np.arctan2(x, y))
 
@@ -60,8 +58,7 @@ def outline(lens: Lens, pose: Pose) -> Array:
 
 
 def largest_square(outlines: Sequence[Array]) -> tuple[Array, float]:
-    """Centre (x, y) and side of the largest upright square in all outlines; a side below 0 where there is
-    none.
+    """Centre (x, y) and side of the largest upright square in all outlines; a side below 0: there is none.
 
     A linear programme: a square of half side h lies in a half plane where n . centre + h (|n_x| + |n_y|) <=
     b.
@@ -79,9 +76,7 @@ def largest_square(outlines: Sequence[Array]) -> tuple[Array, float]:
 
 
 def centred_square(outlines: Sequence[Array], side: float, below: Array) -> Array:
-    """Centre (x, y) nearest to ``below`` of an upright square of this side in all outlines; a linear
-    programme, too.
-    """
+    """Centre (x, y) nearest to ``below`` of an upright square of this side in all outlines."""
     from scipy.optimize import linprog
 
     # away: |centre - below|
@@ -93,8 +88,8 @@ def centred_square(outlines: Sequence[Array], side: float, below: Array) -> Arra
     return unknowns.unpack(found.x).centre
 
 
-def choose_patch(outlines: dict[str, Array], least: int = 3, always: str | None = None) -> tuple[Array, float,
-                                                                                                 list[str]]:
+def choose_patch(outlines: dict[str, Array], least: int = 3, always: str | None = None
+                 ) -> tuple[Array, float, list[str]]:
     """The largest square that all photos show, but for those that would cost too much of it.
 
     Args:
@@ -103,8 +98,7 @@ def choose_patch(outlines: dict[str, Array], least: int = 3, always: str | None 
         always: a photo that is kept.
 
     Returns:
-        Centre, side, and the names of those left out; a side of 0 or below where too few photos show the
-        same.
+        Centre, side, and the names of rejected photos; a side of 0 or below: too few photos show the same.
     """
     kept = dict(outlines)
     out: list[str] = []

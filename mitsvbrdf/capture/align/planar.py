@@ -119,9 +119,7 @@ def starts(lens: Lens, homographies: dict[str, Array], hub: str, most: int = 3) 
 
 
 def _pose(axes: Array) -> Pose:
-    """The pose nearest to a plane's x axis, y axis and origin in camera axes, up to scale (columns of 3 x
-    3).
-    """
+    """The pose nearest to a plane's x axis, y axis and origin in camera axes, up to scale (3 x 3)."""
     scale = np.linalg.norm(axes[:, :2], axis=0).mean() * np.sign(axes[2, 2])
     x, y, origin = (axes / scale).T
     u, _, v = np.linalg.svd(np.stack((x, y, np.cross(x, y)), axis=1))
@@ -153,15 +151,14 @@ def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match
     found, rotations, positions = problem.rig(problem.full(result.x))
     counted = np.where(np.arange(len(result.jac)) < 2 * problem.count, math.sqrt(ALIKE), 1)
     jacobian = result.jac / counted[:, None]
-    unsure = math.sqrt(np.linalg.inv(jacobian.T @ jacobian)[problem.layout.numbers.log_focal,
-                                                            problem.layout.numbers.log_focal])
-    return found, {name: Pose(positions[i], rotations[i])
-                   for i, name in enumerate(poses)}, float(result.cost), unsure
+    focal_at = problem.layout.numbers.log_focal
+    unsure = math.sqrt(np.linalg.inv(jacobian.T @ jacobian)[focal_at, focal_at])
+    placed = {name: Pose(positions[i], rotations[i]) for i, name in enumerate(poses)}
+    return found, placed, float(result.cost), unsure
 
 
 class _Bundle:
-    """The least-squares problem of :func:`adjust`: K matches in two coordinates each, then what is expected
-    beforehand.
+    """The least-squares problem of :func:`adjust`: K matches in two coordinates each, then the priors.
 
     The unknowns, by ``layout``: ``log_focal``, natural logarithm beside the start's; ``distortion``, k1 and
     k2; ``poses``, by :data:`POSE`. Those of the hub's position, and its turn about its axis, are not
@@ -176,8 +173,8 @@ class _Bundle:
         positions = np.stack([poses[name].position for name in names])
         self.first = np.concatenate([np.full(len(m.at_a), names.index(m.a)) for m in matches])
         self.second = np.concatenate([np.full(len(m.at_b), names.index(m.b)) for m in matches])
-        self.at_a, self.at_b = np.concatenate([m.at_a for m in matches]), np.concatenate([m.at_b
-                                                                                          for m in matches])
+        self.at_a = np.concatenate([m.at_a for m in matches])
+        self.at_b = np.concatenate([m.at_b for m in matches])
         self.sigma = np.concatenate([np.full(len(m.at_a), m.sigma) for m in matches])[:, None]
         self.count = len(self.at_a)
         self.layout = Layout(log_focal=(), distortion=(2,), poses=(len(names), POSE.size))
@@ -202,9 +199,7 @@ class _Bundle:
 
     def _reprojection(self, seen: Array, lens: Lens, rotations: tuple[Array, Array],
                       positions: tuple[Array, Array]) -> Array:
-        """Errors of rays of the first photos, K x 3, with poses of first and second photos, in deviations: K
-        x 2.
-        """
+        """Errors of rays (K x 3) of the first photos in the second ones, in deviations: K x 2."""
         a, b = ((r[index], p[index]) for r, p, index in zip(rotations, positions, (self.first, self.second)))
         return (_carried(lens, *a, *b, seen) - self.at_b) / self.sigma
 

@@ -75,16 +75,13 @@ class Sheet:
         return {number: np.column_stack((xy * (1, -1), np.zeros(4))) * self.cell for number, xy in at.items()}
 
     def white(self, points: NDArray) -> NDArray[np.bool_]:
-        """Which points (K x 2, cm, of the sheet's plane) are surely white paper: a cell or more from anything
-        else.
-        """
+        """Which points (K x 2, cm, of the sheet) are white paper, a cell or more from anything else."""
         column, row = np.floor(np.asarray(points).T * ((1,), (-1,)) / self.cell + OUTER / 2).astype(int)
         inside = (column >= 0) & (column < OUTER) & (row >= 0) & (row < OUTER)
         return inside & _WHITE[np.clip(row, 0, OUTER - 1), np.clip(column, 0, OUTER - 1)]
 
     def picture(self, pixels_per_cm: float) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-        """The sheet seen from above, row 0 at the top, each pixel the average over its area; it spans
-        ``outer``.
+        """The sheet, ``outer`` wide, from above, row 0 at the top; each pixel is the average of its area.
 
         Returns:
             N x N, paper 255 and black 0; and N x N, the pixels whose centre is in the hole.
@@ -100,9 +97,7 @@ class Sheet:
 
 
 def _places() -> list[tuple[int, int]]:
-    """Column and row of the top left cell of each tag: along the top, down the right, back along the bottom,
-    up the left.
-    """
+    """Column and row of the top left cell of each tag: clockwise from the top left corner."""
     ring = [(i, 0) for i in range(5)] + [(4, i) for i in range(1, 4)]
     ring += [(4 - i, 4) for i in range(5)] + [(0, 4 - i) for i in range(1, 4)]
     first = (OUTER - FRAME) // 2
@@ -116,9 +111,7 @@ def tag_cells(number: int) -> NDArray[np.bool_]:
 
 
 def _grids() -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """White cells of the sheet (the hole counts as white), and those that are white paper with all their
-    neighbours.
-    """
+    """White cells of the sheet (with the hole), and those that are white paper with all their neighbours."""
     cells, paper = np.ones((2, OUTER, OUTER), dtype=bool)
     for number, (column, row) in enumerate(_PLACES):
         tag = slice(row, row + TAG), slice(column, column + TAG)
@@ -135,8 +128,7 @@ _CELLS, _WHITE = _grids()
 
 @kinds_checked
 def write_sheet(path: str | Path, size_cm: float = 18.0, paper: Paper = "a4") -> None:
-    """The sheet at its true size on a page of A4 or Letter, to print at 100 %, with what to do in small
-    print.
+    """Write the sheet at its true size on a page of A4 or Letter, with instructions in small print.
 
     Args:
         path: .pdf or .svg (lines and areas), or .png (600 dots an inch).
@@ -190,13 +182,12 @@ def _draw(axes: Any, sheet: Sheet, width: float, height: float) -> None:
                                  linestyle=dashes))
 
     def text(x: float, y: float, words: str, size: float = 8, **options: Any) -> None:
-        axes.text(x, y, words, fontsize=size, **{"ha": "center", "va": "center", "linespacing": 1.5}
-                  | options)
+        axes.text(x, y, words, fontsize=size,
+                  **{"ha": "center", "va": "center", "linespacing": 1.5} | options)
 
     def arrow(start: tuple[float, float], end: tuple[float, float], style: str) -> None:
-        axes.annotate("", end, start, arrowprops={"arrowstyle": style, "linewidth": 1, "shrinkA": 0,
-                                                  "shrinkB": 0,
-                                                  "mutation_scale": 8})
+        line = {"arrowstyle": style, "linewidth": 1, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 8}
+        axes.annotate("", end, start, arrowprops=line)
 
     arrow((middle - 0.6, top + 0.3), (middle - 0.6, top + 1.1), "-|>")
     text(middle - 0.3, top + 0.65, "this side up", 12, ha="left")
@@ -213,8 +204,8 @@ def _draw(axes: Any, sheet: Sheet, width: float, height: float) -> None:
         if i % 10 == 0:
             text(x, ruler + 0.55, f"{i // 10}", 6)
     text(middle, ruler - 0.25, "10 cm")
-    text(middle, ruler - 0.6, "Print at 100 % (\"actual size\"), on matt paper, and hold a ruler to the "
-                              "scale above.\n"
+    text(middle, ruler - 0.6,
+         "Print at 100 % (\"actual size\"), on matt paper, and hold a ruler to the scale above.\n"
          "Cut out the dashed square, keep the white rim around the tags, and lay the sheet flat on the "
          "material.\n"
          "Photograph with the flash, all tags in view:  mitsvbrdf capture PHOTOS -o CAPTURE --sheet "

@@ -48,9 +48,7 @@ class Edges:
 
 
 def find_edges(photo: Photo, sheet: Sheet) -> Edges:
-    """The tags of a photo, read at no more than 4100 pixels a side; memory: that of the photo and of its grey
-    copy.
-    """
+    """The tags of a photo, which is read at no more than 4100 pixels a side."""
     import cv2
 
     times = -(-max(photo.size) // MOST_PIXELS)
@@ -71,8 +69,8 @@ def find_edges(photo: Photo, sheet: Sheet) -> Edges:
         pixels.append((at + 0.5) * times - 0.5)
         across.append(normals)
         corners[number] = (found + 0.5) * times - 0.5
-    on_sheet, in_photo, turned = (np.concatenate(part) if part else np.zeros((0, 2)) for part in (plane,
-                                                                                                  pixels, across))
+    on_sheet, in_photo, turned = (np.concatenate(part) if part else np.zeros((0, 2))
+                                  for part in (plane, pixels, across))
     return Edges(on_sheet, in_photo, turned, corners)
 
 
@@ -107,11 +105,9 @@ _WAY = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
 _OUT = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]])
 
 
-def _measured(grey: NDArray, linear: NDArray[np.float32], corners: Array) -> tuple[Array, Array, Array,
-                                                                                   Array] | None:
-    """Points of a tag's edges in cells from its top left corner, in pixels, and the ways across; and its
-    corners anew.
-    """
+def _measured(grey: NDArray, linear: NDArray[np.float32], corners: Array
+              ) -> tuple[Array, Array, Array, Array] | None:
+    """Points of a tag's edges in cells from its top left corner, in pixels, the ways across; its corners."""
     import cv2
 
     low = np.maximum(np.floor(corners.min(axis=0) - np.ptp(corners, axis=0) / 4).astype(int), 0)
@@ -144,16 +140,13 @@ def _measured(grey: NDArray, linear: NDArray[np.float32], corners: Array) -> tup
 
 
 def _crossings(values: Array, steps: Array) -> Array:
-    """Where profiles (... x PROFILE, black to white) cross the middle between their ends; NaN unless once and
-    clearly.
-    """
+    """Where profiles (... x PROFILE, black to white) cross the middle between their ends once, else NaN."""
     quarter = PROFILE // 4
     black, white = np.median(values[..., :quarter], axis=-1), np.median(values[..., -quarter:], axis=-1)
     above = values > ((black + white) / 2)[..., None]
+    once = np.diff(above, axis=-1).sum(axis=-1) == 1
     with np.errstate(invalid="ignore"):
-        clear = (white - black > CONTRAST) & (np.diff(above,
-                                                      axis=-1).sum(axis=-1) == 1) & np.isfinite(values).all(
-                                                          axis=-1)
+        clear = (white - black > CONTRAST) & once & np.isfinite(values).all(axis=-1)
     first = np.argmax(above, axis=-1)
     before = np.maximum(first - 1, 0)
     a, b = (np.take_along_axis(values, i[..., None], axis=-1)[..., 0] for i in (before, first))

@@ -20,9 +20,7 @@ SURE = 0.2  # standard deviation up to which evenness counts as measured
 
 
 def evenness_of(problem: Problem, unknowns: Array, weights: Array, gloss: Array) -> dict[str, float]:
-    """1 - slope of each photo's log radiance, less what other photos say of its texels, over what a flash
-    makes of it: falloff and highlight, in logarithms.
-    """
+    """1 - slope of each photo's log radiance, less what others say of its texels, over a flash's pattern."""
     samples, pattern = problem.samples, problem.falloff(unknowns) + gloss
     own = samples.weight * problem.away(unknowns)
     weights = np.minimum(weights, own)
@@ -61,5 +59,5 @@ def _line(x: Array, y: Array, weights: Array, cell: np.ndarray, slope: float) ->
     rest = y - slope * x
     rest = rest - np.average(rest, weights=trust)
     sums = np.bincount(cell, trust * aside * rest)
-    return slope, math.sqrt(float(np.square(sums).sum())) / spread if spread > 1e-9 else math.inf, noise_of(
-        rest, weights)
+    deviation = math.sqrt(float(np.square(sums).sum())) / spread if spread > 1e-9 else math.inf
+    return slope, deviation, noise_of(rest, weights)

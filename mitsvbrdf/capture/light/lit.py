@@ -106,9 +106,7 @@ def _views(rig: Rig, shading: Shading | None) -> Views:
 
 
 def without_vignetting(picture: np.ndarray, rig: Rig, name: str, transfer: color.Transfer) -> np.ndarray:
-    """A rectified photo (R x R x 3 display values, NaN stays) as a lens without vignetting would have seen
-    it.
-    """
+    """A rectified photo (R x R x 3 display values, NaN stays) with its vignetting undone."""
     if rig.lens.vignetting == (0.0, 0.0):
         return picture
     linear = color.decode(torch.from_numpy(picture), transfer).numpy()
@@ -117,9 +115,7 @@ def without_vignetting(picture: np.ndarray, rig: Rig, name: str, transfer: color
 
 
 def filled(pictures: Sequence[np.ndarray]) -> torch.Tensor:
-    """Photos (R x R x 3 each), with the mean of the others where a photo is NaN, black where all are:
-    N x R x R x 3.
-    """
+    """Photos (R x R x 3), with the mean of the others where one is NaN, else black: N x R x R x 3."""
     stack = np.stack(pictures)
     known = np.isfinite(stack)
     if not known.all():

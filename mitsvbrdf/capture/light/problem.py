@@ -44,8 +44,8 @@ class Problem:
     def __init__(self, rig: Rig, samples: Samples) -> None:
         self.samples = samples
         poses = [rig.poses[name] for name in samples.names]
-        self.cameras, self.turns = np.stack([p.position for p in poses]), np.stack([p.rotation.T
-                                                                                    for p in poses])
+        self.cameras = np.stack([pose.position for pose in poses])
+        self.turns = np.stack([pose.rotation.T for pose in poses])
         self.layout = Layout(flash=(3,), vignetting=(2,), exposures=(len(poses),), log_alpha=(), log_f0=())
         self.spread = self.layout.pack(flash=FLASH_SD[rig.unit], vignetting=VIGNETTING_SD,
                                        exposures=EXPOSURE_SD, log_alpha=LOG_ALPHA[1], log_f0=LOG_F0[1])
@@ -70,25 +70,21 @@ class Problem:
 
     def half2(self, unknowns: Array) -> Array:
         """Squared sine of the angle between half vector and upright at each point."""
-        light, eye = (x[self.samples.photo] - self.samples.points for x in (self.flashes(unknowns),
-                                                                            self.cameras))
+        light, eye = (x[self.samples.photo] - self.samples.points
+                      for x in (self.flashes(unknowns), self.cameras))
         half = (light / np.linalg.norm(light, axis=1, keepdims=True)
                 + eye / np.linalg.norm(eye, axis=1, keepdims=True))
         return np.square(half[:, :2]).sum(axis=1) / np.square(half).sum(axis=1)
 
     def away(self, unknowns: Array) -> Array:
-        """Weight of each point by its angle to the mirror direction, where there is no lobe to explain what
-        happens there.
-        """
+        """Weight of each point by its angle to the mirror direction, where no lobe explains it."""
         if self.samples.glossy:
             return np.ones(len(self.samples.log))
         angle = 2 * np.arcsin(np.sqrt(self.half2(unknowns)))
         return ((angle - MIRROR[0]) / (MIRROR[1] - MIRROR[0])).clip(LEAST_WEIGHT, 1)
 
     def lobe(self, unknowns: Array) -> Array | float:
-        """Pi F0 D / 4 of GGX at each point, in units of the albedo over pi; shadowing left out, normals
-        flat.
-        """
+        """Pi F0 D / 4 of GGX at each point, over albedo / pi; without shadowing, normals flat."""
         if not self.samples.glossy:
             return 0.0
         u, half2 = self.layout.unpack(unknowns), self.half2(unknowns)
@@ -97,11 +93,14 @@ class Problem:
                 / (alpha2 * (1 - half2) + half2) ** 2)
 
     def explain(self, unknowns: Array, weights: Array) -> tuple[Array, Array, Array]:
-        """Logarithm of albedo / pi of each texel for an intensity of 1, what suits its points best
-        (Gauss-Newton); the logarithm of what the lobe multiplies each point by; and the error that is left.
+        """What suits the points best (Gauss-Newton) for these unknowns.
+
+        Returns:
+            Logarithms of albedo / pi of each texel for an intensity of 1, and of what the lobe multiplies
+            each point by; the error that is left.
         """
-        texel, apparent, lobe = self.samples.texel, self.samples.log - self.model(unknowns), self.lobe(
-            unknowns)
+        texel, lobe = self.samples.texel, self.lobe(unknowns)
+        apparent = self.samples.log - self.model(unknowns)
         albedo = self.start
         for _ in range(ALBEDO_STEPS if self.samples.glossy else 1):
             share = 1 / (1 + lobe / np.exp(albedo)[texel])

@@ -18,9 +18,7 @@ def noise_of(error: Array, weights: Array) -> float:
 
 
 def trust_of(size: Array) -> Array:
-    """Weights of residuals over their deviation: 1 / |r| below, as Huber (1981), 1 / r^4 above, as Geman and
-    McClure (1985).
-    """
+    """Weights of residuals in deviations: 1 / |r| below (Huber 1981), 1 / r^4 above (Geman, McClure 1985)."""
     return np.where(size < 0, 1 / (np.abs(size) / BELOW).clip(1), 1 / (1 + (size / ABOVE) ** 2) ** 2)
 
 

@@ -26,9 +26,7 @@ CELLS = 8  # a side; residuals within a cell of a photo may err alike
 
 @dataclass(frozen=True)
 class _Seen:
-    """Points of one photo: place in the world (K x 3), pixel (K x 2), linear radiance and display value (K x
-    3).
-    """
+    """Points of one photo: place (K x 3), pixel (K x 2), linear radiance and display value (K x 3)."""
 
     points: Array
     pixels: Array
@@ -40,8 +38,7 @@ class _Seen:
 
 
 def paper_samples(pixels: np.ndarray, lens: Lens, pose: Pose, white: Callable[[Array], np.ndarray],
-                  depth: float,
-           transfer: color.Transfer) -> _Seen:
+                  depth: float, transfer: color.Transfer) -> _Seen:
     """Blocks of a photo that show nothing but white paper."""
     height, width = pixels.shape[:2]
     step = max(1, max(height, width) // BLOCKS_ALONG)
@@ -69,8 +66,8 @@ def material_samples(photo: np.ndarray, lens: Lens, pose: Pose, size: float,
     """Texels of a rectified photo, averaged to 32 x 32 at most."""
     side = min(MATERIAL_SIDE, photo.shape[0])
     step = photo.shape[0] // side
-    blocks = np.asarray(photo, dtype=np.float64)[:side * step, :side * step].reshape(side, step, side, step,
-                                                                                     3)
+    blocks = np.asarray(photo, dtype=np.float64)[:side * step, :side * step]
+    blocks = blocks.reshape(side, step, side, step, 3)
     display, brightest = blocks.mean(axis=(1, 3)).reshape(-1, 3), blocks.max(axis=(1, 3)).reshape(-1, 3)
     points = texel_positions(photo.shape[0]).numpy()[:side * step, :side * step]
     points = points.reshape(side, step, side, step, 3).mean(axis=(1, 3)).reshape(-1, 3) * size
@@ -111,16 +108,13 @@ class Samples:
 
     @classmethod
     def of(cls, rig: Rig, seen: Mapping[str, _Seen], what: str, glossy: bool) -> Samples:
-        """What is neither clipped nor dark in photos ``seen``, by name; ``what`` they show is named in the
-        error.
-        """
+        """What is neither clipped nor dark in photos ``seen``; an error names ``what`` they show."""
         kept = {name: s.usable & (s.display.mean(axis=1) > DARK_VALUE) & np.isfinite(s.pixels).all(axis=1)
                 for name, s in seen.items()}
         if not any(k.any() for k in kept.values()):
-            clipped = [name for name, s in seen.items() if np.nanmax(s.display,
-                                                                     initial=0.0) >= NEARLY_CLIPPED]
-            raise CaptureError(f"photos that show {what} neither clipped nor dark", f"none of {len(seen)}"
-                               + (f" ({len(clipped)} clipped)" if clipped else ""),
+            clipped = sum(np.nanmax(s.display, initial=0.0) >= NEARLY_CLIPPED for s in seen.values())
+            raise CaptureError(f"photos that show {what} neither clipped nor dark",
+                               f"none of {len(seen)}" + (f" ({clipped} clipped)" if clipped else ""),
                                "take them again with another exposure, or check depth and size of the sheet")
 
         def joined(get: Callable[[_Seen], np.ndarray]) -> np.ndarray:

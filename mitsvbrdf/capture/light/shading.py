@@ -68,8 +68,7 @@ def shading_of_paper(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color
 
 
 def shading_of_material(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color.Transfer) -> Shading:
-    """Flash, vignetting and exposures from the material itself, which looks alike from everywhere but for
-    highlights.
+    """Flash, vignetting and exposures from the material, alike from everywhere but for highlights.
 
     Albedo alone does not tell the light's power, but most materials are dielectrics: the power is what makes
     the lobe's F0 and the median albedo most probable together (:data:`LOBE_F0`,
@@ -95,15 +94,14 @@ def shading_of_material(rig: Rig, photos: Mapping[str, np.ndarray], transfer: co
              + by_lobe * math.log(math.pi * found.lobe / LOBE_F0[0]))
     intensity = max(math.exp(power / (by_albedo + by_lobe)), most / MOST_ALBEDO)
     notes = ("how bright the flash is cannot be told from these photos; it is taken to be such that "
-             "highlights reflect "
-             f"{math.pi * found.lobe / intensity:.1%} of it and the median albedo is {middle / intensity:.2f}",)
+             f"highlights reflect {math.pi * found.lobe / intensity:.1%} of it and the median albedo is "
+             f"{middle / intensity:.2f}",)
     return found.shading(np.full(3, intensity), 1 / math.sqrt(by_albedo + by_lobe), notes)
 
 
 def undo_vignetting(linear: np.ndarray, lens: Lens, pose: Pose, size: float,
                     transfer: color.Transfer = "srgb") -> np.ndarray:
-    """A rectified photo (R x R x 3, linear) as a lens without vignetting would have seen it; what is clipped
-    stays so.
+    """A rectified photo (R x R x 3, linear) without its vignetting; clipped values stay clipped.
 
     Args:
         linear: radiance; NaN stays.

@@ -37,7 +37,7 @@ class Shading:
         residuals: RMS of log radiance, by name, each point by its weight; 0 where nothing can be compared.
         evenness: by name, 0 where light falls off as a flash's, 1 where it is even; 0 too where that cannot
             be told.
-        notes: what was assumed and left out.
+        notes: what was assumed, and which photos do not count.
     """
 
     lens: Lens
@@ -84,8 +84,8 @@ class _Found:
         names, photo = self.samples.names, self.samples.photo
         shared = zip(("flash_x", "flash_y", "flash_z", "v1", "v2"),
                      (*self.deviations.flash.tolist(), *self.deviations.vignetting.tolist()))
-        squares, total = (np.bincount(photo, w, len(names)) for w in (self.weights * self.error**2,
-                                                                      self.weights))
+        squares, total = (np.bincount(photo, w, len(names))
+                          for w in (self.weights * self.error**2, self.weights))
         if self.unlit:
             notes += (f"no flash in {', '.join(self.unlit)}: light is even there",)
         elif even := sum(e > EVEN for e in self.evenness.values()):

@@ -1,6 +1,6 @@
-"""From rectified photos and their views to a judgement: which photos to leave out, and where to take the next
-one.
+"""From rectified photos and their views to a judgement.
 
-``photo_quality`` measures each photo beside the others, ``verdicts`` says which are better left out and why,
-``next_view`` finds the place that shows most highlights that no photo has.
+``photo_quality`` measures each photo beside the others. ``verdicts`` says which are rejected, and why.
+``detail`` finds blurred ones among the photos that have no pose. ``next_view`` finds where one more photo
+would show most new highlights.
 """

@@ -30,9 +30,7 @@ def blurred(photos: Sequence[Photo], reasons: Mapping[str, str], others: Collect
 
 
 def detail_of(pixels: np.ndarray) -> float:
-    """Finest detail of a whole photo (H x W x 3, 8 or 16 bits) over coarser detail, to compare with others of
-    its kind.
-    """
+    """Finest detail of a whole photo (H x W x 3, 8 or 16 bits) over coarser detail."""
     luminance = pixels.mean(axis=2, dtype=np.float32) / np.float32(np.iinfo(pixels.dtype).max)
     smooth = cv2.GaussianBlur(luminance, (0, 0), 1.5)
     return rms(luminance - smooth) / max(rms(smooth - cv2.GaussianBlur(luminance, (0, 0), 6)), 1e-9)

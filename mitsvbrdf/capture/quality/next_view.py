@@ -38,8 +38,7 @@ class NextView:
 
 def next_best_view(views: Views, names: Sequence[str], unit: str,
                    lobe: float = HIGHLIGHT_ANGLE) -> NextView | None:
-    """The place at the usual height from which one more photo shows most highlights that no photo has; None:
-    hardly any left.
+    """The place at the usual height for one more photo, which shows most new highlights; None: hardly any.
 
     Args:
         views: of the photos there are.
@@ -54,8 +53,8 @@ def next_best_view(views: Views, names: Sequence[str], unit: str,
     far = min(FARTHEST, height * math.tan(SLANT))
     steps = torch.arange(-round(far / GRID_STEP), round(far / GRID_STEP) + 1, dtype=torch.float64) * GRID_STEP
     places = torch.cartesian_prod(steps, steps)
-    places = torch.cat((places, torch.full((len(places), 1), height, dtype=torch.float64)),
-                       dim=1)[places.norm(dim=1) <= far]
+    above = torch.full((len(places), 1), height, dtype=torch.float64)
+    places = torch.cat((places, above), dim=1)[places.norm(dim=1) <= far]
     tried = replace(sides, camera=places, light=places + beside,
                     intensity=sides.intensity[:1].expand(len(places), 3))
     new = [unseen & (coverage_angle(tried.pick([i]), side) <= lobe) for i in range(len(places))]
@@ -67,8 +66,8 @@ def next_best_view(views: Views, names: Sequence[str], unit: str,
     near = int((sides.camera - places[best]).norm(dim=1).argmin())
     way = (places[best] - sides.camera[near]).tolist()
     at = places[best] * size
-    return NextView(tuple(at.tolist()), float(gains[best]), near, _words(way, height, names[near], unit,
-                                                                         size))
+    words = _words(way, height, names[near], unit, size)
+    return NextView(tuple(at.tolist()), float(gains[best]), near, words)
 
 
 def _words(way: Sequence[float], height: float, name: str, unit: str, size: float) -> str:

@@ -106,8 +106,7 @@ def _irradiance(views: Views, side: int) -> Tensor:
 
 
 def _sharpness(luminance: np.ndarray, plain: np.ndarray) -> np.ndarray:
-    """Detail of N x S x S display values in the direction that has least of it, relative to the median photo,
-    N.
+    """Detail of N x S x S display values in the direction that has least, over the median photo's: N.
 
     A hand that moves takes detail away along its way only. Second differences over 4 texels are divided by
     those over 16 and by brightness (their geometric mean: either alone differs more between real photos of a
@@ -132,9 +131,7 @@ def _sharpness(luminance: np.ndarray, plain: np.ndarray) -> np.ndarray:
 
 
 def _agreement(luminance: np.ndarray) -> np.ndarray:
-    """How the detail of the logarithm of N x S x S display values correlates with the median photo's, N x T x
-    T with T of at most :data:`RADIANCE_SIDE`.
-    """
+    """Correlation of the detail of N x S x S display values with the median photo's, N x T x T (T <= 32)."""
     logs = [np.log(np.maximum(image, 0.02)) for image in luminance]
     band = np.stack([cv2.GaussianBlur(image, (0, 0), 1.5) - cv2.GaussianBlur(image, (0, 0), 8)
                      for image in logs])
