@@ -48,7 +48,8 @@ def read_capture(
     - ``camera_pos.txt``, ``image_size.txt``, ``light_power.txt`` and where given ``light_pos.txt`` beside the
       photos ``00.png|jpg``, ... (MaterialGAN);
     - photos alone, as a phone wrote them: three or more as
-      :func:`~mitsvbrdf.capture.stages.make_capture` sees them, upright as the first; fewer, the first by name alone, with the stated default geometry.
+      :func:`~mitsvbrdf.capture.stages.make_capture` sees them, upright as the first; fewer, the first
+      by name alone, with the stated default geometry.
 
     Args:
         folder: the folder, or the JSON file itself.
