@@ -17,6 +17,8 @@ from typing import Any, ParamSpec, TypeVar
 import torch
 from torch import Tensor
 
+from ..kinds import check_arguments
+
 P = ParamSpec("P")
 T = TypeVar("T")
 
@@ -27,7 +29,9 @@ _undo: dict[str, Callable[[], object]] = {}  # by what else was changed for them
 
 
 def entry(gradients: bool = False) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Makes a function one that a program may call under defaults of its own.
+    """Makes a function one that a program may call under defaults of its own, and with wrong arguments.
+
+    An argument of another kind than its annotation raises ConfigError.
 
     Args:
         gradients: whether the function needs gradients and records them even where its caller has switched
@@ -36,6 +40,7 @@ def entry(gradients: bool = False) -> Callable[[Callable[P, T]], Callable[P, T]]
     def decorated(function: Callable[P, T]) -> Callable[P, T]:
         @functools.wraps(function)
         def called(*args: P.args, **kwargs: P.kwargs) -> T:
+            check_arguments(function, args, kwargs)
             recorded = gradients or torch.is_grad_enabled()
             with _float32(), torch.inference_mode(False), torch.set_grad_enabled(recorded):
                 return function(*_ordinary(args), **_ordinary(kwargs))
