@@ -122,8 +122,7 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
     kept = min(side, resolution or side)
     if (held := len(paths) * kept**2) > MOST_HELD:
         raise CaptureError(f"photos of at most {MOST_HELD / 1e6:.0f} megapixels together",
-                           f"{held / 1e6:.0f} in {source}",
-                           "read them at a lower resolution")
+                           f"{held / 1e6:.0f} in {source}", "read them at a lower resolution")
     photos = torch.empty(len(paths), kept, kept, 3)
     for photo, path, about in zip(photos, paths, headers):
         photo.numpy()[:] = averaged(upright(decoded(path, CaptureError), about.orientation), kept)

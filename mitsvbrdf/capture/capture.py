@@ -57,8 +57,7 @@ class Capture:
         object.__setattr__(self, "photos", _checked(self.photos))
         if self.photos.shape[0] != len(self.views):
             raise CaptureError(f"a view for each of {self.photos.shape[0]} photos",
-                               f"{len(self.views)} views",
-                               "give one row of calibration a photo")
+                               f"{len(self.views)} views", "give one row of calibration a photo")
         index = whole_numbers(self.index) or list(range(len(self)))
         if len(index) != len(self) or len(set(index)) < len(index) or min(index) < 0:
             raise CaptureError(f"a number of its own for each of {len(self)} photos", str(index),

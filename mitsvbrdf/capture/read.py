@@ -27,15 +27,10 @@ MOST_SQUARE = 2048  # pixels a side of what is read of a photo without calibrati
 
 
 @entry()
-def read_capture(
-    folder: str | Path,
-    resolution: int | None = None,
-    index: Sequence[int] | None = None,
-    transfer: color.Transfer | None = None,
-    falloff: Falloff = "inverse-square",
-    log: Callable[[str], None] | None = None,
-    report: Callable[[str, float], object] = lambda text, share: None,
-) -> Capture:
+def read_capture(folder: str | Path, resolution: int | None = None, index: Sequence[int] | None = None,
+                 transfer: color.Transfer | None = None, falloff: Falloff = "inverse-square",
+                 log: Callable[[str], None] | None = None,
+                 report: Callable[[str, float], object] = lambda text, share: None) -> Capture:
     """Read photos of one patch.
 
     Three kinds of folder are understood, in this order:
@@ -121,11 +116,11 @@ def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None
     for i, photo in enumerate(capture.photos):
         write_png(folder / "target" / f"{i:02d}.png", photo, 16 if capture.transfer == "linear" else 8)
     power = views.intensity.tolist()
-    files.write_json(folder / "capture.json", {
-        "target_dir": "target", "im_size": views.size, "idx": list(range(len(capture))),
-        "camera_pos": views.camera.tolist(), "light_pos": views.light.tolist(),
-        "light_pow": power[0] if all(row == power[0] for row in power) else power,
-        "transfer": capture.transfer, "calibration": capture.calibration, **(keys or {})})
+    files.write_json(folder / "capture.json",
+                     {"target_dir": "target", "im_size": views.size, "idx": list(range(len(capture))),
+                      "camera_pos": views.camera.tolist(), "light_pos": views.light.tolist(),
+                      "light_pow": power[0] if all(row == power[0] for row in power) else power,
+                      "transfer": capture.transfer, "calibration": capture.calibration, **(keys or {})})
 
 
 def _from_plain(folder: Path, falloff: Falloff, resolution: int | None, transfer: color.Transfer | None,
@@ -202,8 +197,7 @@ def _square(photo: Photo, resolution: int | None) -> np.ndarray:
     (height, width), side = pixels.shape[:2], min(pixels.shape[:2])
     if side < LEAST_SIDE:
         raise CaptureError(f"photos of {LEAST_SIDE} pixels or more a side",
-                           f"{photo.path} of {width} x {height}",
-                           "use the original photo")
+                           f"{photo.path} of {width} x {height}", "use the original photo")
     top, left = (height - side) // 2, (width - side) // 2
     square = averaged(pixels[top : top + side, left : left + side], min(side, MOST_SQUARE))
     return averaged(square, min(len(square), resolution or MOST_SQUARE))

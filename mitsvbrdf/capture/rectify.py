@@ -32,8 +32,8 @@ class Rectified:
     notes: tuple[str, ...]
 
     @classmethod
-    def of(cls, rig: Rig, photos: Sequence[Photo], resolution: int, report: Callable[[str, float], object]
-           ) -> Rectified:
+    def of(cls, rig: Rig, photos: Sequence[Photo], resolution: int,
+           report: Callable[[str, float], object]) -> Rectified:
         """The photos of ``rig``, in ``resolution`` pixels a side, or in as many as they show."""
         photos = [photo for photo in photos if photo.name in rig.poses]
         shown = int(np.median([_resolved(rig.lens, pose, rig.size) for pose in rig.poses.values()]))

@@ -54,8 +54,7 @@ def rig_to_json(rig: Rig) -> dict:
     lens = {name: list(value) if isinstance(value, tuple) else value
             for name, value in asdict(rig.lens).items()}
     poses = {name: {"position": np.asarray(pose.position).tolist(),
-                    "rotation": np.asarray(pose.rotation).tolist()}
-             for name, pose in rig.poses.items()}
+                    "rotation": np.asarray(pose.rotation).tolist()} for name, pose in rig.poses.items()}
     return {"lens": lens, "poses": poses, "size": rig.size, "unit": rig.unit, "source": rig.source,
             "errors": dict(rig.errors), "rejected": dict(rig.rejected),
             "deviations": dict(rig.deviations), "notes": list(rig.notes)}

@@ -90,8 +90,7 @@ class CaptureResult:
 @entry()
 def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_cm: float = 0.0,
                  transfer: color.Transfer | None = None, resolution: int = 1024,
-                 reference: Reference = "best",
-                 report: Report = lambda text, share: None) -> CaptureResult:
+                 reference: Reference = "best", report: Report = lambda text, share: None) -> CaptureResult:
     """A capture from raw photos of a flat material, taken with one phone and its flash.
 
     Args:

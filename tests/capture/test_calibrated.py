@@ -20,8 +20,7 @@ def test_photos_in_turn_are_what_photos_all_at_once_would_be(make, side, tmp_pat
     images = photos(3, 48)
     found = read_capture(make(tmp_path, images), resolution=side).photos.numpy()
     stacked = [cv2.resize(image.astype(np.float32) / np.float32(255), (side, side),
-                          interpolation=cv2.INTER_AREA)
-               for image in images]
+                          interpolation=cv2.INTER_AREA) for image in images]
     assert np.array_equal(found, stacked)
     # float32 sums of nine at most
     assert np.abs(found - [area_means(image, side) for image in images]).max() < 1e-6

@@ -148,8 +148,8 @@ def test_robust_on_known_materials(data_folder):
 
 def shot_of(maps, views):
     """As :func:`shot`, for a material with maps and co-located light."""
-    diffuse, f0, roughness, normal = (maps[k].double() for k in ("diffuse", "specular", "roughness",
-                                                                 "normal"))
+    diffuse, f0, roughness, normal = (maps[k].double()
+                                      for k in ("diffuse", "specular", "roughness", "normal"))
     photos = []
     for view in views:
         to = torch.tensor(view.light) - texel_positions(maps.resolution) * views.size

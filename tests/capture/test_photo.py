@@ -38,9 +38,8 @@ def test_header(tmp_path):
     photo = saved(tmp_path / "a.jpg", orientation=6, flash=0x19)
     assert (photo.name, photo.size, photo.orientation, photo.linear) == ("a.jpg", (60, 40), 6, False)
     assert photo.exif == {"ISO": 100, "exposure time": pytest.approx(0.01),
-                          "focal length": pytest.approx(4.2),
-                          "35 mm focal length": 26, "white balance": "manual", "flash": "fired",
-                          "camera": "Maker Phone 1",
+                          "focal length": pytest.approx(4.2), "35 mm focal length": 26,
+                          "white balance": "manual", "flash": "fired", "camera": "Maker Phone 1",
                           "date": "2024:05:06 07:08:09"}
     # a flash that was switched off, says the standard
     assert saved(tmp_path / "b.jpg", flash=0x10).exif["flash"] == "off"
@@ -54,9 +53,8 @@ def test_settings_that_differ_are_named(tmp_path):
     assert differences(same) == []
     other = saved(tmp_path / "c.jpg", iso=400, exposure=0.02, focal=2.1, balance=0, flash=0, model="Phone 2")
     found = differences([*same, other])
-    assert [line.split(" differs")[0] for line in found] == ["ISO", "exposure time", "focal length",
-                                                             "white balance", "flash",
-                                                              "camera"]
+    assert [line.split(" differs")[0]
+            for line in found] == ["ISO", "exposure time", "focal length", "white balance", "flash", "camera"]
     assert found[0].startswith("ISO differs: 100 in a.jpg and others, 400 in c.jpg")
     assert "fired in a.jpg and others, off in c.jpg" in found[4]
     many = [saved(tmp_path / f"{i}.jpg", iso=100 + i) for i in range(8)]
@@ -146,8 +144,8 @@ def test_photos_in_a_folder(tmp_path):
         photos_in(tmp_path / "none")
 
 
-@pytest.mark.parametrize(("name", "extra", "package"), [("a.heic", "heic", "pillow_heif"),
-                                                        ("a.dng", "raw", "rawpy")])
+@pytest.mark.parametrize(("name", "extra", "package"),
+                         [("a.heic", "heic", "pillow_heif"), ("a.dng", "raw", "rawpy")])
 def test_a_missing_extra_is_named(name, extra, package, tmp_path, monkeypatch):
     (tmp_path / name).write_bytes(b"anything")
     monkeypatch.setitem(__import__("sys").modules, package, None)  # as if it were not installed
@@ -179,12 +177,10 @@ def dng(path, mosaic, flip=1, white=4000, neutral=(1, 1, 1)):
     # XYZ to linear sRGB
     matrix = [3.2406, -1.5372, -0.4986, -0.9689, 1.8758, 0.0415, 0.0557, -0.2040, 1.0570]
     entries = [(254, 4, [0]), (256, 4, [width]), (257, 4, [height]), (258, 3, [16]), (259, 3, [1]),
-               (262, 3, [32803]),
-               (271, 2, b"Maker\0"), (272, 2, b"Phone\0"), (273, 4, None), (274, 3, [flip]), (277, 3, [1]),
-               (278, 4, [height]),
-               (279, 4, [mosaic.size * 2]), (33421, 3, [2, 2]), (33422, 1, bytes([0, 1, 1, 2])),
-               (50706, 1, bytes([1, 4, 0, 0])), (50708, 2, b"Maker Phone\0"), (50714, 3, [0]),
-               (50717, 3, [white]),
+               (262, 3, [32803]), (271, 2, b"Maker\0"), (272, 2, b"Phone\0"), (273, 4, None),
+               (274, 3, [flip]), (277, 3, [1]), (278, 4, [height]), (279, 4, [mosaic.size * 2]),
+               (33421, 3, [2, 2]), (33422, 1, bytes([0, 1, 1, 2])), (50706, 1, bytes([1, 4, 0, 0])),
+               (50708, 2, b"Maker Phone\0"), (50714, 3, [0]), (50717, 3, [white]),
                (50721, 10, [round(x * 10000) for x in matrix]),
                (50728, 5, [round(x * 10000) for x in neutral]), (50778, 3, [21])]
     start = 8 + 2 + 12 * len(entries) + 4

@@ -159,8 +159,8 @@ def test_photos_that_are_not_square(tmp_path):
     fails(json_capture(tmp_path, photos()[:, :12]), "00.png", "16 x 12")
 
 
-@pytest.mark.parametrize("make", [json_capture, text_capture, lambda path, images: save(path, images)
-                                  or path])
+@pytest.mark.parametrize("make",
+                         [json_capture, text_capture, lambda path, images: save(path, images) or path])
 def test_one_pixel_photo(tmp_path, make):
     fails(make(tmp_path, photos(3, 1)), "00.png", "1 x 1")
 
@@ -219,14 +219,14 @@ def test_missing_key(tmp_path, key):
     fails(json_capture(tmp_path, **{key: ...}), repr(key), "capture.json")
 
 
-@pytest.mark.parametrize(("key", "value"), [
-    ("target_dir", 3), ("im_size", "6"), ("im_size", None), ("im_size", [1]), ("idx", "0"), ("idx", []),
-    ("idx", [0.5]),
-    ("idx", [-1]), ("idx", [True]), ("camera_pos", 3), ("camera_pos", []), ("camera_pos", [[1, 2]] * 3),
-    ("camera_pos", [[1, 2, "3"]] * 3), ("camera_pos", {"0": [1, 2, 3]}), ("light_pos", None),
-    ("light_pow", [1, 2]),
-    ("light_pow", [[1, 2]]), ("light_pow", "bright"), ("light_pow", []), ("light_pow", 10**400),
-    ("transfer", "log"), ("transfer", ["srgb"])])
+@pytest.mark.parametrize(("key", "value"),
+                         [("target_dir", 3), ("im_size", "6"), ("im_size", None), ("im_size", [1]),
+                          ("idx", "0"), ("idx", []), ("idx", [0.5]), ("idx", [-1]), ("idx", [True]),
+                          ("camera_pos", 3), ("camera_pos", []), ("camera_pos", [[1, 2]] * 3),
+                          ("camera_pos", [[1, 2, "3"]] * 3), ("camera_pos", {"0": [1, 2, 3]}),
+                          ("light_pos", None), ("light_pow", [1, 2]), ("light_pow", [[1, 2]]),
+                          ("light_pow", "bright"), ("light_pow", []), ("light_pow", 10**400),
+                          ("transfer", "log"), ("transfer", ["srgb"])])
 def test_value_of_the_wrong_type(tmp_path, key, value):
     fails(json_capture(tmp_path, **{key: value}), key, "capture.json")
 
@@ -237,10 +237,10 @@ def test_broken_json(tmp_path, data):
     fails(tmp_path, "capture.json")
 
 
-@pytest.mark.parametrize(("name", "text"), [
-    ("camera_pos", "a,b,c"), ("camera_pos", ""), ("camera_pos", "1,2\n3,4\n5,6"), ("light_pos", "x"),
-    ("image_size", "1 2"), ("image_size", "wide"), ("image_size", None), ("light_power", None),
-    ("light_power", "1,2")])
+@pytest.mark.parametrize(("name", "text"),
+                         [("camera_pos", "a,b,c"), ("camera_pos", ""), ("camera_pos", "1,2\n3,4\n5,6"),
+                          ("light_pos", "x"), ("image_size", "1 2"), ("image_size", "wide"),
+                          ("image_size", None), ("light_power", None), ("light_power", "1,2")])
 def test_broken_text(tmp_path, name, text):
     folder = text_capture(tmp_path, **{name: text})
     fails(folder, str(tmp_path), {"light_power": "light_pow"}.get(name, name))

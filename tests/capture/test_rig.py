@@ -23,9 +23,9 @@ def test_a_rig_survives_json():
         np.testing.assert_array_equal(back.poses[name].rotation, pose.rotation)
 
 
-@pytest.mark.parametrize("wrong", [{}, {"lens": {"size": [4, 3], "focal": 2, "aperture": 1}, "poses": {}},
-                                   {"lens": {"size": [4, 3], "focal": 2},
-                                    "poses": {"a": {"position": [1, 2]}}}])
+@pytest.mark.parametrize("wrong",
+                         [{}, {"lens": {"size": [4, 3], "focal": 2, "aperture": 1}, "poses": {}},
+                          {"lens": {"size": [4, 3], "focal": 2}, "poses": {"a": {"position": [1, 2]}}}])
 def test_a_rig_that_is_none_says_so(wrong):
     with pytest.raises(CaptureError, match="a rig of lens and poses"):
         rig_from_json(wrong)

@@ -45,8 +45,8 @@ def made(truth, tmp_path_factory):
                             10)[..., None]
     stored(raw / "finger.jpg", photo * (1 - mask) + mask * np.array((0.06, 0.012, 0.01)))
     stored(raw / "dark.jpg", taken(what, LENS, aside, flash=False, seed=12), flash=0x10)
-    stored(raw / "room.jpg", taken(what, LENS, Pose.looking_at((-2.5, 1, 25), (0, 0, 0)), flash=False,
-                                   seed=13), flash=None)
+    stored(raw / "room.jpg",
+           taken(what, LENS, Pose.looking_at((-2.5, 1, 25), (0, 0, 0)), flash=False, seed=13), flash=None)
     stored(raw / "two.jpg", taken(what, LENS, truth["IMG_1.jpg"], seed=14))
     stored(raw / "other.jpg", taken(ground(False, seed=5), LENS, aside, seed=15))
     stored(raw / "size.jpg", photo[:, :1000])
@@ -190,8 +190,8 @@ def test_options_out_of_range(made):
 
 def test_too_few_are_left(made):
     """Two good ones, and one that is not: the error names it and the reason."""
-    photos = [Photo.open(made[0] / name) for name in ("IMG_0.jpg", "IMG_1.jpg", "IMG_2.jpg", "size.jpg",
-                                                      "two.jpg")]
+    photos = [Photo.open(made[0] / name)
+              for name in ("IMG_0.jpg", "IMG_1.jpg", "IMG_2.jpg", "size.jpg", "two.jpg")]
     with pytest.raises(CaptureError, match="size.jpg: 1000 x 900"):
         make_capture(photos[1:4], 18.0)
     with pytest.raises(CaptureError, match="two.jpg: the same photo as IMG_1.jpg"):

@@ -108,8 +108,8 @@ def test_exif_orientation_is_honoured(tmp_path):
 
 def test_photos_that_show_everything_in_the_same_place_are_taken_for_rectified(tmp_path):
     y, x = np.mgrid[:HEIGHT, :WIDTH]
-    lit = [seen(texture(), STRAIGHT) * torch.from_numpy(np.exp(-((x - u) ** 2 + (y - v) ** 2) / 3e5)[...,
-                                                                                                     None]).float()
+    lit = [seen(texture(),
+                STRAIGHT) * torch.from_numpy(np.exp(-((x - u) ** 2 + (y - v) ** 2) / 3e5)[..., None]).float()
            for u, v in ((100, 80), (300, 60), (200, 250))]
     save(tmp_path, a=lit[0], b=lit[1], c=lit[2])
     heard = []

@@ -111,8 +111,7 @@ def _of_another_lens(photos: dict[str, Photo]) -> dict[str, str]:
               if "35 mm focal length" in p.exif}
     usual = Counter(stated.values()).most_common(1)
     return {name: f"a focal length of {own:g} mm, most have {usual[0][0]:g} mm: take all with one lens, "
-                  "without zoom"
-            for name, own in stated.items() if abs(own / usual[0][0] - 1) > 2 * FOCAL_SHARE}
+            "without zoom" for name, own in stated.items() if abs(own / usual[0][0] - 1) > 2 * FOCAL_SHARE}
 
 
 def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pairs: list[Pair],
@@ -187,8 +186,7 @@ def _placed(lens: Lens, poses: dict[str, Pose], photos: dict[str, Photo],
     _, side, dropped = choose_patch(outlines, LEAST_PHOTOS, chosen if reference == "first" else None)
     if side <= 0:
         raise CaptureError("photos that all show the same part of a material",
-                           f"no part that {len(poses) - len(dropped)} show",
-                           "take them with more overlap")
+                           f"no part that {len(poses) - len(dropped)} show", "take them with more overlap")
     kept = {name: poses[name] for name in sorted(poses) if name not in dropped}
     # Highlights lie below the cameras, and of almost equal squares the largest may be well beside.
     side *= CENTRED

@@ -88,8 +88,8 @@ def centred_square(outlines: Sequence[Array], side: float, below: Array) -> Arra
     return unknowns.unpack(found.x).centre
 
 
-def choose_patch(outlines: dict[str, Array], least: int = 3, always: str | None = None
-                 ) -> tuple[Array, float, list[str]]:
+def choose_patch(outlines: dict[str, Array], least: int = 3,
+                 always: str | None = None) -> tuple[Array, float, list[str]]:
     """The largest square that all photos show, but for those that would cost too much of it.
 
     Args:

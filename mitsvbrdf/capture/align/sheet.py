@@ -24,9 +24,8 @@ Paper = Literal["a4", "letter"]
 
 # The middle 6 x 6 cells of ids 0 to 15 of AprilTag's tag36h11, 1 is white, row by row from the top left.
 CODES = (0xD5D628584, 0xD97F18B49, 0xDD280910E, 0xE479E9C98, 0xEBCBCA822, 0xF31DAB3AC, 0x056A5D085,
-         0x10652E1D4,
-         0x22B1DFEAD, 0x265AD0472, 0x34FE91B86, 0x3FF962CD5, 0x43A25329A, 0x474B4385F, 0x4E9D243E9,
-         0x5246149AE)
+         0x10652E1D4, 0x22B1DFEAD, 0x265AD0472, 0x34FE91B86, 0x3FF962CD5, 0x43A25329A, 0x474B4385F,
+         0x4E9D243E9, 0x5246149AE)
 TAG, PITCH, FRAME = 8, 16, 72  # in cells, as are the two next
 HOLE = 52  # side of the square to cut out; two cells are left inside the tags, and six outside the patch
 OUTER = 76  # side of what counts as the sheet: two white cells around the tags
@@ -209,6 +208,5 @@ def _draw(axes: Any, sheet: Sheet, width: float, height: float) -> None:
          "Cut out the dashed square, keep the white rim around the tags, and lay the sheet flat on the "
          "material.\n"
          "Photograph with the flash, all tags in view:  mitsvbrdf capture PHOTOS -o CAPTURE --sheet "
-         f"{sheet.size:g}\n"
-         "Where the arrow is longer or shorter on paper, give its length instead. "
+         f"{sheet.size:g}\nWhere the arrow is longer or shorter on paper, give its length instead. "
          "A sheet that lies higher than the material: --depth CM.", va="top")

@@ -105,8 +105,8 @@ _WAY = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
 _OUT = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]])
 
 
-def _measured(grey: NDArray, linear: NDArray[np.float32], corners: Array
-              ) -> tuple[Array, Array, Array, Array] | None:
+def _measured(grey: NDArray, linear: NDArray[np.float32],
+              corners: Array) -> tuple[Array, Array, Array, Array] | None:
     """Points of a tag's edges in cells from its top left corner, in pixels, the ways across; its corners."""
     import cv2
 

@@ -73,8 +73,8 @@ class Lit:
         return cls(rig, shading, filled(pictures), overlap, _views(rig, shading), notes)
 
 
-def _shading(rig: Rig, rectified: Rectified, transfer: color.Transfer, paper: Paper | None, depth: float
-             ) -> tuple[Shading | None, tuple[str, ...]]:
+def _shading(rig: Rig, rectified: Rectified, transfer: color.Transfer, paper: Paper | None,
+             depth: float) -> tuple[Shading | None, tuple[str, ...]]:
     """From the paper of the sheet, else from the material, else nothing; and what was noticed."""
     notes = []
     if paper is not None:

@@ -14,8 +14,8 @@ from ..rectify import LONG_SIDE
 LEAST_DETAIL = 0.45
 
 
-def blurred(photos: Sequence[Photo], reasons: Mapping[str, str], others: Collection[np.ndarray]
-            ) -> dict[str, str]:
+def blurred(photos: Sequence[Photo], reasons: Mapping[str, str],
+            others: Collection[np.ndarray]) -> dict[str, str]:
     """A better reason for photos without a pose that are blurred, which is why they have none.
 
     Args:

@@ -122,8 +122,8 @@ def _sharpness(luminance: np.ndarray, plain: np.ndarray) -> np.ndarray:
         return values - (np.roll(values, way, (1, 2)) + np.roll(values, -way, (1, 2))) / 2
 
     ratios = np.array([[rms(f[p]) / math.sqrt(rms(c[p]) * rms(b[p]) or math.nan) if p.any() else math.nan
-                        for f, c, b, p in
-                        zip(differences(fine, 4 * way), differences(coarse, 16 * way), level, plain)]
+                        for f, c, b, p in zip(differences(fine, 4 * way), differences(coarse, 16 * way),
+                                              level, plain)]
                        for way in np.array([(0, 1), (1, 0), (1, 1), (1, -1)])])
     if not np.isfinite(ratios).any():
         return np.ones(len(luminance))

@@ -132,8 +132,8 @@ def judge(photos: Tensor, views: Views, transfer: color.Transfer, overlap: Mappi
     return Verdicts({photo.name: photo for photo in found}, rejected, misled)
 
 
-def _twice(found: Sequence[PhotoQuality], photos: Tensor, views: Views, rejected: Collection[str]
-           ) -> dict[str, str]:
+def _twice(found: Sequence[PhotoQuality], photos: Tensor, views: Views,
+           rejected: Collection[str]) -> dict[str, str]:
     """The reason of each photo that shows what an earlier one shows, of those that are not rejected."""
     small, camera = resized(photos, min(64, photos.shape[1])), views.in_patch_sides().camera
     again = dict[str, str]()

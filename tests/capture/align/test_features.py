@@ -14,8 +14,8 @@ def test_matches_are_each_others_nearest():
     theirs = np.concatenate((ours[:30] + np.linspace(0, 6, 30, dtype=np.float32)[:, None] * noise, others))
     theirs[35] = theirs[3]  # two look alike: neither is a match
     ours[40] = ours[5] + 0.2 * noise[5]  # the nearest of 5 is another
-    a, b = (Features(np.zeros((len(d), 2)), d / np.linalg.norm(d, axis=1, keepdims=True), 1.0) for d in (ours,
-                                                                                                         theirs))
+    a, b = (Features(np.zeros((len(d), 2)), d / np.linalg.norm(d, axis=1, keepdims=True), 1.0)
+            for d in (ours, theirs))
     pairs = cv2.BFMatcher(cv2.NORM_L2).knnMatch(a.descriptors, b.descriptors, k=2)
     back = cv2.BFMatcher(cv2.NORM_L2).match(b.descriptors, a.descriptors)
     expected = [(p.queryIdx, p.trainIdx) for p, q in pairs

@@ -105,8 +105,8 @@ def test_too_few_photos(tmp_path, photos):
 
 def test_photos_from_straight_above_leave_the_focal_length_to_exif(tmp_path):
     """Focal length and height look alike from there: said, and told apart by EXIF as far as it goes."""
-    poses = [Pose.looking_at((x, y, z), (x, y, 0), turn) for x, y, z, turn in
-             ((0, 0, 33, 0), (0.5, 0, 33, 1.5), (0, 0.5, 33, 3.0))]
+    poses = [Pose.looking_at((x, y, z), (x, y, 0), turn)
+             for x, y, z, turn in ((0, 0, 33, 0), (0.5, 0, 33, 1.5), (0, 0.5, 33, 3.0))]
     focal = LENS.focal * np.hypot(36, 24) / np.hypot(*LENS.size) * 1.02  # rounded up by EXIF
     flat = [photograph(tmp_path / f"{i}.jpg", pose, exif=focal, seed=i) for i, pose in enumerate(poses)]
     known = rig_from_sheet(flat, 18.0)

@@ -52,6 +52,6 @@ def test_a_photo_that_agrees_with_each_other_differently_is_left_out():
                                            rejected)
     assert list(rejected) == ["4.png"] and "fits a place of the camera" in rejected["4.png"]
     # Measured 0.001 off: what is expected of lens, heights and tilts holds a little against exact matches.
-    first, other = ((p["1.png"].position - p["0.png"].position) / p["0.png"].position[2] for p in (found,
-                                                                                                   poses))
+    first, other = ((p["1.png"].position - p["0.png"].position) / p["0.png"].position[2]
+                    for p in (found, poses))
     assert np.linalg.norm(first) == pytest.approx(np.linalg.norm(other), rel=5e-3)

@@ -37,8 +37,8 @@ def test_photos_from_one_place():
     poses = {name: Pose(np.array([0, 0, 1.0]), turn @ np.diag((1.0, -1.0, -1.0)))
              for name, turn in zip("abcd", turns)}
     grid = np.stack(np.meshgrid(np.linspace(300, 700, 7), np.linspace(250, 550, 6)), axis=-1).reshape(-1, 2)
-    matches = [Match(a, b, grid, carried(lens, poses[a], poses[b], grid), 0.5) for a, b in combinations(poses,
-                                                                                                        2)]
+    matches = [Match(a, b, grid, carried(lens, poses[a], poses[b], grid), 0.5)
+               for a, b in combinations(poses, 2)]
     tilt = Rotation.from_euler("x", 15, degrees=True).as_matrix()
     # agrees as well
     tilted = {name: Pose(pose.position, pose.rotation @ tilt) for name, pose in poses.items()}
@@ -57,8 +57,8 @@ def test_how_sure_the_focal_length_is(turned, low, high):
              (("a", 0.0, 0.1), ("b", -0.5, 0.2), ("c", 0.6, -0.2), ("d", -0.1, 0.5), ("e", 0.1, -0.5))}
     lens = Lens(SIZE, 360.0)
     grid = np.stack(np.meshgrid(np.linspace(40, 440, 9), np.linspace(30, 330, 7)), axis=-1).reshape(-1, 2)
-    matches = [Match(a, b, grid, carried(lens, poses[a], poses[b], grid), 0.5) for a, b in combinations(poses,
-                                                                                                        2)]
+    matches = [Match(a, b, grid, carried(lens, poses[a], poses[b], grid), 0.5)
+               for a, b in combinations(poses, 2)]
     origin = np.array([*poses["a"].position[:2], 0.0])
     start = {name: Pose((pose.position - origin) / 1.5, pose.rotation) for name, pose in poses.items()}
     unsure = adjust(lens, start, "a", matches, lens.focal, 0.02)[3]
@@ -68,12 +68,12 @@ def test_how_sure_the_focal_length_is(turned, low, high):
 
 def test_what_is_expected_of_the_focal_length_is_not_what_was_found_before():
     """Parallel photos leave it to what is expected, from wherever the search starts."""
-    poses = {name: Pose(np.array([x, y, 1.0]), np.diag((1.0, -1.0, -1.0))) for name, x, y in
-             (("a", 0.0, 0.0), ("b", -0.2, 0.1), ("c", 0.1, -0.2))}
+    poses = {name: Pose(np.array([x, y, 1.0]), np.diag((1.0, -1.0, -1.0)))
+             for name, x, y in (("a", 0.0, 0.0), ("b", -0.2, 0.1), ("c", 0.1, -0.2))}
     lens = Lens(SIZE, 360.0)
     grid = np.stack(np.meshgrid(np.linspace(40, 440, 9), np.linspace(30, 330, 7)), axis=-1).reshape(-1, 2)
-    matches = [Match(a, b, grid, carried(lens, poses[a], poses[b], grid), 0.5) for a, b in combinations(poses,
-                                                                                                        2)]
+    matches = [Match(a, b, grid, carried(lens, poses[a], poses[b], grid), 0.5)
+               for a, b in combinations(poses, 2)]
     found = adjust(replace(lens, focal=400.0), poses, "a", matches, 360.0, 0.02)[0]
     assert found.focal == pytest.approx(360.0, rel=1e-3)
 

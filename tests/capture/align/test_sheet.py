@@ -16,9 +16,8 @@ from mitsvbrdf.errors import ConfigError
 # tag36h11_create() of AprilTag 3 (tag36h11.c): codes, highest bit first, and where in the 8 x 8 cells each
 # bit stands.
 OFFICIAL = [0xD7E00984B, 0xDDA664CA7, 0xDC4A1C821, 0xE17B470E9, 0xEF91D01B1, 0xF429CDD73, 0x05DA29225,
-            0x1106CBA43,
-            0x223BED79D, 0x21F51213C, 0x33EB19CA6, 0x3F76EB0F8, 0x469A97414, 0x45DCFE0B0, 0x4A6465F72,
-            0x51801DB96]
+            0x1106CBA43, 0x223BED79D, 0x21F51213C, 0x33EB19CA6, 0x3F76EB0F8, 0x469A97414, 0x45DCFE0B0,
+            0x4A6465F72, 0x51801DB96]
 BIT_X = [1, 2, 3, 4, 5, 2, 3, 4, 3, 6, 6, 6, 6, 6, 5, 5, 5, 4, 6, 5, 4, 3, 2, 5, 4, 3, 4, 1, 1, 1, 1, 1, 2, 2,
          2, 3]
 BIT_Y = [1, 1, 1, 1, 1, 2, 2, 2, 3, 1, 2, 3, 4, 5, 2, 3, 4, 3, 6, 6, 6, 6, 6, 5, 5, 5, 4, 6, 5, 4, 3, 2, 5, 4,

@@ -16,8 +16,8 @@ def test_vignetting_is_undone_in_linear_light():
     rig = Rig(lens, {"a": pose}, 10.0, "cm", "sheet")
     at = (np.stack(np.meshgrid((np.arange(32) + 0.5) / 32 - 0.5, 0.5 - (np.arange(32) + 0.5) / 32), axis=-1)
           * 10)
-    passed = lens.transmission(project(lens, pose, np.dstack((at, np.zeros((32, 32)))).reshape(-1,
-                                                                                               3))).reshape(32, 32, 1)
+    points = np.dstack((at, np.zeros((32, 32)))).reshape(-1, 3)
+    passed = lens.transmission(project(lens, pose, points)).reshape(32, 32, 1)
     assert passed.min() < 0.9
     display = ((0.4 * passed) ** (1 / 2.2)).astype(np.float32).repeat(3, axis=2)
     display[0, 0], display[5, 5] = 1.0, np.nan

@@ -90,7 +90,7 @@ def expected(rig):
     return np.array([*FLASH[rig.unit], *VIGNETTING])
 
 
-# ---------------------------------------------------------------------------------------------------------------------- paper
+# paper
 def test_paper_tells_flash_power_vignetting_and_exposures():
     rng = np.random.default_rng(1)
     rig, exposures = make_rig("cm", rng), 0.03 * rng.normal(size=9)
@@ -153,7 +153,7 @@ def test_deviations_of_paper_are_the_size_of_its_errors():
     assert 0.5 < size < 1.8, size  # measured: 1.2
 
 
-# ------------------------------------------------------------------------------------------------------------------- material
+# material
 @pytest.mark.parametrize("f0", [0.0, 0.04])
 def test_material_tells_flash_vignetting_and_exposures(f0):
     rng = np.random.default_rng(4)
@@ -227,14 +227,14 @@ def test_no_paper_is_refused():
         shading_of_paper(rig, photos, "srgb", lambda points: np.zeros(len(points), bool))
 
 
-# ----------------------------------------------------------------------------------------------------------------- vignetting
+# vignetting
 def test_vignetting_undone():
     rig = make_rig("cm", np.random.default_rng(10), 1)
     lens, pose = true_lens(rig), rig.poses["0.jpg"]
     points = texel_positions(8).numpy().reshape(-1, 3) * SIDE
-    ratio = light(points, project(lens, pose, points), lens, pose, 0.0) / light(points,
-                                                                                np.full((64, 2), (95.5, 71.5)), lens,
-                                                                              pose, 0.0)
+    here, middle = (light(points, at, lens, pose, 0.0)
+                    for at in (project(lens, pose, points), np.full((64, 2), (95.5, 71.5))))
+    ratio = here / middle
     linear = np.full((8, 8, 3), 0.5) * ratio.reshape(8, 8, 1)
     linear[0, 0] = np.nan
     out = undo_vignetting(linear, lens, pose, SIDE)

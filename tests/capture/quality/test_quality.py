@@ -35,8 +35,8 @@ def judged(shots, photos, views=None, names=NAMES, overlap=None, **how):
     """Reasons and qualities, by name."""
     overlap = dict.fromkeys(names, 1.0) | (overlap or {})
     found = judge(photos, views or shots.views, shots.transfer, overlap, **how)
-    assert found.misled == any(reason.startswith(("blurred", "covered", "partly")) for reason in
-                               found.rejected.values())
+    assert found.misled == any(reason.startswith(("blurred", "covered", "partly"))
+                               for reason in found.rejected.values())
     return found.rejected, found.qualities
 
 
@@ -53,10 +53,8 @@ def test_nothing_is_wrong_with_photos_of_made_materials(material):
 
 
 @pytest.mark.parametrize("name", ["bathroomtile1", "book1", "cards-blue", "giftbag2", "leather-brown",
-                                  "plastic-red-carton",
-                                  "rubber-pattern", "stone-smalltile", "stone-spec-shiny",
-                                  "wall-plaster-green", "wood-bamboo",
-                                  "wood-knotty"])
+                                  "plastic-red-carton", "rubber-pattern", "stone-smalltile",
+                                  "stone-spec-shiny", "wall-plaster-green", "wood-bamboo", "wood-knotty"])
 def test_nothing_is_wrong_with_real_photos(name, data_folder):
     shots = read_capture(data_folder / "captures" / name, resolution=512)
     assert judged(shots, shots.photos)[0] == {}
@@ -75,8 +73,8 @@ def test_real_light_is_not_called_even(data_folder):
     not matter.
     """
     shots = read_capture(data_folder / "captures" / "leather-brown", resolution=192)
-    poses = {name: Pose.looking_at(at, (0, 0, 0)) for name, at in zip(shots.names,
-                                                                      shots.views.in_patch_sides().camera.numpy())}
+    poses = {name: Pose.looking_at(at, (0, 0, 0))
+             for name, at in zip(shots.names, shots.views.in_patch_sides().camera.numpy())}
     rig = Rig(Lens((4000, 3000), 3000.0), poses, 1.0, "patch sides", "photos")
     found = shading_of_material(rig, dict(zip(shots.names, shots.photos.numpy())), shots.transfer)
     assert judged(shots, shots.photos, names=shots.names, evenness=found.evenness)[0] == {}
@@ -110,8 +108,8 @@ def test_photos_without_any_detail_are_as_sharp_as_each_other(shots):
     assert {look.sharpness for look in judged(shots, grey)[1].values()} == {1.0}
 
 
-@pytest.mark.parametrize(("skin", "where"), [((0.25, 0.08, 0.06), "left"), ((0.9, 0.6, 0.5), "right"),
-                                             ((0.3, 0.3, 0.3), "top")])
+@pytest.mark.parametrize(("skin", "where"),
+                         [((0.25, 0.08, 0.06), "left"), ((0.9, 0.6, 0.5), "right"), ((0.3, 0.3, 0.3), "top")])
 def test_a_finger(shots, skin, where):
     """Over two fifths of the patch, out of focus; grey has no colour of its own, but the detail below it is
     gone.
@@ -119,8 +117,8 @@ def test_a_finger(shots, skin, where):
     mask = np.zeros((R, R, 1), np.float32)
     {"left": mask[:, :80], "right": mask[:, -80:], "top": mask[:80]}[where][:] = 1
     mask = cv2.GaussianBlur(mask, (0, 0), 6)[..., None]
-    reasons, found = judged(shots, changed(shots, 5, shots.photos[5].numpy() * (1 - mask)
-                                           + mask * np.array(skin)))
+    reasons, found = judged(shots,
+                            changed(shots, 5, shots.photos[5].numpy() * (1 - mask) + mask * np.array(skin)))
     assert reasons.keys() == {"5.jpg"} and "covered" in reasons["5.jpg"]
     assert max(found["5.jpg"].unlike, found["5.jpg"].unlike_detail) == pytest.approx(0.42, abs=0.12)
 
@@ -176,9 +174,8 @@ def test_duplicate(shots):
     names = [*NAMES, "again.jpg"]
     reasons, _ = judged(shots, photos, views, names)
     assert reasons == {"again.jpg": "the same photo as 4.jpg, from the same place"}
-    moved = replace(views, camera=views.camera + torch.eye(10, dtype=torch.float64)[:,
-                                                                                    -1:] * torch.tensor([0.2,
-                                                                                                         0, 0]))
+    moved = replace(views, camera=views.camera
+                    + torch.eye(10, dtype=torch.float64)[:, -1:] * torch.tensor([0.2, 0, 0]))
     assert judged(shots, photos, moved, names)[0] == {}
     other = photos.clone()
     other[-1] = (other[-1] + 0.06).clamp(0, 1)
@@ -188,8 +185,7 @@ def test_duplicate(shots):
 def test_two_bad_copies_are_both_rejected(shots):
     photos, names = torch.cat((shots.photos, shots.photos[4:5])), [*NAMES, "again.jpg"]
     reasons, _ = judged(shots, photos, shots.views.pick([*range(9), 4]), names,
-                        fired=dict.fromkeys(NAMES, "fired") | {
-        "4.jpg": "off", "again.jpg": "off"})
+                        fired=dict.fromkeys(NAMES, "fired") | {"4.jpg": "off", "again.jpg": "off"})
     assert set(reasons) == {"4.jpg", "again.jpg"} and all("EXIF" in reason for reason in reasons.values())
 
 
@@ -226,8 +222,8 @@ def test_where_to_stand():
         return float(((coverage_angle(Views.of([[x, y, 1.8]]), 32) <= lobe) & ~seen).double().mean())
 
     assert gain(*stand.camera[:2]) == pytest.approx(stand.gain, abs=1e-9)
-    assert max(gain(x, y) for x in np.linspace(-0.5, 0, 11) for y in np.linspace(-0.5, 0,
-                                                                                 11)) < stand.gain + 0.01
+    assert max(gain(x, y) for x in np.linspace(-0.5, 0, 11)
+               for y in np.linspace(-0.5, 0, 11)) < stand.gain + 0.01
     assert names[stand.near] == "d.jpg"  # of all, the one in the middle is nearest
 
 
