@@ -7,10 +7,13 @@ the text files of MaterialGAN. Both check what they read, photo by photo and num
 
 from __future__ import annotations
 
+import reprlib
 from pathlib import Path
-from typing import Any, get_args
+from typing import Annotated, Any, get_args
 
+import msgspec
 import torch
+from msgspec import Meta
 
 from .. import color
 from ..errors import CaptureError
@@ -19,8 +22,12 @@ from ..io.images import averaged
 from ..io.json import read_json
 from ..views import Falloff, Views, default_views
 from .capture import LEAST_SIDE, Calibration, Capture
+from .photo import PLAIN, files_of
 
-PHOTO_SUFFIXES = (".png", ".jpg", ".jpeg")
+NUMBER = Annotated[float, Meta(ge=-1e300, le=1e300)]  # no NaN either
+ROW = Annotated[list[NUMBER], Meta(min_length=3, max_length=3)]
+ROWS = Annotated[list[ROW], Meta(min_length=1)]
+KINDS = {NUMBER: "a finite number", ROW: "three numbers", ROWS: "rows of three numbers"}
 MOST_HELD = 500_000_000  # pixels of all photos of a capture, shrunk: 6 GB
 
 
@@ -47,9 +54,9 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
     index = stated.get("idx")
     if uncalibrated:
         stated = stated | _assumed(stated, path, max(photos) + 1)
-    size = _number(stated["im_size"], f"im_size in {path}")
-    camera = _rows(stated["camera_pos"], f"camera_pos in {path}")
-    light = _rows(stated["light_pos"], f"light_pos in {path}") if "light_pos" in stated else camera
+    size = _stated(stated["im_size"], NUMBER, f"im_size in {path}")
+    camera = _stated(stated["camera_pos"], ROWS, f"camera_pos in {path}")
+    light = _stated(stated["light_pos"], ROWS, f"light_pos in {path}") if "light_pos" in stated else camera
     if index is None:
         index = list(photos)
         _same_count(f"camera_pos in {path}", len(camera), len(photos))
@@ -86,7 +93,7 @@ def _assumed(stated: dict, path: Path, rows: int) -> dict:
         raise CaptureError("the key 'camera_pos' beside light_pos and light_pow",
                            f"{' and '.join(beside)} alone in {path}",
                            "add camera_pos, or take these out to have the geometry estimated from the photos")
-    size = _number(stated.get("im_size", 1.0), f"im_size in {path}")
+    size = _stated(stated.get("im_size", 1.0), NUMBER, f"im_size in {path}")
     views = default_views(1)
     return {"im_size": size, "camera_pos": [[x * size for x in views.camera[0].tolist()]] * rows,
             "light_pow": float(views.intensity[0, 0]) * size**2, "calibration": "none"}
@@ -99,11 +106,11 @@ def from_text(folder: Path, falloff: Falloff, resolution: int | None) -> Capture
         CaptureError: naming what is missing or wrong.
     """
     photos = _numbered(folder)
-    camera = _rows(_table(folder / "camera_pos.txt"), str(folder / "camera_pos.txt"))
+    camera = _stated(_table(folder / "camera_pos.txt"), ROWS, str(folder / "camera_pos.txt"))
     _same_count(str(folder / "camera_pos.txt"), len(camera), len(photos))
     light = camera
     if (folder / "light_pos.txt").is_file():
-        light = _rows(_table(folder / "light_pos.txt"), str(folder / "light_pos.txt"))
+        light = _stated(_table(folder / "light_pos.txt"), ROWS, str(folder / "light_pos.txt"))
     sizes = [number for row in _table(folder / "image_size.txt") for number in row]
     if len(set(sizes)) != 1:
         raise CaptureError("one side length", f"{sizes} in {folder / 'image_size.txt'}",
@@ -145,18 +152,12 @@ def _common_side(paths: list[Path], sizes: list[tuple[int, int]], source: Path) 
     return sizes[0][0]
 
 
-def _photos_in(folder: Path) -> list[Path]:
-    """Image files in a folder, hidden ones aside."""
-    if not folder.is_dir():
-        raise CaptureError("a folder of photos", f"no folder at {folder}", "check target_dir")
-    return [p for p in folder.iterdir() if p.suffix.lower() in PHOTO_SUFFIXES and p.name[0] != "."
-            and p.is_file()]
-
-
 def _numbered(folder: Path) -> dict[int, Path]:
     """The photos NN.png or NN.jpg of a folder by their number, in order."""
     paths: dict[int, Path] = {}
-    for path in sorted(p for p in _photos_in(folder) if p.stem.isdecimal()):
+    for path in files_of(folder, PLAIN):
+        if not path.stem.isdecimal():
+            continue
         if int(path.stem) in paths:
             raise CaptureError("one photo of each number",
                                f"{paths[int(path.stem)].name} and {path.name} in {folder}",
@@ -183,10 +184,10 @@ def _views(camera: list, light: list, power: Any, size: float, falloff: Falloff,
 def _power(value: Any, count: int, where: str) -> float | list:
     """A light's intensity as a number, three numbers, or ``count`` rows of three."""
     if not isinstance(value, list):
-        return _number(value, where)
+        return _stated(value, NUMBER, where)
     if not value or not isinstance(value[0], list):
-        return _row(value, where)
-    rows = _rows(value, where)
+        return _stated(value, ROW, where)
+    rows = _stated(value, ROWS, where)
     if len(rows) not in (1, count):
         raise CaptureError(f"1 or {count} rows of {where}", f"{len(rows)} rows", "give one row a photo")
     return rows
@@ -198,22 +199,13 @@ def _same_count(what: str, rows: int, photos: int) -> None:
                            "give one row a photo")
 
 
-def _number(value: Any, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or abs(value) > 1e300:
-        raise CaptureError("a finite number", f"{value!r} as {where}", "check the calibration")
-    return float(value)
-
-
-def _row(value: Any, where: str) -> list[float]:
-    if not isinstance(value, list) or len(value) != 3:
-        raise CaptureError("three numbers", f"{value!r} in {where}", "check the calibration")
-    return [_number(x, where) for x in value]
-
-
-def _rows(value: Any, where: str) -> list[list[float]]:
-    if not isinstance(value, list) or not value:
-        raise CaptureError("rows of three numbers", f"{value!r} as {where}", "give one row a photo")
-    return [_row(row, where) for row in value]
+def _stated(value: Any, shape: Any, where: str) -> Any:
+    """Numbers of a calibration in a shape, as floats."""
+    try:
+        return msgspec.convert(value, shape)
+    except msgspec.ValidationError as reason:
+        raise CaptureError(KINDS[shape], f"{reprlib.repr(value)} as {where} ({reason})",
+                           "check the calibration") from None
 
 
 def _table(path: Path) -> list[list[float]]:

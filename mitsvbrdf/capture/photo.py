@@ -80,7 +80,7 @@ class Photo:
         if not path.is_file():  # a pipe or a device would be waited for
             raise Unreadable("a photo", f"no file at {path}", "check the name")
         if path.suffix.lower() in RAW:
-            with _readable(path), _rawpy(path).imread(str(path)) as raw:
+            with _readable(path), _needed("rawpy", "raw", path).imread(str(path)) as raw:
                 size = raw.sizes.width, raw.sizes.height
                 orientation = ORIENTATION_OF_FLIP.get(raw.sizes.flip, 1)
         else:
@@ -114,7 +114,7 @@ class Photo:
     def _decoded(self) -> np.ndarray:
         suffix = self.path.suffix.lower()
         if suffix in RAW:
-            rawpy = _rawpy(self.path)
+            rawpy = _needed("rawpy", "raw", self.path)
             # nothing that depends on the picture: values stay comparable
             with rawpy.imread(str(self.path)) as raw:
                 return raw.postprocess(use_camera_wb=True, no_auto_bright=True, output_bps=16, gamma=(1, 1),
@@ -160,10 +160,6 @@ def _opened(path: Path) -> Iterator:
         yield image
 
 
-def _rawpy(path: Path) -> ModuleType:
-    return _needed("rawpy", "raw", path)
-
-
 def _needed(module: str, extra: str, path: Path) -> ModuleType:
     import importlib
 
@@ -174,6 +170,14 @@ def _needed(module: str, extra: str, path: Path) -> ModuleType:
                            f'pip install "mitsvbrdf[{extra}]", or export the photos as JPEG') from None
 
 
+def files_of(folder: Path, suffixes: Sequence[str]) -> list[Path]:
+    """Files of a folder with these suffixes by name, hidden ones aside."""
+    if not folder.is_dir():
+        raise CaptureError("a folder of photos", f"no folder at {folder}", "check the name")
+    return sorted(p for p in folder.iterdir() if p.suffix.lower() in suffixes and p.name[0] != "."
+                  and p.is_file())
+
+
 @kinds_checked
 def photos_in(folder: str | Path) -> list[Path]:
     """The photos of a folder by name, hidden ones aside.
@@ -182,11 +186,7 @@ def photos_in(folder: str | Path) -> list[Path]:
         CaptureError: none, or RAW files beside others, whose values mean something else.
         ConfigError: a name that is not UTF-8.
     """
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise CaptureError("a folder of photos", f"no folder at {folder}", "check the name")
-    found = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.name[0] != "."
-                   and p.is_file())
+    found = files_of(folder := Path(folder), SUFFIXES)
     check_names(*found)
     if not found:
         raise CaptureError("photos (jpg, png, heic, dng, ...)", f"none in {folder}",

@@ -31,7 +31,7 @@ from ..views import coverage_angle
 from .align import find_rig
 from .align.sheet import Sheet
 from .capture import LEAST_SIDE, Capture
-from .light.lit import Lit, Paper
+from .light.lit import Lit
 from .light.solve import Shading
 from .photo import Photo, of_one_camera
 from .quality.detail import blurred
@@ -109,61 +109,38 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
         OnePlace: without a sheet, all photos are from one place.
         ConfigError: options out of range.
     """
-    asked = _Asked(sheet_cm, depth_cm, transfer, resolution, reference)
+    if not LEAST_SIDE <= resolution <= MOST_SIDE:
+        raise ConfigError(f"a resolution of {LEAST_SIDE} to {MOST_SIDE}", str(resolution), "try 1024")
+    if sheet_cm is not None and not (math.isfinite(sheet_cm) and sheet_cm > 0):
+        raise ConfigError("the size of the sheet in cm", str(sheet_cm),
+                          "measure the frame of tags from edge to edge")
+    # NaN, too; below 0 where the sheet lies below the material
+    if sheet_cm is not None and not abs(depth_cm) < sheet_cm:
+        raise ConfigError(f"a sheet less than its size of {sheet_cm:g} cm above the material",
+                          f"{depth_cm:g} cm", "measure how far it is, in cm")
+    if reference not in get_args(Reference):
+        raise ConfigError(f"a reference of {get_args(Reference)}", repr(reference), "choose one of these")
     with profiling() as profile, profile.scope(STEP):
-        result = _made(photos, asked, report)
+        result = _made(photos, sheet_cm, depth_cm, transfer, resolution, reference, report)
     return replace(result, seconds=profile.steps[0])
 
 
-@dataclass(frozen=True)
-class _Asked:
-    """What :func:`make_capture` was asked for.
-
-    Raises:
-        ConfigError: something is out of range.
-    """
-
-    sheet_cm: float | None
-    depth_cm: float
-    transfer: color.Transfer | None
-    resolution: int
-    reference: Reference
-
-    def __post_init__(self) -> None:
-        if not LEAST_SIDE <= self.resolution <= MOST_SIDE:
-            raise ConfigError(f"a resolution of {LEAST_SIDE} to {MOST_SIDE}", str(self.resolution),
-                              "try 1024")
-        if self.sheet_cm is not None and not (math.isfinite(self.sheet_cm) and self.sheet_cm > 0):
-            raise ConfigError("the size of the sheet in cm", str(self.sheet_cm),
-                              "measure the frame of tags from edge to edge")
-        # NaN, too; below 0 where the sheet lies below the material
-        if self.sheet_cm is not None and not abs(self.depth_cm) < self.sheet_cm:
-            raise ConfigError(f"a sheet less than its size of {self.sheet_cm:g} cm above the material",
-                              f"{self.depth_cm:g} cm", "measure how far it is, in cm")
-        if self.reference not in get_args(Reference):
-            raise ConfigError(f"a reference of {get_args(Reference)}", repr(self.reference),
-                              "choose one of these")
-
-    @property
-    def paper(self) -> Paper | None:
-        """Where the sheet is bare."""
-        return None if self.sheet_cm is None else Sheet(self.sheet_cm).white
-
-
-def _made(photos: Sequence[Photo], asked: _Asked, report: Report) -> CaptureResult:
+def _made(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, transfer: color.Transfer | None,
+          resolution: int, reference: Reference, report: Report) -> CaptureResult:
     """The stages one after the other; without the seconds."""
+    paper = None if sheet_cm is None else Sheet(sheet_cm).white
     kept, rejected, notes = of_one_camera(photos)
     check_enough(kept, rejected)
-    transfer = asked.transfer or ("linear" if kept[0].linear else "srgb")
+    transfer = transfer or ("linear" if kept[0].linear else "srgb")
     fired = {photo.name: str(photo.exif["flash"]) for photo in photos if "flash" in photo.exif}
     qualities: dict[str, PhotoQuality] = {}
     for start in (0, 0.5):
         with profiled("poses"):
-            rig = find_rig(kept, asked.sheet_cm, asked.depth_cm, asked.reference, _within(report, start, 0.3))
+            rig = find_rig(kept, sheet_cm, depth_cm, reference, _within(report, start, 0.3))
         with profiled("rectifying"):
-            rectified = Rectified.of(rig, kept, asked.resolution, _within(report, start + 0.3, 0.2))
+            rectified = Rectified.of(rig, kept, resolution, _within(report, start + 0.3, 0.2))
         with profiled("flash"):
-            lit = Lit.of(rig, rectified, transfer, asked.paper, asked.depth_cm)
+            lit = Lit.of(rig, rectified, transfer, paper, depth_cm)
         with profiled("quality"):
             found = judge(lit.pictures, lit.views, transfer, lit.overlap, lit.evenness, fired)
         qualities |= found.qualities
@@ -172,12 +149,12 @@ def _made(photos: Sequence[Photo], asked: _Asked, report: Report) -> CaptureResu
         check_enough(kept, rejected)
         # Tags that were seen are where they are. Features of a bad photo may have misled the poses of all:
         # once more without it.
-        if asked.sheet_cm is not None or not found.misled:
+        if sheet_cm is not None or not found.misled:
             break
     if found.rejected:
         rig = replace(rig, poses={photo.name: rig.poses[photo.name] for photo in kept})
         with profiled("flash"):
-            lit = Lit.of(rig, rectified, transfer, asked.paper, asked.depth_cm)
+            lit = Lit.of(rig, rectified, transfer, paper, depth_cm)
     with profiled("quality"):
         without_pose = [photo for photo in photos if photo.name in rejected.keys() - qualities.keys()]
         rejected |= blurred(without_pose, rejected, rectified.small.values())

@@ -22,25 +22,21 @@ def colours(seed=0, low=0.1, high=0.6):
     return low + (high - low) * torch.rand((SIDE, SIDE, 3), generator=torch.Generator().manual_seed(seed))
 
 
-def shot(diffuse, f0=0.0, roughness=0.3, views=None, levels=255):
-    """A capture of a flat material under co-located light: Lambert plus a GGX lobe, clipped, gamma 2.2, 8
-    bit.
-    """
-    views = views or GRID
+def shot(diffuse, f0=0.0, roughness=0.3, views=GRID, normal=(0.0, 0.0, 1.0)):
+    """A capture of a material under co-located light: Lambert plus a GGX lobe, clipped, gamma 2.2, 8 bit."""
     photos = []
     for view in views:
-        to = (torch.tensor(view.light) - texel_positions(diffuse.shape[0]))
-        cosine = to[..., 2:] / to.norm(dim=-1, keepdim=True)
-        square = (to.square().sum(dim=-1, keepdim=True) if views.falloff != "none"
-                  else np.dot(view.light, view.light))
+        to = torch.tensor(view.light) - texel_positions(diffuse.shape[0]) * views.size
+        square = to.square().sum(dim=-1, keepdim=True)
+        c = (to * torch.as_tensor(normal)).sum(dim=-1, keepdim=True).div(square.sqrt()).clamp_min(1e-4)
+        square = square if views.falloff != "none" else np.dot(view.light, view.light)
         a2 = roughness**4
-        d = a2 / (math.pi * (a2 * cosine**2 + 1 - cosine**2) ** 2)
-        g = 2 * cosine / (cosine + (a2 + (1 - a2) * cosine**2).sqrt())
-        brdf = diffuse / math.pi + d * g**2 * f0 / (4 * cosine**2)
-        radiance = brdf * cosine / square * torch.tensor(view.intensity)
-        photos.append(color.to_display(radiance))
-    photos = torch.stack(photos)
-    return Capture(((photos * levels).round() / levels).float(), views)
+        d = a2 / (math.pi * (a2 * c**2 + 1 - c**2) ** 2)
+        g = 2 * c / (c + (a2 + (1 - a2) * c**2).sqrt())
+        brdf = diffuse / math.pi + d * g**2 * f0 / (4 * c**2)
+        radiance = brdf * c / square * torch.tensor(view.intensity)
+        photos.append((color.to_display(radiance) * 255).round() / 255)
+    return Capture(torch.stack(photos).float(), views)
 
 
 def rms(a, b):
@@ -140,25 +136,8 @@ def test_robust_on_known_materials(data_folder):
     errors = {"robust": [], "min": []}
     for folder in sorted((data_folder / "materials").iterdir()):
         maps = load_maps(folder).resized(48).as_roughconductor()
-        capture = shot_of(maps, views)
+        parts = (maps[k].double() for k in ("diffuse", "specular", "roughness"))
+        capture = shot(*parts, views, maps["normal"].double())
         for method, found in errors.items():
             found.append(rms(guess_diffuse(capture, method), maps["diffuse"]))
     assert np.mean(errors["robust"]) < 0.05 < 0.08 < np.mean(errors["min"])
-
-
-def shot_of(maps, views):
-    """As :func:`shot`, for a material with maps and co-located light."""
-    diffuse, f0, roughness, normal = (maps[k].double()
-                                      for k in ("diffuse", "specular", "roughness", "normal"))
-    photos = []
-    for view in views:
-        to = torch.tensor(view.light) - texel_positions(maps.resolution) * views.size
-        square = to.square().sum(dim=-1, keepdim=True)
-        c = (normal * to).sum(dim=-1, keepdim=True).div(square.sqrt()).clamp_min(1e-4)
-        a2 = roughness**4
-        d = a2 / (math.pi * (a2 * c**2 + 1 - c**2) ** 2)
-        g = 2 * c / (c + (a2 + (1 - a2) * c**2).sqrt())
-        radiance = ((diffuse / math.pi + d * g**2 * f0 / (4 * c**2)) * c / square
-                    * torch.tensor(view.intensity))
-        photos.append((color.to_display(radiance) * 255).round() / 255)
-    return Capture(torch.stack(photos).float(), views)

@@ -141,15 +141,6 @@ def test_formats_page_names_the_keys_of_our_own(made):
     assert {key for key in stated if f"`{key}`" not in page} <= theirs
 
 
-@pytest.mark.slow
-def test_page_in_a_browser(made):
-    import browser
-
-    with browser.opened(made[1] / "quality.html", width=390, scheme="dark", phone=True) as page:
-        assert page.evaluate("document.documentElement.scrollWidth") <= 390
-        assert page.locator("circle.camera").count() == 7
-
-
 def test_mistakes_on_the_command_line(made, truth, tmp_path, capsys):
     raw, out = made
 

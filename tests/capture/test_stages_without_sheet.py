@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 from helpers.made_photos import LENS, poses
 from PIL import Image
 
 from mitsvbrdf.capture import read_capture
+from mitsvbrdf.capture.photo import Photo, photos_in
+from mitsvbrdf.capture.rig import OnePlace
+from mitsvbrdf.capture.stages import make_capture
 from mitsvbrdf.errors import CaptureError
 
 
@@ -70,3 +74,19 @@ def test_a_single_photo_is_shown_upright(tmp_path):
     Image.fromarray(pixels).save(tmp_path / "a.jpg", exif=exif, quality=95)
     photo = read_capture(tmp_path).photos[0]
     assert photo.shape == (40, 40, 3) and photo[:15].mean() > 0.7 and photo[25:].mean() < 0.1
+
+
+def test_photos_that_show_everything_in_the_same_place_are_taken_for_rectified(tmp_path):
+    y, x = np.mgrid[:300, :400]
+    noise = cv2.GaussianBlur(np.random.default_rng(0).standard_normal((300, 400, 3)), (0, 0), 2)
+    lit = [np.clip(0.5 + 0.9 * noise, 0, 1) * np.exp(-((x - u) ** 2 + (y - v) ** 2) / 3e5)[..., None]
+           for u, v in ((100, 80), (300, 60), (200, 250))]
+    for i, photo in enumerate(lit):
+        Image.fromarray(np.rint(photo * 255).astype(np.uint8)).save(tmp_path / f"{i}.png")
+    heard = []
+    capture = read_capture(tmp_path, log=heard.append)
+    assert capture.calibration == "none" and capture.index == (0, 1, 2) and "taken for rectified" in heard[-1]
+    for photo, square in zip(lit, capture.photos.numpy()):
+        assert np.abs(square - photo[:, 50:350]).max() < 0.6 / 255
+    with pytest.raises(OnePlace, match="from a tripod, or rectified"):
+        make_capture([Photo.open(path) for path in photos_in(tmp_path)])

@@ -1,5 +1,4 @@
-"""What two photos of a flat material have in common: SIFT features and the homography that most of them agree
-with.
+"""What two photos of a flat material share: SIFT features, and the homography that most agree with.
 
 Source: SIFT by Lowe 1999, 2004; RootSIFT by Arandjelovic and Zisserman 2012; MAGSAC++ by Barath et al. 2020.
 """
@@ -11,9 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..lens import Array
 from ..photo import Photo
-
-Array = NDArray[np.float64]
 
 FEATURE_SIDE = 2048  # photos are searched for features at no more than this many pixels a side
 MOST_FEATURES = 8000
@@ -45,11 +43,7 @@ class Features:
 
 
 def find_features(photo: Photo) -> Features:
-    """Features of a photo, from its mean over colours.
-
-    Raises:
-        CaptureError: the photo cannot be read.
-    """
+    """Features of a photo, from its mean over colours."""
     import cv2
 
     pixels = photo.pixels(FEATURE_SIDE)
@@ -91,8 +85,9 @@ def match(a: Features, b: Features, most: int = MOST_FEATURES) -> NDArray[np.int
 
 
 def repeats(features: Features) -> float:
-    """Whether a pattern repeats itself within one photo: the share of its pairs of nearest features that
-    agree with one homography. Exact repeats: 0.26 to 0.33; tiles, inlays and bricks that vary: at most 0.05.
+    """The share of a photo's pairs of nearest features that agree with one homography.
+
+    Exact repeats of a pattern have 0.26 to 0.33; tiles, inlays and bricks that vary at most 0.05.
     """
     import torch
 
@@ -111,8 +106,7 @@ def repeats(features: Features) -> float:
 def homography(source: Array, aim: Array, pixel: float) -> tuple[Array | None, NDArray[np.bool_]]:
     """The 3 x 3 map from pixels (K x 2) to pixels that most agree with, and which do; None: too few do.
 
-    Args:
-        pixel: unit of the threshold, in pixels.
+    The threshold is in units of ``pixel`` pixels.
     """
     import cv2
 

@@ -1,5 +1,4 @@
-"""Lens and poses from photos of the printed sheet: its tags are measured in each, and all photos explained at
-once.
+"""Lens and poses from photos of the printed sheet, by the tags that each photo shows.
 
 One lens (focal length, principal point, k1, k2) and a pose of each photo are the least-squares answer to all
 points measured on edges of tags (bundle adjustment, Triggs et al. 2000), with Zhang's planar target (2000)
@@ -13,18 +12,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...errors import CaptureError
 from ...io.layout import Layout
-from ..lens import Lens, Pose, expected_lens, project, unsure_note
+from ..lens import Array, Lens, Pose, expected_lens, project, unsure_note
 from ..photo import Photo
 from ..rig import Rig, check_enough
 from .planar import POSE
 from .sheet import Sheet
 from .tag_edges import POINTS, Edges, find_edges
-
-Array = NDArray[np.float64]
 
 LEAST_TAGS = 4
 # Deviations of the priors: EXIF's focal length is rounded to a millimetre and means the diagonal or the long

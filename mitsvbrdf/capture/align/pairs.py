@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..lens import Array
 from .features import FEW_FEATURES, LEAST_INLIERS, MOST_FEATURES, Features, homography, match, wild
 from .planar import Match
 
-Array = NDArray[np.float64]
 MOST_AGAIN = 8  # others that a photo left alone is compared with by all features
 SIGMA = 0.5  # of a match, in pixels at which features were searched
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...io.layout import Layout
-from ..lens import Lens, Pose, on_plane
+from ..lens import Array, Lens, Pose, on_plane
 
-Array = NDArray[np.float64]
 HALF_PLANE = Layout(normal=(2,), offset=())  # n . (x, y) <= offset
 SQUARE = Layout(centre=(2,), half=())  # an upright square by half its side
 
@@ -60,8 +58,7 @@ def outline(lens: Lens, pose: Pose) -> Array:
 def largest_square(outlines: Sequence[Array]) -> tuple[Array, float]:
     """Centre (x, y) and side of the largest upright square in all outlines; a side below 0: there is none.
 
-    A linear programme: a square of half side h lies in a half plane where n . centre + h (|n_x| + |n_y|) <=
-    b.
+    A linear programme: a square of half side h is in a half plane where n . centre + h (|n_x| + |n_y|) <= b.
     """
     from scipy.optimize import linprog
 

@@ -1,12 +1,10 @@
-"""Where cameras stood over a plane of which nothing is known: a start from homographies, and bundle
-adjustment.
+"""Where cameras stood over an unknown plane: a start from homographies, and bundle adjustment.
 
 A pixel of one photo is carried to the plane and into another photo, so the plane's points are no unknowns.
 Unknown are the lens (focal length, distortion) and a pose of each photo. The frame is that of one photo, the
 hub: above the origin at height 1, the world's x along its own.
 
-Source: Triggs 1998, Autocalibration from Planar Scenes; Zhang 2000; bundle adjustment as in Triggs et al.
-2000.
+Source: Triggs 1998, Autocalibration from Planar Scenes; Zhang 2000; Triggs et al. 2000, bundle adjustment.
 """
 
 from __future__ import annotations
@@ -17,12 +15,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...io.layout import Layout
-from ..lens import Lens, Pose, rays
-
-Array = NDArray[np.float64]
+from ..lens import Array, Lens, Pose, rays
 
 # Deviations of what is expected beforehand. They decide where photos do not: taken nearly parallel, a tilt of
 # all cameras looks like a shift, and a focal length like a height.
@@ -140,8 +135,7 @@ def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match
         steps: most steps.
 
     Returns:
-        Lens, poses, the cost, which tells starts apart, and the standard deviation of the focal length, as a
-        share.
+        Lens, poses, the cost (it tells starts apart), and the focal length's standard deviation as a share.
     """
     from scipy.optimize import least_squares
 
@@ -161,8 +155,7 @@ class _Bundle:
     """The least-squares problem of :func:`adjust`: K matches in two coordinates each, then the priors.
 
     The unknowns, by ``layout``: ``log_focal``, natural logarithm beside the start's; ``distortion``, k1 and
-    k2; ``poses``, by :data:`POSE`. Those of the hub's position, and its turn about its axis, are not
-    ``free``.
+    k2; ``poses``, by :data:`POSE`. The hub's position and its turn about its axis are not ``free``.
     """
 
     def __init__(self, lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match], focal: float,

@@ -14,10 +14,9 @@ import torch
 from numpy.typing import NDArray
 
 from ...color import decode
+from ..lens import Array
 from ..photo import Photo
 from .sheet import CODES, TAG, Sheet, tag_cells
-
-Array = NDArray[np.float64]
 
 MOST_PIXELS = 4100  # of the long side that is measured; 12 megapixels are 4032 wide
 SEARCHED = 2050  # of the long side where tags are looked for at first

@@ -1,5 +1,4 @@
-"""How evenly each photo is lit: 0 where light falls off as a flash's, 1 where the room's light is all there
-is.
+"""How evenly each photo is lit: 0 where light falls off as a flash's, 1 where only the room's light is.
 
 Each photo's log radiance, less what the other photos say of its texels, is set against the pattern a flash
 would make.

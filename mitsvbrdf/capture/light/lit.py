@@ -10,12 +10,14 @@ import numpy as np
 import torch
 
 from ... import color
+from ...color import NEARLY_CLIPPED
 from ...errors import CaptureError
-from ...views import Views
-from ..lens import Array
+from ...views import Views, texel_positions
+from ..lens import Array, project
 from ..rectify import Rectified
 from ..rig import Rig
-from .shading import shading_of_material, shading_of_paper, undo_vignetting
+from .samples import radius2_of, transmission_of
+from .shading import shading_of_material, shading_of_paper
 from .solve import Shading
 
 FARTHEST_FLASH = 5.0  # cm from the lens; phones have 1 to 3
@@ -106,12 +108,16 @@ def _views(rig: Rig, shading: Shading | None) -> Views:
 
 
 def without_vignetting(picture: np.ndarray, rig: Rig, name: str, transfer: color.Transfer) -> np.ndarray:
-    """A rectified photo (R x R x 3 display values, NaN stays) with its vignetting undone."""
+    """A rectified photo (R x R x 3 display values, NaN stays) without vignetting; clipped values stay so."""
     if rig.lens.vignetting == (0.0, 0.0):
         return picture
     linear = color.decode(torch.from_numpy(picture), transfer).numpy()
-    linear = undo_vignetting(linear, rig.lens, rig.poses[name], rig.size, transfer)
-    return color.to_display(torch.from_numpy(linear), transfer).numpy()
+    points = texel_positions(len(linear)).numpy().reshape(-1, 3) * rig.size
+    radius2 = radius2_of(rig.lens, project(rig.lens, rig.poses[name], points))
+    out = linear / transmission_of(radius2, np.array(rig.lens.vignetting)).reshape(*linear.shape[:2], 1)
+    clipped = linear >= float(color.decode(torch.tensor(NEARLY_CLIPPED, dtype=torch.float64), transfer))
+    out = np.where(clipped, np.maximum(out, linear), out).astype(linear.dtype)
+    return color.to_display(torch.from_numpy(out), transfer).numpy()
 
 
 def filled(pictures: Sequence[np.ndarray]) -> torch.Tensor:

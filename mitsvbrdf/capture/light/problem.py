@@ -1,7 +1,6 @@
 """The least-squares problem of the light: flash, vignetting, exposures and one lobe for all are its unknowns.
 
-The albedo of each texel is eliminated (variable projection): for any unknowns it is what explains the samples
-best.
+The albedo of each texel is eliminated (variable projection): it is what explains the samples best.
 """
 
 from __future__ import annotations

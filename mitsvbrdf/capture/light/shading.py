@@ -1,5 +1,4 @@
-"""What the shading of photos says, once their poses are known: where the flash is, how bright, vignetting and
-exposures.
+"""From the shading of photos with known poses to flash, power, vignetting and exposures.
 
 A diffuse point of albedo rho, seen through a lens of transmission T, sends to the photo the radiance
 
@@ -24,15 +23,12 @@ import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
-import torch
 
 from ... import color
-from ...color import NEARLY_CLIPPED
 from ...material.maps import USUAL_ALBEDO
-from ...views import texel_positions
-from ..lens import Array, Lens, Pose, project
+from ..lens import Array
 from ..rig import Rig
-from .samples import Samples, material_samples, paper_samples, radius2_of, transmission_of
+from .samples import Samples, material_samples, paper_samples
 from .solve import Shading, solve_light
 
 # albedo of white office paper; 0.75 to 0.9, ISO 2470 brightness without optical brighteners
@@ -97,19 +93,3 @@ def shading_of_material(rig: Rig, photos: Mapping[str, np.ndarray], transfer: co
              f"highlights reflect {math.pi * found.lobe / intensity:.1%} of it and the median albedo is "
              f"{middle / intensity:.2f}",)
     return found.shading(np.full(3, intensity), 1 / math.sqrt(by_albedo + by_lobe), notes)
-
-
-def undo_vignetting(linear: np.ndarray, lens: Lens, pose: Pose, size: float,
-                    transfer: color.Transfer = "srgb") -> np.ndarray:
-    """A rectified photo (R x R x 3, linear) without its vignetting; clipped values stay clipped.
-
-    Args:
-        linear: radiance; NaN stays.
-        size: side of the patch.
-        transfer: of the photo it was: tells what counts as clipped.
-    """
-    points = texel_positions(linear.shape[0]).numpy().reshape(-1, 3) * size
-    passed = transmission_of(radius2_of(lens, project(lens, pose, points)), np.array(lens.vignetting))
-    out = linear / passed.reshape(*linear.shape[:2], 1)
-    clipped = linear >= float(color.decode(torch.tensor(NEARLY_CLIPPED, dtype=torch.float64), transfer))
-    return np.where(clipped, np.maximum(out, linear), out).astype(linear.dtype)

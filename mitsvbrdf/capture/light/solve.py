@@ -1,6 +1,4 @@
-"""The most probable light: robust least squares, reweighted in rounds, once more without photos that had no
-flash.
-"""
+"""The most probable light: robust least squares in rounds, once more without photos that had no flash."""
 
 from __future__ import annotations
 
@@ -34,7 +32,6 @@ class Shading:
         deviations: standard deviations of ``flash_x``, ``flash_y``, ``flash_z`` (the rig's unit), ``v1``,
             ``v2`` and ``log_intensity``.
         exposure_deviations: those of ``log_exposure``.
-        residuals: RMS of log radiance, by name, each point by its weight; 0 where nothing can be compared.
         evenness: by name, 0 where light falls off as a flash's, 1 where it is even; 0 too where that cannot
             be told.
         notes: what was assumed, and which photos do not count.
@@ -45,7 +42,6 @@ class Shading:
     log_exposure: dict[str, float]
     deviations: dict[str, float]
     exposure_deviations: dict[str, float]
-    residuals: dict[str, float]
     evenness: dict[str, float]
     notes: tuple[str, ...] = ()
 
@@ -63,8 +59,6 @@ class _Found:
     level_sd: float
     colour: Array
     albedo: Array  # logarithm, over pi, of each texel, for an intensity of 1; NaN where nothing is known
-    error: Array  # of each point, in log radiance
-    weights: Array
     evenness: dict[str, float]
     unlit: tuple[str, ...]
 
@@ -81,22 +75,18 @@ class _Found:
 
     def shading(self, intensity: Array, log_intensity_sd: float, notes: tuple[str, ...]) -> Shading:
         """What was found, in the rig's unit, with an intensity (rgb) that comes from elsewhere."""
-        names, photo = self.samples.names, self.samples.photo
+        names = self.samples.names
         shared = zip(("flash_x", "flash_y", "flash_z", "v1", "v2"),
                      (*self.deviations.flash.tolist(), *self.deviations.vignetting.tolist()))
-        squares, total = (np.bincount(photo, w, len(names))
-                          for w in (self.weights * self.error**2, self.weights))
         if self.unlit:
             notes += (f"no flash in {', '.join(self.unlit)}: light is even there",)
         elif even := sum(e > EVEN for e in self.evenness.values()):
             notes += (f"light does not fall off as a flash's in {even} of {len(names)} photos: where it "
                       "comes from is a guess",)
         red, green, blue = (float(i) for i in intensity)
-        return Shading(
-            self.lens, (red, green, blue), dict(zip(names, self.unknowns.exposures.tolist())),
-            dict(shared) | {"log_intensity": float(log_intensity_sd)},
-            dict(zip(names, self.deviations.exposures.tolist())),
-            dict(zip(names, map(float, np.sqrt(squares / total.clip(1e-12))))), self.evenness, notes)
+        return Shading(self.lens, (red, green, blue), dict(zip(names, self.unknowns.exposures.tolist())),
+                       dict(shared) | {"log_intensity": float(log_intensity_sd)},
+                       dict(zip(names, self.deviations.exposures.tolist())), self.evenness, notes)
 
 
 def solve_light(rig: Rig, samples: Samples) -> _Found:
@@ -127,7 +117,7 @@ def _most_probable(rig: Rig, samples: Samples, counts: Array) -> _Found:
     solution = least_squares(problem.residuals, x, problem.jacobian, method="lm", args=(weights, scale),
                              max_nfev=20)
     unknowns = solution.x * problem.spread
-    albedo, gloss, error = problem.explain(unknowns, weights)
+    albedo, gloss, _ = problem.explain(unknowns, weights)
     covariance = np.linalg.inv(solution.jac.T @ solution.jac) * np.outer(problem.spread, problem.spread)
     total = np.bincount(samples.texel, weights)
     colour = np.average(samples.colour, axis=0, weights=weights)
@@ -136,4 +126,4 @@ def _most_probable(rig: Rig, samples: Samples, counts: Array) -> _Found:
     return _Found(rig, samples, problem.layout.unpack(unknowns),
                   problem.layout.unpack(np.sqrt(covariance.diagonal())),
                   problem.typical, float(albedo[0]), level_sd, colour, np.where(total > 1e-3, albedo, np.nan),
-                  error, weights, evenness_of(problem, unknowns, weights, gloss), ())
+                  evenness_of(problem, unknowns, weights, gloss), ())

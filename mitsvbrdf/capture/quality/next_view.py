@@ -1,6 +1,4 @@
-"""The next best view: where one more photo would show most highlights that no photo has, in words for a
-person.
-"""
+"""The next best view: where one more photo would show most new highlights, in words for a person."""
 
 from __future__ import annotations
 
@@ -36,19 +34,17 @@ class NextView:
     words: str
 
 
-def next_best_view(views: Views, names: Sequence[str], unit: str,
-                   lobe: float = HIGHLIGHT_ANGLE) -> NextView | None:
+def next_best_view(views: Views, names: Sequence[str], unit: str) -> NextView | None:
     """The place at the usual height for one more photo, which shows most new highlights; None: hardly any.
 
     Args:
         views: of the photos there are.
         names: of their files.
         unit: ``cm`` or ``patch sides``.
-        lobe: angle (rad) between half vector and upright up to which a highlight counts as seen.
     """
     side, size = 32, views.size
     sides = views.in_patch_sides().to(torch.float64)
-    unseen = coverage_angle(sides, side) > lobe
+    unseen = coverage_angle(sides, side) > HIGHLIGHT_ANGLE
     height, beside = float(sides.camera[:, 2].median()), (sides.light - sides.camera).mean(dim=0)
     far = min(FARTHEST, height * math.tan(SLANT))
     steps = torch.arange(-round(far / GRID_STEP), round(far / GRID_STEP) + 1, dtype=torch.float64) * GRID_STEP
@@ -57,7 +53,7 @@ def next_best_view(views: Views, names: Sequence[str], unit: str,
     places = torch.cat((places, above), dim=1)[places.norm(dim=1) <= far]
     tried = replace(sides, camera=places, light=places + beside,
                     intensity=sides.intensity[:1].expand(len(places), 3))
-    new = [unseen & (coverage_angle(tried.pick([i]), side) <= lobe) for i in range(len(places))]
+    new = [unseen & (coverage_angle(tried.pick([i]), side) <= HIGHLIGHT_ANGLE) for i in range(len(places))]
     gains = torch.stack([shown.double().mean() for shown in new])
     # Of places that show as much, the one closest to the middle: the least slanted view.
     best = int((gains - 1e-3 * places[:, :2].norm(dim=1)).argmax())

@@ -37,9 +37,7 @@ SAME_PLACE, SAME_PICTURE = 0.05, 0.02  # patch sides, mean difference of display
 
 @dataclass(frozen=True)
 class Beside:
-    """What a photo is judged beside: the qualities of all photos, the side of the patch in pixels, and what
-    EXIF says of each flash ("fired" or "off"), by name.
-    """
+    """What a photo is judged beside: all photos, pixels a side of the patch, flash "fired" or "off"."""
 
     qualities: Sequence[PhotoQuality]
     side: int

@@ -1,6 +1,4 @@
-"""Raw photos of a flat material to lens and poses: a simulated phone over a textured plane, of which
-everything is known.
-"""
+"""Raw photos of a flat material to lens and poses: a simulated phone over a textured plane, all known."""
 
 from __future__ import annotations
 

@@ -35,9 +35,7 @@ def test_a_tree_of_homographies():
 
 
 def test_a_photo_that_agrees_with_each_other_differently_is_left_out():
-    """Exact matches, but those of 4.png lie elsewhere for each other photo, as of a pattern that repeats
-    itself.
-    """
+    """Exact matches, but those of 4.png lie elsewhere for each other photo, as of repeating patterns."""
     poses, rng = held(5, seed=7), np.random.default_rng(2)
     pairs = []
     for n, (a, b) in enumerate(combinations(poses, 2)):

@@ -12,9 +12,7 @@ from mitsvbrdf.capture.lens import Pose
 
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_top_of_a_photo_by_its_exif(orientation):
-    """Pillow's own turning as the judge: where is the stored pixel that it puts at the middle of the top
-    row?
-    """
+    """Pillow's turning is the judge: where is the stored pixel that it puts at the middle of the top row?"""
     stored = np.arange(15 * 9, dtype=np.int32).reshape(9, 15)
     image = Image.fromarray(stored)
     image.getexif()[0x0112] = orientation

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -25,6 +27,8 @@ def test_vignetting_is_undone_in_linear_light():
     assert (out[0, 0] == 1).all() and np.isnan(out[5, 5]).all()
     out[0, 0] = out[5, 5] = 0.4 ** (1 / 2.2)
     assert np.abs(out - 0.4 ** (1 / 2.2)).max() < 2e-6  # float32 there and back
+    brighter = replace(rig, lens=replace(lens, vignetting=(0.3, 0.0)))  # what is clipped stays bright
+    assert (without_vignetting(np.ones_like(display), brighter, "a", "gamma2.2") >= 1).all()
 
 
 def test_what_a_photo_does_not_reach_is_taken_from_the_others():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mitsvbrdf.capture.lens import Lens, Pose, on_plane, project
-from mitsvbrdf.capture.light.shading import shading_of_material, shading_of_paper, undo_vignetting
+from mitsvbrdf.capture.light.shading import shading_of_material, shading_of_paper
 from mitsvbrdf.capture.rig import Rig
 from mitsvbrdf.errors import CaptureError
 from mitsvbrdf.views import texel_positions
@@ -102,16 +102,8 @@ def test_paper_tells_flash_power_vignetting_and_exposures():
     power = np.log(np.array(shading.intensity) / intensity)
     assert np.abs(power + np.mean(list(shading.log_exposure.values())) - exposures.mean()).max() < 0.005
     assert np.std(list(shading.log_exposure.values()) - exposures) < 0.001
-    assert max(shading.evenness.values()) < 0.02 and max(shading.residuals.values()) < 0.005
+    assert max(shading.evenness.values()) < 0.02
     assert shading.lens.focal == rig.lens.focal and "albedo of 0.8" in shading.notes[0]
-
-
-def test_paper_power_within_one_per_cent_where_exposures_are_locked():
-    rng = np.random.default_rng(2)
-    rig = make_rig("cm", rng)
-    shading = shading_of_paper(rig, paper_photos(rig, np.full(3, math.pi * 400), np.zeros(9), rng),
-                               "gamma2.2", border)
-    np.testing.assert_allclose(shading.intensity, math.pi * 400, rtol=0.005)
 
 
 def test_paper_of_another_albedo_and_photos_of_half_the_size():
@@ -209,7 +201,7 @@ def test_photos_that_do_not_reach_the_whole_patch():
         photo[:, :8] = np.nan
     shading = shading_of_material(rig, photos, "gamma2.2")
     assert np.abs(found(shading) - expected(rig))[:2].max() < 0.003
-    assert np.isfinite([*shading.intensity, *shading.residuals.values(), *shading.deviations.values()]).all()
+    assert np.isfinite([*shading.intensity, *shading.deviations.values()]).all()
 
 
 @pytest.mark.parametrize("value", [0.0, 1.0, math.nan])
@@ -225,21 +217,3 @@ def test_no_paper_is_refused():
     photos = {name: np.full((144, 192, 3), 128, np.uint8) for name in rig.poses}
     with pytest.raises(CaptureError, match="white paper"):
         shading_of_paper(rig, photos, "srgb", lambda points: np.zeros(len(points), bool))
-
-
-# vignetting
-def test_vignetting_undone():
-    rig = make_rig("cm", np.random.default_rng(10), 1)
-    lens, pose = true_lens(rig), rig.poses["0.jpg"]
-    points = texel_positions(8).numpy().reshape(-1, 3) * SIDE
-    here, middle = (light(points, at, lens, pose, 0.0)
-                    for at in (project(lens, pose, points), np.full((64, 2), (95.5, 71.5))))
-    ratio = here / middle
-    linear = np.full((8, 8, 3), 0.5) * ratio.reshape(8, 8, 1)
-    linear[0, 0] = np.nan
-    out = undo_vignetting(linear, lens, pose, SIDE)
-    np.testing.assert_allclose(out[1:], 0.5, rtol=1e-12)
-    assert np.isnan(out[0, 0]).all()
-    brighter = replace(lens, vignetting=(0.3, 0.0))  # what was clipped is bright, whatever the lens did
-    assert (undo_vignetting(np.ones((8, 8, 3)), brighter, pose, SIDE) >= 1).all()
-    assert (undo_vignetting(np.full((8, 8, 3), 0.9), brighter, pose, SIDE) < 0.9).all()
