@@ -19,8 +19,7 @@ FORMATS = ("gltf", "materialx", "usd", "mitsuba", "maps")
 @entry()
 def export_material(svbrdf: SVBRDF, out: str | Path, to: Sequence[str] = FORMATS, *,
                     settings: ExportSettings = DEFAULTS, views: Views | None = None) -> dict[str, Export]:
-    """Write ``out/FORMAT/`` for each format, with an ``export.json`` that says what every file holds, and
-    how.
+    """Write ``out/FORMAT/`` for each format, with an ``export.json`` that describes every file.
 
     Args:
         svbrdf: the material, checked (:meth:`SVBRDF.check`).

@@ -134,9 +134,7 @@ def _glb(textures: dict[str, Tensor], specular: dict, settings: ExportSettings) 
 
 
 def _container(*chunks: tuple[bytes, bytes, bytes]) -> bytes:
-    """GLB version 2: each chunk is kind, content and what to fill it up with to a multiple of four bytes
-    (section 4.4).
-    """
+    """GLB version 2 of chunks (kind, content, filling to four bytes); section 4.4."""
     body = b""
     for kind, content, filling in chunks:
         content += filling * (-len(content) % 4)

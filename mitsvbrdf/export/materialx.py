@@ -1,5 +1,4 @@
-"""The material as MaterialX documents with image textures: ``standard_surface``, and OpenPBR for those who
-read 1.39.
+"""The material as MaterialX documents: ``standard_surface``, and OpenPBR for readers of 1.39.
 
 Source: MaterialX specification 1.38 and 1.39; Autodesk Standard Surface (Georgiev et al. 2019) and OpenPBR
 Surface 1.1, whose roughness is the square root of the GGX alpha, as ours.

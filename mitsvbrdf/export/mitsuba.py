@@ -1,6 +1,4 @@
-"""The fitted material as a Mitsuba scene file: ``scenes/patch.xml`` with the material and one view filled
-in.
-"""
+"""The material as a Mitsuba scene file: ``scenes/patch.xml`` with material and view filled in."""
 
 from __future__ import annotations
 
@@ -33,8 +31,7 @@ HOLDS = {"diffuse_x2": "diffuse, times 2 for the blend of two lobes",
 
 @entry()
 def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
-    """Write ``out/scene.xml`` and its float textures ``out/scene/*.exr``; plain Mitsuba loads it in any RGB
-    variant.
+    """Write ``out/scene.xml`` and float textures ``out/scene/*.exr`` for plain Mitsuba, any RGB variant.
 
     The scene shows the first view, in units of the patch side, one unjittered sample a pixel. A
     ``roughconductor`` material gets its real Fresnel curve, so that it may be lit from anywhere. The light
@@ -67,8 +64,7 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
 
 
 def write_material(out: str | Path, bsdf: Bsdf, repeats: bool = False) -> Path:
-    """Write ``out/bsdf.json``, the material of :func:`write_scene` as the dictionary that
-    ``mitsuba.load_dict`` takes.
+    """Write ``out/bsdf.json``: the material of :func:`write_scene` for ``mitsuba.load_dict``.
 
     JSON has no transforms: each ``to_uv`` is a 4 x 4 list, to be made a ``ScalarTransform4f`` when loading.
 

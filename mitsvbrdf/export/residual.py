@@ -1,6 +1,4 @@
-"""What a conversion changes of what is seen: pictures under three lights, of the material and of what a
-format says of it.
-"""
+"""What a conversion changes: pictures under three lights, of the material and of its conversion."""
 
 from __future__ import annotations
 
@@ -29,9 +27,7 @@ def three_lights() -> Views:
 
 
 def residual(svbrdf: SVBRDF, converted: SVBRDF) -> dict[str, float]:
-    """RMSE of the converted maps, as linear^(1/2.2), and of their pictures under :data:`LIGHTS`, in sRGB
-    display values.
-    """
+    """RMSE of converted maps (linear^(1/2.2)) and of pictures under :data:`LIGHTS` (sRGB)."""
     errors = map_rmse(converted, svbrdf)
     renderer, views, side = AnalyticRenderer(), three_lights(), min(SIDE, svbrdf.resolution)
     wanted, shown = (renderer.render(each.as_roughconductor().to(torch.float32).resized(side), views)

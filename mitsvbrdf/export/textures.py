@@ -1,6 +1,4 @@
-"""Texture files, and what a reader has to know of each: what it holds, its colour space and its normal
-convention.
-"""
+"""Texture files, and what each holds: map, colour space, normal convention."""
 
 from __future__ import annotations
 

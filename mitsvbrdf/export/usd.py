@@ -1,5 +1,4 @@
-"""The material as USD text: ``UsdPreviewSurface``, and beside it MaterialX's ``standard_surface`` for those
-who read that.
+"""The material as USD text: ``UsdPreviewSurface`` and MaterialX's ``standard_surface``.
 
 ``material.usda`` is the material alone, to be referenced and bound; ``patch.usda`` is a square that wears it.
 

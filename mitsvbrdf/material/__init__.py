@@ -1,5 +1,4 @@
-"""A material: named maps (``maps``), their files (``map_files``), and ready-made ones (``made``, with
-``paint``).
+"""A material: named maps (``maps``), their files (``map_files``), made ones (``made``, ``paint``).
 
 ``conversion`` turns the maps of one BSDF into the other's, ``resample`` changes their size, ``corner_cases``
 are the materials that renderers are checked with.

@@ -1,5 +1,4 @@
-"""The maps of one BSDF as those of the other: base colour and metallic cannot say all that diffuse and
-specular can.
+"""Maps of one BSDF as those of the other; base colour and metallic hold less than diffuse and F0.
 
 A metal/rough material has diffuse b (1 - m) and F0 = b m + 0.04 (1 - m): four numbers for six. The way back
 is :meth:`mitsvbrdf.material.maps.SVBRDF.as_roughconductor`.
@@ -21,17 +20,14 @@ METAL_DIFFUSE = 0.25
 
 
 def is_metal(svbrdf: SVBRDF) -> Tensor:
-    """Which texels are clearly a metal: R x R x 1, bool. F0 alone does not tell; fits of wood and paper reach
-    0.3, too.
-    """
+    """Texels that are clearly a metal, R x R x 1, bool. F0 alone does not tell: paper reaches 0.3."""
     maps = svbrdf.as_roughconductor()
     f0, diffuse = (maps[name].amax(dim=-1, keepdim=True) for name in ("specular", "diffuse"))
     return (f0 > METAL_F0) & (diffuse < METAL_DIFFUSE * f0)
 
 
 def as_principled(svbrdf: SVBRDF) -> SVBRDF:
-    """Base colour and metallic, which is 0 or 1: F0 of metals, the diffuse colour of all else; a principled
-    one as it is.
+    """Base colour (F0 of metals, else diffuse) and metallic (0 or 1); a principled one as it is.
 
     The metallic between 0 and 1 that is nearest to both maps would turn a red card with an F0 of 0.1 into
     three quarters of a metal, whose colour is in the highlight: under oblique light it is black.
@@ -49,8 +45,7 @@ def as_principled(svbrdf: SVBRDF) -> SVBRDF:
 
 
 def layered(svbrdf: SVBRDF, f0: Tensor) -> SVBRDF:
-    """Base colour and metallic for clients that lay the highlight over the diffuse light, which they let
-    through by 1 - F0.
+    """Base colour and metallic for clients whose highlight leaves 1 - F0 of the diffuse light.
 
     Of all but metals the base colour is the diffuse colour divided by that: seen from above, the diffuse
     light is ours.
@@ -70,9 +65,7 @@ def layered(svbrdf: SVBRDF, f0: Tensor) -> SVBRDF:
 
 
 def usual_f0(svbrdf: SVBRDF) -> float:
-    """One F0 for all that is no metal, where a format has no map of it: the median, from water's to
-    diamond's.
-    """
+    """One F0 for all non-metals, for formats without a map: the median, between water and diamond."""
     others = svbrdf["specular"].mean(dim=-1)[~is_metal(svbrdf)[..., 0]]
     return float(others.median().clamp(*DIELECTRICS)) if len(others) else DIELECTRIC_F0
 
@@ -83,8 +76,7 @@ def relative_f0(svbrdf: SVBRDF, level: float) -> Tensor:
 
 
 def as_shown(material: SVBRDF, f0: Tensor, taken: Tensor) -> SVBRDF:
-    """What a client that lays the lobes shows from above, as diffuse and F0: the way back from
-    :func:`layered`.
+    """What a layering client shows from above, as diffuse and F0: inverts :func:`layered`.
 
     Args:
         material: a ``principled`` one.

@@ -29,8 +29,7 @@ def builtin_materials(resolution: int = 128) -> dict[str, SVBRDF]:
 
 @entry()
 def corner_materials(resolution: int = 128) -> dict[str, SVBRDF]:
-    """Materials at the ends of their ranges, ``roughconductor``, R x R x C, float32; the first is the only
-    one without relief.
+    """Materials at the ends of their ranges, ``roughconductor``, R x R x C, float32; the first is flat.
 
     ``polished`` goes below roughness 0.1, where no tolerance is stated, down to the 0.02 that ``principled``
     cuts.
@@ -56,9 +55,7 @@ def _material(normal: Tensor, **values: float | tuple[float, ...] | Tensor) -> S
 
 
 def _waves(resolution: int, degrees: float) -> Tensor:
-    """Normals of crossed waves, three and four over the patch, tilted by up to ``degrees`` along either
-    axis.
-    """
+    """Normals of crossed waves, 3 and 4 over the patch, tilted by up to ``degrees`` on either axis."""
     x, y, _ = texel_positions(resolution).unbind(-1)
     steep = torch.tan(torch.deg2rad(torch.tensor(degrees, dtype=torch.float64)))
     normal = torch.stack((steep * torch.sin(6 * torch.pi * x), steep * torch.sin(8 * torch.pi * y + 1),
@@ -78,9 +75,7 @@ def as_bsdf(svbrdf: SVBRDF, bsdf: Bsdf) -> SVBRDF:
 
 @entry()
 def random_material(bsdf: Bsdf, resolution: int = 48, seed: int = 0) -> SVBRDF:
-    """A material harder than any real one, float32: random colours, normals tilted by 0.15 a texel, roughness
-    from 0.15.
-    """
+    """A hard material, float32: random colours, normals tilted by 0.15 a texel, roughness from 0.15."""
     g = torch.Generator().manual_seed(seed)
     maps = {name: torch.rand(resolution, resolution, channels, generator=g)
             for name, channels in CHANNELS[bsdf].items()}

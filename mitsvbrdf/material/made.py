@@ -48,9 +48,7 @@ def make_material(name: str, resolution: int = 256, seed: int = 0) -> SVBRDF:
 
 
 def inlay(x: Tensor, y: Tensor, rng: Generator) -> Paint:
-    """A walnut panel with a compass rose of brass and copper on enamel, a carved frame and one glazed
-    medallion.
-    """
+    """A walnut panel with a compass rose of metals on enamel, a carved frame, a glazed medallion."""
     r, ax, ay = torch.hypot(x, y), x.abs(), y.abs()
     edge, wear, cloud = torch.maximum(ax, ay), noise(x, y, 6, rng, 5), noise(x, y, 5, rng, 5)
     bend = y + 0.07 * noise(0.35 * x, 0.8 * y, 4, rng, 3) + 0.25 * (x + 0.15) ** 2
@@ -134,9 +132,7 @@ def leather(x: Tensor, y: Tensor, rng: Generator) -> Paint:
 
 
 def plates(x: Tensor, y: Tensor, rng: Generator) -> Paint:
-    """Four riveted plates of painted steel: scratches down to the metal, rust along the seams, polished
-    spots.
-    """
+    """Four riveted plates of painted steel: scratches, rust along the seams, polished spots."""
     large, fine, spots = noise(x, y, 3, rng, 6), noise(x, y, 48, rng, 3), noise(x, y, 7, rng, 2)
     qx, qy = 0.25 - (x.abs() - 0.25).abs(), 0.25 - (y.abs() - 0.25).abs()
     seam, rivet = torch.minimum(qx, qy), torch.hypot(qx - 0.035, qy - 0.035)

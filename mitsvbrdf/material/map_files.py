@@ -154,9 +154,7 @@ def _from_strip(path: Path) -> SVBRDF:
 
 
 def _lifted(normal: Tensor, path: Path) -> Tensor:
-    """Unit normals, H x W x 3, those of a few texels that point into the surface turned just above it, and
-    said.
-    """
+    """Unit normals, H x W x 3; a few that point into the surface are lifted, with a warning."""
     under = normal[..., 2:] < LOWEST_Z
     count, texels = int(under.sum()), under.numel()
     if not 0 < count <= FEW * texels:
@@ -176,8 +174,7 @@ def as_stored(svbrdf: SVBRDF) -> SVBRDF:
 
 @entry()
 def save_maps(svbrdf: SVBRDF, folder: str | Path, **about: object) -> None:
-    """Write a material: float32 EXR masters (linear), 16-bit PNGs (colours sRGB, the rest linear),
-    material.json.
+    """Write float32 EXR masters (linear), 16-bit PNGs (colours sRGB, the rest linear), material.json.
 
     Normals are (n + 1) / 2 in both. A principled material also gets its diffuse and specular maps, for tools
     that want those.

@@ -142,9 +142,7 @@ class SVBRDF:
         return self
 
     def as_roughconductor(self) -> SVBRDF:
-        """Diffuse and specular maps of a principled material (exact at normal incidence but for Burley's
-        diffuse).
-        """
+        """Diffuse and specular maps of a principled material, exact from above but for Burley's diffuse."""
         if self.bsdf == "roughconductor":
             return self
         base, metallic = self["base_color"], self["metallic"]
@@ -154,8 +152,7 @@ class SVBRDF:
 
     @kinds_checked
     def resized(self, resolution: int) -> SVBRDF:
-        """The material at another resolution: area average when shrinking, bilinear when growing; unit
-        normals.
+        """The material at another resolution: area average down, bilinear up; unit normals.
 
         Raises:
             ConfigError: a resolution below 1.

@@ -1,5 +1,4 @@
-"""The brushes of made materials: fractal noise, cell borders, bevels and masks on R x R grids, and layers of
-them.
+"""The brushes of made materials: noise, cell borders, bevels, masks and layers on R x R grids.
 
 Coordinates are patch sides around the centre; a :class:`Paint` becomes maps by :func:`painted`.
 """
@@ -21,9 +20,7 @@ STEEPEST = math.tan(math.radians(30))
 
 
 def painted(paint: Paint) -> SVBRDF:
-    """The maps of a painted material, as fine as it was painted; values and slopes cut as
-    :func:`make_material` says.
-    """
+    """The maps of a painted material at its resolution, cut as :func:`make_material` says."""
     down, right = torch.gradient(paint.height, spacing=1 / len(paint.height))
     slope = torch.stack((right, -down), dim=-1)
     slope = slope * (STEEPEST / slope.norm(dim=-1, keepdim=True).clamp_min(STEEPEST))
@@ -39,9 +36,7 @@ Value = Tensor | float | tuple[float, ...]
 
 
 class Paint:
-    """A material while it is painted, layer over layer; starts as a flat black ground of the size of
-    ``x``.
-    """
+    """A material painted layer over layer on a flat black ground of the size of ``x``."""
 
     def __init__(self, x: Tensor) -> None:
         self.height, self.roughness = torch.zeros_like(x), torch.zeros_like(x)[..., None]
@@ -49,9 +44,7 @@ class Paint:
 
     def add(self, mask: Tensor | float, diffuse: Value, specular: Value, roughness: Value,
             height: Tensor | float) -> Paint:
-        """Cover with a layer as far as ``mask`` (R x R) is 1; values are numbers, colours, R x R or R x R x
-        3.
-        """
+        """Cover by ``mask`` (R x R); values are numbers, colours, R x R or R x R x 3."""
         mask = torch.as_tensor(mask).expand_as(self.height)
         for name, new in {"diffuse": diffuse, "specular": specular, "roughness": roughness}.items():
             new = torch.as_tensor(new)
@@ -74,9 +67,7 @@ def noise(x: Tensor, y: Tensor, cells: int, rng: Generator, octaves: int = 4) ->
 
 
 def cell_borders(x: Tensor, y: Tensor, n: int, rng: Generator) -> Tensor:
-    """How far the border of a Worley cell is, of n x n cells: half the difference to the second seed, in cell
-    sides.
-    """
+    """Distance to the border of a Worley cell, of n x n: half the difference to the second seed."""
     seeds = torch.rand(n + 2, n + 2, 2, generator=rng)
     u, v = (x.clamp(-0.499, 0.499) + 0.5) * n, (y.clamp(-0.499, 0.499) + 0.5) * n
     i, j = u.long(), v.long()

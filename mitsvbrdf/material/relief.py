@@ -18,8 +18,7 @@ FARTHEST = 0.25  # of what may hide the sky, in patch sides
 
 
 def heights(normal: Tensor, periodic: bool = False) -> Tensor:
-    """Heights whose slopes are nearest to those of the normals in least squares: R x R in patch sides, mean
-    0.
+    """Heights with the normals' slopes in least squares: R x R in patch sides, mean 0.
 
     Between neighbours the slope is the mean of theirs; at the border it is free. That is Poisson's equation
     with Neumann's condition, solved exactly by a cosine transform (Simchony, Chellappa and Shao 1990, after
@@ -58,8 +57,7 @@ def _solved(source: Tensor) -> Tensor:
 
 
 def occlusion(height: Tensor, periodic: bool = False) -> Tensor:
-    """Share of an evenly bright sky's light that reaches each texel past the relief around it, R x R in [0,
-    1].
+    """Share of an even sky's light that each texel of a relief sees, R x R in [0, 1].
 
     The highest slope to what lies within :data:`FARTHEST` is the horizon of a direction; a flat texel gets
     cos^2 of its angle of the light from there, averaged over :data:`DIRECTIONS`. Beyond the border the relief

@@ -15,9 +15,7 @@ def resized(images: Tensor, side: int) -> Tensor:
 
 
 def area_averaged(images: Tensor, side: int) -> Tensor:
-    """Images (R x R x C, or N of them) in ``side`` pixels a side, each the average over its area;
-    contiguous.
-    """
+    """Images (R x R x C, or N of them) area-averaged to ``side`` pixels a side; contiguous."""
     return images if images.shape[-2] == side else _interpolated(images, side, mode="area").contiguous()
 
 
@@ -27,9 +25,7 @@ def enlarged(planes: Tensor, side: int) -> Tensor:
 
 
 def sampled(planes: Tensor, side: int) -> Tensor:
-    """Every k-th row and column of planes (... x R x R), the middle one, for the greatest k that leaves at
-    least ``side``.
-    """
+    """Every k-th row and column of planes (... x R x R), k the greatest that leaves ``side``."""
     step = max(1, planes.shape[-1] // side)
     return planes[..., step // 2::step, step // 2::step].contiguous()
 

@@ -1,5 +1,4 @@
-"""A material whose edges meet: opposite borders are laid over one another and cut along the line where they
-differ least.
+"""A material whose edges meet: opposite borders overlap and are cut where they differ least.
 
 Source: Efros and Freeman 2001, "Image quilting for texture synthesis and transfer".
 """
@@ -133,8 +132,7 @@ def _joined(layers: Tensor, looks: Tensor, overlap: int) -> Tensor:
 
 
 def _closed_cut(error: Tensor) -> tuple[Tensor, float]:
-    """The path of least error from top to bottom that moves by at most one column a row and ends where it
-    began.
+    """The closed path of least error from top to bottom, at most one column a row.
 
     Returns:
         The column of each row, and the mean error.

@@ -38,8 +38,7 @@ SAME = 1e-3  # of the largest singular value: bumps that add less are others' su
 
 
 def burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
-    """Share of the variance of the ``specular`` and ``roughness`` maps that the coverage angle explains, each
-    0 to 1.
+    """Share of the variance of ``specular`` and ``roughness`` that the coverage angle explains.
 
     Args:
         svbrdf: the material, at the resolution at which it is looked at; a principled one by its specular
@@ -51,8 +50,7 @@ def burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
 
 
 def local_burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
-    """How much of the ``specular`` and ``roughness`` maps lies as the ovals of single highlights do, at most
-    1.
+    """How much of ``specular`` and ``roughness`` lies in ovals of single highlights, at most 1.
 
     For each photo three Gaussian bumps in the tangent of the half vector's angle, 0.5, 1 and 2 times as wide
     as a lobe of the map's median roughness. With R^2 the share of a map's variance that all bumps together
@@ -72,8 +70,7 @@ def local_burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
 
 
 def oval_patterns(views: Views, side: int, roughness: float) -> Tensor:
-    """Where single highlights lie: orthonormal sums of the bumps of :func:`local_burn_in`, without mean, P x
-    side^2, float64.
+    """Orthonormal sums of the bumps of :func:`local_burn_in`, without mean: P x side^2, float64.
 
     Args:
         views: N views; P is 3 N at most.
@@ -88,9 +85,7 @@ def oval_patterns(views: Views, side: int, roughness: float) -> Tensor:
 
 
 def oval_shares(maps: Tensor, patterns: Tensor) -> tuple[Tensor, Tensor]:
-    """Share of the variance of maps S x R x R that patterns explain: S as they are, K x S as rolled; 0 of
-    constants.
-    """
+    """Share of the variance of maps S x R x R that patterns explain: S as is, K x S rolled."""
     side, off = maps.shape[-1], maps.double() - maps.double().mean(dim=(1, 2), keepdim=True)
     total, size = off.flatten(1).square().sum(dim=1), maps.double().flatten(1).square().sum(dim=1)
     constant = total <= CONSTANT_BELOW**2 * size
@@ -110,9 +105,7 @@ def _looks(svbrdf: SVBRDF) -> dict[str, Tensor]:
 
 
 def explained_share(values: Tensor, angle: Tensor) -> float:
-    """R^2 of the least-squares cubic in ``angle`` through ``values``, tensors of one shape; 0 where the
-    values are constant.
-    """
+    """R^2 of the least-squares cubic in ``angle`` through ``values`` of its shape; 0 of constants."""
     y, x = values.double().flatten(), angle.double().flatten()
     y, x, size = y - y.mean(), x - x.mean(), y.square().mean().sqrt()
     if y.square().mean().sqrt() <= CONSTANT_BELOW * size:

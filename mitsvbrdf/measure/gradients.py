@@ -1,5 +1,4 @@
-"""An image with the gradients of every map, and the seconds of both: what all comparisons of renderers
-measure.
+"""An image, the gradients of every map, and the seconds of both: what comparisons measure.
 
 The gradients are those of the product of the image with fixed random numbers, so that every renderer is asked
 the same question; :mod:`mitsvbrdf.measure.metrics` says how far two answers are apart.
@@ -38,9 +37,7 @@ class Measured:
 
 
 def fixed_cotangent(shape: torch.Size, seed: int = 1) -> Tensor:
-    """The same normally distributed numbers in every run, float32, so that all renderers are asked the same
-    question.
-    """
+    """The same normally distributed numbers in every run, float32."""
     return torch.randn(shape, generator=torch.Generator().manual_seed(seed))
 
 

@@ -83,8 +83,7 @@ def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "g
 
 
 def image_error(image: Tensor, reference: Tensor, floor: float = FLOOR) -> dict[str, float]:
-    """How far an image is from a reference, value by value: :func:`relative_error` and
-    :func:`error_statistics`.
+    """Error of an image, value by value: :func:`relative_error` and :func:`error_statistics`.
 
     Args:
         image: any shape, linear.
@@ -98,9 +97,7 @@ def image_error(image: Tensor, reference: Tensor, floor: float = FLOOR) -> dict[
 
 
 def relative_error(image: Tensor, reference: Tensor, floor: float = FLOOR) -> Tensor:
-    """(image - reference) / max(|reference|, floor mean |reference|), of the same shape, float64; see
-    :func:`image_error`.
-    """
+    """(image - reference) / max(|reference|, floor mean |reference|), same shape, float64."""
     flat_image, flat_reference = _pair(image, reference)
     size = flat_reference.abs()
     least = max(floor * float(size.mean()), torch.finfo(torch.float64).tiny)  # not 0 where all is black
@@ -108,9 +105,7 @@ def relative_error(image: Tensor, reference: Tensor, floor: float = FLOOR) -> Te
 
 
 def error_statistics(signed: Tensor) -> dict[str, float]:
-    """Of signed errors, any shape: ``mean`` size, ``p99.9`` (99.9 % are no larger), ``worst``, ``bias`` (the
-    signed mean).
-    """
+    """Of signed errors: ``mean`` size, ``p99.9`` and ``worst`` size, ``bias`` (the signed mean)."""
     size = signed.abs().flatten()
     rank = math.ceil(0.999 * size.numel())
     return {"mean": float(size.mean()), "p99.9": float(size.kthvalue(rank).values),

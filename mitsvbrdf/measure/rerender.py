@@ -1,6 +1,4 @@
-"""A material rendered for the photos of a capture, and how far it is from them: the error that every fit is
-judged by.
-"""
+"""A material rendered for the photos of a capture, and its error: what every fit is judged by."""
 
 from __future__ import annotations
 
@@ -16,9 +14,7 @@ from .metrics import photo_rmse
 
 def rerender(renderer: Renderer, svbrdf: SVBRDF, views: Views, capture: Capture) -> tuple[Tensor, float,
                                                                                           list[float]]:
-    """The material rendered for the capture's photos: linear images, RMSE over all, RMSE of each (display
-    values).
-    """
+    """A capture's photos re-rendered: linear images, RMSE of all, RMSE of each (display values)."""
     with torch.no_grad():
         images = renderer.render(svbrdf, views)
     return images, *photo_rmse(images, capture.photos, capture.transfer)

@@ -1,5 +1,4 @@
-"""Whether two noisy pictures differ by more than their noise: a two-sided Z-test of every value and of the
-means.
+"""Whether noise explains a difference: a two-sided Z-test of every value and of the means.
 
 What is assumed, and what was measured of it, stands at :func:`mitsvbrdf.testing.assert_z_test`
 (``testing/noise.py``).

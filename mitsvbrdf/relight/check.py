@@ -1,6 +1,4 @@
-"""Whether the path tracer shows what the maps say: ``novel`` frames against the analytic renderer in
-float64.
-"""
+"""Whether the path tracer shows what the maps say: ``novel`` frames against the float64 renderer."""
 
 from __future__ import annotations
 

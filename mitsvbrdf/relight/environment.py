@@ -92,9 +92,7 @@ def _about_z(vector: tuple[float, ...], angle: float) -> tuple[float, ...]:
 
 
 def read_environment(path: str | Path) -> Tensor:
-    """An environment's picture, H x W x 3, linear radiance, float32; errors as :func:`make_environment` has
-    them.
-    """
+    """An environment's picture, H x W x 3, linear, float32; errors as :func:`make_environment`."""
     path = Path(path)
     if path.suffix.lower() not in (".exr", ".hdr"):
         raise ConfigError(f"an environment of {', '.join(ENVIRONMENTS)}, or an .exr or .hdr file",

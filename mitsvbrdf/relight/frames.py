@@ -1,6 +1,4 @@
-"""The frames of presets rendered into a folder, each one recorded as soon as it is done, so that a later run
-can go on.
-"""
+"""Frames of presets in a folder, each recorded once it is done: a later run can go on."""
 
 from __future__ import annotations
 
@@ -101,9 +99,7 @@ def go_on(settings: Mapping, out: Path, folder: Path) -> Record:
 
 
 def _found(place: Path, settings: Mapping) -> tuple[Record, list[str]]:
-    """The record in a folder and the names of its files, all of them inside; ConfigError unless it has these
-    settings.
-    """
+    """The record in a folder and the files it names; ConfigError unless it has these settings."""
     try:
         found = load(place / RECORD, links=False)
         record, new = Record(found["settings"], found["presets"]), begin(settings).settings

@@ -1,5 +1,4 @@
-"""A scene rendered until its error is small enough: independent passes, their mean, and how far off that mean
-is.
+"""A scene rendered in independent passes until the estimated error of their mean is small enough.
 
 The error is what the project reports everywhere: RMSE in display values, here sRGB, exposed and clipped to
 [0, 1], over the whole frame, of the picture as it would be kept. It is estimated by the jackknife (Tukey
@@ -161,9 +160,7 @@ def render_frame(mi: ModuleType, scene: Any, stop: Stop, *, seed: int = 0, name:
 
 
 class GroupedMean:
-    """The mean of all samples, kept in groups, so that it can be asked how it would be without each of
-    them.
-    """
+    """The mean of all samples, kept in groups, for the mean without each group."""
 
     def __init__(self) -> None:
         self.sums: list[Tensor] = []
@@ -180,9 +177,7 @@ class GroupedMean:
         return torch.stack(self.sums).sum(dim=0) / self.samples
 
     def add(self, image: Tensor, samples: int) -> None:
-        """Take the mean of so many new samples: a group of its own as long as there are few, else to the
-        smallest one.
-        """
+        """Add the mean of new samples: as a group while there are few, else to the smallest."""
         if not bool(torch.isfinite(image).all()):
             raise MapsError("radiance that is finite", "pixels that are not",
                             "check maps and environment for NaN or infinity")

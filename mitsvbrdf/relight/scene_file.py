@@ -11,8 +11,7 @@ from ..export.mitsuba import SCENES
 
 
 def read_scene(mi: ModuleType, name: str, **values: str) -> dict[str, Any]:
-    """A scene file as a dictionary; objects are named by their id, those without by their kind (``sensor``,
-    ``film``).
+    """A scene file as a dictionary; names are ids, else kinds (``sensor``, ``film``).
 
     References stay references, so that what they name can be replaced.
 

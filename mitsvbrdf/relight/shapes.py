@@ -13,9 +13,7 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Mesh:
-    """A triangle mesh: positions and normals V x 3, texture coordinates V x 2, faces F x 3 (counter-clockwise
-    outside).
-    """
+    """A triangle mesh: positions, normals V x 3; uv V x 2; faces F x 3, counter-clockwise outside."""
 
     positions: np.ndarray
     normals: np.ndarray
@@ -24,8 +22,7 @@ class Mesh:
 
 
 def relief(height: Tensor) -> Mesh:
-    """The patch of side 1 with this height at each texel's centre, drawn out to its edges; the normals stay
-    the plane's.
+    """The patch of side 1 with a height at each texel's centre; the normals stay the plane's.
 
     A normal map then still leans from the plane, as it was fitted, while silhouettes, shadows and parallax
     follow the height.

@@ -30,8 +30,7 @@ def mirrored(svbrdf: SVBRDF) -> SVBRDF:
 
 @entry()
 def sphere(svbrdf: SVBRDF, size: int = 512, variant: str = "llvm_ad_rgb") -> Tensor:
-    """The sphere as display values, size x size x 3; the maps and their mirror images cover it, without a
-    seam.
+    """The sphere as display values, size x size x 3; maps and mirror images cover it without a seam.
 
     Args:
         svbrdf: the material.

@@ -1,6 +1,4 @@
-"""Stages of previews: a scene of ``scenes/`` with the material, an environment and a film filled in, and what
-moves in it.
-"""
+"""Stages of previews: a scene of ``scenes/``, filled in, and what moves in it."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""The readable twin: the same two BSDFs in plain torch, in any float dtype. It illustrates, checks and needs
-no Mitsuba.
+"""The readable twin: the same two BSDFs in plain torch, in any float dtype; it needs no Mitsuba.
 
 Cook-Torrance as the paper (III.E): f = rho_d / pi + D(alpha, n.h) G(n.l, n.v) F / (4 n.l n.v), GGX D,
 separable Smith G. Radiance L = f (n.l) I / d^2. F is F0 where camera and light coincide (h = l, so it is
@@ -44,9 +43,7 @@ class AnalyticRenderer:
 
     @entry()
     def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
-        """Linear radiance N x R x R x 3 of this renderer's dtype; gradients to maps, camera, light and
-        intensity.
-        """
+        """Linear radiance N x R x R x 3 of this dtype; gradients to maps, camera, light and intensity."""
         refuse_not_finite(svbrdf, views)
         needs = self.needs or scene_needs(svbrdf, views, self.name)
         maps = {name: value.to(self.dtype) for name, value in needed_maps(svbrdf, needs).items()}
@@ -70,8 +67,7 @@ class AnalyticRenderer:
 
 
 class Cosines(NamedTuple):
-    """What the lobes know of directions: cosines between normal n, light l, camera v and half vector h, N x R
-    x R x 1.
+    """Cosines between normal n, light l, camera v and half vector h, each N x R x R x 1.
 
     ``across2`` is |n x h|^2, the square of the sine that goes with ``n_h``.
     """
@@ -109,9 +105,7 @@ def _dot(a: Tensor, b: Tensor) -> Tensor:
 
 
 def _alpha(bsdf: str, roughness: Tensor) -> Tensor:
-    """GGX alpha, never below :data:`MIN_ALPHA`, with gradient 0 there and at the limit itself, as in
-    Mitsuba.
-    """
+    """GGX alpha, at least :data:`MIN_ALPHA`; its gradient is 0 there and below, as in Mitsuba."""
     alpha, least = roughness**2, MIN_ALPHA[bsdf]
     return torch.where(alpha > least, alpha, least)
 

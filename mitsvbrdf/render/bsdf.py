@@ -25,9 +25,7 @@ F0_RANGE = (1e-6, 0.999)
 
 
 def index_from_f0(f0: Any) -> Any:
-    """Real refractive index with reflectance F0 at normal incidence, (1 + sqrt F0) / (1 - sqrt F0), F0 within
-    its range.
-    """
+    """Real refractive index (1 + sqrt F0) / (1 - sqrt F0) of reflectance F0, F0 cut to its range."""
     root = f0**0.5
     return (1 + root) / (1 - root)
 

@@ -44,8 +44,7 @@ _alive: WeakSet[Kept] = WeakSet()
 
 
 class Kept(Generic[T]):
-    """What Mitsuba or Dr.Jit made, kept by an object that any thread may forget: freed by a thread that holds
-    the lock.
+    """Something of Mitsuba or Dr.Jit that any thread may forget; a thread with the lock frees it.
 
     An array freed while another thread traces ends the process; and a thread that waits for Dr.Jit to free it
     does so with Python's own lock, for which the thread that is at work in Dr.Jit may be waiting. So what was
@@ -74,8 +73,7 @@ def _free_all() -> None:
 @kinds_checked
 @contextlib.contextmanager
 def using_mitsuba(variant: str = "llvm_ad_rgb") -> Iterator[ModuleType]:
-    """The ``mitsuba`` module with this variant set, for this thread alone; afterwards one set before is set
-    again.
+    """The ``mitsuba`` module with this variant, for this thread alone; the earlier variant comes back.
 
     Threads that call the package need none of this; those that use Mitsuba or Dr.Jit by themselves beside it
     hold it too. It may be entered again inside itself. Not to be held around a backward pass of tensors on a
@@ -126,8 +124,7 @@ def _in_order() -> Iterator[None]:
 
 
 class Drawing:
-    """A function of torch tensors that Mitsuba computes, differentiable once; any thread may call it and go
-    backward.
+    """A function of torch tensors that Mitsuba computes, differentiable once, from any thread.
 
     Args:
         variant: of Mitsuba.
@@ -152,9 +149,7 @@ class Drawing:
         return _Recorded.apply(self, wanted, *inputs) if any(wanted) else self.draw(inputs, wanted)[1]
 
     def draw(self, inputs: Sequence[Tensor], wanted: Sequence[bool]) -> tuple[list[Tensor], Tensor]:
-        """Leaves that stand for the inputs, and the pictures with a graph to those whose gradient is
-        wanted.
-        """
+        """Leaves in place of the inputs, and the pictures with a graph to the wanted ones."""
         leaves = [tensor.detach().requires_grad_(want) for tensor, want in zip(inputs, wanted)]
         with self.in_mitsuba(), torch.set_grad_enabled(any(wanted)):
             Drawing.drawn += self.replayed

@@ -102,9 +102,7 @@ def find_llvm() -> LLVM | None:
 
 
 def examine() -> Iterator[LLVM]:
-    """The verdict on each libLLVM, in the order of preference; on the user's alone where the variable is
-    set.
-    """
+    """The verdict on each libLLVM in order of preference; on the user's alone where the variable is set."""
     if os.environ.get(VARIABLE):
         yield prove(os.environ[VARIABLE])
         return
@@ -120,9 +118,7 @@ def examine() -> Iterator[LLVM]:
 
 
 def candidates() -> list[str]:
-    """Real paths of the libLLVM files here: measured versions first, then the newest, unnamed versions
-    last.
-    """
+    """Real paths of the libLLVM files: measured versions first, then the newest, unnamed ones last."""
     found = {os.path.realpath(path) for folder in _folders() for path in glob(f"{folder}/*LLVM[-.]*")
              if re.fullmatch(r"libLLVM([-.][\w.-]+)?\.(so[\d.]*|dylib)|LLVM-C\.dll", os.path.basename(path))}
 
@@ -134,9 +130,7 @@ def candidates() -> list[str]:
 
 
 def named_version(path: str) -> int:
-    """The major version that a path tells (libLLVM-19.so, libLLVM.so.19.1, llvm@19/..., llvm/19.1.7/...),
-    else 0.
-    """
+    """The major version in a path (libLLVM-19.so, libLLVM.so.19.1, llvm@19/..., llvm/19.1.7/...), else 0."""
     name = re.search(r"LLVM(?:-|\.so\.)(\d+)", os.path.basename(path))
     folder = re.search(r"llvm[@/-]?(\d+)", os.path.dirname(path))
     match = name or folder
@@ -192,9 +186,7 @@ def _reason(child: subprocess.CompletedProcess[str]) -> str:
 
 
 def _key(path: str) -> str:
-    """What the verdict depends on: the file, Dr.Jit, the CPU. Empty where it is not known which file will be
-    loaded.
-    """
+    """What a verdict depends on: file, Dr.Jit, CPU. Empty where the file to be loaded is unknown."""
     if not os.path.isfile(path):
         return ""
     real, stat = os.path.realpath(path), os.stat(path)
@@ -227,9 +219,7 @@ def _write_cache(known: dict[str, str]) -> None:
 
 
 def _loaded() -> LLVM:
-    """The libLLVM of a Dr.Jit that somebody imported before: too late to choose another, so it is taken if it
-    works.
-    """
+    """The libLLVM of a Dr.Jit imported before; it is too late to choose another one."""
     import drjit
 
     version = drjit.detail.llvm_version()
@@ -261,8 +251,7 @@ def install_hint() -> str:
 
 
 def mitsuba_module(variant: str = "llvm_ad_rgb") -> ModuleType:
-    """The ``mitsuba`` module with this variant set; :func:`mitsvbrdf.render.exclusive.using_mitsuba` also
-    sets it back.
+    """The ``mitsuba`` module with this variant set; ``using_mitsuba`` also sets the earlier one back.
 
     Raises:
         BackendError: Mitsuba, the variant, a GPU or libLLVM is missing.

@@ -27,8 +27,7 @@ class Omitted(NamedTuple):
 
 @dataclass(frozen=True)
 class Needs:
-    """What to compute. As it stands, everything; :func:`scene_needs` takes away what changes no pixel and no
-    gradient.
+    """What to compute, by default everything; :func:`scene_needs` drops what changes no pixel or gradient.
 
     Args:
         diffuse_lobe: of ``roughconductor`` materials.
@@ -104,9 +103,7 @@ def scene_needs(svbrdf: SVBRDF, views: Views, renderer: str) -> Needs:
 
 
 def material_needs(svbrdf: SVBRDF) -> Needs:
-    """What the maps alone do not need, wherever cameras and lights stand; the rest as :class:`Needs` has
-    it.
-    """
+    """What the maps alone do not need, wherever cameras and lights stand."""
     diffuse = specular = coloured = metallic = True
     omitted = list[Omitted]()
     if svbrdf.bsdf == "roughconductor":
@@ -143,8 +140,7 @@ def refuse_not_finite(svbrdf: SVBRDF, views: Views) -> None:
 
 
 def half_angle_bound(views: Views) -> float:
-    """An upper bound, in degrees, of the angle between half vector and light, over all views and points of
-    the patch.
+    """Upper bound in degrees of the angle between half vector and light, over all views and points.
 
     A segment of length d, here from camera to light, looks largest from the side: at distance r it spans at
     most 2 atan(d / (2 r)). No point of the segment is nearer to the patch than its middle by more than d / 2,

@@ -104,8 +104,7 @@ def _exact_normal_map() -> type:
     Vector64 = dr.float64_array_t(mi.Vector3f)
 
     class ExactNormalMap(mi.BSDF):
-        """Mitsuba's ``normalmap``, but for the precision: the texture holds the normal as it is, and
-        directions enter its frame in float64.
+        """Mitsuba's ``normalmap`` with an unencoded normal and directions turned in float64.
 
         ``normalmap`` reads (n + 1) / 2, where the 1 pushes digits of a small x or y out, and multiplies in
         float32, where what remains near the highlight is the difference of larger numbers. Measured on
@@ -154,8 +153,7 @@ def _exact_fresnel() -> type:
     import mitsuba as mi
 
     class ExactFresnel(mi.BSDF):
-        """A specular lobe times the Fresnel reflectance of the refractive index that has F0 at normal
-        incidence.
+        """A specular lobe times the Fresnel reflectance of the index with F0 at normal incidence.
 
         Mitsuba's ``roughconductor`` takes that index and subtracts numbers that agree as F0 goes to 0 or 1:
         it loses 8e-8 / F0, which on maps fitted to photos (F0 down to 1e-3) made images differ by 5e-5. Here
@@ -205,15 +203,12 @@ def _point_lit() -> type:
     Vector64 = dr.float64_array_t(mi.Vector3f)
 
     def hit(ray, si):
-        """Where the ray meets the surface, in float64: the tangent plane at the point found, which is
-        rounded.
-        """
+        """The hit in float64: where the ray meets the tangent plane at the rounded hit."""
         origin, direction, normal = Vector64(ray.o), Vector64(ray.d), Vector64(si.n)
         return origin + direction * (dr.dot(normal, Vector64(si.p) - origin) / dr.dot(normal, direction))
 
     class PointLit(mi.SamplingIntegrator):
-        """Light straight from the emitters, and after one bounce where that is asked for; no loop, so that
-        its picture can be differentiated as it is.
+        """Light straight from the emitters and after at most one bounce, without a loop: differentiable.
 
         ``shadow_rays``: ask whether the light is visible. ``bounces``: 0 or 1. ``environment``: add what a
         ray sees that leaves the scene. With all of these it draws what Mitsuba's ``path`` draws (tested).

@@ -137,9 +137,7 @@ def _blank_texture(mi: ModuleType, resolution: int, channels: int) -> Any:
 
 
 def patch_scene(mi: ModuleType, resolution: int, needs: Needs, bsdf: dict, samples: int = 1) -> dict:
-    """The Mitsuba scene dictionary of a patch of side 1 under one point light, seen in R x R pixels of so
-    many samples.
-    """
+    """The Mitsuba scene of a patch of side 1 under one point light, in R x R pixels."""
     environment = {"environment": {"type": "constant", "radiance": {"type": "rgb", "value": 0.0},
                                    "sampling_weight": 0.0}}
     return {
@@ -158,9 +156,7 @@ def patch_scene(mi: ModuleType, resolution: int, needs: Needs, bsdf: dict, sampl
 
 
 def _falloff_undone(views: Views, resolution: int) -> Tensor:
-    """d^2 of each texel over d^2 of the patch centre, N x R x R x 1: turns 1/d^2 into the paper's constant
-    light.
-    """
+    """d^2 of each texel over d^2 of the patch centre, N x R x R x 1: undoes the falloff 1/d^2."""
     from ..views import texel_positions
 
     to_light = views.light[:, None, None] - texel_positions(resolution).to(views.light)

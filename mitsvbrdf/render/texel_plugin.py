@@ -68,9 +68,7 @@ class HeldPlugin:
         self._context = mi.BSDFContext()
 
     def hold(self, maps: dict) -> None:
-        """Take these maps (Dr.Jit values, linear) for the evaluations to come; the plugin keeps them until
-        released.
-        """
+        """Keep these maps (Dr.Jit values, linear) for the next evaluations, until :meth:`release`."""
         self._held.update(slot_values(self.bsdf, maps, self.needs))
 
     def release(self) -> None:
@@ -99,8 +97,7 @@ def texel_position(mi: ModuleType, index: Any, side: int) -> Any:
 
 
 def along(value: Any, directions: list) -> list:
-    """Slopes of a Dr.Jit value along directions, each a list of (variable, tangent); inside symbolic loops
-    too.
+    """Slopes of a Dr.Jit value along directions, lists of (variable, tangent); symbolic loops too.
 
     The variables have gradients enabled; they are left as they were.
     """
@@ -139,9 +136,7 @@ def frozen(function: Callable, shader: HeldPlugin) -> Callable:
 
 
 def from_torch(mi: ModuleType, tensor: Tensor) -> Any:
-    """A flat Dr.Jit array of the variant in use, Float or its float64 kin; in the same memory where that can
-    be.
-    """
+    """A flat Dr.Jit array of the variant, Float or its float64 kin, in the same memory where possible."""
     import drjit as dr
 
     kind = dr.float64_array_t(mi.Float) if tensor.dtype == torch.float64 else mi.Float
@@ -167,8 +162,7 @@ def to_torch(values: list) -> Tensor:
 
 def view_geometry(mi: ModuleType, place: Any, axes: Any, camera: Any, light: Any, intensity: Any,
                   falloff: str) -> tuple[Any, Any, Any]:
-    """How a view sees texels: Vector3f to the camera and to the light in the shading frame, and the
-    irradiance factor I / d^2.
+    """Directions of a view's texels (to camera, to light; shading frame) and the factor I / d^2.
 
     Args:
         mi: the ``mitsuba`` module.

@@ -100,9 +100,7 @@ class HandheldPhone:
 
 @dataclass(frozen=True)
 class Shot:
-    """What one photo is to be: its file, where the phone is, what is wrong with it, and its EXIF
-    orientation.
-    """
+    """What one photo is to be: its file, the phone's pose, its faults, its EXIF orientation."""
 
     name: str
     pose: Pose
@@ -145,8 +143,7 @@ def shots(phone: HandheldPhone, poses: Sequence[Pose] | None = None,
 
 
 def handheld_poses(phone: HandheldPhone, count: int) -> list[Pose]:
-    """Where a hand would hold the phone: near the nine-view grid, aimed roughly at the middle, a little
-    turned.
+    """A hand-held pose: near the nine-view grid, aimed roughly at the middle, turned a little.
 
     The patch, and all of the sheet where there is one, is within each photo; the phone is held higher where
     it would not be.

@@ -94,9 +94,7 @@ def handheld_photos(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[...
 
 
 def _metered(scene: Any, phone: HandheldPhone, pose: Pose) -> float:
-    """Intensity of the flash, in display values: the mean of the first photo is right, or fewer of its values
-    are clipped.
-    """
+    """Intensity of the flash that exposes the first photo right, or clips fewer of its values."""
     lens = replace(phone, megapixels=FROM_METER).lens
     radiance = scene.render(lens, pose, intensity=1.0) * _transmission(lens, 0, lens.size[1])
     return float(min(BRIGHTNESS / radiance.mean(), 1 / np.quantile(radiance, 1 - MOST_CLIPPED)))
@@ -132,8 +130,7 @@ def spoiled(radiance: NDArray[np.float32], kind: Spoil | None) -> NDArray[np.flo
 
 def developed(radiance: NDArray[np.float32], lens: Lens, noise: float = 1.0, seed: int | Sequence[int] = 0
               ) -> NDArray[np.uint8]:
-    """Radiance at the lens as the phone stores it: vignetting, noise of light and sensor, clipping, sRGB, 8
-    bits.
+    """Radiance as the phone stores it: vignetting, noise, clipping, sRGB, 8 bits.
 
     Args:
         radiance: H x W x 3, where 1 is white.
@@ -173,8 +170,7 @@ def write_photo(path: Path, pixels: NDArray[np.uint8], phone: HandheldPhone, sho
 def write_handheld(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[..., Any], folder: Path,
                    spoil: Sequence[Spoil] = (), poses: Sequence[Pose] | None = None,
                    report: Callable[[int, int], object] | None = None, **about: object) -> dict[str, Any]:
-    """Take the photos of :func:`handheld_photos` and write them, ``truth/truth.json`` and the sample's maps
-    ``truth/sample``.
+    """Write photos of :func:`handheld_photos`, ``truth/truth.json`` and the maps ``truth/sample``.
 
     With a sheet also ``truth/maps``, of just the patch within it, as a fit finds them. Without one the photos
     alone say where the patch is.

@@ -1,6 +1,4 @@
-"""What a phone's camera sees of a flat material on a table, traced by Mitsuba: no photo is warped, each ray
-goes where the lens bends it.
-"""
+"""A phone's photos of a flat material on a table, traced by Mitsuba through the lens itself."""
 
 from __future__ import annotations
 
@@ -31,8 +29,7 @@ AMBIENT_SAMPLES = 16  # samples a pixel where light comes from everywhere
 
 
 class HandheldRenderer:
-    """Photos of a square sample in z = 0, centred at the origin, on a grey table, lit by a flash or from
-    everywhere.
+    """Photos of a square sample in z = 0 on a grey table, lit by a flash or from everywhere.
 
     The maps are read bilinearly. Light arrives straight from the flash, with shadows; light reflected twice
     is left out.
@@ -158,9 +155,7 @@ def _surroundings(mi: ModuleType, side: float) -> dict:
 
 
 def _paper(mi: ModuleType, sheet: Sheet, depth: float) -> dict:
-    """Four rectangles around the hole, each with its part of the picture; a mask would cast the hole's shadow
-    too.
-    """
+    """Four rectangles around the hole with their parts of the picture; a mask would cast a shadow."""
     picture, _ = sheet.picture(PICTURE / sheet.outer)
     albedo = INK + (PAPER - INK) * picture.astype(np.float32)[..., None] / 255
     n, edge = len(albedo), round(len(albedo) * (1 - sheet.hole / sheet.outer) / 2)
@@ -183,9 +178,7 @@ def _register(variant: str) -> None:
     import mitsuba as mi
 
     class LensCamera(mi.Sensor):
-        """A :class:`mitsvbrdf.capture.lens.Lens` at a pose: film position (u, v) of a block of rows to the
-        ray that ``lens.rays`` says, whatever the distortion.
-        """
+        """A lens at a pose: film positions of a block of rows to the rays of ``Lens.rays``."""
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)

@@ -1,6 +1,4 @@
-"""What a failed comparison leaves behind: a message that says what is off by how much, and a page that shows
-where.
-"""
+"""What a failed comparison leaves: a message with the numbers, and a page with pictures."""
 
 from __future__ import annotations
 
@@ -75,9 +73,7 @@ def failure(title: str, figures: Sequence[Figure], rows: Callable[[], list[Row]]
 
 
 def left_behind(suffix: str, write: Callable[[Path], None]) -> str:
-    """Write a file of the running test, e.g. ``DIR/tests-test_a.py-test_b-1a2b3c4d.html``; its path, or why
-    there is none.
-    """
+    """Write a file of the running test, ``DIR/TEST-HASH.SUFFIX``; its path, or why there is none."""
     caller = current()
     name = re.sub(r"[^\w.]+", "-", caller.id)[-100:].strip("-.")
     folder = caller.run.report.resolve()
@@ -92,9 +88,7 @@ def left_behind(suffix: str, write: Callable[[Path], None]) -> str:
 
 
 def view_rows(new: Tensor, reference: Tensor, whose: str) -> list[Row]:
-    """The views N x H x W x 3 (linear) that differ most, the worst first; ``whose`` they are stands in the
-    title.
-    """
+    """The views N x H x W x 3 (linear) that differ most, the worst first; ``whose`` is in the title."""
     error = relative_difference(new, reference).flatten(1).mean(1)
     worst = error.nan_to_num(nan=torch.inf).argsort(descending=True)[:VIEWS_SHOWN].tolist()
     return [row(f"{whose}, view {k}" if len(new) > 1 else whose, new[k], reference[k], color.to_display)
@@ -130,18 +124,14 @@ def gradient_row(title: str, new: Tensor, reference: Tensor) -> Row:
 
 
 def heat(name: str, size: Tensor) -> tuple[str, str]:
-    """Caption and picture of sizes H x W: log scale over four decades up to the largest; not finite is
-    brightest.
-    """
+    """Caption and picture of sizes H x W, log scale over four decades; not finite is brightest."""
     high = float(size[torch.isfinite(size)].max()) if torch.isfinite(size).any() else 1.0
     return f"{name}, bright {high:.2g}, black {high / 1e4:.1g}", png_uri(error_picture(_peaks(size),
                                                                                        high or 1.0))
 
 
 def relative_difference(new: Tensor, reference: Tensor) -> Tensor:
-    """N x H x W: size of the relative error (:func:`mitsvbrdf.measure.metrics.relative_error`) of the worst
-    channel.
-    """
+    """Size of the relative error of the worst channel, N x H x W."""
     return relative_error(new, reference).abs().amax(dim=-1)
 
 

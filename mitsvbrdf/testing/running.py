@@ -1,6 +1,4 @@
-"""Which test is running, and what the command line asked for; the plugin fills it in, the assertions read
-it.
-"""
+"""The running test and the command line's options: set by the plugin, read by the assertions."""
 
 from __future__ import annotations
 

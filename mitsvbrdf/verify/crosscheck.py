@@ -1,5 +1,4 @@
-"""Every renderer and BSDF against the float64 twin: images, gradients and run time of the same maps in one
-run.
+"""Every renderer and BSDF against the float64 twin: images, gradients and run time in one run.
 
 Figures are counted over the texels of roughness 0.1 and more (``rough``), where
 :data:`~mitsvbrdf.measure.tolerances.TOLERANCES` hold, and over those below (``smooth``), each beside what
@@ -92,9 +91,7 @@ def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequen
 
 
 class _Case:
-    """One material as one BSDF: what the float64 twin and float32's limit say, and how far a renderer is from
-    it.
-    """
+    """One material as one BSDF: the twin's image and gradients, float32's limit, a renderer's errors."""
 
     def __init__(self, twin: Renderer, svbrdf: SVBRDF, views: Views, names: list[str],
                  transfer: color.Transfer) -> None:

@@ -10,9 +10,7 @@ from ..measure.tolerances import TOLERANCES
 
 
 def summary(configurations: Sequence[dict]) -> list[dict]:
-    """The worst figures over all materials of each BSDF and renderer, ``rough`` and ``smooth`` apart; run
-    times: medians.
-    """
+    """The worst figures of each BSDF and renderer, ``rough`` and ``smooth`` apart; median run times."""
     rows = []
     for texels in ("rough", "smooth"):
         groups: dict[tuple[str, str], list[dict]] = {}
@@ -109,9 +107,7 @@ def _gradient_exceeded(what: str, figures: dict, name: str, alone: bool = False)
 
 
 def _over(what: str, value: float | None, tolerance: float, limit: float | None) -> list[dict[str, Any]]:
-    """One violation, or none; a figure that is missing stands for values that are not finite, which are
-    counted apart.
-    """
+    """One violation or none; a missing figure is not finite, which is counted apart."""
     exceeded = value is not None and value > tolerance
     return [{"what": what, "value": value, "tolerance": tolerance, "limit": limit}] if exceeded else []
 

@@ -68,9 +68,7 @@ def float32_limit(twin: Renderer, svbrdf: SVBRDF, views: Views, exact: Measured,
 
 
 def turned_normals(svbrdf: SVBRDF, angle: float) -> tuple[SVBRDF, SVBRDF]:
-    """The material, in float64, with every normal turned by ``angle`` (rad, small) about two axes at right
-    angles to it.
-    """
+    """The material in float64, every normal turned by a small angle (rad) about two perpendicular axes."""
     maps = svbrdf.to(torch.float64).maps
     normal = maps["normal"]  # its length stays as it is: a gradient hangs on that too
     x = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64).expand_as(normal)

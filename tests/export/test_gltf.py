@@ -84,9 +84,7 @@ def test_glb_holds_the_maps_to_half_a_step_of_8_bits(material, tmp_path):
 
 
 def test_the_top_of_the_patch_is_the_top_of_the_glb(tmp_path):
-    """Corner by corner: v = 0 is the first row of the image (glTF 3.8), y is up, the normal faces us, the
-    bitangent is +y.
-    """
+    """glTF 3.8: v = 0 is the image's first row, y is up, the normal faces us, the bitangent is +y."""
     maps = flat(4, diffuse=0.0, specular=0.0)  # with no F0 the base colour is the diffuse colour
     corners = {(-1, 1): (0, 0, 0.2), (1, 1): (0, 3, 0.4), (-1, -1): (3, 0, 0.6), (1, -1): (3, 3, 0.8)}
     for row, column, value in corners.values():
@@ -122,9 +120,7 @@ def test_another_reader_opens_the_glb(material, tmp_path):
 
 @pytest.mark.slow
 def test_khronos_validator_has_nothing_to_say(material, tmp_path):
-    """Needs node and `npm install gltf-validator` where node looks (NODE_PATH), which `./run slow` does where
-    npm is.
-    """
+    """Needs node and gltf-validator on NODE_PATH; `./run slow` provides it where npm is."""
     node = shutil.which("node")
     if not node or subprocess.run([node, "-e", "require('gltf-validator')"], capture_output=True).returncode:
         pytest.skip("needs node and the npm package gltf-validator on NODE_PATH")

@@ -24,9 +24,7 @@ DERIVED = ("occlusion", "occlusion in R, roughness in G, metallic in B")
 
 
 def wanted_maps(material):
-    """What the files hold: both parameter sets; the specular level L of Blender, Unreal and Substance means
-    F0 = 0.08 L.
-    """
+    """Both parameter sets; specular level L of Blender, Unreal and Substance is F0 = 0.08 L."""
     both = dict(material.as_roughconductor().maps)
     if material.bsdf == "principled":
         return both | dict(material.maps)

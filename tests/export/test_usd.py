@@ -64,9 +64,7 @@ def test_the_square_wears_the_metallic_workflow(folder, material):
 
 
 def test_diffuse_and_f0_come_back(tmp_path):
-    """By the specification: F0 of the dielectric by its refractive index, diffuse light what F0 leaves of
-    diffuseColor.
-    """
+    """By the specification: F0 by the refractive index, diffuse light what F0 leaves."""
     made = gilt_plates(32)
     export_material(made, tmp_path, ["usd"])
     stage = Usd.Stage.Open(str(tmp_path / "usd/material.usda"))

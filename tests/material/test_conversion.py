@@ -44,9 +44,7 @@ def test_coloured_metals_count_by_their_strongest_channel():
 
 
 def test_what_is_no_metal_looks_the_same_from_above():
-    """Clients let through 1 - F0 of the diffuse light; the way back gives our sum again, of metals their
-    F0.
-    """
+    """Clients let through 1 - F0 of the diffuse light; the way back gives our sum, of metals F0."""
     made = half_and_half({"diffuse": 0.3, "specular": 0.2}, {"diffuse": 0.01, "specular": 0.9})
     f0 = made["specular"].amax(dim=-1, keepdim=True)
     material = layered(made, f0)
@@ -73,9 +71,7 @@ def test_one_f0_for_all_that_is_no_metal():
 
 
 def test_the_residual_of_a_constant_material_has_a_closed_form():
-    """F0 of 0.01 comes out as 0.04; of a flat patch the light at the camera is mirrored at its centre
-    alone.
-    """
+    """F0 of 0.01 comes out as 0.04; the flat patch mirrors the camera's light at its centre alone."""
     made = flat(5, diffuse=0.3, specular=0.01, roughness=1.0, dtype=torch.float64)
     lost = residual(made, as_principled(made))
     assert lost["diffuse"] == pytest.approx(0, abs=1e-12)
@@ -85,9 +81,7 @@ def test_the_residual_of_a_constant_material_has_a_closed_form():
 
 
 def test_the_pictures_of_a_matte_texel_have_a_closed_form():
-    """All of it at the centre, where every light gives half of pi: radiance 0.15 is shown where it should be
-    0.1, in sRGB.
-    """
+    """At the centre every light gives half of pi: 0.15 is shown where it should be 0.1, in sRGB."""
     right, wrong = (flat(1, diffuse=diffuse, specular=0.0, roughness=1.0) for diffuse in (0.2, 0.3))
     lost = residual(right, wrong)
     for light in LIGHTS:

@@ -37,9 +37,7 @@ def leaning_quarters(size=64):
 
 
 def camera_rays(stage):
-    """Origin, and unit directions through the pixels' middles, from the camera's matrix: x left, y up, z
-    ahead.
-    """
+    """Origin, and unit directions through the pixels' middles, from the camera's matrix."""
     sensor = stage.scene["sensor"]
     matrix = torch.from_numpy(np.array(sensor["to_world"].matrix)).double()
     size = sensor["film"]["width"]
@@ -51,8 +49,7 @@ def camera_rays(stage):
 
 
 def matt(position, normal, right, u, v, ray, intensity, light):
-    """Closed form: Lambert's law with the leaning normal and the quarter's colour; and where no edge of a
-    quarter is near.
+    """Lambert's law with the leaning normal and the quarter's colour; where no edge is near.
 
     Edges are also those where the leaning normal, or the shape's own, begins to face away from camera or
     light.
@@ -217,9 +214,7 @@ def test_the_shader_balls_file_is_its_recipe_and_its_maps_keep_their_angles(mi):
 
 
 def test_rays_see_as_much_sky(mi):
-    """White ground with this relief under an evenly bright sky, one bounce of Mitsuba: its radiance is the
-    share of the sky.
-    """
+    """Radiance of white ground with this relief under an even sky, one bounce: the share of the sky."""
     height = 4 * bump(64)[0]
     scene = mi.load_dict({
         "type": "scene", "integrator": {"type": "direct"}, "sky": {"type": "constant", "radiance": 1.0},

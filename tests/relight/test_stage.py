@@ -18,9 +18,7 @@ from mitsvbrdf.testing import random_material
 
 
 def each_with(every, choices):
-    """Each preset with each choice: quick are all of preset ``every``, and one of each other preset, in
-    turn.
-    """
+    """Each preset with each choice; quick: all of preset ``every``, one of each other."""
     return [pytest.param(preset, choice, marks=() if preset == every or (row + i) % len(choices) == 0
                          else pytest.mark.slow)
             for row, preset in enumerate(PRESETS) for i, choice in enumerate(choices)]

@@ -1,6 +1,4 @@
-"""Mitsuba's renderers in many threads: the same bits as in one; the lock, Ctrl-C, and the variant that a
-program had set.
-"""
+"""Mitsuba's renderers in many threads: bits of one thread; the lock, Ctrl-C, the program's variant."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""The search for a libLLVM: what is refused, what is proved, and what a user is told. Trials run in child
-processes.
-"""
+"""The search for a libLLVM: what is refused, proved and said. Trials run in child processes."""
 
 from __future__ import annotations
 
@@ -80,9 +78,7 @@ def test_an_old_version_is_refused_without_a_trial(searched, monkeypatch):
 @pytest.mark.skipif(not OLD, reason="no old libLLVM here")
 @pytest.mark.parametrize("path", OLD, ids=lambda path: Path(path).name)
 def test_an_old_library_whose_name_does_not_tell_is_found_out(searched, monkeypatch, path):
-    """Dr.Jit refuses 14; 15 aborts the child on AVX-512 and is too old elsewhere. Neither harms this
-    process.
-    """
+    """Dr.Jit refuses 14; 15 aborts the child on AVX-512. Neither harms this process."""
     monkeypatch.setattr(llvm, "candidates", lambda: [path])
     monkeypatch.setattr(llvm, "named_version", lambda path: 0)
     (verdict,) = llvm.examine()

@@ -1,6 +1,4 @@
-"""Every renderer against the float64 twin, images and gradients; the twin against central differences; the
-replay trap.
-"""
+"""Renderers against the float64 twin, the twin against central differences; the replay trap."""
 
 import copy
 import math

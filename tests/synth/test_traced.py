@@ -45,9 +45,7 @@ def test_the_scene_is_the_analytic_renderers(material):
 
 
 def test_rays_go_where_the_lens_says():
-    """Diffuse dots, tilted, turned and distorted, in closed form: tents of the map's texels under cos /
-    d^2.
-    """
+    """Diffuse dots, tilted, turned, distorted, in closed form: tents of texels under cos / d^2."""
     maps, side, power = flat(64, diffuse=0.0, specular=0.0), 20.0, 1000.0
     at = [(5, 7), (60, 4), (31, 33), (8, 58), (50, 55)]
     for row, column in at:

@@ -12,9 +12,7 @@ from mitsvbrdf.verify.crosscheck import crosscheck
 
 @pytest.fixture(scope="session")
 def real():
-    """Record and error maps of the three renderers on two materials, both BSDFs; one material has texels
-    below 0.1.
-    """
+    """Record and error maps of three renderers, two materials, both BSDFs; one has roughness below 0.1."""
     renderers = [make_renderer(name) for name in command.RENDERERS]
     materials = {"leather": make_material("leather", 24), "polished": corner_materials(24)["polished"]}
     maps: dict = {}

@@ -30,8 +30,7 @@ DOUBLINGS = 24
 
 def jacobian(twin: Renderer, svbrdf: SVBRDF, views: Views,
              display: Callable[[Tensor], Tensor] = color.encode) -> Tensor:
-    """One Jacobian for each texel, T x 3 N x P, float64; rows by view then channel, columns by map as in the
-    material.
+    """A Jacobian a texel, T x 3 N x P, float64; rows by view, then channel; columns by map.
 
     Args:
         twin: ``analytic64``.
@@ -82,8 +81,7 @@ def condition(jacobians: Tensor) -> dict[str, float | None]:
 
 def largest_step(renderer: Renderer, svbrdf: SVBRDF, views: Views, transfer: color.Transfer = "gamma2.2",
                  first: float | None = None) -> float:
-    """The largest step of plain gradient descent that still lowers the photometric loss, from a material a
-    little off.
+    """The largest step of plain gradient descent that still lowers the photometric loss.
 
     The loss is summed over texels (the mean is over views and channels alone), so that a step means the same
     at every resolution. Steps double, or halve if the first was too long already, until it changes whether
@@ -130,9 +128,7 @@ def largest_step(renderer: Renderer, svbrdf: SVBRDF, views: Views, transfer: col
 
 
 def _leaves(svbrdf: SVBRDF) -> SVBRDF:
-    """Maps that want a gradient: renderers then leave nothing out, and need no kernel of their own for each
-    material.
-    """
+    """Maps that want a gradient: renderers omit nothing and share one kernel."""
     return svbrdf.map(lambda t: t.detach().clone().requires_grad_())
 
 

@@ -180,9 +180,7 @@ def _silenced(found: Tensor, reference: Tensor) -> int:
 
 
 def _limit(twin: Renderer, case: Case, exact: Measured, cotangent: Tensor) -> dict[str, float]:
-    """What one rounding of every normal changes, relative L2, over the texels that are compared; 1 rounding
-    where all is 0.
-    """
+    """Relative L2 change by one rounding of every normal, over the compared texels."""
     limit = float32_limit(twin, case.svbrdf, case.views, exact, cotangent)
     pick = slice(None) if case.texels is None else case.texels
     pairs = {"image": (limit.image[:, pick], exact.image[:, pick])} | {

@@ -1,6 +1,4 @@
-"""The configurations of a stability run: ten sweeps, each from harmless to extreme, small enough to be run
-all.
-"""
+"""The configurations of a stability run: ten small sweeps, each from harmless to extreme."""
 
 from __future__ import annotations
 
@@ -92,8 +90,7 @@ class Case:
 
 def material(bsdf: Bsdf = "roughconductor", side: int = CASE_SIDE, normal: Tensor | None = None,
              **values: float | tuple | Tensor) -> SVBRDF:
-    """Random maps, F0 0.02 to 0.92, roughness 0.15 to 0.95 and normals tilted by about 8 degrees, with some
-    replaced.
+    """Random maps: F0 0.02 to 0.92, roughness 0.15 to 0.95, normals tilted by about 8 degrees.
 
     Args:
         normal: R x R x 3.
@@ -113,9 +110,7 @@ def material(bsdf: Bsdf = "roughconductor", side: int = CASE_SIDE, normal: Tenso
 
 
 def aimed(bsdf: Bsdf, views: Views, roughness: float) -> SVBRDF:
-    """Normals within three alpha of the half vector of one view or another: every texel is in somebody's
-    highlight.
-    """
+    """Normals within three alpha of some view's half vector: every texel is in a highlight."""
     rng = torch.Generator().manual_seed(1)
     v = views.in_patch_sides()
     index = torch.arange(CASE_SIDE * CASE_SIDE).reshape(CASE_SIDE, CASE_SIDE) % len(v)
@@ -128,8 +123,7 @@ def aimed(bsdf: Bsdf, views: Views, roughness: float) -> SVBRDF:
 
 
 def tilted(degrees: float, towards: float | None = None) -> Tensor:
-    """Normals at this angle to the patch's, R x R x 3; the azimuth is random or, every other one, along an
-    axis.
+    """Normals at this angle to the patch's, R x R x 3; azimuths alternate: random, along an axis.
 
     Args:
         towards: one azimuth for all, degrees from x towards y.
