@@ -31,12 +31,10 @@ CORNERS = ((-0.5, -0.5, 0.0), (0.5, -0.5, 0.0), (0.5, 0.5, 0.0), (-0.5, 0.5, 0.0
 UVS = ((0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0))
 TRIANGLES = (0, 1, 2, 0, 2, 3)
 LAYER_NOTE = ("glTF lets diffuse light through by 1 - max(F), ours by a sum: what is no metal is darker by "
-              "F0, "
-              "4 %")
+              "F0, 4 %")
 NOTES = (
     "glTF lets diffuse light through by 1 - max(F), ours by a sum: the base colour is diffuse / (1 - "
-    "max(F0)), the same seen "
-    "from above, darker at grazing angles",
+    "max(F0)), the same seen from above, darker at grazing angles",
     "glTF's Fresnel curve is Schlick's, ours that of a real refractive index; F0 is the same",
     "roughness is ours: the GGX alpha is its square in both",
     "textures have 8 bits: GPUs decode sRGB from 8 bits only",
@@ -66,8 +64,8 @@ def write_gltf(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
     else:
         glass = torch.full_like(svbrdf["metallic"], DIELECTRIC_F0)
         lost = {"base colour as it is": residual(svbrdf, as_shown(svbrdf, glass, glass))}
-    shaded = occlusion(heights(svbrdf["normal"], settings.repeats), settings.repeats)[...,
-                                                                                      None].to(material["roughness"])
+    shaded = occlusion(heights(svbrdf["normal"], settings.repeats), settings.repeats)
+    shaded = shaded[..., None].to(material["roughness"])
     packed = torch.cat((shaded, material["roughness"], material["metallic"]), dim=-1)
     images = {"base_color": stored("base_color", material["base_color"]), "metallic_roughness": packed,
               "normal": stored("normal", material["normal"])}
@@ -79,9 +77,8 @@ def write_gltf(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
     if factor is not None:
         largest = max(float(factor.max()), 1.0)  # a texture ends at 1, the factor beside it does not
         images["specular_color"] = color.encode(factor / largest, "srgb")
-        textures.append(Texture(f"{FILE}: specular_color", "factor on the dielectric F0 of 0.04, divided "
-                                                           f"by {largest:.6g}",
-                                SRGB, 8))
+        textures.append(Texture(f"{FILE}: specular_color",
+                                f"factor on the dielectric F0 of 0.04, divided by {largest:.6g}", SRGB, 8))
         extension = {"specularColorFactor": [largest] * 3, "specularColorTexture": {"index": 3}}
     files.write_bytes(folder / FILE, _glb(images, extension, settings))
     return Export((FILE,), tuple(textures), NOTES if extension else (LAYER_NOTE, *NOTES[1:]), lost)
@@ -100,8 +97,7 @@ def _glb(textures: dict[str, Tensor], specular: dict, settings: ExportSettings) 
         numbers = [x for row in rows for x in row]
         ends = {"min": [min(c) for c in zip(*rows)], "max": [max(c) for c in zip(*rows)]}
         return {"bufferView": add(struct.pack(f"<{len(numbers)}f", *numbers), target=ARRAY_BUFFER),
-                "componentType": FLOAT,
-                "count": len(rows), "type": kind, **ends}
+                "componentType": FLOAT, "count": len(rows), "type": kind, **ends}
 
     # The tangent is +x and, with w = 1, the bitangent cross(normal, tangent) = +y: the up of our normal maps.
     corners = tuple(tuple((settings.side or 1.0) * x for x in corner) for corner in CORNERS)

@@ -41,14 +41,11 @@ FILE_NAMES: dict[str, dict[str, str]] = {
 SIZED = {"polyhaven": "NAME_{map}_{size}k", "ambientcg": "NAME_{size}K_{map}"}
 LONGEST = 100  # letters of a material's name in file names; more would not fit every file system
 FULL_LEVEL = 0.08  # F0 of specular level 1, in Blender, Unreal and Substance; 0.5 is 0.04
-LOSSY_NOTE = (
-    "metallic is 0 or 1: base colour is F0 of metals, and of all else diffuse / (1 - F0), for most programs "
-    "lay the highlight "
-    "over the diffuse light; the specular level (Blender's Specular IOR Level, F0 = 0.08 times it) has F0 "
-    "up to 0.08")
-GAMMA_NOTE = ("MaterialGAN's programs take dif, spe and rgh for gamma 2.2: here dif and spe are sRGB and "
-              "rgh is "
-              "linear")
+LOSSY_NOTE = ("metallic is 0 or 1: base colour is F0 of metals, and of all else diffuse / (1 - F0), for most "
+              "programs lay the highlight over the diffuse light; the specular level (Blender's Specular IOR "
+              "Level, F0 = 0.08 times it) has F0 up to 0.08")
+GAMMA_NOTE = ("MaterialGAN's programs take dif, spe and rgh for gamma 2.2: here dif and spe are sRGB and rgh "
+              "is linear")
 
 
 def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS) -> Export:
@@ -74,9 +71,8 @@ def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
                          "without it": torch.full_like(level, DIELECTRIC_F0)}.items():
             lost[kind] = residual(svbrdf, as_shown(material, f0, f0))
     height = heights(svbrdf["normal"], settings.repeats)
-    both |= {**material.maps, "specular_level": level, "occlusion": occlusion(height,
-                                                                              settings.repeats).float()[...,
-                                                                                                        None],
+    both |= {**material.maps, "specular_level": level,
+             "occlusion": occlusion(height, settings.repeats).float()[..., None],
              "height": (height + 0.5).clamp(0, 1)[..., None]}
     both["packed"] = torch.cat((both["occlusion"], both["roughness"], both["metallic"]), dim=-1)
     unit = f"the patch's side, {side:.6g} metres" if side else "the patch's side"

@@ -38,8 +38,7 @@ SURFACES = {
         "base_color": "base_color", "metallic": "base_metalness", "specular_color": "specular_color",
         "roughness": "specular_roughness", "normal": "geometry_normal"}, "specular_ior")}
 SPECULAR_NOTE = ("one refractive index for all that is no metal, for viewers cannot read a map of it; "
-                 "specular_color is F0 "
-                 "over the index's: F0 is exact, and grazing light scaled alike")
+                 "specular_color is F0 over the index's: F0 is exact, and grazing light scaled alike")
 LAYER_NOTE = ("the specular lobe lies over the diffuse one, which gets what is left of the light; ours is a "
               "sum")
 

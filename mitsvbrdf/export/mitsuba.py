@@ -18,8 +18,7 @@ from .textures import DEFAULTS, LINEAR, NORMALS, Export, ExportSettings, Texture
 
 # Beside the package in a checkout, inside it when installed from a wheel.
 SCENES = next((p for p in (Path(__file__).parents[1] / "scenes", Path(__file__).parents[2] / "scenes")
-               if p.is_dir()),
-              Path("scenes"))
+               if p.is_dir()), Path("scenes"))
 
 LIGHT_NOTE = "the light of scene.xml falls off with 1 / d^2, whatever the fit's did"
 HOLDS = {"diffuse_x2": "diffuse, times 2 for the blend of two lobes",

@@ -89,8 +89,8 @@ def stored(name: str, value: Tensor, normal: NormalConvention = "gl") -> Tensor:
 
 def described(file: str, name: str, bits: int, normal: NormalConvention = "gl") -> Texture:
     """What to say of a map stored as :func:`stored` does."""
-    return Texture(file, name, SRGB if name in COLOURS else LINEAR, bits, NORMALS[normal] if name == "normal"
-                   else None)
+    return Texture(file, name, SRGB if name in COLOURS else LINEAR, bits,
+                   NORMALS[normal] if name == "normal" else None)
 
 
 def write_texture(folder: Path, file: str, name: str, value: Tensor, bits: Bits,

@@ -23,16 +23,13 @@ from .textures import DEFAULTS, LINEAR, SRGB, Export, ExportSettings, Texture, s
 MATERIAL, PATCH = "material.usda", "patch.usda"
 HIGHEST_F0 = 0.9  # of what is no metal: a refractive index of 38
 LAYER_NOTE = ("the specular lobe takes its light from the diffuse one, ours is a sum: what is no metal is "
-              "darker "
-              "by F0, 4 %")
+              "darker by F0, 4 %")
 NOTES = (
     "metallic workflow: importers (Blender 4.5, three.js) pass the specular one by; F0 of what is no metal "
-    "is grey, a texture "
-    "of the refractive index, beside one index for all where a reader takes no texture; the MaterialX "
-    "shader has it in colour",
+    "is grey, a texture of the refractive index, beside one index for all where a reader takes no texture; "
+    "the MaterialX shader has it in colour",
     "UsdPreviewSurface lets diffuse light through by what the specular lobe leaves, where ours is a sum: "
-    "diffuseColor is "
-    "diffuse / (1 - F0), the same seen from above",
+    "diffuseColor is diffuse / (1 - F0), the same seen from above",
     "its Fresnel curve is Schlick's, ours that of a real refractive index; F0 is the same",
     "colours have 8 bits: GPUs decode sRGB from 8 bits only",
 )
@@ -166,12 +163,11 @@ def _uv_texture(name: str, texture: Texture, channels: str, decoding: tuple | No
     numbers = [f"float4 inputs:{key} = ({', '.join(f'{x:.7g}' for x in value)})"
                for key, value in zip(("scale", "bias"), decoding or ())]
     kind = "float3" if channels == "rgb" else "float"
-    return _shader(name, "UsdUVTexture", f"{kind} outputs:{channels}",
-                   f"asset inputs:file = @./{texture.file}@",
-                   "float2 inputs:st.connect = <{at}/st.outputs:result>",
-                   f'token inputs:sourceColorSpace = "{"sRGB" if texture.colour_space == SRGB else "raw"}"',
-                   *(f'token inputs:wrap{axis} = "{"repeat" if repeats else "clamp"}"' for axis in "ST"),
-                   *numbers)
+    return _shader(
+        name, "UsdUVTexture", f"{kind} outputs:{channels}", f"asset inputs:file = @./{texture.file}@",
+        "float2 inputs:st.connect = <{at}/st.outputs:result>",
+        f'token inputs:sourceColorSpace = "{"sRGB" if texture.colour_space == SRGB else "raw"}"',
+        *(f'token inputs:wrap{axis} = "{"repeat" if repeats else "clamp"}"' for axis in "ST"), *numbers)
 
 
 def _mtlx_texture(name: str, texture: Texture, kind: str, largest: float | None,
@@ -179,10 +175,9 @@ def _mtlx_texture(name: str, texture: Texture, kind: str, largest: float | None,
     """The image node and what decodes it, and the name of the last of them."""
     node = {"color3f": "color3", "float3": "vector3", "float": "float"}[kind]
     space = ' (\n        colorSpace = "srgb_texture"\n    )' if texture.colour_space == SRGB else ""
-    nodes = [_shader(name, f"ND_image_{node}", f"{kind} outputs:out",
-                     f"asset inputs:file = @./{texture.file}@{space}",
-                     *(f'string inputs:{axis}addressmode = "{"periodic" if repeats else "clamp"}"'
-                       for axis in "uv"))]
+    nodes = [_shader(
+        name, f"ND_image_{node}", f"{kind} outputs:out", f"asset inputs:file = @./{texture.file}@{space}",
+        *(f'string inputs:{axis}addressmode = "{"periodic" if repeats else "clamp"}"' for axis in "uv"))]
     if texture.normal:
         nodes.append(_shader(f"{name}map", "ND_normalmap_float", "float3 outputs:out",
                              f"float3 inputs:in.connect = <{{at}}/{name}.outputs:out>"))

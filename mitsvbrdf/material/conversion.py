@@ -84,7 +84,6 @@ def as_shown(material: SVBRDF, f0: Tensor, taken: Tensor) -> SVBRDF:
         taken: the share of the light that the highlight takes from the diffuse, broadcast to R x R x 1.
     """
     base, metallic = material["base_color"], material["metallic"]
-    return SVBRDF("roughconductor", {
-        "diffuse": base * (1 - metallic) * (1 - taken), "specular": base * metallic
-        + f0.clamp_max(1.0) * (1 - metallic),
-        "roughness": material["roughness"], "normal": material["normal"]})
+    return SVBRDF("roughconductor", {"diffuse": base * (1 - metallic) * (1 - taken),
+                                     "specular": base * metallic + f0.clamp_max(1.0) * (1 - metallic),
+                                     "roughness": material["roughness"], "normal": material["normal"]})

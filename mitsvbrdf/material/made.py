@@ -62,9 +62,8 @@ def inlay(x: Tensor, y: Tensor, rng: Generator) -> Paint:
 
     def metal(distance: Tensor, colour: Colour, height: Tensor) -> None:
         paint.add(inside(distance - 0.003), (0.012, 0.009, 0.007), 0.03, 0.8, -0.001)
-        paint.add(inside(distance), 0.012 + 0.01 * wear.abs(), mix(colour, (0.45, 0.30, 0.17),
-                                                                   0.5 * wear - 0.15),
-                  0.22 + 0.1 * wear.abs(), height)
+        paint.add(inside(distance), 0.012 + 0.01 * wear.abs(),
+                  mix(colour, (0.45, 0.30, 0.17), 0.5 * wear - 0.15), 0.22 + 0.1 * wear.abs(), height)
 
     def wire(distance: Tensor, width: float, colour: Colour = GOLD) -> None:
         off = distance.abs() - width / 2

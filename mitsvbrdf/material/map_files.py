@@ -62,8 +62,8 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
     if (folder / "maps").is_dir():
         folder = folder / "maps"
     if not folder.is_dir():
-        raise MapsError("a folder of maps", f"no folder at {folder}", "give the folder that holds diffuse, "
-                                                                      "specular, ...")
+        raise MapsError("a folder of maps", f"no folder at {folder}",
+                        "give the folder that holds diffuse, specular, ...")
     stated, codes = read_material_json(folder), encodings(folder, encoding)
     usual: Bsdf = ("principled" if _find(folder, "base_color") and _find(folder, "metallic")
                    else "roughconductor")
@@ -115,8 +115,8 @@ def encodings(folder: str | Path, encoding: str | None = None) -> dict[str, str]
 
 def _find(folder: Path, name: str) -> Path | None:
     there = {entry.name.lower(): entry for entry in folder.iterdir() if entry.is_file()}
-    wanted = [stem + suffix for stem in (name, SHORT_NAMES.get(name)) if stem for suffix in (".exr", ".png",
-                                                                                             ".jpg", ".jpeg")]
+    wanted = [stem + suffix for stem in (name, SHORT_NAMES.get(name)) if stem
+              for suffix in (".exr", ".png", ".jpg", ".jpeg")]
     return next((there[file] for file in wanted if file in there), None)
 
 
@@ -160,8 +160,7 @@ def _lifted(normal: Tensor, path: Path) -> Tensor:
     if not 0 < count <= FEW * texels:
         return normal
     warnings.warn(f"{path}: {count} of {texels} normals ({count / texels:.2%}) point into the surface; "
-                  "lifted just above it",
-                  MapsWarning, stacklevel=2)
+                  "lifted just above it", MapsWarning, stacklevel=2)
     raised = torch.cat((normal[..., :2], torch.full_like(normal[..., 2:], RAISED)), dim=-1)
     return torch.where(under, F.normalize(raised, dim=-1), normal)
 

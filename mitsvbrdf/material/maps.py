@@ -127,8 +127,7 @@ class SVBRDF:
                 length = value.norm(dim=-1)
                 if not bool(((length - 1).abs() <= UNIT).all()):
                     raise MapsError("unit normals", f"lengths from {float(length.min()):.4g} to "
-                                                    f"{float(length.max()):.4g}",
-                                    "normalise them")
+                                    f"{float(length.max()):.4g}", "normalise them")
                 if value[..., 2].min() < LOWEST_Z:
                     raise MapsError(f"normals with z >= {LOWEST_Z:g}",
                                     f"z = {float(value[..., 2].min()):.3g}",

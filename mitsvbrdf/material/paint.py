@@ -28,8 +28,7 @@ def painted(paint: Paint) -> SVBRDF:
     return SVBRDF("roughconductor", {
         "diffuse": torch.minimum(paint.diffuse.clamp(0, 0.95), 1 - specular), "specular": specular,
         "roughness": paint.roughness.clamp(0.08, 1),
-        "normal": F.normalize(torch.cat((-slope, torch.ones_like(slope[..., :1])), dim=-1), dim=-1),
-    })
+        "normal": F.normalize(torch.cat((-slope, torch.ones_like(slope[..., :1])), dim=-1), dim=-1)})
 
 
 Value = Tensor | float | tuple[float, ...]

@@ -120,8 +120,8 @@ def _joined(layers: Tensor, looks: Tensor, overlap: int) -> Tensor:
     """H x W x C, narrower by the overlap: the last column goes on in the first."""
     error = _difference(looks, overlap)
     coarser = -(-overlap // COARSE)
-    cut = coarser * _closed_cut(F.avg_pool2d(error[None, None], coarser, ceil_mode=True)[0,
-                                                                                         0])[0].to(error.dtype)
+    cut = coarser * _closed_cut(F.avg_pool2d(error[None, None], coarser, ceil_mode=True)[0, 0])[0].to(
+        error.dtype)
     cut = F.interpolate(cut[None, None], scale_factor=coarser, mode="linear")[0, 0, :len(error), None]
     # share of the left border's texels
     first = (torch.arange(overlap) + 0.5 - cut) / max(1.0, overlap / FEATHER) + 0.5

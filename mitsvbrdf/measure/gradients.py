@@ -60,9 +60,8 @@ def render_and_gradients(renderer: Renderer, svbrdf: SVBRDF, views: Views, cotan
     image, forward = timed(renderer.render, leaves, views)
     if not image.requires_grad:
         raise ConfigError("an image that carries gradients to the maps", f"one of {renderer.name} without",
-                          "make the renderer "
-                          "differentiable, or compare the images alone (gradients=math.inf in "
-                          "assert_renderers_agree)")
+                          "make the renderer differentiable, or compare the images alone (gradients=math.inf "
+                          "in assert_renderers_agree)")
     cotangent = (fixed_cotangent(image.shape) if cotangent is None else cotangent).to(image)
     gradients, backward = timed(torch.autograd.grad, image, list(leaves.maps.values()), cotangent)
     return Measured(image.detach(), dict(zip(leaves.maps, gradients)), forward, backward)

@@ -57,8 +57,8 @@ def _encoded(svbrdf: SVBRDF, roughness: str) -> dict[str, Tensor]:
             "normal": (maps["normal"] + 1) / 2}
 
 
-def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "gamma2.2") -> tuple[float,
-                                                                                                   list[float]]:
+def photo_rmse(rerendered: Tensor, photos: Tensor,
+               transfer: color.Transfer = "gamma2.2") -> tuple[float, list[float]]:
     """RMSE of re-rendered photos, in display values clipped to [0, 1], over all pixels and channels.
 
     Args:
@@ -75,8 +75,7 @@ def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "g
     if rerendered.shape != photos.shape or photos.ndim != 4 or not len(photos):
         shapes = f"{tuple(rerendered.shape)} and {tuple(photos.shape)}"
         raise CaptureError("re-rendered and real photos of one shape N x R x R x 3", shapes,
-                           "render every view at the "
-                           "photos' resolution")
+                           "render every view at the photos' resolution")
     shown = color.to_display(rerendered.detach().double(), transfer)
     squares = (shown - color.clip(photos.double())).square().mean(dim=(1, 2, 3))
     return math.sqrt(squares.mean()), squares.sqrt().tolist()
@@ -109,8 +108,7 @@ def error_statistics(signed: Tensor) -> dict[str, float]:
     size = signed.abs().flatten()
     rank = math.ceil(0.999 * size.numel())
     return {"mean": float(size.mean()), "p99.9": float(size.kthvalue(rank).values),
-            "worst": float(size.max()),
-            "bias": float(signed.mean())}
+            "worst": float(size.max()), "bias": float(signed.mean())}
 
 
 def flip(image: Tensor, reference: Tensor, transfer: color.Transfer = "gamma2.2") -> Tensor:

@@ -12,8 +12,8 @@ from ..views import Views
 from .metrics import photo_rmse
 
 
-def rerender(renderer: Renderer, svbrdf: SVBRDF, views: Views, capture: Capture) -> tuple[Tensor, float,
-                                                                                          list[float]]:
+def rerender(renderer: Renderer, svbrdf: SVBRDF, views: Views,
+             capture: Capture) -> tuple[Tensor, float, list[float]]:
     """A capture's photos re-rendered: linear images, RMSE of all, RMSE of each (display values)."""
     with torch.no_grad():
         images = renderer.render(svbrdf, views)

@@ -57,8 +57,8 @@ class Record:
 
 def kept_names(presets: Iterable[str]) -> tuple[str, ...]:
     """Files and folders of a run that another one can go on from."""
-    return (RECORD, *(name + ending for name in presets for ending in ("", ".exr",
-                                                                       *(f".{kind}" for kind in BESIDE))))
+    return (RECORD,
+            *(name + ending for name in presets for ending in ("", ".exr", *(f".{kind}" for kind in BESIDE))))
 
 
 def begin(settings: Mapping) -> Record:

@@ -33,8 +33,7 @@ PRESETS = {
              "lens",
 }
 DEFAULTS = {"sweep": ("none", 48), "turntable": ("studio", 72), "sphere": ("studio", 1),
-            "shaderball": ("studio", 1),
-            "novel": ("none", 1)}
+            "shaderball": ("studio", 1), "novel": ("none", 1)}
 OWN_LIGHT = ("sweep", "novel")
 ROUND = ("sphere", "shaderball")  # shapes without relief
 FPS = 24.0
@@ -200,8 +199,8 @@ def _reflections(svbrdf: SVBRDF) -> tuple[int, str]:
 def _sweep(mi: ModuleType, scene: dict[str, Any], frames: int) -> Place:
     x, behind, z = scene["light"]["position"]
     radius = math.hypot(x, z)
-    scene["light"]["intensity"] = {"type": "rgb", "value": WHITE_LUMINANCE * math.pi * math.hypot(x, behind,
-                                                                                                  z) ** 2}
+    scene["light"]["intensity"] = {"type": "rgb",
+                                   "value": WHITE_LUMINANCE * math.pi * math.hypot(x, behind, z) ** 2}
 
     def place(frame: int) -> dict[str, Any]:
         angle = math.radians(90 + 42 * math.sin(2 * math.pi * frame / frames + math.pi / 6))
@@ -224,8 +223,8 @@ def _turned(mi: ModuleType, scene: dict[str, Any], frames: int, around: Environm
     return lambda frame: around.turned(360 * frame / frames)
 
 
-def _novel(mi: ModuleType, side: int, frames: int, views: Views | None) -> tuple[dict[str, Any], Place,
-                                                                                 Views]:
+def _novel(mi: ModuleType, side: int, frames: int,
+           views: Views | None) -> tuple[dict[str, Any], Place, Views]:
     seen = (views or nine_view_grid()).pick([0]).in_patch_sides().to(torch.float64)
     scene = read_scene(mi, "patch.xml", **view_parameters(seen, side))
     scene["sensor"]["sampler"] = {"type": "independent"}

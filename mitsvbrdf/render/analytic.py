@@ -50,8 +50,8 @@ class AnalyticRenderer:
         cosines, irradiance = _geometry(maps.get("normal"), views, svbrdf.resolution)
         lit = (cosines.n_l > 0) & (cosines.n_v > 0)
         # Where the surface turns away the result is 0; a harmless 1 keeps the gradient of the rest finite.
-        cosines = cosines._replace(n_l=torch.where(lit, cosines.n_l, 1.0), n_v=torch.where(lit, cosines.n_v,
-                                                                                           1.0))
+        cosines = cosines._replace(n_l=torch.where(lit, cosines.n_l, 1.0),
+                                   n_v=torch.where(lit, cosines.n_v, 1.0))
         c = Cosines(*(x.to(self.dtype) for x in cosines))
 
         if svbrdf.bsdf == "roughconductor":

@@ -41,9 +41,8 @@ def _in_range(f0: Any) -> Any:
 def needed_maps(svbrdf: SVBRDF, needs: Needs) -> dict[str, Tensor]:
     """The maps that are read at all, by name; a specular map that needs no colour as its first channel."""
     unread = {"diffuse": not needs.diffuse_lobe, "specular": not needs.specular_lobe,
-              "metallic": not needs.metallic,
-              "roughness": svbrdf.bsdf == "roughconductor" and not needs.specular_lobe,
-              "normal": not needs.normal_map}
+              "metallic": not needs.metallic, "normal": not needs.normal_map,
+              "roughness": svbrdf.bsdf == "roughconductor" and not needs.specular_lobe}
     maps = {name: svbrdf[name] for name in CHANNELS[svbrdf.bsdf] if not unread.get(name)}
     if "specular" in maps and not needs.coloured_specular:
         maps["specular"] = maps["specular"][..., :1]

@@ -144,8 +144,7 @@ def _folders() -> list[str]:
             *(f"{prefix}/{lib}" for prefix in sorted(prefixes) for lib in ("lib", "Library/bin")),
             "/usr/lib/*-linux-gnu", "/usr/lib/llvm-*/lib", "/usr/lib/llvm*/lib", "/usr/lib", "/usr/lib64",
             "/usr/lib64/llvm*/lib*", "/usr/local/lib", "/opt/homebrew/opt/llvm*/lib",
-            "/usr/local/opt/llvm*/lib",
-            "C:/Program Files/LLVM/bin"]
+            "/usr/local/opt/llvm*/lib", "C:/Program Files/LLVM/bin"]
 
 
 def prove(path: str) -> LLVM:
@@ -275,8 +274,7 @@ def mitsuba_module(variant: str = "llvm_ad_rgb") -> ModuleType:
                 mi.set_variant(variant)
             except (ImportError, RuntimeError) as reason:
                 raise BackendError(f"{variant} to work here", str(reason),
-                                   "use llvm_ad_rgb, which needs no GPU"
-                                   if variant.startswith("cuda")
+                                   "use llvm_ad_rgb, which needs no GPU" if variant.startswith("cuda")
                                    else f"install libLLVM: {install_hint()}") from None
         return mi
 

@@ -74,16 +74,16 @@ class SceneRenderer:
             if key not in self._drawings:
                 self._drawings[key] = Drawing(self.variant, self._wrap(*key), replayed=True)
         views = views.in_patch_sides()
-        geometry = [t.to(torch.float64).to(self.device).contiguous() for t in (views.camera, views.light,
-                                                                               views.intensity)]
+        geometry = [t.to(torch.float64).to(self.device).contiguous()
+                    for t in (views.camera, views.light, views.intensity)]
         images = self._drawings[key](*geometry, *(t.to(self.device, torch.float32).contiguous()
                                                   for t in maps.values()))
         if views.falloff == "none":
             images = images * _falloff_undone(views, svbrdf.resolution).to(images)
         return images.to(svbrdf["normal"].device)
 
-    def _wrap(self, bsdf: str, needs: Needs, resolution: int, names: tuple[str, ...]) -> Callable[...,
-                                                                                                  list[Tensor]]:
+    def _wrap(self, bsdf: str, needs: Needs, resolution: int,
+              names: tuple[str, ...]) -> Callable[..., list[Tensor]]:
         import drjit as dr
 
         mi = self.mi

@@ -190,6 +190,5 @@ def row(mi: ModuleType, array: Any, k: Any) -> Any:
     """Row k of N x 3 float64 numbers, as values that may change without compiling a new kernel."""
     import drjit as dr
 
-    return dr.float64_array_t(mi.Vector3f)(*(dr.gather(dr.float64_array_t(mi.Float), array,
-                                                       mi.UInt32(3 * k + axis))
-                                             for axis in range(3)))
+    return dr.float64_array_t(mi.Vector3f)(
+        *(dr.gather(dr.float64_array_t(mi.Float), array, mi.UInt32(3 * k + axis)) for axis in range(3)))

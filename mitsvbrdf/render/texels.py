@@ -69,8 +69,8 @@ class TexelRenderer:
                   for parts in zip(*geometry)]
         return (images[0] if len(images) == 1 else torch.cat(images)).to(svbrdf["normal"].device)
 
-    def _wrap(self, bsdf: str, needs: Needs, side: int, falloff: str, names: tuple[str, ...]) -> Callable[...,
-                                                                                                          list[Tensor]]:
+    def _wrap(self, bsdf: str, needs: Needs, side: int, falloff: str,
+              names: tuple[str, ...]) -> Callable[..., list[Tensor]]:
         import drjit as dr
 
         mi = self.mi

@@ -21,11 +21,10 @@ from .page import Figure, Row, failure, gradient_row, view_rows
 
 
 @entry(gradients=True)
-def assert_renderers_agree(maps: SVBRDF, views: Views,
-                           renderers: Sequence[RendererName | Renderer] = ("mitsuba",), *,
-                           image_mean: float | None = None, image_p999: float | None = None,
-                           gradients: float | None = None,
-                           reference: RendererName | Renderer = "analytic64") -> None:
+def assert_renderers_agree(
+        maps: SVBRDF, views: Views, renderers: Sequence[RendererName | Renderer] = ("mitsuba",), *,
+        image_mean: float | None = None, image_p999: float | None = None, gradients: float | None = None,
+        reference: RendererName | Renderer = "analytic64") -> None:
     """Fail unless renderers draw the same picture, with the same gradients, as a reference.
 
     The gradients are those of the product of the image with fixed random numbers with respect to every map

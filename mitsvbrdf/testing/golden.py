@@ -116,9 +116,8 @@ def _compared(name: str, layers: Layers, golden: Layers, rtol: float, atol: floa
             figures.append(Figure(f"{label}largest difference, in tolerances", float(excess.max()), 1.0))
             if figures[-1].missed:
                 worst = torch.unravel_index(excess.argmax(), excess.shape)
-                notes.append(f"{label}{int((excess > 1).sum())} of {excess.numel()} values are off, worst "
-                             "at (row, column, "
-                             f"channel) {tuple(map(int, worst))}: {value[worst]:.7g}, golden "
+                notes.append(f"{label}{int((excess > 1).sum())} of {excess.numel()} values are off, worst at "
+                             f"(row, column, channel) {tuple(map(int, worst))}: {value[worst]:.7g}, golden "
                              f"{golden[layer][worst]:.7g}")
         if flip < 1:
             look = flip_error(_shown(layer, value), _shown(layer, golden[layer]), "linear")
@@ -170,8 +169,7 @@ def _read(path: Path) -> Layers:
         layers.setdefault(layer, {})[letter] = channel.pixels
     try:
         return {layer: torch.from_numpy(np.stack([parts[c] for c in ("RGB" if "R" in parts else "Y")],
-                                                 axis=-1))
-                for layer, parts in layers.items()}
+                                                 axis=-1)) for layer, parts in layers.items()}
     except (KeyError, ValueError):  # a channel is missing, or of another size
         raise _no_golden(path, f"channels {sorted(channels)}") from None
 
@@ -184,8 +182,8 @@ def _write(path: Path, layers: Layers) -> None:
     import OpenEXR
 
     channels = {f"{layer}.{letter}".lstrip("."): value[..., k].contiguous().numpy()
-                for layer, value in layers.items() for k, letter in enumerate("RGB" if value.shape[-1] == 3
-                                                                              else "Y")}
+                for layer, value in layers.items()
+                for k, letter in enumerate("RGB" if value.shape[-1] == 3 else "Y")}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with files.atomic_write(path) as temporary:
         try:

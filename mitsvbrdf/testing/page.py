@@ -126,8 +126,8 @@ def gradient_row(title: str, new: Tensor, reference: Tensor) -> Row:
 def heat(name: str, size: Tensor) -> tuple[str, str]:
     """Caption and picture of sizes H x W, log scale over four decades; not finite is brightest."""
     high = float(size[torch.isfinite(size)].max()) if torch.isfinite(size).any() else 1.0
-    return f"{name}, bright {high:.2g}, black {high / 1e4:.1g}", png_uri(error_picture(_peaks(size),
-                                                                                       high or 1.0))
+    return f"{name}, bright {high:.2g}, black {high / 1e4:.1g}", png_uri(
+        error_picture(_peaks(size), high or 1.0))
 
 
 def relative_difference(new: Tensor, reference: Tensor) -> Tensor:

@@ -23,8 +23,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--mitsvbrdf-update", action="store_true",
                     help="Write new results over golden files that are missing or no longer match.")
     group.addoption("--mitsvbrdf-report", metavar="DIR", type=Path,
-                    help="Folder for the pages of failed comparisons; left out: .mitsvbrdf-report in "
-                         "pytest's rootdir.")
+                    help="Folder for the pages of failed comparisons. Default: .mitsvbrdf-report in rootdir.")
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -37,8 +37,8 @@ Report = Callable[[str, float], object]
 
 @entry(gradients=True)
 def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequence[Bsdf],
-               renderers: Sequence[Renderer],
-               repeats: int = 5, *, names: Sequence[str] | None = None, transfer: color.Transfer = "gamma2.2",
+               renderers: Sequence[Renderer], repeats: int = 5, *, names: Sequence[str] | None = None,
+               transfer: color.Transfer = "gamma2.2",
                error_maps: MutableMapping[tuple[str, str, str], Tensor] | None = None,
                command: dict | None = None, report: Report = lambda text, share: None) -> dict:
     """Compare renderers with the float64 twin on every material and BSDF.
@@ -77,16 +77,15 @@ def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequen
     for number, passes in turns.items():
         forward, backward = zip(*passes)
         found[number]["seconds"] = {"forward": spread(forward), "backward": spread(backward)}
-    record = {
-        "schema_version": SCHEMA_VERSION, "reference": twin.name, "tolerances": TOLERANCES,
-        "rough_from": ROUGH_FROM, "transfer": transfer, "command": command or {},
-        "views": {"names": names, "size": views.size, "falloff": views.falloff,
-                  "camera": views.camera.tolist(),
-                  "light": views.light.tolist(), "intensity": views.intensity.tolist()},
-        "materials": {name: {"resolution": m.resolution, "bsdf": m.bsdf,
-                             "converted": {bsdf: CONVERSION[bsdf] for bsdf in bsdfs if bsdf != m.bsdf}}
-                      for name, m in svbrdf_by_name.items()},
-        "configurations": found, "machine": machine(), "versions": versions()}
+    record = {"schema_version": SCHEMA_VERSION, "reference": twin.name, "tolerances": TOLERANCES,
+              "rough_from": ROUGH_FROM, "transfer": transfer, "command": command or {},
+              "views": {"names": names, "size": views.size, "falloff": views.falloff,
+                        "camera": views.camera.tolist(), "light": views.light.tolist(),
+                        "intensity": views.intensity.tolist()},
+              "materials": {name: {"resolution": m.resolution, "bsdf": m.bsdf,
+                                   "converted": {bsdf: CONVERSION[bsdf] for bsdf in bsdfs if bsdf != m.bsdf}}
+                            for name, m in svbrdf_by_name.items()},
+              "configurations": found, "machine": machine(), "versions": versions()}
     return record | {"summary": summary(found), "violations": violations(record)}
 
 
@@ -125,14 +124,11 @@ class _Case:
         per_view = [{"view": name, "flip": _flip(looks[k:k + 1])}
                     | self._figures(off[k:k + 1], k + 1, got[k + 1])
                     for k, name in enumerate(self.truth.names)]
-        figures = {
-            "omitted": self._omitted(renderer.name),
-            **self._figures(off, 0, got[0]),
-            "display": _finite({"mean": float(shown.mean()), "worst": float(shown.max())}),
-            "flip": _flip(looks), "per_view": per_view,
-            "worst_texels": [texel for texels in self.classes.values()
-                             for texel in worst_texels(self.truth, image, texels)],
-        }
+        figures = {"omitted": self._omitted(renderer.name), **self._figures(off, 0, got[0]),
+                   "display": _finite({"mean": float(shown.mean()), "worst": float(shown.max())}),
+                   "flip": _flip(looks), "per_view": per_view,
+                   "worst_texels": [texel for texels in self.classes.values()
+                                    for texel in worst_texels(self.truth, image, texels)]}
         error_map = torch.nan_to_num(off.abs(), nan=torch.inf).amax(dim=-1)
         worst = int(error_map.flatten(1).mean(dim=1).argmax())
         return figures | {"worst_view": self.truth.names[worst]}, error_map[worst]

@@ -145,8 +145,8 @@ def _texel(truth: Truth, image: Tensor, error: Tensor, at: tuple[int, int, int, 
     reference, mean = float(truth.image[at]), float(truth.image.abs().mean())
     value = float(image[at])
     finite = abs(value) != float("inf") and value == value
-    angles = {name: float(angle[row, column]) for name, angle in _angles(truth.svbrdf,
-                                                                         truth.views.pick([view])).items()}
+    angles = {name: float(angle[row, column])
+              for name, angle in _angles(truth.svbrdf, truth.views.pick([view])).items()}
     texel = {
         "view": truth.names[view], "row": row, "column": column, "channel": "rgb"[channel],
         "value": value if finite else None, "reference": reference,
@@ -163,8 +163,8 @@ def _angles(svbrdf: SVBRDF, views: Views) -> dict[str, Tensor]:
     """Degrees from the normal to the half vector, the light and the camera of the first view, each R x R."""
     views = views.in_patch_sides()
     position, normal = texel_positions(svbrdf.resolution), F.normalize(svbrdf["normal"].double(), dim=-1)
-    light, camera = (F.normalize(place[0].double() - position, dim=-1) for place in (views.light,
-                                                                                     views.camera))
+    light, camera = (F.normalize(place[0].double() - position, dim=-1)
+                     for place in (views.light, views.camera))
 
     def angle(direction: Tensor) -> Tensor:
         # with the sine, small angles keep their digits

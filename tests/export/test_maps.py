@@ -31,8 +31,8 @@ def wanted_maps(material):
     metallic = as_principled(material)["metallic"]
     level = (both["specular"].mean(dim=-1, keepdim=True) / 0.08).clamp(max=1)
     base = torch.where(metallic > 0, both["specular"], (both["diffuse"] / (1 - 0.08 * level)).clamp(max=1))
-    return both | {"metallic": metallic, "base_color": base, "specular_level": torch.where(metallic > 0, 0.5,
-                                                                                           level)}
+    return both | {"metallic": metallic, "base_color": base,
+                   "specular_level": torch.where(metallic > 0, 0.5, level)}
 
 
 @pytest.mark.parametrize("normal", ["gl", "dx"])
@@ -83,13 +83,12 @@ def test_names_are_those_of_the_libraries(tmp_path):
 
 
 # What Blender's Node Wrangler takes a file for, by the words of its name.
-BLENDER_WORDS = {"base_color": {"diffuse", "diff", "albedo", "base", "col", "color", "basecolor"},
-                 "metallic": {"metallic", "metalness", "metal", "mtl"}, "roughness": {"roughness", "rough",
-                                                                                      "rgh"},
-                 "normal": {"normal", "nor", "nrm", "nrml", "norm"}, "specular_level": {"specular", "spec",
-                                                                                        "spc"},
-                 "height": {"displacement", "displace", "disp", "dsp", "height", "heightmap"},
-                 "occlusion": {"ao", "ambient", "occlusion"}}
+BLENDER_WORDS = {
+    "base_color": {"diffuse", "diff", "albedo", "base", "col", "color", "basecolor"},
+    "metallic": {"metallic", "metalness", "metal", "mtl"}, "roughness": {"roughness", "rough", "rgh"},
+    "normal": {"normal", "nor", "nrm", "nrml", "norm"}, "specular_level": {"specular", "spec", "spc"},
+    "height": {"displacement", "displace", "disp", "dsp", "height", "heightmap"},
+    "occlusion": {"ao", "ambient", "occlusion"}}
 
 
 @pytest.mark.parametrize("naming", ["polyhaven", "ambientcg", "substance"])
@@ -128,8 +127,8 @@ def test_directx_normals_are_opengl_normals_with_green_turned_around(tmp_path):
     lamp = Views.of([[0.0, 0.0, 3.0]], light=[[0.0, 40.0, 40.0]], intensity=1e4)
 
     def shown(normal):
-        decoded_maps = dict(maps.maps) | {"normal": torch.nn.functional.normalize(torch.from_numpy(normal),
-                                                                                  dim=-1)}
+        decoded_maps = dict(maps.maps) | {
+            "normal": torch.nn.functional.normalize(torch.from_numpy(normal), dim=-1)}
         return AnalyticRenderer(torch.float64).render(SVBRDF("roughconductor", decoded_maps),
                                                       lamp)[0].mean(dim=-1)
 

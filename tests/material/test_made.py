@@ -49,8 +49,8 @@ def test_the_structure_does_not_depend_on_the_resolution(name):
 def test_other_sample_grids_show_the_same_structure(name):
     large, small = make_material(name, 320).resized(80), make_material(name, 80)  # drawn at 640 and 480
     for map_name in ("diffuse", "roughness", "normal"):
-        assert torch.corrcoef(torch.stack((large[map_name].flatten(), small[map_name].flatten())))[0,
-                                                                                                   1] > 0.95
+        assert torch.corrcoef(torch.stack((large[map_name].flatten(), small[map_name].flatten())))[
+            0, 1] > 0.95
 
 
 def test_the_inlay_has_parts_of_different_kinds():

@@ -55,8 +55,8 @@ def test_a_relief_that_is_repeated_has_no_edges():
     # a slope of the whole is lost
     tilted = F.normalize(normal + torch.tensor([0.2, 0.1, 0.0], dtype=torch.float64), dim=-1)
     for each in (found, heights(tilted, periodic=True)):
-        assert float((each[:, 0] - each[:, -1]).abs().max()) < 1.5 * float((each[:, 1:] - each[:,
-                                                                                               :-1]).abs().max())
+        assert float((each[:, 0] - each[:, -1]).abs().max()) < 1.5 * float(
+            (each[:, 1:] - each[:, :-1]).abs().max())
     shifted = occlusion(height.roll((20, 9), (0, 1)), periodic=True).roll((-20, -9), (0, 1))
     assert (shifted - occlusion(height, periodic=True)).abs().max() < 1e-12  # no texel is at an edge
     assert (occlusion(height) - occlusion(height, periodic=True)).abs().max() > 1e-3

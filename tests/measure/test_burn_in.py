@@ -132,9 +132,8 @@ def test_constant_maps_hold_no_ovals():
 def test_ovals_of_published_maps(name, wanted, data_folder):
     folder = data_folder / "captures" / name
     published = load_maps(folder / "materialgan", encoding="linear")
-    assert local_burn_in(published,
-                         read_capture(folder, resolution=16).views)["roughness"] == pytest.approx(wanted,
-                                                                                                  abs=2e-3)
+    assert local_burn_in(published, read_capture(folder, resolution=16).views)["roughness"] == pytest.approx(
+        wanted, abs=2e-3)
 
 
 @pytest.mark.parametrize("name, wanted", [("wood-bamboo", 0.670), ("cards-blue", 0.015),
@@ -143,8 +142,8 @@ def test_published_maps(name, wanted, data_folder):
     # MaterialGAN's roughness as its files store it, at 128 px: 0.6697, 0.0146, 0.0132.
     folder = data_folder / "captures" / name
     published = load_maps(folder / "materialgan", encoding="linear").resized(128)
-    assert burn_in(published, read_capture(folder, resolution=16).views)["roughness"] == pytest.approx(wanted,
-                                                                                                       abs=1e-3)
+    assert burn_in(published,
+                   read_capture(folder, resolution=16).views)["roughness"] == pytest.approx(wanted, abs=1e-3)
 
 
 def test_evaluate_looks_at_the_photos_of_the_fit(tmp_path):

@@ -38,16 +38,16 @@ def test_map_rmse_of_a_principled_estimate():
     estimate = flat(8, "principled", base_color=0.8, metallic=0.25, roughness=0.5)
     wanted = {"diffuse": 0, "specular": 0, "roughness": 0.1, "normal": 0, "mean": 0.025}
     # Float32 maps: 1e-6.
-    assert map_rmse(estimate, flat(8, diffuse=0.6, specular=0.23, roughness=0.4)) == pytest.approx(wanted,
-                                                                                                   abs=1e-6)
+    assert map_rmse(estimate,
+                    flat(8, diffuse=0.6, specular=0.23, roughness=0.4)) == pytest.approx(wanted, abs=1e-6)
 
 
 def test_map_rmse_compares_at_the_smaller_resolution():
     reference = make_material("inlay", 64)
-    assert map_rmse(reference.resized(32), reference) == pytest.approx(dict.fromkeys((*MAPS, "mean"), 0),
-                                                                       abs=1e-12)
-    assert map_rmse(reference, reference.resized(32)) == pytest.approx(dict.fromkeys((*MAPS, "mean"), 0),
-                                                                       abs=1e-12)
+    assert map_rmse(reference.resized(32),
+                    reference) == pytest.approx(dict.fromkeys((*MAPS, "mean"), 0), abs=1e-12)
+    assert map_rmse(reference,
+                    reference.resized(32)) == pytest.approx(dict.fromkeys((*MAPS, "mean"), 0), abs=1e-12)
 
 
 def test_map_rmse_refuses_an_unknown_encoding():
@@ -96,8 +96,8 @@ def test_relative_error_keeps_shape_and_sign():
     assert torch.equal(relative_error(reference * 0.5, reference)[:, 0],
                        torch.tensor([-0.5, -0.5], dtype=torch.float64))
     assert relative_error(reference, reference).shape == (2, 2)
-    assert float(relative_error(torch.zeros(2, 2), reference)[1, 1]) == pytest.approx(-1e-9 / (1e-3 * 1.75),
-                                                                                      rel=1e-6)
+    assert float(relative_error(torch.zeros(2, 2), reference)[1, 1]) == pytest.approx(
+        -1e-9 / (1e-3 * 1.75), rel=1e-6)
 
 
 def test_gradient_error_of_known_vectors():
@@ -143,8 +143,8 @@ def test_published_rerendering_errors_are_reproduced(data_folder, name):
     def averaged(photos):
         found = [images.read_image(path, CaptureError).double().permute(2, 0, 1)
                  for path in sorted(photos.iterdir())]
-        return torch.nn.functional.interpolate(torch.stack(found), (256, 256), mode="area").permute(0, 2, 3,
-                                                                                                    1)
+        return torch.nn.functional.interpolate(torch.stack(found), (256, 256),
+                                               mode="area").permute(0, 2, 3, 1)
 
     total, each = photo_rmse(averaged(folder / "materialgan/rerendered"), averaged(folder / "target"),
                              "linear")

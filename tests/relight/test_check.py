@@ -26,8 +26,8 @@ def test_novel_is_the_analytic_picture_and_has_real_fresnel(mi):
     material = make_material("leather", 32)
     assert check_novel(mi, material).passed
     assert check_novel(mi, material, frame=2, frames=5, seed=50).passed
-    constant = check_novel(mi, material, reference=AnalyticRenderer(torch.float64,
-                                                                    Needs(fresnel_curve=False)))
+    constant = check_novel(mi, material,
+                           reference=AnalyticRenderer(torch.float64, Needs(fresnel_curve=False)))
     # 60 seen: F0 everywhere is told apart
     assert not constant.passed and float(constant.bias.abs().max()) > 20
 

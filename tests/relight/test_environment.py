@@ -51,8 +51,8 @@ def test_a_radiance_file_is_read_in_the_order_red_green_blue(tmp_path):
     # RGBE (Ward 1991): mantissa / 256 * 2 ** (exponent - 128), top row first.
     pixels = [(128, 64, 32, 129), (0, 0, 200, 128)] * 3 + [(64, 0, 0, 131)] * 2
     path = tmp_path / "sky.hdr"
-    path.write_bytes(b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4 +X 2\n" + bytes(v for pixel in pixels
-                                                                                  for v in pixel))
+    path.write_bytes(
+        b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4 +X 2\n" + bytes(v for pixel in pixels for v in pixel))
     image = read_environment(path)
     assert image[0].tolist() == [[1, 0.5, 0.25], [0, 0, 200 / 256]] and image[3].tolist() == [[2, 0, 0]] * 2
 

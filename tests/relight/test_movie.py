@@ -20,8 +20,8 @@ def frames():
 def decoded(frame):
     """A yuv420p frame as RGB, by the equations of BT.709 with limited range."""
     def plane(k, width):
-        return np.frombuffer(frame.planes[k], np.uint8).reshape(-1, frame.planes[k].line_size)[:,
-                                                                                               :width].astype(float)
+        return np.frombuffer(frame.planes[k],
+                             np.uint8).reshape(-1, frame.planes[k].line_size)[:, :width].astype(float)
 
     luma = (plane(0, frame.width) - 16) / 219
     blue, red = ((plane(k, frame.width // 2).repeat(2, 0).repeat(2, 1) - 128) / 224 for k in (1, 2))
@@ -37,8 +37,8 @@ def test_mp4_holds_the_frames(tmp_path, frames):
         context = stream.codec_context
         assert (stream.codec.name, stream.pix_fmt, stream.average_rate) == ("h264", "yuv420p", 24)
         # BT.709
-        assert (context.colorspace, context.color_range, context.color_primaries, context.color_trc) == (1, 1,
-                                                                                                         1, 1)
+        assert (context.colorspace, context.color_range, context.color_primaries,
+                context.color_trc) == (1, 1, 1, 1)
         assert (stream.width, stream.height) == (66, 64)  # one more where odd
         assert float(stream.duration * stream.time_base) == 0.5
         shown = [decoded(each) for each in container.decode(video=0)]

@@ -31,8 +31,7 @@ def leaning_quarters(size=64):
     colours = QUARTERS.repeat_interleave(size // 2, 0).repeat_interleave(size // 2, 1).float()
     normal = torch.cat((LEAN, (1 - LEAN.square().sum()).sqrt()[None])).float().expand(size, size, 3)
     maps = {"diffuse": colours, "specular": torch.zeros(size, size, 3),
-            "roughness": torch.full((size, size, 1), 0.5),
-            "normal": normal}
+            "roughness": torch.full((size, size, 1), 0.5), "normal": normal}
     return SVBRDF("roughconductor", maps)
 
 
@@ -109,8 +108,8 @@ def test_maps_on_the_shader_ball_are_not_mirrored_and_normals_lean_along_them(mi
     scene = stage.at(mi)
     hit = scene.ray_intersect(mi.Ray3f(mi.Point3f(*origin.tolist()),
                                        mi.Vector3f(*ray.reshape(-1, 3).T.float().numpy())))
-    position, normal = (torch.from_numpy(np.array(value)).T.reshape(48, 48, 3).double() for value in (hit.p,
-                                                                                                      hit.sh_frame.n))
+    position, normal = (torch.from_numpy(np.array(value)).T.reshape(48, 48, 3).double()
+                        for value in (hit.p, hit.sh_frame.n))
     right = F.normalize(torch.stack((-position[..., 1], position[..., 0], torch.zeros(48, 48)), dim=-1),
                         dim=-1)
     u = torch.atan2(position[..., 0], -position[..., 1]) / math.pi + 0.5
@@ -216,15 +215,14 @@ def test_the_shader_balls_file_is_its_recipe_and_its_maps_keep_their_angles(mi):
 def test_rays_see_as_much_sky(mi):
     """Radiance of white ground with this relief under an even sky, one bounce: the share of the sky."""
     height = 4 * bump(64)[0]
-    scene = mi.load_dict({
-        "type": "scene", "integrator": {"type": "direct"}, "sky": {"type": "constant", "radiance": 1.0},
-        "patch": mitsuba_mesh(mi, relief(height), "patch",
-                              mi.load_dict({"type": "diffuse", "reflectance": 1.0})),
-        "sensor": {"type": "orthographic", "to_world": mi.ScalarTransform4f().look_at([0, 0, 2], [0, 0, 0],
-                                                                                      [0, 1, 0])
-                   @ mi.ScalarTransform4f().scale([0.5, 0.5, 1]),
-                   "film": {"type": "hdrfilm", "width": 64, "height": 64, "rfilter": {"type": "box"},
-                            "pixel_format": "rgb"}}})
+    scene = mi.load_dict({"type": "scene", "integrator": {"type": "direct"},
+                          "sky": {"type": "constant", "radiance": 1.0},
+                          "patch": mitsuba_mesh(mi, relief(height), "patch",
+                                                mi.load_dict({"type": "diffuse", "reflectance": 1.0})),
+                          "sensor": {"type": "orthographic", "to_world": mi.ScalarTransform4f().look_at(
+                              [0, 0, 2], [0, 0, 0], [0, 1, 0]) @ mi.ScalarTransform4f().scale([0.5, 0.5, 1]),
+                                     "film": {"type": "hdrfilm", "width": 64, "height": 64,
+                                              "rfilter": {"type": "box"}, "pixel_format": "rgb"}}})
     seen = torch.tensor(mi.render(scene, spp=256, seed=0).numpy())[..., 0]
     found = occlusion(height)
     # Rays weigh by the slope's own normal, ours by the plane's, and they leave the patch at its border:

@@ -42,9 +42,8 @@ def test_every_preset_draws_and_moves_without_new_kernels(mi, preset, bsdf):
         kernels.append(kernels_made())
     assert kernels[0] > 0 and kernels[1:] == kernels[:1] * 2
     for picture in pictures:
-        assert picture.shape == (24, 24,
-                                 3) and bool(torch.isfinite(picture).all()) and 0.02 < float(
-                                     picture.mean()) < 2
+        assert picture.shape == (24, 24, 3) and bool(torch.isfinite(picture).all()) and 0.02 < float(
+            picture.mean()) < 2
     assert float((pictures[1] - pictures[0]).abs().mean()) > 0.01
 
 

@@ -104,8 +104,8 @@ def test_a_scene_drawn_in_between_leaves_a_picture_of_another_its_gradient():
     expected = [picture(renderers[0], seed)[1:] for seed in seeds]
     leaves = [random_material("roughconductor", 8, seed).map(lambda value: value.clone().requires_grad_())
               for seed in seeds]
-    images = [renderer.render(each, GRID.pick([seed, 5, 8])) for renderer, each, seed in zip(renderers,
-                                                                                             leaves, seeds)]
+    images = [renderer.render(each, GRID.pick([seed, 5, 8]))
+              for renderer, each, seed in zip(renderers, leaves, seeds)]
     for image, each, gradients in zip(images, leaves, expected):
         assert all(map(torch.equal, torch.autograd.grad(image.square().sum(), list(each.maps.values())),
                        gradients))

@@ -54,8 +54,7 @@ def test_versions_are_read_from_paths():
 
 def test_measured_versions_come_first_and_links_count_once(searched):
     for name in ("libLLVM-23.so", "libLLVM-20.so", "libLLVM.so.22.1", "libLLVM-19.so.1", "libLLVM.dylib",
-                 "LLVM-C.dll",
-                 "libLLVMCore.a", "libLLVMgold.so", "LLVMPolly.so"):
+                 "LLVM-C.dll", "libLLVMCore.a", "libLLVMgold.so", "LLVMPolly.so"):
         (searched / name).touch()
     (searched / "libLLVM-19.so").symlink_to("libLLVM-19.so.1")
     assert [Path(path).name for path in llvm.candidates()] == [
@@ -134,8 +133,7 @@ def test_a_fresh_process_gets_a_proved_library_and_the_variant():
                    "assert not {'drjit', 'mitsuba'} & set(sys.modules)\n"
                    "before = dict(os.environ); mi = mitsuba_module(); assert mitsuba_module() is mi\n"
                    "print({n for n in os.environ if os.environ[n] != before.get(n)}, mi.variant(), "
-                   "mi.Float(2) * 2)",
-                   DRJIT_LIBLLVM_PATH="")
+                   "mi.Float(2) * 2)", DRJIT_LIBLLVM_PATH="")
     assert child.stdout.strip() == "{'DRJIT_LIBLLVM_PATH'} llvm_ad_rgb [4]", child.stderr
 
 
@@ -182,8 +180,8 @@ def test_a_broken_or_unwritable_cache_costs_a_trial_only(searched, monkeypatch, 
     library.touch()
     cache.parent.mkdir(parents=True)
     cache.write_text(content)
-    monkeypatch.setattr(llvm.subprocess, "run", lambda *a, **o: subprocess.CompletedProcess([], 0, "19.1.7\n",
-                                                                                            ""))
+    monkeypatch.setattr(llvm.subprocess, "run",
+                        lambda *a, **o: subprocess.CompletedProcess([], 0, "19.1.7\n", ""))
     assert llvm.prove(str(library)).proved
     assert list(json.loads(cache.read_text()).values()) == ["19.1.7"]
     monkeypatch.setenv("XDG_CACHE_HOME", str(library))  # a file: no folder can be made in it

@@ -24,8 +24,8 @@ SAME = 1e-6
 
 def lean_material(bsdf, **values):
     """Flat, grey, without specular lobe or metallic, but for the maps given as numbers or tensors."""
-    svbrdf = flat(24, bsdf, **({"specular": 0.0} | {k: v for k, v in values.items() if not isinstance(v,
-                                                                                                      torch.Tensor)}))
+    svbrdf = flat(24, bsdf, **({"specular": 0.0} | {k: v for k, v
+                                                    in values.items() if not isinstance(v, torch.Tensor)}))
     return SVBRDF(bsdf, dict(svbrdf.maps) | {k: v for k, v in values.items() if isinstance(v, torch.Tensor)})
 
 
@@ -53,10 +53,9 @@ def test_leaving_out_changes_nothing(name, case):
 def test_full_scene_is_the_lean_one(bsdf):
     # Shadow rays, a bounce and an environment of which no light comes: asked for, they change nothing.
     svbrdf = make_material("inlay", 24)
-    svbrdf = svbrdf if bsdf == "roughconductor" else SVBRDF(bsdf, {
-        "base_color": svbrdf["diffuse"], "metallic": svbrdf["specular"][..., :1],
-        "roughness": svbrdf["roughness"],
-        "normal": svbrdf["normal"]})
+    svbrdf = svbrdf if bsdf == "roughconductor" else SVBRDF(
+        bsdf, {"base_color": svbrdf["diffuse"], "metallic": svbrdf["specular"][..., :1],
+               "roughness": svbrdf["roughness"], "normal": svbrdf["normal"]})
     results = []
     for needs in (replace(Needs(), fresnel_curve=False), None):
         renderer = make_renderer("mitsuba-scene", needs=needs)
@@ -114,8 +113,8 @@ def test_full_scene_is_what_mitsubas_own_plugins_draw():
     from mitsvbrdf.render.bsdf import plugin, slot_values
     from mitsvbrdf.render.scene import patch_scene
 
-    renderer, svbrdf, view = make_renderer("mitsuba-scene", needs=Needs()), make_material("inlay",
-                                                                                          24), GRID.pick([0])
+    renderer, svbrdf, view = make_renderer("mitsuba-scene",
+                                           needs=Needs()), make_material("inlay", 24), GRID.pick([0])
     mi, slots = renderer.mi, slot_values("roughconductor", dict(svbrdf.maps), Needs(), stock=True)
 
     def texture(slot):

@@ -181,8 +181,8 @@ def test_half_angle_bound_is_one():
             camera = torch.cat((torch.randn(2, generator=g), 0.05 + 3 * torch.rand(1, generator=g))).double()
             light = camera + spread * torch.randn(3, generator=g).double()
             light[2] = light[2].abs() + 0.01
-            to_camera, to_light = (torch.nn.functional.normalize(p - positions, dim=-1) for p in (camera,
-                                                                                                  light))
+            to_camera, to_light = (torch.nn.functional.normalize(p - positions, dim=-1)
+                                   for p in (camera, light))
             across = torch.linalg.cross(to_camera, to_light).norm(dim=-1)
             largest = float(torch.rad2deg(torch.atan2(across, (to_camera * to_light).sum(-1)) / 2).max())
             bound = half_angle_bound(Views.of([camera.tolist()], [light.tolist()]))

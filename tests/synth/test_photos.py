@@ -167,10 +167,9 @@ def test_spoiling_that_is_not_known(kinds):
 def test_the_command_writes_photos_and_their_truth(tmp_path, capsys):
     raw = tmp_path / "raw"
     assert cli.main(["synth", "builtin:tiles", "--handheld", "-o", str(raw), "--megapixels", "0.1",
-                     "--photos", "3",
-                     "--resolution", "32", "--spoil", "noflash", "--seed", "2"]) == 0
-    assert sorted(p.name for p in raw.iterdir() if p.is_file() and p.suffix) == [f"IMG_{i:04d}.jpg"
-                                                                                 for i in range(1, 5)]
+                     "--photos", "3", "--resolution", "32", "--spoil", "noflash", "--seed", "2"]) == 0
+    assert sorted(p.name for p in raw.iterdir() if p.is_file()
+                  and p.suffix) == [f"IMG_{i:04d}.jpg" for i in range(1, 5)]
     photo, dark = (Photo.open(raw / f"IMG_000{i}.jpg") for i in (1, 4))
     assert photo.size == HandheldPhone(megapixels=0.1).lens.size and photo.orientation == 1
     assert photo.exif["35 mm focal length"] == 26 and photo.exif["ISO"] == 100
@@ -180,8 +179,8 @@ def test_the_command_writes_photos_and_their_truth(tmp_path, capsys):
     truth = json.loads((raw / "truth" / "truth.json").read_text())
     assert truth["material"] == "tiles" and truth["sample_cm"] == 24.0 and truth["phone"]["seed"] == 2
     rig = rig_from_json(truth["rig"])
-    assert list(rig.poses) == [f"IMG_{i:04d}.jpg" for i in range(1, 5)] and rig.lens.distortion == (0.06,
-                                                                                                    -0.04)
+    assert list(rig.poses) == [f"IMG_{i:04d}.jpg"
+                               for i in range(1, 5)] and rig.lens.distortion == (0.06, -0.04)
     assert (raw / "truth" / "sample" / "normal.exr").is_file() and not (raw / "truth" / "maps").exists()
     pixels = photo.pixels()
     assert 60 < pixels.mean() < 160 and (pixels == 255).mean() < 0.05  # a photo that is well exposed

@@ -90,8 +90,8 @@ def test_a_photo_rectified_shows_what_the_analytic_renderer_says():
     seen = (color.decode(torch.from_numpy(rectified(pixels, lens, pose, 12.0, 64)), "srgb").numpy()
             / transmission)
     views = Views.of([pose.position.tolist()], [pose.flash(lens).tolist()], power, size=12.0)
-    truth = make_renderer("analytic64").render(maps, views)[0].numpy().clip(0, 1).reshape(64, 2, 64, 2,
-                                                                                          3).mean(axis=(1, 3))
+    truth = make_renderer("analytic64").render(maps, views)[0].numpy().clip(0, 1).reshape(
+        64, 2, 64, 2, 3).mean(axis=(1, 3))
     inner = slice(1, -1)  # the outermost texels have the table beside them
     error = np.sqrt(np.square(seen - truth)[inner, inner].mean()) / truth.mean()
     assert error < 0.01  # measured: 0.0032, of 8 bits; with the vignetting of the photo left in 0.2

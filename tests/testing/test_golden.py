@@ -170,6 +170,6 @@ def test_results_and_names_that_cannot_be_golden(result, name, error, said, repo
 
 
 def test_golden_files_need_a_running_test():
-    with running.running(running.Caller("", None, running.Run())), pytest.raises(ConfigError,
-                                                                                 match="pytest plugin"):
+    with running.running(running.Caller("", None, running.Run())), pytest.raises(
+            ConfigError, match="pytest plugin"):
         assert_matches_golden(torch.zeros(4, 4, 3), "a")

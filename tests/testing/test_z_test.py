@@ -132,14 +132,11 @@ def traced(tmp_path_factory):
         resolution, at = maps.resolution, mi.ScalarTransform4f()
         film = {"type": "hdrfilm", "width": resolution, "height": resolution, "pixel_format": "rgb",
                 "component_format": "float32", "rfilter": {"type": "box"}}
-        scene = mi.load_dict({
-            "type": "scene", "integrator": {"type": "path", "max_depth": 3},
-            "sensor": {"type": "perspective", "fov": 28.0, "to_world": at.look_at([0, 0, 2], [0, 0, 0],
-                                                                                  [0, 1, 0]),
-                       "film": film, "sampler": {"type": "independent"}},
-            "light": light(mi, at), "patch": {"type": "rectangle", "to_world": at.scale(0.5),
-                                              "bsdf": mi.load_file(str(folder / "scene.xml")).shapes()[
-                                                  0].bsdf()}})
+        scene = mi.load_dict({"type": "scene", "integrator": {"type": "path", "max_depth": 3}, "sensor": {
+            "type": "perspective", "fov": 28.0, "to_world": at.look_at([0, 0, 2], [0, 0, 0], [0, 1, 0]),
+            "film": film, "sampler": {"type": "independent"}}, "light": light(mi, at),
+                              "patch": {"type": "rectangle", "to_world": at.scale(0.5),
+                                        "bsdf": mi.load_file(str(folder / "scene.xml")).shapes()[0].bsdf()}})
         return torch.stack([torch.from_numpy(np.array(mi.render(scene, spp=spp, seed=first_seed + k)))
                             for k in range(passes)])
 

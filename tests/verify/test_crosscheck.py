@@ -184,8 +184,7 @@ def test_without_flip_all_else_is_there(monkeypatch):
 
 
 def test_a_black_material_has_figures_too():
-    record = crosscheck({"black": flat(8, diffuse=0.0, specular=0.0)}, GRID, BOTH,
-                        [ANALYTIC], repeats=1)
+    record = crosscheck({"black": flat(8, diffuse=0.0, specular=0.0)}, GRID, BOTH, [ANALYTIC], repeats=1)
     json.dumps(record, allow_nan=False)
     texels = [texel for c in record["configurations"] for texel in c["worst_texels"]
               if not texel["reference"]]

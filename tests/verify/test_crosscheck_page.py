@@ -106,8 +106,7 @@ def test_the_plot_shows_the_figures_of_the_record(real):
     for panel, wanted in ((images, points["image"]), (gradients, points["gradients"])):
         lines = [bar.lines[0] for bar in panel.containers]
         assert wanted and wanted == [(line.get_xdata()[0], line.get_ydata()[0],
-                                      line.get_markerfacecolor() == "none")
-                                     for line in lines]
+                                      line.get_markerfacecolor() == "none") for line in lines]
     assert {hollow for *_, hollow in points["image"]} == {True, False}
 
 

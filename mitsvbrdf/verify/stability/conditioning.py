@@ -75,8 +75,7 @@ def condition(jacobians: Tensor) -> dict[str, float | None]:
     numbers = torch.where(known.all(dim=1), values[:, 0] / values[:, -1], torch.inf)
     median, worst = float(numbers.quantile(0.5, interpolation="lower")), float(numbers.max())
     return {"median": median if math.isfinite(median) else None, "worst": worst if math.isfinite(worst)
-            else None,
-            "rank": int(known.sum(dim=1).median()), "unknowns": unknowns}
+            else None, "rank": int(known.sum(dim=1).median()), "unknowns": unknowns}
 
 
 def largest_step(renderer: Renderer, svbrdf: SVBRDF, views: Views, transfer: color.Transfer = "gamma2.2",

@@ -33,8 +33,7 @@ Report = Callable[[str, float], object]
 
 @entry(gradients=True)
 def stability(renderers: Sequence[Renderer], sweeps: Sequence[str] = tuple(SWEEPS),
-              report: Report = lambda text, share: None,
-              ) -> dict:
+              report: Report = lambda text, share: None) -> dict:
     """Run sweeps and give a verdict on each configuration and renderer.
 
     Args:
@@ -51,11 +50,10 @@ def stability(renderers: Sequence[Renderer], sweeps: Sequence[str] = tuple(SWEEP
     for number, case in enumerate(cases):
         report(f"{case.sweep}: {case.label}", number / len(cases))
         rows.append(measured(case, renderers))
-    record = {
-        "schema_version": SCHEMA_VERSION, "reference": "analytic64", "renderers": [r.name for r in renderers],
-        "tolerances": SWEEP_TOLERANCES,
-        "sweeps": {key: SWEEPS[key][0] for key in sweeps}, "rows": rows, "machine": machine(),
-        "versions": versions()}
+    record = {"schema_version": SCHEMA_VERSION, "reference": "analytic64",
+              "renderers": [r.name for r in renderers], "tolerances": SWEEP_TOLERANCES,
+              "sweeps": {key: SWEEPS[key][0] for key in sweeps}, "rows": rows, "machine": machine(),
+              "versions": versions()}
     return record | {"violations": violations(rows)}
 
 
@@ -74,9 +72,8 @@ def violations(rows: Sequence[dict]) -> list[dict]:
 def measured(case: Case, renderers: Sequence[Renderer]) -> dict:
     """The record of one configuration."""
     about: dict[str, Any] = {"sweep": case.sweep, "label": case.label, "value": case.value,
-                             "bsdf": case.svbrdf.bsdf,
-                             "resolution": case.svbrdf.resolution, "views": len(case.views),
-                             "refused": case.refused}
+                             "bsdf": case.svbrdf.bsdf, "resolution": case.svbrdf.resolution,
+                             "views": len(case.views), "refused": case.refused}
     nothing: dict[str, Any] = {"condition": None, "limit": {}, "clamps": [], "step": None}
     try:
         case.svbrdf.check()
@@ -106,8 +103,8 @@ def measured(case: Case, renderers: Sequence[Renderer]) -> dict:
 
 def _display(case: Case) -> Callable[[Tensor], Tensor]:
     """What a fit sees: display values, burnt out in photos whose exposure is swept."""
-    return color.encode if case.transfer is None else lambda radiance: color.to_display(radiance,
-                                                                                        case.encoding)
+    return color.encode if case.transfer is None else lambda radiance: color.to_display(
+        radiance, case.encoding)
 
 
 def _photos(twin: Renderer, case: Case) -> Tensor | None:
@@ -120,8 +117,8 @@ def _photos(twin: Renderer, case: Case) -> Tensor | None:
 
 def _cotangent(twin: Renderer, case: Case, photos: Tensor | None) -> Tensor:
     if photos is None:
-        return fixed_cotangent(torch.Size((len(case.views), case.svbrdf.resolution, case.svbrdf.resolution,
-                                           3)))
+        return fixed_cotangent(
+            torch.Size((len(case.views), case.svbrdf.resolution, case.svbrdf.resolution, 3)))
     with torch.no_grad():
         image = twin.render(case.svbrdf, case.views)
     image.requires_grad_()
@@ -175,8 +172,8 @@ def _not_finite(tensor: Tensor) -> int:
 
 def _silenced(found: Tensor, reference: Tensor) -> int:
     """Entries that came back as 0 though they are not small beside the others of their texel."""
-    return int(((found == 0) & (reference.abs() > ABOVE_ROUNDING * reference.norm(dim=-1,
-                                                                                  keepdim=True))).sum())
+    return int(
+        ((found == 0) & (reference.abs() > ABOVE_ROUNDING * reference.norm(dim=-1, keepdim=True))).sum())
 
 
 def _limit(twin: Renderer, case: Case, exact: Measured, cotangent: Tensor) -> dict[str, float]:

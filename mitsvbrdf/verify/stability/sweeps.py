@@ -34,11 +34,11 @@ def _mitsuba(bound: float, why: str) -> Known:
 # Measured 3e-5 at 85 degrees, where n.v = 3e-4 in one texel of 256.
 HORIZON = _mitsuba(3e-4, "Mitsuba forms G / (4 n.v) from its parts, whose derivative loses 6e-8 / n.v")
 # Measured 1.8e-3, in the gradient of F0.
-OPPOSITE = _mitsuba(1e-2, "Mitsuba adds the directions to camera and light in float32, and they all but "
-                          "cancel")
+OPPOSITE = _mitsuba(1e-2,
+                    "Mitsuba adds the directions to camera and light in float32, and they all but cancel")
 # Measured 4e-6 at 0.02 sides.
-HIT = {"mitsuba-scene": (2e-5, "the distance to the light is measured from a hit that is rounded to 6e-8 "
-                               "sides")}
+HIT = {
+    "mitsuba-scene": (2e-5, "the distance to the light is measured from a hit that is rounded to 6e-8 sides")}
 
 
 @dataclass(frozen=True)
@@ -114,8 +114,8 @@ def aimed(bsdf: Bsdf, views: Views, roughness: float) -> SVBRDF:
     rng = torch.Generator().manual_seed(1)
     v = views.in_patch_sides()
     index = torch.arange(CASE_SIDE * CASE_SIDE).reshape(CASE_SIDE, CASE_SIDE) % len(v)
-    camera, light = (F.normalize(place[index] - texel_positions(CASE_SIDE), dim=-1) for place in (v.camera,
-                                                                                                  v.light))
+    camera, light = (F.normalize(place[index] - texel_positions(CASE_SIDE), dim=-1)
+                     for place in (v.camera, v.light))
     away = (3 * max(roughness**2, MIN_ALPHA[bsdf])
             * torch.randn(CASE_SIDE, CASE_SIDE, 3, generator=rng, dtype=torch.float64) / 2)
     normal = F.normalize(F.normalize(camera + light, dim=-1) + away.clamp(-0.5, 0.5), dim=-1)
@@ -165,9 +165,8 @@ def _distance() -> list[Case]:
     cases = []
     for z in (0.02, 0.1, 1.0, 10.0, 100.0, 1e3, 1e4):
         beside = Views.of([[0.1, 0.2, z]], [[0.1 + 0.3 * z, 0.2, z]], 3 * z**2)
-        cases += [Case("distance", f"{z:g} sides, {bsdf}", z, material(bsdf), beside, known=HIT if z < 0.1
-                       else {})
-                  for bsdf in CHANNELS]
+        cases += [Case("distance", f"{z:g} sides, {bsdf}", z, material(bsdf), beside,
+                       known=HIT if z < 0.1 else {}) for bsdf in CHANNELS]
     for x in (10.0, 100.0, 1e3, 1e4):
         aside = Views.of([[x, 0.2, 1]], intensity=x**3)
         cases.append(Case("distance", f"{x:g} sides aside, 1 above", None, material(), aside))
@@ -221,8 +220,8 @@ def _flat() -> list[Case]:
 
 def _resolution() -> list[Case]:
     above = Views.of([[0.1, 0.2, 2.0]], [[0.4, 0.2, 2.0]], 12.0)
-    return [Case("resolution", f"{side} px", side, material(side=side), above) for side in (2, 16, 128, 512,
-                                                                                            2048)]
+    return [Case("resolution", f"{side} px", side, material(side=side), above)
+            for side in (2, 16, 128, 512, 2048)]
 
 
 def _views() -> list[Case]:

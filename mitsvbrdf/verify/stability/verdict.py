@@ -11,9 +11,8 @@ from ...measure.tolerances import SWEEP_TOLERANCES
 VERDICTS = ("exact", "clamped", "degraded", "limited", "refused", "wrong", "not finite")
 
 
-def verdict(figures: Mapping, limit: Mapping[str, float], clamps: Sequence[str] = (), known: tuple[float, str]
-            | None = None,
-            ) -> tuple[str, str]:
+def verdict(figures: Mapping, limit: Mapping[str, float], clamps: Sequence[str] = (),
+            known: tuple[float, str] | None = None) -> tuple[str, str]:
     """A key of :data:`VERDICTS`, and why.
 
     Args:
