@@ -47,11 +47,6 @@ def write_gltf(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
     Base colour and metallic are those of :func:`mitsvbrdf.material.conversion.layered`: only what clearly is
     a metal is one. ``KHR_materials_specular``, for ``roughconductor`` materials only, carries F0; viewers
     without it show 0.04.
-
-    Args:
-        folder: made when missing.
-        svbrdf: the material.
-        settings: how.
     """
     material, factor, lost = svbrdf, None, {}
     if svbrdf.bsdf == "roughconductor":

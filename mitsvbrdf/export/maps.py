@@ -54,11 +54,6 @@ def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
     Beside what a fit finds there are the height that the normals stand for (plus 0.5: at a displacement's
     scale of 1 and middle of 0.5 it is right on a square of side 1), ambient occlusion by it, and occlusion,
     roughness and metallic packed in the channels of one file.
-
-    Args:
-        folder: made when missing.
-        svbrdf: the material.
-        settings: how.
     """
     naming, normal, side = settings.naming, settings.normal, settings.side
     both, lost = dict(svbrdf.as_roughconductor().maps), {}

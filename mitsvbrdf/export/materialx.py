@@ -44,13 +44,7 @@ LAYER_NOTE = ("the specular lobe lies over the diffuse one, which gets what is l
 
 
 def write_materialx(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS) -> Export:
-    """Write ``folder/material.mtlx``, ``folder/openpbr.mtlx`` and ``folder/textures/*``.
-
-    Args:
-        folder: made when missing.
-        svbrdf: the material.
-        settings: how.
-    """
+    """Write ``folder/material.mtlx``, ``folder/openpbr.mtlx`` and ``folder/textures/*``."""
     material, level, largest, lost = svbrdf, DIELECTRIC_F0, 1.0, {}
     if svbrdf.bsdf == "roughconductor":
         level = usual_f0(svbrdf)

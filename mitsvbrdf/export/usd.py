@@ -74,13 +74,7 @@ SQUARE = '''def Xform "patch"
 
 
 def write_usd(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS) -> Export:
-    """Write ``folder/material.usda``, ``folder/patch.usda`` and ``folder/textures/*.png``.
-
-    Args:
-        folder: made when missing.
-        svbrdf: the material.
-        settings: how.
-    """
+    """Write ``folder/material.usda``, ``folder/patch.usda`` and ``folder/textures/*.png``."""
     material, textures, lost = svbrdf, {}, {}
     decoding = {"normal": ((2.0, 2.0, 2.0, 1.0), (-1.0, -1.0, -1.0, 0.0))}
     usual, largest = DIELECTRIC_F0, 1.0
@@ -119,15 +113,7 @@ def write_usd(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS)
 
 def _material(textures: Mapping[str, Texture], index: float, decoding: Mapping[str, tuple], largest: float,
               repeats: bool) -> str:
-    """The material prim; ``{at}`` stands for its path.
-
-    Args:
-        textures: by the map that each holds.
-        index: refractive index of what is no metal, where no texture says it.
-        decoding: scale and bias of textures that have them.
-        largest: what the texture of ``specular_color`` is multiplied by.
-        repeats: whether textures go on beyond their edges.
-    """
+    """The material prim, its path as ``{at}``; ``index`` serves readers without a texture of it."""
     surface, mtlx, nodes = [f"float inputs:ior = {index:.7g}"], [
         f"float inputs:specular_IOR = {index:.7g}"], []
     for name, texture in textures.items():

@@ -14,11 +14,6 @@ def read_scene(mi: ModuleType, name: str, **values: str) -> dict[str, Any]:
     """A scene file as a dictionary; names are ids, else kinds (``sensor``, ``film``).
 
     References stay references, so that what they name can be replaced.
-
-    Args:
-        mi: the Mitsuba module, its variant set.
-        name: of a file in ``scenes/``.
-        values: of its ``<default>`` parameters.
     """
     config = mi.parser.ParserConfig(mi.variant())
     state = mi.parser.parse_file(config, str(SCENES / name), **values)

@@ -1,17 +1,13 @@
 """Mitsuba and Dr.Jit for one thread at a time, and pictures whose gradient belongs to them.
 
-Neither bears two threads: two that trace at once draw wrong pictures or end the process, and ``dr.wrap``
-keeps the description of its latest result in a global variable. So whoever needs Mitsuba holds
-:func:`using_mitsuba` meanwhile: to import it, to make a scene, to draw, and, in whatever thread autograd
-works, to go backward. In between other threads may draw. What Mitsuba made is freed under the lock too,
-whichever thread forgets it (:class:`Kept`), and tensors that leave are copies.
+Neither bears two threads: two that trace at once draw wrong pictures or end the process. So an import of
+Mitsuba, a scene, a picture and a backward pass each hold :func:`using_mitsuba`; in between other threads may
+draw. What Mitsuba made is freed under the lock too (:class:`Kept`). Tensors that leave are copies.
 
-The replay trap: a Mitsuba scene is one mutable object, and the calls it makes per ray are traced again *as
-the scene is at backward time*. Moving the camera, or drawing a preview, between forward and backward then
-silently gives gradients of the wrong picture; and since Dr.Jit traces such calls through every scene there
-is, a backward pass of one scene leaves none but zeros to a picture of another that was drawn before.
-:class:`Drawing` is the guard: a backward pass after any other picture of any scene draws its own again first,
-from the maps and views it kept.
+The replay trap: the backward pass traces a Mitsuba scene *as it is by then*, and Dr.Jit traces calls through
+every scene there is. A camera moved or a preview drawn between forward and backward gives gradients of the
+wrong picture, or zeros. :class:`Drawing` is the guard: a backward pass after any other picture of any scene
+first draws its own again, from the maps and views it kept.
 """
 
 from __future__ import annotations
@@ -46,12 +42,9 @@ _alive: WeakSet[Kept] = WeakSet()
 class Kept(Generic[T]):
     """Something of Mitsuba or Dr.Jit that any thread may forget; a thread with the lock frees it.
 
-    An array freed while another thread traces ends the process; and a thread that waits for Dr.Jit to free it
-    does so with Python's own lock, for which the thread that is at work in Dr.Jit may be waiting. So what was
-    forgotten waits for the next :func:`using_mitsuba`, or for the end of the process.
-
-    Args:
-        content: must not refer to the object that keeps it.
+    An array freed while another thread traces ends the process, or waits for that thread and holds Python's
+    own lock. So forgotten content waits for the next :func:`using_mitsuba` or for the end of the process.
+    The content must not refer to the object that keeps it.
     """
 
     def __init__(self, content: T) -> None:
@@ -75,10 +68,9 @@ def _free_all() -> None:
 def using_mitsuba(variant: str = "llvm_ad_rgb") -> Iterator[ModuleType]:
     """The ``mitsuba`` module with this variant, for this thread alone; the earlier variant comes back.
 
-    Threads that call the package need none of this; those that use Mitsuba or Dr.Jit by themselves beside it
-    hold it too. It may be entered again inside itself. Not to be held around a backward pass of tensors on a
-    GPU, which autograd makes in a thread of its own. Arrays and scenes should be gone when it ends: make them
-    in a function that is called inside.
+    Callers of the package need none of this; code that uses Mitsuba or Dr.Jit beside it holds it too. It may
+    be entered again inside itself. It must not be held around a backward pass of tensors on a GPU, which
+    autograd makes in another thread. Arrays and scenes should be gone when it ends: make them in a function.
 
     Raises:
         BackendError: Mitsuba, the variant, a GPU or libLLVM is missing.
@@ -97,8 +89,7 @@ def using_mitsuba(variant: str = "llvm_ad_rgb") -> Iterator[ModuleType]:
             # Mitsuba's render leaves a Ctrl-C that wakes no waiting thread
             if hasattr(signal, "siginterrupt"):
                 signal.siginterrupt(signal.SIGINT, True)
-            if mi.variant() != before:
-                # later, since it takes some 80 ms
+            if mi.variant() != before:  # later: it takes some 80 ms
                 put_back("the Mitsuba variant", partial(_set_again, mi, before))
 
 
@@ -109,10 +100,7 @@ def _set_again(mi: ModuleType, variant: str) -> None:
 
 @contextlib.contextmanager
 def _in_order() -> Iterator[None]:
-    """Gradients of textures are the same bits in every run.
-
-    Else Dr.Jit's threads add them up in copies of their own, of which views they happen to compute.
-    """
+    """Gradients of textures are the same bits in every run; else each thread adds up its own views."""
     import drjit as dr
 
     before = dr.expand_threshold()
@@ -126,10 +114,8 @@ def _in_order() -> Iterator[None]:
 class Drawing:
     """A function of torch tensors that Mitsuba computes, differentiable once, from any thread.
 
-    Args:
-        variant: of Mitsuba.
-        function: as ``dr.wrap`` makes it: of tensors, to a list of pictures.
-        replayed: whether it is traced again in the backward pass, from what its scene is by then.
+    The function is one of ``dr.wrap``: tensors to a list of pictures.
+    With ``replayed`` its backward pass traces it again, from what its scene is by then.
     """
 
     drawn = 0  # pictures of all scenes so far: tells a backward pass whether scenes are still as it left them
@@ -182,6 +168,5 @@ def _gradients(ctx: Any, inputs: Sequence[Tensor], cotangent: Tensor) -> list[Te
     if record is None or ctx.drawing.replayed and ctx.drawn != Drawing.drawn:
         record = Kept(ctx.drawing.draw(inputs, ctx.wanted))
     leaves, images = record.content
-    return [each.clone() for each in torch.autograd.grad(images,
-                                                         [leaf for leaf in leaves if leaf.requires_grad],
-                                                         cotangent)]
+    wanted = [leaf for leaf in leaves if leaf.requires_grad]
+    return [each.clone() for each in torch.autograd.grad(images, wanted, cotangent)]

@@ -21,7 +21,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from glob import glob
 from pathlib import Path
 from types import ModuleType
@@ -57,20 +57,12 @@ if got != want:
 
 @dataclass(frozen=True)
 class LLVM:
-    """A libLLVM and the verdict on it.
+    """A libLLVM and the verdict on it."""
 
-    Args:
-        path: the library file; empty for the one Dr.Jit found by itself.
-        version: as the library tells it, e.g. ``19.1.7``; the major number alone, or nothing, when it was not
-            loaded.
-        proved: whether Dr.Jit's kernels gave the right numbers with it.
-        message: why it was refused; empty when proved.
-    """
-
-    path: str
-    version: str
-    proved: bool
-    message: str = ""
+    path: str  # empty for the one that Dr.Jit finds by itself
+    version: str  # e.g. 19.1.7; of a library that was not loaded the major number alone, or nothing
+    proved: bool  # Dr.Jit's kernels gave the right numbers with it
+    message: str = ""  # why it was refused
 
 
 def use_llvm() -> LLVM:
@@ -108,13 +100,9 @@ def examine() -> Iterator[LLVM]:
         return
     for path in candidates():
         major = named_version(path)
-        if 0 < major < OLDEST:
-            yield LLVM(path, str(major), False, f"older than {OLDEST}")
-            continue
-        llvm = prove(path)
-        if llvm.proved and int(llvm.version.split(".")[0]) < OLDEST:
-            llvm = LLVM(path, llvm.version, False, f"older than {OLDEST}")
-        yield llvm
+        llvm = LLVM(path, str(major), False) if 0 < major < OLDEST else prove(path)
+        old = llvm.version and int(llvm.version.split(".")[0]) < OLDEST
+        yield replace(llvm, proved=False, message=llvm.message or f"older than {OLDEST}") if old else llvm
 
 
 def candidates() -> list[str]:
@@ -133,8 +121,7 @@ def named_version(path: str) -> int:
     """The major version in a path (libLLVM-19.so, libLLVM.so.19.1, llvm@19/..., llvm/19.1.7/...), else 0."""
     name = re.search(r"LLVM(?:-|\.so\.)(\d+)", os.path.basename(path))
     folder = re.search(r"llvm[@/-]?(\d+)", os.path.dirname(path))
-    match = name or folder
-    return int(match[1]) if match else 0
+    return int((name or folder or "00")[1])
 
 
 def _folders() -> list[str]:
@@ -148,11 +135,7 @@ def _folders() -> list[str]:
 
 
 def prove(path: str) -> LLVM:
-    """Run Dr.Jit's kernels with this library in a child process, unless an earlier run proved it.
-
-    Args:
-        path: the library; empty to let Dr.Jit choose, as it does without ``DRJIT_LIBLLVM_PATH``.
-    """
+    """Run Dr.Jit's kernels with this library (empty: Dr.Jit's choice) in a child process, unless proved."""
     if importlib.util.find_spec("drjit") is None:
         return LLVM(path, "", False, "no drjit in this Python to try it with")
     key, known = _key(path), _read_cache()
@@ -164,8 +147,8 @@ def prove(path: str) -> LLVM:
         environment |= {"DRJIT_CACHE_DIR": kernels} | ({VARIABLE: path} if path else {})
         try:
             child = subprocess.run([sys.executable, "-P", "-c", PROOF], env=environment,
-                                   stdin=subprocess.DEVNULL,
-                                   capture_output=True, text=True, errors="replace", timeout=120)
+                                   stdin=subprocess.DEVNULL, capture_output=True, text=True,
+                                   errors="replace", timeout=120)
         except (OSError, subprocess.TimeoutExpired) as reason:
             return LLVM(path, "", False, f"the trial did not run: {reason}")
     version = child.stdout.strip().removeprefix("-1.-1.-1")
@@ -199,8 +182,8 @@ def _key(path: str) -> str:
 
 
 def _cache() -> Path:
-    return (Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")) / "mitsvbrdf"
-            / "llvm.json")
+    folder = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    return Path(folder) / "mitsvbrdf" / "llvm.json"
 
 
 def _read_cache() -> dict[str, str]:
@@ -236,16 +219,13 @@ def _loaded() -> LLVM:
 
 def install_hint() -> str:
     """The line to type on this machine to install a libLLVM that works."""
-    if os.environ.get("CONDA_PREFIX"):
-        return f"conda install -c conda-forge libllvm{OLDEST}"
-    if sys.platform == "darwin":
-        return "brew install llvm"
-    if sys.platform == "win32":
-        return "winget install LLVM.LLVM"
-    if shutil.which("apt-get"):
-        return f"sudo apt-get update && sudo apt-get install -y libllvm{OLDEST}"
-    if shutil.which("dnf"):
-        return "sudo dnf install -y llvm-libs"
+    if not os.environ.get("CONDA_PREFIX"):
+        if sys.platform in ("darwin", "win32"):
+            return "brew install llvm" if sys.platform == "darwin" else "winget install LLVM.LLVM"
+        if shutil.which("apt-get"):
+            return f"sudo apt-get update && sudo apt-get install -y libllvm{OLDEST}"
+        if shutil.which("dnf"):
+            return "sudo dnf install -y llvm-libs"
     return f"conda install -c conda-forge libllvm{OLDEST}"
 
 
@@ -255,12 +235,12 @@ def mitsuba_module(variant: str = "llvm_ad_rgb") -> ModuleType:
     Raises:
         BackendError: Mitsuba, the variant, a GPU or libLLVM is missing.
     """
+    cuda = variant.startswith("cuda")
     with PROCESS:  # the first import does not bear a second thread
         try:
             use_llvm()
-        # a CUDA variant does without, yet an LLVM variant may be wanted later in the same process
-        except BackendError:
-            if not variant.startswith("cuda"):
+        except BackendError:  # CUDA does without, but the process may want LLVM later
+            if not cuda:
                 raise
         try:
             import mitsuba as mi
@@ -273,9 +253,8 @@ def mitsuba_module(variant: str = "llvm_ad_rgb") -> ModuleType:
             try:
                 mi.set_variant(variant)
             except (ImportError, RuntimeError) as reason:
-                raise BackendError(f"{variant} to work here", str(reason),
-                                   "use llvm_ad_rgb, which needs no GPU" if variant.startswith("cuda")
-                                   else f"install libLLVM: {install_hint()}") from None
+                fix = "use llvm_ad_rgb, which needs no GPU" if cuda else f"install libLLVM: {install_hint()}"
+                raise BackendError(f"{variant} to work here", str(reason), fix) from None
         return mi
 
 

@@ -162,17 +162,7 @@ def to_torch(values: list) -> Tensor:
 
 def view_geometry(mi: ModuleType, place: Any, axes: Any, camera: Any, light: Any, intensity: Any,
                   falloff: str) -> tuple[Any, Any, Any]:
-    """Directions of a view's texels (to camera, to light; shading frame) and the factor I / d^2.
-
-    Args:
-        mi: the ``mitsuba`` module.
-        place: of the texels, float64.
-        axes: of :func:`shading_axes`; None for a flat normal.
-        camera: float64 vectors in patch sides, as the next two.
-        light: its position.
-        intensity: of the light.
-        falloff: as of :class:`mitsvbrdf.views.Views`.
-    """
+    """Directions of a view's texels (to camera, to light; shading frame) and the factor I / d^2."""
     import drjit as dr
 
     def local(direction: Any) -> Any:

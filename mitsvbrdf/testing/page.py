@@ -27,13 +27,7 @@ VIEWS_SHOWN = 3  # views shown, the worst first
 
 @dataclass(frozen=True)
 class Figure:
-    """One measured number and its limit.
-
-    Args:
-        name: what was measured.
-        value: the number; NaN misses every limit.
-        limit: the largest value that passes.
-    """
+    """One measured number and the largest value that passes; NaN misses every limit."""
 
     name: str
     value: float
@@ -55,20 +49,12 @@ class Row:
 
 def failure(title: str, figures: Sequence[Figure], rows: Callable[[], list[Row]], notes: Sequence[str] = (),
             suffix: str = ".html") -> AssertionError:
-    """The error to raise, with the page written.
-
-    Args:
-        title: what differs from what.
-        figures: all that was measured; the message names those that miss their limit.
-        rows: makes the pictures.
-        notes: more lines for message and page, such as the way out.
-        suffix: of the page's file name.
-    """
+    """The error to raise, naming figures beyond their limits, with the page of all figures written."""
     lines = [title, *(f"  {f.name}: {f.value:.3g}, limit {f.limit:.3g}" for f in figures if f.missed),
              *(f"  {note}" for note in notes)]
-    page = left_behind(suffix, lambda path: write_page(path, "report/comparison.html", title=title,
-                                                       test=current().id,
-                                                       figures=figures, rows=rows(), notes=notes))
+    page = left_behind(suffix, lambda path: write_page(
+        path, "report/comparison.html", title=title, test=current().id, figures=figures, rows=rows(),
+        notes=notes))
     return AssertionError("\n".join([*lines, f"  page: {page}"]))
 
 
@@ -96,13 +82,9 @@ def view_rows(new: Tensor, reference: Tensor, whose: str) -> list[Row]:
 
 
 def row(title: str, new: Tensor, reference: Tensor | None, show: Callable[[Tensor], Tensor]) -> Row:
-    """New, reference, where they differ, and how that looks.
+    """New and reference (H x W x C, linear; None: new alone), where they differ, and how that looks.
 
-    Args:
-        title: of the row.
-        new: H x W x C, linear.
-        reference: the same shape; None where there is none: then the new one alone is shown.
-        show: turns H x W x C into display values H x W x 3.
+    ``show`` makes display values H x W x 3.
     """
     if reference is None:
         return Row(title, [("new", png_uri(at_most(_marked(show(new), new), PICTURE_SIDE)))])

@@ -10,33 +10,20 @@ from pathlib import Path
 
 @dataclass
 class Run:
-    """One run of a test suite.
+    """One run of a test suite."""
 
-    Args:
-        update: whether new results become golden files.
-        report: folder for the pages of failed comparisons.
-        names: the test that used a golden file, by its path (in lower case: some file systems see no other).
-        written: golden files made or replaced.
-    """
-
-    update: bool = False
-    report: Path = Path(".mitsvbrdf-report")
-    names: dict[str, str] = field(default_factory=dict)
-    written: list[Path] = field(default_factory=list)
+    update: bool = False  # new results become golden files
+    report: Path = Path(".mitsvbrdf-report")  # folder for the pages of failed comparisons
+    names: dict[str, str] = field(default_factory=dict)  # test by golden file, lower case as some systems do
+    written: list[Path] = field(default_factory=list)  # golden files made or replaced
 
 
 @dataclass(frozen=True)
 class Caller:
-    """A test that is running.
+    """A test that is running."""
 
-    Args:
-        id: as pytest names it.
-        file: the file it stands in; None outside pytest.
-        run: the run it belongs to.
-    """
-
-    id: str
-    file: Path | None
+    id: str  # as pytest names it
+    file: Path | None  # that it stands in; None outside pytest
     run: Run
 
 

@@ -134,13 +134,7 @@ class _Case:
         return figures | {"worst_view": self.truth.names[worst]}, error_map[worst]
 
     def _figures(self, off: Tensor, which: int, got: Measured) -> dict:
-        """Errors and limits over each class of texels, None for a class without any.
-
-        Args:
-            off: relative error of the image, n x R x R x 3.
-            which: 0 for all views together, k + 1 for view k alone.
-            got: what the renderer found for these views.
-        """
+        """Errors and limits by class of texels (None without any): all views (``which`` 0), view k (k + 1)."""
         limit = self.truth.limit if which == 0 else self.truth.limit[which - 1:which]
         return {name: None if not texels.any() else {
             "texels": int(texels.sum()),

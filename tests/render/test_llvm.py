@@ -150,12 +150,6 @@ def test_a_drjit_imported_before_without_llvm_is_reported():
     assert child.returncode == 1 and "BackendError" in child.stderr and "imported earlier" in child.stderr
 
 
-def test_the_analytic_renderer_needs_no_library():
-    child = python("from mitsvbrdf.render import make_renderer; print(make_renderer('analytic').name)",
-                   DRJIT_LIBLLVM_PATH="/nowhere")
-    assert child.stdout.strip() == "analytic", child.stderr
-
-
 def test_a_good_answer_is_remembered_until_the_file_or_drjit_changes(searched, monkeypatch):
     library = searched / "libLLVM-19.so"
     library.touch()

@@ -58,10 +58,7 @@ def tangents(normal: Tensor) -> Tensor:
 
 
 def condition(jacobians: Tensor) -> dict[str, float | None]:
-    """Condition numbers over the texels: largest by smallest singular value.
-
-    Args:
-        jacobians: T x M x P.
+    """Condition numbers over texels of Jacobians T x M x P: largest by smallest singular value.
 
     Returns:
         ``median`` and ``worst``, None for infinite (fewer equations than unknowns, or nothing seen of one of
