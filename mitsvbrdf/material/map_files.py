@@ -166,7 +166,7 @@ def _lifted(normal: Tensor, path: Path) -> Tensor:
 
 
 def as_stored(svbrdf: SVBRDF) -> SVBRDF:
-    """The material as :func:`load_maps` reads it from what :func:`save_maps` wrote: normals make a round trip."""
+    """The material as :func:`load_maps` reads what :func:`save_maps` wrote: its normals make a round trip."""
     stored = {name: value.float() for name, value in svbrdf.detach().maps.items()}
     return SVBRDF(svbrdf.bsdf, stored | {"normal": F.normalize((stored["normal"] + 1) / 2 * 2 - 1, dim=-1)})
 

@@ -72,10 +72,7 @@ def local_burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
 def oval_patterns(views: Views, side: int, roughness: float) -> Tensor:
     """Orthonormal sums of the bumps of :func:`local_burn_in`, without mean: P x side^2, float64.
 
-    Args:
-        views: N views; P is 3 N at most.
-        side: of the maps in texels.
-        roughness: of the lobe.
+    P is at most 3 for each view.
     """
     widths = roughness * torch.tensor(WIDTHS, dtype=torch.float64)
     far = torch.tan(half_angles(views, side)).flatten(1)

@@ -134,7 +134,7 @@ class _Case:
         return figures | {"worst_view": self.truth.names[worst]}, error_map[worst]
 
     def _figures(self, off: Tensor, which: int, got: Measured) -> dict:
-        """Errors and limits by class of texels (None without any): all views (``which`` 0), view k (k + 1)."""
+        """Errors and limits by class of texels, None without any; ``which``: 0 all views, k + 1 view k."""
         limit = self.truth.limit if which == 0 else self.truth.limit[which - 1:which]
         return {name: None if not texels.any() else {
             "texels": int(texels.sum()),

@@ -54,12 +54,7 @@ class Limit:
 def float32_limit(twin: Renderer, svbrdf: SVBRDF, views: Views, exact: Measured, cotangent: Tensor) -> Limit:
     """The changes that one float32 rounding of every normal makes; see the module's text.
 
-    Args:
-        twin: ``analytic64``.
-        svbrdf: the material.
-        views: camera and light positions.
-        exact: what the twin finds with the normals as they are.
-        cotangent: N x R x R x 3, as it was used for ``exact``.
+    ``exact`` is what ``analytic64`` finds with the normals as they are and this cotangent, N x R x R x 3.
     """
     turned = [render_and_gradients(twin, m, views, cotangent) for m in turned_normals(svbrdf, UNIT_ROUNDOFF)]
     return Limit(_length([t.image - exact.image for t in turned]),

@@ -11,11 +11,9 @@ from mitsvbrdf.render.needs import Needs
 from mitsvbrdf.report.charts import error_curve
 
 
-def test_error_curve_shows_target_and_frames(tmp_path):
+def test_error_curve_is_the_same_file_in_every_run(tmp_path):
     curve = [{"seconds": 0.5 * 2**k, "samples": 2**k, "error": 0.1 / 2 ** (k / 2)} for k in range(6)]
     error_curve(tmp_path / "a.svg", [curve, curve[1:]], 0.02, "two")
-    text = (tmp_path / "a.svg").read_text()
-    assert "target 0.02" in text and "2 frames" in text and "seconds</text>" in text and "two" in text
     error_curve(tmp_path / "b.svg", [curve, curve[1:]], 0.02, "two")
     assert (tmp_path / "b.svg").read_bytes() == (tmp_path / "a.svg").read_bytes()
     error_curve(tmp_path / "empty.svg", [[]])

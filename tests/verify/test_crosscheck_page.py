@@ -87,12 +87,6 @@ def test_figures_are_those_of_the_metrics():
         assert g["relative_l2"] == pytest.approx(float(off), rel=1e-9)
 
 
-def test_the_plot_explains_all_that_it_draws(real):
-    said = [text.get_text() for text in error_against_time(real[0]).legends[0].get_texts()]
-    drawn = {f"{c['renderer']}, {c['bsdf']}" for c in real[0]["configurations"]}
-    assert drawn <= set(said) and said.count("stated tolerance") == 1
-
-
 def test_the_plot_shows_the_figures_of_the_record(real):
     images, gradients = error_against_time(real[0]).axes[:2]
     points: dict[str, list] = {"image": [], "gradients": []}
