@@ -1,17 +1,15 @@
 """How much of a map is where the highlights were: burn-in, measured without ground truth.
 
-The coverage angle of a texel is the smallest angle, over the photos a fit used, between the flat normal (0,
-0, 1) and the half vector there. Where it is small a photo showed the texel's highlight, where it is large
-none did. A material knows nothing of where the camera stood, so its maps should not follow that angle; a fit
-that hides highlights in its maps, or falls back to its start where it has no evidence, makes maps that do.
-Burn-in is the share R^2 of a map's variance that a cubic in the coverage angle explains: 0 for maps that do
-not follow it (3 / (n - 1) on average for n texels of pure noise), 1 for maps that are nothing else. A
-material whose own pattern lies like the highlights has some, too.
+The coverage angle of a texel is the smallest angle between the flat normal (0, 0, 1) and its half vectors
+over the photos of a fit. Where it is small a photo showed the texel's highlight. True maps do not follow that
+angle. Maps do follow it where a fit hides highlights in them or falls back to its start. Burn-in is the share
+R^2 of a map's variance that a cubic in the coverage angle explains: 0 for maps that do not follow it
+(3 / (n - 1) on average for n texels of pure noise), 1 for maps that are nothing else. A material whose own
+pattern lies like the highlights has some, too.
 
-The smallest angle blurs what single highlights leave: an oval for each photo, as wide as the lobe.
-``local_burn_in`` looks for these. It explains a map by bumps where the photos had their highlights, and again
-with the map rolled sideways, which puts other pieces of the material there. What the bumps explain more where
-they were is burnt in.
+The smallest angle blurs the oval that each single highlight leaves, as wide as the lobe. ``local_burn_in``
+explains a map by bumps where the photos had their highlights, and again with the map rolled sideways, which
+puts other pieces of the material there. What the bumps explain more in place is burnt in.
 
 Measured at 128 px on the roughness that MaterialGAN published: `wood-bamboo` 0.67, `cards-blue` and
 `bathroomtile1` 0.01. Fine texture counts as variance, so the share falls a little with the resolution
@@ -70,10 +68,7 @@ def local_burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
 
 
 def oval_patterns(views: Views, side: int, roughness: float) -> Tensor:
-    """Orthonormal sums of the bumps of :func:`local_burn_in`, without mean: P x side^2, float64.
-
-    P is at most 3 for each view.
-    """
+    """Orthonormal sums of the bumps of :func:`local_burn_in`, without mean: P <= 3 N x side^2, float64."""
     widths = roughness * torch.tensor(WIDTHS, dtype=torch.float64)
     far = torch.tan(half_angles(views, side)).flatten(1)
     bumps = torch.exp(-(far[:, None] / widths[:, None]).square() / 2).flatten(0, 1)

@@ -1,12 +1,10 @@
 """A scene rendered in independent passes until the estimated error of their mean is small enough.
 
-The error is what the project reports everywhere: RMSE in display values, here sRGB, exposed and clipped to
-[0, 1], over the whole frame, of the picture as it would be kept. It is estimated by the jackknife (Tukey
-1958; unequal groups as Busing et al. 1999): samples go to up to eight groups in turn, and of each group it is
-asked how the kept picture would change without it. All comparisons are between display values of pictures
-that hold nearly all samples, so the bend of the sRGB curve and the clipping of highlights count as they do in
-the picture itself. Where rare bright samples are clipped the difference of two halves is only 0.57 of the
-true error, the jackknife 0.97 of it.
+The error is RMSE in display values (sRGB, exposed, clipped to [0, 1]) over the whole frame of the picture as
+it is kept. The jackknife estimates it (Tukey 1958; unequal groups as Busing et al. 1999): samples go to up to
+eight groups in turn, and the kept picture is compared with the one without each group. Both hold nearly all
+samples, so the sRGB curve and the clipping count as in the picture itself. Where rare bright samples are
+clipped the difference of two halves is only 0.57 of the true error, the jackknife 0.97 of it.
 
 Dr.Jit compiles one kernel for all numbers of samples that are powers of two, so every pass is made of those.
 """

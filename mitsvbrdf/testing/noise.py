@@ -1,9 +1,8 @@
 """A Z-test for pictures with noise: is a path-traced picture off by more than its own noise explains?
 
-As in Mitsuba's own test suite (``src/render/tests/test_renders.py``): a two-sided test of every value, and
-Sidak's correction because there are many. One thing is added. A small bias hides in the noise of every single
-pixel but not in that of all together, so the mean of each channel is tested too; pixels and means share the
-significance level evenly.
+As in Mitsuba's own test suite (``src/render/tests/test_renders.py``): a two-sided test of every value with
+Sidak's correction. The mean of each channel is tested too, since a small bias hides in the noise of each
+pixel but not of all. Pixels and means share the significance level evenly.
 
 Assumed:
 

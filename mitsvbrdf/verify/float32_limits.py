@@ -1,21 +1,18 @@
 """How accurate float32 can be at a texel, and why the worst texels of a comparison are the worst.
 
-**The limit.** A renderer in float32 knows every direction only to about one rounding, u = 2^-24 rad: a normal
-stored as (n + 1) / 2 is rounded by up to 2^-25 a component and doubled when it is read. What one such
-rounding does to a number L is its condition: the change of L when the normal turns by u. To first order in u
-the normal map changes L by u |dL/dn|, where dL/dn is the derivative in the tangent plane; its two components
-are found by turning the normals of the float64 twin by u about two perpendicular axes, so |dL/dn| u is the
-root of the summed squares of the two changes. Step and rounding are the same 6e-8, large for float64 and
-small beside any lobe, so the second order does not count. The limit of the relative error is
+**The limit.** Float32 knows a direction to about one rounding, u = 2^-24 rad: a normal stored as (n + 1) / 2
+is rounded by up to 2^-25 a component and doubled when it is read. Turned by u, it changes a number L by
+u |dL/dn|, with dL/dn in the tangent plane. The float64 twin gives both components: its normals turned by u
+about two perpendicular axes. u is large for float64 and small beside any lobe, so the second order does not
+count. The limit of the relative error is
 
     u + u |dL/dn| / |L|
 
-with the first u for the rounding of L itself. Close to a mirror direction L goes like GGX's D, whose slope
+with the first u for the rounding of L itself. Near a mirror direction L goes like GGX's D, whose slope
 |d log D / d angle| is 2 (1 - alpha^2) / alpha at its steepest, about alpha beside the highlight: the limit is
-then u + 2 u / alpha, that is 1.2e-5 at roughness 0.1 and 6e-8 where the material is rough. The same changes
-of a gradient give its limit. It is an order of magnitude and no bound: view and light directions are rounded
-too, in several steps; and a renderer that has its directions in float64, or works with their differences,
-stays below it.
+u + 2 u / alpha there, 1.2e-5 at roughness 0.1, and 6e-8 where the material is rough. The same changes of a
+gradient give its limit. It is an order of magnitude, no bound: directions of view and light are rounded too,
+and a renderer with directions in float64, or with their differences, stays below it.
 """
 
 from __future__ import annotations
@@ -116,14 +113,7 @@ def diffuse_radiance(twin: Renderer, svbrdf: SVBRDF, views: Views) -> Tensor:
 
 
 def worst_texels(truth: Truth, image: Tensor, among: Tensor, count: int = 3) -> list[dict]:
-    """The texels whose values are furthest from the twin's, worst first, each with why.
-
-    Args:
-        truth: what it should look like.
-        image: what a renderer found, N x R x R x 3.
-        among: R x R, bool: which texels to look at.
-        count: how many, each texel once.
-    """
+    """The ``count`` texels of ``among`` (R x R, bool) furthest from the twin, worst first, each with why."""
     error = torch.nan_to_num(relative_error(image, truth.image).abs(), nan=torch.inf)
     size, channel = torch.where(among[..., None], error, -1.0).max(dim=-1)
     size, view = size.max(dim=0)

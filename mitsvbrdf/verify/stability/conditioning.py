@@ -32,11 +32,7 @@ def jacobian(twin: Renderer, svbrdf: SVBRDF, views: Views,
              display: Callable[[Tensor], Tensor] = color.encode) -> Tensor:
     """A Jacobian a texel, T x 3 N x P, float64; rows by view, then channel; columns by map.
 
-    Args:
-        twin: ``analytic64``.
-        svbrdf: the material.
-        views: camera and light positions.
-        display: what a fit sees of linear radiance.
+    ``twin`` is ``analytic64``; ``display`` makes what a fit sees of linear radiance.
     """
     leaves = _leaves(svbrdf.to(torch.float64))
     seen = display(twin.render(leaves, views))
@@ -79,18 +75,9 @@ def largest_step(renderer: Renderer, svbrdf: SVBRDF, views: Views, transfer: col
                  first: float | None = None) -> float:
     """The largest step of plain gradient descent that still lowers the photometric loss.
 
-    The loss is summed over texels (the mean is over views and channels alone), so that a step means the same
-    at every resolution. Steps double, or halve if the first was too long already, until it changes whether
-    they lower the loss; each is taken from the same start, with maps cut to their ranges and normals made
-    unit vectors.
-
-    Args:
-        renderer: whose gradient and loss.
-        svbrdf: the material that took the photos.
-        views: camera and light positions.
-        transfer: how the photos encode light.
-        first: the step tried first; left out: one that would take away :data:`FIRST` of the loss if the loss
-            were a plane.
+    The loss is summed over texels: a step means the same at every resolution. Steps double, or halve if the
+    first one was too long, until lowering changes. Each step starts from the same material a little off, and
+    ends in valid maps. ``first``: the step tried first; default: it takes :data:`FIRST` of a linear loss.
 
     Returns:
         The step as a factor of the gradient, to a factor of two; infinite where :data:`DOUBLINGS` doublings
