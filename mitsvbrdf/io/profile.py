@@ -1,16 +1,12 @@
-"""Where the time of a fit goes: wall-clock seconds of the named parts of its steps, and nothing while nobody
-asks.
+"""Where the time of a fit goes: wall-clock seconds of the named parts of its steps.
 
     with profiled("renderer"):
         rendered = renderer.render(svbrdf, views)
     switch_at("renderer, backward", rendered)
 
-Scopes may lie in each other: a second of a step counts once, for the innermost, so that the parts sum up to
-the step; what no scope names is "other". Autograd runs the parts backward in one call: :func:`switch_at`
-marks where each begins.
-
-Off, a scope is one look at a context variable, 0.3 us, and a step of a fit has ten to fifteen. Times are the
-calling thread's: a GPU's kernels count where the thread waits for them.
+Scopes may be nested. A second of a step counts once, for the innermost scope, so the parts sum up to the step.
+Time that no scope names is "other". Autograd runs the parts backward in one call: :func:`switch_at` marks where
+each begins. Without :func:`profiling`, a scope costs 0.3 us. Kernels of a GPU count where the thread waits for them.
 """
 
 from __future__ import annotations
@@ -39,29 +35,24 @@ def profiled(part: str) -> contextlib.AbstractContextManager:
     return _off if profile is None else profile.scope(part)
 
 
+def switch(part: str) -> None:
+    """The rest of the innermost scope counts for this part."""
+    if profile := _active.get():
+        profile.switch(part)
+
+
 def switch_at(part: str, *tensors: Tensor) -> None:
-    """From when autograd has the gradient of one of these tensors, the rest of the innermost scope counts for
-    this part.
-    """
-    profile = _active.get()
-    if profile is not None:
+    """:func:`switch`, as soon as autograd has the gradient of one of these tensors."""
+    if profile := _active.get():
         for tensor in tensors:
             if tensor.requires_grad:
                 tensor.register_hook(lambda _: profile.switch(part))
 
 
-def switch(part: str) -> None:
-    """From here on, the rest of the innermost scope counts for this part."""
-    profile = _active.get()
-    if profile is not None:
-        profile.switch(part)
-
-
 @contextlib.contextmanager
 def profiling() -> Iterator[Profile]:
     """Collect the scopes that are entered inside."""
-    profile = Profile()
-    token = _active.set(profile)
+    token = _active.set(profile := Profile())
     try:
         yield profile
     finally:
@@ -69,15 +60,13 @@ def profiling() -> Iterator[Profile]:
 
 
 def profile_summary() -> dict | None:
-    """:meth:`Profile.summary` of what is being collected, or None while nobody asked for it."""
+    """:meth:`Profile.summary` of the profile being collected, else None."""
     profile = _active.get()
-    return None if profile is None else profile.summary()
+    return profile and profile.summary()
 
 
 class Profile:
-    """Seconds by part: ``steps``, one dict for each, and ``beside``, for the outermost scopes between
-    them.
-    """
+    """Seconds by part: ``steps`` has a dict for each step, ``beside`` has the outermost scopes between them."""
 
     def __init__(self) -> None:
         self.steps: list[dict[str, float]] = []
@@ -86,7 +75,7 @@ class Profile:
 
     @contextlib.contextmanager
     def scope(self, part: str) -> Iterator[None]:
-        """Count what happens within for this part, but for what inner scopes take."""
+        """Count the time within for this part, without that of inner scopes."""
         self._turn()
         self._scopes.append(part)
         if part == STEP:
@@ -115,40 +104,24 @@ class Profile:
             self._counts[part] = self._counts.get(part, 0.0) + now - self._since
         self._since = now
 
-    def totals(self) -> dict[str, float]:
-        """Seconds by part, of all steps and between them."""
-        found: dict[str, float] = {}
-        for counts in (*self.steps, self.beside):
-            for part, seconds in counts.items():
-                found[part] = found.get(part, 0.0) + seconds
-        return found
-
     def summary(self) -> dict:
-        """Statistics over the steps; the first of each kind (set of parts) compiles kernels and is left out
-        if others follow.
+        """Statistics over the steps, without the first of each kind (set of parts), which compiles kernels.
 
         Returns:
-            ``steps``: how many count. ``step``: ``median``, ``low`` and ``high`` (quartiles) of their
-            seconds, and ``repeats``. ``parts``: the same for each part, over the steps that have it, and its
-            ``share`` of all their time. ``warm_up``: seconds of the steps left out. ``beside``: seconds
-            between the steps, by what ran then.
+            ``steps``: their number. ``step``: :func:`~mitsvbrdf.io.timing.spread` of their seconds. ``parts``: the
+            same of each part, over the steps that have it, and its ``share`` of all their time. ``warm_up``:
+            seconds of the other steps; all steps count where there are no others. ``beside``: seconds between
+            the steps by part.
         """
-        kinds = set[frozenset[str]]()
-        first, later = list[dict[str, float]](), list[dict[str, float]]()
-        for step in self.steps:
-            (later if frozenset(step) in kinds else first).append(step)
-            kinds.add(frozenset(step))
-        counted, left = (later, first) if later else (first, [])
-        names = dict.fromkeys(name for step in counted for name in step if name != OTHER)
-        total = sum(map(_seconds, counted))
+        kinds = dict[frozenset[str], dict[str, float]]()
+        counted = [step for step in self.steps if kinds.setdefault(frozenset(step), step) is not step]
+        warm_up = sum(sum(step.values()) for step in kinds.values()) if counted else 0
+        counted = counted or self.steps
+        seconds = [sum(step.values()) for step in counted]
+        names = [*dict.fromkeys(name for step in counted for name in step if name != OTHER), OTHER]
         parts = {}
-        for name in [*names, OTHER] if counted else []:
-            seconds = [step[name] for step in counted if name in step]
-            parts[name] = spread(seconds) | {"share": sum(seconds) / total}
-        return {"steps": len(counted), "step": spread(list(map(_seconds, counted))) if counted else None,
-                "parts": parts,
-                "warm_up": sum(map(_seconds, left)), "beside": dict(self.beside)}
-
-
-def _seconds(step: dict[str, float]) -> float:
-    return sum(step.values())
+        for name in names if counted else []:
+            each = [step[name] for step in counted if name in step]
+            parts[name] = spread(each) | {"share": sum(each) / sum(seconds)}
+        return {"steps": len(counted), "step": spread(seconds) if counted else None, "parts": parts,
+                "warm_up": warm_up, "beside": dict(self.beside)}

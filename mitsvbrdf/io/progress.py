@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -17,10 +18,9 @@ from rich.text import Text
 
 
 class _Console(Console):
-    """A console that lets the work go on when nobody reads any more; rich would end the process."""
+    """A console that falls silent when nobody reads any more; rich would end the process."""
 
     def on_broken_pipe(self) -> None:
-        """Nothing more is printed."""
         self.quiet = True
 
 
@@ -28,14 +28,10 @@ console = _Console(stderr=False, highlight=False)
 
 
 class Cell:
-    """Text below a notebook cell that is replaced in place, at most four times a second; what it said last is
-    kept.
+    """Text below a notebook cell, replaced in place at most four times a second; the last one stays.
 
-    It is plain text, which Jupyter, VS Code, Colab and pages made of saved notebooks all show; rich's live
-    displays would need ipywidgets, and a saved notebook would not show them.
-
-    Args:
-        title: stands before the bar.
+    Jupyter, VS Code, Colab and pages of saved notebooks all show plain text. Rich's live displays need ipywidgets,
+    and a saved notebook does not show them.
     """
 
     WIDTH, SECONDS = 32, 0.25
@@ -45,12 +41,10 @@ class Cell:
         self.title, self.handle, self.due = title, DisplayHandle(), 0.0
         self.shown = self.latest = ""
 
-    def show(self, share: float, line: str) -> None:
-        """Title, a bar of the share done (0 to 1) and a line of text; shown at once where it is the last, at
-        share 1.
-        """
+    def show(self, text: str, share: float) -> None:
+        """Title, bar and text for this share done (0 to 1); those of share 1 at once."""
         done = round(self.WIDTH * min(max(share, 0.0), 1.0))
-        self.latest = f"{self.title}  {'━' * done}{'─' * (self.WIDTH - done)}\n{line}"
+        self.latest = f"{self.title}  {'━' * done}{'─' * (self.WIDTH - done)}\n{share:4.0%}  {text}"
         if share >= 1 or time.perf_counter() >= self.due:
             self.close()
 
@@ -61,92 +55,79 @@ class Cell:
             self.shown, self.due = self.latest, time.perf_counter() + self.SECONDS
 
 
-class Progress:
-    """A live line with error, losses, speed and time left; without a terminal, a plain line every ten
-    seconds.
+class Lines:
+    """Plain lines: the first, one every ten seconds, and the last."""
 
-    In a notebook it stands below a bar, and stays with the saved notebook. Called with (trace entry, share
-    done), as the ``report`` of :func:`mitsvbrdf.fit.fit_svbrdf`. Best used as a context manager: without, a
-    terminal shows plain lines too, and where a fit is interrupted what a notebook shows may be a quarter of a
-    second old.
+    def __init__(self) -> None:
+        self.last = -math.inf
 
-    Args:
-        title: what is going on.
-    """
-
-    def __init__(self, title: str = "fit") -> None:
-        self.title, self.last = title, 0.0
-        self.first: tuple[int, float] | None = None
-        self.live: Live | None = None
-        self.cell = Cell(title) if console.is_jupyter else None
-
-    def __enter__(self) -> Progress:
-        if self.cell:
-            self.cell.show(0.0, "")
-        elif on_terminal():
-            self.live = Live(Text(self.title), console=console, refresh_per_second=4, transient=False)
-            self.live.start()
-        else:
-            say(self.title)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self.cell:
-            self.cell.close()
-        if self.live:
-            self.live.stop()
-
-    def __call__(self, entry: dict, share: float) -> None:
-        """Show a line of a fit's log and the share done."""
+    def show(self, text: str, share: float) -> None:
+        """A line of the share done (0 to 1) and a text."""
         now = time.perf_counter()
-        first_iteration, first_time = self.first = self.first or (entry["iteration"], now)
-        speed = (entry["iteration"] - first_iteration) / max(now - first_time, 1e-9)
-        # both count what was before a --resume, and no set-up
-        left = entry["seconds"] * (1 / share - 1) if share > 0 else 0.0
-        losses = "  ".join(f"{k} {v:.4f}" for k, v in entry.items() if k not in ("seconds", "iteration",
-                                                                                 "rerender_rmse"))
-        line = (f"{share:4.0%}  {entry['seconds']:6.1f} s  iteration {entry['iteration']}  rmse "
-                f"{entry['rerender_rmse']:.4f}  "
-                f"{losses}  {speed:.1f} it/s" + ("  ended" if share >= 1 else f"  at most {left:.0f} s left"
-                                                 if share else ""))
-        if self.cell:
-            self.cell.show(share, line)
-        elif self.live:
-            self.live.update(Text(f"{self.title}\n{line}"))
-        elif now - self.last > 10 or share >= 1:
+        if now - self.last > 10 or share >= 1:
             self.last = now
-            say(line)
+            say(f"{share:4.0%}  {text}")
 
 
 @contextlib.contextmanager
-def progress_bar(title: str) -> Iterator[Callable[[str, float], None]]:
-    """What to tell (text, share done): a bar on a terminal or in a notebook, else a line every ten
-    seconds.
+def progress_bar(title: str, lasting: bool = False) -> Iterator[Callable[[str, float], None]]:
+    """Show progress; yields a function to call with (text, share done).
+
+    A terminal shows a bar, or the text below the title where it is ``lasting`` and stays at the end. A notebook
+    shows a :class:`Cell`. Everything else gets :class:`Lines`.
     """
     if console.is_jupyter:
-        cell = Cell(title)
-        try:
-            yield lambda text, share: cell.show(share, f"{share:4.0%}  {text}")
-        finally:
-            cell.close()
-        return
-    if on_terminal():
+        with contextlib.closing(Cell(title)) as cell:
+            cell.show("", 0.0)
+            yield cell.show
+    elif not on_terminal():
+        say(title)
+        yield Lines().show
+    elif lasting:
+        with Live(Text(title), console=console, refresh_per_second=4) as live:
+            yield lambda text, share: live.update(Text(f"{title}\n{share:4.0%}  {text}"))
+    else:
         columns = (rich.progress.TextColumn("{task.description}", markup=False), rich.progress.BarColumn(),
                    rich.progress.TaskProgressColumn())
         with rich.progress.Progress(*columns, console=console, transient=True) as bar:
             task = bar.add_task(title, total=1.0)
             yield lambda text, share: bar.update(task, description=f"{title}: {text}", completed=share)
-        return
-    last = time.perf_counter()
 
-    def line(text: str, share: float) -> None:
-        nonlocal last
-        if time.perf_counter() - last > 10:
-            last = time.perf_counter()
-            say(f"{share:4.0%}  {text}")
 
-    say(title)
-    yield line
+class Progress:
+    """Error, losses, speed and time left of a fit: the ``report`` of :func:`mitsvbrdf.fit.fit_svbrdf`.
+
+    Best used as a context manager. Without, a terminal shows plain lines, and a notebook may miss the last quarter
+    of a second of an interrupted fit.
+
+    Args:
+        title: stands before the bar, or above the line.
+    """
+
+    def __init__(self, title: str = "fit") -> None:
+        self.title, self._shown = title, contextlib.ExitStack()
+        self._first: tuple[int, float] | None = None
+        self._show = Cell(title).show if console.is_jupyter else Lines().show
+
+    def __enter__(self) -> Progress:
+        self._show = self._shown.enter_context(progress_bar(self.title, lasting=True))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._shown.close()
+
+    def __call__(self, entry: dict, share: float) -> None:
+        """Show an entry of a fit's trace and the share done."""
+        now = time.perf_counter()
+        first_iteration, first_time = self._first = self._first or (entry["iteration"], now)
+        speed = (entry["iteration"] - first_iteration) / max(now - first_time, 1e-9)
+        # both count what was before a --resume, and no set-up
+        left = entry["seconds"] * (1 / share - 1) if share > 0 else 0.0
+        losses = "".join(f"  {name} {value:.4f}" for name, value in entry.items()
+                         if name not in ("seconds", "iteration", "rerender_rmse"))
+        end = "  ended" if share >= 1 else f"  at most {left:.0f} s left" if share else ""
+        self._show(f"{entry['seconds']:6.1f} s  iteration {entry['iteration']}  rmse {entry['rerender_rmse']:.4f}"
+                   f"{losses}  {speed:.1f} it/s{end}", share)
 
 
 def on_terminal() -> bool:
@@ -157,16 +138,13 @@ def on_terminal() -> bool:
 
 
 def say(text: str) -> None:
-    """A plain line; where nobody reads it, or there is no room for it, the work goes on without."""
+    """Print a plain line; where that fails the work goes on."""
     with contextlib.suppress(OSError, ValueError):
         print(text, flush=True)
 
 
 def print_rich(*what: Any, **style: Any) -> None:
-    """Tables and what else rich can print; where that cannot be done the work goes on without.
-
-    In a table a word longer than its column goes on below; rich would cut it.
-    """
+    """Print tables and other values of rich; where that fails the work goes on. Long words in tables are folded."""
     for table in what:
         for column in table.columns if isinstance(table, Table) else ():
             if not column.no_wrap:
@@ -181,13 +159,13 @@ def several(count: int, one: str) -> str:
 
 
 def say_written(*paths: Path | None) -> None:
-    """One line that names the files that were asked for; nothing where none was."""
+    """One line that names the written files; None stands for a file that was not asked for."""
     if names := [str(path) for path in paths if path]:
         say(f"wrote {', '.join(names)}")
 
 
 def print_profile(profile: dict) -> None:
-    """Where the time of a fit's steps went, as :meth:`mitsvbrdf.io.profile.Profile.summary` counts it."""
+    """The table of a :meth:`mitsvbrdf.io.profile.Profile.summary`."""
     table = Table(title=f"Seconds a step, {profile['steps']} steps", title_justify="left")
     for name in ("part", "median", "quartiles", "share", "steps"):
         table.add_column(name, justify="left" if name == "part" else "right")
@@ -201,9 +179,7 @@ def print_profile(profile: dict) -> None:
 
 
 def print_numbers(title: str, numbers: dict[str, float]) -> None:
-    """A small table of named numbers, the names as they are, under a line that may be longer than it is
-    wide.
-    """
+    """A small table of named numbers, under a title that may be longer than the table is wide."""
     table = Table(show_header=False)
     for name, value in numbers.items():
         table.add_row(name, f"{value:.4f}")

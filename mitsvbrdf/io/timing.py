@@ -1,8 +1,4 @@
-"""Seconds of jobs: of one, of several in turn, and what repeated timings come to.
-
-:mod:`~mitsvbrdf.io.profile` says where the time of a fit goes; this module compares whole jobs with each
-other.
-"""
+"""Seconds of whole jobs, one or several in turn. :mod:`~mitsvbrdf.io.profile` has the parts of a fit."""
 
 from __future__ import annotations
 
@@ -25,35 +21,26 @@ def timed(job: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> tuple[T, fl
 
 
 def spread(seconds: Sequence[float]) -> dict[str, float]:
-    """``median``, ``low`` and ``high`` (quartiles) of repeated timings, and how many they were."""
-    quarters = (statistics.quantiles(seconds, n=4, method="inclusive") if len(seconds) > 1
-                else [seconds[0]] * 3)
+    """``median``, ``low`` and ``high`` (quartiles) of repeated timings, and their number as ``repeats``."""
+    quarters = statistics.quantiles(seconds, n=4, method="inclusive") if len(seconds) > 1 else [seconds[0]] * 3
     return {"median": quarters[1], "low": quarters[0], "high": quarters[2], "repeats": len(seconds)}
 
 
 def side_by_side(jobs: Mapping[str, Callable[[], object]], repeats: int = 5) -> dict[str, dict[str, float]]:
-    """Time several jobs fairly: each once unmeasured, then in turn (:func:`in_turns`).
-
-    Args:
-        jobs: what to run, by name.
-        repeats: measured turns.
-
-    Returns:
-        :func:`spread` of the seconds of each job.
-    """
+    """The :func:`spread` of the seconds of each job, run :func:`in_turns`."""
     turns = in_turns({name: partial(timed, job) for name, job in jobs.items()}, repeats)
     return {name: spread([seconds for _, seconds in each]) for name, each in turns.items()}
 
 
 def in_turns(jobs: Mapping[K, Callable[[], T]], repeats: int = 5, unmeasured: int = 1,
              report: Callable[[float], object] = lambda share: None) -> dict[K, list[T]]:
-    """Run all jobs in turn, again and again, so that drift of the machine hits all alike.
+    """Run all jobs in turn, again and again: drift of the machine hits all alike.
 
     Args:
         jobs: what to run, by name.
         repeats: turns that count.
-        unmeasured: turns before these, which compile and warm up; 0 where the jobs have run already.
-        report: told the share done after each run.
+        unmeasured: turns before these, which compile and warm up; 0 for jobs that have run already.
+        report: called with the share done after each run.
 
     Returns:
         What each job returned in the turns that count.
