@@ -34,8 +34,7 @@ def __getattr__(name: str) -> object:
     if name in _HOME:
         from .io.signals import PROCESS
         with PROCESS:  # torch and Mitsuba do not bear a second thread while they load
-            if "torch" not in sys.modules:
-                # its idle threads leave the cores to Mitsuba
+            if "torch" not in sys.modules:  # its idle threads leave the cores to Mitsuba
                 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
             found = globals()[name] = getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)
         return found

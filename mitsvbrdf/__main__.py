@@ -1,4 +1,4 @@
-"""Entry point: prepares the process, then runs the command line; ``doctor`` works even where packages miss."""
+"""Entry point: prepares the process, then runs the command line; ``doctor`` works without all packages."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ def main() -> int:
     heard = signal.getsignal(signal.SIGINT) == signal.default_int_handler
     if heard:  # at once, and quietly: nothing is begun yet
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    # Idle threads sleep instead of spinning: torch and Dr.Jit have a pool each and take turns. Torch reads this
-    # when it loads.
+    # Idle threads sleep: torch and Dr.Jit have a pool each and take turns. Torch reads this when it loads.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     try:
         code = _run(heard)
@@ -47,8 +46,8 @@ def _run(heard: bool) -> int:
         if sys.argv[1:2] == ["doctor"]:
             from .doctor import doctor
             return doctor(json="--json" in sys.argv)
-        print(f"error: expected all packages installed, got: {missing}; type ./run setup, or mitsvbrdf doctor",
-              file=sys.stderr)
+        print(f"error: expected all packages installed, got: {missing}; "
+              "type ./run setup, or mitsvbrdf doctor", file=sys.stderr)
         return 2
 
 

@@ -16,10 +16,8 @@ from pathlib import Path
 from .errors import BackendError
 
 PACKAGES = {"torch": "torch", "numpy": "numpy", "opencv": "cv2", "OpenEXR": "OpenEXR",
-            "safetensors": "safetensors",
-            "scipy": "scipy", "matplotlib": "matplotlib", "jinja2": "jinja2", "pillow": "PIL",
-            "simplejpeg": "simplejpeg",
-            "mpmath": "mpmath", "tyro": "tyro", "rich": "rich"}
+            "safetensors": "safetensors", "scipy": "scipy", "matplotlib": "matplotlib", "jinja2": "jinja2",
+            "pillow": "PIL", "simplejpeg": "simplejpeg", "mpmath": "mpmath", "tyro": "tyro", "rich": "rich"}
 # By the extra that installs it.
 EXTRAS = {"flip": "flip_evaluator", "movie": "av", "heic": "pillow_heif", "raw": "rawpy", "batch": "ray",
           "s3": "s3fs"}
@@ -29,19 +27,12 @@ DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless", "PIL": "pillow", "flip
 
 @dataclass(frozen=True)
 class Row:
-    """One finding.
+    """One finding."""
 
-    Args:
-        name: what was looked at.
-        value: what was found.
-        ok: whether it serves; None for plain information.
-        fix: the exact line that mends it.
-    """
-
-    name: str
-    value: str
-    ok: bool | None = None
-    fix: str = ""
+    name: str  # what was looked at
+    value: str  # what was found
+    ok: bool | None = None  # whether it serves; None for plain information
+    fix: str = ""  # the exact line that mends it
 
 
 def diagnose(variant: str = "llvm_ad_rgb") -> list[Row]:
@@ -67,8 +58,8 @@ def doctor(json: bool = False, variant: str = "llvm_ad_rgb") -> int:
         print(f"{ {True: 'ok', False: 'NO', None: ''}[row.ok]:3}{row.name:22}{row.value}")
         if row.fix:
             print(f"{'':25}-> {row.fix}")
-    print("Ready for fits through Mitsuba." if well else "Not ready for fits through Mitsuba: see the lines "
-                                                         "with NO.")
+    print("Ready for fits through Mitsuba." if well else
+          "Not ready for fits through Mitsuba: see the lines with NO.")
     return 0 if well else 1
 
 
@@ -95,9 +86,7 @@ def _extra(name: str, module: str) -> Row:
 
 
 def _mitsuba(variant: str) -> list[Row]:
-    """Rows of Mitsuba, Dr.Jit, each libLLVM, and the variant; Mitsuba is imported once a libLLVM is
-    proved.
-    """
+    """Rows of Mitsuba, Dr.Jit, each libLLVM and the variant. Only a proved libLLVM lets Mitsuba in."""
     versions = {name: _version(name) for name in ("mitsuba", "drjit")}
     rows = [Row(name, version, True) if version else Row(name, "not installed", False, "pip install mitsuba")
             for name, version in versions.items()]
@@ -106,14 +95,14 @@ def _mitsuba(variant: str) -> list[Row]:
         from .render.exclusive import using_mitsuba
     except ImportError as reason:
         return [*rows, Row(variant, f"not tried: {reason}", False)]
-    rows += [Row("libLLVM", f"{found.version or '?'} {found.path}: "
-                            f"{found.message or 'proved in a child process'}",
+    rows += [Row("libLLVM",
+                 f"{found.version or '?'} {found.path}: {found.message or 'proved in a child process'}",
                  found.proved or None) for found in llvm.examine()]
     try:
         with using_mitsuba(variant) as mi:
             import drjit as dr
-            return [*rows, Row(variant, f"{float(mi.Float(1)[0] + 1):.0f} = 1 + 1, Dr.Jit threads: "
-                                        f"{dr.thread_count()}", True),
+            works = f"{float(mi.Float(1)[0] + 1):.0f} = 1 + 1, Dr.Jit threads: {dr.thread_count()}"
+            return [*rows, Row(variant, works, True),
                     Row("CUDA for cuda_ad_rgb", "yes" if dr.has_backend(dr.JitBackend.CUDA) else "no")]
     except BackendError as reason:
         return [*rows, Row(variant, f"not available: {reason.got}", False, reason.fix)]
@@ -122,8 +111,8 @@ def _mitsuba(variant: str) -> list[Row]:
 def _threads() -> str:
     usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     torch = sys.modules.get("torch")
-    return (f"{os.cpu_count()} CPUs, {usable} usable"
-            + (f", torch uses {torch.get_num_threads()}" if torch else ""))
+    own = f", torch uses {torch.get_num_threads()}" if torch else ""
+    return f"{os.cpu_count()} CPUs, {usable} usable{own}"
 
 
 def _memory() -> str:

@@ -14,13 +14,7 @@ from typing import Any
 
 
 class MitsvbrdfError(Exception):
-    """A mistake that the caller can correct.
-
-    Args:
-        expected: the right input, in a few words.
-        got: the actual input, with its name or value.
-        fix: the way out.
-    """
+    """A mistake that the caller can correct: the expected input, the one given, and the way out."""
 
     def __init__(self, expected: str, got: str, fix: str) -> None:
         super().__init__(f"expected {expected}, got {got}; {fix}")
@@ -94,12 +88,7 @@ def plain_warnings() -> Iterator[None]:
 
 
 def exit_code(command: Callable[[], int], interrupted: str = "interrupted") -> int:
-    """Run a command; mistakes and Ctrl-C become one line and an exit code, 2 and 130.
-
-    Args:
-        command: returns its own exit code.
-        interrupted: the line after Ctrl-C.
-    """
+    """Run a command; mistakes and Ctrl-C become one line and an exit code, 2 and 130."""
     try:
         return command()
     except (Exception, KeyboardInterrupt) as error:
@@ -117,19 +106,20 @@ def _said(error: BaseException) -> str | None:
     if isinstance(error, MitsvbrdfError):
         return str(error)
     if isinstance(error, UnicodeEncodeError) and error.reason == "surrogates not allowed":
-        name = error.object[max(0, error.start - 40):error.end + 20].encode("utf-8", "backslashreplace").decode()
-        return f"expected names of files in UTF-8, got {name}; rename the file or folder"
+        name = error.object[max(0, error.start - 40):error.end + 20].encode("utf-8", "backslashreplace")
+        return f"expected names of files in UTF-8, got {name.decode()}; rename the file or folder"
     if isinstance(error, OSError):
         return (f"expected to read or write {error.filename or 'a file'}, got {error.strerror or error}; "
                 "check the name and your rights to it")
-    if isinstance(error, MemoryError) or isinstance(error, RuntimeError) and "allocate memory" in str(error):  # torch's
+    of_torch = isinstance(error, RuntimeError) and "allocate memory" in str(error)
+    if isinstance(error, MemoryError) or of_torch:
         return (f"expected enough memory, got {str(error).splitlines()[0] if str(error) else 'too little'}; "
                 "choose a lower --resolution, or fewer photos")
     return None
 
 
 def _is_of_ctrl_c(error: BaseException | None) -> bool:
-    """Whether it is KeyboardInterrupt, or what a library made of one: Dr.Jit a RuntimeError, CPython a SystemError."""
+    """Whether it is, or was, KeyboardInterrupt: Dr.Jit makes a RuntimeError of it, CPython a SystemError."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__ or error.__context__
     return error is not None

@@ -1,8 +1,8 @@
 """The command line: parse, call, print, exit code.
 
-0 is success, and a fit that Ctrl-C ended early; 1 a check that does not hold; 2 a mistake the caller can mend; 130
-Ctrl-C without a result. Only the module of the chosen command is imported: help on commands loads neither torch nor
-Mitsuba.
+0 is success, and a fit that Ctrl-C ended early; 1 a check that does not hold; 2 a mistake the caller can
+mend; 130 Ctrl-C without a result. Only the module of the chosen command is imported: help on commands loads
+neither torch nor Mitsuba.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ COMMANDS = ("capture", "fit", "batch", "library", "guess", "render", "evaluate",
             "stability", "bench", "synth", "doctor", "export", "relight", "report", "sheet", "demo")
 FITTING = ("fit", "batch")  # these have the options of the methods
 RESUMED = ("fit", "relight")  # what these leave unfinished goes on with --resume
-MOST = {"resolution": 16384, "size": 16384, "repeats": 10_000, "frames": 100_000}  # what takes memory, or days
+MOST = {"resolution": 16384, "size": 16384, "repeats": 10_000, "frames": 100_000}  # memory, or days
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -44,13 +44,14 @@ def main(arguments: list[str] | None = None) -> int:
     if arguments == ["--version"]:
         print(f"mitsvbrdf {__version__}")
         return 0
-    unfinished = "; what is unfinished goes on with --resume" if arguments[:1] and arguments[0] in RESUMED else ""
+    resumed = bool(arguments) and arguments[0] in RESUMED
+    unfinished = "; what is unfinished goes on with --resume" if resumed else ""
     with plain_warnings():
         return exit_code(lambda: _run(arguments), "interrupted" + unfinished)
 
 
 def command(name: str, arguments: Sequence[str] = ()) -> Callable[..., int]:
-    """The function of a command; ``fit`` and ``batch`` have the options of the method that the arguments name."""
+    """The function of a command. ``fit`` and ``batch`` have the options of the method that arguments name."""
     function = getattr(importlib.import_module(f".{name}", __name__), name)
     if name in FITTING:
         from .fit import fit_command
@@ -72,15 +73,17 @@ def _check_numbers(name: str, value: object) -> None:
         for each in fields(value):
             _check_numbers(each.name, getattr(value, each.name))
     elif isinstance(value, (int, float)) and not abs(value) <= (most := MOST.get(name, LARGEST)):
-        raise ConfigError(f"--{name.replace('_', '-')} of at most {most:g}", str(value), "give a number up to that")
+        raise ConfigError(f"--{name.replace('_', '-')} of at most {most:g}", str(value),
+                          "give a number up to that")
 
 
 def _check_here() -> None:
-    """Raise ConfigError for a current folder that cannot be named; torch does not even load in a deleted one."""
+    """Raise ConfigError for a current folder that cannot be named. torch does not load in a deleted one."""
     try:
         check_names(os.getcwd())
     except FileNotFoundError:
-        raise ConfigError("a current folder", "one that was deleted", "type cd to one that is there") from None
+        raise ConfigError("a current folder", "one that was deleted",
+                          "type cd to one that is there") from None
 
 
 def _run(arguments: list[str]) -> int:
@@ -96,12 +99,12 @@ def _run(arguments: list[str]) -> int:
             from .fit import with_flags
             options = with_flags(options)
         return tyro.cli(command(name, options), prog=f"mitsvbrdf {name}", args=options, config=config)
-    completion = any(word.startswith(("--tyro-print-completion", "--tyro-write-completion")) for word in arguments)
+    completion = any(word.startswith(("--tyro-print-comp", "--tyro-write-comp")) for word in arguments)
     commands = {each: command(each) if completion else _named_only(summary(each)) for each in COMMANDS}
-    return tyro.extras.subcommand_cli_from_dict(
-        commands, prog="mitsvbrdf", args=arguments, config=config,
-        description="Recover the maps of a material (diffuse, specular, roughness, normal) from a few flash photos, "
-                    "fitted through Mitsuba 3, without any training data.")
+    about = ("Recover the maps of a material (diffuse, specular, roughness, normal) from a few flash photos, "
+             "fitted through Mitsuba 3, without any training data.")
+    return tyro.extras.subcommand_cli_from_dict(commands, prog="mitsvbrdf", args=arguments, config=config,
+                                                description=about)
 
 
 def summary(name: str) -> str:

@@ -16,7 +16,7 @@ from ..fit.methods import METHODS
 from ..io import files
 from ..io.progress import print_rich, progress_bar, say, say_written
 from ..render import RendererName, make_renderer
-from .options import Overwrite, Variant, check_new_files
+from .options import Overwrite, Variant, check_new_files, check_side
 
 if TYPE_CHECKING:
     from ..bench.table import Judged
@@ -26,32 +26,31 @@ Names = Annotated[str | None, arg(metavar="NAME,...")]
 
 
 def bench(
-    methods: Annotated[Names, arg(help="Methods, of presets too: gan-two-stage. Default: the methods of "
-                                       "`mitsvbrdf fit`.")] = None,
-    materials: Annotated[Names,
-                         arg(help="Known materials: builtin:NAME, folders, or names in the data; none: "
-                                         "without. Default: all made ones and all in the data.")] = None,
-    captures: Annotated[Names,
-                        arg(help="Real captures: folders or names in the data; none: without. Default: "
-                                        "all.")] = None,
+    methods: Annotated[Names, arg(
+        help="Methods, of presets too: gan-two-stage. Default: the methods of `mitsvbrdf fit`.")] = None,
+    materials: Annotated[Names, arg(help=(
+        "Known materials: builtin:NAME, folders, or names in the data; none: without. Default: all made ones "
+        "and all in the data."))] = None,
+    captures: Annotated[Names, arg(
+        help="Real captures: folders or names in the data; none: without. Default: all.")] = None,
     budgets: Annotated[str, arg(metavar="SECONDS,...", help="Time budgets of the fits.")] = "10,30,100",
     seeds: Annotated[str, arg(metavar="NUMBER,...", help="Seeds of the fits.")] = "0,1,2",
     resolution: Annotated[int, arg(help="Side of maps and photos in pixels.")] = 256,
-    views: Annotated[str | None,
-                     arg(help="Views of the photos of known materials: a capture, or builtin:grid. "
-                                          "Default: cards-blue of the data, else builtin:grid.")] = None,
-    held_out: Annotated[str, arg(metavar="NUMBER,...", help="Photos of real captures that no fit sees; their "
-                                                            "error is measured.")] = "4,7",
-    data: Annotated[Path | None, arg(help="Folder with captures/, materials/ and peers.json. Default: "
-                                          "MITSVBRDF_DATA.")] = None,
-    json_file: Annotated[Path, arg(name="json",
-                                   help="File of the records, one JSON object a line. A file that "
-                                                     "is there is continued.")] = Path("out/bench.jsonl"),
-    page: Annotated[Path | None, arg(help="Write the tables to this Markdown file, their picture beside it "
-                                          "as SVG.")] = None,
+    views: Annotated[str | None, arg(help=(
+        "Views of the photos of known materials: a capture, or builtin:grid. Default: cards-blue of the "
+        "data, else builtin:grid."))] = None,
+    held_out: Annotated[str, arg(
+        metavar="NUMBER,...", help="Photos of real captures to hold out; their error is measured.")] = "4,7",
+    data: Annotated[Path | None, arg(
+        help="Folder with captures/, materials/ and peers.json. Default: MITSVBRDF_DATA.")] = None,
+    json_file: Annotated[Path, arg(
+        name="json", help="File of the records, one JSON object a line. An existing file is continued.",
+    )] = Path("out/bench.jsonl"),
+    page: Annotated[Path | None, arg(
+        help="Write the tables to this Markdown file, and their picture beside it as SVG.")] = None,
     renderer: Annotated[RendererName, arg(help="Renderer of the fits.")] = "mitsuba",
     variant: Variant = "llvm_ad_rgb",
-    overwrite: Annotated[Overwrite, arg(help="Replace a page that is there; records stay.")] = False,
+    overwrite: Annotated[Overwrite, arg(help="Replace an earlier page; records stay.")] = False,
 ) -> int:
     """Measure error against run time: methods x materials and captures x budgets x seeds.
 
@@ -69,8 +68,7 @@ def bench(
     picture = page.with_suffix(".svg") if page else None
     check_new_files(page, picture, overwrite=overwrite, read=[json_file])
     files.check_output(json_file)
-    if resolution < 8:
-        raise ConfigError("--resolution of 8 or more", str(resolution), "try 64")
+    check_side(resolution)
     times = _numbers("--budgets", budgets, float, lambda x: 0 < x < math.inf, "10,30")
     draws = _numbers("--seeds", seeds, int, lambda x: 0 <= x < 2**32, "0,1,2")
     unseen = sorted(_numbers("--held-out", held_out, int, lambda x: x >= 0, "4,7"))
@@ -80,14 +78,13 @@ def bench(
     if unknown or not names:
         raise ConfigError(f"methods of {', '.join(every)}", ", ".join(unknown) or "none", "check --methods")
     folder, engine = data_folder(data), make_renderer(renderer, variant)
-    todo = find_tasks(None if materials is None else _split(materials),
-                      None if captures is None else _split(captures), folder, resolution, unseen, views,
-                      engine)
+    known, real = (None if chosen is None else _split(chosen) for chosen in (materials, captures))
+    todo = find_tasks(known, real, folder, resolution, unseen, views, engine)
     theirs = published(folder / "peers.json", todo) if folder else []
     try:
         with progress_bar("measuring") as report:
-            records = run({name: every[name] for name in names}, todo, times, draws, engine, json_file,
-                          report)
+            chosen_methods = {name: every[name] for name in names}
+            records = run(chosen_methods, todo, times, draws, engine, json_file, report)
     except KeyboardInterrupt:
         say(f"interrupted: {json_file} has every fit that ended; the same command continues")
         return 130

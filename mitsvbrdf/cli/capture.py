@@ -14,7 +14,7 @@ from ..errors import ConfigError
 from ..io import results
 from ..io.progress import print_rich, progress_bar, say
 from ..io.signals import deferred_signals
-from .options import Out, Overwrite, Strict, TransferChoice
+from .options import Out, Overwrite, Strict, TransferChoice, folder_of_its_own
 
 if TYPE_CHECKING:
     from ..capture.stages import CaptureResult
@@ -22,27 +22,22 @@ if TYPE_CHECKING:
 PAPER_THICKNESS = 0.01  # cm
 
 
-def capture(photos: Annotated[Positional[Path],
-                              arg(metavar="PHOTOS", help="A folder of raw photos: jpg, png, heic, dng, ...")],
+def capture(photos: Annotated[Positional[Path], arg(
+                metavar="PHOTOS", help="A folder of raw photos: jpg, png, heic, dng, ...")],
             out: Out,
-            sheet: Annotated[float | None,
-                             arg(metavar="CM", help="Measured size of the printed sheet of tags around the "
-                                                    "material, over the outer edges of the tags. Default: "
-                                                    "no sheet.")] = None,
-            depth: Annotated[float, arg(metavar="CM", help="Height of the sheet above the material. Default: "
-                                                           "the thickness of paper.")] = PAPER_THICKNESS,
-            transfer: Annotated[TransferChoice,
-                                arg(help="How photos encode light; auto: linear for RAW files, else srgb.")
-                                ] = "auto",
-            resolution: Annotated[int, arg(help="Largest side of the rectified photos. Photos are never "
-                                                "enlarged.")] = 1024,
-            reference: Annotated[Literal["best", "first"],
-                                 arg(help="Photo that says what is up, without a sheet: the one taken most "
-                                          "nearly from straight above, or the first.")] = "best",
-            overwrite: Overwrite = False,
-            strict: Strict = False) -> int:
-    """Make a capture of raw photos for `mitsvbrdf fit`: find the poses of the phone, rectify, reject bad
-    photos.
+            sheet: Annotated[float | None, arg(metavar="CM", help=(
+                "Measured size of the printed sheet of tags around the material, over the outer edges of "
+                "the tags. Default: no sheet."))] = None,
+            depth: Annotated[float, arg(metavar="CM", help=(
+                "Height of the sheet above the material. Default: the thickness of paper."))] = PAPER_THICKNESS,
+            transfer: Annotated[TransferChoice, arg(
+                help="How photos encode light. auto: linear for RAW files, else srgb.")] = "auto",
+            resolution: Annotated[int, arg(
+                help="Largest side of the rectified photos. Photos are never enlarged.")] = 1024,
+            reference: Annotated[Literal["best", "first"], arg(help=(
+                "Photo that says what is up, without a sheet: best is the one nearest to straight above."))] = "best",
+            overwrite: Overwrite = False, strict: Strict = False) -> int:
+    """Make a capture of raw photos for `mitsvbrdf fit`: find the poses, rectify, reject bad photos.
 
     Take nine photos of a flat material from nine places, with flash, exposure and focus locked; see
     docs/capture.md. With a printed sheet of tags (`mitsvbrdf sheet`) and --sheet, lengths are exact and in
@@ -58,8 +53,7 @@ def capture(photos: Annotated[Positional[Path],
     from ..report.capture_page import write_quality
 
     if os.path.realpath(photos) in (os.path.realpath(out), os.path.realpath(out / "target")):
-        raise ConfigError("an output folder of its own", f"{out}, which holds the photos",
-                          "choose another folder")
+        raise folder_of_its_own(out, "photos")
     if sheet is None and depth != PAPER_THICKNESS:
         raise ConfigError("--sheet CM beside --depth", f"--depth {depth:g} alone",
                           "add --sheet, or omit --depth")
@@ -82,11 +76,7 @@ def capture(photos: Annotated[Positional[Path],
 
 
 def _print(result: CaptureResult, asked: int) -> None:
-    """Each photo with its number in a fit or the reason to reject it, and what the user should know.
-
-    Args:
-        asked: the resolution wanted.
-    """
+    """Each photo with its number in a fit or the reason to reject it, and notes; ``asked`` is --resolution."""
     from rich.table import Table
 
     from ..capture.quality.next_view import HIGHLIGHT_ANGLE
@@ -101,8 +91,7 @@ def _print(result: CaptureResult, asked: int) -> None:
         quality, error = result.qualities.get(photo.name), result.rig.errors.get(photo.name)
         table.add_row(photo.name, result.rig.rejected.get(photo.name) or number[photo.name],
                       "" if error is None else f"{error:.2f} px",
-                      f"{quality.sharpness:.2f}" if quality else "",
-                      f"{quality.clipped:.0%}" if quality else "")
+                      *((f"{quality.sharpness:.2f}", f"{quality.clipped:.0%}") if quality else ("", "")))
     print_rich(table, markup=False)
     for warning in result.warnings:
         say(f"note: {warning}")

@@ -17,13 +17,16 @@ from ..io.progress import print_numbers, say, say_written
 from ..render import RendererName, make_renderer
 from ..views import photo_numbers
 from .options import (
+    JsonFile,
     Out,
     Overwrite,
+    Reference,
     Strict,
     TransferOption,
     Variant,
     ViewList,
     check_new_files,
+    check_side,
     fit_of_maps,
     material_of,
     read_photos,
@@ -38,18 +41,16 @@ LARGEST_SIDE = 256  # pixels a side, where nothing else is asked for
 def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", help=(
                 "Folders of maps, published or the OUT of fits, or builtin:NAME. NAME= sets the caption."))]],
             capture: Annotated[Path, arg(metavar="CAPTURE", help="The photos.")], out: Out,
-            reference: Annotated[str | None, arg(help="Known maps: a folder or builtin:NAME.")] = None,
-            views: ViewList = None, resolution: Annotated[int | None, arg(
+            reference: Reference = None, views: ViewList = None,
+            resolution: Annotated[int | None, arg(
                 help="Side of photos and maps. Default: the smallest among them, at most 256.")] = None,
             renderer: RendererName = "mitsuba", transfer: Annotated[TransferOption, arg(
                 help="Encoding of light in photos. auto: as in each fit.")] = "auto",
             refine_views: Annotated[bool, arg(
-                help="Measure again with camera, flash and exposure of each photo refined, for every method.")] = False,
-            json_file: Annotated[Path | None,
-                                 arg(name="json", help="Write the figures to this file.")] = None,
-            variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False, strict: Strict = False) -> int:
-    """Show maps of several methods side by side: input, maps, errors, and every photo beside its
-    re-renderings.
+                help="Measure again with camera, flash and exposure of each photo refined.")] = False,
+            json_file: JsonFile = None, variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False,
+            strict: Strict = False) -> int:
+    """Show maps of several methods side by side, with errors, and every photo beside its re-renderings.
 
     `mitsvbrdf compare out materialgan=captures/wood/materialgan --capture captures/wood -o page.html` writes
     one HTML file that needs no network. Photos that a fit saw are rendered with the views it ended with, all
@@ -63,10 +64,9 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
 
     if not maps:
         raise ConfigError("one or more folders of maps", "none", "name them before --capture")
-    if resolution is not None and resolution < 8:
-        raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
-    check_new_files(out, json_file, overwrite=overwrite, photos=capture,
-                    read=[*map(_folder, maps), reference])
+    check_side(resolution)
+    sources = [*map(_folder, maps), reference]
+    check_new_files(out, json_file, overwrite=overwrite, photos=capture, read=sources)
     entries = _named_apart([_entry(text, resolution or LARGEST_SIDE) for text in maps])
     size = resolution or min(LARGEST_SIDE, *(entry.svbrdf.resolution for entry in entries))
     photos, chosen = read_photos(capture, size, None, transfer, "inverse-square"), photo_numbers(views)
@@ -118,5 +118,5 @@ def _folder(text: str) -> str:
 def _named_apart(entries: list[Entry]) -> list[Entry]:
     """Entries whose name another one has are called by their folder too."""
     names = [entry.name for entry in entries]
-    return [replace(entry, name=f"{entry.name} ({entry.folder})") if names.count(entry.name) > 1 else entry
+    return [entry if names.count(entry.name) == 1 else replace(entry, name=f"{entry.name} ({entry.folder})")
             for entry in entries]

@@ -16,12 +16,14 @@ from ..io import files
 from ..io.progress import print_rich, progress_bar, say, say_written
 from ..material.maps import SVBRDF, Bsdf
 from ..render import RENDERERS, RendererName, make_renderer
-from ..views import Falloff, Views
+from ..views import Falloff, shift_lights
 from .options import (
+    JsonFile,
     Overwrite,
     Variant,
     ViewSource,
     check_new_files,
+    check_side,
     fit_of_maps,
     material_of,
     name_of,
@@ -30,24 +32,21 @@ from .options import (
 
 
 def crosscheck(
-    maps: Positional[Annotated[str | None,
-                               arg(metavar="MAPS", help="A folder of maps, the OUT of a fit, or "
-                                                        "builtin:NAME. "
-                                                        "Default: made materials and corner cases.")]] = None,
+    maps: Positional[Annotated[str | None, arg(metavar="MAPS", help=(
+        "A folder of maps, the OUT of a fit, or builtin:NAME. Default: made materials and corner cases."))]
+    ] = None,
     views: ViewSource = "builtin:grid",
     bsdf: Annotated[Literal["all", "roughconductor", "principled"],
                     arg(help="BSDF to render with. The maps are converted to it.")] = "all",
     renderer: Annotated[Literal["all", "mitsuba", "mitsuba-scene", "analytic"],
                         arg(help="Which renderer to compare.")] = "all",
-    json_file: Annotated[Path | None, arg(name="json", help="Write all figures to this file.")] = None,
-    html_file: Annotated[Path | None,
-                         arg(name="html", help="Write a page with figures, plot and error maps.")] = None,
+    json_file: JsonFile = None,
+    html_file: Annotated[Path | None, arg(
+        name="html", help="Write a page with figures, plot and error maps.")] = None,
     repeats: Annotated[int, arg(help="Timed passes of each configuration, in turn with all others.")] = 5,
-    resolution: Annotated[int | None, arg(help="Side of the maps, by area averages. Default: 256; 128 for "
-                                               "the "
-                                               "built-in set.")] = None,
-    variant: Variant = "llvm_ad_rgb",
-    overwrite: Overwrite = False,
+    resolution: Annotated[int | None, arg(
+        help="Side of the maps, by area averages. Default: 256; 128 for the built-in set.")] = None,
+    variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False,
 ) -> int:
     """Compare every renderer and BSDF with the float64 twin: images, gradients, run time.
 
@@ -55,13 +54,17 @@ def crosscheck(
     """
     from ..verify import crosscheck as checks
 
-    _check_options(repeats, resolution)
+    if repeats < 1:
+        raise ConfigError("--repeats of 1 or more", str(repeats), "try 5")
+    check_side(resolution)
     check_new_files(json_file, html_file, overwrite=overwrite, read=[maps], photos=views)
     materials, falloff, offset, transfer = _materials(maps, resolution)
     names, lit = views_of(views, falloff)
     say(f"{len(names)} views of {views}" + (
         "; --views CAPTURE renders those of its photos" if maps and views.startswith("builtin:") else ""))
-    lit = _with_offset(lit, offset)
+    if offset:
+        say(f"with the flash offset of the fit, ({offset[0]:.3f}, {offset[1]:.3f}) patch sides")
+    lit = shift_lights(lit, offset)
     bsdfs: list[Bsdf] = list(get_args(Bsdf)) if bsdf == "all" else [bsdf]
     engines: tuple[RendererName, ...] = RENDERERS if renderer == "all" else (renderer,)
     renderers = [make_renderer(name, variant) for name in engines]
@@ -82,18 +85,9 @@ def crosscheck(
     return _verdict(record)
 
 
-def _check_options(repeats: int, resolution: int | None) -> None:
-    if repeats < 1:
-        raise ConfigError("--repeats of 1 or more", str(repeats), "try 5")
-    if resolution is not None and resolution < 8:
-        raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
-
-
 def _materials(maps: str | None, resolution: int | None,
                ) -> tuple[dict[str, SVBRDF], Falloff, tuple[float, float] | None, Transfer]:
-    """Materials by name, and falloff, flash offset and transfer of the fit they come from (or the
-    defaults).
-    """
+    """Materials by name, and falloff, flash offset and transfer of their fit (or the defaults)."""
     from ..material.corner_cases import builtin_materials
 
     fit = fit_of_maps(maps)
@@ -103,14 +97,6 @@ def _materials(maps: str | None, resolution: int | None,
         svbrdf = material_of(maps, resolution or 256)
         materials = {name_of(maps): svbrdf.resized(min(resolution or 256, svbrdf.resolution))}
     return materials, fit.falloff, fit.flash_offset, fit.transfer or "gamma2.2"
-
-
-def _with_offset(views: Views, offset: tuple[float, float] | None) -> Views:
-    from ..views import shift_lights
-
-    if offset:
-        say(f"with the flash offset of the fit, ({offset[0]:.3f}, {offset[1]:.3f}) patch sides")
-    return shift_lights(views, offset)
 
 
 def _print(record: dict) -> None:
@@ -133,9 +119,9 @@ def _table(record: dict, texels: str, bsdf: str, rows: list[dict]) -> Table:
 
     count = rows[0]["materials"]
     bound = f"{'>=' if texels == 'rough' else '<'} {record['rough_from']}"
-    table = Table(title=f"{bsdf}, texels of roughness {bound}" + (f", worst of {count} materials" if count > 1
-                                                                  else ""),
-                  title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
+    of = f", worst of {count} materials" if count > 1 else ""
+    table = Table(title=f"{bsdf}, texels of roughness {bound}{of}", title_justify="left", box=SIMPLE_HEAD,
+                  padding=(0, 1, 0, 0), pad_edge=False)
     table.add_column("", no_wrap=True)
     for heading in ("tolerance", "float32 limit", *(row["renderer"] for row in rows)):
         table.add_column(heading, justify="right", no_wrap=True)

@@ -16,8 +16,10 @@ from ..render import RendererName, make_renderer
 from ..views import photo_numbers
 from .options import (
     FalloffOption,
+    JsonFile,
     Material,
     Overwrite,
+    Reference,
     Strict,
     TransferOption,
     Variant,
@@ -29,21 +31,19 @@ from .options import (
 )
 
 
-def evaluate(maps: Positional[Material],
-             reference: Annotated[str | None, arg(help="Known maps: a folder or builtin:NAME.")] = None,
+def evaluate(maps: Positional[Material], reference: Reference = None,
              capture: Annotated[Path | None, arg(metavar="CAPTURE", help="Photos to compare with.")] = None,
              views: ViewList = None,
-             resolution: Annotated[int | None,
-                                   arg(help="Side of the photos. Default: that of the maps.")] = None,
+             resolution: Annotated[int | None, arg(
+                 help="Side of the photos. Default: that of the maps.")] = None,
              renderer: RendererName = "mitsuba", transfer: TransferOption = "auto",
-             falloff: Annotated[FalloffOption, arg(help="auto: as in the fit.")] = "auto",
+             falloff: Annotated[FalloffOption, arg(help="Falloff of light. auto: as in the fit.")] = "auto",
              flash_offset: Annotated[Literal["fitted", "none"], arg(
                  help="fitted: use the flash offset that the fit found.")] = "fitted",
-             refine_views: Annotated[bool, arg(help=(
-                 "Measure again with camera, flash and exposure of each photo refined; the maps stay."))] = False,
-             json_file: Annotated[Path | None,
-                                  arg(name="json", help="Write the figures to this file.")] = None,
-             variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False, strict: Strict = False) -> int:
+             refine_views: Annotated[bool, arg(
+                 help="Measure again with camera, flash and exposure of each photo refined.")] = False,
+             json_file: JsonFile = None, variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False,
+             strict: Strict = False) -> int:
     """Measure maps: against known maps (--reference) or against photos (--capture).
 
     Map RMSE is counted as in the field: diffuse and specular gamma-encoded, roughness as stored, normal as
@@ -63,17 +63,15 @@ def evaluate(maps: Positional[Material],
     from ..measure.metrics import map_rmse
 
     if (reference is None) == (capture is None):
-        raise ConfigError("either --reference or --capture", "both" if reference else "neither",
-                          "give one of them")
+        raise ConfigError("either --reference or --capture", "both" if reference else "neither", "give one")
     if refine_views and capture is None:
-        raise ConfigError("--capture beside --refine-views", "--reference",
-                          "give the photos whose views to refine")
+        raise ConfigError("--capture beside --refine-views", "--reference", "give the photos to refine")
     check_new_files(json_file, overwrite=overwrite, photos=capture, read=[maps, reference])
     svbrdf = material_of(maps)
     found: dict[str, Any]
     if reference is not None:
-        found = map_rmse(svbrdf, material_of(reference)) if reference.startswith(
-            "builtin:") else evaluate_maps(svbrdf, reference)
+        found = (map_rmse(svbrdf, material_of(reference)) if reference.startswith("builtin:")
+                 else evaluate_maps(svbrdf, reference))
         print_numbers("Map RMSE", found)
     elif capture is not None:
         fit = fit_of_maps(maps)
@@ -92,9 +90,8 @@ def evaluate(maps: Positional[Material],
         labels = {name: fit.label(shots, number) for name, number in zip(shots.names, shots.index)}
         _print_errors(found["views"], found, labels)
         if found["fitted_views"]:
-            errors = found["calibrated"]
-            say(f"with {errors['views']}: " + ", ".join(f"{name} {error:.4f}"
-                                                        for name, error in _totals(errors).items()))
+            totals = ", ".join(f"{name} {error:.4f}" for name, error in _totals(found["calibrated"]).items())
+            say(f"with {found['calibrated']['views']}: {totals}")
         if found["refined"]:
             _print_errors("views refined beside these maps", found["refined"], labels)
             for name, view in found["refined"]["views"].items():
@@ -123,7 +120,7 @@ def _totals(errors: dict) -> dict[str, float]:
 
 
 def _moved(change: dict[str, float]) -> str:
-    camera, flash = (", ".join(f"{change[f'{what}_{axis}']:+.3f}" for axis in "xyz") for what in ("camera",
-                                                                                                  "flash"))
+    camera, flash = (", ".join(f"{change[f'{what}_{axis}']:+.3f}" for axis in "xyz")
+                     for what in ("camera", "flash"))
     light = math.exp(change["log_exposure"])
     return f"camera ({camera}), flash beside it ({flash}) patch sides, light x {light:.3f}"

@@ -36,22 +36,21 @@ def export(
     maps: Positional[Material],
     to: Annotated[str, arg(metavar="FORMAT,...", help=f"Any of {', '.join(FORMATS)}.")] = ",".join(FORMATS),
     naming: Annotated[Naming, arg(help="File names of the maps format.")] = "own",
-    normal: Annotated[NormalConvention,
-                      arg(help="Normals of the maps format: gl is +Y up, dx +Y down.")] = "gl",
+    normal: Annotated[NormalConvention, arg(
+        help="Normals of the maps format: gl is +Y up, dx +Y down.")] = "gl",
     bits: Annotated[Bits, arg(
         help="Bits of PNG files. glTF and colours in USD always have 8, heights 16.")] = 16,
-    tile: Annotated[bool, arg(help="Join opposite edges, so that the material can be repeated. The patch "
-                                   "becomes "
-                                   "smaller; its new side is printed.")] = False,
-    side_cm: Annotated[float | None, arg(help="Side of the patch before --tile. Default: that of the sheet "
-                                              "in the "
-                                              "photos, else unknown.")] = None,
-    licence: Annotated[str | None,
-                       arg(metavar="TEXT", help="Licence of the material, such as CC0-1.0.")] = None,
+    tile: Annotated[bool, arg(help=(
+        "Join opposite edges, so that the material can be repeated. The patch becomes smaller; its new side "
+        "is printed."))] = False,
+    side_cm: Annotated[float | None, arg(help=(
+        "Side of the patch before --tile. Default: that of the sheet in the photos, else unknown."))] = None,
+    licence: Annotated[str | None, arg(
+        metavar="TEXT", help="Licence of the material, such as CC0-1.0.")] = None,
     preview: Annotated[bool, arg(help="Draw a sphere that wears the material, beside the formats.")] = True,
     zip: Annotated[bool, arg(help="Also write each format's folder as FORMAT.zip.")] = False,
-    out: Annotated[Path | None,
-                   arg(aliases=["-o"], help="Folder to write. Default: export inside MAPS.")] = None,
+    out: Annotated[Path | None, arg(
+        aliases=["-o"], help="Folder to write. Default: export inside MAPS.")] = None,
     overwrite: Overwrite = False, strict: Strict = False,
 ) -> int:
     """Write a material for other programs: OUT/FORMAT/, with an export.json that states what each file holds.
@@ -119,10 +118,9 @@ def _draw(folder: Path, svbrdf: SVBRDF) -> None:
 def _tell(out: Path, done: dict[str, Export]) -> None:
     for kind, written in done.items():
         for what, errors in (written.conversion or {}).items():
-            say(f"lost in {out / kind}, {what}: " + ", ".join(f"{name} {error:.4f}"
-                                                              for name, error in errors.items()))
+            lost = ", ".join(f"{name} {error:.4f}" for name, error in errors.items())
+            say(f"lost in {out / kind}, {what}: {lost}")
         say(f"wrote {', '.join(str(out / kind / file) for file in written.files)}")
     if any(written.conversion for written in done.values()):
         say("lost: RMSE, from 0 to 1, of the maps as linear^(1/2.2) and of pictures under three lights in "
-            "display values; "
-            "below 0.004 is less than one step of 8 bits")
+            "display values; below 0.004 is less than one step of 8 bits")

@@ -42,14 +42,14 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitAr
         method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"],
                           arg(help="How to fit. `fit --method gan --help` shows the options of that method.")]
         = "hierarchical",
-        explain: Annotated[bool, arg(help="Print what this fit omits, decides as it runs, and uses; do not "
-                                          "fit.")] = False,
+        explain: Annotated[bool, arg(
+            help="Print what this fit omits, decides as it runs, and uses; do not fit.")] = False,
         profile: Annotated[bool, arg(help="Print the time of each part of a step.")] = False,
-        pretrain: Annotated[bool, arg(help="First stage of --preset paper-two-stage: train the generator on "
-                                           "the first "
-                                           "photo; OUT is its checkpoint, for --pretrained.")] = False,
-        resume: Annotated[bool, arg(help="Continue from the checkpoint in OUT, with the same options and more "
-                                         "--iterations.")] = False,
+        pretrain: Annotated[bool, arg(help=(
+            "First stage of --preset paper-two-stage: train the generator on the first photo; OUT is its "
+            "checkpoint, for --pretrained."))] = False,
+        resume: Annotated[bool, arg(
+            help="Continue from the checkpoint in OUT, with equal options and more --iterations.")] = False,
         overwrite: Overwrite = False, strict: Strict = False) -> int:
     """Recover the maps of a material from photos.
 
@@ -171,8 +171,7 @@ def _say_detail(result: Fit) -> None:
     elif why := why_not(result):
         say(f"plausible detail omitted: {why}")
     else:
-        say("interrupted: the maps were kept, without plausible detail; the same command with --resume "
-            "makes it")
+        say("interrupted: the maps were kept, without plausible detail; --resume makes it")
 
 
 def _say_result(result: Fit, shots: Capture, before: int | None) -> None:
@@ -193,13 +192,12 @@ def _say_result(result: Fit, shots: Capture, before: int | None) -> None:
         say(f"settled after {result.trace[-1]['seconds']:.0f} s: it ended by itself, before its limit")
     if shots.views.falloff == "none":
         say("scene.xml has a light that falls off with the distance; this fit's did not")
-    sure = confidence(result.deviations).items()
-    say("how sure: " + ", ".join(f"{name} ±{c['median_sd']:.3f} ({c['determined_share']:.0%} determined)"
-                                 for name, c in sure))
+    sure = [f"{name} ±{found['median_sd']:.3f} ({found['determined_share']:.0%} determined)"
+            for name, found in confidence(result.deviations).items()]
+    say(f"how sure: {', '.join(sure)}")
     say("±: median standard deviation of a texel, maps counted from 0 to 1, colours as linear^(1/2.2), "
-        "normals as (n + 1) / 2; "
-        f"determined: texels below ±{DETERMINED:g} by their own photos alone; the others follow texels that "
-        "look alike")
+        f"normals as (n + 1) / 2; determined: texels below ±{DETERMINED:g} by their own photos alone; the "
+        "others follow texels that look alike")
     for warning in result.warnings:
         say(f"warning: {warning}")
 
@@ -230,8 +228,8 @@ def fit_command(arguments: Sequence[str], function: Callable[..., Any] = fit,
         shown = _usual_only(kind)
         default = shown(**vars(default))
     signature = inspect.signature(function)
-    parameters = [p.replace(default=default) if p.name == "config" else p
-                  for p in signature.parameters.values()]
+    parameters = [each.replace(default=default) if each.name == "config" else each
+                  for each in signature.parameters.values()]
     parameters.append(inspect.Parameter("advanced", inspect.Parameter.KEYWORD_ONLY, default=False,
                                         annotation=Advanced))
     # One flat set of options; --fix may be repeated.
@@ -254,9 +252,7 @@ def _usual_only(kind: type[FitConfig]) -> type[FitConfig]:
 
 
 def with_flags(arguments: list[str]) -> list[str]:
-    """Arguments with --calibrate, --exact and their --no- as True and False: unsaid is a third, which no flag
-    of tyro's has.
-    """
+    """Arguments with --calibrate, --exact and their --no- as True and False. Unsaid, the fit decides."""
     if _asked(arguments).method not in (None, "hierarchical"):
         return arguments
     found = []

@@ -27,40 +27,42 @@ if TYPE_CHECKING:
     from ..views import Falloff, Views
 
 Out = Annotated[Path, arg(aliases=["-o"], help="Folder (or file) to write.")]
-Overwrite = Annotated[bool, arg(help="Replace results that are there already; export/ and relight/ made of "
-                                     "them go too.")]
+Overwrite = Annotated[bool, arg(help="Replace earlier results, also export/ and relight/ made of them.")]
+JsonFile = Annotated[Path | None, arg(name="json", help="Write all figures to this file.")]
+Reference = Annotated[str | None, arg(help="Known maps: a folder or builtin:NAME.")]
 # Commands with this parameter run inside errors.strict: see cli.command.
-Strict = Annotated[bool, arg(help="Refuse damaged photos, and maps that would have to be mended, instead of warning.")]
+Strict = Annotated[bool, arg(help="Refuse damaged photos and maps. Default: mend them with a warning.")]
 Variant = Annotated[Literal["llvm_ad_rgb", "cuda_ad_rgb"], arg(help="Mitsuba variant.")]
-ViewList = Annotated[str | None, arg(metavar="0,1,2,...", help="Which photos to use, by number; left out: "
-                                                               "all.")]
-Material = Annotated[str, arg(metavar="MAPS", help="The OUT of a fit (OUT/detail for its plausible detail), "
-                                                   "a folder of maps, or "
-                                                   "builtin:NAME (inlay, tiles, leather, plates).")]
-ViewSource = Annotated[str, arg(help="A capture whose views to use, or builtin:grid (nine views from two "
-                                     "sides away).")]
-Photos = Annotated[Path, arg(metavar="CAPTURE", help="A folder of photos, calibrated or plain; see "
-                                                     "docs/formats.md.")]
+ViewList = Annotated[str | None, arg(metavar="0,1,2,...", help="Numbers of photos to use. Default: all.")]
+Material = Annotated[str, arg(metavar="MAPS", help=(
+    "The OUT of a fit (OUT/detail for its plausible detail), a folder of maps, or builtin:NAME (inlay, "
+    "tiles, leather, plates)."))]
+ViewSource = Annotated[str, arg(help="A capture with the views, or builtin:grid (nine from two sides away).")]
+Photos = Annotated[Path, arg(metavar="CAPTURE", help=(
+    "A folder of photos, calibrated or plain; see docs/formats.md."))]
 TransferChoice = Literal["auto", Transfer]
-TransferOption = Annotated[TransferChoice,
-                           arg(help="How photos encode light; auto: as the capture states, else gamma2.2 "
-                                    "for calibrated captures and srgb for plain photos.")]
+TransferOption = Annotated[TransferChoice, arg(help=(
+    "How photos encode light. auto: as the capture states, else gamma2.2 for calibrated captures and srgb "
+    "for plain photos."))]
 FalloffOption = Literal["auto", "inverse-square", "none"]
+
+
+def folder_of_its_own(out: Path, what: str) -> ConfigError:
+    """The error for results among the photos or maps that a command reads."""
+    return ConfigError("an output folder of its own", f"{out}, which holds the {what}", "choose another")
 
 
 def keep_apart(capture: Path, out: Path) -> None:
     """Raise ConfigError for results among photos: they would be read as photos or replace them."""
     if _photo_folders(capture) & {os.path.realpath(path) for path in (out, out / "photos")}:
-        raise ConfigError("an output folder of its own", f"{out}, which holds the photos",
-                          "choose another folder")
+        raise folder_of_its_own(out, "photos")
 
 
 def keep_apart_from_maps(maps: str, out: Path) -> None:
     """Raise ConfigError for results among the maps: they would replace the fit or be read as maps."""
     folders = {os.path.realpath(os.path.join(maps, part)) for part in ("", "maps", "..")}
     if not maps.startswith("builtin:") and os.path.realpath(out) in folders:
-        raise ConfigError("an output folder of its own", f"{out}, which holds the maps",
-                          "choose another folder")
+        raise folder_of_its_own(out, "maps")
 
 
 def folder_inside(parent: Path, name: str) -> Path:
@@ -86,11 +88,9 @@ def name_of(maps: str) -> str:
 
 def check_new_files(*outputs: Path | None, overwrite: bool, read: Sequence[str | Path | None] = (),
                     photos: str | Path | None = None) -> None:
-    """Refuse, before any work is done, files to write that are there already or could not be written once it
-    is.
+    """Refuse, before any work is done, files to write that exist or could not be written.
 
-    One that is there is replaced with --overwrite alone, and never where it is read or part of a result
-    folder.
+    --overwrite replaces an existing one, but never what is read or part of a result folder.
 
     Args:
         outputs: as named on the command line; None was not asked for.
@@ -109,8 +109,7 @@ def check_new_files(*outputs: Path | None, overwrite: bool, read: Sequence[str |
         if any(target == other or target in other.parents or other in target.parents for other in earlier):
             raise ConfigError("a file of its own for each output", f"{path} for two", "give another name")
         if str(target) in sources or photos and os.path.realpath(path.parent) in _photo_folders(Path(photos)):
-            raise ConfigError("an output apart from what is read", str(path),
-                              "choose another name, or another folder")
+            raise ConfigError("an output apart from what is read", str(path), "choose another name or folder")
         if _is_of_result(target):
             raise ConfigError("an output that is no part of a result", str(path), "choose another name")
         if path.is_file() and not overwrite:
@@ -131,20 +130,25 @@ def _photo_folders(capture: Path) -> set[str]:
     return {os.path.realpath(path) for path in (capture, capture / "target")}
 
 
+def check_side(resolution: int | None) -> None:
+    """Raise ConfigError for a --resolution below 8; None stands for a default."""
+    if resolution is not None and resolution < 8:
+        raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
+
+
 def read_photos(capture: Path, resolution: int, views: str | None, transfer: TransferChoice,
                 falloff: Falloff) -> Capture:
     """The photos as asked for, with what was noticed about them said."""
     from ..capture import read_capture
     from ..views import photo_numbers
 
-    if resolution < 8:
-        raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
+    check_side(resolution)
     with ExitStack() as open_bar:
-        # of plain photos alone
+        # plain photos alone report
         bar = functools.cache(lambda: open_bar.enter_context(progress_bar("capture")))
         shots = read_capture(capture, resolution=resolution, index=photo_numbers(views), falloff=falloff,
-                             transfer=None if transfer == "auto" else transfer, report=lambda text,
-                             share: bar()(text, share))
+                             transfer=None if transfer == "auto" else transfer,
+                             report=lambda text, share: bar()(text, share))
     if shots.source and (shots.source / "quality.html").is_file():
         say(f"photos go by their numbers in {shots.source}/quality.html, which names the file of each")
     for note in shots.notes:

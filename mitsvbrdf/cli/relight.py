@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import os
 from pathlib import Path
@@ -13,6 +12,7 @@ from tyro.conf import Positional, arg
 
 from ..errors import ConfigError
 from ..io import results
+from ..io.files import file_hash
 from ..io.progress import progress_bar, say
 from ..io.signals import stop_signals
 from .options import (
@@ -40,32 +40,32 @@ MOVIES = ("mp4", "gif")
 
 def relight(
     maps: Positional[Material],
-    preset: Annotated[str, arg(metavar="PRESET,...",
-                               help="sphere, shaderball, novel, sweep, turntable; or all.")] = "sphere",
-    environment: Annotated[str | None, arg(help="studio, sunsky, none, or an .exr or .hdr file. Default: the "
-                                                "preset's.")] = None,
+    preset: Annotated[str, arg(
+        metavar="PRESET,...", help="sphere, shaderball, novel, sweep, turntable; or all.")] = "sphere",
+    environment: Annotated[str | None, arg(
+        help="studio, sunsky, none, or an .exr or .hdr file. Default: the preset's.")] = None,
     size: Annotated[str, arg(metavar="N or WxH", help="Size of the pictures in pixels.")] = "512",
-    frames: Annotated[int | None,
-                      arg(help="Frames of each movie; 1 makes a still. Default: the preset's.")] = None,
+    frames: Annotated[int | None, arg(
+        help="Frames of each movie; 1 makes a still. Default: the preset's.")] = None,
     tiling: Annotated[int, arg(help="Repetitions of the maps along each side.")] = 1,
-    displacement: Annotated[float,
-                            arg(help="Height of the relief. 1: as high as the normals say; 0: flat.")] = 0.0,
-    exposure: Annotated[float,
-                        arg(help="Brightness of PNG and movies in stops. EXR files stay linear.")] = 0.0,
-    target_error: Annotated[float | None,
-                            arg(help="Render each frame until its estimated RMSE in display values is below "
-                                     "this. Default: 0.01, unless --budget or --samples is given.")] = None,
+    displacement: Annotated[float, arg(
+        help="Height of the relief. 1: as high as the normals say; 0: flat.")] = 0.0,
+    exposure: Annotated[float, arg(
+        help="Brightness of PNG and movies in stops. EXR files stay linear.")] = 0.0,
+    target_error: Annotated[float | None, arg(help=(
+        "Render each frame until its estimated RMSE in display values is below this. Default: 0.01, unless "
+        "--budget or --samples is given."))] = None,
     budget: Annotated[float | None, arg(help="Render all frames within so many seconds.")] = None,
     samples: Annotated[int | None, arg(help="Render so many samples a pixel.")] = None,
-    movie: Annotated[str, arg(metavar="mp4,gif|none",
-                              help="Movies to make of the frames. Each frame also stays as EXR.")] = "mp4",
-    out: Annotated[Path | None, arg(aliases=["-o"],
-                                    help="Folder to write. Default: relight inside MAPS.")] = None,
+    movie: Annotated[str, arg(
+        metavar="mp4,gif|none", help="Movies to make of the frames. Each frame also stays as EXR.")] = "mp4",
+    out: Annotated[Path | None, arg(
+        aliases=["-o"], help="Folder to write. Default: relight inside MAPS.")] = None,
     seed: int = 0, variant: Variant = "llvm_ad_rgb",
     explain: Annotated[bool, arg(help="Print what is omitted, and why, without rendering.")] = False,
-    check: Annotated[bool,
-                     arg(help="Compare a novel frame with the analytic renderer in float64 by a Z-test, a "
-                              "pixel for each texel. Writes nothing. Exit code 1: they differ.")] = False,
+    check: Annotated[bool, arg(help=(
+        "Compare a novel frame with the analytic renderer in float64 by a Z-test, a pixel for each texel. "
+        "Writes nothing. Exit code 1: they differ."))] = False,
     resume: Annotated[bool, arg(
         help="Render the missing frames of an earlier run with the same options.")] = False,
     overwrite: Overwrite = False, strict: Strict = False,
@@ -98,7 +98,8 @@ def relight(
         if check:
             return _check(mi, svbrdf, fit.known_views, seed)
         stages = [make_stage(mi, svbrdf, each, environment=environment, size=pixels, frames=frames,
-                             tiling=tiling, displacement=displacement, views=fit.known_views) for each in chosen]
+                             tiling=tiling, displacement=displacement, views=fit.known_views)
+                  for each in chosen]
         if explain:
             for stage in stages:
                 for what, why in stage.omitted:
@@ -107,24 +108,21 @@ def relight(
         if "mp4" in kinds and any(stage.frames > 1 for stage in stages):
             av_module()
         keep_apart_from_maps(maps, out)
-        settings = {"maps": maps if builtin else os.path.realpath(maps), "material": _fingerprint(svbrdf,
-                                                                                                  fit.known_views),
-                    "environment": environment, "environment_file": _file_fingerprint(environment),
-                    "size": pixels,
-                    "frames": frames, "tiling": tiling, "displacement": displacement, "exposure": exposure,
+        settings = {"maps": maps if builtin else os.path.realpath(maps),
+                    "material": _fingerprint(svbrdf, fit.known_views), "environment": environment,
+                    "environment_file": _file_fingerprint(environment), "size": pixels, "frames": frames,
+                    "tiling": tiling, "displacement": displacement, "exposure": exposure,
                     "target_error": stop.target_error, "budget": budget, "samples": samples, "seed": seed,
                     "variant": variant}
-        title = f"relight {name_of(maps)}"
         with results.output_folder(out, overwrite or resume, resume, kept_names(PRESETS)) as folder:
             record = go_on(settings, out, folder) if resume else begin(settings)
-            with contextlib.ExitStack() as stack:
-                stopping = stack.enter_context(stop_signals())
-                report = stack.enter_context(progress_bar(title))
+
+            def done(stage: Stage) -> None:
+                _finish(stage, record, folder, kinds, exposure, stop)
+
+            with stop_signals() as stopping, progress_bar(f"relight {name_of(maps)}") as report:
                 whole = render_stages(mi, stages, stop, record, folder, seed=seed, exposure=exposure,
-                                      report=report,
-                                      done=lambda stage: _finish(stage, record, folder, kinds, exposure,
-                                                                 stop),
-                                      interrupted=stopping)
+                                      report=report, done=done, interrupted=stopping)
         if not whole:
             say("interrupted: the frames so far are kept; the same command with --resume goes on")
         say(f"wrote {out}/relight.json and what it names")
@@ -144,22 +142,17 @@ def _fingerprint(svbrdf: SVBRDF, views: Views | None) -> str:
 
 def _file_fingerprint(environment: str | None) -> str | None:
     """Of an environment's file; None of those with a name."""
-    if environment is None or not Path(environment).is_file():
-        return None
-    with Path(environment).open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+    return None if environment is None or not os.path.isfile(environment) else file_hash(Path(environment))
 
 
 def _check(mi: ModuleType, svbrdf: SVBRDF, views: Views | None, seed: int) -> int:
     from ..relight.check import check_novel
 
     test = check_novel(mi, svbrdf, views, seed=seed)
-    verdict = "the same but for noise" if test.passed else "they differ"
     means = ", ".join(f"{each:+.2f}" for each in test.bias.tolist())
-    say(f"novel against analytic64: {verdict}; of {test.z.numel()} values the worst is "
-        f"{float(test.z.abs().max()):.2f} "
-        f"standard deviations off (limit {test.z_limit:.2f}), the means of the channels {means} (limit "
-        f"{test.bias_limit:.2f})")
+    say(f"novel against analytic64: {'the same but for noise' if test.passed else 'they differ'}; of "
+        f"{test.z.numel()} values the worst is {float(test.z.abs().max()):.2f} standard deviations off (limit "
+        f"{test.z_limit:.2f}), the means of the channels {means} (limit {test.bias_limit:.2f})")
     return 0 if test.passed else 1
 
 
@@ -182,12 +175,12 @@ def _finish(stage: Stage, record: Record, folder: Path, kinds: list[str], exposu
 
 def _summary(name: str, frames: list[dict]) -> str:
     samples, errors = [f["samples"] for f in frames], [f["error"] for f in frames if f["error"] is not None]
-    parts = [] if len(frames) == 1 else [f"{len(frames)} frames"]
+    low, high, several = min(samples), max(samples), len(frames) > 1
+    parts = [f"{len(frames)} frames"] if several else []
     parts += [f"{sum(f['seconds'] for f in frames):.1f} s",
-              (f"{min(samples)}" if min(samples) == max(samples) else f"{min(samples)} to {max(samples)}")
-              + f" sample{'s' * (max(samples) > 1)} a pixel"]
-    parts += [f"estimated error {max(errors):.4f}" + (" at most" if len(frames) > 1 else "")] if errors else (
-        ["too few to estimate the error"])
+              f"{low if low == high else f'{low} to {high}'} sample{'s' * (high > 1)} a pixel",
+              f"estimated error {max(errors):.4f}{' at most' * several}" if errors
+              else "too few to estimate the error"]
     return f"{name}: {', '.join(parts)}"
 
 
@@ -196,9 +189,9 @@ def _size(text: str) -> tuple[int, int]:
         sides = [int(part) for part in text.lower().split("x")]
     except ValueError:
         sides = []
-    if len(sides) not in (1, 2) or not all(PICTURE_SIDES[0] <= side <= PICTURE_SIDES[1] for side in sides):
-        raise ConfigError(f"--size N or WxH with sides of {PICTURE_SIDES[0]} to {PICTURE_SIDES[1]} pixels",
-                          repr(text),
+    low, high = PICTURE_SIDES
+    if len(sides) not in (1, 2) or not all(low <= side <= high for side in sides):
+        raise ConfigError(f"--size N or WxH with sides of {low} to {high} pixels", repr(text),
                           "try 512 or 640x360")
     return sides[0], sides[-1]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Literal
 
 from rich.box import SIMPLE_HEAD
@@ -12,7 +11,7 @@ from tyro.conf import arg
 from ..io import files
 from ..io.progress import print_rich, progress_bar, say, say_written
 from ..render import RENDERERS, RendererName, make_renderer
-from .options import Overwrite, Variant, check_new_files
+from .options import JsonFile, Overwrite, Variant, check_new_files
 
 Sweep = Literal["roughness", "tilt", "distance", "colour", "intensity", "clipped", "flat", "resolution",
                 "views", "stiff"]
@@ -24,9 +23,7 @@ def stability(
     renderer: Annotated[Literal["all", "analytic", "mitsuba", "mitsuba-scene"],
                         arg(help="Which renderer to examine.")] = "all",
     only: Annotated[tuple[Sweep, ...], arg(help="Run these sweeps alone.")] = (),
-    json_file: Annotated[Path | None, arg(name="json", help="Write all figures to this file.")] = None,
-    variant: Variant = "llvm_ad_rgb",
-    overwrite: Overwrite = False,
+    json_file: JsonFile = None, variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False,
 ) -> int:
     """Sweep every parameter to its ends and give a verdict on each renderer.
 

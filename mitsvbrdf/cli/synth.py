@@ -32,27 +32,23 @@ from .options import (
     views_of,
 )
 
-RECTIFIED_SIDE, MADE_SIDE = 256, 1024  # --resolution where it is left out
+RECTIFIED_SIDE, MADE_SIDE = 256, 1024  # defaults of --resolution
 PHONE = HandheldPhone()
 
 
 def synth(
     material: Positional[Material], out: Out, phone: OmitArgPrefixes[HandheldPhone] = PHONE,
-    handheld: Annotated[bool, arg(help="Take raw photos with a simulated phone, for `mitsvbrdf capture`: "
-                                       "OUT/IMG_0001.jpg and so on, and the truth in OUT/truth. The options "
-                                       "of the "
-                                       "phone need this one.")] = False,
-    spoil: Annotated[str, arg(metavar="KIND,KIND,...",
-                              help="With --handheld: add photos that are blurred, finger, noflash, "
-                                   "duplicate, "
-                                   "rotated or unrelated.")] = "",
+    handheld: Annotated[bool, arg(help=(
+        "Take raw photos with a simulated phone, for `mitsvbrdf capture`: OUT/IMG_0001.jpg and so on, and the "
+        "truth in OUT/truth. The options of the phone need this one."))] = False,
+    spoil: Annotated[str, arg(metavar="KIND,KIND,...", help=(
+        "With --handheld: add photos that are blurred, finger, noflash, duplicate, rotated or unrelated."))] = "",
     views: ViewSource = "builtin:grid",
-    resolution: Annotated[int | None,
-                          arg(help="Side of the photos in pixels; with --handheld side of builtin maps. "
-                                   "Default: 256; "
-                                   "with --handheld 1024.")] = None,
-    noise: Annotated[float, arg(help="Standard deviation of the sensor noise of rectified photos, in linear "
-                                     "radiance.")] = 0.0,
+    resolution: Annotated[int | None, arg(help=(
+        "Side of the photos in pixels; with --handheld side of builtin maps. Default: 256; with "
+        "--handheld 1024."))] = None,
+    noise: Annotated[float, arg(help=(
+        "Standard deviation of the sensor noise of rectified photos, in linear radiance."))] = 0.0,
     renderer: RendererName = "mitsuba", transfer: color.Transfer = "gamma2.2",
     variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False,
 ) -> int:
@@ -66,19 +62,16 @@ def synth(
     keep_apart_from_maps(material, out)
     if handheld:
         unused = {"--views": views != "builtin:grid", "--noise": noise != 0,
-                  "--renderer": renderer != "mitsuba",
-                  "--transfer": transfer != "gamma2.2"}
-        if any(unused.values()):
-            raise ConfigError("options of the phone beside --handheld",
-                              ", ".join(k for k, v in unused.items() if v),
+                  "--renderer": renderer != "mitsuba", "--transfer": transfer != "gamma2.2"}
+        if given := [name for name, is_given in unused.items() if is_given]:
+            raise ConfigError("options of the phone beside --handheld", ", ".join(given),
                               "leave these out; --grain is the phone's noise")
-        return _handheld(material, out, phone, spoil, MADE_SIDE if resolution is None else resolution,
-                         variant, overwrite)
-    given = [f"--{f.name.replace('_', '-')}" for f in fields(phone) if getattr(phone, f.name) != f.default
-             and f.name != "seed"]
-    if given or spoil:
-        raise ConfigError("--handheld beside options of the phone",
-                          ", ".join([*given, *["--spoil"] * bool(spoil)]),
+        resolution = MADE_SIDE if resolution is None else resolution
+        return _handheld(material, out, phone, spoil, resolution, variant, overwrite)
+    given = [f"--{f.name.replace('_', '-')}" for f in fields(phone)
+             if getattr(phone, f.name) != f.default and f.name != "seed"] + ["--spoil"] * bool(spoil)
+    if given:
+        raise ConfigError("--handheld beside options of the phone", ", ".join(given),
                           "add --handheld, or leave these out")
     return _rectified(material, out, views, RECTIFIED_SIDE if resolution is None else resolution, noise,
                       phone.seed, make_renderer(renderer, variant), transfer, overwrite)
@@ -104,14 +97,16 @@ def _handheld(material: str, out: Path, phone: HandheldPhone, spoil: str, resolu
     from ..synth.traced import HandheldRenderer
 
     phone.check()
-    svbrdf, kinds = material_of(material, resolution), tuple(kind.strip() for kind in spoil.split(",")
-                                                             if kind.strip())
+    svbrdf = material_of(material, resolution)
+    kinds = cast(tuple[Spoil, ...], tuple(kind.strip() for kind in spoil.split(",") if kind.strip()))
+
+    def report(done: int, count: int) -> None:
+        if done % 3 == 0 or done == count:
+            say(f"took {done} of {count} photos")
+
     with results.output_folder(out, overwrite) as folder:
-        truth = write_handheld(
-            svbrdf, phone, functools.partial(HandheldRenderer, variant=variant), folder,
-            cast(tuple[Spoil, ...], kinds), material=name_of(material),
-            report=lambda done, count: say(f"took {done} of {count} photos") if done % 3 == 0 or done == count
-            else None)
+        truth = write_handheld(svbrdf, phone, functools.partial(HandheldRenderer, variant=variant), folder,
+                               kinds, material=name_of(material), report=report)
     sheet = f" with the sheet of {phone.sheet:g} cm" if phone.sheet else ""
     say(f"wrote {len(truth['rig']['poses'])} photos{sheet} to {out}, and what is true of them to {out}/truth")
     return 0

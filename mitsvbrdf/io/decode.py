@@ -20,19 +20,12 @@ MOST_BYTES = 8 * MOST_PIXELS  # of its file
 
 
 class Header(NamedTuple):
-    """What a file says of itself.
+    """What a file says of itself."""
 
-    Args:
-        kind: PNG or JPEG.
-        size: width and height as stored.
-        orientation: EXIF's, 1 to 8; 1: shown as stored.
-        mode: Pillow's name of its channels.
-    """
-
-    kind: str
-    size: tuple[int, int]
-    orientation: int
-    mode: str
+    kind: str  # PNG or JPEG
+    size: tuple[int, int]  # width and height as stored
+    orientation: int  # EXIF's, 1 to 8; 1: shown as stored
+    mode: str  # Pillow's name of the channels
 
 
 def header(path: Path, error: type[MitsvbrdfError]) -> Header:
@@ -48,11 +41,10 @@ def decoded(path: Path, error: type[MitsvbrdfError]) -> np.ndarray:
     """A PNG or JPEG as H x W x 3, RGB as stored, 8 or 16 bits. Alpha is dropped, grey repeated.
 
     Raises:
-        MitsvbrdfError: as ``error``: no such file, one that ends early or is damaged beyond reading, or too
-            large a one.
+        MitsvbrdfError: as ``error``: the file is missing, too large, cut short, or damaged beyond reading.
 
     Warns:
-        InputWarning: the decoder of a JPEG complained, and made up what it could not read.
+        InputWarning: a JPEG is damaged; its decoder made up what it could not read.
     """
     about = header(path, error)
     with _named(path, error):
@@ -86,15 +78,12 @@ def check_size(path: Path, size: tuple[int, int], error: type[MitsvbrdfError]) -
 
 @contextlib.contextmanager
 def opened(path: Path, formats: tuple[str, ...] | None = None) -> Iterator[Image]:
-    """The file in Pillow, however many pixels it has: photos of 108 and 200 megapixels are none of its
-    bombs.
-    """
+    """The file in Pillow, without Pillow's own limit of pixels: photos of phones have up to 200 million."""
     from PIL import Image
 
     most, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
     try:
-        # damaged EXIF is none
-        with warnings.catch_warnings(action="ignore"), Image.open(path, formats=formats) as image:
+        with warnings.catch_warnings(action="ignore"), Image.open(path, formats=formats) as image:  # of EXIF
             yield image
     finally:
         Image.MAX_IMAGE_PIXELS = most
@@ -127,9 +116,7 @@ def _png(path: Path, content: bytes) -> np.ndarray:
 
 
 def _jpeg(path: Path, content: bytes) -> np.ndarray:
-    """With a warning where the decoder complained; the only one that says so is libjpeg-turbo's own
-    interface.
-    """
+    """Warns where the decoder complained. Only libjpeg-turbo's own interface tells that."""
     import simplejpeg
 
     try:

@@ -1,8 +1,9 @@
 """The edge of the Python API: public functions compute the same whatever the program around them has set.
 
-torch's default dtype belongs to the process, gradient and inference mode to the thread. Behind the edge the default
-dtype is float32, gradients are recorded where a function needs them, and no tensor is one of inference mode, which
-autograd refuses. A program's own default comes back when the last call, of whatever thread, is over.
+torch's default dtype belongs to the process, gradient and inference mode to the thread. Behind the edge the
+default dtype is float32, gradients are recorded where a function needs them, and no tensor is one of
+inference mode, which autograd refuses. A program's own default comes back when the last call, of whatever
+thread, is over.
 """
 
 from __future__ import annotations
@@ -34,8 +35,7 @@ def entry(gradients: bool = False) -> Callable[[Callable[P, T]], Callable[P, T]]
     An argument of another kind than its annotation raises ConfigError.
 
     Args:
-        gradients: whether the function needs gradients and records them even where its caller has switched
-            that off; else they are recorded as the caller has it.
+        gradients: whether the function records gradients even where its caller has switched that off.
     """
     def decorated(function: Callable[P, T]) -> Callable[P, T]:
         @functools.wraps(function)
@@ -74,7 +74,7 @@ def _float32() -> Iterator[None]:
 
 
 def put_back(what: str, undo: Callable[[], object]) -> None:
-    """Undo a change of what the process has once: after the last call behind the edge, or now where there is none.
+    """Undo a change of what the process has once: after the last call behind the edge, or now without one.
 
     Args:
         what: was changed; of several changes the first is undone.

@@ -48,8 +48,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
     A symbolic link stays one: what it points to is replaced.
 
     Raises:
-        OutputError: when the folder cannot be made or written to, or something other than a file has this
-            name.
+        OutputError: the folder cannot be made or written to, or something other than a file has this name.
     """
     path, temporary = _places(path)
     try:
@@ -59,8 +58,8 @@ def atomic_write(path: Path) -> Iterator[Path]:
         wrote.set()
     except OSError as reason:
         forbidden = reason.errno in (errno.EACCES, errno.EPERM, errno.EROFS)
-        raise OutputError(f"to write {path}", reason.strerror or str(reason),
-                          f"{'check your rights' if forbidden else 'free space'} or choose another place") from None
+        way_out = f"{'check your rights' if forbidden else 'free space'} or choose another place"
+        raise OutputError(f"to write {path}", reason.strerror or str(reason), way_out) from None
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
@@ -68,13 +67,11 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def file_lock(path: Path, seconds: float = -1) -> Iterator[None]:
-    """Keep a file or folder for this process and thread until the block ends.
-
-    The lock is a file beside it, ``.NAME.lock``, which is there only while somebody holds it.
+    """Keep a file or folder for this process and thread, by a file ``.NAME.lock`` beside it.
 
     Args:
-        path: what is locked; it need not be there, its folder must be.
-        seconds: to wait for others; -1 for as long as it takes.
+        path: what is locked; it need not exist, its folder must.
+        seconds: how long to wait for others; -1 for as long as it takes.
 
     Raises:
         OutputError: another one has it.
@@ -126,17 +123,9 @@ def file_hash(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def open_regular(path: Path, flags: int = os.O_RDONLY) -> io.BufferedReader:
-    """A regular file, open as bytes.
-
-    Args:
-        path: of the file.
-        flags: of :func:`os.open`; with ``O_RDWR | O_CREAT`` a file to lock, which keeps its content.
-
-    Raises:
-        OSError: there is none, or a link, a pipe, a device or a folder has its name.
-    """
-    descriptor = os.open(path, flags | _CAREFULLY, 0o666)
+def open_regular(path: Path) -> io.BufferedReader:
+    """A regular file, open as bytes; OSError for none, and for a link, a pipe, a device or a folder."""
+    descriptor = os.open(path, os.O_RDONLY | _CAREFULLY)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
         raise OSError(errno.EINVAL, "no regular file", str(path))
@@ -152,11 +141,10 @@ def is_regular(path: Path | None) -> bool:
 
 
 def stays_inside(name: object) -> bool:
-    """Whether a name that a file states is that of something inside a folder, as far as words tell."""
-    if not isinstance(name, str) or "\0" in name:
-        return False
+    """Whether a name that a file states can only lie inside a folder, links aside."""
     try:
-        os.fsencode(name)
+        if not isinstance(name, str) or b"\0" in os.fsencode(name):
+            return False
     except UnicodeEncodeError:  # text that no file can be called
         return False
     path = Path(name)
@@ -164,9 +152,7 @@ def stays_inside(name: object) -> bool:
 
 
 def is_entry(name: object) -> bool:
-    """Whether a name that a file states is that of something right inside a folder, and no pattern of several
-    names.
-    """
+    """Whether a name that a file states lies right inside a folder, and is no pattern of several names."""
     return stays_inside(name) and Path(str(name)).parts == (name,) and not set("*?[\\") & set(str(name))
 
 
@@ -228,11 +214,7 @@ def remove(path: Path) -> None:
 
 
 def to_disk(path: Path) -> None:
-    """Have a file or a folder written, not only promised.
-
-    Raises:
-        OSError: it cannot be, as with folders on some systems.
-    """
+    """Flush a file or folder to the disk; OSError where it is impossible, as for folders of some systems."""
     descriptor = os.open(path, os.O_RDONLY | _CAREFULLY)
     try:
         os.fsync(descriptor)
@@ -241,10 +223,9 @@ def to_disk(path: Path) -> None:
 
 
 def check_output(*paths: Path | None) -> None:
-    """Raise OutputError now for files that :func:`atomic_write` could not write once the work is done; None stands
-    for no file.
+    """Raise OutputError now for files that :func:`atomic_write` could not write later; None is no file.
 
-    Nothing is left behind, and folders that are missing are not made yet.
+    Nothing is left behind, and missing folders are not made yet.
     """
     for path in filter(None, paths):
         target, temporary = _places(path)
@@ -258,9 +239,7 @@ def check_output(*paths: Path | None) -> None:
 
 
 def check_names(*names: str | Path) -> None:
-    """Raise ConfigError for names of files that are no text: what is not UTF-8 no page and no record can
-    state.
-    """
+    """Raise ConfigError for names of files that are not UTF-8: no page and no record can state them."""
     for name in map(str, names):
         try:
             name.encode()
@@ -277,9 +256,7 @@ def _places(path: Path) -> tuple[Path, Path]:
         raise OutputError(f"a current folder to write {path} in", "one that was deleted",
                           "change to one that is there, or name a whole path") from None
     check_names(target)
-    # a rename would replace a device or a pipe by a file
-    if os.path.lexists(target) and not target.is_file():
-        raise OutputError("a file to write",
-                          f"{path}, which is {'a folder' if target.is_dir() else 'no regular file'}",
-                          "give another name")
+    if os.path.lexists(target) and not target.is_file():  # a rename would replace a device or a pipe
+        what = "a folder" if target.is_dir() else "no regular file"
+        raise OutputError("a file to write", f"{path}, which is {what}", "give another name")
     return target, target.with_name(f".{target.stem}-{uuid.uuid4().hex[:8]}{target.suffix}")

@@ -26,12 +26,8 @@ def read_image(path: Path, error: type[MitsvbrdfError]) -> Tensor:
 
     8- and 16-bit files give display values in [0, 1]; EXR files give what they hold. Alpha is dropped.
 
-    Args:
-        path: png, jpg or exr.
-        error: the error type to raise when the file is missing or is no image.
-
-    Warns:
-        InputWarning: see :func:`~mitsvbrdf.io.decode.decoded`.
+    A missing or unreadable file raises ``error``. A damaged JPEG warns: see
+    :func:`~mitsvbrdf.io.decode.decoded`.
     """
     path = Path(path)
     if path.suffix.lower() == ".exr":
@@ -48,11 +44,9 @@ def display(pixels: np.ndarray) -> np.ndarray:
 
 
 def averaged(pixels: np.ndarray, side: int) -> np.ndarray:
-    """Square pixels (S x S x 3, 8 or 16 bits or float32) as display values in ``side`` pixels a side, by area
-    averages.
+    """Square pixels (S x S x 3, 8 or 16 bits or float32), averaged to display values, ``side`` pixels a side.
 
-    A band of rows at a time, so that little more than the pixels is held; bands meet where rows of the result
-    do.
+    It works by bands of rows, which meet where rows of the result do: it holds little more than the pixels.
     """
     import cv2
 
@@ -124,10 +118,8 @@ def encode_png(image: Tensor, bits: int = 8) -> bytes:
     kind = np.uint8 if bits == 8 else np.uint16
     top = np.iinfo(kind).max
     pixels = np.rint(image.detach().clamp(0, 1).to(torch.float64).numpy() * top).astype(kind)
-    ok, data = cv2.imencode(".png", np.ascontiguousarray(pixels[..., ::-1] if pixels.shape[2] == 3
-                                                         else pixels))
-    assert ok
-    return data.tobytes()
+    pixels = pixels[..., ::-1] if pixels.shape[2] == 3 else pixels
+    return cv2.imencode(".png", np.ascontiguousarray(pixels))[1].tobytes()
 
 
 def write_linear(stem: Path, image: Tensor, transfer: color.Transfer) -> None:

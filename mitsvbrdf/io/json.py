@@ -22,12 +22,12 @@ NUMBER = (int, float)  # in a shape, see :func:`shape_error`
 
 def read_json(path: Path, error: type[MitsvbrdfError], expected: str = "a valid JSON file",
               fix: str = "mend it or export it again", kind: type = dict) -> Any:
-    """What a JSON file holds; whatever is wrong with it is one error that names the file.
+    """:func:`load`, whose exceptions become an ``error`` with the name of the file.
 
     Args:
         path: of the file.
         error: the type to raise.
-        expected: what the file should have been, in a few words.
+        expected: the right content, in a few words.
         fix: the way out.
         kind: type of the whole value.
     """
@@ -41,9 +41,8 @@ def load(path: Path, kind: type | tuple[type, ...] = dict, links: bool = True) -
     """What a JSON file holds.
 
     Args:
-        path: of the file.
+        path: of the file; a symbolic link only where ``links`` says so.
         kind: type of the whole value.
-        links: whether a symbolic link to a file will do.
 
     Raises:
         OSError: it cannot be read, or is no regular file.
@@ -59,8 +58,8 @@ def parsed(text: str | bytes, kind: type | tuple[type, ...] = dict) -> Any:
     """The value of a JSON text, of bytes in UTF-8.
 
     Raises:
-        ValueError: no JSON, nested too deeply, a key twice in an object, NaN, infinity, a number that 64 bits
-            do not hold, or another type than ``kind``.
+        ValueError: no JSON, nested too deeply, a key twice in an object, a number that is not finite or that
+            64 bits do not hold, or another type than ``kind``.
     """
     odd: list[float] = []
 

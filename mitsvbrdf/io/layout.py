@@ -40,12 +40,9 @@ class Layout:
                                   for name, shape in self.shapes.items()})
 
     def pack(self, **parts: ArrayLike) -> NDArray[np.float64]:
-        """The vector of these parts, float64; numbers and smaller arrays are repeated, parts left out are
-        0.
-        """
-        return np.concatenate([np.broadcast_to(np.asarray(parts.get(name, 0.0), dtype=np.float64),
-                                               shape).ravel()
-                               for name, shape in self.shapes.items()])
+        """The float64 vector of these parts. Smaller arrays are repeated, missing parts are 0."""
+        each = ((np.asarray(parts.get(name, 0.0), np.float64), shape) for name, shape in self.shapes.items())
+        return np.concatenate([np.broadcast_to(part, shape).ravel() for part, shape in each])
 
     @property
     def numbers(self) -> SimpleNamespace:

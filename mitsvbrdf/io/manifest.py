@@ -1,4 +1,4 @@
-"""What in a result folder is ours: its manifest lists our files, and a serial number that each new result raises."""
+"""What in a result folder is ours: its manifest lists our files. Each new result raises its serial number."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ def own_files(out: Path) -> list[str]:
     """Names of the files that commands put into ``out``, as its manifest lists them; none without one."""
     found = _manifest(out)
     names = found.get("files") if isinstance(found, dict) else found  # a list alone: of earlier versions
-    return [name for name in names if stays_inside(name) and name != MANIFEST] if isinstance(names, list) else []
+    names = names if isinstance(names, list) else []
+    return [name for name in names if stays_inside(name) and name != MANIFEST]
 
 
 def derived(out: Path) -> dict[str, list[str]]:
     """Folders of :data:`DERIVED` in which commands put what they made of this result, and their files' names.
 
-    Only folders beside files of the result count, and only if their own manifest lists the file they are known
-    by. Names are relative to ``out``.
+    Only folders beside files of the result count, and only if their own manifest lists the file they are
+    known by. Names are relative to ``out``.
     """
     found = {}
     for name in derived_places(out):
@@ -36,10 +37,11 @@ def derived(out: Path) -> dict[str, list[str]]:
 
 
 def files_of_others(out: Path) -> list[str]:
-    """Names of what lies in ``out`` and is no file of ours; what a killed command left of DERIVED folders is."""
+    """What lies in ``out`` and is not ours. What a killed command left for DERIVED folders is ours."""
     ours = {MANIFEST, *own_files(out), *(name for names in derived(out).values() for name in names)}
     left = [Path(name) for name in derived_places(out)]
-    staged = {str(path.with_name(name)) for path in left for name in (f"{path.name}.partial", f".{path.name}.added")}
+    staged = {str(path.with_name(f"{path.name}.partial")) for path in left}
+    staged |= {str(path.with_name(f".{path.name}.added")) for path in left}
     ours |= {str(path.with_name(f".{path.name}.lock")) for path in left}
     found = []
     for here, folders, names in os.walk(out):

@@ -4,9 +4,10 @@
         rendered = renderer.render(svbrdf, views)
     switch_at("renderer, backward", rendered)
 
-Scopes may be nested. A second of a step counts once, for the innermost scope, so the parts sum up to the step.
-Time that no scope names is "other". Autograd runs the parts backward in one call: :func:`switch_at` marks where
-each begins. Without :func:`profiling`, a scope costs 0.3 us. Kernels of a GPU count where the thread waits for them.
+Scopes may be nested. A second of a step counts once, for the innermost scope, so the parts sum up to the
+step. Time that no scope names is "other". Autograd runs the parts backward in one call: :func:`switch_at`
+marks where each begins. Without :func:`profiling`, a scope costs 0.3 us. Kernels of a GPU count where the
+thread waits for them.
 """
 
 from __future__ import annotations
@@ -62,11 +63,11 @@ def profiling() -> Iterator[Profile]:
 def profile_summary() -> dict | None:
     """:meth:`Profile.summary` of the profile being collected, else None."""
     profile = _active.get()
-    return profile and profile.summary()
+    return None if profile is None else profile.summary()
 
 
 class Profile:
-    """Seconds by part: ``steps`` has a dict for each step, ``beside`` has the outermost scopes between them."""
+    """Seconds by part: ``steps`` has a dict for each step, ``beside`` the outermost scopes between them."""
 
     def __init__(self) -> None:
         self.steps: list[dict[str, float]] = []
@@ -108,10 +109,10 @@ class Profile:
         """Statistics over the steps, without the first of each kind (set of parts), which compiles kernels.
 
         Returns:
-            ``steps``: their number. ``step``: :func:`~mitsvbrdf.io.timing.spread` of their seconds. ``parts``: the
-            same of each part, over the steps that have it, and its ``share`` of all their time. ``warm_up``:
-            seconds of the other steps; all steps count where there are no others. ``beside``: seconds between
-            the steps by part.
+            ``steps``: their number. ``step``: :func:`~mitsvbrdf.io.timing.spread` of their seconds.
+            ``parts``: the same of each part, over the steps that have it, and its ``share`` of all their
+            time. ``warm_up``: seconds of the other steps; all steps count where there are no others.
+            ``beside``: seconds between the steps by part.
         """
         kinds = dict[frozenset[str], dict[str, float]]()
         counted = [step for step in self.steps if kinds.setdefault(frozenset(step), step) is not step]

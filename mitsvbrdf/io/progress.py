@@ -30,8 +30,8 @@ console = _Console(stderr=False, highlight=False)
 class Cell:
     """Text below a notebook cell, replaced in place at most four times a second; the last one stays.
 
-    Jupyter, VS Code, Colab and pages of saved notebooks all show plain text. Rich's live displays need ipywidgets,
-    and a saved notebook does not show them.
+    Jupyter, VS Code, Colab and pages of saved notebooks all show plain text. Rich's live displays need
+    ipywidgets, and a saved notebook does not show them.
     """
 
     WIDTH, SECONDS = 32, 0.25
@@ -73,8 +73,8 @@ class Lines:
 def progress_bar(title: str, lasting: bool = False) -> Iterator[Callable[[str, float], None]]:
     """Show progress; yields a function to call with (text, share done).
 
-    A terminal shows a bar, or the text below the title where it is ``lasting`` and stays at the end. A notebook
-    shows a :class:`Cell`. Everything else gets :class:`Lines`.
+    A terminal shows a bar, or the text below the title where it is ``lasting`` and stays at the end. A
+    notebook shows a :class:`Cell`. Everything else gets :class:`Lines`.
     """
     if console.is_jupyter:
         with contextlib.closing(Cell(title)) as cell:
@@ -97,8 +97,8 @@ def progress_bar(title: str, lasting: bool = False) -> Iterator[Callable[[str, f
 class Progress:
     """Error, losses, speed and time left of a fit: the ``report`` of :func:`mitsvbrdf.fit.fit_svbrdf`.
 
-    Best used as a context manager. Without, a terminal shows plain lines, and a notebook may miss the last quarter
-    of a second of an interrupted fit.
+    Best used as a context manager. Without, a terminal shows plain lines, and a notebook may miss the last
+    quarter of a second of an interrupted fit.
 
     Args:
         title: stands before the bar, or above the line.
@@ -107,7 +107,7 @@ class Progress:
     def __init__(self, title: str = "fit") -> None:
         self.title, self._shown = title, contextlib.ExitStack()
         self._first: tuple[int, float] | None = None
-        self._show = Cell(title).show if console.is_jupyter else Lines().show
+        self._show: Callable[[str, float], None] = (Cell(title) if console.is_jupyter else Lines()).show
 
     def __enter__(self) -> Progress:
         self._show = self._shown.enter_context(progress_bar(self.title, lasting=True))
@@ -126,8 +126,8 @@ class Progress:
         losses = "".join(f"  {name} {value:.4f}" for name, value in entry.items()
                          if name not in ("seconds", "iteration", "rerender_rmse"))
         end = "  ended" if share >= 1 else f"  at most {left:.0f} s left" if share else ""
-        self._show(f"{entry['seconds']:6.1f} s  iteration {entry['iteration']}  rmse {entry['rerender_rmse']:.4f}"
-                   f"{losses}  {speed:.1f} it/s{end}", share)
+        self._show(f"{entry['seconds']:6.1f} s  iteration {entry['iteration']}  "
+                   f"rmse {entry['rerender_rmse']:.4f}{losses}  {speed:.1f} it/s{end}", share)
 
 
 def on_terminal() -> bool:
@@ -144,7 +144,7 @@ def say(text: str) -> None:
 
 
 def print_rich(*what: Any, **style: Any) -> None:
-    """Print tables and other values of rich; where that fails the work goes on. Long words in tables are folded."""
+    """Print tables and other values of rich, long words folded; where that fails the work goes on."""
     for table in what:
         for column in table.columns if isinstance(table, Table) else ():
             if not column.no_wrap:

@@ -1,9 +1,10 @@
 """Result folders that appear whole or not at all, and in which nobody else's file is lost.
 
-A command makes its result in ``OUT.partial``, beside OUT. One call of the system then exchanges the two folders
-(``renameat2`` of Linux), so a kill leaves the old result whole or the new one whole, and readers have nothing to
-mend. A manifest lists our files: ``--overwrite`` replaces a folder of these alone and refuses any other. A lock
-beside OUT keeps two runs apart. A run that fails leaves in ``OUT.partial`` what ``--resume`` goes on from.
+A command makes its result in ``OUT.partial``, beside OUT. One call of the system then exchanges the two
+folders (``renameat2`` of Linux), so a kill leaves the old result whole or the new one whole, and readers have
+nothing to mend. A manifest lists our files: ``--overwrite`` replaces a folder of these alone and refuses any
+other. A lock beside OUT keeps two runs apart. A run that fails leaves in ``OUT.partial`` what ``--resume``
+goes on from.
 """
 
 from __future__ import annotations
@@ -99,7 +100,8 @@ def output_folder(out: Path, overwrite: bool, resume: bool = False, keep: tuple[
                 _empty(staged, () if done else keep)
 
 
-def check_free(out: Path, overwrite: bool, resume: bool = False, keep: tuple[str, ...] = (CHECKPOINT,)) -> None:
+def check_free(out: Path, overwrite: bool, resume: bool = False,
+               keep: tuple[str, ...] = (CHECKPOINT,)) -> None:
     """Raise OutputError now for what :func:`output_folder` would refuse; its arguments. Nothing is made."""
     out = Path(os.path.realpath(out))
     _check_free(out, overwrite, resume, keep)
@@ -136,7 +138,8 @@ def _check_free(out: Path, overwrite: bool, resume: bool, keep: tuple[str, ...],
         _check_ours(out)
     unfinished = not _is_earlier(partial, out) and any(os.path.lexists(partial / name) for name in keep)
     if unfinished and not (overwrite or resume):
-        raise OutputError("no unfinished run", f"the one in {partial}", "--resume goes on, --overwrite starts anew")
+        raise OutputError("no unfinished run", f"the one in {partial}",
+                          "--resume goes on, --overwrite starts anew")
 
 
 def _check_ours(out: Path) -> None:
@@ -159,7 +162,8 @@ def _begin(out: Path, staged: Path, keep: tuple[str, ...]) -> None:
 
 def _check_own(out: Path, staged: Path, keep: tuple[str, ...]) -> None:
     """Raise OutputError for a folder that we did not make, or where what is gone on from is not ours."""
-    owners = {os.geteuid(), (out if out.exists() else out.parent).stat().st_uid} if hasattr(os, "geteuid") else {0}
+    home = out if out.exists() else out.parent
+    owners = {os.geteuid(), home.stat().st_uid} if hasattr(os, "geteuid") else {0}
     kept = [staged / name for name in keep if os.path.lexists(staged / name)]
     inner = [Path(here, name) for place in kept for here, folders, names in os.walk(place)
              for name in (*folders, *names)]
@@ -212,14 +216,15 @@ def _put_in_place(out: Path, staged: Path, add: bool) -> None:
 
 
 def _link_rest(out: Path, staged: Path, new: list[str]) -> None:
-    """Give the new folder all that ``out`` has and the new files do not replace; nothing of others is replaced."""
+    """Give the new folder all of ``out`` that new files do not replace; they replace none of others."""
     mine, device = {MANIFEST, *own_files(out)}, out.stat().st_dev
     for name in (*new, MANIFEST):
         for path in (Path(name), *list(Path(name).parents)[:-1]):
             there = out / path
             if os.path.lexists(there) and not (str(path) in mine and is_regular(there) if str(path) == name
                                                else there.is_dir() and not there.is_symlink()):
-                raise OutputError("room for new files", f"{there}, which is not ours", "rename or move it away")
+                raise OutputError("room for new files", f"{there}, which is not ours",
+                                  "rename or move it away")
     for here, folders, names in os.walk(out):
         target = staged / Path(here).relative_to(out)
         if os.stat(here).st_dev != device:
@@ -255,8 +260,9 @@ def _told(expected: str) -> Iterator[None]:
     try:
         yield
     except OSError as reason:
-        way_out = ("choose a folder inside of it, or another one" if reason.errno in (errno.EBUSY, errno.EXDEV) else
-                   "free space, or choose a folder in a place you may write to")
+        fixed = reason.errno in (errno.EBUSY, errno.EXDEV)
+        way_out = ("choose a folder inside of it, or another one" if fixed
+                   else "free space, or choose a folder in a place you may write to")
         raise OutputError(expected, reason.strerror or str(reason), way_out) from None
 
 

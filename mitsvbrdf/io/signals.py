@@ -1,5 +1,6 @@
-"""Ctrl-C and SIGTERM: long work stops and keeps what it has, short work that must be whole is not disturbed, and no
-import is cut in two. And the lock for what a process has once.
+"""Ctrl-C and SIGTERM: long work stops and keeps its result, short work and imports are not disturbed.
+
+It also has the lock for what a process has once.
 """
 
 from __future__ import annotations
@@ -40,9 +41,7 @@ def _to_main_thread(number: int) -> None:
 
 @contextlib.contextmanager
 def stop_signals() -> Iterator[list[int]]:
-    """A list that gets an entry when Ctrl-C or SIGTERM asks to stop; the third time raises
-    KeyboardInterrupt.
-    """
+    """A list that gets an entry for each Ctrl-C or SIGTERM; the third raises KeyboardInterrupt."""
     stop: list[int] = []
 
     def asked_to_stop(*_: object) -> None:
@@ -50,9 +49,8 @@ def stop_signals() -> Iterator[list[int]]:
             raise KeyboardInterrupt
         stop.append(1)
 
-    pressed = signal.getsignal(signal.SIGINT)
-    if threading.current_thread() is not threading.main_thread() or pressed not in (
-            signal.default_int_handler, interrupt, signal.SIG_IGN):
+    pressed, ours = signal.getsignal(signal.SIGINT), (signal.default_int_handler, interrupt, signal.SIG_IGN)
+    if threading.current_thread() is not threading.main_thread() or pressed not in ours:
         yield stop  # somebody else listens
         return
     # A script's job in the background must not hear Ctrl-C; SIGTERM still ends it.

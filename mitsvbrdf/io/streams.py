@@ -1,4 +1,4 @@
-"""Standard streams of a command: closed, full or without a reader, they neither end the work nor take a file's place."""
+"""Standard streams of a command: closed or full ones neither end the work nor take the place of a file."""
 
 from __future__ import annotations
 
@@ -11,11 +11,7 @@ from . import files
 
 
 class Unfailing(io.RawIOBase):
-    """A stream to write to that never raises: after the first failure it drops what is written.
-
-    Args:
-        raw: the stream that may fail.
-    """
+    """A stream to write to that never raises: after the first failure it drops what is written."""
 
     def __init__(self, raw: Any) -> None:
         self.raw = raw
@@ -51,8 +47,7 @@ def guard_streams() -> None:
     for number in (0, 1, 2):
         try:
             os.fstat(number)
-        except OSError:
-            # the lowest free number; writing to it fails as it would to a closed one
+        except OSError:  # takes the lowest free number; writing to it fails as it would to a closed one
             os.open(os.devnull, os.O_RDONLY)
     if sys.stdin is None:
         sys.stdin = open(0, closefd=False)
@@ -64,7 +59,8 @@ def _guarded(stream: Any, number: int, errors: str) -> Any:
     if stream is not None and not isinstance(stream, io.TextIOWrapper):
         return stream  # of an environment of its own
     if stream is None:
-        return io.TextIOWrapper(io.BufferedWriter(Unfailing(io.FileIO(number, "w", closefd=False))), "utf-8", errors)
+        raw: Any = io.FileIO(number, "w", closefd=False)
+        return io.TextIOWrapper(io.BufferedWriter(Unfailing(raw)), "utf-8", errors)
     stream.flush()
     raw = getattr(stream.buffer, "raw", stream.buffer)
     return io.TextIOWrapper(io.BufferedWriter(Unfailing(raw)), stream.encoding, errors,
@@ -72,13 +68,10 @@ def _guarded(stream: Any, number: int, errors: str) -> Any:
 
 
 def told(code: int) -> int:
-    """Say where standard output is cut short; returns the exit code.
+    """Say where standard output is cut short; returns the exit code for a command that ended with ``code``.
 
-    A reader that has seen enough cuts nothing short. Where no file was written, standard output was the result,
-    and success becomes 2.
-
-    Args:
-        code: how the command ended.
+    A reader that has seen enough cuts nothing short. Without a written file, standard output was the result:
+    success becomes 2.
     """
     sys.stdout.flush()
     raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)

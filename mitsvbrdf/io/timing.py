@@ -22,8 +22,9 @@ def timed(job: Callable[P, T], *args: P.args, **kwargs: P.kwargs) -> tuple[T, fl
 
 def spread(seconds: Sequence[float]) -> dict[str, float]:
     """``median``, ``low`` and ``high`` (quartiles) of repeated timings, and their number as ``repeats``."""
-    quarters = statistics.quantiles(seconds, n=4, method="inclusive") if len(seconds) > 1 else [seconds[0]] * 3
-    return {"median": quarters[1], "low": quarters[0], "high": quarters[2], "repeats": len(seconds)}
+    repeated = seconds if len(seconds) > 1 else [*seconds, *seconds]
+    low, median, high = statistics.quantiles(repeated, n=4, method="inclusive")
+    return {"median": median, "low": low, "high": high, "repeats": len(seconds)}
 
 
 def side_by_side(jobs: Mapping[str, Callable[[], object]], repeats: int = 5) -> dict[str, dict[str, float]]:

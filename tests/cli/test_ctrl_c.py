@@ -48,9 +48,10 @@ def pressed(name, folder, seconds):
     """Exit code as a shell tells it, what was said, and whether the command was done before Ctrl-C came."""
     begun, begins = os.pipe()
     words = [word.format(f"out {name} {seconds:.3f}") for word in COMMANDS[name]]
-    process = subprocess.Popen(["bash", "-c", f'exec "$@" 9>&{begins}', "bash", sys.executable, "-c", START, *words],
-                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder,
-                               pass_fds=(begins,), start_new_session=True, env=os.environ | {"PYTHONPATH": str(ROOT)})
+    process = subprocess.Popen(["bash", "-c", f'exec "$@" 9>&{begins}', "bash", sys.executable, "-c", START,
+                                *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+                               cwd=folder, pass_fds=(begins,), start_new_session=True, env=os.environ
+                               | {"PYTHONPATH": str(ROOT)})
     os.close(begins)
     os.read(begun, 1)
     os.close(begun)

@@ -150,7 +150,8 @@ def test_the_first_checkpoint_that_is_of_this_fit_is_gone_on_from(tmp_path, caps
 
     assert _from_first_of([finished, other], fitted) == ("finished", 1) and not capsys.readouterr().out
     assert _from_first_of([torn, other, finished], fitted) == ("finished", 1)
-    assert f"went on from {finished}; what was left unfinished was another fit: {torn}" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert f"went on from {finished}; what was left unfinished was another fit: {torn}" in said
     with pytest.raises(ConfigError, match="got others"):
         _from_first_of([other, torn], fitted)
 

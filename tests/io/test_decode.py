@@ -45,14 +45,12 @@ def read(tmp_path, data):
     return decoded(path, CaptureError)
 
 
-WHOLE = {
-    "jpeg": encoded("JPEG"), "progressive": encoded("JPEG", quality=30, progressive=True),
-    "grey": encoded("JPEG", PIXELS[..., 0]), "colour in full": encoded("JPEG", subsampling=0),
-    "one pixel": encoded("JPEG", PIXELS[:1, :1]),
-    "odd": encoded("JPEG", PIXELS[:7, :41]), "png": encoded("PNG"), "png of one pixel": encoded("PNG",
-                                                                                                PIXELS[:1, :1]),
-    "16 bits": encoded("PNG", PIXELS.astype(np.uint16)[..., 0] * 256),
-    "more behind": encoded("JPEG") + b"what phones write behind a picture" * 50}
+WHOLE = {"jpeg": encoded("JPEG"), "progressive": encoded("JPEG", quality=30, progressive=True),
+         "grey": encoded("JPEG", PIXELS[..., 0]), "colour in full": encoded("JPEG", subsampling=0),
+         "one pixel": encoded("JPEG", PIXELS[:1, :1]), "odd": encoded("JPEG", PIXELS[:7, :41]),
+         "png": encoded("PNG"), "png of one pixel": encoded("PNG", PIXELS[:1, :1]),
+         "16 bits": encoded("PNG", PIXELS.astype(np.uint16)[..., 0] * 256), "more behind": encoded("JPEG")
+         + b"what phones write behind a picture" * 50}
 
 
 @pytest.mark.filterwarnings("error")

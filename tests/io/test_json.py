@@ -58,21 +58,22 @@ def test_a_file_that_cannot_be_read_is_one_error(tmp_path, monkeypatch):
     assert load(tmp_path / "large") == {}
 
 
-@pytest.mark.parametrize("value, shape, said", [
-    ({"a": 1, "b": [1.5, 2]}, {"a": int, "b": [NUMBER]}, ""), ({"a": {"x": 1, "more": 2}}, {"a": {"x": int}}, ""),
-    ({"a": 1}, {"a": int, "b": [NUMBER]}, "the whole (object missing required field b)"),
-    ({"a": [[1, "x"]]}, {"a": [[NUMBER]]}, "a[0][1] (expected int | float, got str)"),
-    ({"a": {"x": 1, "y": None}}, {"a": {str: int}}, "a[...] (expected int, got null)"),
-    ({"a": []}, {"a": {str: object}}, "a (expected object, got array)"),
-    ({"a": 3}, {"a": (str, type(None))}, "a (expected str | null, got int)"), ({"a": None}, {"a": (dict, type(None))}, "")])
+@pytest.mark.parametrize("value, shape, said",
+                         [({"a": 1, "b": [1.5, 2]}, {"a": int, "b": [NUMBER]}, ""),
+                          ({"a": {"x": 1, "more": 2}}, {"a": {"x": int}}, ""),
+                          ({"a": 1}, {"a": int, "b": [NUMBER]},
+                           "the whole (object missing required field b)"),
+                          ({"a": [[1, "x"]]}, {"a": [[NUMBER]]}, "a[0][1] (expected int | float, got str)"),
+                          ({"a": {"x": 1, "y": None}}, {"a": {str: int}}, "a[...] (expected int, got null)"),
+                          ({"a": []}, {"a": {str: object}}, "a (expected object, got array)"),
+                          ({"a": 3}, {"a": (str, type(None))}, "a (expected str | null, got int)"),
+                          ({"a": None}, {"a": (dict, type(None))}, "")])
 def test_where_a_value_does_not_fit(value, shape, said):
     assert shape_error(value, shape) == said
 
 
-READERS = {
-    "capture.json": read_capture, "fit.json": Fit.of_maps, "material.json": read_material_json,
-    "relight.json": lambda folder: go_on({},
-                                                                                                    folder, folder)}
+READERS = {"capture.json": read_capture, "fit.json": Fit.of_maps, "material.json": read_material_json,
+           "relight.json": lambda folder: go_on({}, folder, folder)}
 
 
 @pytest.mark.parametrize("text", ["[" * 100_000, '{"a": NaN}', '{"a": 1, "a": 1}', "[]", "{"],

@@ -11,7 +11,8 @@ from helpers import ROOT
 SCRIPT = Path(__file__).parents[1] / "helpers" / "kill_points.py"
 # Points that a command has at least: were the folder no longer written through these calls, there would be
 # none to kill at.
-SHAPES = {"fit": 30, "fit by renames": 30, "export": 15, "relight": 15, "capture": 8, "report": 20, "batch": 8}
+SHAPES = {"fit": 30, "fit by renames": 30, "export": 15, "relight": 15, "capture": 8, "report": 20,
+          "batch": 8}
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -72,7 +72,8 @@ def test_a_bar_without_a_terminal(capsys, clock):
         for second in range(26):
             report(f"case {second}", second / 26)
             clock[0] += 1
-    assert capsys.readouterr().out.splitlines() == ["a sweep", "  0%  case 0", " 42%  case 11", " 85%  case 22"]
+    assert capsys.readouterr().out.splitlines() == ["a sweep", "  0%  case 0", " 42%  case 11",
+                                                    " 85%  case 22"]
 
 
 def first_column(text):

@@ -95,7 +95,8 @@ def test_a_file_of_others_that_comes_during_the_work_is_not_lost(out):
         with results.output_folder(out, overwrite=True) as folder:
             files.write_bytes(folder / results.CHECKPOINT, b"state")
             files.write_bytes(out / "notes.txt", b"mine")
-    assert (out / "notes.txt").read_bytes() == b"mine" and there(results.partial_folder(out)) == [results.CHECKPOINT]
+    assert (out / "notes.txt").read_bytes() == b"mine"
+    assert there(results.partial_folder(out)) == [results.CHECKPOINT]
 
 
 def test_of_many_files_of_others_five_are_named(out):
@@ -140,7 +141,8 @@ def test_files_that_are_added_take_nothing_away(out, either_way, capsys):
         assert (out / "report.html").read_text() == text
     assert os.listdir(out.parent) == ["out"] and not capsys.readouterr().out
     assert (out / "fit.json").stat().st_ino == inode and (out / "notes/link").is_symlink()
-    assert {"report.html", "fit.json"} < set(results.own_files(out)) and "notes/mine.txt" not in results.own_files(out)
+    assert {"report.html",
+            "fit.json"} < set(results.own_files(out)) and "notes/mine.txt" not in results.own_files(out)
     (out / "notes/mine.txt").unlink()
     (out / "notes/link").unlink()
     make(out, "fit.json", overwrite=True)
@@ -219,7 +221,7 @@ def test_putting_results_in_place_is_not_interrupted(number, tmp_path, monkeypat
             files.write_bytes(folder / "one", b"new")
             monkeypatch.setattr(os, "rename", interrupted)
         assert there(tmp_path / "out") == ["one"]
-        assert [sorted(names) for names in came] == [[results.MANIFEST, "one"]]  # heard, once all was in place
+        assert [sorted(names) for names in came] == [[results.MANIFEST, "one"]]  # all in place
     finally:
         signal.signal(number, before)
 
